@@ -1,0 +1,1 @@
+"""Convex model predictive control over rotations, as ROS 2 nodes."""

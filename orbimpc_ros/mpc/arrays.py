@@ -1,0 +1,68 @@
+"""Read-only arrays from untrusted values: one gate for shape, type and finiteness."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from orbimpc_ros.mpc.errors import BadInput
+
+Array = NDArray[np.float64]
+
+
+def frozen(value: ArrayLike, shape: tuple[int, ...], culprit: str) -> Array:
+    """Return ``value`` as a read-only float array of the given shape.
+
+    Raises:
+        BadInput: not numbers, another shape, NaN or infinite.
+    """
+    wanted = f'{"x".join(map(str, shape))} finite numbers'
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise BadInput(culprit, value, wanted) from None
+    if array.shape != shape or not np.isfinite(array).all():
+        raise BadInput(culprit, value, wanted)
+    array.setflags(write=False)
+    return array
+
+
+def sealed(array: Array) -> Array:
+    """Make an array of our own read-only, so that frozen types stay frozen."""
+    array.setflags(write=False)
+    return array
+
+
+def number(
+    value: object,
+    culprit: str,
+    low: float = -np.inf,
+    high: float = np.inf,
+    *,
+    above: bool = False,
+) -> float:
+    """Return ``value`` as a finite float in [low, high] (in (low, high] if ``above``).
+
+    Raises:
+        BadInput: not a number, not finite or out of range.
+    """
+    allowed = f'a number in {"(" if above else "["}{low:g}, {high:g}]'
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        raise BadInput(culprit, value, allowed)
+    result = float(value)
+    if not np.isfinite(result) or not low <= result <= high or (above and result == low):
+        raise BadInput(culprit, value, allowed)
+    return result
+
+
+def whole(value: object, culprit: str, low: int, high: int) -> int:
+    """Return ``value`` as an integer in [low, high].
+
+    Raises:
+        BadInput: not an integer or out of range.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        raise BadInput(culprit, value, f'an integer in [{low}, {high}]')
+    if not low <= value <= high:
+        raise BadInput(culprit, value, f'an integer in [{low}, {high}]')
+    return int(value)

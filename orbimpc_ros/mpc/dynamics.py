@@ -1,0 +1,102 @@
+"""The discrete dynamics (explicit Euler, old values on the right), as rollouts and as maps.
+
+R_{k+1} = R_k + h u_k, or W_{k+1} = W_k + h u_k and R_{k+1} = R_k + h W_k;
+s_{k+1} = s_k + h z R_k e1, or p_{k+1} = p_k + h z R_k e1 and s_{k+1} = s_k + h p_k.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.problem import Problem, State
+
+
+def inputs_of(problem: Problem, state: State, rotations: Array) -> Array:
+    """Return the inputs u_0..u_{N-1}, shape (N, n, n), that produce rotations R_0..R_N.
+
+    At rotation order 2 the last input moves only W_N, which nothing sees: it is zero.
+
+    Args:
+        problem: gives the order and the step.
+        state: gives the initial rotation and its rate.
+        rotations: R_0..R_N, shape (N + 1, n, n).
+    """
+    rates = np.diff(rotations, axis=0) / problem.step
+    if problem.rotation_order == 1:
+        return rates
+    inputs = np.zeros_like(rates)
+    inputs[:-1] = np.diff(rates, axis=0) / problem.step
+    return inputs
+
+
+def rotation_rollout(problem: Problem, state: State, first_rate: Array, inputs: Array) -> Array:
+    """Return R_0..R_N, shape (N + 1, n, n), that the inputs produce.
+
+    Args:
+        problem: gives the order and the step.
+        state: gives R_0.
+        first_rate: W_0, shape (n, n); used at rotation order 2 only.
+        inputs: u_0..u_{N-1}, shape (N, n, n).
+    """
+    rotations = np.empty((len(inputs) + 1, *inputs.shape[1:]))
+    rotations[0] = state.rotation
+    rate = first_rate
+    for k, u in enumerate(inputs):
+        if problem.rotation_order == 1:
+            rotations[k + 1] = rotations[k] + problem.step * u
+        else:
+            rotations[k + 1] = rotations[k] + problem.step * rate
+            rate = rate + problem.step * u
+    return rotations
+
+
+def translation_rollout(problem: Problem, state: State, headings: Array) -> tuple[Array, Array]:
+    """Return s_0..s_N and the velocities p_0..p_N, each of shape (N + 1, n).
+
+    Args:
+        problem: gives the order, the step and the forward magnitude.
+        state: gives s_0 and, at translation order 2, p_0.
+        headings: R_k e1, k = 0..N, shape (N + 1, n).
+
+    At translation order 1 the velocity is z R_k e1, a function of the rotation alone.
+    """
+    pushed = problem.forward * headings
+    if problem.translation_order == 1:
+        return state.position + _sums(problem.step * pushed), pushed
+    velocities = state.velocity + _sums(problem.step * pushed)
+    return state.position + _sums(problem.step * velocities), velocities
+
+
+def _sums(increments: Array) -> Array:
+    """Return 0 and the partial sums of all but the last increment, one row each."""
+    sums = np.zeros_like(increments)
+    np.cumsum(increments[:-1], axis=0, out=sums[1:])
+    return sums
+
+
+def position_map(problem: Problem) -> Array:
+    """Return T, shape (N, N + 1), with s_k = (drift of s_0, p_0) + sum_j T[k-1, j] R_j e1."""
+    n_steps, h = problem.horizon, problem.step
+    lag = np.arange(1, n_steps + 1)[:, None] - np.arange(n_steps + 1)[None, :]
+    if problem.translation_order == 1:
+        return h * problem.forward * (lag >= 1)
+    return h * h * problem.forward * np.maximum(lag - 1, 0)
+
+
+def drift(problem: Problem, state: State) -> Array:
+    """Return the positions s_1..s_N, shape (N, n), of a vehicle that coasts without thrust."""
+    if problem.translation_order == 1:
+        return np.tile(state.position, (problem.horizon, 1))
+    steps = np.arange(1, problem.horizon + 1)[:, None]
+    return state.position + problem.step * steps * state.velocity
+
+
+def input_map(problem: Problem) -> Array:
+    """Return D with the inputs u_k = sum_j D[k, j] R_j, shape (N, N + 1), or (N - 1, N + 1).
+
+    At rotation order 2 these are the second differences u_0..u_{N-2}.
+    """
+    n_steps, h = problem.horizon, problem.step
+    first = np.diff(np.eye(n_steps + 1), axis=0) / h
+    return first if problem.rotation_order == 1 else np.diff(first, axis=0) / h

@@ -1,0 +1,84 @@
+r"""The orbitopes conv SO(2) and conv SO(3): coordinates, membership, constraints.
+
+A matrix R of conv SO(n) is held in the coordinates the programs optimise over:
+
+- n = 2: :math:`R = [[a, -b], [b, a]]`, coordinates :math:`(a, b)`, :math:`\|R\|_F^2 = 2(a^2+b^2)`;
+- n = 3: the nine entries column by column.
+
+Either way the first n coordinates are the thrust axis :math:`R e_1`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+
+if TYPE_CHECKING:
+    import cvxpy as cp
+
+MEMBERSHIP_TOLERANCE = 1e-6  # how far outside conv SO(n) a rotation from a file may be rounded
+
+
+def coordinate_count(n: int) -> int:
+    """Return the number of coordinates of a matrix of conv SO(n)."""
+    return 2 if n == 2 else 9
+
+
+def frobenius_factor(n: int) -> float:
+    """Return c with squared Frobenius norm = c * (sum of squared coordinates)."""
+    return 2.0 if n == 2 else 1.0
+
+
+def coordinates(matrix: Array) -> Array:
+    """Return the coordinates, shape (..., 2) or (..., 9), of matrices of shape (..., n, n)."""
+    if matrix.shape[-1] == 2:
+        return matrix[..., :, 0]
+    return np.swapaxes(matrix, -1, -2).reshape(*matrix.shape[:-2], 9)
+
+
+def matrix(x: Array) -> Array:
+    """Return the matrices, shape (..., n, n), of coordinates of shape (..., 2) or (..., 9)."""
+    if x.shape[-1] == 2:
+        a, b = x[..., 0], x[..., 1]
+        return np.stack([np.stack([a, -b], -1), np.stack([b, a], -1)], -2)
+    return np.swapaxes(x.reshape(*x.shape[:-1], 3, 3), -1, -2)
+
+
+def lmi(x):
+    """Return the rows of the paper's symmetric 4x4 matrix, PSD exactly on conv SO(3).
+
+    Args:
+        x: nine coordinates, numbers or CVXPY expressions.
+    """
+    x11, x21, x31, x12, x22, x32, x13, x23, x33 = (x[i] for i in range(9))
+    return [
+        [1 + x11 + x22 + x33, x32 - x23, x13 - x31, x21 - x12],
+        [x32 - x23, 1 + x11 - x22 - x33, x21 + x12, x13 + x31],
+        [x13 - x31, x21 + x12, 1 - x11 + x22 - x33, x32 + x23],
+        [x21 - x12, x13 + x31, x32 + x23, 1 - x11 - x22 + x33],
+    ]
+
+
+def margin(rotation: Array) -> Array:
+    """Return by how much matrices of shape (..., n, n) lie inside conv SO(n), negative outside.
+
+    n = 2: 1 - |(a, b)|. n = 3: the smallest eigenvalue of the 4x4 matrix, found from signed
+    singular values s1 >= s2 >= |s3| alone (Sanyal, Sottile, Sturmfels, *Orbitopes*).
+    """
+    if rotation.shape[-1] == 2:
+        return 1.0 - np.linalg.norm(rotation[..., :, 0], axis=-1)
+    singular = np.linalg.svd(rotation, compute_uv=False)
+    s1, s2 = singular[..., 0], singular[..., 1]
+    s3 = singular[..., 2] * np.where(np.linalg.det(rotation) < 0.0, -1.0, 1.0)
+    # The other three sign patterns never exceed this one when s1 >= s2 >= |s3|.
+    return 1.0 - (s1 + s2 - s3)
+
+
+def constraint(x: cp.Expression, n: int) -> cp.Constraint:
+    """Return the CVXPY constraint that puts coordinates ``x`` in conv SO(n)."""
+    import cvxpy as cp
+
+    return cp.norm(x, 2) <= 1 if n == 2 else cp.bmat(lmi(x)) >> 0

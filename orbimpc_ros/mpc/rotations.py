@@ -1,0 +1,166 @@
+r"""The rotation groups SO(2) and SO(3): exponential, logarithm, projections, quaternions.
+
+A tangent vector is an angular velocity times time: shape (1,) [rad] for n = 2, (3,) [rad] for
+n = 3, expressed in the body frame, so that :math:`Q \exp(h \hat\omega)` turns a body at rate
+:math:`\omega` for :math:`h` seconds.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+
+HEADING_UNDEFINED = 1e-9  # below this speed fraction R e1 has no direction worth the name
+
+
+def skew(omega: Array) -> Array:
+    r"""Return :math:`\hat\omega`, shape (n, n), of a tangent vector of shape (1,) or (3,)."""
+    if len(omega) == 1:
+        return np.array([[0.0, -omega[0]], [omega[0], 0.0]])
+    x, y, z = omega
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def exp(phi: Array) -> Array:
+    """Return the rotation, shape (n, n), that the tangent vector ``phi`` [rad] reaches.
+
+    Rodrigues' formula; series near zero keep full precision.
+    """
+    if len(phi) == 1:
+        c, s = math.cos(phi[0]), math.sin(phi[0])
+        return np.array([[c, -s], [s, c]])
+    angle = math.sqrt(phi @ phi)
+    hat = skew(phi)
+    if angle < 1e-4:
+        first, second = 1.0 - angle**2 / 6.0, 0.5 - angle**2 / 24.0
+    else:
+        first = math.sin(angle) / angle
+        second = 2.0 * (math.sin(0.5 * angle) / angle) ** 2  # (1 - cos)/angle^2, stable
+    return np.eye(3) + first * hat + second * (hat @ hat)
+
+
+def log(rotation: Array) -> Array:
+    """Return the shortest tangent vector [rad], shape (1,) or (3,), with ``exp(log(Q)) = Q``.
+
+    Through the unit quaternion, which is accurate at every angle including pi.
+    """
+    if rotation.shape == (2, 2):
+        return np.array([math.atan2(rotation[1, 0], rotation[0, 0])])
+    w, *vector = to_quaternion(rotation)
+    axis = np.array(vector)
+    if w < 0.0:
+        w, axis = -w, -axis
+    norm = math.sqrt(axis @ axis)
+    return axis * (2.0 * math.atan2(norm, w) / norm if norm > 1e-12 else 2.0)
+
+
+def nearest(matrix: Array) -> Array:
+    r"""Return the rotation nearest to ``matrix`` in the Frobenius norm.
+
+    :math:`U \operatorname{diag}(1, .., \det(UV^T)) V^T`; the sign keeps the determinant at +1
+    where the plain :math:`UV^T` of the paper is a reflection.
+    """
+    if matrix.shape == (2, 2):
+        return _from_heading_2(
+            np.array([matrix[0, 0] + matrix[1, 1], matrix[1, 0] - matrix[0, 1]])
+        )
+    u, _, vt = np.linalg.svd(matrix)
+    u[:, -1] *= np.linalg.det(u) * np.linalg.det(vt)
+    return u @ vt
+
+
+def thrust_aligned(matrix: Array) -> Array:
+    """Return the rotation whose first axis is R e1 / |R e1| and whose roll fits R best.
+
+    Thrust |R e1| along that axis moves a vehicle just as the relaxed R does. For n = 2 this is
+    :func:`nearest`. Where R e1 vanishes there is no axis to keep: the nearest rotation is used.
+    """
+    n = len(matrix)
+    heading = matrix[:, 0]
+    norm = math.sqrt(heading @ heading)
+    if n == 2 or norm < HEADING_UNDEFINED:
+        return nearest(matrix)
+    axis = heading / norm
+    frame = _frame_along(axis)
+    # Best roll: rotate (e2, e3) of the frame to fit columns 2 and 3 of R, a problem in SO(2).
+    across = frame[:, 1:].T @ matrix[:, 1:]
+    frame[:, 1:] = frame[:, 1:] @ nearest(across)
+    return frame
+
+
+def project(matrix: Array, previous: Array, how: str = 'thrust_aligned') -> tuple[Array, bool]:
+    """Return a rotation for a point of conv SO(n), and whether its heading was defined.
+
+    Args:
+        matrix: point of conv SO(n), shape (n, n).
+        previous: rotation to hold where R e1 = 0 leaves the heading undefined.
+        how: ``'nearest'`` or ``'thrust_aligned'``.
+    """
+    heading = matrix[:, 0]
+    if math.sqrt(heading @ heading) < HEADING_UNDEFINED:
+        return previous, False
+    return (nearest(matrix) if how == 'nearest' else thrust_aligned(matrix)), True
+
+
+def to_quaternion(rotation: Array) -> Array:
+    """Return the unit quaternion (w, x, y, z) of a rotation of shape (2, 2) or (3, 3)."""
+    if rotation.shape == (2, 2):
+        half = 0.5 * math.atan2(rotation[1, 0], rotation[0, 0])
+        return np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
+    m = rotation
+    # Shepperd's method: divide by the largest component, never by a small one.
+    squares = np.array(
+        [
+            1.0 + m[0, 0] + m[1, 1] + m[2, 2],
+            1.0 + m[0, 0] - m[1, 1] - m[2, 2],
+            1.0 - m[0, 0] + m[1, 1] - m[2, 2],
+            1.0 - m[0, 0] - m[1, 1] + m[2, 2],
+        ]
+    )
+    rows = np.array(
+        [
+            [squares[0], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
+            [m[2, 1] - m[1, 2], squares[1], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]],
+            [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], squares[2], m[1, 2] + m[2, 1]],
+            [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], squares[3]],
+        ]
+    )
+    quaternion = rows[int(np.argmax(squares))]
+    return quaternion / math.sqrt(quaternion @ quaternion)
+
+
+def from_quaternion(quaternion: Array, dimension: int) -> Array:
+    """Return the rotation of a unit quaternion (w, x, y, z); for n = 2 its yaw alone.
+
+    The yaw is the heading of the body's x axis seen from above, as REP-103 has it.
+    """
+    w, x, y, z = quaternion
+    if dimension == 2:
+        return _from_heading_2(
+            np.array([1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)])
+        )
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _from_heading_2(heading: Array) -> Array:
+    norm = math.hypot(heading[0], heading[1])
+    a, b = heading / norm if norm > 0.0 else (1.0, 0.0)
+    return np.array([[a, -b], [b, a]])
+
+
+def _frame_along(axis: Array) -> Array:
+    """Return any rotation of shape (3, 3) with first column ``axis``."""
+    other = np.zeros(3)
+    other[int(np.argmin(np.abs(axis)))] = 1.0
+    second = np.cross(axis, other)
+    second /= math.sqrt(second @ second)
+    return np.column_stack([axis, second, np.cross(axis, second)])
