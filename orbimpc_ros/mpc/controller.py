@@ -147,5 +147,6 @@ class Controller:
                 replace(self.problem, horizon=horizon),
                 projection=self._projection,
                 gap_tolerance=self._tolerance,
+                coasting=True,
             )
         return self._solvers[horizon]

@@ -77,8 +77,10 @@ def margin(rotation: Array) -> Array:
     return 1.0 - (s1 + s2 - s3)
 
 
-def constraint(x: cp.Expression, n: int) -> cp.Constraint:
-    """Return the CVXPY constraint that puts coordinates ``x`` in conv SO(n)."""
+def constraints(x: cp.Expression, n: int) -> list[cp.Constraint]:
+    """Return CVXPY constraints that put the rows of ``x``, shape (K, d), in conv SO(n)."""
     import cvxpy as cp
 
-    return cp.norm(x, 2) <= 1 if n == 2 else cp.bmat(lmi(x)) >> 0
+    if n == 2:
+        return [cp.SOC(np.ones(x.shape[0]), x.T)]
+    return [cp.bmat(lmi(x[k])) >> 0 for k in range(x.shape[0])]

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from orbimpc_ros.mpc import dynamics
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.floors.faces import normals
-from orbimpc_ros.mpc.orbitopes import coordinates, margin, matrix
+from orbimpc_ros.mpc.orbitopes import coordinates, margin
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.rotations import project
+from orbimpc_ros.mpc.trajectory import trajectory_of
 
 OPTIMAL, FEASIBLE, INFEASIBLE, FAILED = 'optimal', 'feasible', 'infeasible', 'failed'
 CHECK_TOLERANCE = 1e-6
@@ -53,6 +54,10 @@ class Plan:
             if isinstance(value, np.ndarray):
                 sealed(value)
 
+    def proved(self) -> Plan:
+        """Return this plan as proved optimal."""
+        return replace(self, status=OPTIMAL)
+
     @property
     def horizon(self) -> int:
         """Return N."""
@@ -89,50 +94,25 @@ def assemble(
 
     Everything else follows from the dynamics, so that the plan is consistent by construction.
     """
-    rotations = np.concatenate([state.rotation[None], matrix(x)])
-    positions, velocities = dynamics.translation_rollout(problem, state, rotations[:, :, 0])
-    inputs = dynamics.inputs_of(problem, state, rotations)
+    flown = trajectory_of(problem, state, goals, x)
+    rotations = flown.rotations
     projected = np.empty_like(rotations)
     held = np.zeros(len(rotations), dtype=bool)
     projected[0] = state.attitude
     for k in range(1, len(rotations)):
         projected[k], defined = project(rotations[k], projected[k - 1], projection)
         held[k] = not defined
-    cost = objective(problem, goals, rotations, positions, inputs)
     return Plan(
         status=status,
-        objective=cost,
-        lower_bound=min(lower_bound, cost),
+        objective=flown.cost,
+        lower_bound=min(lower_bound, flown.cost),
         nodes=nodes,
-        positions=positions,
-        velocities=velocities,
+        positions=flown.positions,
+        velocities=flown.velocities,
         rotations=rotations,
-        inputs=inputs,
+        inputs=flown.inputs,
         projected=projected,
         held=held,
-    )
-
-
-def objective(
-    problem: Problem, goals: Array, rotations: Array, positions: Array, inputs: Array
-) -> float:
-    """Return the cost of a trajectory, term by term as the problem states it.
-
-    Args:
-        problem: gives the weights.
-        goals: g_1..g_N, shape (N, n) [m].
-        rotations: R_0..R_N, shape (N + 1, n, n).
-        positions: s_0..s_N, shape (N + 1, n).
-        inputs: u_0..u_{N-1}, shape (N, n, n).
-    """
-    w = problem.weights
-    misses = np.sum((positions[1:] - goals) ** 2, axis=1)
-    lengths = np.linalg.norm(rotations[:-1, :, 0], axis=1)
-    return float(
-        w.position * misses.sum()
-        + w.input * np.sum(inputs**2)
-        + w.length * problem.step * problem.forward * lengths.sum()
-        + w.terminal * misses[-1]
     )
 
 
@@ -262,4 +242,3 @@ def shifted(
         nodes=0,
         projection=projection,
     )
-

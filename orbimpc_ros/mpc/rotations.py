@@ -64,9 +64,7 @@ def nearest(matrix: Array) -> Array:
     where the plain :math:`UV^T` of the paper is a reflection.
     """
     if matrix.shape == (2, 2):
-        return _from_heading_2(
-            np.array([matrix[0, 0] + matrix[1, 1], matrix[1, 0] - matrix[0, 1]])
-        )
+        return _from_heading_2(np.array([matrix[0, 0] + matrix[1, 1], matrix[1, 0] - matrix[0, 1]]))
     u, _, vt = np.linalg.svd(matrix)
     u[:, -1] *= np.linalg.det(u) * np.linalg.det(vt)
     return u @ vt
@@ -139,9 +137,7 @@ def from_quaternion(quaternion: Array, dimension: int) -> Array:
     """
     w, x, y, z = quaternion
     if dimension == 2:
-        return _from_heading_2(
-            np.array([1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)])
-        )
+        return _from_heading_2(np.array([1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)]))
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

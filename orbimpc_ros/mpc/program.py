@@ -1,0 +1,189 @@
+"""The convex program behind every plan: compiled once, then only updated in place and solved.
+
+Compiling the statement gives Clarabel's data (P, q, A, b). State and goals enter b alone, and
+linearly; the alternatives of a search enter a few entries of A and b. A tick is therefore one
+matrix-vector product, an update and a solve; CVXPY is not touched again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import clarabel
+import numpy as np
+from scipy import sparse
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.disjunction import Disjunction
+from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
+from orbimpc_ros.mpc.orbitopes import coordinate_count, coordinates
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.statement import Statement
+
+INERT = 1.0  # an empty slot reads 0 <= 1
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """The optimum of the convex program with some alternatives in force.
+
+    Attributes:
+        x: rotation coordinates of R_1..R_N, shape (N, d).
+        bound: dual objective: no trajectory of this relaxation costs less.
+    """
+
+    x: Array
+    bound: float
+
+
+class Program:
+    """The convex program of a problem, compiled for repeated solves.
+
+    Args:
+        problem: what to solve.
+        disjunctions: choices that a search may fix.
+        coasting: whether states come with a ``coasted`` rotation.
+        tolerance: Clarabel's, on feasibility and on the gap.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        disjunctions: Sequence[Disjunction] = (),
+        *,
+        coasting: bool = False,
+        tolerance: float = 1e-9,
+    ) -> None:
+        self.problem = problem
+        self.disjunctions = tuple(disjunctions)
+        self._statement = Statement(problem, self.disjunctions, coasting)
+        self._compile(tolerance)
+
+    def bind(self, state: State, goals: Array) -> None:
+        """Put a state and goals g_1..g_N, shape (N, n), into the data of the solves to come."""
+        self._b = self._b_0 + self._b_theta @ self._statement.values(state, goals)
+        self._constant = self._statement.constant(state)
+        self._goals = goals
+        if self._statement.coasting:
+            assert state.coasted is not None
+            self._a_0[self._coasted] = -coordinates(state.coasted)
+
+    def solve(self, choice: Sequence[int] = ()) -> Relaxation:
+        """Solve with alternative ``choice[j]`` of disjunction j in force, none where it is -1.
+
+        Raises:
+            Infeasible: no trajectory satisfies the constraints.
+            SolverFailure: Clarabel stopped without an answer to trust.
+        """
+        a, b = self._a_0.copy(), self._b.copy()
+        for j, alternative in enumerate(choice):
+            if alternative >= 0:
+                self._fill(a, b, j, alternative)
+        self._solver.update(A=a, b=b)
+        answer = self._solver.solve()
+        status = str(answer.status)
+        if status == 'PrimalInfeasible':
+            raise Infeasible('no trajectory satisfies the constraints')
+        if status != 'Solved':
+            raise SolverFailure(f'Clarabel stopped with {status}')
+        x = np.asarray(answer.x)[self._columns]
+        return Relaxation(x, answer.obj_val_dual + self._constant)
+
+    def _fill(self, a: Array, b: Array, j: int, alternative: int) -> None:
+        disjunction = self.disjunctions[j]
+        normal = disjunction.normals[alternative]
+        for step, (row, entries) in zip(disjunction.steps, self._slots[j], strict=True):
+            offset = disjunction.offsets[alternative]
+            if disjunction.on == 'position':  # the program's variable is e_k = s_k - g_k
+                offset = offset - normal @ self._goals[step - 1]
+            a[entries] = -normal
+            b[row] = -offset
+
+    def _compile(self, tolerance: float) -> None:
+        statement = self._statement
+        size = sum(p.size for p in statement.parameters())
+        data = statement.compiled(np.zeros(size))
+        self._b_0 = np.array(data['b'])
+        b_theta = np.column_stack(
+            [statement.compiled(unit)['b'] - self._b_0 for unit in np.eye(size)]
+        )
+        slots = len(statement.slots)
+        rows = np.argmax(np.abs(b_theta[:, size - slots :]), axis=0)
+        self._b_theta = b_theta[:, : size - slots]
+        self._locate(data, rows)
+        self._solver = clarabel.DefaultSolver(
+            sparse.csc_matrix(sparse.triu(data['P'])),
+            data['c'],
+            data['A'],
+            data['b'],
+            _cones(data['dims']),
+            _settings(tolerance),
+        )
+
+    def _locate(self, data: dict[str, Any], rows: np.ndarray) -> None:
+        """Find where rotations, slots and the coasted rotation sit in the compiled data."""
+        statement, d = self._statement, coordinate_count(self.problem.dimension)
+        column_of = data['param_prob'].var_id_to_col
+        first = column_of[statement.x.id]
+        self._columns = first + np.arange(d, statement.x.size).reshape(-1, d)
+        a = data['A']
+        self._a_0 = a.data.copy()
+        located = []
+        for slot, row in enumerate(rows):
+            variable, entries = statement.slot_variables(slot)
+            columns = [column_of[variable.id] + i for i in entries]
+            located.append((int(row), np.array([_entry(a, int(row), c) for c in columns])))
+        for row, entries in located:
+            self._a_0[entries] = 0.0
+            self._b_0[row] = INERT
+        self._slots = _grouped(located, [len(s.steps) for s in self.disjunctions])
+        if statement.coasting:
+            column = column_of[statement.fraction.id]
+            self._coasted = _coasting_entries(a, column, first + d + np.arange(d))
+
+
+def _entry(a: sparse.csc_matrix, row: int, column: int) -> int:
+    """Return where entry (row, column) of a compressed matrix is stored."""
+    start, end = a.indptr[column], a.indptr[column + 1]
+    return int(start + np.flatnonzero(a.indices[start:end] == row)[0])
+
+
+def _coasting_entries(a: sparse.csc_matrix, fraction: int, columns: np.ndarray) -> np.ndarray:
+    """Return the entries of the rows x_1 = fraction * coasted in the fraction's column."""
+    held = set(a.indices[a.indptr[fraction] : a.indptr[fraction + 1]])
+    shared = [
+        next(r for r in a.indices[a.indptr[c] : a.indptr[c + 1]] if r in held) for c in columns
+    ]
+    return np.array([_entry(a, int(row), fraction) for row in shared])
+
+
+def _grouped(items: list, sizes: list[int]) -> list[list]:
+    ends = np.cumsum(sizes)
+    return [items[end - size : end] for size, end in zip(sizes, ends, strict=True)]
+
+
+def _cones(dims: Any) -> list:
+    """Return Clarabel's cones in the order in which CVXPY stacks the rows."""
+    cones: list = []
+    if dims.zero:
+        cones.append(clarabel.ZeroConeT(dims.zero))
+    if dims.nonneg:
+        cones.append(clarabel.NonnegativeConeT(dims.nonneg))
+    cones += [clarabel.SecondOrderConeT(size) for size in dims.soc]
+    cones += [clarabel.PSDTriangleConeT(size) for size in dims.psd]
+    return cones
+
+
+def _settings(tolerance: float) -> clarabel.DefaultSettings:
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    # In-place updates need the data to keep its shape.
+    settings.presolve_enable = False
+    settings.chordal_decomposition_enable = False
+    settings.input_sparse_dropzeros = False
+    settings.tol_feas = tolerance
+    settings.tol_gap_abs = tolerance
+    settings.tol_gap_rel = tolerance
+    return settings

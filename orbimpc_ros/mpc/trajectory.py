@@ -1,0 +1,68 @@
+"""A trajectory of the discrete dynamics and what it costs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbimpc_ros.mpc import dynamics
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.orbitopes import matrix
+from orbimpc_ros.mpc.problem import Problem, State
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """States and inputs that obey the dynamics, with their cost.
+
+    Attributes:
+        positions: s_0..s_N, shape (N + 1, n) [m].
+        velocities: p_0..p_N, shape (N + 1, n) [m/s].
+        rotations: R_0..R_N, shape (N + 1, n, n).
+        inputs: u_0..u_{N-1}, shape (N, n, n).
+        cost: the objective.
+    """
+
+    positions: Array
+    velocities: Array
+    rotations: Array
+    inputs: Array
+    cost: float
+
+    @property
+    def headings(self) -> Array:
+        """Return the thrust axes R_k e1, shape (N + 1, n)."""
+        return self.rotations[:, :, 0]
+
+
+def trajectory_of(problem: Problem, state: State, goals: Array, x: Array) -> Trajectory:
+    """Return the trajectory with rotation coordinates x_1..x_N, shape (N, d)."""
+    rotations = np.concatenate([state.rotation[None], matrix(x)])
+    positions, velocities = dynamics.translation_rollout(problem, state, rotations[:, :, 0])
+    inputs = dynamics.inputs_of(problem, state, rotations)
+    cost = objective(problem, goals, rotations, positions, inputs)
+    return Trajectory(positions, velocities, rotations, inputs, cost)
+
+
+def objective(
+    problem: Problem, goals: Array, rotations: Array, positions: Array, inputs: Array
+) -> float:
+    """Return the cost of a trajectory, term by term as the problem states it.
+
+    Args:
+        problem: gives the weights.
+        goals: g_1..g_N, shape (N, n) [m].
+        rotations: R_0..R_N, shape (N + 1, n, n).
+        positions: s_0..s_N, shape (N + 1, n).
+        inputs: u_0..u_{N-1}, shape (N, n, n).
+    """
+    w = problem.weights
+    misses = np.sum((positions[1:] - goals) ** 2, axis=1)
+    lengths = np.sqrt(np.sum(rotations[:-1, :, 0] ** 2, axis=1))
+    return float(
+        w.position * misses.sum()
+        + w.input * np.sum(inputs**2)
+        + w.length * problem.step * problem.forward * lengths.sum()
+        + w.terminal * misses[-1]
+    )
