@@ -94,12 +94,14 @@ class Controller:
         try:
             plan = solver.solve(state, goals, guess=guess, out_of_time=out_of_time)
         except Infeasible as error:
-            return self._finish(self._fall_back(solver, state, guess, goals, INFEASIBLE, error))
+            return self._finish(
+                self._fall_back(solver, state, guess, goals, INFEASIBLE, str(error))
+            )
         except SolverFailure as error:
-            return self._finish(self._fall_back(solver, state, guess, goals, FAILED, error))
+            return self._finish(self._fall_back(solver, state, guess, goals, FAILED, str(error)))
         found = violations(solver.problem, state, goals, plan)
         if found:
-            reason = SolverFailure('; '.join(found))
+            reason = '; '.join(found)
             return self._finish(self._fall_back(solver, state, guess, goals, FAILED, reason))
         self._fallbacks = 0
         reason = '' if plan.status == 'optimal' else f'gap {plan.gap:.2g}'
@@ -113,7 +115,7 @@ class Controller:
         guess: Plan | None,
         goals: Array,
         status: str,
-        error: Exception,
+        reason: str,
     ) -> Tick:
         """Return a tick on the shifted previous plan if that still holds, else a safe one."""
         self._fallbacks += 1
@@ -123,8 +125,8 @@ class Controller:
             and not violations(solver.problem, state, goals, guess)
         ):
             command = command_of(solver.problem, state, guess)
-            return Tick(status, str(error), state, guess, command, 'shifted plan')
-        return self._safe(state, status, str(error))
+            return Tick(status, reason, state, guess, command, 'shifted plan')
+        return self._safe(state, status, reason)
 
     @staticmethod
     def _safe(state: State, status: str, reason: str) -> Tick:

@@ -81,7 +81,7 @@ def position_map(problem: Problem) -> Array:
     lag = np.arange(1, n_steps + 1)[:, None] - np.arange(n_steps + 1)[None, :]
     if problem.translation_order == 1:
         return h * problem.forward * (lag >= 1)
-    return h * h * problem.forward * np.maximum(lag - 1, 0)
+    return np.asarray(h * h * problem.forward * np.maximum(lag - 1, 0), dtype=float)
 
 
 def drift(problem: Problem, state: State) -> Array:

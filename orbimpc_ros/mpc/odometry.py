@@ -52,7 +52,7 @@ def state_of(problem: Problem, odometry: Odometry, thrust_fraction: float) -> St
     coasted = None
     if problem.rotation_order == 2:
         coasted = odometry.attitude @ exp(problem.step * odometry.body_rate)
-    return State(
+    return State.at(
         position=odometry.position,
         rotation=fraction * odometry.attitude,
         velocity=velocity,

@@ -15,6 +15,7 @@ import math
 from dataclasses import dataclass, field, fields
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from orbimpc_ros.mpc.arrays import Array, frozen, number, whole
 from orbimpc_ros.mpc.errors import BadInput
@@ -188,32 +189,50 @@ class State:
 
     position: Array
     rotation: Array
-    velocity: Array | None = None
-    rotation_rate: Array | None = None
-    attitude: Array | None = None
+    velocity: Array
+    rotation_rate: Array
+    attitude: Array
     coasted: Array | None = None
 
-    def __post_init__(self) -> None:
-        n = len(np.atleast_1d(self.position))
+    @classmethod
+    def at(
+        cls,
+        position: ArrayLike,
+        rotation: ArrayLike,
+        *,
+        velocity: ArrayLike | None = None,
+        rotation_rate: ArrayLike | None = None,
+        attitude: ArrayLike | None = None,
+        coasted: ArrayLike | None = None,
+    ) -> State:
+        """Return the state at a position and rotation, at rest where nothing else is said.
+
+        Raises:
+            BadInput: an array of the wrong shape, not finite, or outside its set.
+        """
+        n = np.size(position)
         if n not in (2, 3):
             raise BadInput('state.position', n, '2 or 3 numbers')
-        velocity = np.zeros(n) if self.velocity is None else self.velocity
-        rate = np.zeros((n, n)) if self.rotation_rate is None else self.rotation_rate
-        for name, value, shape in (
-            ('position', self.position, (n,)),
-            ('rotation', self.rotation, (n, n)),
-            ('velocity', velocity, (n,)),
-            ('rotation_rate', rate, (n, n)),
-        ):
-            object.__setattr__(self, name, frozen(value, shape, f'state.{name}'))
+        placed = frozen(rotation, (n, n), 'state.rotation')
+        return cls(
+            frozen(position, (n,), 'state.position'),
+            placed,
+            frozen(np.zeros(n) if velocity is None else velocity, (n,), 'state.velocity'),
+            frozen(
+                np.zeros((n, n)) if rotation_rate is None else rotation_rate,
+                (n, n),
+                'state.rotation_rate',
+            ),
+            _rotation(nearest(placed) if attitude is None else attitude, n, 'state.attitude'),
+            None if coasted is None else _rotation(coasted, n, 'state.coasted'),
+        )
+
+    def __post_init__(self) -> None:
         _require_structure(self.rotation, 'state.rotation')
         _require_structure(self.rotation_rate, 'state.rotation_rate')
         if margin(self.rotation) < -MEMBERSHIP_TOLERANCE:
-            raise BadInput('state.rotation', self.rotation.tolist(), f'a matrix in conv SO({n})')
-        attitude = nearest(self.rotation) if self.attitude is None else self.attitude
-        object.__setattr__(self, 'attitude', _rotation(attitude, 'state.attitude'))
-        if self.coasted is not None:
-            object.__setattr__(self, 'coasted', _rotation(self.coasted, 'state.coasted'))
+            allowed = f'a matrix in conv SO({self.dimension})'
+            raise BadInput('state.rotation', self.rotation.tolist(), allowed)
 
     @property
     def dimension(self) -> int:
@@ -221,8 +240,7 @@ class State:
         return len(self.position)
 
 
-def _rotation(value: Array, culprit: str) -> Array:
-    n = len(np.atleast_2d(value))
+def _rotation(value: ArrayLike, n: int, culprit: str) -> Array:
     matrix = frozen(value, (n, n), culprit)
     if np.abs(matrix.T @ matrix - np.eye(n)).max() > 1e-9 or np.linalg.det(matrix) < 0.0:
         raise BadInput(culprit, matrix.tolist(), f'a rotation in SO({n})')

@@ -132,8 +132,8 @@ class Program:
         self._a_0 = a.data.copy()
         located = []
         for slot, row in enumerate(rows):
-            variable, entries = statement.slot_variables(slot)
-            columns = [column_of[variable.id] + i for i in entries]
+            variable, over = statement.slot_variables(slot)
+            columns = [column_of[variable.id] + i for i in over]
             located.append((int(row), np.array([_entry(a, int(row), c) for c in columns])))
         for row, entries in located:
             self._a_0[entries] = 0.0

@@ -80,7 +80,10 @@ class Search:
     ) -> None:
         self._program, self._curvature = program, curvature
         self._state, self._goals, self._tolerance = state, goals, tolerance
-        self._best, self._cost = guess if guess is not None else (None, np.inf)
+        self._best: Array | None = None
+        self._cost = np.inf
+        if guess is not None:
+            self._best, self._cost = guess
         self._closed = np.inf  # least bound among the nodes that were given up
         self._open = [_Node(-np.inf, 0, (UNDECIDED,) * len(program.disjunctions))]
         self._nodes = self._made = 0

@@ -10,7 +10,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.disjunction import disjunctions_of
 from orbimpc_ros.mpc.errors import BadInput, SolverFailure
 from orbimpc_ros.mpc.orbitopes import coordinates
-from orbimpc_ros.mpc.plan import FEASIBLE, OPTIMAL, Plan, assemble, violations
+from orbimpc_ros.mpc.plan import FEASIBLE, Plan, assemble, violations
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.program import Program
 from orbimpc_ros.mpc.search import Found, Search, inverse_curvature

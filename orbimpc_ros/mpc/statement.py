@@ -87,8 +87,7 @@ class Statement:
             chunk = values[at : at + parameter.size]
             parameter.value = chunk.reshape(parameter.shape, order='F')
             at += parameter.size
-        options = {'enforce_dpp': True}
-        return self.program.get_problem_data(cp.CLARABEL, **options)[0]
+        return self.program.get_problem_data(cp.CLARABEL, enforce_dpp=True)[0]
 
     def _rotation_constraints(self) -> list[cp.Constraint]:
         problem, x = self.problem, self._rotations
@@ -153,7 +152,7 @@ class Statement:
             return self.x, range(start, start + n)
         return self.e, range((k - 1) * n, k * n)
 
-    def _cost(self) -> tuple[cp.Expression, list[cp.Constraint]]:
+    def _cost(self) -> tuple[cp.Expression, Sequence[cp.Constraint]]:
         problem, w, n = self.problem, self.problem.weights, self.problem.dimension
         position = np.full(problem.horizon, w.position)
         position[-1] += w.terminal
@@ -164,7 +163,7 @@ class Statement:
         if w.length == 0.0 or problem.horizon == 1:
             return cost, []
         length = cp.Variable(problem.horizon - 1, name='|R e1|')
-        epigraph = [cp.SOC(length, self._headings[1:-1].T)]
+        epigraph: list[cp.Constraint] = [cp.SOC(length, self._headings[1:-1].T)]
         if problem.floor.shape != 'none':
             epigraph.append(length >= problem.floor.fraction)  # valid: the floor says the same
         return cost + w.length * problem.step * problem.forward * cp.sum(length), epigraph
