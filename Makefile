@@ -1,0 +1,59 @@
+# make demo   sets up .venv and catches the swinging rope over ROS 2
+# make test   sets up .venv and runs lint, types and tests
+#
+# PYTHON=... picks the interpreter, VENV=... the environment. With ROS 2 installed (ROS_DISTRO is
+# set) its Python packages are used; elsewhere rclpy and the messages come from PyPI.
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN = $(VENV)/bin
+SAY = @printf '\n== %s\n'
+
+ifdef ROS_DISTRO
+VENV_FLAGS = --system-site-packages
+EXTRAS_DEMO =
+EXTRAS_TEST = [test]
+else
+EXTRAS_DEMO = [ros]
+EXTRAS_TEST = [ros,test]
+endif
+
+.PHONY: demo test clean help
+.DELETE_ON_ERROR:
+
+help:
+	@sed -n 's/^# \(make .*\)/\1/p' Makefile
+
+demo: $(VENV)/.installed-demo
+	$(SAY) 'Catching the rope: planner and simulator as two processes over DDS'
+	$(BIN)/orbimpc demo retrieval
+
+test: $(VENV)/.installed-test
+	$(SAY) 'Lint (ruff)'
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(SAY) 'Types (mypy)'
+	$(BIN)/mypy
+	$(SAY) 'Tests (pytest)'
+	$(BIN)/python -m pytest $(PYTEST_FLAGS)
+
+$(VENV)/.installed-demo: $(BIN)/python setup.py setup.cfg pyproject.toml
+	$(SAY) 'Installing orbimpc_ros into $(VENV) (a minute, only once)'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.$(EXTRAS_DEMO)'
+	@touch $@
+
+$(VENV)/.installed-test: $(BIN)/python setup.py setup.cfg pyproject.toml
+	$(SAY) 'Installing orbimpc_ros and its test tools into $(VENV) (a minute, only once)'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.$(EXTRAS_TEST)' $(PINS)
+	@touch $@ $(VENV)/.installed-demo
+
+$(BIN)/python:
+	$(SAY) 'Creating $(VENV) with $(PYTHON)'
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' || { \
+	  echo 'orbimpc_ros needs Python 3.10 to 3.13; $(PYTHON) is' \
+	    "$$($(PYTHON) --version 2>&1 || echo missing). Try: make PYTHON=python3.12 ..." >&2; exit 1; }
+	@$(PYTHON) -m venv $(VENV_FLAGS) $(VENV) || { rm -rf $(VENV); \
+	  echo 'The venv module is missing or broken. On Debian and Ubuntu: apt install python3-venv' >&2; exit 1; }
+
+clean:
+	rm -rf $(VENV) build install log dist *.egg-info out

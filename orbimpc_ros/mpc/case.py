@@ -1,0 +1,129 @@
+"""A planning problem with its state and goal, from the plain mapping that a file holds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array, frozen
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
+
+MODEL = ('dimension', 'rotation_order', 'translation_order', 'horizon', 'step', 'forward')
+EXTRAS = ('terminal', 'max_rate', 'no_corner_cutting')
+PARTS = ('weights', 'floor', 'obstacles')
+WEIGHTS = ('position', 'input', 'length', 'terminal')
+FLOOR_NEEDS = {'none': (), 'circle': ('fraction',), 'polygon': ('faces', 'fraction')}
+
+
+class Case(NamedTuple):
+    """One problem to solve once.
+
+    Attributes:
+        problem: what stays from tick to tick.
+        state: where the vehicle is.
+        goals: g_1..g_N, shape (N, n) [m].
+    """
+
+    problem: Problem
+    state: State
+    goals: Array
+
+
+def case_of(mapping: Any) -> Case:
+    """Return the case that a mapping describes.
+
+    Required are ``dimension``, ``rotation_order``, ``translation_order``, ``horizon``, ``step``,
+    ``forward``, ``weights``, ``state`` and ``goal``: one point, or one for every step. A weight
+    that is absent is 0: what a case does not state does not enter its objective. Without
+    ``terminal``, ``floor``, ``max_rate`` and ``obstacles`` there is a penalty and no limit.
+
+    Raises:
+        BadInput: a field is unknown, missing, of another type or out of range.
+    """
+    needed = (*MODEL, 'weights', 'state', 'goal')
+    known = _fields(mapping, 'case', needed, (*EXTRAS, *PARTS))
+    problem = _problem(known)
+    return Case(problem, _state(problem, known['state']), _goals(problem, known['goal']))
+
+
+def _problem(known: Mapping[str, Any]) -> Problem:
+    weights = _fields(known['weights'], 'weights', (), WEIGHTS)
+    plain = {name: known[name] for name in (*MODEL, *EXTRAS) if name in known}
+    if not isinstance(plain.get('terminal', ''), str):
+        raise BadInput('terminal', plain['terminal'], 'penalty | constraint')
+    if not isinstance(plain.get('no_corner_cutting', False), bool):
+        raise BadInput('no_corner_cutting', plain['no_corner_cutting'], 'true | false')
+    return Problem(
+        **plain,
+        weights=Weights(**{**dict.fromkeys(WEIGHTS, 0.0), **weights}),
+        floor=_floor(known.get('floor', {'shape': 'none'})),
+        obstacles=_boxes(known.get('obstacles', [])),
+    )
+
+
+def _floor(value: Any) -> Floor:
+    known = _fields(value, 'floor', ('shape',), ('faces', 'fraction'))
+    shape = known['shape']
+    if not isinstance(shape, str) or shape not in FLOOR_NEEDS:
+        raise BadInput('floor.shape', shape, ' | '.join(FLOOR_NEEDS))
+    return Floor(**_fields(known, 'floor', ('shape', *FLOOR_NEEDS[shape]), tuple(known)))
+
+
+def _boxes(value: Any) -> tuple[Box, ...]:
+    if not isinstance(value, list):
+        raise BadInput('obstacles', value, 'a list of boxes {min, max}')
+    boxes = [_fields(box, f'obstacles[{i}]', ('min', 'max')) for i, box in enumerate(value)]
+    return tuple(
+        Box(_numbers(box['min'], 'obstacles.min'), _numbers(box['max'], 'obstacles.max'))
+        for box in boxes
+    )
+
+
+def _state(problem: Problem, value: Any) -> State:
+    optional = [
+        *(['velocity'] if problem.translation_order == 2 else []),
+        *(['rotation_rate'] if problem.rotation_order == 2 else []),
+    ]
+    known = _fields(value, 'state', ('position', 'rotation'), optional)
+    arrays = {name: _numbers(known[name], f'state.{name}') for name in known}
+    # The state takes its dimension from the position: settle that first.
+    arrays['position'] = frozen(arrays['position'], (problem.dimension,), 'state.position')
+    return State.at(**arrays)
+
+
+def _goals(problem: Problem, value: Any) -> Array:
+    """Return N goals, from N of them or from one that is held."""
+    n, horizon = problem.dimension, problem.horizon
+    _numbers(value, 'goal')
+    if value and isinstance(value[0], list):
+        return frozen(value, (horizon, n), 'goal')
+    return frozen(np.tile(frozen(value, (n,), 'goal'), (horizon, 1)), (horizon, n), 'goal')
+
+
+def _fields(
+    value: Any, culprit: str, needed: Iterable[str], optional: Iterable[str] = ()
+) -> Mapping[str, Any]:
+    """Return ``value`` if it is a mapping that has what is needed and nothing unknown."""
+    allowed = (*needed, *optional)
+    if not isinstance(value, dict):
+        raise BadInput(culprit, value, f'a mapping of {", ".join(allowed)}')
+    for name in value:
+        if name not in allowed:
+            raise BadInput(f'{culprit} field', str(name), f'one of {", ".join(allowed)}')
+    for name in needed:
+        if name not in value:
+            raise BadInput(f'{culprit} field {name}', 'missing', f'all of {", ".join(needed)}')
+    return value
+
+
+def _numbers(value: Any, culprit: str) -> Any:
+    """Return ``value`` if it is a list of numbers, or of lists of them; NumPy would take words."""
+    leaves: list[Any] = value if isinstance(value, list) else [None]
+    while leaves and all(isinstance(leaf, list) for leaf in leaves):
+        leaves = [inner for leaf in leaves for inner in leaf]
+    if not all(isinstance(leaf, (int, float)) and not isinstance(leaf, bool) for leaf in leaves):
+        raise BadInput(culprit, value, 'a list of finite numbers')
+    return value

@@ -1,0 +1,90 @@
+"""``orbimpc``: subcommands, error lines, exit codes."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from typing import NoReturn
+
+from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError
+
+DONE, FAILED, BAD_INPUT, INFEASIBLE = 0, 1, 2, 3
+INTERRUPTED = 130  # 128 + SIGINT, as shells have it
+
+# A command is a module of this package with add_arguments(parser) and run(args) -> exit code.
+COMMANDS = {
+    'demo': 'run planner and simulator over DDS, record a bag, draw the picture',
+    'solve': 'solve one problem from a file, print the plan as JSON',
+}
+
+
+class OneLineParser(argparse.ArgumentParser):
+    """A parser whose errors are one line, like every other error of the tool."""
+
+    def error(self, message: str) -> NoReturn:
+        """Complain and exit."""
+        _complain(f'{message} (see {self.prog} --help)')
+        sys.exit(BAD_INPUT)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit code."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    args = _parser(words).parse_args(words)
+    try:
+        code = import_module(f'orbimpc_ros.tool.{args.command}').run(args)
+        sys.stdout.flush()
+        return code
+    except OrbimpcError as error:
+        _complain(str(error))
+        return _code(error)
+    except KeyboardInterrupt:
+        _complain('interrupted')
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The reader has left, as in `orbimpc solve x | head`: nothing is left to say to it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
+
+
+def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
+    """Return the parser; only the command that is asked for is imported."""
+    parser = OneLineParser(
+        prog='orbimpc',
+        description='Convex model predictive control on rotation orbitopes.',
+        epilog='exit codes: 0 done, 1 failed or different, 2 bad input, 3 infeasible',
+    )
+    parser.add_argument('--version', action='version', version=f'orbimpc_ros {_version()}')
+    commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
+    for name, summary in COMMANDS.items():
+        sub = commands.add_parser(name, help=summary, description=summary)
+        if words[:1] == [name]:
+            import_module(f'orbimpc_ros.tool.{name}').add_arguments(sub)
+    return parser
+
+
+def _version() -> str:
+    try:
+        return version('orbimpc_ros')
+    except PackageNotFoundError:
+        return '(not installed)'
+
+
+def _code(error: OrbimpcError) -> int:
+    if isinstance(error, BadInput):
+        return BAD_INPUT
+    return INFEASIBLE if isinstance(error, Infeasible) else FAILED
+
+
+def _complain(message: str) -> None:
+    """Print one line to stderr, whatever a file has put into the message."""
+    line = ' '.join(message.split())
+    print('orbimpc: ' + ''.join(c if c.isprintable() else '?' for c in line), file=sys.stderr)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,138 @@
+"""JSON and YAML from files that may be hostile: capped, without aliases, without duplicates."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Hashable
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import yaml
+
+from orbimpc_ros.mpc.errors import BadInput
+
+MAX_BYTES = 1 << 20
+MAX_NUMBER = 1e12  # beyond it arithmetic on squares loses what a plan is about
+ALLOWED = 'a JSON or YAML mapping'
+
+
+class StrictLoader(yaml.SafeLoader):
+    """YAML's safe subset without aliases, which can blow up, and without duplicate keys."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """Compose a node, unless it is an alias."""
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.composer.ComposerError(None, None, 'aliases are not accepted')
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Hashable, Any]:
+        """Construct a mapping, unless a key comes twice."""
+        pairs = [(self.construct_object(k, deep=True), v) for k, v in node.value]
+        _refuse_duplicates([str(key) for key, _ in pairs])
+        return super().construct_mapping(node, deep)
+
+
+# YAML 1.1 takes 1e-3 for a string; JSON and YAML 1.2 know that it is a number.
+StrictLoader.add_implicit_resolver(
+    'tag:yaml.org,2002:float',
+    re.compile(r'^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$'),
+    list('-+0123456789'),
+)
+
+
+def read(source: str) -> Any:
+    """Return the content of a JSON or YAML file, or of standard input for ``-``.
+
+    Raises:
+        BadInput: not readable, larger than 1 MiB, malformed.
+    """
+    return parse(_text(source), 'standard input' if source == '-' else source)
+
+
+def parse(text: str, name: str) -> Any:
+    """Return the content of JSON or YAML text.
+
+    Args:
+        text: the document.
+        name: where it comes from, for the message.
+
+    Raises:
+        BadInput: malformed.
+    """
+    try:
+        if text.lstrip().startswith('{'):
+            try:
+                content = json.loads(text, object_pairs_hook=_unique)
+            except json.JSONDecodeError:
+                content = yaml.load(text, StrictLoader)
+        else:
+            content = yaml.load(text, StrictLoader)
+        _require_plain(content)
+    except yaml.YAMLError as error:
+        raise BadInput(name, _summary(error), ALLOWED) from None
+    except (RecursionError, ValueError, TypeError) as error:
+        if isinstance(error, BadInput):
+            raise
+        raise BadInput(name, f'malformed ({error})', ALLOWED) from None
+    return content
+
+
+def _summary(error: yaml.YAMLError) -> str:
+    mark = getattr(error, 'problem_mark', None)
+    where = f' in line {mark.line + 1}' if mark else ''
+    return f'malformed{where} ({getattr(error, "problem", None) or error})'
+
+
+def _text(source: str) -> str:
+    try:
+        if source == '-':
+            raw = _capped(sys.stdin.buffer, 'standard input')
+        else:
+            with Path(source).open('rb') as stream:
+                raw = _capped(stream, source)
+        return raw.decode()
+    except OSError as error:
+        raise BadInput(source, error.strerror or str(error), 'a readable file') from None
+    except UnicodeDecodeError:
+        raise BadInput(source, 'not UTF-8', 'UTF-8 text') from None
+
+
+def _capped(stream: BinaryIO, name: str) -> bytes:
+    raw = stream.read(MAX_BYTES + 1)
+    if len(raw) > MAX_BYTES:
+        raise BadInput(name, f'more than {MAX_BYTES} bytes', f'at most {MAX_BYTES} bytes')
+    return raw
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    _refuse_duplicates([key for key, _ in pairs])
+    return dict(pairs)
+
+
+def _refuse_duplicates(keys: list[str]) -> None:
+    for key in keys:
+        if keys.count(key) > 1:
+            raise BadInput(f'field {key}', 'given twice', 'every field once')
+
+
+def _require_plain(value: Any, path: str = '') -> None:
+    """Require mappings with names, lists and scalars, with numbers of sane size."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            if not isinstance(key, str):
+                raise BadInput(f'field {key!r}', 'not a name', 'names as keys')
+            _require_plain(inner, f'{path}.{key}' if path else key)
+    elif isinstance(value, list):
+        for inner in value:
+            _require_plain(inner, path)
+    elif isinstance(value, (int, float)) and abs(value) > MAX_NUMBER:
+        raise BadInput(path, _short(value), f'finite, of a magnitude of at most {MAX_NUMBER:g}')
+    elif value is not None and not isinstance(value, (str, int, float)):
+        raise BadInput(path, str(value), 'numbers, words, lists and mappings')
+
+
+def _short(value: float) -> str:
+    text = str(value)
+    return text if len(text) <= 20 else text[:17] + '...'

@@ -1,0 +1,24 @@
+"""Where the configuration is: in a checkout, a colcon workspace or whatever pip installed into."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from orbimpc_ros.mpc.errors import BadInput
+
+
+def config(name: str) -> Path:
+    """Return the path of a file under ``config/``.
+
+    Every way of installing puts ``share/orbimpc_ros`` beside some parent of the package; in a
+    checkout the parent itself holds ``config``.
+
+    Raises:
+        BadInput: no such file.
+    """
+    parents = Path(__file__).resolve().parents
+    roots = [root for p in parents for root in (p / 'share' / 'orbimpc_ros', p)]
+    found = next((r for r in roots if (r / 'package.xml').is_file()), None)
+    if found is None or not (found / 'config' / name).is_file():
+        raise BadInput(f'configuration {name}', f'not in {found}', 'a file installed under config/')
+    return found / 'config' / name

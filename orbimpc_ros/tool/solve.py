@@ -1,0 +1,67 @@
+"""``orbimpc solve``: one problem from a file, one plan as JSON."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from typing import Any
+
+from orbimpc_ros.mpc.case import Case, case_of
+from orbimpc_ros.mpc.command import command_of
+from orbimpc_ros.mpc.errors import SolverFailure
+from orbimpc_ros.mpc.plan import Plan, violations
+from orbimpc_ros.mpc.solver import Solver
+from orbimpc_ros.tool import document
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the command."""
+    parser.add_argument('file', metavar='FILE|-', help='the problem, JSON or YAML; - reads stdin')
+    parser.add_argument(
+        '--projection',
+        choices=('nearest', 'thrust_aligned'),
+        default='thrust_aligned',
+        help='how rotations are made of points of the orbitope (default: %(default)s)',
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Solve the problem and print its plan."""
+    case = case_of(document.read(args.file))
+    solver = Solver(case.problem, projection=args.projection)
+    begin = time.perf_counter()
+    plan = solver.solve(case.state, case.goals)
+    elapsed = time.perf_counter() - begin
+    found = violations(case.problem, case.state, case.goals, plan)
+    if found:
+        raise SolverFailure('the plan failed its check: ' + '; '.join(found))
+    print(json.dumps(answer(case, plan, 1e3 * elapsed), indent=1, allow_nan=False))
+    return 0
+
+
+def answer(case: Case, plan: Plan, solve_time_ms: float) -> dict[str, Any]:
+    """Return a plan as plain values; what is unknown (no bound was proved) is None."""
+    command = command_of(case.problem, case.state, plan)
+    return {
+        'status': plan.status,
+        'objective': plan.objective,
+        'lower_bound': _finite(plan.lower_bound),
+        'gap': _finite(plan.gap),
+        'nodes': plan.nodes,
+        'solve_time_ms': solve_time_ms,
+        'positions': plan.positions.tolist(),
+        'rotations': plan.rotations.tolist(),
+        'projected': plan.projected.tolist(),
+        'speed_fraction': plan.speed_fraction.tolist(),
+        'command': {
+            'speed_fraction': command.speed_fraction,
+            'body_rate': command.body_rate.tolist(),
+            'rotation': command.rotation.tolist(),
+        },
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,57 @@
+"""Packaging for pip and for colcon (ament_python)."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = 'orbimpc_ros'
+SHARE = f'share/{NAME}'
+
+
+def shared_files():
+    """Return (destination, files) of everything under config/ and launch/."""
+    folders = {}
+    for root in ('config', 'launch'):
+        for path in sorted(Path(root).rglob('*')):
+            if path.is_file() and '__pycache__' not in path.parts:
+                folders.setdefault(f'{SHARE}/{path.parent.as_posix()}', []).append(path.as_posix())
+    return list(folders.items())
+
+
+setup(
+    name=NAME,
+    version='0.1.0',
+    description='Convex model predictive control on rotation orbitopes for ROS 2',
+    license='Apache-2.0',
+    maintainer='orbimpc_ros developers',
+    maintainer_email='orbimpc-ros@example.org',
+    packages=find_packages(include=[NAME, f'{NAME}.*']),
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (SHARE, ['package.xml']),
+        *shared_files(),
+    ],
+    python_requires='>=3.10',
+    install_requires=[
+        'clarabel>=0.9',
+        'cvxpy>=1.7',
+        'matplotlib>=3.6',
+        'mcap>=1.1',
+        'numpy>=1.26',
+        'pyyaml>=6.0',
+        'rosbags>=0.10',
+        'scipy>=1.11',
+    ],
+    extras_require={
+        'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
+        'test': ['hypothesis', 'mypy', 'pytest', 'ruff', 'types-PyYAML'],
+    },
+    entry_points={
+        'console_scripts': [
+            'planner = orbimpc_ros.ros.planner:main',
+            'sim = orbimpc_ros.ros.sim:main',
+            'orbimpc = orbimpc_ros.tool.cli:main',
+        ],
+    },
+    zip_safe=True,
+)
