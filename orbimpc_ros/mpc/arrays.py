@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orbimpc_ros.mpc.errors import BadInput
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
 
 
 def frozen(value: ArrayLike, shape: tuple[int, ...], culprit: str) -> Array:

@@ -9,7 +9,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command, command_of, stop
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.odometry import Odometry, state_of
-from orbimpc_ros.mpc.plan import FAILED, INFEASIBLE, Plan, shifted, violations
+from orbimpc_ros.mpc.plan import FAILED, FEASIBLE, INFEASIBLE, OPTIMAL, Plan, shifted, violations
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solver import Solver
 
@@ -88,32 +88,33 @@ class Controller:
         """
         state = state_of(self.problem, odometry, self._thrust_fraction)
         if self.remaining == 0:
-            return self._finish(self._safe(state, 'feasible', 'the horizon has run out'))
+            return self._finish(self._safe(state, FEASIBLE, 'the horizon has run out'))
         solver = self._solver(self.remaining)
         guess = self._shifted(solver.problem, state, goals)
         try:
             plan = solver.solve(state, goals, guess=guess, out_of_time=out_of_time)
         except Infeasible as error:
-            return self._finish(
-                self._fall_back(solver, state, guess, goals, INFEASIBLE, str(error))
-            )
+            status, reason = INFEASIBLE, str(error)
         except SolverFailure as error:
-            return self._finish(self._fall_back(solver, state, guess, goals, FAILED, str(error)))
-        found = violations(solver.problem, state, goals, plan)
-        if found:
-            reason = '; '.join(found)
-            return self._finish(self._fall_back(solver, state, guess, goals, FAILED, reason))
+            status, reason = FAILED, str(error)
+        else:
+            found = violations(solver.problem, state, goals, plan)
+            if not found:
+                return self._finish(self._accept(solver.problem, state, plan))
+            status, reason = FAILED, '; '.join(found)
+        return self._finish(self._fall_back(solver.problem, state, goals, guess, status, reason))
+
+    def _accept(self, problem: Problem, state: State, plan: Plan) -> Tick:
         self._fallbacks = 0
-        reason = '' if plan.status == 'optimal' else f'gap {plan.gap:.2g}'
-        command = command_of(solver.problem, state, plan)
-        return self._finish(Tick(plan.status, reason, state, plan, command))
+        reason = '' if plan.status == OPTIMAL else f'not proved optimal: gap {plan.gap:.2g}'
+        return Tick(plan.status, reason, state, plan, command_of(problem, state, plan))
 
     def _fall_back(
         self,
-        solver: Solver,
+        problem: Problem,
         state: State,
-        guess: Plan | None,
         goals: Array,
+        guess: Plan | None,
         status: str,
         reason: str,
     ) -> Tick:
@@ -122,9 +123,9 @@ class Controller:
         if (
             guess is not None
             and self._fallbacks <= FALLBACK_TICKS
-            and not violations(solver.problem, state, goals, guess)
+            and not violations(problem, state, goals, guess)
         ):
-            command = command_of(solver.problem, state, guess)
+            command = command_of(problem, state, guess)
             return Tick(status, reason, state, guess, command, 'shifted plan')
         return self._safe(state, status, reason)
 

@@ -21,9 +21,9 @@ import numpy as np
 
 from orbimpc_ros.mpc import dynamics
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.condensed import hessian
 from orbimpc_ros.mpc.disjunction import Disjunction
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
-from orbimpc_ros.mpc.orbitopes import frobenius_factor
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.program import Program
 from orbimpc_ros.mpc.trajectory import Trajectory, trajectory_of
@@ -176,19 +176,13 @@ def inverse_curvature(problem: Problem, disjunction: Disjunction) -> Array:
     is the same for each coordinate of R_k e1, and the normals have length one. Infinite (no gain)
     where H is singular.
     """
-    w = problem.weights
-    reach = dynamics.position_map(problem)[:, 1:]
-    position = np.full(problem.horizon, w.position)
-    position[-1] += w.terminal
-    differences = dynamics.input_map(problem)[:, 1:]
-    hessian = 2.0 * (reach.T @ (position[:, None] * reach))
-    hessian += 2.0 * w.input * frobenius_factor(problem.dimension) * differences.T @ differences
-    if np.linalg.cond(hessian) > 1e12:
+    curvature = hessian(problem)
+    if np.linalg.cond(curvature) > 1e12:
         return np.full(len(disjunction.steps), np.inf)
-    inverse = np.linalg.inv(hessian)
+    inverse = np.linalg.inv(curvature)
     steps = np.array(disjunction.steps) - 1
     if disjunction.on == 'heading':
         return np.diag(inverse)[steps]
-    rows = reach[steps]
-    curvature = np.einsum('ki,ij,kj->k', rows, inverse, rows)
-    return np.where(curvature > 0.0, curvature, np.inf)
+    rows = dynamics.position_map(problem)[steps, 1:]
+    along = np.einsum('ki,ij,kj->k', rows, inverse, rows)
+    return np.where(along > 0.0, along, np.inf)

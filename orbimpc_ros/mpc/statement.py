@@ -10,9 +10,10 @@ import numpy as np
 from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.condensed import input_weight, position_weights
 from orbimpc_ros.mpc.disjunction import Disjunction
 from orbimpc_ros.mpc.dynamics import input_map
-from orbimpc_ros.mpc.orbitopes import constraints, coordinate_count, coordinates, frobenius_factor
+from orbimpc_ros.mpc.orbitopes import constraints, coordinate_count, coordinates
 from orbimpc_ros.mpc.problem import Problem, State
 
 
@@ -154,9 +155,7 @@ class Statement:
 
     def _cost(self) -> tuple[cp.Expression, Sequence[cp.Constraint]]:
         problem, w, n = self.problem, self.problem.weights, self.problem.dimension
-        position = np.full(problem.horizon, w.position)
-        position[-1] += w.terminal
-        squares = sparse.diags(np.repeat(position, n)).tocsc()
+        squares = sparse.diags(np.repeat(position_weights(problem), n)).tocsc()
         cost = cp.quad_form(self.e, squares, assume_PSD=True) + cp.quad_form(
             self.x, self._input_form(), assume_PSD=True
         )
@@ -172,8 +171,8 @@ class Statement:
         n = self.problem.dimension
         differences = sparse.csc_matrix(input_map(self.problem))
         per_coordinate = differences.T @ differences
-        weight = self.problem.weights.input * frobenius_factor(n)
-        return sparse.kron(weight * per_coordinate, sparse.eye(coordinate_count(n))).tocsc()
+        weighted = input_weight(self.problem) * per_coordinate
+        return sparse.kron(weighted, sparse.eye(coordinate_count(n))).tocsc()
 
     def constant(self, state: State) -> float:
         """Return the part of the objective that no variable enters: the first step's length."""

@@ -1,0 +1,47 @@
+"""The quadratic part of the objective as a function of the thrust axes R_1 e1..R_N e1 alone.
+
+With positions eliminated by the dynamics, and for n = 2 (where R e1 is all of R),
+
+    cost = 1/2 sum_jk H_jk z_j . z_k + sum_k q_k . z_k + c + (length term),   z_k = R_k e1.
+
+H is the same for every coordinate, so one N x N matrix says it all.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orbimpc_ros.mpc import dynamics
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.orbitopes import frobenius_factor
+from orbimpc_ros.mpc.problem import Problem, State
+
+
+def position_weights(problem: Problem) -> Array:
+    """Return the weight on |s_k - g_k|^2, k = 1..N, the terminal weight included."""
+    weights = np.full(problem.horizon, problem.weights.position)
+    weights[-1] += problem.weights.terminal
+    return weights
+
+
+def input_weight(problem: Problem) -> float:
+    """Return the weight on the squared coordinates of an input."""
+    return problem.weights.input * frobenius_factor(problem.dimension)
+
+
+def hessian(problem: Problem) -> Array:
+    """Return H, shape (N, N)."""
+    reach = dynamics.position_map(problem)[:, 1:]
+    differences = dynamics.input_map(problem)[:, 1:]
+    quadratic = 2.0 * reach.T @ (position_weights(problem)[:, None] * reach)
+    return quadratic + 2.0 * input_weight(problem) * differences.T @ differences
+
+
+def linear(problem: Problem, state: State, goals: Array) -> Array:
+    """Return q, shape (N, n), for a state and goals g_1..g_N, shape (N, n)."""
+    reach, differences = dynamics.position_map(problem), dynamics.input_map(problem)
+    heading = state.rotation[:, 0]
+    miss = dynamics.drift(problem, state) + np.outer(reach[:, 0], heading) - goals
+    pull = 2.0 * reach[:, 1:].T @ (position_weights(problem)[:, None] * miss)
+    turn = 2.0 * input_weight(problem) * differences[:, 1:].T @ differences[:, 0]
+    return pull + np.outer(turn, heading)
