@@ -1,0 +1,98 @@
+"""package.xml, setup.py and the sources agree on what the package is and needs."""
+
+import ast
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ElementTree.parse(ROOT / 'package.xml').getroot()
+STANDARD = sys.stdlib_module_names
+
+# Who brings what the code imports: rosdep key, distribution on PyPI. None: not needed there.
+PROVIDERS = {
+    'clarabel': ('python3-cvxpy-pip', 'clarabel'),
+    'cvxpy': ('python3-cvxpy-pip', 'cvxpy'),
+    'matplotlib': ('python3-matplotlib', 'matplotlib'),
+    'mcap': ('mcap-ros2-support', 'mcap'),
+    'numpy': ('python3-numpy', 'numpy'),
+    'rosbags': ('python3-rosbags-pip', 'rosbags'),
+    'scipy': ('python3-scipy', 'scipy'),
+    'yaml': ('python3-yaml', 'pyyaml'),
+}
+
+
+def setup_value(*words):
+    done = subprocess.run(
+        [sys.executable, 'setup.py', '--quiet', *words],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout.split('\n')[-2]
+
+
+def setup_keyword(name):
+    """Return a literal keyword of the setup() call."""
+    tree = ast.parse((ROOT / 'setup.py').read_text())
+    call = next(
+        node
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and getattr(node.func, 'id', '') == 'setup'
+    )
+    return ast.literal_eval(next(k.value for k in call.keywords if k.arg == name))
+
+
+def imported():
+    """Return the top-level modules that the package imports, its own and Python's aside."""
+    found = set()
+    for file in (ROOT / 'orbimpc_ros').rglob('*.py'):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Import):
+                found.update(alias.name.split('.')[0] for alias in node.names)
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                found.add(node.module.split('.')[0])
+    return {name for name in found if name not in STANDARD and name != 'orbimpc_ros'}
+
+
+def depends():
+    return {e.text for e in PACKAGE if e.tag in ('depend', 'exec_depend')}
+
+
+@pytest.mark.parametrize('field', ['name', 'version', 'description', 'license'])
+def test_manifests_agree(field):
+    pytest.importorskip('setuptools')
+    assert setup_value(f'--{field}') == PACKAGE.find(field).text
+
+
+def test_every_import_is_declared_in_package_xml():
+    for module in imported():
+        key = PROVIDERS[module][0] if module in PROVIDERS else module
+        assert key in depends(), f'{module} is imported, {key} is not in package.xml'
+
+
+def test_every_third_party_import_is_declared_in_setup():
+    declared = {re.split(r'[<>=\[]', r)[0] for r in setup_keyword('install_requires')}
+    used = {PROVIDERS[module][1] for module in imported() if module in PROVIDERS}
+    assert declared == used
+
+
+def test_executables_exist():
+    for line in setup_keyword('entry_points')['console_scripts']:
+        _, target = line.split(' = ')
+        module, function = target.split(':')
+        file = ROOT / (module.replace('.', '/') + '.py')
+        names = {n.name for n in ast.parse(file.read_text()).body if isinstance(n, ast.FunctionDef)}
+        assert function in names
+
+
+def test_it_is_an_ament_python_package():
+    assert PACKAGE.get('format') == '3'
+    assert PACKAGE.find('export/build_type').text == 'ament_python'
+    assert (ROOT / 'resource' / 'orbimpc_ros').is_file()
+    assert 'Apache License' in (ROOT / PACKAGE.find('license').get('file')).read_text()

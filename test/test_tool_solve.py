@@ -1,0 +1,269 @@
+"""`orbimpc solve` as a user meets it: a process with a file, an answer, an exit code."""
+
+import copy
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orbimpc_ros.tool import cli
+
+REFERENCE = Path(__file__).parent / 'reference'
+CASES = json.loads((REFERENCE / 'cases.json').read_text())
+ANSWERS = json.loads((REFERENCE / 'answers.json').read_text())
+PLANAR = [
+    name
+    for name in CASES
+    if name.startswith(('uav_hull', 'uav_square', 'uav_hexagon', 'dubins_hull', 'dubins_square'))
+]
+FIELDS = {
+    *('status', 'objective', 'lower_bound', 'gap', 'nodes', 'solve_time_ms', 'positions'),
+    *('rotations', 'projected', 'speed_fraction', 'command'),
+}
+
+
+def case(**changes):
+    """Return the square-floor case with fields replaced; dots reach inside."""
+    mapping = copy.deepcopy(CASES['uav_square_0'])
+    for path, value in changes.items():
+        *way, last = path.split('.')
+        inner = mapping
+        for step in way:
+            inner = inner[step]
+        if value is ...:
+            del inner[last]
+        else:
+            inner[last] = value
+    return mapping
+
+
+@pytest.fixture
+def solve(tmp_path, capsys):
+    """Return a function that solves text or a mapping: (exit code, stdout, stderr)."""
+
+    def run(problem):
+        file = tmp_path / 'problem'
+        file.write_text(problem if isinstance(problem, str) else json.dumps(problem))
+        capsys.readouterr()
+        code = cli.main(['solve', str(file)])
+        return code, *capsys.readouterr()
+
+    return run
+
+
+@pytest.mark.parametrize('name', PLANAR)
+def test_reference_case_reaches_the_known_optimum(solve, name):
+    code, out, _ = solve(CASES[name])
+    answer = json.loads(out)
+    known = ANSWERS[name]['objective']
+    assert code == 0
+    assert set(answer) == FIELDS
+    assert answer['status'] == 'optimal'
+    assert answer['objective'] == pytest.approx(known, rel=1e-4)
+    assert answer['lower_bound'] <= answer['objective']
+    assert answer['lower_bound'] <= known * (1 + 1e-4)
+
+
+def test_answer_is_consistent_in_itself(solve):
+    _, out, _ = solve(CASES['uav_square_1'])
+    answer = json.loads(out)
+    rotations = np.array(answer['rotations'])
+    assert np.shape(answer['positions']) == (6, 2)
+    assert rotations.shape == np.shape(answer['projected']) == (6, 2, 2)
+    np.testing.assert_allclose(answer['speed_fraction'], np.linalg.norm(rotations[:, :, 0], axis=1))
+    assert answer['command']['speed_fraction'] == pytest.approx(answer['speed_fraction'][1])
+    np.testing.assert_allclose(answer['command']['rotation'], answer['projected'][1])
+    assert len(answer['command']['body_rate']) == 1
+
+
+def test_an_absent_weight_is_zero(solve):
+    spelled = case(weights={'position': 0.0, 'input': 0.05, 'length': 0.0, 'terminal': 10.0})
+    absent = case(weights={'input': 0.05, 'terminal': 10.0})
+    first, second = (json.loads(solve(c)[1])['objective'] for c in (spelled, absent))
+    assert first == pytest.approx(second)
+
+
+def test_one_goal_stands_for_every_step(solve):
+    many = case(goal=[CASES['uav_square_0']['goal']] * 5)
+    first, second = (json.loads(solve(c)[1])['objective'] for c in (case(), many))
+    assert first == pytest.approx(second)
+
+
+def test_yaml_reads_like_json(solve):
+    text = """
+    dimension: 2
+    rotation_order: 1
+    translation_order: 1
+    horizon: 5
+    step: 1e0
+    forward: 1
+    weights: {position: 1.0, input: 5e-2, terminal: 10}
+    state:
+      position: [5.397838, -0.308404]
+      rotation: [[0.733262, -0.630286], [0.630286, 0.733262]]
+    goal: [5.420735, 0.270151]
+    """
+    code, out, _ = solve(text)
+    assert code == 0
+    assert json.loads(out)['objective'] == pytest.approx(
+        ANSWERS['uav_hull_1']['objective'], rel=1e-4
+    )
+
+
+NAN = float('nan')
+BAD = {
+    'missing horizon': ({'horizon': ...}, 'horizon'),
+    'missing weights': ({'weights': ...}, 'weights'),
+    'missing goal': ({'goal': ...}, 'goal'),
+    'missing state': ({'state': ...}, 'state'),
+    'missing position': ({'state.position': ...}, 'position'),
+    'missing rotation': ({'state.rotation': ...}, 'rotation'),
+    'missing faces': ({'floor.faces': ...}, 'faces'),
+    'missing fraction': ({'floor.fraction': ...}, 'fraction'),
+    'unknown field': ({'horizont': 5}, 'horizont'),
+    'unknown weight': ({'weights.inputs': 1.0}, 'inputs'),
+    'unknown model': ({'model': 'hovercraft'}, 'model'),
+    'unknown floor': ({'floor.shape': 'triangle'}, 'none | circle | polygon'),
+    'floor is a list': ({'floor.shape': ['none']}, 'floor.shape'),
+    'unknown terminal': ({'terminal': 'soft'}, 'penalty | constraint'),
+    'terminal is a list': ({'terminal': []}, 'penalty | constraint'),
+    'dimension 4': ({'dimension': 4}, '[2, 3]'),
+    'rotation order 3': ({'rotation_order': 3}, '[1, 2]'),
+    'translation order 0': ({'translation_order': 0}, '[1, 2]'),
+    'horizon 0': ({'horizon': 0}, 'horizon'),
+    'horizon 2.5': ({'horizon': 2.5}, 'horizon'),
+    'horizon is a word': ({'horizon': 'five'}, 'horizon'),
+    'horizon is true': ({'horizon': True}, 'horizon'),
+    'step 0': ({'step': 0.0}, 'step'),
+    'forward negative': ({'forward': -1.0}, 'forward'),
+    'NaN weight': ({'weights.input': NAN}, 'weights.input'),
+    'negative weight': ({'weights.input': -1.0}, 'weights.input'),
+    'weight is null': ({'weights.input': None}, 'weights.input'),
+    'NaN position': ({'state.position': [NAN, 0.0]}, 'state.position'),
+    'infinite position': ({'state.position': [float('inf'), 0.0]}, 'state.position'),
+    'absurd position': ({'state.position': [1e300, 0.0]}, 'state.position'),
+    'absurd whole number': ({'state.position': [10**400, 0]}, 'state.position'),
+    'position in words': ({'state.position': ['0', '0']}, 'state.position'),
+    'position too long': ({'state.position': [0.0, 0.0, 0.0]}, 'state.position'),
+    'position ragged': ({'state.position': [0.0, [0.0]]}, 'state.position'),
+    'position a mapping': ({'state.position': {'x': 0}}, 'state.position'),
+    'NaN goal': ({'goal': [NAN, 0.0]}, 'goal'),
+    'goal empty': ({'goal': []}, 'goal'),
+    'goals too few': ({'goal': [[0.0, 0.0]] * 4}, 'goal'),
+    'goals ragged': ({'goal': [[0.0, 0.0]] * 4 + [[0.0]]}, 'goal'),
+    'NaN rotation': ({'state.rotation': [[NAN, 0.0], [0.0, 1.0]]}, 'state.rotation'),
+    'rotation outside': ({'state.rotation': [[1.1, 0.0], [0.0, 1.1]]}, 'conv SO(2)'),
+    'rotation reflected': ({'state.rotation': [[1.0, 0.0], [0.0, -1.0]]}, 'state.rotation'),
+    'rotation a number': ({'state.rotation': 1.0}, 'state.rotation'),
+    'velocity at order 1': ({'state.velocity': [0.0, 0.0]}, 'velocity'),
+    'floor above the square': ({'floor.fraction': 0.71}, 'floor.fraction'),
+    'floor above the triangle': (
+        {'floor': {'shape': 'polygon', 'faces': 3, 'fraction': 0.51}},
+        '0.5',
+    ),
+    'floor of two faces': ({'floor.faces': 2}, 'floor.faces'),
+    'floor fraction 0': ({'floor.fraction': 0.0}, 'floor.fraction'),
+    'max_rate beyond half a turn': ({'max_rate': 4.0}, 'max_rate'),
+    'obstacles not a list': ({'obstacles': {'min': [0, 0], 'max': [1, 1]}}, 'obstacles'),
+    'obstacle without max': ({'obstacles': [{'min': [0.0, 0.0]}]}, 'max'),
+    'obstacle inside out': ({'obstacles': [{'min': [1.0, 0.0], 'max': [0.0, 1.0]}]}, 'obstacles'),
+    'obstacle in 3-D': ({'obstacles': [{'min': [0, 0, 0], 'max': [1, 1, 1]}]}, 'obstacles'),
+    'corner cutting a word': ({'no_corner_cutting': 'yes'}, 'no_corner_cutting'),
+}
+
+
+def assert_one_line(result, culprit):
+    code, out, err = result
+    assert (code, out) == (cli.BAD_INPUT, '')
+    assert err.count('\n') == 1
+    assert err.endswith('\n')
+    assert culprit in err
+    assert 'allowed' in err
+
+
+@pytest.mark.parametrize(('changes', 'culprit'), BAD.values(), ids=BAD)
+def test_bad_field_is_named_in_one_line(solve, changes, culprit):
+    assert_one_line(solve(case(**changes)), culprit)
+
+
+BAD_TEXT = {
+    'empty': ('', 'case'),
+    'a list': ('[1, 2]', 'case'),
+    'a word': ('hello', 'case'),
+    'cut off': (json.dumps(case())[:-20], 'malformed'),
+    'tabs': ('a:\n\t- b', 'malformed'),
+    'given twice': ('{"dimension": 2, "dimension": 3}', 'twice'),
+    'given twice in YAML': ('dimension: 2\ndimension: 3', 'twice'),
+    'an alias': ('a: &a [1]\nb: *a', 'aliases'),
+    'billion laughs': ('a: &a [l]\nb: &b [*a,*a]\nc: [*b,*b]', 'aliases'),
+    'a tag': ('!!python/object/apply:os.system [ls]', 'malformed'),
+    'a date': ('dimension: 2020-01-01', 'dimension'),
+    'a key that is a list': ('? [1, 2]\n: 3', 'malformed'),
+    'a key that is a number': ('1: 2', 'not a name'),
+    'a key with a line break': ('{"a\\nb": 1}', 'a b'),
+    'control characters': ('{"a\\u001b[31m": 1}', 'case'),
+    'deep': ('[' * 100_000, 'malformed'),
+    'deep braces': ('{"a":' * 100_000, 'malformed'),
+    'thousands of digits': ('{"horizon": ' + '9' * 5000 + '}', 'malformed'),
+    'too large': (' ' * (1 << 20) + '{}', 'bytes'),
+}
+
+
+@pytest.mark.parametrize(('text', 'culprit'), BAD_TEXT.values(), ids=BAD_TEXT)
+def test_bad_text_is_refused_in_one_line(solve, text, culprit):
+    assert_one_line(solve(text), culprit)
+
+
+@pytest.mark.parametrize('content', [None, b'\xff\xfe\x00'], ids=['missing', 'not UTF-8'])
+def test_unreadable_file_is_refused_in_one_line(tmp_path, capsys, content):
+    file = tmp_path / 'problem'
+    if content is not None:
+        file.write_bytes(content)
+    code = cli.main(['solve', str(file)])
+    assert_one_line((code, *capsys.readouterr()), str(file))
+
+
+def test_directory_is_refused_in_one_line(tmp_path, capsys):
+    code = cli.main(['solve', str(tmp_path)])
+    assert_one_line((code, *capsys.readouterr()), str(tmp_path))
+
+
+def test_infeasible_names_the_constraint(solve):
+    out_of_reach = case(floor={'shape': 'none'}, terminal='constraint', goal=[50.0, 0.0])
+    code, out, err = solve(out_of_reach)
+    assert (code, out) == (cli.INFEASIBLE, '')
+    assert err.count('\n') == 1
+    assert 'terminal' in err
+
+
+def run_process(*words, text=''):
+    command = [sys.executable, '-m', 'orbimpc_ros.tool.cli', *words]
+    return subprocess.run(command, input=text, capture_output=True, text=True, check=False)
+
+
+def test_process_reads_standard_input():
+    done = run_process('solve', '-', text=json.dumps(case()))
+    assert done.returncode == 0
+    assert json.loads(done.stdout)['status'] == 'optimal'
+    assert done.stderr == ''
+
+
+def test_process_keeps_tracebacks_to_itself():
+    done = run_process('solve', '-', text=json.dumps(case(horizon=0)))
+    assert done.returncode == cli.BAD_INPUT
+    assert done.stderr == 'orbimpc: horizon is 0; allowed: an integer in [1, 500]\n'
+
+
+@pytest.mark.parametrize('words', [(), ('dance',), ('solve',), ('solve', 'a', 'b')])
+def test_bad_usage_is_one_line(words):
+    done = run_process(*words)
+    assert done.returncode == cli.BAD_INPUT
+    assert done.stderr.count('\n') == 1
+
+
+def test_help_and_version():
+    assert 'solve' in run_process('--help').stdout
+    assert run_process('--version').stdout.startswith('orbimpc_ros ')
