@@ -1,0 +1,125 @@
+"""Markers for a 3-D viewer: the plan and its limits, and the simulated world."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from builtin_interfaces.msg import Duration
+from geometry_msgs.msg import Pose, Vector3
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.plan import Plan
+from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.ros.messages import Stamp, header, point, pose
+from orbimpc_ros.world.flight import Flight
+
+GREEN, BLUE, RED, GREY, ORANGE = (
+    (0.1, 0.6, 0.3, 1.0),
+    (0.1, 0.4, 0.9, 1.0),
+    (0.8, 0.2, 0.1, 0.6),
+    (0.5, 0.5, 0.5, 0.5),
+    (0.9, 0.5, 0.1, 1.0),
+)
+LINE = 0.02  # width of lines, as a share of the scene's unit length
+LIFETIME = 3.0  # markers of a dead node vanish after so many steps
+
+
+def plan_markers(stamp: Stamp, problem: Problem, plan: Plan) -> MarkerArray:
+    """Return the plan as a line, its thrust as arrows, its obstacles and its floor."""
+    unit = problem.forward * problem.step
+    path = _marker(stamp, 'plan', 0, Marker.LINE_STRIP, GREEN, problem.step)
+    path.scale.x = LINE * unit
+    path.points = [point(each) for each in plan.positions]
+    return MarkerArray(
+        markers=[
+            path,
+            *_arrows(stamp, plan, unit, problem.step),
+            *_boxes(stamp, problem),
+            *_floor(stamp, problem, plan.positions[0], unit),
+        ]
+    )
+
+
+def world_markers(stamp: Stamp, flight: Flight) -> MarkerArray:
+    """Return the rope, as far as it catches, its swing, and the vehicle."""
+    model, radius = flight.scenario.model, flight.scenario.capture_radius
+    unit = model.forward * model.step
+    rope = _marker(stamp, 'rope', 0, Marker.SPHERE, ORANGE, model.step)
+    rope.scale = _cube(2.0 * radius)
+    rope.pose.position = point(flight.goal)
+    swing = _marker(stamp, 'rope', 1, Marker.LINE_STRIP, GREY, model.step)
+    swing.scale.x = LINE * unit
+    swing.points = [point(flight.scenario.rope.center), point(flight.goal)]
+    vehicle = _arrow(stamp, 'vehicle', 0, BLUE, model.step)
+    vehicle.pose = pose(flight.vehicle.position, flight.vehicle.attitude)
+    vehicle.scale = Vector3(x=0.4 * unit, y=0.1 * unit, z=0.1 * unit)
+    return MarkerArray(markers=[rope, swing, vehicle])
+
+
+def _arrows(stamp: Stamp, plan: Plan, unit: float, step: float) -> list[Marker]:
+    arrows = []
+    for k, fraction in enumerate(plan.speed_fraction):
+        arrow = _arrow(stamp, 'thrust', k, BLUE, step)
+        arrow.pose = pose(plan.positions[k], plan.projected[k])
+        # A viewer warns of an arrow of no length.
+        arrow.scale = Vector3(x=max(0.5 * unit * fraction, 1e-3), y=0.05 * unit, z=0.05 * unit)
+        arrows.append(arrow)
+    return arrows
+
+
+def _boxes(stamp: Stamp, problem: Problem) -> list[Marker]:
+    boxes = []
+    for k, box in enumerate(problem.obstacles):
+        marker = _marker(stamp, 'obstacles', k, Marker.CUBE, RED, problem.step)
+        marker.pose = Pose(position=point(0.5 * (box.minimum + box.maximum)))
+        x, y, z = [*(box.maximum - box.minimum), LINE][:3]
+        marker.scale = Vector3(x=float(x), y=float(y), z=float(z))
+        boxes.append(marker)
+    return boxes
+
+
+def _floor(stamp: Stamp, problem: Problem, center: Array, unit: float) -> list[Marker]:
+    """Return what a step at less than the minimum speed would reach, around the vehicle."""
+    if problem.floor.shape == 'none':
+        return []
+    if problem.dimension == 3:
+        ball = _marker(stamp, 'floor', 0, Marker.SPHERE, GREY, problem.step)
+        ball.scale = _cube(2.0 * unit * problem.floor.fraction)
+        ball.pose.position = point(center)
+        return [ball]
+    outline = _marker(stamp, 'floor', 0, Marker.LINE_STRIP, GREY, problem.step)
+    outline.scale.x = LINE * unit
+    outline.points = [point(center + unit * corner) for corner in _corners(problem)]
+    return [outline]
+
+
+def _corners(problem: Problem) -> Array:
+    """Return the floor's outline, closed: the polygon's corners, or a circle's points."""
+    floor = problem.floor
+    faces = floor.faces if floor.shape == 'polygon' else 48
+    angles = 2.0 * np.pi * (np.arange(faces + 1) + 0.5) / faces
+    reach = floor.fraction / math.cos(math.pi / faces)
+    return reach * np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+def _arrow(stamp: Stamp, name: str, number: int, color: tuple[float, ...], step: float) -> Marker:
+    return _marker(stamp, name, number, Marker.ARROW, color, step)
+
+
+def _marker(
+    stamp: Stamp, name: str, number: int, kind: int, color: tuple[float, ...], step: float
+) -> Marker:
+    marker = Marker(header=header(stamp.nanoseconds, stamp.frames.world), ns=name, id=number)
+    marker.type, marker.action = kind, Marker.ADD
+    marker.pose.orientation.w = 1.0
+    marker.color = ColorRGBA(**dict(zip('rgba', color, strict=True)))
+    seconds, rest = divmod(LIFETIME * step, 1.0)
+    marker.lifetime = Duration(sec=int(seconds), nanosec=int(rest * 1e9))
+    return marker
+
+
+def _cube(side: float) -> Vector3:
+    return Vector3(x=side, y=side, z=side)

@@ -1,0 +1,294 @@
+"""ROS messages to plain types and back: pure functions.
+
+What comes in is untrusted. A message is taken whole or refused whole, with the field to blame;
+stamps are read as integers, never through rclpy's Time, which raises on negative seconds.
+Covariances are not read. In the plane (n = 2) poses lie at z = 0 and turn about z.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseStamped,
+    Quaternion,
+    QuaternionStamped,
+    TwistStamped,
+    Vector3,
+    WrenchStamped,
+)
+from nav_msgs.msg import Odometry as OdometryMessage
+from nav_msgs.msg import Path
+from std_msgs.msg import Header
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.command import Command
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.forecast import Itinerary, Sighting
+from orbimpc_ros.mpc.odometry import Odometry
+from orbimpc_ros.mpc.plan import Plan
+from orbimpc_ros.mpc.rotations import from_quaternion, to_quaternion
+from orbimpc_ros.world.vehicle import Vehicle, measured
+
+LARGEST = 1e7  # [m], [m/s], [rad/s], [N]: beyond any vehicle; squares stay far from overflow
+QUATERNION_TOLERANCE = 1e-3  # a unit quaternion may be this far off; it is then normalised
+STEEPEST = 1e-3  # in the plane: least horizontal share of the body's x axis that has a yaw
+LONGEST_PATH = 10_000  # poses
+LONGEST_FRAME = 256  # characters
+SECOND = 1_000_000_000  # [ns]
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Frames that messages must be in; an empty name accepts any."""
+
+    world: str = ''
+    body: str = ''
+
+
+@dataclass(frozen=True)
+class Stamp:
+    """When and in which frames an odometry message was measured: outputs carry them on.
+
+    Attributes:
+        nanoseconds: the stamp; exact, where seconds as a float are not [ns].
+        frames: of the pose and of the twist.
+    """
+
+    nanoseconds: int
+    frames: Frames = field(default_factory=Frames)
+
+
+# --- reading
+
+
+def nanoseconds(stamp: Time, culprit: str) -> int:
+    """Return a stamp in nanoseconds.
+
+    Raises:
+        BadInput: negative seconds, or a second's worth of nanoseconds and more.
+    """
+    if stamp.sec < 0:
+        raise BadInput(f'{culprit}.sec', stamp.sec, '0 or more')
+    if stamp.nanosec >= SECOND:
+        raise BadInput(f'{culprit}.nanosec', stamp.nanosec, f'less than {SECOND}')
+    return stamp.sec * SECOND + stamp.nanosec
+
+
+def read_odometry(
+    message: OdometryMessage, dimension: int, frames: Frames
+) -> tuple[Stamp, Odometry]:
+    """Return the stamp and the measurement in an Odometry message.
+
+    Raises:
+        BadInput: a frame, a stamp, a number or the quaternion is not acceptable.
+    """
+    at = _stamp(message.header, frames.world)
+    child = _frame(message.child_frame_id, frames.body, 'child_frame_id')
+    pose, twist = message.pose.pose, message.twist.twist
+    linear = _triple(twist.linear, 'twist.linear')
+    angular = _triple(twist.angular, 'twist.angular')
+    odometry = Odometry(
+        at.nanoseconds / SECOND,
+        _triple(pose.position, 'pose.position')[:dimension],
+        _attitude(pose.orientation, dimension, 'pose.orientation'),
+        linear[:dimension],
+        _rates(angular, dimension),
+    )
+    return Stamp(at.nanoseconds, Frames(at.frames.world, child)), odometry
+
+
+def read_sighting(message: PoseStamped, dimension: int, frames: Frames) -> tuple[Stamp, Sighting]:
+    """Return the stamp and the place in a goal's PoseStamped; its orientation must be valid.
+
+    Raises:
+        BadInput: a frame, a stamp, a number or the quaternion is not acceptable.
+    """
+    at = _stamp(message.header, frames.world)
+    _quaternion(message.pose.orientation, 'pose.orientation')
+    place = _triple(message.pose.position, 'pose.position')[:dimension]
+    return at, Sighting(at.nanoseconds / SECOND, place)
+
+
+def read_itinerary(message: Path, dimension: int, frames: Frames) -> tuple[Stamp, Itinerary]:
+    """Return the stamp and the stamped places in a goal's Path.
+
+    Raises:
+        BadInput: no pose or too many, stamps that do not increase, or a pose not acceptable.
+    """
+    at = _stamp(message.header, frames.world)
+    if not 1 <= len(message.poses) <= LONGEST_PATH:
+        raise BadInput('poses', f'{len(message.poses)} poses', f'1 to {LONGEST_PATH}')
+    seen = [read_sighting(pose, dimension, Frames())[1] for pose in message.poses]
+    times = np.array([sighting.time for sighting in seen])
+    return at, Itinerary(times, np.array([sighting.position for sighting in seen]))
+
+
+def read_speed_and_rate(message: TwistStamped, dimension: int) -> tuple[int, float, Array]:
+    """Return the stamp [ns], forward speed [m/s] and body rate [rad/s] of a commanded twist.
+
+    Raises:
+        BadInput: a stamp or a number is not acceptable.
+    """
+    at = _stamp(message.header, '')
+    linear = _triple(message.twist.linear, 'twist.linear')
+    angular = _triple(message.twist.angular, 'twist.angular')
+    return at.nanoseconds, float(linear[0]), _rates(angular, dimension)
+
+
+def read_force(message: WrenchStamped) -> tuple[int, float]:
+    """Return the stamp [ns] and the forward force [N] of a commanded wrench.
+
+    Raises:
+        BadInput: a stamp or a number is not acceptable.
+    """
+    at = _stamp(message.header, '')
+    force = _triple(message.wrench.force, 'wrench.force')
+    _triple(message.wrench.torque, 'wrench.torque')
+    return at.nanoseconds, float(force[0])
+
+
+def _stamp(header: Header, frame: str) -> Stamp:
+    world = _frame(header.frame_id, frame, 'header.frame_id')
+    return Stamp(nanoseconds(header.stamp, 'header.stamp'), Frames(world))
+
+
+def _frame(found: str, wanted: str, culprit: str) -> str:
+    if wanted and found != wanted:
+        raise BadInput(culprit, repr(found), repr(wanted))
+    if len(found) > LONGEST_FRAME:
+        raise BadInput(culprit, repr(found), f'at most {LONGEST_FRAME} characters')
+    return found
+
+
+def _triple(vector: Vector3 | Point, culprit: str) -> Array:
+    numbers = np.array([vector.x, vector.y, vector.z])
+    if not np.all(np.abs(numbers) <= LARGEST):  # also refuses NaN
+        raise BadInput(culprit, numbers.tolist(), f'finite numbers within +-{LARGEST:g}')
+    return numbers
+
+
+def _rates(angular: Array, dimension: int) -> Array:
+    return angular[2:] if dimension == 2 else angular
+
+
+def _quaternion(message: Quaternion, culprit: str) -> Array:
+    """Return the unit quaternion (w, x, y, z)."""
+    numbers = np.array([message.w, message.x, message.y, message.z])
+    with np.errstate(over='ignore'):
+        norm = math.sqrt(numbers @ numbers) if np.isfinite(numbers).all() else math.nan
+    if not abs(norm - 1.0) <= QUATERNION_TOLERANCE:
+        raise BadInput(
+            culprit, numbers.tolist(), f'a unit quaternion within {QUATERNION_TOLERANCE:g}'
+        )
+    return numbers / norm
+
+
+def _attitude(message: Quaternion, dimension: int, culprit: str) -> Array:
+    quaternion = _quaternion(message, culprit)
+    heading = from_quaternion(quaternion, 3)[:2, 0]
+    if dimension == 2 and math.hypot(*heading) < STEEPEST:
+        raise BadInput(culprit, quaternion.tolist(), 'a body x axis with a yaw, not a vertical one')
+    return from_quaternion(quaternion, dimension)
+
+
+# --- writing
+
+
+def time_message(at: int) -> Time:
+    """Return a stamp given in nanoseconds."""
+    return Time(sec=at // SECOND, nanosec=at % SECOND)
+
+
+def header(at: int, frame: str) -> Header:
+    """Return a header for a stamp [ns] and a frame."""
+    return Header(stamp=time_message(at), frame_id=frame)
+
+
+def point(position: Array) -> Point:
+    """Return a position, shape (n,) [m], as a Point."""
+    return Point(**dict(zip('xyz', map(float, position), strict=False)))
+
+
+def quaternion(rotation: Array) -> Quaternion:
+    """Return a rotation, shape (n, n), as a Quaternion."""
+    w, x, y, z = map(float, to_quaternion(rotation))
+    return Quaternion(x=x, y=y, z=z, w=w)
+
+
+def angular(body_rate: Array) -> Vector3:
+    """Return a body rate, shape (1,) or (3,) [rad/s], as a Vector3."""
+    padded = np.concatenate([np.zeros(3 - len(body_rate)), body_rate])
+    return Vector3(**dict(zip('xyz', map(float, padded), strict=True)))
+
+
+def pose(position: Array, rotation: Array) -> Pose:
+    """Return a position, shape (n,), and a rotation, shape (n, n), as a Pose."""
+    return Pose(position=point(position), orientation=quaternion(rotation))
+
+
+def twist_message(stamp: Stamp, speed: float, body_rate: Array) -> TwistStamped:
+    """Return a commanded forward speed [m/s] and body rate [rad/s], in the body frame."""
+    message = TwistStamped(header=header(stamp.nanoseconds, stamp.frames.body))
+    message.twist.linear.x = float(speed)
+    message.twist.angular = angular(body_rate)
+    return message
+
+
+def wrench_message(stamp: Stamp, force: float) -> WrenchStamped:
+    """Return a commanded forward force [N], in the body frame."""
+    message = WrenchStamped(header=header(stamp.nanoseconds, stamp.frames.body))
+    message.wrench.force.x = float(force)
+    return message
+
+
+def rotation_message(stamp: Stamp, command: Command) -> QuaternionStamped:
+    """Return the attitude commanded for the next step, in the world frame."""
+    head = header(stamp.nanoseconds, stamp.frames.world)
+    return QuaternionStamped(header=head, quaternion=quaternion(command.rotation))
+
+
+def plan_message(stamp: Stamp, plan: Plan, step: float) -> Path:
+    """Return a plan's N + 1 poses, stamped t + k h, in the world frame."""
+    poses = zip(plan.positions, plan.projected, strict=True)
+    return path_message(stamp, step, (pose(*each) for each in poses))
+
+
+def path_message(stamp: Stamp, step: float, poses: Iterable[Pose]) -> Path:
+    """Return a path of poses at the stamp and every ``step`` [s] after it."""
+    frame = stamp.frames.world
+    path = Path(header=header(stamp.nanoseconds, frame))
+    for k, each in enumerate(poses):
+        at = stamp.nanoseconds + round(k * step * SECOND)
+        path.poses.append(PoseStamped(header=header(at, frame), pose=each))
+    return path
+
+
+def goal_message(stamp: Stamp, position: Array) -> PoseStamped:
+    """Return where the goal is, in the world frame."""
+    head = header(stamp.nanoseconds, stamp.frames.world)
+    return PoseStamped(header=head, pose=Pose(position=point(position)))
+
+
+def goal_path_message(stamp: Stamp, step: float, positions: Sequence[Array]) -> Path:
+    """Return where the goal will be, from the stamp on every ``step`` [s], in the world frame."""
+    return path_message(stamp, step, (Pose(position=point(each)) for each in positions))
+
+
+def odometry_message(stamp: Stamp, vehicle: Vehicle) -> OdometryMessage:
+    """Return what perfect odometry says of a simulated vehicle."""
+    odometry = measured(vehicle)
+    message = OdometryMessage(
+        header=header(stamp.nanoseconds, stamp.frames.world), child_frame_id=stamp.frames.body
+    )
+    message.pose.pose = pose(odometry.position, odometry.attitude)
+    velocity = dict(zip('xyz', map(float, odometry.body_velocity), strict=False))
+    message.twist.twist.linear = Vector3(**velocity)
+    message.twist.twist.angular = angular(odometry.body_rate)
+    return message

@@ -1,0 +1,168 @@
+"""A node as a process: start, signals, guarded callbacks, a last safe command, exit codes."""
+
+from __future__ import annotations
+
+import functools
+import os
+import signal
+import sys
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import rclpy
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+
+from orbimpc_ros.mpc.errors import BadInput
+
+DONE, FAILED, BAD_INPUT = 0, 1, 2
+FAILURES_IN_A_ROW = 5  # of one callback, after which the node gives up
+FAREWELLS = 3  # safe commands on the way out
+ACKNOWLEDGED = 1.0  # [s] the last messages have to arrive
+SPIN = 0.05  # [s] a signal waits at most this long
+RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
+
+
+def qos(
+    depth: int = 1,
+    reliability: ReliabilityPolicy = ReliabilityPolicy.RELIABLE,
+    durability: DurabilityPolicy = DurabilityPolicy.VOLATILE,
+) -> QoSProfile:
+    """Return a quality of service that keeps the last ``depth`` messages."""
+    return QoSProfile(
+        depth=depth,
+        history=HistoryPolicy.KEEP_LAST,
+        reliability=reliability,
+        durability=durability,
+    )
+
+
+class Guarded(Node):
+    """A node none of whose callbacks can end it, and that ends well.
+
+    Attributes:
+        exit_code: the process ends with it as soon as it is not None.
+        steady: a clock that neither jumps nor stops, for everything that watches.
+    """
+
+    def __init__(self, name: str, parameters: Sequence[Parameter] = ()) -> None:
+        super().__init__(name, parameter_overrides=list(parameters))
+        self.exit_code: int | None = None
+        self.steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._failures: Counter[str] = Counter()
+
+    def safe(self, reason: str) -> None:
+        """Do what is safe right now; the farewell and every failure call it."""
+
+    def steady_now(self) -> float:
+        """Return the time of the steady clock [s]."""
+        return self.steady.now().nanoseconds * 1e-9
+
+    def guard(self, callback: Callable[..., Any]) -> Callable[..., Any]:
+        """Return the callback, made to report what it raises instead of raising it."""
+
+        @functools.wraps(callback)
+        def guarded(*arguments: Any) -> Any:
+            try:
+                result = callback(*arguments)
+            except Exception as error:
+                self.failed(callback.__name__, error)
+                # A service has to answer: with the response as it came.
+                return arguments[1] if len(arguments) == 2 else None
+            self._failures[callback.__name__] = 0
+            return result
+
+        return guarded
+
+    def failed(self, what: str, error: Exception) -> None:
+        """Report a failure, do what is safe, and give up after too many in a row."""
+        self._failures[what] += 1
+        reason = f'{what} failed: {type(error).__name__}: {error}'
+        self.get_logger().error(reason)
+        if self._failures[what] >= FAILURES_IN_A_ROW:
+            self.get_logger().fatal(f'{what} failed {FAILURES_IN_A_ROW} times in a row: giving up')
+            self.exit_code = FAILED
+        self.safe(reason)
+
+    def every(self, period: float, callback: Callable[[], None]) -> Any:
+        """Call back every ``period`` [s] of the steady clock."""
+        return self.create_timer(period, self.guard(callback), clock=self.steady)
+
+
+def run(make: Callable[[], Guarded], argv: Sequence[str] | None = None) -> int:
+    """Run a node until it is done or told to stop, and return the exit code.
+
+    Args:
+        make: creates the node; BadInput from it ends the process with code 2 and one line.
+        argv: the command line; by default this process's.
+    """
+    os.environ.setdefault(RANGE, 'LOCALHOST')
+    try:
+        rclpy.init(
+            args=list(sys.argv if argv is None else argv),
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+    except RuntimeError as error:  # the command line or a parameter file
+        return _refused(error)
+    try:
+        return _live(make)
+    except BadInput as error:
+        return _refused(error)
+    finally:
+        rclpy.try_shutdown()
+
+
+def _refused(error: Exception) -> int:
+    print(' '.join(str(error).split()), file=sys.stderr)
+    return BAD_INPUT
+
+
+def _live(make: Callable[[], Guarded]) -> int:
+    signals: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda received, _frame: signals.append(received))
+    node = make()
+    _warn_of_range(node)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    while not signals and node.exit_code is None:
+        _spin(node, executor)
+    return _part(node, executor, bool(signals))
+
+
+def _spin(node: Guarded, executor: SingleThreadedExecutor) -> None:
+    try:
+        executor.spin_once(timeout_sec=SPIN)
+    except Exception as error:  # from callbacks of rclpy's own, such as a malformed /clock
+        node.failed('spinning', error)
+
+
+def _part(node: Guarded, executor: SingleThreadedExecutor, told: bool) -> int:
+    if told:
+        node.get_logger().info('told to stop')
+    for _ in range(FAREWELLS):
+        node.safe('shutting down')
+    _let_go(node)
+    executor.shutdown()
+    node.destroy_node()
+    return node.exit_code or DONE
+
+
+def _let_go(node: Guarded) -> None:
+    """Wait until the last messages have arrived, but not for a subscriber that hangs."""
+    end = node.steady_now() + ACKNOWLEDGED
+    for publisher in node.publishers:
+        left = max(0.0, end - node.steady_now())
+        publisher.wait_for_all_acked(Duration(seconds=left))
+
+
+def _warn_of_range(node: Guarded) -> None:
+    if os.environ[RANGE] != 'LOCALHOST':
+        node.get_logger().warning(f'{RANGE}={os.environ[RANGE]}: open to other machines')

@@ -1,0 +1,96 @@
+"""What a node says about itself: one record a tick, and diagnostics."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from orbimpc_ros.mpc.controller import Tick
+from orbimpc_ros.mpc.plan import FAILED, OPTIMAL
+from orbimpc_ros.ros.messages import header
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+SAFE = 'safe command'
+
+
+@dataclass(frozen=True)
+class Report:
+    """What one tick came to; the fields are the keys on the topic ``tick``.
+
+    Attributes:
+        status: ``optimal``, ``feasible``, ``infeasible`` or ``failed``.
+        reason: why it is not ``optimal``; else empty.
+        objective: of the commanded plan; NaN without one, as are the next two.
+        lower_bound: proved below any plan's objective.
+        gap: (objective - lower bound) / max(1e-9, |objective|).
+        nodes: relaxations solved.
+        solve_time_ms: of the whole tick, check included [ms].
+        speed_fraction: |R_k e1| along the plan, k = 0..N.
+        projection_distance: largest Frobenius distance from R_k to its rotation, k = 1..N.
+        fallback: empty, ``shifted plan`` or ``safe command``.
+    """
+
+    status: str
+    reason: str = ''
+    objective: float = math.nan
+    lower_bound: float = math.nan
+    gap: float = math.nan
+    nodes: int = 0
+    solve_time_ms: float = 0.0
+    speed_fraction: tuple[float, ...] = ()
+    projection_distance: float = math.nan
+    fallback: str = ''
+
+    @property
+    def level(self) -> bytes:
+        """Return how bad it is, in diagnostics' terms."""
+        if self.fallback == SAFE:
+            return ERROR
+        return OK if self.status == OPTIMAL and not self.fallback else WARN
+
+
+def report_of(tick: Tick, solve_time_ms: float) -> Report:
+    """Return the report of a controller's tick."""
+    if tick.plan is None:
+        return Report(tick.status, tick.reason, solve_time_ms=solve_time_ms, fallback=tick.fallback)
+    plan = tick.plan
+    return Report(
+        tick.status,
+        tick.reason,
+        plan.objective,
+        plan.lower_bound,
+        plan.gap,
+        plan.nodes,
+        solve_time_ms,
+        tuple(plan.speed_fraction.tolist()),
+        float(plan.projection_distance[1:].max()),
+        tick.fallback,
+    )
+
+
+def safe_report(reason: str) -> Report:
+    """Return the report of a tick on which nothing was planned."""
+    return Report(FAILED, reason, fallback=SAFE)
+
+
+def tick_message(at: int, node: str, report: Report) -> DiagnosticArray:
+    """Return a report as the message on ``tick``; ``at`` is the stamp [ns]."""
+    values = {each.name: getattr(report, each.name) for each in fields(report)}
+    return diagnostics(at, f'{node}: tick', report.level, report.reason or report.status, values)
+
+
+def diagnostics(
+    at: int, name: str, level: bytes, message: str, values: Mapping[str, object]
+) -> DiagnosticArray:
+    """Return one diagnostic status, stamped ``at`` [ns]."""
+    pairs = [KeyValue(key=key, value=_text(value)) for key, value in values.items()]
+    status = DiagnosticStatus(name=name, level=level, message=message, values=pairs)
+    return DiagnosticArray(header=header(at, ''), status=[status])
+
+
+def _text(value: object) -> str:
+    return value if isinstance(value, str) else json.dumps(value)

@@ -1,0 +1,35 @@
+"""The safe command: what the vehicle is told when there is no plan to follow."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.command import Command, stop
+from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.rotations import exp
+
+CIRCLE_STEPS = 16  # a loitering vehicle closes its circle in so many steps
+
+
+def safe_command(kind: str, problem: Problem, attitude: Array, fraction: float) -> Command:
+    """Return a safe command.
+
+    Args:
+        kind: ``stop``: no speed, no turning; ``hold_rate_zero``: the present speed, no turning;
+            ``loiter``: a level circle at the minimum speed, or at full speed without a floor.
+        problem: gives floor and limits.
+        attitude: the present one, shape (n, n).
+        fraction: share of full speed or thrust now applied, in [0, 1].
+    """
+    if kind == 'stop':
+        return stop(attitude)
+    rate = np.zeros(1 if problem.dimension == 2 else 3)
+    if kind == 'hold_rate_zero':
+        return Command(fraction, rate, np.array(attitude))
+    circling = 2.0 * math.pi / (CIRCLE_STEPS * problem.step)
+    rate[-1] = min(circling, problem.max_rate) if problem.max_rate > 0.0 else circling
+    speed = 1.0 if problem.floor.shape == 'none' else problem.floor.fraction
+    return Command(speed, rate, attitude @ exp(problem.step * rate))

@@ -1,0 +1,24 @@
+"""Was the rope caught? The closest approach of two points that move straight during a step."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+
+
+def closest_approach(flown: tuple[Array, Array], swung: tuple[Array, Array]) -> tuple[float, float]:
+    """Return the least distance [m] during a step and when, as a share of the step in [0, 1].
+
+    Args:
+        flown: the vehicle's positions at the ends of the step, each of shape (n,) [m].
+        swung: the goal's.
+    """
+    apart = flown[0] - swung[0]
+    drift = (flown[1] - swung[1]) - apart
+    speed = float(drift @ drift)
+    share = float(np.clip(-(apart @ drift) / speed, 0.0, 1.0)) if speed > 0.0 else 0.0
+    nearest = apart + share * drift
+    return math.sqrt(nearest @ nearest), share

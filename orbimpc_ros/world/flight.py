@@ -1,0 +1,117 @@
+"""A flight: a scenario in progress, and the loop that a controller closes around it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.controller import Controller, Tick
+from orbimpc_ros.mpc.forecast import Forecast, Sighting
+from orbimpc_ros.world.capture import closest_approach
+from orbimpc_ros.world.scenario import Scenario
+from orbimpc_ros.world.vehicle import Vehicle, advance, measured
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A scenario after some steps.
+
+    Attributes:
+        scenario: what is flown.
+        vehicle: where it is now.
+        ticks: steps flown.
+        miss: least distance to the goal during the last step [m]; infinite before the first.
+        missed_at: when that was [s].
+    """
+
+    scenario: Scenario
+    vehicle: Vehicle
+    ticks: int = 0
+    miss: float = np.inf
+    missed_at: float = np.nan
+
+    @property
+    def elapsed(self) -> float:
+        """Return the time since the start [s]: the rope's own time."""
+        return self.vehicle.time - self.scenario.start.time
+
+    @property
+    def goal(self) -> Array:
+        """Return where the goal is now, shape (n,) [m]."""
+        return self.scenario.rope.at(self.elapsed)
+
+    @property
+    def captured(self) -> bool:
+        """Return whether the last step caught the goal."""
+        return self.miss <= self.scenario.capture_radius
+
+    @property
+    def over(self) -> bool:
+        """Return whether the goal is caught or the steps are used up."""
+        return self.captured or self.ticks >= self.scenario.max_ticks
+
+    def after(self, fraction: float, body_rate: Array) -> Flight:
+        """Return the flight one step later, the command taken over as the vehicle's model says."""
+        vehicle = advance(self.scenario.model, self.vehicle, fraction, body_rate)
+        later = replace(self, vehicle=vehicle, ticks=self.ticks + 1)
+        miss, share = closest_approach(
+            (self.vehicle.position, vehicle.position), (self.goal, later.goal)
+        )
+        return replace(
+            later, miss=miss, missed_at=self.vehicle.time + share * self.scenario.model.step
+        )
+
+
+def departure(scenario: Scenario, time: float | None = None) -> Flight:
+    """Return the flight before its first step; ``time`` [s] moves the start on the clock."""
+    if time is None:
+        return Flight(scenario, scenario.start)
+    start = replace(scenario.start, time=time)
+    return Flight(replace(scenario, start=start), start)
+
+
+@dataclass(frozen=True)
+class Log:
+    """What a whole flight came to.
+
+    Attributes:
+        flights: its states, one more than ticks.
+        ticks: what the controller made of each but the last.
+    """
+
+    flights: tuple[Flight, ...]
+    ticks: tuple[Tick, ...]
+
+    @property
+    def captured(self) -> bool:
+        """Return whether the goal was caught."""
+        return self.flights[-1].captured
+
+    @property
+    def misses(self) -> Array:
+        """Return the least distance to the goal during each step, shape (ticks,) [m]."""
+        return np.array([flight.miss for flight in self.flights[1:]])
+
+
+def fly(controller: Controller, scenario: Scenario, forecast: Forecast) -> Log:
+    """Close the loop of controller and vehicle until the goal is caught or the steps run out.
+
+    The simulator and the planner do the same over DDS; this is the loop without ROS.
+    """
+    flights, ticks = [departure(scenario)], []
+    while not flights[-1].over:
+        tick = planned(controller, flights[-1], forecast)
+        command = tick.command
+        ticks.append(tick)
+        flights.append(flights[-1].after(command.speed_fraction, command.body_rate))
+    return Log(tuple(flights), tuple(ticks))
+
+
+def planned(controller: Controller, flight: Flight, forecast: Forecast) -> Tick:
+    """Return the controller's tick on what is seen of a flight just now."""
+    now = flight.vehicle.time
+    forecast.observe(Sighting(now, flight.goal))
+    ahead = controller.problem.step * np.arange(1, controller.remaining + 1)
+    return controller.tick(measured(flight.vehicle), forecast.at(now + ahead))

@@ -1,0 +1,43 @@
+"""The goal: a rope that swings, or stands still where its amplitude is zero."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array, frozen, number
+
+
+@dataclass(frozen=True)
+class Rope:
+    """A rope swinging as g(t) = center + amplitude * sin(2 pi f t + phase), axis by axis.
+
+    Attributes:
+        center: shape (n,) [m].
+        amplitude: shape (n,) [m].
+        frequency: f [Hz].
+        phase: shape (n,) [rad].
+    """
+
+    center: Array
+    amplitude: Array
+    frequency: float
+    phase: Array
+
+    def __post_init__(self) -> None:
+        n = len(np.atleast_1d(self.center))
+        for name in ('center', 'amplitude', 'phase'):
+            object.__setattr__(self, name, frozen(getattr(self, name), (n,), f'rope.{name}'))
+        number(self.frequency, 'rope.frequency', 0.0, 1e3)
+
+    def at(self, time: float) -> Array:
+        """Return g(t), shape (n,) [m]."""
+        angle = 2.0 * np.pi * self.frequency * time + self.phase
+        return self.center + self.amplitude * np.sin(angle)
+
+
+def fixed(point: Array) -> Rope:
+    """Return a goal that stays at a point, shape (n,) [m]."""
+    still = np.zeros(len(point))
+    return Rope(point, still, 0.0, still)

@@ -1,0 +1,152 @@
+"""The vehicle as it really moves: on SO(n), turned by body rates, pushed along its x axis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array, frozen, number, whole
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.odometry import Odometry
+from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.rotations import exp, nearest
+
+
+@dataclass(frozen=True)
+class Model:
+    """How a vehicle answers to commands; the fields are named like those of the Problem.
+
+    Attributes:
+        dimension: n, 2 or 3.
+        rotation_order: 1, it turns at the commanded rate at once; 2, from the next step on.
+        translation_order: 1, the forward axis carries a velocity; 2, an acceleration.
+        step: h [s].
+        forward: z, full speed [m/s] (translation order 1) or thrust acceleration [m/s^2] (2).
+        mass: turns a thrust acceleration into a force [kg].
+    """
+
+    dimension: int = 2
+    rotation_order: int = 1
+    translation_order: int = 1
+    step: float = 1.0
+    forward: float = 1.0
+    mass: float = 1.0
+
+    def __post_init__(self) -> None:
+        whole(self.dimension, 'dimension', 2, 3)
+        whole(self.rotation_order, 'rotation_order', 1, 2)
+        whole(self.translation_order, 'translation_order', 1, 2)
+        number(self.step, 'step', 0.0, 1e3, above=True)
+        number(self.forward, 'forward', 0.0, 1e3, above=True)
+        number(self.mass, 'mass', 0.0, 1e6, above=True)
+
+    @property
+    def rates(self) -> int:
+        """Return how many components a body rate has: 1 in the plane, 3 in space."""
+        return 1 if self.dimension == 2 else 3
+
+
+def model_of(problem: Problem, mass: float = 1.0) -> Model:
+    """Return the vehicle that a planning problem believes in."""
+    return Model(
+        problem.dimension,
+        problem.rotation_order,
+        problem.translation_order,
+        problem.step,
+        problem.forward,
+        mass,
+    )
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """The state of a simulated vehicle.
+
+    Attributes:
+        time: since the start of its clock [s].
+        position: s, shape (n,) [m].
+        velocity: p, in the world frame, shape (n,) [m/s]; follows the rest at translation order 1.
+        attitude: Q, body to world, shape (n, n).
+        body_rate: omega, in the body frame, shape (1,) or (3,) [rad/s].
+        fraction: sigma, share of full speed or thrust now applied, in [0, 1].
+    """
+
+    time: float
+    position: Array
+    velocity: Array
+    attitude: Array
+    body_rate: Array
+    fraction: float
+
+    def __post_init__(self) -> None:
+        n = len(np.atleast_1d(self.position))
+        if n not in (2, 3):
+            raise BadInput('start.position', n, '2 or 3 numbers')
+        number(self.time, 'start.time')
+        number(self.fraction, 'start.speed_fraction', 0.0, 1.0)
+        for name, shape in (
+            ('position', (n,)),
+            ('velocity', (n,)),
+            ('attitude', (n, n)),
+            ('body_rate', (1 if n == 2 else 3,)),
+        ):
+            object.__setattr__(self, name, frozen(getattr(self, name), shape, f'start.{name}'))
+
+
+def launched(
+    model: Model,
+    position: Array,
+    attitude: Array,
+    *,
+    fraction: float = 1.0,
+    velocity: Array | None = None,
+    body_rate: Array | None = None,
+    time: float = 0.0,
+) -> Vehicle:
+    """Return a vehicle at its start; velocity (order 2 only) and body rate are zero by default."""
+    if model.translation_order == 1:
+        velocity = model.forward * fraction * attitude[:, 0]
+    elif velocity is None:
+        velocity = np.zeros(model.dimension)
+    rate = np.zeros(model.rates) if body_rate is None else body_rate
+    return Vehicle(time, position, velocity, nearest(attitude), rate, fraction)
+
+
+def advance(model: Model, vehicle: Vehicle, fraction: float, body_rate: Array) -> Vehicle:
+    """Return the vehicle one step later: flown from the old values, the command then taken over.
+
+    Args:
+        model: how it answers.
+        vehicle: where it is.
+        fraction: commanded share of full speed or thrust, clipped to [0, 1].
+        body_rate: commanded angular velocity in the body frame, shape (1,) or (3,) [rad/s].
+    """
+    h = model.step
+    pushed = model.forward * vehicle.fraction * vehicle.attitude[:, 0]  # z sigma Q e1
+    turning = body_rate if model.rotation_order == 1 else vehicle.body_rate
+    attitude = nearest(vehicle.attitude @ exp(h * turning))  # nearest: no drift off SO(n)
+    fraction = float(np.clip(fraction, 0.0, 1.0))
+    if model.translation_order == 1:
+        moving, velocity = pushed, model.forward * fraction * attitude[:, 0]
+    else:
+        moving, velocity = vehicle.velocity, vehicle.velocity + h * pushed
+    return Vehicle(
+        vehicle.time + h,
+        vehicle.position + h * moving,
+        velocity,
+        attitude,
+        np.array(body_rate),
+        fraction,
+    )
+
+
+def measured(vehicle: Vehicle) -> Odometry:
+    """Return what perfect odometry says of the vehicle: its twist is in the body frame."""
+    return Odometry(
+        vehicle.time,
+        vehicle.position,
+        vehicle.attitude,
+        vehicle.attitude.T @ vehicle.velocity,
+        vehicle.body_rate,
+    )
