@@ -1,0 +1,165 @@
+"""A run as its bag tells it: plain arrays for summaries, pictures and comparisons."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.rotations import from_quaternion
+from orbimpc_ros.tool import bag, settings
+from orbimpc_ros.world.capture import closest_approach
+
+NEAR = 5.0  # a local minimum of the distance within so many capture radii is a near miss
+
+
+class Approach(NamedTuple):
+    """The closest that vehicle and rope came during a step.
+
+    Attributes:
+        time: when [s].
+        distance: how close [m].
+        vehicle: where the vehicle was, shape (3,) [m].
+        rope: where the rope was, shape (3,) [m].
+    """
+
+    time: float
+    distance: float
+    vehicle: Array
+    rope: Array
+
+
+class Planned(NamedTuple):
+    """A plan: when it was made [s] and its points, shape (N + 1, 3) [m]."""
+
+    time: float
+    points: Array
+
+
+@dataclass(frozen=True)
+class History:
+    """A run.
+
+    Attributes:
+        times: of odometry, shape (M,) [s].
+        positions: of the vehicle, shape (M, 3) [m].
+        headings: body x axis in the world, shape (M, 3).
+        ropes: where the rope was at these times, shape (M, 3) [m].
+        plans: in order of time.
+        ticks: times [s] and fields of the topic ``tick``.
+        captured: whether the simulator said so.
+        values: parameters of the run, by name.
+    """
+
+    times: Array
+    positions: Array
+    headings: Array
+    ropes: Array
+    plans: tuple[Planned, ...]
+    ticks: tuple[tuple[float, dict[str, Any]], ...]
+    captured: bool
+    values: dict[str, Any]
+
+    @property
+    def approaches(self) -> list[Approach]:
+        """Return the closest approach during each step, M - 1 of them."""
+        return [self._approach(k) for k in range(len(self.times) - 1)]
+
+    def _approach(self, k: int) -> Approach:
+        flown, swung = self.positions[k : k + 2], self.ropes[k : k + 2]
+        distance, share = closest_approach((flown[0], flown[1]), (swung[0], swung[1]))
+        when, vehicle, rope = (
+            a[k] + share * (a[k + 1] - a[k]) for a in (self.times, self.positions, self.ropes)
+        )
+        return Approach(float(when), distance, vehicle, rope)
+
+    @property
+    def near_misses(self) -> list[Approach]:
+        """Return the local minima of the distance that came near and yet caught nothing."""
+        radius = self.values['capture_radius']
+        closest = self.approaches
+        around = [np.inf, *(a.distance for a in closest), np.inf]
+        return [
+            a
+            for k, a in enumerate(closest, start=1)
+            if radius < a.distance <= NEAR * radius and around[k - 1] > a.distance <= around[k + 1]
+        ]
+
+    @property
+    def capture(self) -> Approach | None:
+        """Return the approach that caught the rope."""
+        return self.approaches[-1] if self.captured and len(self.times) > 1 else None
+
+
+def of_bag(path: Path, namespace: str = '') -> History:
+    """Return the history in a bag of ours.
+
+    Args:
+        path: of the bag.
+        namespace: of the vehicle, such as ``/uav1``.
+
+    Raises:
+        BadInput: no bag, or one without odometry and goal.
+    """
+    values = settings.read(bag.notes(path).get('parameters', '{}'))
+    found: dict[str, list[Any]] = defaultdict(list)
+    for message in bag.read(path):
+        if message.topic.startswith(f'{namespace}/'):
+            found[message.topic[len(namespace) + 1 :]].append(message.content)
+    for topic in ('odom', 'goal'):
+        if not found[topic]:
+            raise BadInput(str(path), f'without {topic}', 'a bag with odom and goal')
+    odometry = found['odom']
+    times = np.array([_seconds(m) for m in odometry])
+    return History(
+        times=times,
+        positions=np.array([_point(m.pose.pose.position) for m in odometry]),
+        headings=np.array([_heading(m.pose.pose.orientation) for m in odometry]),
+        ropes=_at(times, found['goal']),
+        plans=tuple(_planned(m) for m in found['plan'] if m.poses),
+        ticks=tuple((_seconds(m), _fields(m)) for m in found['tick'] if m.status),
+        captured=any(m.data for m in found['captured']),
+        values=values,
+    )
+
+
+def _seconds(message: Any) -> float:
+    return message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+
+
+def _point(point: Any) -> Array:
+    return np.array([point.x, point.y, point.z])
+
+
+def _heading(q: Any) -> Array:
+    return from_quaternion(np.array([q.w, q.x, q.y, q.z]), 3)[:, 0]
+
+
+def _planned(message: Any) -> Planned:
+    points = np.array([_point(stamped.pose.position) for stamped in message.poses])
+    return Planned(_seconds(message), points)
+
+
+def _at(times: Array, goals: Iterable[Any]) -> Array:
+    """Return the goal at given times; between sightings it moves straight."""
+    seen = sorted((_seconds(m), *_point(m.pose.position)) for m in goals)
+    stamps, *columns = np.array(seen).T
+    return np.column_stack([np.interp(times, stamps, column) for column in columns])
+
+
+def _fields(message: Any) -> dict[str, Any]:
+    return {pair.key: _value(pair.value) for pair in message.status[0].values}
+
+
+def _value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text

@@ -1,0 +1,118 @@
+"""Nodes as operating-system processes: started, watched, stopped."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Any
+
+from orbimpc_ros.mpc.errors import OrbimpcError
+
+PATIENCE = 3.0  # [s] between asking a process to stop and killing it
+LAST_LINES = 8
+DOMAINS = range(1, 102)  # beyond them DDS ports meet those that Linux hands out
+
+
+class ProcessFailure(OrbimpcError):
+    """A process of the run ended when it should not have."""
+
+
+class Process:
+    """A node in a process of its own.
+
+    Args:
+        module: to run, such as ``orbimpc_ros.ros.sim``.
+        parameters: file of ROS parameters.
+        log: takes what the process prints.
+    """
+
+    def __init__(self, module: str, parameters: Path, log: Path) -> None:
+        self.name, self._log = module.rpartition('.')[2], log
+        command = [sys.executable, '-m', module, '--ros-args', '--params-file', str(parameters)]
+        with log.open('wb') as stream:
+            # A session of its own: Ctrl-C reaches the tool alone, which then stops in order.
+            self._child = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=stream,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+
+    @property
+    def running(self) -> bool:
+        """Return whether the process lives."""
+        return self._child.poll() is None
+
+    def require_health(self) -> None:
+        """Raise unless the process lives or has ended well.
+
+        Raises:
+            ProcessFailure: with the last lines of its log.
+        """
+        if self._child.poll():
+            lines = self._log.read_text(errors='replace').splitlines()[-LAST_LINES:]
+            print('\n'.join(lines), file=sys.stderr)
+            raise ProcessFailure(f'{self.name} ended with code {self._child.returncode}')
+
+    def stop(self) -> None:
+        """Ask the process to end; kill it if it does not."""
+        if not self.running:
+            return
+        self._child.send_signal(signal.SIGINT)
+        try:
+            self._child.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+            self._child.wait()
+
+
+class Interruptions:
+    """While entered, SIGINT and SIGTERM are remembered instead of breaking in anywhere."""
+
+    def __init__(self) -> None:
+        self.requested = False
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Interruptions:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._before[number] = signal.signal(number, self._remember)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _remember(self, number: int, frame: FrameType | None) -> None:
+        self.requested = True
+
+
+def isolate() -> int:
+    """Give this process and its children a ROS domain of their own and return its number."""
+    candidates = random.sample(DOMAINS, len(DOMAINS))
+    domain = next((d for d in candidates if _free(d)), candidates[0])
+    os.environ['ROS_DOMAIN_ID'] = str(domain)
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    return domain
+
+
+def _free(domain: int) -> bool:
+    """Return whether no participant of a domain lives here (RTPS 9.6.2.3: its discovery ports)."""
+    for offset in (0, 10):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(('', 7400 + 250 * domain + offset))
+            except OSError:
+                return False
+    return True

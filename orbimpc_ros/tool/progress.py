@@ -1,0 +1,42 @@
+"""A progress bar in plain text: redrawn in a terminal, a few lines elsewhere."""
+
+from __future__ import annotations
+
+import sys
+from typing import TextIO
+
+WIDTH = 30
+LINES = 5  # where there is no terminal
+
+
+class Progress:
+    """Shows how much of something is done.
+
+    Args:
+        total: what there is to do.
+        stream: where to draw.
+    """
+
+    def __init__(self, total: int, stream: TextIO | None = None) -> None:
+        self._total = max(1, total)
+        self._stream = stream or sys.stderr
+        self._live = self._stream.isatty()
+        self._shown: tuple[int, str] | None = None
+
+    def show(self, done: int, text: str) -> None:
+        """Draw ``done`` with a text beside it, unless nothing has changed that is worth it."""
+        share = min(1.0, done / self._total)
+        step = done if self._live else int(share * LINES)
+        if self._shown is not None and (step, text if self._live else '') == self._shown:
+            return
+        self._shown = (step, text if self._live else '')
+        filled = int(share * WIDTH)
+        line = f'[{"#" * filled}{"." * (WIDTH - filled)}] {text}'
+        self._stream.write(f'\r{line}\x1b[K' if self._live else f'{line}\n')
+        self._stream.flush()
+
+    def close(self) -> None:
+        """Leave the bar behind."""
+        if self._live and self._shown is not None:
+            self._stream.write('\n')
+            self._stream.flush()

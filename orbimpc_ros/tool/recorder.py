@@ -1,0 +1,132 @@
+"""Records the topics of a run, byte by byte as they come, under the stamps they carry."""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from pathlib import Path
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
+
+from orbimpc_ros.tool.bag_writer import BagWriter, Topic
+
+DEPTH = 1000  # a slow disk must not cost messages
+UNSTAMPED = frozenset({'std_msgs/msg/Bool', 'visualization_msgs/msg/MarkerArray'})
+CLOCK = Topic('/clock', 'rosgraph_msgs/msg/Clock')
+VEHICLE = (
+    Topic('captured', 'std_msgs/msg/Bool', latched=True),
+    Topic('cmd_thrust', 'geometry_msgs/msg/WrenchStamped'),
+    Topic('cmd_vel', 'geometry_msgs/msg/TwistStamped'),
+    Topic('goal', 'geometry_msgs/msg/PoseStamped'),
+    Topic('goal_path', 'nav_msgs/msg/Path'),
+    Topic('plan', 'nav_msgs/msg/Path'),
+    Topic('plan_markers', 'visualization_msgs/msg/MarkerArray'),
+    Topic('rotation', 'geometry_msgs/msg/QuaternionStamped'),
+    Topic('tick', 'diagnostic_msgs/msg/DiagnosticArray'),
+    Topic('world_markers', 'visualization_msgs/msg/MarkerArray'),
+    # Last: a lock-step simulator starts as soon as odometry has its subscribers.
+    Topic('odom', 'nav_msgs/msg/Odometry'),
+)
+
+
+def topics_of(namespaces: Sequence[str] = ('',)) -> tuple[Topic, ...]:
+    """Return the topics of a run with one vehicle in each namespace, such as ``/uav1``."""
+    shared = (CLOCK, Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray'))
+    own = (topic._replace(name=f'{ns}/{topic.name}') for ns in namespaces for topic in VEHICLE)
+    return (*shared, *own)
+
+
+class Recorder:
+    """A node that writes what it hears into a bag.
+
+    A message goes under the stamp it carries, so that the bag plays at the speed of the run
+    however fast that was simulated; one without a stamp goes under the last stamp before it.
+
+    Args:
+        folder: of the bag, created.
+        topics: to record.
+        notes: kept in the bag's metadata.
+
+    Attributes:
+        counts: messages heard, by topic.
+    """
+
+    def __init__(self, folder: Path, topics: Sequence[Topic], notes: dict[str, str]) -> None:
+        self.counts = dict.fromkeys((topic.name for topic in topics), 0)
+        self.now: int | None = None  # the last stamp [ns]
+        self._early: list[tuple[str, bytes]] = []
+        self._bag = BagWriter(folder, topics, notes)
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = rclpy.create_node(
+            'recorder',
+            context=self._context,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        for topic in topics:
+            self._listen(topic)
+
+    def _listen(self, topic: Topic) -> None:
+        kept = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
+        profile = QoSProfile(depth=DEPTH, durability=kept)
+        heard = self._heard(topic)
+        package, _, kind = topic.type.split('/')
+        message = getattr(import_module(f'{package}.msg'), kind)
+        self._node.create_subscription(message, topic.name, heard, profile, raw=True)
+
+    def _heard(self, topic: Topic) -> Callable[[bytes], None]:
+        stamped = topic.type not in UNSTAMPED
+
+        def heard(data: bytes) -> None:
+            self.counts[topic.name] += 1
+            if stamped:
+                self.now = stamp_of(data)
+                self._flush()
+            if self.now is not None:
+                self._bag.write(topic.name, self.now, data)
+            else:
+                self._early.append((topic.name, data))
+
+        return heard
+
+    def _flush(self) -> None:
+        """Write what came before the first stamp."""
+        for name, data in self._early:
+            self._bag.write(name, self.now or 0, data)
+        self._early.clear()
+
+    def spin(self, seconds: float) -> None:
+        """Record for a while, or until there is something to show."""
+        self._executor.spin_once(timeout_sec=seconds)
+
+    def drain(self, quiet: float, limit: float) -> None:
+        """Record on until nothing has come for ``quiet`` seconds, ``limit`` seconds at most."""
+        end = last = time.monotonic()
+        end, heard = end + limit, sum(self.counts.values())
+        while time.monotonic() < min(end, last + quiet):
+            self.spin(quiet / 4)
+            if sum(self.counts.values()) != heard:
+                last, heard = time.monotonic(), sum(self.counts.values())
+
+    def close(self) -> None:
+        """Stop recording and finish the bag."""
+        self._flush()
+        self._bag.close()
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+
+def stamp_of(data: bytes) -> int:
+    """Return the stamp [ns] that a serialised message begins with, after CDR's four bytes."""
+    order = '<' if data[1] & 1 else '>'
+    seconds, nanoseconds = struct.unpack_from(f'{order}iI', data, 4)
+    return seconds * 1_000_000_000 + nanoseconds

@@ -1,0 +1,101 @@
+"""What a run is configured with: defaults, then the scenario's file, then ``--set``, checked."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros.parameters import PLANNER, SIM, Row, planner_settings, sim_settings
+from orbimpc_ros.tool import document
+
+ROWS = {row.name: row for row in (*PLANNER, *SIM)}
+Values = dict[str, Any]
+
+
+def resolve(file: Path, changes: Sequence[str] = ()) -> Values:
+    """Return every parameter's value for a run.
+
+    Args:
+        file: parameters in ROS's form; one file serves both nodes.
+        changes: ``name=value``, as given on the command line.
+
+    Raises:
+        BadInput: an unknown name, or a value or combination that is not allowed.
+    """
+    values: Values = {name: row.default for name, row in ROWS.items()}
+    values |= {name: value for name, value in _of_file(file) if name in ROWS}
+    values |= dict(_change(text) for text in changes)
+    planner_settings(values)
+    sim_settings(values)
+    return values
+
+
+def write(file: Path, values: Values, **more: Any) -> str:
+    """Write values as a file of ROS parameters for any node and return its text."""
+    plain = {k: list(v) if isinstance(v, tuple) else v for k, v in (values | more).items()}
+    # ROS cannot tell the type of an empty list; the defaults are empty where they may be.
+    parameters = {name: value for name, value in plain.items() if value != []}
+    text = yaml.safe_dump({'/**': {'ros__parameters': parameters}}, sort_keys=False)
+    file.write_text(text)
+    return text
+
+
+def read(text: str) -> Values:
+    """Return the values of what :func:`write` wrote, defaults where there are none."""
+    content = document.parse(text, 'parameters')
+    return {name: row.default for name, row in ROWS.items()} | dict(
+        _sections(content, 'parameters')
+    )
+
+
+def _of_file(file: Path) -> Iterator[tuple[str, Any]]:
+    return _sections(document.read(str(file)), str(file))
+
+
+def _sections(content: Any, name: str) -> Iterator[tuple[str, Any]]:
+    """Yield the parameters of every section of a parameter file, nested names joined by dots."""
+    for section in content.values() if isinstance(content, dict) else (None,):
+        if not isinstance(section, dict) or not isinstance(section.get('ros__parameters'), dict):
+            raise BadInput(name, 'not a parameter file', 'sections that hold ros__parameters')
+        yield from _flat(section['ros__parameters'])
+
+
+def _flat(tree: dict[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
+    for name, value in tree.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f'{prefix}{name}.')
+        else:
+            yield f'{prefix}{name}', value
+
+
+def _change(text: str) -> tuple[str, Any]:
+    name, given, word = text.partition('=')
+    if not given:
+        raise BadInput('--set', text, 'name=value')
+    if name not in ROWS:
+        close = difflib.get_close_matches(name, ROWS, n=3, cutoff=0.4) or list(ROWS)
+        raise BadInput('--set', name, f'a parameter, such as {", ".join(close)}')
+    return name, _typed(ROWS[name], document.parse(word, f'--set {name}'))
+
+
+def _typed(row: Row, value: Any) -> Any:
+    """Return a value as the parameter's type; a whole number may stand for a float."""
+    kind = type(row.default)
+    if kind is tuple and isinstance(value, list):
+        return tuple(_float(row, each) for each in value)
+    if kind is float:
+        return _float(row, value)
+    if type(value) is not kind:
+        raise BadInput(row.name, value, row.allowed)
+    return value
+
+
+def _float(row: Row, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise BadInput(row.name, value, row.allowed)
+    return float(value)
