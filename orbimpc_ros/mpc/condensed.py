@@ -37,11 +37,23 @@ def hessian(problem: Problem) -> Array:
     return quadratic + 2.0 * input_weight(problem) * differences.T @ differences
 
 
-def linear(problem: Problem, state: State, goals: Array) -> Array:
-    """Return q, shape (N, n), for a state and goals g_1..g_N, shape (N, n)."""
+def affine(problem: Problem, state: State, goals: Array) -> tuple[Array, float]:
+    """Return q, shape (N, n), and c for a state and goals g_1..g_N, shape (N, n).
+
+    c includes the length of the first step, which no decision changes.
+    """
     reach, differences = dynamics.position_map(problem), dynamics.input_map(problem)
+    weights, turning = position_weights(problem), input_weight(problem)
     heading = state.rotation[:, 0]
     miss = dynamics.drift(problem, state) + np.outer(reach[:, 0], heading) - goals
-    pull = 2.0 * reach[:, 1:].T @ (position_weights(problem)[:, None] * miss)
-    turn = 2.0 * input_weight(problem) * differences[:, 1:].T @ differences[:, 0]
-    return pull + np.outer(turn, heading)
+    q = 2.0 * reach[:, 1:].T @ (weights[:, None] * miss)
+    q += 2.0 * turning * np.outer(differences[:, 1:].T @ differences[:, 0], heading)
+    c = weights @ np.sum(miss * miss, axis=1)
+    c += turning * np.sum(differences[:, 0] ** 2) * (heading @ heading)
+    return q, float(c + first_length(problem, state))
+
+
+def first_length(problem: Problem, state: State) -> float:
+    """Return the length cost of the first step, which the state alone decides."""
+    spent = problem.weights.length * problem.step * problem.forward
+    return float(spent * np.linalg.norm(state.rotation[:, 0]))

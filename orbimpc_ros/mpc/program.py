@@ -1,23 +1,23 @@
 """The convex program behind every plan: compiled once, then only updated in place and solved.
 
 Compiling the statement gives Clarabel's data (P, q, A, b). State and goals enter b alone, and
-linearly; the alternatives of a search enter a few entries of A and b. A tick is therefore one
+linearly; half-spaces that a search imposes enter a few entries of A and b. A tick is therefore one
 matrix-vector product, an update and a solve; CVXPY is not touched again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import clarabel
 import numpy as np
 from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.disjunction import Disjunction
-from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
+from orbimpc_ros.mpc.condensed import first_length
+from orbimpc_ros.mpc.conic import solved, solver_for
+from orbimpc_ros.mpc.disjunction import Slot
 from orbimpc_ros.mpc.orbitopes import coordinate_count, coordinates
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.statement import Statement
@@ -25,9 +25,12 @@ from orbimpc_ros.mpc.statement import Statement
 INERT = 1.0  # an empty slot reads 0 <= 1
 
 
+Halfspace = tuple[int, Array, float]  # slot, unit normal, offset: normal . v >= offset
+
+
 @dataclass(frozen=True)
 class Relaxation:
-    """The optimum of the convex program with some alternatives in force.
+    """The optimum of the convex program with some half-spaces in force.
 
     Attributes:
         x: rotation coordinates of R_1..R_N, shape (N, d).
@@ -43,63 +46,51 @@ class Program:
 
     Args:
         problem: what to solve.
-        disjunctions: choices that a search may fix.
-        coasting: whether states come with a ``coasted`` rotation.
+        slots: what half-spaces may be put on from solve to solve.
+        coasting: whether states come with a ``coasted`` rotation (for rotation order 2).
         tolerance: Clarabel's, on feasibility and on the gap.
     """
 
     def __init__(
         self,
         problem: Problem,
-        disjunctions: Sequence[Disjunction] = (),
+        slots: Sequence[Slot] = (),
         *,
         coasting: bool = False,
         tolerance: float = 1e-9,
     ) -> None:
         self.problem = problem
-        self.disjunctions = tuple(disjunctions)
-        self._statement = Statement(problem, self.disjunctions, coasting)
+        self._statement = Statement(problem, slots, coasting and problem.rotation_order == 2)
         self._compile(tolerance)
 
     def bind(self, state: State, goals: Array) -> None:
         """Put a state and goals g_1..g_N, shape (N, n), into the data of the solves to come."""
         self._b = self._b_0 + self._b_theta @ self._statement.values(state, goals)
-        self._constant = self._statement.constant(state)
+        self._constant = first_length(self.problem, state)
         self._goals = goals
         if self._statement.coasting:
             assert state.coasted is not None
             self._a_0[self._coasted] = -coordinates(state.coasted)
 
-    def solve(self, choice: Sequence[int] = ()) -> Relaxation:
-        """Solve with alternative ``choice[j]`` of disjunction j in force, none where it is -1.
+    def solve(self, halfspaces: Iterable[Halfspace] = ()) -> Relaxation:
+        """Solve with some slots filled, the others inert.
 
         Raises:
             Infeasible: no trajectory satisfies the constraints.
             SolverFailure: Clarabel stopped without an answer to trust.
         """
         a, b = self._a_0.copy(), self._b.copy()
-        for j, alternative in enumerate(choice):
-            if alternative >= 0:
-                self._fill(a, b, j, alternative)
-        self._solver.update(A=a, b=b)
-        answer = self._solver.solve()
-        status = str(answer.status)
-        if status == 'PrimalInfeasible':
-            raise Infeasible('no trajectory satisfies the constraints')
-        if status != 'Solved':
-            raise SolverFailure(f'Clarabel stopped with {status}')
-        x = np.asarray(answer.x)[self._columns]
-        return Relaxation(x, answer.obj_val_dual + self._constant)
-
-    def _fill(self, a: Array, b: Array, j: int, alternative: int) -> None:
-        disjunction = self.disjunctions[j]
-        normal = disjunction.normals[alternative]
-        for step, (row, entries) in zip(disjunction.steps, self._slots[j], strict=True):
-            offset = disjunction.offsets[alternative]
-            if disjunction.on == 'position':  # the program's variable is e_k = s_k - g_k
-                offset = offset - normal @ self._goals[step - 1]
+        for slot, normal, offset in halfspaces:
+            row, entries = self._slots[slot]
+            wanted = self._statement.slots[slot]
+            if wanted.on == 'position':  # the program's variable is e_k = s_k - g_k
+                offset = offset - normal @ self._goals[wanted.step - 1]
             a[entries] = -normal
             b[row] = -offset
+        self._solver.update(A=a, b=b)
+        answer = solved(self._solver)
+        x = np.asarray(answer.x)[self._columns]
+        return Relaxation(x, answer.obj_val_dual + self._constant)
 
     def _compile(self, tolerance: float) -> None:
         statement = self._statement
@@ -113,14 +104,7 @@ class Program:
         rows = np.argmax(np.abs(b_theta[:, size - slots :]), axis=0)
         self._b_theta = b_theta[:, : size - slots]
         self._locate(data, rows)
-        self._solver = clarabel.DefaultSolver(
-            sparse.csc_matrix(sparse.triu(data['P'])),
-            data['c'],
-            data['A'],
-            data['b'],
-            _cones(data['dims']),
-            _settings(tolerance),
-        )
+        self._solver = solver_for(data, tolerance)
 
     def _locate(self, data: dict[str, Any], rows: np.ndarray) -> None:
         """Find where rotations, slots and the coasted rotation sit in the compiled data."""
@@ -130,15 +114,14 @@ class Program:
         self._columns = first + np.arange(d, statement.x.size).reshape(-1, d)
         a = data['A']
         self._a_0 = a.data.copy()
-        located = []
+        self._slots = []
         for slot, row in enumerate(rows):
             variable, over = statement.slot_variables(slot)
             columns = [column_of[variable.id] + i for i in over]
-            located.append((int(row), np.array([_entry(a, int(row), c) for c in columns])))
-        for row, entries in located:
+            entries = np.array([_entry(a, int(row), c) for c in columns])
             self._a_0[entries] = 0.0
             self._b_0[row] = INERT
-        self._slots = _grouped(located, [len(s.steps) for s in self.disjunctions])
+            self._slots.append((int(row), entries))
         if statement.coasting:
             column = column_of[statement.fraction.id]
             self._coasted = _coasting_entries(a, column, first + d + np.arange(d))
@@ -157,33 +140,3 @@ def _coasting_entries(a: sparse.csc_matrix, fraction: int, columns: np.ndarray) 
         next(r for r in a.indices[a.indptr[c] : a.indptr[c + 1]] if r in held) for c in columns
     ]
     return np.array([_entry(a, int(row), fraction) for row in shared])
-
-
-def _grouped(items: list, sizes: list[int]) -> list[list]:
-    ends = np.cumsum(sizes)
-    return [items[end - size : end] for size, end in zip(sizes, ends, strict=True)]
-
-
-def _cones(dims: Any) -> list:
-    """Return Clarabel's cones in the order in which CVXPY stacks the rows."""
-    cones: list = []
-    if dims.zero:
-        cones.append(clarabel.ZeroConeT(dims.zero))
-    if dims.nonneg:
-        cones.append(clarabel.NonnegativeConeT(dims.nonneg))
-    cones += [clarabel.SecondOrderConeT(size) for size in dims.soc]
-    cones += [clarabel.PSDTriangleConeT(size) for size in dims.psd]
-    return cones
-
-
-def _settings(tolerance: float) -> clarabel.DefaultSettings:
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    # In-place updates need the data to keep its shape.
-    settings.presolve_enable = False
-    settings.chordal_decomposition_enable = False
-    settings.input_sparse_dropzeros = False
-    settings.tol_feas = tolerance
-    settings.tol_gap_abs = tolerance
-    settings.tol_gap_rel = tolerance
-    return settings

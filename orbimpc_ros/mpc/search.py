@@ -9,12 +9,16 @@ of a new row a.x >= beta is
 
 a parabola in the parent's solution x and the condensed Hessian H of the rotations, so the child
 costs at least D(0) + max(0, beta - a.x)^2 / (2 a.H^-1 a). That prunes most children unsolved.
+
+A round floor is branched on its cells, and the cells are cut finer where a solution slips below the
+floor. Trajectories above it come from tangents: beyond the tangent at the direction of v, |v| is
+above the floor, so the program with tangents gives a feasible point, and repeated, a descent.
 """
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,81 +26,77 @@ import numpy as np
 from orbimpc_ros.mpc import dynamics
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.condensed import hessian
-from orbimpc_ros.mpc.disjunction import Disjunction
+from orbimpc_ros.mpc.disjunction import Disjunction, disjunctions_of, shortfall
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
+from orbimpc_ros.mpc.floors.cells import Cell
+from orbimpc_ros.mpc.method import Found, Guess
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.program import Program
+from orbimpc_ros.mpc.program import Halfspace, Program
+from orbimpc_ros.mpc.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.trajectory import Trajectory, trajectory_of
 
-SATISFIED = 1e-7  # an alternative missed by less holds; a tenth of what the plan's check allows
-UNDECIDED = -1
+SATISFIED = 1e-7  # a cell missed by less holds; a tenth of what the plan's check allows
+NEAR = 0.05  # a round floor missed by less is worth a descent along tangents
+TANGENT_STEPS = 3
+MAX_NODES = 20_000
+
+Choice = tuple[Cell | None, ...]
 
 
-@dataclass(frozen=True)
-class Found:
-    """What a search found and proved.
+class Search:
+    """Solves any problem by branch and bound; without disjunctions, by its one relaxation.
 
-    Attributes:
-        x: rotation coordinates of R_1..R_N, shape (N, d); None if no trajectory was found.
-        cost: of that trajectory, inf if there is none.
-        lower_bound: no trajectory costs less.
-        nodes: relaxations solved.
+    Args:
+        problem: what to solve.
+        tolerance: relative gap at which a search stops.
+        coasting: whether states come with a ``coasted`` rotation.
     """
 
-    x: Array | None
-    cost: float
-    lower_bound: float
-    nodes: int
+    def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
+        self.problem, self.tolerance = problem, tolerance
+        self.disjunctions = disjunctions_of(problem)
+        self.curvature = [inverse_curvature(problem, d) for d in self.disjunctions]
+        slots = [slot for d in self.disjunctions for slot in d.slots]
+        self.program = Program(problem, slots, coasting=coasting)
+
+    def solve(
+        self,
+        state: State,
+        goals: Array,
+        guess: Guess | None = None,
+        out_of_time: Callable[[], bool] | None = None,
+    ) -> Found:
+        """Return the best trajectory and the proof; complete unless time or nodes run out.
+
+        Raises:
+            Infeasible: no trajectory satisfies the constraints: every branch was refuted.
+            SolverFailure: the relaxation without any choice could not be solved.
+        """
+        self.program.bind(state, goals)
+        return _Run(self, state, goals, guess).run(out_of_time)
 
 
 @dataclass(order=True)
 class _Node:
     bound: float
     order: int  # later nodes first among equals: deeper ones
-    choice: tuple[int, ...] = field(compare=False)
+    choice: Choice = field(compare=False)
 
 
-class Search:
-    """One run of branch and bound over the disjunctions of a bound program.
+class _Run:
+    """One search: the open nodes, the best trajectory, the least bound given up."""
 
-    Args:
-        program: the relaxation, bound to state and goals.
-        curvature: from :func:`inverse_curvature`, one array per disjunction.
-        state: the state that the program is bound to.
-        goals: the goals that it is bound to, shape (N, n).
-        tolerance: relative gap at which the search stops.
-        guess: coordinates of a feasible trajectory, shape (N, d), and its cost.
-    """
-
-    def __init__(
-        self,
-        program: Program,
-        curvature: list[Array],
-        state: State,
-        goals: Array,
-        *,
-        tolerance: float,
-        guess: tuple[Array, float] | None = None,
-    ) -> None:
-        self._program, self._curvature = program, curvature
-        self._state, self._goals, self._tolerance = state, goals, tolerance
-        self._best: Array | None = None
-        self._cost = np.inf
-        if guess is not None:
-            self._best, self._cost = guess
-        self._closed = np.inf  # least bound among the nodes that were given up
-        self._open = [_Node(-np.inf, 0, (UNDECIDED,) * len(program.disjunctions))]
+    def __init__(self, search: Search, state: State, goals: Array, guess: Guess | None) -> None:
+        self._search, self._state, self._goals = search, state, goals
+        self._best = None if guess is None else guess.x
+        self._cost = np.inf if guess is None else guess.cost
+        self._closed = np.inf
+        self._open = [_Node(-np.inf, 0, (None,) * len(search.disjunctions))]
         self._nodes = self._made = 0
 
-    def run(self, out_of_time: Callable[[], bool] | None = None) -> Found:
-        """Return the best trajectory and the proof so far; complete unless time runs out.
-
-        Raises:
-            Infeasible: no trajectory satisfies the constraints: every branch was refuted.
-            SolverFailure: the relaxation without any choice could not be solved.
-        """
+    def run(self, out_of_time: Callable[[], bool] | None) -> Found:
         while self._open and self._open[0].bound < self._cutoff:
-            if self._nodes and out_of_time is not None and out_of_time():
+            if self._nodes >= MAX_NODES or (self._nodes and out_of_time and out_of_time()):
                 break
             self._expand(heapq.heappop(self._open))
         lower = min([self._closed, self._cost, *(node.bound for node in self._open)])
@@ -109,64 +109,105 @@ class Search:
         """Return the bound from which on a node cannot improve on the best by enough."""
         if self._best is None:
             return np.inf
-        return self._cost - self._tolerance * max(abs(self._cost), 1e-9)
+        return self._cost - self._search.tolerance * max(abs(self._cost), 1e-9)
 
     def _expand(self, node: _Node) -> None:
-        self._nodes += 1
+        first = self._nodes == 0
         try:
-            relaxed = self._program.solve(node.choice)
+            trajectory, x, bound = self._relaxed(self._halfspaces(node.choice))
         except Infeasible:
-            if self._nodes == 1:
+            if first:
                 raise
             return
         except SolverFailure:
-            if self._nodes == 1:
+            if first:
                 raise
             self._closed = min(self._closed, node.bound)  # neither refuted nor solved
             return
-        bound = max(node.bound, relaxed.bound)
-        trajectory = trajectory_of(self._program.problem, self._state, self._goals, relaxed.x)
+        bound = max(node.bound, bound)
         missed = self._missed(trajectory)
-        if missed:
-            self._branch(node, missed, bound)
-        else:
+        if not missed:
             self._closed = min(self._closed, bound)
-            if trajectory.cost < self._cost:
-                self._best, self._cost = relaxed.x, trajectory.cost
+            self._accept(x, trajectory)
+            return
+        if all(self._search.disjunctions[j].radius for j in missed) and (
+            first or max(m for m, _ in missed.values()) < NEAR
+        ):
+            self._descend(node.choice, trajectory)
+        self._branch(node.choice, missed, bound)
 
-    def _missed(self, trajectory: Trajectory) -> dict[int, Array]:
-        """Return the shortfalls, by disjunction, of those of which no alternative holds."""
+    def _relaxed(self, halfspaces: Iterator[Halfspace]) -> tuple[Trajectory, Array, float]:
+        self._nodes += 1
+        relaxed = self._search.program.solve(halfspaces)
+        trajectory = trajectory_of(self._search.problem, self._state, self._goals, relaxed.x)
+        return trajectory, relaxed.x, relaxed.bound
+
+    def _accept(self, x: Array, trajectory: Trajectory) -> None:
+        if trajectory.cost < self._cost:
+            self._best, self._cost = x, trajectory.cost
+
+    def _halfspaces(self, choice: Choice, along: Trajectory | None = None) -> Iterator[Halfspace]:
+        """Yield the chosen cells; with a trajectory, tangents to round floors along it instead."""
+        slot = 0
+        for disjunction, cell in zip(self._search.disjunctions, choice, strict=True):
+            tangent = along is not None and disjunction.radius > 0.0
+            for k in disjunction.steps:
+                if tangent:
+                    heading = along.headings[k]  # type: ignore[union-attr]
+                    norm = float(np.linalg.norm(heading))
+                    if norm > HEADING_UNDEFINED:
+                        yield slot, heading / norm, disjunction.radius
+                elif cell is not None:
+                    yield slot, cell.normal, cell.offset
+                slot += 1
+
+    def _missed(self, trajectory: Trajectory) -> dict[int, tuple[float, Array]]:
+        """Return, by disjunction that is not satisfied, by how much and the values it sees."""
         missed = {}
-        for j, disjunction in enumerate(self._program.disjunctions):
-            shortfall = disjunction.shortfall(trajectory.headings, trajectory.positions)
-            if shortfall.max(axis=1).min() > SATISFIED:
-                missed[j] = shortfall
+        for j, disjunction in enumerate(self._search.disjunctions):
+            values = disjunction.values(trajectory.headings, trajectory.positions)
+            by = disjunction.missed_by(values)
+            if by > SATISFIED:
+                missed[j] = (by, values)
         return missed
 
-    def _branch(self, node: _Node, missed: dict[int, Array], bound: float) -> None:
-        """Open a child per alternative of the disjunction that raises the bound the most."""
-        open_ = {j: s for j, s in missed.items() if node.choice[j] == UNDECIDED}
-        if not open_:  # a chosen alternative is missed: the solve was not accurate enough
+    def _descend(self, choice: Choice, trajectory: Trajectory) -> None:
+        """Improve the best trajectory along tangents, where that leads to one."""
+        for _ in range(TANGENT_STEPS):
+            try:
+                trajectory, x, _ = self._relaxed(self._halfspaces(choice, trajectory))
+            except (Infeasible, SolverFailure):
+                return
+            if not self._missed(trajectory):
+                self._accept(x, trajectory)
+
+    def _branch(self, choice: Choice, missed: dict[int, tuple[float, Array]], bound: float) -> None:
+        """Open a child per cell of the disjunction that raises the bound the most."""
+        options: dict[int, Sequence[Cell]] = {}
+        for j in missed:
+            cell = choice[j]
+            cells = self._search.disjunctions[j].cells if cell is None else cell.parts()
+            if cells:
+                options[j] = cells
+        if not options:  # a chosen face is missed: the solve was not accurate enough
             self._closed = min(self._closed, bound)
             return
-        gains = {j: self._gain(j, shortfall) for j, shortfall in open_.items()}
-        chosen = max(open_, key=lambda j: (gains[j].min(), open_[j].max(axis=1).min()))
-        for alternative, raised in self._children(gains[chosen], bound):
-            choice = (*node.choice[:chosen], alternative, *node.choice[chosen + 1 :])
-            self._made += 1
-            heapq.heappush(self._open, _Node(raised, -self._made, choice))
+        gains = {j: self._gain(j, cells, missed[j][1]) for j, cells in options.items()}
+        chosen = max(options, key=lambda j: (gains[j].min(), missed[j][0]))
+        for cell, gain in zip(options[chosen], gains[chosen], strict=True):
+            self._push((*choice[:chosen], cell, *choice[chosen + 1 :]), bound + float(gain))
 
-    def _children(self, gains: Array, bound: float) -> Iterator[tuple[int, float]]:
-        for alternative, gain in enumerate(gains):
-            raised = bound + float(gain)
-            if raised < self._cutoff:
-                yield alternative, raised
-            else:
-                self._closed = min(self._closed, raised)
+    def _push(self, choice: Choice, bound: float) -> None:
+        if bound >= self._cutoff:
+            self._closed = min(self._closed, bound)
+            return
+        self._made += 1
+        heapq.heappush(self._open, _Node(bound, -self._made, choice))
 
-    def _gain(self, j: int, shortfall: Array) -> Array:
-        """Return by how much each alternative raises the bound at least, shape (m,)."""
-        return (np.maximum(shortfall, 0.0) ** 2 / (2.0 * self._curvature[j])).max(axis=1)
+    def _gain(self, j: int, cells: Sequence[Cell], values: Array) -> Array:
+        """Return by how much each cell raises the bound at least, shape (cells,)."""
+        short = np.maximum(shortfall(cells, values), 0.0)
+        return (short**2 / (2.0 * self._search.curvature[j])).max(axis=1)
 
 
 def inverse_curvature(problem: Problem, disjunction: Disjunction) -> Array:

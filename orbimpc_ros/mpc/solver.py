@@ -7,13 +7,13 @@ from collections.abc import Callable
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.disjunction import disjunctions_of
 from orbimpc_ros.mpc.errors import BadInput, SolverFailure
+from orbimpc_ros.mpc.floors.circle import Circle
+from orbimpc_ros.mpc.method import Found, Guess, Method
 from orbimpc_ros.mpc.orbitopes import coordinates
 from orbimpc_ros.mpc.plan import FEASIBLE, Plan, assemble, violations
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.program import Program
-from orbimpc_ros.mpc.search import Found, Search, inverse_curvature
+from orbimpc_ros.mpc.search import Search
 
 SEARCH_SHARE = 0.01  # a search stops at this share of the gap that counts as proved
 
@@ -38,10 +38,7 @@ class Solver:
     ) -> None:
         self.problem = problem
         self._projection, self._tolerance = projection, gap_tolerance
-        disjunctions = disjunctions_of(problem)
-        coasting = coasting and problem.rotation_order == 2
-        self._program = Program(problem, disjunctions, coasting=coasting)
-        self._curvature = [inverse_curvature(problem, d) for d in disjunctions]
+        self._method = _method_for(problem, gap_tolerance, coasting)
 
     def solve(
         self,
@@ -66,21 +63,13 @@ class Solver:
         wanted = (self.problem.horizon, self.problem.dimension)
         if np.shape(goals) != wanted:
             raise BadInput('goals', np.shape(goals), f'an array of shape {wanted}')
-        self._program.bind(state, goals)
-        search = Search(
-            self._program,
-            self._curvature,
-            state,
-            goals,
-            tolerance=SEARCH_SHARE * self._tolerance,
-            guess=self._usable(state, goals, guess),
-        )
-        return self._plan(state, goals, search.run(out_of_time))
+        usable = self._usable(state, goals, guess)
+        return self._plan(state, goals, self._method.solve(state, goals, usable, out_of_time))
 
-    def _usable(self, state: State, goals: Array, guess: Plan | None) -> tuple[Array, float] | None:
+    def _usable(self, state: State, goals: Array, guess: Plan | None) -> Guess | None:
         if guess is None or violations(self.problem, state, goals, guess):
             return None
-        return coordinates(guess.rotations[1:]), guess.objective
+        return Guess(coordinates(guess.rotations[1:]), guess.objective)
 
     def _plan(self, state: State, goals: Array, found: Found) -> Plan:
         if found.x is None:
@@ -96,3 +85,10 @@ class Solver:
             projection=self._projection,
         )
         return plan.proved() if plan.gap <= self._tolerance else plan
+
+
+def _method_for(problem: Problem, gap_tolerance: float, coasting: bool) -> Method:
+    """Return the fastest method that proves its answer for a problem."""
+    if Circle.solves(problem):
+        return Circle(problem, gap_tolerance)
+    return Search(problem, SEARCH_SHARE * gap_tolerance, coasting=coasting)

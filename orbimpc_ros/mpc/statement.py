@@ -11,7 +11,7 @@ from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.condensed import input_weight, position_weights
-from orbimpc_ros.mpc.disjunction import Disjunction
+from orbimpc_ros.mpc.disjunction import Slot
 from orbimpc_ros.mpc.dynamics import input_map
 from orbimpc_ros.mpc.orbitopes import constraints, coordinate_count, coordinates
 from orbimpc_ros.mpc.problem import Problem, State
@@ -23,18 +23,16 @@ class Statement:
     Variables are the rotation coordinates x_k of R_k and the misses e_k = s_k - g_k. With those,
     state and goals stand on right-hand sides only, and the cost is a constant quadratic form.
 
-    A *slot* is one linear row over R_k e1 or e_k, reserved for an alternative of a disjunction;
-    here its coefficients are placeholders that keep a place in the compiled matrix.
+    Each slot is one linear row over R_k e1 or e_k that a search may fill with a half-space; here
+    its coefficients are placeholders that keep a place in the compiled matrix.
 
     Args:
         problem: what to solve.
-        disjunctions: choices that need slots.
+        slots: what half-spaces will be put on.
         coasting: whether R_1 = rho * (the coasted rotation) with rho in [0, 1] free.
     """
 
-    def __init__(
-        self, problem: Problem, disjunctions: Sequence[Disjunction], coasting: bool
-    ) -> None:
+    def __init__(self, problem: Problem, slots: Sequence[Slot], coasting: bool) -> None:
         n, steps, d = problem.dimension, problem.horizon, coordinate_count(problem.dimension)
         self.problem, self.coasting = problem, coasting
         self.x = cp.Variable((steps + 1) * d, name='R')
@@ -47,8 +45,8 @@ class Statement:
         self._second = cp.Parameter(d)
         self._velocity = cp.Parameter(n)
         self._shift = cp.Parameter((steps, n))
-        self.slots = [(d, k) for d in disjunctions for k in d.steps]
-        self._offsets = cp.Parameter(len(self.slots)) if self.slots else None
+        self.slots = tuple(slots)
+        self._offsets = cp.Parameter(len(slots)) if slots else None
         cost, epigraph = self._cost()
         self.program = cp.Problem(
             cp.Minimize(cost),
@@ -139,19 +137,18 @@ class Statement:
         n = self.problem.dimension
         ones = np.ones(n)
         picked = [
-            (self._headings[k] if d.on == 'heading' else self._misses[k - 1]) @ ones
-            for d, k in self.slots
+            (self._headings[s.step] if s.on == 'heading' else self._misses[s.step - 1]) @ ones
+            for s in self.slots
         ]
         return [cp.hstack(picked) >= self._offsets]
 
     def slot_variables(self, slot: int) -> tuple[cp.Variable, range]:
         """Return the variable that a slot is a row over, and which of its entries."""
-        n = self.problem.dimension
-        disjunction, k = self.slots[slot]
-        if disjunction.on == 'heading':
-            start = k * coordinate_count(n)
+        n, wanted = self.problem.dimension, self.slots[slot]
+        if wanted.on == 'heading':
+            start = wanted.step * coordinate_count(n)
             return self.x, range(start, start + n)
-        return self.e, range((k - 1) * n, k * n)
+        return self.e, range((wanted.step - 1) * n, wanted.step * n)
 
     def _cost(self) -> tuple[cp.Expression, Sequence[cp.Constraint]]:
         problem, w, n = self.problem, self.problem.weights, self.problem.dimension
@@ -173,9 +170,3 @@ class Statement:
         per_coordinate = differences.T @ differences
         weighted = input_weight(self.problem) * per_coordinate
         return sparse.kron(weighted, sparse.eye(coordinate_count(n))).tocsc()
-
-    def constant(self, state: State) -> float:
-        """Return the part of the objective that no variable enters: the first step's length."""
-        problem = self.problem
-        first = float(np.linalg.norm(state.rotation[:, 0]))
-        return problem.weights.length * problem.step * problem.forward * first

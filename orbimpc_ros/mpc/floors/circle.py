@@ -1,0 +1,103 @@
+"""The circular floor for SE(2): a local optimum, and the proof that it is the global one.
+
+A local optimum is sought from the shifted previous plan, then from the relaxed plan. Its own
+multipliers nearly always prove it global (:mod:`annulus`). Where they do not, the lifted
+relaxation (:mod:`lift`) gives another start, and a bound that holds in any case.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import SolverFailure
+from orbimpc_ros.mpc.floors.annulus import Annulus
+from orbimpc_ros.mpc.floors.lift import Lift
+from orbimpc_ros.mpc.method import Found, Guess
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.program import Program
+
+
+class Circle:
+    """Solves problems of orders (1, 1) over SE(2) whose only other constraint is terminal.
+
+    Args:
+        problem: what to solve.
+        tolerance: relative gap at which a plan is good enough to stop.
+    """
+
+    def __init__(self, problem: Problem, tolerance: float) -> None:
+        self._problem, self._tolerance = problem, tolerance
+        self._program, self._annulus = Program(problem), Annulus(problem)
+        self._lift = Lift(problem) if problem.horizon > 1 else None
+
+    @staticmethod
+    def solves(problem: Problem) -> bool:
+        """Return whether this method applies to a problem."""
+        orders = (problem.dimension, problem.rotation_order, problem.translation_order)
+        return (
+            problem.floor.shape == 'circle'
+            and orders == (2, 1, 1)
+            and problem.max_rate == 0.0
+            and not problem.obstacles
+        )
+
+    def solve(
+        self,
+        state: State,
+        goals: Array,
+        guess: Guess | None = None,
+        out_of_time: Callable[[], bool] | None = None,
+    ) -> Found:
+        """Return the best trajectory found, with the best bound proved.
+
+        Args:
+            state: where the plan starts.
+            goals: g_1..g_N, shape (N, n) [m].
+            guess: a trajectory to start from.
+            out_of_time: polled between starts; True returns the best so far.
+
+        Raises:
+            Infeasible: no trajectory satisfies the constraints.
+        """
+        self._annulus.bind(state, goals)
+        best = Found(None, np.inf, -np.inf, 0)
+        for start, bound in self._starts(state, goals, guess):
+            best = self._improved(best, start, bound)
+            if best.x is not None and self._is_proved(best):
+                break
+            if best.x is not None and out_of_time is not None and out_of_time():
+                break
+        return best
+
+    def _starts(
+        self, state: State, goals: Array, guess: Guess | None
+    ) -> Iterator[tuple[Array, float]]:
+        """Yield headings to start from, cheapest first, each with a bound that came with it."""
+        if guess is not None:
+            yield guess.x, -np.inf
+        self._program.bind(state, goals)
+        relaxed = self._program.solve()
+        yield relaxed.x, relaxed.bound
+        if self._lift is None:
+            return
+        try:
+            lifted = self._lift.solve(state, goals)
+        except SolverFailure:
+            return
+        yield lifted.headings, lifted.lower_bound
+
+    def _improved(self, best: Found, start: Array, bound: float) -> Found:
+        point = self._annulus.stationary(start)
+        lower = max(best.lower_bound, bound)
+        if point is None:
+            return Found(best.x, best.cost, lower, best.nodes + 1)
+        lower = max(lower, point.lower_bound)
+        if point.cost < best.cost:
+            return Found(point.headings, point.cost, lower, best.nodes + 1)
+        return Found(best.x, best.cost, lower, best.nodes + 1)
+
+    def _is_proved(self, best: Found) -> bool:
+        return best.cost - best.lower_bound <= self._tolerance * max(abs(best.cost), 1e-9)

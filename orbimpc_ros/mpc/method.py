@@ -1,0 +1,64 @@
+"""What a solution method takes and gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.problem import State
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A trajectory known to satisfy every constraint from the present state.
+
+    Attributes:
+        x: rotation coordinates of R_1..R_N, shape (N, d).
+        cost: its objective.
+    """
+
+    x: Array
+    cost: float
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a method found and proved.
+
+    Attributes:
+        x: rotation coordinates of R_1..R_N, shape (N, d); None if no trajectory was found.
+        cost: of that trajectory, inf if there is none.
+        lower_bound: no trajectory costs less.
+        nodes: relaxations or local problems solved.
+    """
+
+    x: Array | None
+    cost: float
+    lower_bound: float
+    nodes: int
+
+
+class Method(Protocol):
+    """Solves one problem for any state and goals."""
+
+    def solve(
+        self,
+        state: State,
+        goals: Array,
+        guess: Guess | None,
+        out_of_time: Callable[[], bool] | None,
+    ) -> Found:
+        """Return the best trajectory found with the bound proved.
+
+        Args:
+            state: where the plan starts.
+            goals: g_1..g_N, shape (N, n) [m].
+            guess: a feasible trajectory to start from.
+            out_of_time: polled between steps; True returns the best so far.
+
+        Raises:
+            Infeasible: proved that no trajectory satisfies the constraints.
+            SolverFailure: nothing could be found or proved.
+        """
