@@ -1,7 +1,7 @@
 """The convex program behind every plan: compiled once, then only updated in place and solved.
 
-Compiling the statement gives Clarabel's data (P, q, A, b). State and goals enter b alone, and
-linearly; half-spaces that a search imposes enter a few entries of A and b. A tick is therefore one
+Compiling the statement gives Clarabel's data (P, q, A, b). The state enters b, linearly, and the
+goals q; half-spaces that a search imposes enter a few entries of A and b. A tick is therefore one
 matrix-vector product, an update and a solve; CVXPY is not touched again.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.condensed import first_length
+from orbimpc_ros.mpc.condensed import first_length, position_weights
 from orbimpc_ros.mpc.conic import solved, solver_for
 from orbimpc_ros.mpc.disjunction import Slot
 from orbimpc_ros.mpc.orbitopes import coordinate_count, coordinates
@@ -23,6 +23,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.statement import Statement
 
 INERT = 1.0  # an empty slot reads 0 <= 1
+FAR = 1.0  # a goal is far from this many horizons on
 
 
 Halfspace = tuple[int, Array, float]  # slot, unit normal, offset: normal . v >= offset
@@ -61,13 +62,19 @@ class Program:
     ) -> None:
         self.problem = problem
         self._statement = Statement(problem, slots, coasting and problem.rotation_order == 2)
+        self._heaviest = float(position_weights(problem).max())
+        self._scale = 1.0
         self._compile(tolerance)
 
     def bind(self, state: State, goals: Array) -> None:
         """Put a state and goals g_1..g_N, shape (N, n), into the data of the solves to come."""
         self._b = self._b_0 + self._b_theta @ self._statement.values(state, goals)
-        self._constant = first_length(self.problem, state)
-        self._goals = goals
+        self._origin = state.position
+        seen = goals - state.position
+        weights = position_weights(self.problem)
+        constant = float(weights @ np.sum(seen * seen, axis=1))
+        self._constant = constant + first_length(self.problem, state)
+        self._bind_cost(-2.0 * weights[:, None] * seen)
         if self._statement.coasting:
             assert state.coasted is not None
             self._a_0[self._coasted] = -coordinates(state.coasted)
@@ -82,49 +89,69 @@ class Program:
         a, b = self._a_0.copy(), self._b.copy()
         for slot, normal, offset in halfspaces:
             row, entries = self._slots[slot]
-            wanted = self._statement.slots[slot]
-            if wanted.on == 'position':  # the program's variable is e_k = s_k - g_k
-                offset = offset - normal @ self._goals[wanted.step - 1]
+            if self._statement.slots[slot].on == 'position':  # the variable is s_k - s_0
+                offset = offset - normal @ self._origin
             a[entries] = -normal
             b[row] = -offset
-        self._solver.update(A=a, b=b)
+        self._solver.update(q=self._q, A=a, b=b)
         answer = solved(self._solver)
         x = np.asarray(answer.x)[self._columns]
-        return Relaxation(x, answer.obj_val_dual + self._constant)
+        return Relaxation(x, self._scale * answer.obj_val_dual + self._constant)
+
+    def _bind_cost(self, pull: Array) -> None:
+        """Put the pull of the goals into q; goals far away are scaled down with the whole cost.
+
+        Otherwise a goal 1e4 full horizons away makes a feasible problem look infeasible to an
+        interior-point method.
+        """
+        reach = self.problem.horizon * self.problem.step * self.problem.forward
+        usual = FAR * (1.0 + 2.0 * self._heaviest * reach)
+        scale = max(1.0, float(np.abs(pull).max()) / usual)
+        if scale != self._scale:
+            self._solver.update(P=self._p_0 / scale)
+            self._scale = scale
+        self._q = self._q_0 / scale
+        self._q[self._moved] += pull.ravel() / scale
 
     def _compile(self, tolerance: float) -> None:
         statement = self._statement
-        size = sum(p.size for p in statement.parameters())
-        data = statement.compiled(np.zeros(size))
+        data = statement.compiled()
         self._b_0 = np.array(data['b'])
-        b_theta = np.column_stack(
-            [statement.compiled(unit)['b'] - self._b_0 for unit in np.eye(size)]
-        )
-        slots = len(statement.slots)
-        rows = np.argmax(np.abs(b_theta[:, size - slots :]), axis=0)
-        self._b_theta = b_theta[:, : size - slots]
-        self._locate(data, rows)
+        units = np.eye(statement.size)
+        self._b_theta = np.column_stack([statement.compiled(u)['b'] - self._b_0 for u in units])
+        self._locate(data)
         self._solver = solver_for(data, tolerance)
+        self._p_0 = sparse.csc_matrix(sparse.triu(data['P'])).data
+        self._q_0 = np.array(data['c'])
 
-    def _locate(self, data: dict[str, Any], rows: np.ndarray) -> None:
-        """Find where rotations, slots and the coasted rotation sit in the compiled data."""
+    def _locate(self, data: dict[str, Any]) -> None:
+        """Find where rotations, positions, slots and the coasted rotation sit in the data."""
         statement, d = self._statement, coordinate_count(self.problem.dimension)
         column_of = data['param_prob'].var_id_to_col
         first = column_of[statement.x.id]
         self._columns = first + np.arange(d, statement.x.size).reshape(-1, d)
-        a = data['A']
-        self._a_0 = a.data.copy()
+        self._moved = column_of[statement.moved.id] + np.arange(statement.moved.size)
+        self._a_0 = data['A'].data.copy()
         self._slots = []
-        for slot, row in enumerate(rows):
+        for slot, row in enumerate(self._slot_rows()):
             variable, over = statement.slot_variables(slot)
             columns = [column_of[variable.id] + i for i in over]
-            entries = np.array([_entry(a, int(row), c) for c in columns])
+            entries = np.array([_entry(data['A'], row, c) for c in columns])
             self._a_0[entries] = 0.0
             self._b_0[row] = INERT
-            self._slots.append((int(row), entries))
+            self._slots.append((row, entries))
         if statement.coasting:
             column = column_of[statement.fraction.id]
-            self._coasted = _coasting_entries(a, column, first + d + np.arange(d))
+            self._coasted = _coasting_entries(data['A'], column, first + d + np.arange(d))
+
+    def _slot_rows(self) -> list[int]:
+        """Return the row of each slot: numbered offsets show up in b, with the sign changed."""
+        count = len(self._statement.slots)
+        if not count:
+            return []
+        numbered = self._statement.compiled(offsets=np.arange(1.0, count + 1.0))['b'] - self._b_0
+        row_of = {int(-round(value)): row for row, value in enumerate(numbered) if value}
+        return [row_of[number] for number in range(1, count + 1)]
 
 
 def _entry(a: sparse.csc_matrix, row: int, column: int) -> int:

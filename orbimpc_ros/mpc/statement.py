@@ -20,10 +20,11 @@ from orbimpc_ros.mpc.problem import Problem, State
 class Statement:
     """The convex program of a problem in CVXPY, parametrised by state and goals.
 
-    Variables are the rotation coordinates x_k of R_k and the misses e_k = s_k - g_k. With those,
-    state and goals stand on right-hand sides only, and the cost is a constant quadratic form.
+    Variables are the rotation coordinates x_k of R_k and the displacements v_k = s_k - s_0. With
+    those, the state stands on right-hand sides only, and the goals in one linear term of the cost:
+    q_k |s_k - g_k|^2 = q_k |v_k|^2 + pull_k . v_k + a constant, pull_k = -2 q_k (g_k - s_0).
 
-    Each slot is one linear row over R_k e1 or e_k that a search may fill with a half-space; here
+    Each slot is one linear row over R_k e1 or v_k that a search may fill with a half-space; here
     its coefficients are placeholders that keep a place in the compiled matrix.
 
     Args:
@@ -36,15 +37,16 @@ class Statement:
         n, steps, d = problem.dimension, problem.horizon, coordinate_count(problem.dimension)
         self.problem, self.coasting = problem, coasting
         self.x = cp.Variable((steps + 1) * d, name='R')
-        self.e = cp.Variable(steps * n, name='s - g')
+        self.moved = cp.Variable(steps * n, name='s - s_0')
+        self.pull = cp.Parameter(steps * n)
         self.fraction = cp.Variable(name='thrust fraction')
         self._rotations = cp.reshape(self.x, (steps + 1, d), order='C')
-        self._misses = cp.reshape(self.e, (steps, n), order='C')
+        self._displacements = cp.reshape(self.moved, (steps, n), order='C')
         self._headings = self._rotations[:, :n]
         self._first = cp.Parameter(d)
         self._second = cp.Parameter(d)
         self._velocity = cp.Parameter(n)
-        self._shift = cp.Parameter((steps, n))
+        self._arrival = cp.Parameter(n)
         self.slots = tuple(slots)
         self._offsets = cp.Parameter(len(slots)) if slots else None
         cost, epigraph = self._cost()
@@ -59,34 +61,36 @@ class Statement:
             ],
         )
 
-    def parameters(self) -> list[cp.Parameter]:
-        """Return the parameters in the order of :meth:`values`, slot offsets last."""
-        known = {p.id for p in self.program.parameters()}
-        candidates = [self._first, self._second, self._velocity, self._shift, self._offsets]
-        return [p for p in candidates if p is not None and p.id in known]
-
     def values(self, state: State, goals: Array) -> Array:
-        """Return the parameters' values for a state and goals, without the slot offsets."""
-        h, n = self.problem.step, self.problem.dimension
-        shift = np.empty((self.problem.horizon, n))
-        shift[0] = state.position - goals[0]
-        shift[1:] = goals[:-1] - goals[1:]
-        value = {
-            self._first.id: coordinates(state.rotation),
-            self._second.id: coordinates(state.rotation + h * state.rotation_rate),
-            self._velocity.id: state.velocity,
-            self._shift.id: shift.ravel(order='F'),
+        """Return what a state and goals g_1..g_N, shape (N, n), put on right-hand sides."""
+        known = {
+            self._first: coordinates(state.rotation),
+            self._second: coordinates(state.rotation + self.problem.step * state.rotation_rate),
+            self._velocity: state.velocity,
+            self._arrival: goals[-1] - state.position,
         }
-        return np.concatenate([value[p.id] for p in self.parameters() if p.id in value])
+        return np.concatenate([known[parameter] for parameter in self._parameters()])
 
-    def compiled(self, values: Array) -> dict[str, Any]:
-        """Return Clarabel's data with the parameters, slot offsets included, at ``values``."""
-        at = 0
-        for parameter in self.parameters():
-            chunk = values[at : at + parameter.size]
-            parameter.value = chunk.reshape(parameter.shape, order='F')
-            at += parameter.size
+    def compiled(self, values: Array | None = None, offsets: Array | None = None) -> dict[str, Any]:
+        """Return Clarabel's data for :meth:`values` and slot offsets (zero by default)."""
+        ends = np.cumsum([parameter.size for parameter in self._parameters()])
+        values = np.zeros(ends[-1]) if values is None else values
+        for parameter, value in zip(self._parameters(), np.split(values, ends), strict=False):
+            parameter.value = value
+        self.pull.value = np.zeros(self.pull.size)
+        if self._offsets is not None:
+            self._offsets.value = np.zeros(len(self.slots)) if offsets is None else offsets
         return self.program.get_problem_data(cp.CLARABEL, enforce_dpp=True)[0]
+
+    @property
+    def size(self) -> int:
+        """Return the length of :meth:`values`."""
+        return sum(parameter.size for parameter in self._parameters())
+
+    def _parameters(self) -> list[cp.Parameter]:
+        known = {p.id for p in self.program.parameters()}
+        candidates = [self._first, self._second, self._velocity, self._arrival]
+        return [p for p in candidates if p.id in known]
 
     def _rotation_constraints(self) -> list[cp.Constraint]:
         problem, x = self.problem, self._rotations
@@ -102,7 +106,7 @@ class Statement:
         return given + free
 
     def _translation_constraints(self) -> list[cp.Constraint]:
-        """e_{k+1} = e_k + h p_k + (g_k - g_{k+1}), with p_k = z R_k e1 at order 1."""
+        """v_{k+1} = v_k + h p_k, with p_k = z R_k e1 at order 1."""
         problem, pushed = self.problem, self.problem.forward * self._headings
         if problem.translation_order == 1:
             velocity, rows = pushed, []
@@ -112,12 +116,12 @@ class Statement:
                 velocity[0] == self._velocity,
                 velocity[1:] == velocity[:-1] + problem.step * pushed[:-1],
             ]
-        moved = problem.step * velocity[:-1] + self._shift
-        rows.append(self._misses[0] == moved[0])
+        moved, flown = self._displacements, problem.step * velocity[:-1]
+        rows.append(moved[0] == flown[0])
         if problem.horizon > 1:
-            rows.append(self._misses[1:] == self._misses[:-1] + moved[1:])
+            rows.append(moved[1:] == moved[:-1] + flown[1:])
         if problem.terminal == 'constraint':
-            rows.append(self._misses[-1] == 0)
+            rows.append(moved[-1] == self._arrival)
             if problem.translation_order == 2:
                 rows.append(velocity[-1] == 0)
         return rows
@@ -137,7 +141,8 @@ class Statement:
         n = self.problem.dimension
         ones = np.ones(n)
         picked = [
-            (self._headings[s.step] if s.on == 'heading' else self._misses[s.step - 1]) @ ones
+            (self._headings[s.step] if s.on == 'heading' else self._displacements[s.step - 1])
+            @ ones
             for s in self.slots
         ]
         return [cp.hstack(picked) >= self._offsets]
@@ -148,14 +153,13 @@ class Statement:
         if wanted.on == 'heading':
             start = wanted.step * coordinate_count(n)
             return self.x, range(start, start + n)
-        return self.e, range((wanted.step - 1) * n, wanted.step * n)
+        return self.moved, range((wanted.step - 1) * n, wanted.step * n)
 
     def _cost(self) -> tuple[cp.Expression, Sequence[cp.Constraint]]:
         problem, w, n = self.problem, self.problem.weights, self.problem.dimension
         squares = sparse.diags(np.repeat(position_weights(problem), n)).tocsc()
-        cost = cp.quad_form(self.e, squares, assume_PSD=True) + cp.quad_form(
-            self.x, self._input_form(), assume_PSD=True
-        )
+        cost = cp.quad_form(self.moved, squares, assume_PSD=True) + self.pull @ self.moved
+        cost += cp.quad_form(self.x, self._input_form(), assume_PSD=True)
         if w.length == 0.0 or problem.horizon == 1:
             return cost, []
         length = cp.Variable(problem.horizon - 1, name='|R e1|')
