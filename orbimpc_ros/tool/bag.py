@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
+from mcap.records import DataEnd
 from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
@@ -86,8 +87,8 @@ def _require_intact(path: Path) -> None:
         if file.suffix == '.mcap':
             with file.open('rb') as stream:
                 reader = StreamReader(stream, validate_crcs=True, record_size_limit=MAX_RECORD)
-                for _ in reader.records:
-                    pass
+                if DataEnd not in {type(record) for record in reader.records}:
+                    raise BadInput(str(file), 'damaged (no end of its data)', ALLOWED)
                 _require_intact_summary(stream, file)
 
 

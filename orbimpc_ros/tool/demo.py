@@ -132,7 +132,8 @@ def _watch(
         progress.show(ticks, f'tick {ticks} of at most {values["max_ticks"]}, t = {time:.0f} s')
     progress.close()
     recorder.drain(QUIET, LAST_WORDS)
-    if not interruptions.requested:
+    # Whether it caught anything or not, a simulator that has come to its end says so.
+    if not interruptions.requested and not recorder.counts['/captured']:
         sim.require_health()
 
 

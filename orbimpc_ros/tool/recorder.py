@@ -16,7 +16,8 @@ from rclpy.signals import SignalHandlerOptions
 from orbimpc_ros.tool.bag_writer import BagWriter, Topic
 
 DEPTH = 1000  # a slow disk must not cost messages
-UNSTAMPED = frozenset({'std_msgs/msg/Bool', 'visualization_msgs/msg/MarkerArray'})
+STAMP_AT = 4  # after CDR's own four bytes, where a message begins with its stamp
+STAMP_ELSEWHERE = {'std_msgs/msg/Bool': None, 'visualization_msgs/msg/MarkerArray': 8}
 CLOCK = Topic('/clock', 'rosgraph_msgs/msg/Clock')
 VEHICLE = (
     Topic('captured', 'std_msgs/msg/Bool', latched=True),
@@ -83,12 +84,12 @@ class Recorder:
         self._node.create_subscription(message, topic.name, heard, profile, raw=True)
 
     def _heard(self, topic: Topic) -> Callable[[bytes], None]:
-        stamped = topic.type not in UNSTAMPED
+        place = STAMP_ELSEWHERE.get(topic.type, STAMP_AT)
 
         def heard(data: bytes) -> None:
             self.counts[topic.name] += 1
-            if stamped:
-                self.now = stamp_of(data)
+            if place is not None and len(data) >= place + 8:
+                self.now = stamp_of(data, place)
                 self._flush()
             if self.now is not None:
                 self._bag.write(topic.name, self.now, data)
@@ -125,8 +126,8 @@ class Recorder:
         self._context.try_shutdown()
 
 
-def stamp_of(data: bytes) -> int:
-    """Return the stamp [ns] that a serialised message begins with, after CDR's four bytes."""
+def stamp_of(data: bytes, place: int) -> int:
+    """Return the stamp [ns] that a serialised message has at a place."""
     order = '<' if data[1] & 1 else '>'
-    seconds, nanoseconds = struct.unpack_from(f'{order}iI', data, 4)
+    seconds, nanoseconds = struct.unpack_from(f'{order}iI', data, place)
     return seconds * 1_000_000_000 + nanoseconds

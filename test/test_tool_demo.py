@@ -1,0 +1,156 @@
+"""The demo as a newcomer runs it: real processes over DDS."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+
+import pytest
+from rosbags.rosbag2 import Reader
+
+from orbimpc_ros.tool import bag, demo
+
+pytest.importorskip('rclpy')
+EVERY_TICK = ('odom', 'goal', 'cmd_vel', 'rotation', 'plan', 'plan_markers', 'tick')
+LISTED = ('captured', 'cmd_thrust', 'goal_path', *EVERY_TICK)
+
+
+def command(*words):
+    return [sys.executable, '-m', 'orbimpc_ros.tool.cli', 'demo', *words]
+
+
+def run(*words):
+    return subprocess.run(command(*words), capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope='module')
+def flown(tmp_path_factory):
+    """Return the finished process of a demo and its folder."""
+    out = tmp_path_factory.mktemp('demo')
+    return run('retrieval', '--out', str(out)), out / 'retrieval'
+
+
+def test_the_rope_is_caught(flown):
+    done, folder = flown
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = dict(line.split(maxsplit=1) for line in done.stdout.splitlines()[1:])
+    assert rows['captured'].startswith('t = ')
+    assert rows['picture'] == str(folder / demo.PICTURE)
+    assert rows['bag'] == str(folder / 'bag')
+    assert rows['fallbacks'] == '0'
+    for word in ('near misses', 'solve time    p50', 'worst gap'):
+        assert word in done.stdout
+    assert 'tick' in done.stderr
+
+
+def test_the_bag_holds_every_topic_complete(flown):
+    _, folder = flown
+    counts = Counter(message.topic for message in bag.read(folder / 'bag'))
+    assert {counts[f'/{name}'] for name in (*EVERY_TICK, 'clock')} == {counts['/odom']}
+    assert counts['/odom'] > 5
+    assert counts['/captured'] >= 1
+    assert counts['/diagnostics'] >= 1
+    with Reader(folder / 'bag') as reader:
+        assert {f'/{name}' for name in LISTED} <= set(reader.topics)
+
+
+def test_the_bag_keeps_simulated_time(flown):
+    _, folder = flown
+    messages = list(bag.read(folder / 'bag'))
+    for message in messages:
+        if message.topic in ('/odom', '/plan', '/tick'):
+            stamp = message.content.header.stamp
+            assert message.stamp == stamp.sec * 1_000_000_000 + stamp.nanosec
+    assert messages[-1].stamp - messages[0].stamp < 100_000_000_000
+
+
+def test_the_picture_is_one(flown):
+    _, folder = flown
+    picture = (folder / demo.PICTURE).read_bytes()
+    assert picture[:8] == b'\x89PNG\r\n\x1a\n'
+    width, height = (int.from_bytes(picture[k : k + 4], 'big') for k in (16, 20))
+    assert min(width, height) >= 1000
+
+
+def test_what_is_not_caught_is_a_failure_with_a_bag(tmp_path):
+    done = run('--out', str(tmp_path), '--set', 'max_ticks=2')
+    assert done.returncode == 1
+    assert 'captured      no' in done.stdout
+    assert 'Traceback' not in done.stderr
+    assert len([m for m in bag.read(tmp_path / 'retrieval' / 'bag') if m.topic == '/tick']) == 3
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_demo_leaves_a_readable_bag_and_no_process(tmp_path, number):
+    # In real time the flight takes many seconds: there is time to break in.
+    words = ('--out', str(tmp_path), '--set', 'clock=wall')
+    child = subprocess.Popen(command(*words), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    wait_for(lambda: (tmp_path / 'retrieval' / 'bag').exists() and len(nodes_of(child.pid)) == 2)
+    nodes = nodes_of(child.pid)
+    child.send_signal(number)
+    _, err = child.communicate(timeout=20)
+    assert child.returncode != 0
+    assert b'Traceback' not in err
+    assert isinstance(list(bag.read(tmp_path / 'retrieval' / 'bag')), list)
+    assert not [pid for pid in nodes if alive(pid)]
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def nodes_of(parent):
+    done = subprocess.run(
+        ['ps', '-o', 'pid=', '--ppid', str(parent)], capture_output=True, text=True, check=False
+    )
+    return [int(pid) for pid in done.stdout.split()]
+
+
+def alive(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_a_node_that_fails_is_shown(tmp_path):
+    script = (
+        'import orbimpc_ros.tool.processes as p, sys;'
+        'start = p.Process.__init__;'
+        'p.Process.__init__ = lambda self, module, *rest: start(self, module + "x", *rest);'
+        'from orbimpc_ros.tool import cli; sys.exit(cli.main(sys.argv[1:]))'
+    )
+    words = [sys.executable, '-c', script, 'demo', '--out', str(tmp_path)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert 'No module named' in done.stderr
+    assert 'orbimpc: ' in done.stderr
+    assert 'Traceback' not in done.stderr
+
+
+def test_results_are_never_overwritten(tmp_path):
+    names = [demo.new_folder(str(tmp_path / 'new'), 'retrieval').name for _ in range(3)]
+    assert names == ['retrieval', 'retrieval-2', 'retrieval-3']
+
+
+@pytest.mark.parametrize(
+    ('words', 'culprit'),
+    [
+        (('--set', 'flor.shape=none'), 'floor.shape'),
+        (('--set', 'step=fast'), 'step'),
+        (('swim',), 'swim'),
+        (('--out', '/dev/null/x'), '--out'),
+    ],
+)
+def test_bad_words_are_refused_in_one_line(tmp_path, words, culprit):
+    done = run('--out', str(tmp_path), *words)
+    assert done.returncode == 2
+    assert done.stderr.count('\n') == 1
+    assert culprit in done.stderr
+    assert list(tmp_path.iterdir()) == []

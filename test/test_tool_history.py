@@ -1,0 +1,149 @@
+"""From a run to its near misses, its summary and its picture."""
+
+import numpy as np
+import pytest
+
+from orbimpc_ros.tool import figures, settings, summary
+from orbimpc_ros.tool.history import History, Planned
+
+
+def history(distances, captured, **changes):
+    """Return a run whose vehicle is, tick by tick, at given distances right of a still rope."""
+    count = len(distances)
+    positions = np.zeros((count, 3))
+    positions[:, 0] = distances
+    times = 10.0 + np.arange(count)
+    fields = {'solve_time_ms': 2.0, 'gap': 1e-6, 'fallback': '', 'speed_fraction': [1.0, 0.6, 0.6]}
+    return History(
+        times=times,
+        positions=positions,
+        headings=np.tile([1.0, 0.0, 0.0], (count, 1)),
+        ropes=np.zeros((count, 3)),
+        plans=tuple(Planned(t, positions[:2]) for t in times),
+        ticks=tuple((t, fields) for t in times),
+        captured=captured,
+        values=settings.read('{}') | {'capture_radius': 0.1} | changes,
+    )
+
+
+def test_passing_by_is_closest_on_the_way():
+    passing = history([1.0, -1.0], captured=True)
+    passing.positions[:, 1] = 0.05
+    (approach,) = passing.approaches
+    assert approach.time == pytest.approx(10.5)
+    assert approach.distance == pytest.approx(0.05)
+    np.testing.assert_allclose(approach.vehicle, [0.0, 0.05, 0.0])
+
+
+def test_near_misses_are_local_minima_that_came_near():
+    run = history([3.0, 0.3, 0.9, 0.2, 0.6, 2.0, 1.5, 2.0, 0.05], captured=True)
+    assert [m.distance for m in run.near_misses] == pytest.approx([0.3, 0.2])
+    assert [m.time for m in run.near_misses] == pytest.approx([11.0, 13.0])
+    assert run.capture.time == pytest.approx(18.0)
+
+
+def test_what_is_not_captured_has_no_capture():
+    assert history([1.0, 0.5], captured=False).capture is None
+    assert history([1.0], captured=True).capture is None
+
+
+def test_summary_tells_the_story():
+    text = summary.text(history([3.0, 0.3, 0.9, 0.05], captured=True))
+    assert 't = 13.00 s, 0.050 m from the rope' in text
+    assert '1: 0.30 m at 11.0 s' in text
+    assert 'p50 2.0 ms, p99 2.0 ms, max 2.0 ms' in text
+    assert '1.0e-06' in text
+
+
+def test_summary_of_a_run_without_ticks():
+    run = history([1.0, 2.0], captured=False)
+    object.__setattr__(run, 'ticks', ())
+    text = summary.text(run)
+    assert 'no' in text
+    assert text.count('unknown') == 2
+
+
+@pytest.mark.parametrize('captured', [True, False])
+@pytest.mark.parametrize('shape', ['none', 'polygon'])
+def test_picture_has_equal_axes_units_and_a_legend(captured, shape):
+    run = history([3.0, 0.3, 0.9, 0.2, 0.05], captured, **{'floor.shape': shape})
+    figure = figures.retrieval(run)
+    whole, end, distance, speed = figure.axes
+    assert whole.get_aspect() == end.get_aspect() == 1.0
+    assert whole.get_xlabel() == end.get_xlabel() == 'x [m]'
+    assert distance.get_ylabel() == 'distance [m]'
+    assert speed.get_xlabel() == 'time [s]'
+    assert len(figure.legends[0].get_texts()) >= 3
+    floors = [line for line in speed.get_lines() if 'floor' in str(line.get_label())]
+    assert len(floors) == (shape != 'none')
+
+
+def test_picture_is_a_png(tmp_path):
+    file = tmp_path / 'picture.png'
+    figures.save(figures.retrieval(history([3.0, 0.3, 0.05], captured=True)), file)
+    assert file.read_bytes()[:8] == b'\x89PNG\r\n\x1a\n'
+
+
+@pytest.fixture
+def file(tmp_path):
+    """Return a parameter file."""
+    path = tmp_path / 'parameters.yaml'
+    path.write_text(
+        '/**:\n  ros__parameters:\n    floor: {shape: polygon, faces: 6}\n    step: 0.5\n'
+    )
+    return path
+
+
+def test_settings_are_defaults_then_file_then_changes(file):
+    values = settings.resolve(file, ['step=2', 'rope.center=[1, 2.5, 0]', 'terminal=constraint'])
+    assert values['floor.shape'] == 'polygon'
+    assert values['floor.faces'] == 6
+    assert values['step'] == 2.0
+    assert isinstance(values['step'], float)
+    assert values['rope.center'] == (1.0, 2.5, 0.0)
+    assert values['terminal'] == 'constraint'
+    assert values['horizon'] == settings.ROWS['horizon'].default
+
+
+def test_settings_survive_their_file(file, tmp_path):
+    values = settings.resolve(file, ['step=2'])
+    text = settings.write(tmp_path / 'written.yaml', values, use_sim_time=True)
+    read = settings.read(text)
+    assert read.pop('use_sim_time') is True
+    assert {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()} == {
+        k: list(v) if isinstance(v, tuple) else v for k, v in read.items()
+    }
+
+
+BAD_CHANGES = {
+    'no value': ('step', 'name=value'),
+    'unknown': ('flor.shape=circle', 'floor.shape'),
+    'unlike anything': ('zzzzzz=1', 'dimension'),
+    'a word for a number': ('step=fast', 'step'),
+    'out of range': ('step=-1', 'step'),
+    'NaN': ('step=.nan', 'step'),
+    'a fraction for a count': ('horizon=2.5', 'horizon'),
+    'true for a count': ('horizon=true', 'horizon'),
+    'none of the choices': ('terminal=soft', 'penalty'),
+    'floor above the limit': ('floor.fraction=0.9', 'floor.fraction'),
+    'numbers of another count': ('rope.center=[1.0]', 'rope.center'),
+    'malformed': ('rope.center=[1.0', 'rope.center'),
+}
+
+
+@pytest.mark.parametrize(('change', 'culprit'), BAD_CHANGES.values(), ids=BAD_CHANGES)
+def test_bad_changes_are_named(file, change, culprit):
+    from orbimpc_ros.mpc.errors import BadInput
+
+    with pytest.raises(BadInput, match=culprit.replace('.', r'\.')):
+        settings.resolve(file, [change])
+
+
+@pytest.mark.parametrize('text', ['[]', 'a: 1', 'a: {b: 1}', 'a: {ros__parameters: 3}'])
+def test_what_is_not_a_parameter_file_is_refused(tmp_path, text):
+    from orbimpc_ros.mpc.errors import BadInput
+
+    path = tmp_path / 'parameters.yaml'
+    path.write_text(text)
+    with pytest.raises(BadInput, match='ros__parameters'):
+        settings.resolve(path)
