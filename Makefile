@@ -39,12 +39,12 @@ test: $(VENV)/.installed-test
 
 $(VENV)/.installed-demo: $(BIN)/python setup.py setup.cfg pyproject.toml
 	$(SAY) 'Installing orbimpc_ros into $(VENV) (a minute, only once)'
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.$(EXTRAS_DEMO)'
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check --editable '.$(EXTRAS_DEMO)'
 	@touch $@
 
 $(VENV)/.installed-test: $(BIN)/python setup.py setup.cfg pyproject.toml
 	$(SAY) 'Installing orbimpc_ros and its test tools into $(VENV) (a minute, only once)'
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.$(EXTRAS_TEST)' $(PINS)
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check --editable '.$(EXTRAS_TEST)' $(PINS)
 	@touch $@ $(VENV)/.installed-demo
 
 $(BIN)/python:

@@ -2,12 +2,14 @@
 
 import ast
 import re
-import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.tool import share
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ElementTree.parse(ROOT / 'package.xml').getroot()
@@ -26,26 +28,19 @@ PROVIDERS = {
 }
 
 
-def setup_value(*words):
-    done = subprocess.run(
-        [sys.executable, 'setup.py', '--quiet', *words],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return done.stdout.split('\n')[-2]
-
-
 def setup_keyword(name):
     """Return a literal keyword of the setup() call."""
     tree = ast.parse((ROOT / 'setup.py').read_text())
+    constants = {
+        node.targets[0].id: node.value for node in tree.body if isinstance(node, ast.Assign)
+    }
     call = next(
         node
         for node in ast.walk(tree)
         if isinstance(node, ast.Call) and getattr(node.func, 'id', '') == 'setup'
     )
-    return ast.literal_eval(next(k.value for k in call.keywords if k.arg == name))
+    value = next(keyword.value for keyword in call.keywords if keyword.arg == name)
+    return ast.literal_eval(constants[value.id] if isinstance(value, ast.Name) else value)
 
 
 def imported():
@@ -66,8 +61,7 @@ def depends():
 
 @pytest.mark.parametrize('field', ['name', 'version', 'description', 'license'])
 def test_manifests_agree(field):
-    pytest.importorskip('setuptools')
-    assert setup_value(f'--{field}') == PACKAGE.find(field).text
+    assert setup_keyword(field) == PACKAGE.find(field).text
 
 
 def test_every_import_is_declared_in_package_xml():
@@ -96,3 +90,10 @@ def test_it_is_an_ament_python_package():
     assert PACKAGE.find('export/build_type').text == 'ament_python'
     assert (ROOT / 'resource' / 'orbimpc_ros').is_file()
     assert 'Apache License' in (ROOT / PACKAGE.find('license').get('file')).read_text()
+
+
+def test_configuration_is_found():
+    for file in (ROOT / 'config').glob('*.yaml'):
+        assert share.config(file.name).read_bytes() == file.read_bytes()
+    with pytest.raises(BadInput, match=r'nothing\.yaml'):
+        share.config('nothing.yaml')

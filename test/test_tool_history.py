@@ -36,8 +36,8 @@ def test_passing_by_is_closest_on_the_way():
 
 
 def test_near_misses_are_local_minima_that_came_near():
-    run = history([3.0, 0.3, 0.9, 0.2, 0.6, 2.0, 1.5, 2.0, 0.05], captured=True)
-    assert [m.distance for m in run.near_misses] == pytest.approx([0.3, 0.2])
+    run = history([3.0, 0.15, 0.9, 0.18, 0.6, 2.0, 0.5, 2.0, 0.05], captured=True)
+    assert [m.distance for m in run.near_misses] == pytest.approx([0.15, 0.18])
     assert [m.time for m in run.near_misses] == pytest.approx([11.0, 13.0])
     assert run.capture.time == pytest.approx(18.0)
 
@@ -48,9 +48,9 @@ def test_what_is_not_captured_has_no_capture():
 
 
 def test_summary_tells_the_story():
-    text = summary.text(history([3.0, 0.3, 0.9, 0.05], captured=True))
+    text = summary.text(history([3.0, 0.15, 0.9, 0.05], captured=True))
     assert 't = 13.00 s, 0.050 m from the rope' in text
-    assert '1: 0.30 m at 11.0 s' in text
+    assert '1: 0.15 m at 11.0 s' in text
     assert 'p50 2.0 ms, p99 2.0 ms, max 2.0 ms' in text
     assert '1.0e-06' in text
 

@@ -11,8 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Circle, Rectangle
 from matplotlib.patheffects import withStroke
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.tool.history import History
@@ -99,6 +100,7 @@ def draw_end(axes: Axes, history: History) -> None:
         axes.plot(*np.array([miss.vehicle[:2], miss.rope[:2]]).T, color=RED, lw=1.2, zorder=7)
         _cross(axes, number, (miss.rope[0], miss.rope[1]), 'near miss, to the rope')
     _mark_capture(axes, history)
+    _draw_reach(axes, history)
     low, high = _end_box(history)
     axes.set(xlabel='x [m]', ylabel='y [m]', title='Around the rope (dotted frame above)')
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect='equal')
@@ -167,6 +169,20 @@ def _mark_capture(axes: Axes, history: History) -> None:
         _star(axes, x, y, 'rope when caught')
 
 
+def _draw_reach(axes: Axes, history: History) -> None:
+    """Draw the circle within which the rope was caught, and the vehicle in it."""
+    capture = history.capture
+    if capture is None:
+        return
+    radius = history.values['capture_radius']
+    reach = Circle(
+        (capture.rope[0], capture.rope[1]), radius, fill=False, ec=GREEN, ls='--', lw=1.2
+    )
+    axes.add_patch(reach)
+    axes.plot(*np.array([capture.vehicle[:2], capture.rope[:2]]).T, color=GREEN, lw=1.6, zorder=9)
+    axes.plot([], [], color=GREEN, ls='--', lw=1.2, label='capture radius')
+
+
 def _star(axes: Axes, x: float, y: float, label: str) -> None:
     axes.plot(x, y, '*', color=GREEN, mec=INK, mew=0.6, ms=14, zorder=10, label=label)
 
@@ -181,7 +197,9 @@ def draw_distance(axes: Axes, history: History) -> None:
     if history.capture is not None:
         _star(axes, history.capture.time, history.capture.distance, 'caught')
     axes.set(title='Distance to the rope', ylabel='distance [m]', yscale='log')
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter('{x:g}')
+    axes.yaxis.set_minor_formatter(NullFormatter())
     axes.tick_params(labelbottom=False)
     axes.legend(loc='upper right')
 

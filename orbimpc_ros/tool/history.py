@@ -17,7 +17,7 @@ from orbimpc_ros.mpc.rotations import from_quaternion
 from orbimpc_ros.tool import bag, settings
 from orbimpc_ros.world.capture import closest_approach
 
-NEAR = 5.0  # a local minimum of the distance within so many capture radii is a near miss
+NEAR = 2.0  # a local minimum of the distance within so many capture radii is a near miss
 
 
 class Approach(NamedTuple):
