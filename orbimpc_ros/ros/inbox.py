@@ -136,9 +136,9 @@ class Inbox:
 
     @property
     def complete(self) -> bool:
-        """Return whether every synchronised source has spoken for the odometry's stamp."""
+        """Return whether nothing is missing, nor any synchronised source yet to speak."""
         sources = self._goal_sources()
-        return all(
+        return not self.missing and all(
             topic in sources and sources[topic].stamp.nanoseconds >= self._time
             for topic in self.synchronised
         )

@@ -140,8 +140,16 @@ class Planner(Guarded):
     def _took_goal(self, refusal: str) -> None:
         if refusal:
             self._refuse(refusal)
-        elif not self._patience.is_canceled() and self._inbox.complete:
+        elif self._settings.on_odometry and self._unanswered and self._inbox.complete:
             self._plan_now()
+
+    @property
+    def _unanswered(self) -> bool:
+        """Return whether an odometry message still waits for its goal."""
+        odometry = self._inbox.odometry
+        if odometry is None or self._inbox.stale(self.steady_now()):
+            return False
+        return odometry.stamp.nanoseconds != self._answered
 
     def _refuse(self, refusal: str) -> None:
         self.get_logger().warning(refusal, throttle_duration_sec=1.0)
@@ -161,6 +169,8 @@ class Planner(Guarded):
         """
         if self._inbox.complete:
             self._plan_now()
+        elif self._inbox.missing:
+            self._show_health(changed_only=True)
         elif self._patience.is_canceled():
             self._waits = 0
             self._patience.reset()

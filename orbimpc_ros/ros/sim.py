@@ -69,11 +69,13 @@ class Sim(Guarded):
             self._transforms = TransformBroadcaster(self)
 
     def _create_subscriptions(self) -> None:
-        for kind, topic, take in (
-            (TwistStamped, 'cmd_vel', self.orders.take_twist),
-            (WrenchStamped, 'cmd_thrust', self.orders.take_force),
-        ):
+        self._commands = [
             self.create_subscription(kind, topic, self.guard(self._taker(topic, take)), qos(DEPTH))
+            for kind, topic, take in (
+                (TwistStamped, 'cmd_vel', self.orders.take_twist),
+                (WrenchStamped, 'cmd_thrust', self.orders.take_force),
+            )
+        ]
         self.create_service(Trigger, '~/reset', self.guard(self._on_reset))
 
     def _taker(self, topic: str, take: Callable[[Any], None]) -> Callable[[Any], None]:
@@ -89,6 +91,18 @@ class Sim(Guarded):
         return on_command
 
     # --- what the paces do with it
+
+    @property
+    def listeners(self) -> int:
+        """Return how many subscribers of odom are connected, if the goal has one as well."""
+        if not self._goal.get_subscription_count():
+            return 0
+        return self._odometry.get_subscription_count()
+
+    @property
+    def commanded(self) -> bool:
+        """Return whether a planner is connected."""
+        return self._commands[0].get_publisher_count() > 0
 
     def show(self, at: int) -> None:
         """Publish what is seen of the flight, stamped ``at`` [ns]: clock, goal, odometry."""
@@ -169,11 +183,10 @@ class LockStep:
             self._send()
 
     def _absent(self) -> str:
-        listeners = self._sim.count_subscribers('odom')
-        wanted = self._sim.settings.wait_subscribers
+        listeners, wanted = self._sim.listeners, self._sim.settings.wait_subscribers
         if listeners < wanted:
-            return f'{wanted} subscribers on odom (there are {listeners})'
-        return '' if self._sim.count_publishers('cmd_vel') else 'a planner on cmd_vel'
+            return f'{wanted} subscribers on odom and goal (there are {listeners})'
+        return '' if self._sim.commanded else 'a planner on cmd_vel'
 
     def _give_up(self, awaited: str) -> None:
         self._sim.get_logger().fatal(f'waited {PATIENCE:g} s in vain for {awaited}: giving up')

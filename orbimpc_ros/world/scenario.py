@@ -59,7 +59,9 @@ def retrieval() -> Scenario:
     return Scenario(
         model=model,
         start=launched(model, np.zeros(2), np.eye(2)),
-        rope=Rope(np.array([5.0, 0.0]), np.array([0.5, 0.5]), 0.1, np.array([0.0, 0.0])),
-        capture_radius=0.1,
+        rope=Rope(
+            np.array([5.0, 0.0]), np.array([0.5, 0.5]), 0.1, np.array([5.0, 3.5]) * np.pi / 3.0
+        ),
+        capture_radius=0.2,
         max_ticks=60,
     )

@@ -1,0 +1,133 @@
+"""A parameter: one row of a table from which its descriptor, checks and documentation follow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.parameter import Parameter
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.problem import Problem
+
+Value = bool | int | float | str | tuple[float, ...]
+Values = Mapping[str, Any]
+
+FAR = 1e6  # [m]: positions in parameters
+SOON = 1e3  # [s]: durations in parameters
+TINY = 1e-6  # stands for "above zero" in ranges, which are closed
+
+
+@dataclass(frozen=True)
+class Row:
+    """One parameter.
+
+    Attributes:
+        name: as ROS knows it.
+        default: its type is the parameter's; tuples are arrays of doubles.
+        description: one sentence.
+        unit: of the value; empty for none.
+        low: least value allowed, of every element of an array.
+        high: greatest.
+        choices: words allowed, if the parameter is one of a few.
+        live: whether it may change while the node runs.
+    """
+
+    name: str
+    default: Value
+    description: str
+    unit: str = ''
+    low: float = -math.inf
+    high: float = math.inf
+    choices: tuple[str, ...] = ()
+    live: bool = False
+
+    @property
+    def kind(self) -> Parameter.Type:
+        """Return the ROS type."""
+        if isinstance(self.default, tuple):
+            return Parameter.Type.DOUBLE_ARRAY
+        return Parameter.Type.from_parameter_value(self.default)
+
+    @property
+    def allowed(self) -> str:
+        """Return what is allowed, in words."""
+        if self.choices:
+            return ' | '.join(self.choices)
+        if isinstance(self.default, bool):
+            return 'true | false'
+        if isinstance(self.default, str):
+            return 'text'
+        span = f'in [{self.low:g}, {self.high:g}]'
+        if isinstance(self.default, tuple):
+            return f'doubles {span}, each with a decimal point'
+        if isinstance(self.default, int):
+            return f'an integer {span}'
+        return f'a double {span}, with a decimal point'
+
+    @property
+    def descriptor(self) -> ParameterDescriptor:
+        """Return the ROS descriptor."""
+        described = ParameterDescriptor(
+            name=self.name,
+            type=self.kind.value,
+            description=self.description + (f' [{self.unit}]' if self.unit else ''),
+            additional_constraints=self.allowed,
+            read_only=not self.live,
+        )
+        if isinstance(self.default, float):
+            span = FloatingPointRange(from_value=self.low, to_value=self.high)
+            described.floating_point_range = [span]
+        elif isinstance(self.default, int) and not isinstance(self.default, bool):
+            described.integer_range = [
+                IntegerRange(from_value=int(self.low), to_value=int(self.high))
+            ]
+        return described
+
+    def check(self, value: Any) -> None:
+        """Check a value's range.
+
+        Raises:
+            BadInput: out of range, not finite or none of the choices.
+        """
+        if self.choices:
+            good = value in self.choices
+        elif isinstance(self.default, (bool, str)):
+            good = True
+        else:
+            good = bool(np.all((np.asarray(value) >= self.low) & (np.asarray(value) <= self.high)))
+        if not good:
+            raise BadInput(self.name, value, self.allowed)
+
+
+def vehicle_rows() -> tuple[Row, ...]:
+    """Return what planner and simulator must agree on, under the same names."""
+    problem = Problem()
+    return (
+        Row('dimension', problem.dimension, 'Plane (2) or space (3)', low=2, high=3),
+        Row(
+            'rotation_order',
+            problem.rotation_order,
+            'Whether inputs are rates (1) or accelerations (2) of the rotation',
+            low=1,
+            high=2,
+        ),
+        Row(
+            'translation_order',
+            problem.translation_order,
+            'Whether the forward axis carries a velocity (1) or an acceleration (2)',
+            low=1,
+            high=2,
+        ),
+        Row('step', problem.step, 'Length of a step', 's', 1e-3, SOON),
+        Row('forward', problem.forward, 'Full speed or thrust acceleration',
+            'm/s or m/s^2', TINY, 1e3, live=True),
+        Row('mass', 1.0, 'Turns a thrust acceleration into a force',
+            'kg', TINY, 1e6, live=True),
+        Row('frame_id', 'odom', 'World frame of poses; empty accepts any'),
+        Row('child_frame_id', 'base_link', 'Body frame of twists; empty accepts any'),
+    )  # fmt: skip

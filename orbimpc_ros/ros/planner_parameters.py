@@ -1,0 +1,160 @@
+"""The planner's parameters, in one table, and the settings that they add up to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.forecast import FORECASTS
+from orbimpc_ros.mpc.problem import (
+    FLOOR_SHAPES,
+    MAX_HORIZON,
+    TERMINALS,
+    Box,
+    Floor,
+    Problem,
+    Weights,
+)
+from orbimpc_ros.ros.messages import Frames
+from orbimpc_ros.ros.parameter import FAR, SOON, TINY, Row, Values, vehicle_rows
+
+SAFE_COMMANDS = ('stop', 'hold_rate_zero', 'loiter')
+
+PLANNER: tuple[Row, ...] = (
+    *vehicle_rows(),
+    Row('horizon', 5, 'Steps planned ahead', low=1, high=MAX_HORIZON),
+    Row('weights.position', 1.0, 'On squared distance to the goal at every step',
+        '1/m^2', 0.0, 1e6, live=True),
+    Row('weights.input', 0.05, 'On squared inputs (turning, braking)',
+        's^2 or s^4', 0.0, 1e6, live=True),
+    Row('weights.length', 0.0, 'On distance flown or thrust spent',
+        '1/m', 0.0, 1e6, live=True),
+    Row('weights.terminal', 10.0, 'On squared distance to the goal at the last step',
+        '1/m^2', 0.0, 1e6, live=True),
+    Row('terminal', 'penalty', 'Whether the last step must reach the goal',
+        choices=TERMINALS, live=True),
+    Row('horizon_mode', 'receding', 'Whether the horizon moves on or shrinks to its end',
+        choices=('receding', 'shrinking')),
+    Row('floor.shape', 'none', 'Minimum speed: none, the faces of a polygon, or a circle',
+        choices=FLOOR_SHAPES, live=True),
+    Row('floor.faces', 4, 'Faces of the polygon, or of the solid (6, 12, 20) in space',
+        low=3, high=64, live=True),
+    Row('floor.fraction', math.sqrt(0.3), 'Minimum share of full speed',
+        low=TINY, high=1.0, live=True),
+    Row('max_rate', 0.0, 'Limit of the body rate; 0 for none, at most pi/step',
+        'rad/s', 0.0, 1e4, live=True),
+    Row('obstacles', (), 'Boxes to stay out of: lower, then upper corner of each',
+        'm', -FAR, FAR, live=True),
+    Row('no_corner_cutting', False, 'Whether the path between two steps stays out as well',
+        live=True),
+    Row('projection', 'thrust_aligned', 'How a point of the hull becomes a rotation',
+        choices=('nearest', 'thrust_aligned'), live=True),
+    Row('trigger', 'timer', 'Whether to plan at each odometry or every step',
+        choices=('timer', 'odom')),
+    Row('goal_prediction', 'hold', 'How the goal is expected to move',
+        choices=tuple(FORECASTS), live=True),
+    Row('odom_timeout', 0.0, 'Odometry older than this is stale; 0 for 0.2 s; at least 1.5 steps',
+        's', 0.0, SOON, live=True),
+    Row('goal_timeout', 0.0, 'A goal older than this is stale; 0 for 1 s; at least 1.5 steps',
+        's', 0.0, SOON, live=True),
+    Row('safe_command', 'stop',
+        'When there is no plan: stop; keep the speed and stop turning; circle',
+        choices=SAFE_COMMANDS, live=True),
+    Row('deadline', 0.0, 'Limit of a solve; 0 for half a step, which it must not exceed',
+        's', 0.0, SOON, live=True),
+    Row('gap_tolerance', 1e-4, 'Relative gap within which a plan counts as proved optimal',
+        low=1e-9, high=1.0, live=True),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class PlannerSettings:
+    """All that the planner's parameters say.
+
+    Attributes:
+        problem: what to solve.
+        mass: [kg].
+        shrinking: whether the horizon shrinks.
+        projection: ``nearest`` or ``thrust_aligned``.
+        on_odometry: whether to plan at each odometry instead of every step.
+        goal_prediction: kind of forecast.
+        odom_timeout: after which odometry is stale, at least 1.5 steps [s].
+        goal_timeout: after which a goal is stale, at least 1.5 steps [s].
+        safe_command: kind of safe command.
+        deadline: for a solve, at most half a step [s].
+        gap_tolerance: relative gap that counts as proved.
+        frames: that messages must be in.
+    """
+
+    problem: Problem
+    mass: float
+    shrinking: bool
+    projection: str
+    on_odometry: bool
+    goal_prediction: str
+    odom_timeout: float
+    goal_timeout: float
+    safe_command: str
+    deadline: float
+    gap_tolerance: float
+    frames: Frames
+
+
+def planner_settings(values: Values) -> PlannerSettings:
+    """Return the settings of a full set of planner parameters.
+
+    Raises:
+        BadInput: a value, or a combination, is not allowed.
+    """
+    for row in PLANNER:
+        row.check(values[row.name])
+    step = values['step']
+    if values['deadline'] > 0.5 * step:
+        raise BadInput('deadline', values['deadline'], f'at most half a step, {0.5 * step:g} s')
+    if values['safe_command'] == 'loiter' and values['translation_order'] == 2:
+        raise BadInput('safe_command', 'loiter', 'stop | hold_rate_zero at translation_order 2')
+    return PlannerSettings(
+        problem=_problem(values),
+        mass=values['mass'],
+        shrinking=values['horizon_mode'] == 'shrinking',
+        projection=values['projection'],
+        on_odometry=values['trigger'] == 'odom',
+        goal_prediction=values['goal_prediction'],
+        odom_timeout=max(values['odom_timeout'] or 0.2, 1.5 * step),
+        goal_timeout=max(values['goal_timeout'] or 1.0, 1.5 * step),
+        safe_command=values['safe_command'],
+        deadline=values['deadline'] or 0.5 * step,
+        gap_tolerance=values['gap_tolerance'],
+        frames=Frames(values['frame_id'], values['child_frame_id']),
+    )
+
+
+def _problem(values: Values) -> Problem:
+    weights = Weights(
+        *(values[f'weights.{name}'] for name in ('position', 'input', 'length', 'terminal'))
+    )
+    return Problem(
+        dimension=values['dimension'],
+        rotation_order=values['rotation_order'],
+        translation_order=values['translation_order'],
+        horizon=values['horizon'],
+        step=values['step'],
+        forward=values['forward'],
+        weights=weights,
+        terminal=values['terminal'],
+        floor=Floor(values['floor.shape'], values['floor.faces'], values['floor.fraction']),
+        max_rate=values['max_rate'],
+        obstacles=_boxes(values['obstacles'], values['dimension']),
+        no_corner_cutting=values['no_corner_cutting'],
+    )
+
+
+def _boxes(numbers: Sequence[float], dimension: int) -> tuple[Box, ...]:
+    if len(numbers) % (2 * dimension):
+        raise BadInput('obstacles', list(numbers), f'{2 * dimension} numbers for each box')
+    corners = np.array(numbers, dtype=float).reshape(-1, 2, dimension)
+    return tuple(Box(low, high) for low, high in corners)

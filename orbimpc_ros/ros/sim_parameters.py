@@ -1,0 +1,152 @@
+"""The simulator's parameters, in one table, and the settings that they add up to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.rotations import from_quaternion
+from orbimpc_ros.ros.messages import QUATERNION_TOLERANCE, Frames
+from orbimpc_ros.ros.parameter import FAR, SOON, TINY, Row, Values, vehicle_rows
+from orbimpc_ros.world.rope import Rope
+from orbimpc_ros.world.scenario import MAX_TICKS, Scenario, retrieval
+from orbimpc_ros.world.vehicle import Model, launched
+
+
+def _triple(vector: Array) -> tuple[float, ...]:
+    return tuple([*vector.tolist(), 0.0][:3])
+
+
+def _sim_rows() -> tuple[Row, ...]:
+    """Return the simulator's parameters; their defaults are the paper's retrieval."""
+    flown = retrieval()
+    rope = flown.rope
+    return (
+        *(replace(row, live=False) for row in vehicle_rows()),
+        Row('clock', 'lockstep', 'Whether to wait for each command or run in real time',
+            choices=('lockstep', 'wall')),
+        Row('rope.center', _triple(rope.center), 'Middle of the swing: x, y, z',
+            'm', -FAR, FAR),
+        Row('rope.amplitude', _triple(rope.amplitude), 'Reach of the swing: x, y, z',
+            'm', -FAR, FAR),
+        Row('rope.frequency', rope.frequency, 'Swings in a second', 'Hz', 0.0, 1e3),
+        Row('rope.phase', _triple(rope.phase), 'Phase at the start: x, y, z',
+            'rad', -100.0, 100.0),
+        Row('capture_radius', flown.capture_radius, 'The goal is caught within it',
+            'm', TINY, FAR),
+        Row('start.position', (0.0, 0.0, 0.0), 'Where the vehicle starts: x, y, z',
+            'm', -FAR, FAR),
+        Row('start.orientation', (0.0, 0.0, 0.0, 1.0), 'Unit quaternion x, y, z, w at the start',
+            '', -1.0, 1.0),
+        Row('start.speed_fraction', flown.start.fraction, 'Share of speed or thrust at the start',
+            '', 0.0, 1.0),
+        Row('start.velocity', (0.0, 0.0, 0.0), 'World velocity at the start (translation order 2)',
+            'm/s', -1e6, 1e6),
+        Row('start.body_rate', (0.0, 0.0, 0.0), 'Rates about the body axes at the start',
+            'rad/s', -1e3, 1e3),
+        Row('max_ticks', flown.max_ticks, 'Steps before giving up', low=1, high=MAX_TICKS),
+        Row('seed', 0, 'Of everything random', low=0, high=2**31 - 1),
+        Row('command_timeout', 0.2, 'Wall clock: stop if no command came for so long; '
+            'at least 1.5 steps', 's', 1e-3, SOON),
+        Row('goal_path_steps', 0, 'Steps of the true future to publish on goal_path; 0 for none',
+            low=0, high=10_000),
+        Row('exit_when_done', False, 'Whether to exit once the goal is caught or ticks run out'),
+        Row('wait_subscribers', 1, 'Subscribers of odom that a lock-step run waits for',
+            low=1, high=100),
+    )  # fmt: skip
+
+
+SIM: tuple[Row, ...] = _sim_rows()
+
+
+@dataclass(frozen=True)
+class SimSettings:
+    """All that the simulator's parameters say.
+
+    Attributes:
+        scenario: what to simulate.
+        lockstep: whether to wait for each command instead of running in real time.
+        command_timeout: after which a command is stale, at least 1.5 steps [s].
+        goal_path_steps: how much of the goal's future to publish.
+        exit_when_done: whether to exit at the end.
+        wait_subscribers: subscribers of odometry to wait for.
+        seed: of everything random.
+        frames: to publish in.
+    """
+
+    scenario: Scenario
+    lockstep: bool
+    command_timeout: float
+    goal_path_steps: int
+    exit_when_done: bool
+    wait_subscribers: int
+    seed: int
+    frames: Frames
+
+
+def sim_settings(values: Values) -> SimSettings:
+    """Return the settings of a full set of simulator parameters.
+
+    Raises:
+        BadInput: a value, or a combination, is not allowed.
+    """
+    for row in SIM:
+        row.check(values[row.name])
+    return SimSettings(
+        scenario=_scenario(values),
+        lockstep=values['clock'] == 'lockstep',
+        command_timeout=max(values['command_timeout'], 1.5 * values['step']),
+        goal_path_steps=values['goal_path_steps'],
+        exit_when_done=values['exit_when_done'],
+        wait_subscribers=values['wait_subscribers'],
+        seed=values['seed'],
+        frames=Frames(values['frame_id'], values['child_frame_id']),
+    )
+
+
+def _scenario(values: Values) -> Scenario:
+    n = values['dimension']
+    model = Model(
+        n,
+        values['rotation_order'],
+        values['translation_order'],
+        values['step'],
+        values['forward'],
+        values['mass'],
+    )
+    start = launched(
+        model,
+        _vector(values, 'start.position', n),
+        _orientation(values['start.orientation'], n),
+        fraction=values['start.speed_fraction'],
+        velocity=_vector(values, 'start.velocity', n),
+        body_rate=_vector(values, 'start.body_rate', 3)[-model.rates :],
+    )
+    rope = Rope(
+        _vector(values, 'rope.center', n),
+        _vector(values, 'rope.amplitude', n),
+        values['rope.frequency'],
+        _vector(values, 'rope.phase', n),
+    )
+    return Scenario(model, start, rope, values['capture_radius'], values['max_ticks'])
+
+
+def _vector(values: Values, name: str, dimension: int) -> Array:
+    """Return the first n of x, y, z: in the plane z may be left out."""
+    if not dimension <= len(values[name]) <= 3:
+        wanted = '3 numbers' if dimension == 3 else '2 or 3 numbers'
+        raise BadInput(name, list(values[name]), wanted)
+    return np.array(values[name][:dimension], dtype=float)
+
+
+def _orientation(numbers: Sequence[float], dimension: int) -> Array:
+    x, y, z, w = numbers if len(numbers) == 4 else [math.nan] * 4
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    if not abs(norm - 1.0) <= QUATERNION_TOLERANCE:
+        raise BadInput('start.orientation', list(numbers), 'a unit quaternion x, y, z, w')
+    return from_quaternion(np.array([w, x, y, z]) / norm, dimension)

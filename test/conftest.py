@@ -1,0 +1,141 @@
+"""What the tests over DDS share: a domain of their own, real processes, and an observer."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+ROOT = Path(__file__).resolve().parents[1]
+PATIENCE = 20.0  # [s] for anything awaited; far beyond what it takes
+
+_numbers = itertools.count()
+
+
+@pytest.fixture
+def domain() -> int:
+    """A DDS domain that no other test uses, nor another worker's."""
+    return 1 + (13 * os.getpid() + next(_numbers)) % 100
+
+
+class Process:
+    """A node in a process of its own, its output kept."""
+
+    def __init__(
+        self, module: str, domain: int, log: Path, parameters: dict, files: list[Path]
+    ) -> None:
+        command = [sys.executable, '-m', f'orbimpc_ros.ros.{module}', '--ros-args']
+        for file in files:
+            command += ['--params-file', str(file)]
+        for name, value in parameters.items():
+            command += ['-p', f'{name}:={value}']
+        environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}
+        self._log = log
+        with log.open('wb') as output:
+            self._process = subprocess.Popen(
+                command, env=environment, stdout=output, stderr=subprocess.STDOUT, cwd=log.parent
+            )
+
+    @property
+    def output(self) -> str:
+        return self._log.read_text()
+
+    @property
+    def ended(self) -> bool:
+        return self._process.poll() is not None
+
+    def tell(self, number: int) -> None:
+        self._process.send_signal(number)
+
+    def wait(self) -> int:
+        return self._process.wait(PATIENCE)
+
+    def stop(self) -> int:
+        if not self.ended:
+            self.tell(signal.SIGINT)
+        try:
+            return self.wait()
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            raise
+
+
+@pytest.fixture
+def launch(domain, tmp_path):
+    """Start nodes: ``launch('planner', {'step': 0.1}, 'retrieval')``; all are stopped at the end.
+
+    The last arguments name files in ``config/``.
+    """
+    with contextlib.ExitStack() as stack:
+
+        def start(module: str, parameters: dict | None = None, *names: str) -> Process:
+            files = [ROOT / 'config' / f'{name}.yaml' for name in names]
+            log = tmp_path / f'{module}-{next(_numbers)}.log'
+            process = Process(module, domain, log, parameters or {}, files)
+            stack.callback(process.stop)
+            return process
+
+        yield start
+
+
+class Observer:
+    """A third process's view: this test's own node, spun until something has happened."""
+
+    def __init__(self, domain: int) -> None:
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.signals import SignalHandlerOptions
+
+        self._context = rclpy.Context()
+        rclpy.init(
+            args=[],
+            context=self._context,
+            domain_id=domain,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self.node = rclpy.create_node('observer', context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def listen(self, kind, topic, qos=None) -> list:
+        """Return the list that messages on a topic will be added to."""
+        from orbimpc_ros.ros.process import qos as kept
+
+        heard: list = []
+        self.node.create_subscription(kind, topic, heard.append, qos or kept(1000))
+        return heard
+
+    def until(self, happened, what: str = '') -> None:
+        """Spin until ``happened()``; fail when that takes too long."""
+        end = time.monotonic() + PATIENCE
+        while not happened():
+            assert time.monotonic() < end, f'in vain: {what or happened}'
+            self._executor.spin_once(timeout_sec=0.02)
+
+    def call(self, kind, name: str, request):
+        """Return a service's response."""
+        client = self.node.create_client(kind, name)
+        self.until(client.service_is_ready, name)
+        future = client.call_async(request)
+        self.until(future.done, name)
+        return future.result()
+
+
+@pytest.fixture
+def observer(domain):
+    seen = Observer(domain)
+    yield seen
+    seen.close()

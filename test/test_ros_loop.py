@@ -1,0 +1,154 @@
+"""Planner and simulator as two processes over DDS, and a third that watches."""
+
+import json
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip('rclpy')
+
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from geometry_msgs.msg import PoseStamped, QuaternionStamped, TwistStamped  # noqa: E402
+from nav_msgs.msg import Odometry, Path  # noqa: E402
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
+from std_msgs.msg import Bool  # noqa: E402
+from visualization_msgs.msg import MarkerArray  # noqa: E402
+
+from orbimpc_ros.mpc.controller import Controller  # noqa: E402
+from orbimpc_ros.mpc.forecast import forecast_named  # noqa: E402
+from orbimpc_ros.ros.process import qos  # noqa: E402
+from orbimpc_ros.world.flight import fly  # noqa: E402
+from orbimpc_ros.world.scenario import retrieval, retrieval_problem  # noqa: E402
+
+TOPICS = {
+    'odom': Odometry,
+    'goal': PoseStamped,
+    'cmd_vel': TwistStamped,
+    'rotation': QuaternionStamped,
+    'plan': Path,
+    'plan_markers': MarkerArray,
+    'world_markers': MarkerArray,
+    'tick': DiagnosticArray,
+    '/diagnostics': DiagnosticArray,
+    '/clock': Clock,
+}
+KEPT = qos(10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+LONG = {'exit_when_done': True, 'wait_subscribers': 2}
+
+
+def ns(stamp) -> int:
+    return stamp.sec * 10**9 + stamp.nanosec
+
+
+def values(message) -> dict:
+    return {pair.key: pair.value for pair in message.status[0].values}
+
+
+def commands(messages) -> list:
+    return [(ns(m.header.stamp), m.twist.linear.x, m.twist.angular.z) for m in messages]
+
+
+@pytest.fixture
+def oracle():
+    """The same flight, flown without ROS."""
+    return fly(Controller(retrieval_problem()), retrieval(), forecast_named('hold'))
+
+
+def test_the_rope_is_caught_and_the_topics_are_as_documented(launch, observer, oracle):
+    heard = {topic: observer.listen(kind, topic) for topic, kind in TOPICS.items()}
+    captured = observer.listen(Bool, 'captured', KEPT)
+    launch('planner', {}, 'retrieval')
+    sim = launch('sim', LONG, 'retrieval')
+    observer.until(lambda: captured, 'the end of the flight')
+    assert captured[0].data
+    assert sim.wait() == 0, sim.output
+    flown = len(oracle.ticks)
+    observer.until(lambda: len(heard['cmd_vel']) > flown, 'the last answer')
+    stamps = [ns(m.header.stamp) for m in heard['odom']]
+    assert stamps == [10**9 * k for k in range(flown + 1)]
+    for topic in ('goal', 'cmd_vel', 'rotation', 'plan', 'tick'):
+        assert [ns(m.header.stamp) for m in heard[topic]][: flown + 1] == stamps, topic
+    assert [ns(m.clock) for m in heard['/clock']] == stamps
+    _check_frames(heard)
+    _check_plans(heard)
+    _check_ticks(heard)
+    _check_against(oracle, heard)
+
+
+def _check_frames(heard):
+    for topic, frame in (('goal', 'odom'), ('rotation', 'odom'), ('plan', 'odom')):
+        assert {m.header.frame_id for m in heard[topic]} == {frame}
+    assert {m.header.frame_id for m in heard['cmd_vel']} == {'base_link'}
+    assert {m.child_frame_id for m in heard['odom']} == {'base_link'}
+
+
+def _check_plans(heard):
+    for odometry, plan in zip(heard['odom'], heard['plan'], strict=False):
+        begun = ns(odometry.header.stamp)
+        assert [ns(p.header.stamp) for p in plan.poses] == [begun + k * 10**9 for k in range(6)]
+        assert plan.poses[0].pose.position == odometry.pose.pose.position
+
+
+def _check_ticks(heard):
+    for message in heard['tick'][: len(heard['odom'])]:
+        told = values(message)
+        assert set(told) == {
+            'status', 'reason', 'objective', 'lower_bound', 'gap', 'nodes', 'solve_time_ms',
+            'speed_fraction', 'projection_distance', 'fallback',
+        }  # fmt: skip
+        assert told['status'] == 'optimal'
+        assert told['fallback'] == ''
+        assert float(told['lower_bound']) <= float(told['objective'])
+        assert float(told['gap']) <= 1e-4
+        assert float(told['solve_time_ms']) > 0.0
+        fractions = json.loads(told['speed_fraction'])
+        assert len(fractions) == 6
+        assert min(fractions[1:]) >= np.sqrt(0.3) - 1e-6
+
+
+def _check_against(oracle, heard):
+    """What went over DDS is what the loop without ROS does; quaternions round differently."""
+    for k, tick in enumerate(oracle.ticks):
+        twist = heard['cmd_vel'][k].twist
+        assert twist.linear.x == pytest.approx(tick.command.speed_fraction, abs=1e-5)
+        assert twist.angular.z == pytest.approx(tick.command.body_rate[0], abs=1e-5)
+    end = heard['odom'][-1].pose.pose.position
+    assert [end.x, end.y] == pytest.approx(oracle.flights[-1].vehicle.position, abs=1e-5)
+
+
+def test_qos_is_as_documented(launch, observer):
+    launch('planner', {}, 'retrieval')
+    launch('sim', {'wait_subscribers': 9}, 'retrieval')
+    node = observer.node
+    outputs = ('cmd_vel', 'rotation', 'plan', 'plan_markers', 'tick', 'odom', 'goal', 'captured')
+    observer.until(lambda: all(node.count_publishers(t) for t in outputs), 'publishers')
+    observer.until(lambda: node.count_subscribers('goal_path'), 'subscribers')
+    for topic in outputs:
+        profile = node.get_publishers_info_by_topic(topic)[0].qos_profile
+        assert profile.reliability == ReliabilityPolicy.RELIABLE
+        kept = (
+            DurabilityPolicy.TRANSIENT_LOCAL if topic == 'captured' else DurabilityPolicy.VOLATILE
+        )
+        assert profile.durability == kept
+    for topic in ('odom', 'goal', 'goal_path'):
+        for info in node.get_subscriptions_info_by_topic(topic):
+            assert info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+            assert info.qos_profile.durability == DurabilityPolicy.VOLATILE
+
+
+def test_five_runs_give_the_same_commands(launch, observer):
+    heard = observer.listen(TwistStamped, 'cmd_vel')
+    observer.listen(Odometry, 'odom')  # the simulator waits for this subscriber too
+    runs = []
+    for _ in range(5):
+        heard.clear()
+        planner = launch('planner', {}, 'retrieval')
+        sim = launch('sim', LONG, 'retrieval')
+        observer.until(lambda sim=sim: sim.ended, 'the end of the flight')
+        assert sim.wait() == 0, sim.output
+        planner.stop()
+        observer.until(lambda: not observer.node.count_publishers('cmd_vel'), 'an empty domain')
+        runs.append([command for command in commands(heard) if command[0] % 10**9 == 0])
+    assert len(runs[0]) > 20
+    assert all(run == runs[0] for run in runs[1:])
