@@ -16,8 +16,9 @@ from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.condensed import first_length, position_weights
-from orbimpc_ros.mpc.conic import solved, solver_for
+from orbimpc_ros.mpc.conic import REDUCED, solved, solver_for
 from orbimpc_ros.mpc.disjunction import Slot
+from orbimpc_ros.mpc.errors import SolverFailure
 from orbimpc_ros.mpc.orbitopes import coordinate_count, coordinates
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.statement import Statement
@@ -72,7 +73,7 @@ class Program:
         self._origin = state.position
         seen = goals - state.position
         weights = position_weights(self.problem)
-        constant = float(weights @ np.sum(seen * seen, axis=1))
+        constant = float(np.sum(weights[:, None] * seen * seen))
         self._constant = constant + first_length(self.problem, state)
         self._bind_cost(-2.0 * weights[:, None] * seen)
         if self._statement.coasting:
@@ -90,13 +91,24 @@ class Program:
         for slot, normal, offset in halfspaces:
             row, entries = self._slots[slot]
             if self._statement.slots[slot].on == 'position':  # the variable is s_k - s_0
-                offset = offset - normal @ self._origin
+                offset -= float(normal @ self._origin)
             a[entries] = -normal
             b[row] = -offset
-        self._solver.update(q=self._q, A=a, b=b)
-        answer = solved(self._solver)
+        answer = self._answer(a, b)
         x = np.asarray(answer.x)[self._columns]
         return Relaxation(x, self._scale * answer.obj_val_dual + self._constant)
+
+    def _answer(self, a: Array, b: Array) -> Any:
+        self._solver.update(q=self._q, A=a, b=b)
+        try:
+            return solved(self._solver)
+        except SolverFailure:
+            # Set up anew, scaled for these very numbers: that settles nearly all of the rest.
+            matrix = self._data['A'].copy()
+            matrix.data = a
+            cost = sparse.csc_matrix(self._data['P'] / self._scale)
+            data = {**self._data, 'P': cost, 'c': self._q, 'A': matrix, 'b': b}
+            return solved(solver_for(data, REDUCED))
 
     def _bind_cost(self, pull: Array) -> None:
         """Put the pull of the goals into q; goals far away are scaled down with the whole cost.
@@ -119,6 +131,7 @@ class Program:
         self._b_0 = np.array(data['b'])
         units = np.eye(statement.size)
         self._b_theta = np.column_stack([statement.compiled(u)['b'] - self._b_0 for u in units])
+        self._data = data
         self._locate(data)
         self._solver = solver_for(data, tolerance)
         self._p_0 = sparse.csc_matrix(sparse.triu(data['P'])).data

@@ -11,8 +11,8 @@ a parabola in the parent's solution x and the condensed Hessian H of the rotatio
 costs at least D(0) + max(0, beta - a.x)^2 / (2 a.H^-1 a). That prunes most children unsolved.
 
 A round floor is branched on its cells, and the cells are cut finer where a solution slips below the
-floor. Trajectories above it come from tangents: beyond the tangent at the direction of v, |v| is
-above the floor, so the program with tangents gives a feasible point, and repeated, a descent.
+floor. Trajectories come from dives, which hold all that a solution misses at its nearest cell; of a
+round floor, beyond its tangent in the direction of v, where |v| is surely above the floor.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from orbimpc_ros.mpc.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.trajectory import Trajectory, trajectory_of
 
 SATISFIED = 1e-7  # a cell missed by less holds; a tenth of what the plan's check allows
-NEAR = 0.05  # a round floor missed by less is worth a descent along tangents
-TANGENT_STEPS = 3
+NEAR = 0.05  # a round floor missed by less is worth a dive
+DIVE_STEPS = 4
 MAX_NODES = 20_000
 
 Choice = tuple[Cell | None, ...]
@@ -130,10 +130,8 @@ class _Run:
             self._closed = min(self._closed, bound)
             self._accept(x, trajectory)
             return
-        if all(self._search.disjunctions[j].radius for j in missed) and (
-            first or max(m for m, _ in missed.values()) < NEAR
-        ):
-            self._descend(node.choice, trajectory)
+        if self._best is None or self._is_nearly_round(missed):
+            self._dive(node.choice, trajectory, missed)
         self._branch(node.choice, missed, bound)
 
     def _relaxed(self, halfspaces: Iterator[Halfspace]) -> tuple[Trajectory, Array, float]:
@@ -146,18 +144,11 @@ class _Run:
         if trajectory.cost < self._cost:
             self._best, self._cost = x, trajectory.cost
 
-    def _halfspaces(self, choice: Choice, along: Trajectory | None = None) -> Iterator[Halfspace]:
-        """Yield the chosen cells; with a trajectory, tangents to round floors along it instead."""
+    def _halfspaces(self, choice: Choice) -> Iterator[Halfspace]:
         slot = 0
         for disjunction, cell in zip(self._search.disjunctions, choice, strict=True):
-            tangent = along is not None and disjunction.radius > 0.0
-            for k in disjunction.steps:
-                if tangent:
-                    heading = along.headings[k]  # type: ignore[union-attr]
-                    norm = float(np.linalg.norm(heading))
-                    if norm > HEADING_UNDEFINED:
-                        yield slot, heading / norm, disjunction.radius
-                elif cell is not None:
+            for _ in disjunction.steps:
+                if cell is not None:
                     yield slot, cell.normal, cell.offset
                 slot += 1
 
@@ -171,15 +162,36 @@ class _Run:
                 missed[j] = (by, values)
         return missed
 
-    def _descend(self, choice: Choice, trajectory: Trajectory) -> None:
-        """Improve the best trajectory along tangents, where that leads to one."""
-        for _ in range(TANGENT_STEPS):
+    def _is_nearly_round(self, missed: dict[int, tuple[float, Array]]) -> bool:
+        """Return whether all that is missed are round floors, and those by little."""
+        disjunctions = self._search.disjunctions
+        return all(disjunctions[j].radius and by < NEAR for j, (by, _) in missed.items())
+
+    def _dive(
+        self, choice: Choice, trajectory: Trajectory, missed: dict[int, tuple[float, Array]]
+    ) -> None:
+        """Look for a trajectory: hold whatever is missed at its nearest cell, and solve again."""
+        held = list(choice)
+        for _ in range(DIVE_STEPS):
+            for j, (_, values) in missed.items():
+                held[j] = _nearest_cell(self._search.disjunctions[j], values, held[j])
             try:
-                trajectory, x, _ = self._relaxed(self._halfspaces(choice, trajectory))
+                trajectory, x, _ = self._relaxed(self._halfspaces(tuple(held)))
             except (Infeasible, SolverFailure):
                 return
-            if not self._missed(trajectory):
+            missed = self._missed(trajectory)
+            if not missed:
                 self._accept(x, trajectory)
+                missed = self._round_floors(trajectory)  # tangents there may descend further
+                if not missed:
+                    return
+
+    def _round_floors(self, trajectory: Trajectory) -> dict[int, tuple[float, Array]]:
+        return {
+            j: (0.0, d.values(trajectory.headings, trajectory.positions))
+            for j, d in enumerate(self._search.disjunctions)
+            if d.radius
+        }
 
     def _branch(self, choice: Choice, missed: dict[int, tuple[float, Array]], bound: float) -> None:
         """Open a child per cell of the disjunction that raises the bound the most."""
@@ -208,6 +220,17 @@ class _Run:
         """Return by how much each cell raises the bound at least, shape (cells,)."""
         short = np.maximum(shortfall(cells, values), 0.0)
         return (short**2 / (2.0 * self._search.curvature[j])).max(axis=1)
+
+
+def _nearest_cell(disjunction: Disjunction, values: Array, held: Cell | None) -> Cell | None:
+    """Return the cell that values, shape (K, n), miss least; of a round floor, the tangent."""
+    if not disjunction.radius:
+        if held is not None:
+            return held
+        short = shortfall(disjunction.cells, values).max(axis=1)
+        return disjunction.cells[int(np.argmin(short))]
+    norm = float(np.linalg.norm(values[0]))
+    return Cell(values[0] / norm, disjunction.radius) if norm > HEADING_UNDEFINED else held
 
 
 def inverse_curvature(problem: Problem, disjunction: Disjunction) -> Array:

@@ -138,13 +138,9 @@ class Statement:
     def _slot_rows(self) -> list[cp.Constraint]:
         if self._offsets is None:
             return []
-        n = self.problem.dimension
-        ones = np.ones(n)
-        picked = [
-            (self._headings[s.step] if s.on == 'heading' else self._displacements[s.step - 1])
-            @ ones
-            for s in self.slots
-        ]
+        seen = {'heading': self._headings, 'position': self._displacements}
+        ones = np.ones(self.problem.dimension)
+        picked = [seen[s.on][s.step - (s.on == 'position')] @ ones for s in self.slots]
         return [cp.hstack(picked) >= self._offsets]
 
     def slot_variables(self, slot: int) -> tuple[cp.Variable, range]:

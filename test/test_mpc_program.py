@@ -1,0 +1,157 @@
+"""The compiled convex program: optimality judged without a solver, updates in place, far goals."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from problems import ORDERS, goals, state, weights
+
+from orbimpc_ros.mpc.disjunction import Slot
+from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.orbitopes import matrix
+from orbimpc_ros.mpc.plan import assemble, violations
+from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.program import Program
+from orbimpc_ros.mpc.rotations import nearest
+from orbimpc_ros.mpc.trajectory import trajectory_of
+
+
+def suboptimality(problem, start, targets, x):
+    """How much better any trajectory can be at most: the Frank-Wolfe gap over SO(n)^N.
+
+    The cost is convex in R_1..R_N, so it is at least its tangent plane, whose minimum over
+    conv SO(n) is at a rotation: the one nearest to minus the gradient.
+    """
+
+    def cost(rotations):
+        coordinates = rotations[:, :, 0] if problem.dimension == 2 else None
+        if coordinates is None:
+            coordinates = np.swapaxes(rotations, 1, 2).reshape(len(rotations), 9)
+        return trajectory_of(problem, start, targets, coordinates).cost
+
+    rotations, h = matrix(x), 1e-6
+    gap = 0.0
+    for k in range(len(rotations)):
+        gradient = np.zeros_like(rotations[k])
+        basis = np.eye(9).reshape(9, 3, 3) if problem.dimension == 3 else PLANE
+        for e in basis:
+            up, down = rotations.copy(), rotations.copy()
+            up[k], down[k] = rotations[k] + h * e, rotations[k] - h * e
+            gradient += (cost(up) - cost(down)) / (2 * h) * e / np.sum(e * e)
+        gap += np.sum(gradient * (rotations[k] - nearest(-gradient)))
+    return gap
+
+
+PLANE = np.array([[[1.0, 0.0], [0.0, 1.0]], [[0.0, -1.0], [1.0, 0.0]]])
+
+
+@pytest.mark.parametrize('n', [2, 3])
+@pytest.mark.parametrize('translation_order', [1, 2])
+@pytest.mark.parametrize('seed', range(4))
+def test_hull_optimum_has_no_frank_wolfe_gap(n, translation_order, seed):
+    rng = np.random.default_rng(seed)
+    smooth = replace(weights(rng), length=0.0)  # |R e1| has a kink where the vehicle stops
+    problem = Problem(n, 1, translation_order, horizon=4, weights=smooth)
+    start, targets = state(rng, problem), goals(rng, problem)
+    program = Program(problem)
+    program.bind(start, targets)
+    relaxed = program.solve()
+    cost = trajectory_of(problem, start, targets, relaxed.x).cost
+    assert suboptimality(problem, start, targets, relaxed.x) <= 2e-5 * max(1.0, cost)
+    assert relaxed.bound == pytest.approx(cost, rel=1e-6)
+
+
+@pytest.mark.parametrize('orders', ORDERS)
+@pytest.mark.parametrize('terminal', ['penalty', 'constraint'])
+def test_updating_in_place_is_compiling_anew(orders, terminal):
+    rng = np.random.default_rng(7)
+    problem = Problem(**orders, horizon=8, max_rate=2.0, terminal=terminal, weights=weights(rng))
+    reused = Program(problem, coasting=True)
+    compared = 0
+    for _ in range(6):
+        start, targets = state(rng, problem), goals(rng, problem, distance=1.0)
+        fresh = Program(problem, coasting=True)
+        fresh.bind(start, targets)
+        reused.bind(start, targets)
+        try:
+            expected = fresh.solve()
+        except Infeasible:
+            with pytest.raises(Infeasible):
+                reused.solve()
+            continue
+        relaxed = reused.solve()
+        compared += 1
+        assert relaxed.bound == pytest.approx(expected.bound, rel=1e-6, abs=1e-7)
+        plan = assemble(
+            problem,
+            start,
+            targets,
+            relaxed.x,
+            status='optimal',
+            lower_bound=relaxed.bound,
+            nodes=1,
+            projection='nearest',
+        )
+        assert violations(problem, start, targets, plan) == []
+        assert plan.objective == pytest.approx(relaxed.bound, rel=1e-5, abs=1e-6)
+    assert compared >= 2
+
+
+@pytest.mark.parametrize('n', [2, 3])
+@pytest.mark.parametrize('distance', [1e3, 1e6, 1e8])
+@pytest.mark.parametrize('forward', [0.1, 20.0])
+def test_a_far_goal_is_flown_at_full_speed_not_called_infeasible(n, distance, forward):
+    problem = Problem(n, horizon=5, forward=forward)
+    start = state(np.random.default_rng(3), problem)
+    direction = np.full(n, 1.0 / np.sqrt(n))
+    program = Program(problem)
+    program.bind(start, np.tile(start.position + distance * direction, (5, 1)))
+    x = program.solve().x
+    assert np.allclose(x[0, :n], direction, atol=0.02)
+    program.bind(start, np.tile(start.position, (5, 1)))  # and the scale is taken back
+    near = program.solve()
+    fresh = Program(problem)
+    fresh.bind(start, np.tile(start.position, (5, 1)))
+    assert near.bound == pytest.approx(fresh.solve().bound, rel=1e-6)
+
+
+def test_a_half_space_binds_and_is_gone_in_the_next_solve():
+    problem = Problem(horizon=3)
+    start = state(np.random.default_rng(0), problem)
+    program = Program(problem, [Slot('heading', 2), Slot('position', 3)])
+    program.bind(start, np.tile(start.position, (3, 1)))
+    free = program.solve()
+    normal = np.array([0.0, 1.0])
+    bound = program.solve([(0, normal, 0.9)])
+    assert bound.x[1] @ normal >= 0.9 - 1e-7
+    assert bound.bound > free.bound
+    wall = free_position(problem, start, free.x)[3] @ normal + 0.3
+    moved = program.solve([(1, normal, wall)])
+    assert free_position(problem, start, moved.x)[3] @ normal >= wall - 1e-7
+    assert program.solve().bound == pytest.approx(free.bound, rel=1e-9)
+
+
+def free_position(problem, start, x):
+    targets = np.zeros((problem.horizon, problem.dimension))
+    return trajectory_of(problem, start, targets, x).positions
+
+
+def test_contradictory_half_spaces_are_infeasible():
+    problem = Problem(horizon=2)
+    start = state(np.random.default_rng(0), problem)
+    program = Program(problem, [Slot('heading', 1), Slot('heading', 1)])
+    program.bind(start, np.zeros((2, 2)))
+    east = np.array([1.0, 0.0])
+    with pytest.raises(Infeasible):
+        program.solve([(0, east, 0.5), (1, -east, 0.5)])
+
+
+def test_the_rate_limit_bounds_every_turn():
+    problem = replace(Problem(horizon=6), max_rate=0.4)
+    start = state(np.random.default_rng(5), problem)
+    program = Program(problem)
+    program.bind(start, np.tile(start.position - 5 * start.rotation[:, 0], (6, 1)))
+    x = np.concatenate([start.rotation[None, :, 0], program.solve().x])
+    turned = np.linalg.norm(np.diff(x, axis=0), axis=1)
+    assert turned.max() <= 2 * np.sin(0.2) + 1e-8
+    assert turned.max() >= 2 * np.sin(0.2) - 1e-4

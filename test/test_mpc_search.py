@@ -1,0 +1,170 @@
+"""Branch and bound: against exhaustive enumeration, its child bounds, and its honesty."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from problems import box, floor, goals, reference, state, weights
+
+from orbimpc_ros.mpc.disjunction import disjunctions_of, shortfall
+from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.plan import violations
+from orbimpc_ros.mpc.problem import Box, Problem, State
+from orbimpc_ros.mpc.program import Program
+from orbimpc_ros.mpc.search import Search, inverse_curvature
+from orbimpc_ros.mpc.solver import Solver
+from orbimpc_ros.mpc.trajectory import trajectory_of
+
+
+def enumerated(problem, start, targets):
+    """The least bound over every combination of cells: the optimum of the mixed-integer problem."""
+    disjunctions = disjunctions_of(problem)
+    program = Program(problem, [slot for d in disjunctions for slot in d.slots])
+    program.bind(start, targets)
+    best = np.inf
+    for choice in itertools.product(*(d.cells for d in disjunctions)):
+        rows = [
+            (cell, slot) for d, cell in zip(disjunctions, choice, strict=True) for slot in d.slots
+        ]
+        halfspaces = [(i, cell.normal, cell.offset) for i, (cell, _) in enumerate(rows)]
+        try:
+            best = min(best, program.solve(halfspaces).bound)
+        except Infeasible:
+            continue
+    return best
+
+
+def flat_problems():
+    """Seed, dimension, floor, boxes, whether consecutive points share a face."""
+    for seed in range(6):
+        yield seed, 2, floor('polygon', 0.5, 4), 0, False
+        yield seed, 2, floor('polygon', 0.4, 3), 0, False
+        yield seed, 2, floor('none'), 1, False
+        yield seed, 2, floor('none'), 1, True
+    for seed in range(3):
+        yield seed, 2, floor('polygon', 0.6, 4), 1, False
+        yield seed, 3, floor('polygon', 0.5, 6), 0, False
+        yield seed, 3, floor('none'), 1, True
+
+
+@pytest.mark.parametrize(('seed', 'n', 'shape', 'boxes', 'sharing'), list(flat_problems()))
+def test_finds_what_enumeration_finds(seed, n, shape, boxes, sharing):
+    rng = np.random.default_rng(seed)
+    horizon = 3 if shape.shape == 'none' or n == 2 else 2
+    horizon = 2 if boxes and shape.shape != 'none' else horizon
+    problem = Problem(n, horizon=horizon, floor=shape, weights=weights(rng))
+    start = state(rng, problem)
+    middle = start.position + start.rotation[:, 0] * 1.9
+    obstacles = tuple(box(rng, n, middle) for _ in range(boxes))
+    problem = replace(problem, obstacles=obstacles, no_corner_cutting=sharing)
+    targets = np.tile(middle + 0.3 * rng.normal(size=n), (horizon, 1))
+    expected = enumerated(problem, start, targets)
+    if expected == np.inf:
+        with pytest.raises(Infeasible):
+            Solver(problem).solve(start, targets)
+        return
+    plan = Solver(problem).solve(start, targets)
+    assert plan.status == 'optimal'
+    assert plan.objective == pytest.approx(expected, rel=1e-5, abs=1e-6)
+    assert plan.lower_bound <= expected + 1e-6 * max(1.0, expected)
+    assert violations(problem, start, targets, plan) == []
+
+
+@pytest.mark.parametrize('seed', range(8))
+def test_inherited_bounds_never_exceed_what_the_child_costs(seed):
+    rng = np.random.default_rng(seed)
+    problem = Problem(2 + seed % 2, horizon=4, floor=floor('polygon', 0.5, 6), weights=weights(rng))
+    start = state(rng, problem)
+    targets = np.tile(start.position + 0.5 * rng.normal(size=problem.dimension), (4, 1))
+    disjunctions = disjunctions_of(problem)
+    program = Program(problem, [slot for d in disjunctions for slot in d.slots])
+    program.bind(start, targets)
+    parent = program.solve()
+    flown = trajectory_of(problem, start, targets, parent.x)
+    raised = 0
+    for j, disjunction in enumerate(disjunctions):
+        values = disjunction.values(flown.headings, flown.positions)
+        curvature = inverse_curvature(problem, disjunction)
+        short = np.maximum(shortfall(disjunction.cells, values), 0.0)
+        gains = (short**2 / (2 * curvature)).max(axis=1)
+        for cell, gain in zip(disjunction.cells, gains, strict=True):
+            try:
+                child = program.solve([(j, cell.normal, cell.offset)])
+            except Infeasible:
+                continue
+            raised += gain > 1e-3 * parent.bound
+            assert parent.bound + gain <= child.bound * (1 + 1e-6) + 1e-7
+    assert raised > 0
+
+
+@pytest.mark.parametrize('n', [2, 3])
+@pytest.mark.parametrize('seed', range(3))
+def test_a_round_floor_is_bounded_by_its_polygons(n, seed):
+    rng = np.random.default_rng(seed)
+    problem = Problem(n, horizon=3, floor=floor('circle', 0.5), max_rate=2.5)
+    start = state(rng, problem)
+    targets = np.tile(start.position + 0.4 * rng.normal(size=n), (3, 1))
+    found = Search(problem, 1e-3).solve(start, targets)
+    faces = 12 if n == 2 else 20
+    flat = replace(problem, floor=floor('polygon', 0.5, faces))
+    inside = Search(flat, 1e-5).solve(start, targets)
+    hull = Search(replace(problem, floor=floor('none')), 1e-5).solve(start, targets)
+    assert hull.lower_bound - 1e-6 <= found.lower_bound <= found.cost <= inside.cost * (1 + 1e-3)
+    assert found.cost - found.lower_bound <= 1.001e-3 * found.cost
+
+
+def test_running_out_of_time_returns_the_best_so_far_with_an_honest_gap():
+    problem, start, targets = reference('dubins_square')
+    optimum = Solver(problem).solve(start, targets)
+    polls = itertools.count()
+    plan = Solver(problem).solve(start, targets, out_of_time=lambda: next(polls) > 20)
+    assert plan.status == 'feasible'
+    assert plan.gap > 1e-4
+    assert plan.lower_bound <= optimum.objective <= plan.objective
+
+
+def test_a_start_in_a_box_that_cannot_be_left_in_a_step_is_infeasible():
+    big = Box(np.array([-5.0, -5.0]), np.array([5.0, 5.0]))
+    problem = Problem(obstacles=(big,))
+    with pytest.raises(Infeasible):
+        Solver(problem).solve(State.at([0.0, 0.0], np.eye(2)), np.zeros((5, 2)))
+
+
+def test_corners_are_cut_only_where_that_is_allowed():
+    """Two points on neighbouring sides of a box are outside it; the line between them is not."""
+    corner = Box(np.array([0.0, -1.0]), np.array([1.0, 1.0]))
+    free = Problem(horizon=4, obstacles=(corner,))
+    start = State.at([-0.8, 0.0], np.array([[0.6, -0.8], [0.8, 0.6]]))
+    targets = np.tile([1.2, 1.6], (4, 1))
+    cutting = Solver(free).solve(start, targets)
+    clear = Solver(replace(free, no_corner_cutting=True)).solve(start, targets)
+
+    def deepest(plan):
+        points = [
+            a + s * (b - a)
+            for a, b in itertools.pairwise(plan.positions[1:])
+            for s in np.linspace(0, 1, 101)
+        ]
+        return corner.depth(np.array(points)).max()
+
+    assert deepest(cutting) > 0.02
+    assert deepest(clear) <= 1e-6
+    assert clear.objective >= cutting.objective
+
+
+def test_guess_only_helps():
+    problem, start, targets = reference('uav_hexagon_1')
+    cold = Solver(problem).solve(start, targets)
+    warm = Solver(problem).solve(start, targets, guess=cold)
+    assert warm.objective == pytest.approx(cold.objective, rel=1e-6)
+    assert warm.nodes <= cold.nodes
+
+
+def test_goals_drift_with_the_horizon():
+    rng = np.random.default_rng(11)
+    problem = Problem(horizon=4, floor=floor('polygon'))
+    start = state(rng, problem)
+    moving = goals(rng, problem, distance=1.0)
+    plan = Solver(problem).solve(start, moving)
+    assert plan.objective == pytest.approx(enumerated(problem, start, moving), rel=1e-5)
