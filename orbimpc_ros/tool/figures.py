@@ -189,7 +189,8 @@ def _star(axes: Axes, x: float, y: float, label: str) -> None:
 
 def draw_distance(axes: Axes, history: History) -> None:
     """Draw the distance to the rope, at odometry and at the closest approach of every step."""
-    axes.plot(*_distances(history), color=INK, lw=1.2)
+    moments = [(moment.time, moment.distance) for moment in history.moments]
+    axes.plot(*np.array(moments).T, color=INK, lw=1.2)
     radius = history.values['capture_radius']
     axes.axhline(radius, color=GREEN, lw=1.2, ls='--', label=f'capture radius {radius:g} m')
     for number, miss in enumerate(history.near_misses, start=1):
@@ -204,26 +205,12 @@ def draw_distance(axes: Axes, history: History) -> None:
     axes.legend(loc='upper right')
 
 
-def _distances(history: History) -> tuple[Array, Array]:
-    """Return times and distances, up to the capture."""
-    apart = np.linalg.norm(history.positions - history.ropes, axis=1)
-    closest = [(approach.time, approach.distance) for approach in history.approaches]
-    pairs = [*zip(history.times, apart, strict=True), *closest]
-    times, distances = np.array(sorted(pair for pair in pairs if pair[0] <= _end(history))).T
-    return times, distances
-
-
-def _end(history: History) -> float:
-    """Return when the rope was caught, or the last time [s]."""
-    return float(history.times[-1]) if history.capture is None else history.capture.time
-
-
 def draw_speed(axes: Axes, history: History) -> None:
     """Draw the commanded speed fraction and the floor below it."""
     planned = [
         (time, fields['speed_fraction'][1])
         for time, fields in history.ticks
-        if len(fields.get('speed_fraction') or ()) > 1 and time <= _end(history)
+        if len(fields.get('speed_fraction') or ()) > 1 and time <= history.end
     ]
     if planned:
         axes.step(*np.array(planned).T, where='post', color=BLUE, lw=1.3, label='commanded')

@@ -21,11 +21,11 @@ NEAR = 2.0  # a local minimum of the distance within so many capture radii is a 
 
 
 class Approach(NamedTuple):
-    """The closest that vehicle and rope came during a step.
+    """How close vehicle and rope were.
 
     Attributes:
         time: when [s].
-        distance: how close [m].
+        distance: [m].
         vehicle: where the vehicle was, shape (3,) [m].
         rope: where the rope was, shape (3,) [m].
     """
@@ -81,16 +81,30 @@ class History:
         return Approach(float(when), distance, vehicle, rope)
 
     @property
+    def moments(self) -> list[Approach]:
+        """Return distances over time, up to the capture: at odometry, and where closest between."""
+        seen = [
+            Approach(float(time), float(np.linalg.norm(vehicle - rope)), vehicle, rope)
+            for time, vehicle, rope in zip(self.times, self.positions, self.ropes, strict=True)
+        ]
+        by_time = {moment.time: moment for moment in (*seen, *self.approaches)}
+        return [by_time[time] for time in sorted(by_time) if time <= self.end]
+
+    @property
     def near_misses(self) -> list[Approach]:
         """Return the local minima of the distance that came near and yet caught nothing."""
-        radius = self.values['capture_radius']
-        closest = self.approaches
-        around = [np.inf, *(a.distance for a in closest), np.inf]
+        radius, moments = self.values['capture_radius'], self.moments
         return [
-            a
-            for k, a in enumerate(closest, start=1)
-            if radius < a.distance <= NEAR * radius and around[k - 1] > a.distance <= around[k + 1]
+            now
+            for before, now, after in zip(moments, moments[1:], moments[2:], strict=False)
+            if radius < now.distance <= NEAR * radius
+            and before.distance > now.distance <= after.distance
         ]
+
+    @property
+    def end(self) -> float:
+        """Return when the rope was caught, or the last time [s]."""
+        return float(self.times[-1]) if self.capture is None else self.capture.time
 
     @property
     def capture(self) -> Approach | None:
