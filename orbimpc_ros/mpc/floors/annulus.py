@@ -65,35 +65,31 @@ class Annulus:
     """
 
     def __init__(self, problem: Problem) -> None:
-        self.problem = problem
+        self._problem = problem
         n_steps, n = problem.horizon, problem.dimension
-        self.hessian = condensed.hessian(problem)
-        self.length = np.full(n_steps, problem.weights.length * problem.step * problem.forward)
-        self.length[-1] = 0.0
-        self._arrival = np.zeros((n_steps, 0))
+        self._hessian = condensed.hessian(problem)
+        self._length = np.full(n_steps, problem.weights.length * problem.step * problem.forward)
+        self._length[-1] = 0.0
+        arrival = np.zeros((n_steps, 0))
         if problem.terminal == 'constraint':
-            self._arrival = dynamics.position_map(problem)[-1:, 1:].T
-        self.free = _null_space(self._arrival)
-        self._expanded = np.kron(self.hessian, np.eye(n))
-        self._rows = np.kron(self._arrival, np.eye(n))
-        self.floor = problem.floor.fraction
+            arrival = dynamics.position_map(problem)[-1:, 1:].T
+        self._free = _null_space(arrival)
+        self._expanded = np.kron(self._hessian, np.eye(n))
+        self._rows = np.kron(arrival, np.eye(n))
+        self._floor = problem.floor.fraction
 
     def bind(self, state: State, goals: Array) -> None:
         """Take a state and goals g_1..g_N, shape (N, n)."""
-        problem = self.problem
-        self.linear, self.constant = condensed.affine(problem, state, goals)
+        problem = self._problem
+        self._linear, self._constant = condensed.affine(problem, state, goals)
         reached = problem.step * problem.forward * state.rotation[:, 0]
         left = goals[-1] - state.position - reached
-        self.particular = np.zeros((problem.horizon, problem.dimension))
-        self._left = np.zeros(0)
-        if self._arrival.shape[1]:
-            self._left = left
-            self.particular = np.outer(self._arrival, left) / np.sum(self._arrival**2)
+        self._left = left if self._rows.shape[1] else np.zeros(0)
 
     def cost(self, z: Array) -> float:
         """Return the objective of headings z_1..z_N, shape (N, n)."""
-        quadratic = np.sum(z * (0.5 * self.hessian @ z + self.linear))
-        return float(quadratic + self.length @ _moduli(z) + self.constant)
+        quadratic = np.sum(z * (0.5 * self._hessian @ z + self._linear))
+        return float(quadratic + self._length @ _moduli(z) + self._constant)
 
     def stationary(self, start: Array) -> Stationary | None:
         """Return the stationary point that an active-set Newton method reaches, or None.
@@ -124,10 +120,10 @@ class Annulus:
         z[moduli < HEADING_UNDEFINED] = np.eye(z.shape[1])[0]
         moduli = _moduli(z)
         side = np.where(moduli >= 1.0 - ON_BOUND, 1, 0)
-        side[moduli <= self.floor + ON_BOUND] = -1
-        if self.floor == 1.0:
+        side[moduli <= self._floor + ON_BOUND] = -1
+        if self._floor == 1.0:
             side[:] = 1
-        z *= (np.clip(moduli, self.floor, 1.0) / moduli)[:, None]
+        z *= (np.clip(moduli, self._floor, 1.0) / moduli)[:, None]
         return _Point(z, np.zeros(len(z)), np.zeros(self._rows.shape[1]), side)
 
     def _step(self, point: _Point) -> None:
@@ -185,7 +181,7 @@ class Annulus:
         return z * scale[:, None]
 
     def _gradient(self, z: Array) -> Array:
-        return self.hessian @ z + self.linear + (self.length / _moduli(z))[:, None] * z
+        return self._hessian @ z + self._linear + (self._length / _moduli(z))[:, None] * z
 
     def _lagrangian_hessian(self, point: _Point) -> Array:
         z, (steps, n) = point.z, point.z.shape
@@ -194,24 +190,24 @@ class Annulus:
         blocks = matrix.reshape(steps, n, steps, n)
         each = np.arange(steps)
         outer = z[:, :, None] * z[:, None, :]
-        blocks[each, :, each, :] += (point.mu + self.length / moduli)[:, None, None] * np.eye(n)
-        blocks[each, :, each, :] -= (self.length / moduli**3)[:, None, None] * outer
+        blocks[each, :, each, :] += (point.mu + self._length / moduli)[:, None, None] * np.eye(n)
+        blocks[each, :, each, :] -= (self._length / moduli**3)[:, None, None] * outer
         return matrix
 
     def _catch(self, point: _Point) -> bool:
         """Put free headings that left the annulus back on the bound they crossed."""
         moduli = _moduli(point.z)
         free = point.side == 0
-        out, under = free & (moduli > 1.0), free & (moduli < self.floor)
+        out, under = free & (moduli > 1.0), free & (moduli < self._floor)
         point.side[out], point.side[under] = 1, -1
         crossed = out | under
-        target = np.where(out, 1.0, self.floor)
+        target = np.where(out, 1.0, self._floor)
         point.z[crossed] *= (target / moduli)[crossed, None]
         return bool(crossed.any())
 
     def _release(self, point: _Point) -> bool:
         """Let go of the heading that pulls away from its bound the most, if one does."""
-        if self.floor == 1.0:
+        if self._floor == 1.0:
             return False
         pull = point.mu * point.side
         worst = int(np.argmin(pull))
@@ -222,7 +218,7 @@ class Annulus:
 
     def _target(self, side: np.ndarray) -> Array:
         """Return the squared modulus that each heading sits on (1 where it is free)."""
-        return np.where(side < 0, self.floor**2, 1.0)
+        return np.where(side < 0, self._floor**2, 1.0)
 
     def _residual(self, point: _Point) -> Array:
         arrival = (self._rows @ point.nu).reshape(point.z.shape)
@@ -235,7 +231,7 @@ class Annulus:
 
     def _error(self, point: _Point) -> float:
         modulus, arrival = self._off(point)
-        scale = 1.0 + np.abs(self.linear).max()
+        scale = 1.0 + np.abs(self._linear).max()
         stray = np.abs(self._residual(point)).max() / scale
         return float(max(stray, np.abs(modulus).max(), np.abs(arrival).max(initial=0.0)))
 
@@ -244,8 +240,8 @@ class Annulus:
 
         L(z') >= L(z) + dL . (z' - z) + lambda_min / 2 |z' - z|^2 with |z_k' - z_k| <= 2.
         """
-        curved = self.hessian + np.diag(self._curvatures(point))
-        least = np.linalg.eigvalsh(self.free.T @ curved @ self.free)[0] if self.free.size else 0
+        curved = self._hessian + np.diag(self._curvatures(point))
+        least = np.linalg.eigvalsh(self._free.T @ curved @ self._free)[0] if self._free.size else 0
         modulus, arrival = self._off(point)
         return float(
             2.0 * len(point.z) * max(0.0, -least)
@@ -263,7 +259,7 @@ class Annulus:
         eta = mu + l / |z|; but the multiplier left for the modulus,
         Theta - 2 alpha l / (1 + f), must keep its sign.
         """
-        length, moduli, f = self.length, _moduli(point.z), self.floor
+        length, moduli, f = self._length, _moduli(point.z), self._floor
         eta = point.mu + length / moduli
         if f == 1.0:
             return eta  # the modulus is an equation, its multiplier free: alpha = 1

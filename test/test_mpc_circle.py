@@ -1,0 +1,141 @@
+"""The circular floor: its certificate is sound, its bound is the lifted relaxation's."""
+
+from dataclasses import replace
+
+import cvxpy as cp
+import numpy as np
+import pytest
+from problems import floor, goals, reference, state, weights
+
+from orbimpc_ros.mpc import condensed
+from orbimpc_ros.mpc.floors.annulus import Annulus
+from orbimpc_ros.mpc.floors.circle import Circle
+from orbimpc_ros.mpc.floors.lift import Lift
+from orbimpc_ros.mpc.plan import violations
+from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.solver import Solver
+
+
+def random_problem(rng, horizon=5, length=True):
+    chosen = weights(rng)
+    if not length:
+        chosen = replace(chosen, length=0.0)
+    fraction = rng.choice([np.sqrt(0.3), rng.uniform(0.1, 0.99), 1.0])
+    return Problem(horizon=horizon, weights=chosen, floor=floor('circle', fraction))
+
+
+def random_start(rng, count, fraction):
+    angle, size = rng.uniform(0, 2 * np.pi, count), rng.uniform(fraction, 1.0, count)
+    return np.column_stack([np.cos(angle), np.sin(angle)]) * size[:, None]
+
+
+def best_descent(rng, problem, start, targets, count=50):
+    """The least cost that projected gradient descent reaches from random starts, all at once."""
+    hessian, (q, c) = condensed.hessian(problem), condensed.affine(problem, start, targets)
+    low = problem.floor.fraction
+    length = np.full(problem.horizon, problem.weights.length * problem.step * problem.forward)
+    length[-1] = 0.0
+    z = np.stack([random_start(rng, problem.horizon, low) for _ in range(count)])
+    rate = 1.0 / (np.linalg.eigvalsh(hessian)[-1] + length.max() / low)
+
+    def moduli(z):
+        return np.sqrt(np.sum(z * z, axis=2, keepdims=True))
+
+    for _ in range(200):
+        size = moduli(z)
+        z = z - rate * (hessian @ z + q + length[:, None] * z / size)
+        size = moduli(z)
+        z *= np.clip(size, low, 1.0) / size
+    cost = np.sum(z * (0.5 * hessian @ z + q), axis=(1, 2)) + moduli(z)[:, :, 0] @ length + c
+    return cost.min()
+
+
+def dense_bound(problem, start, targets):
+    """The lifted relaxation as one dense Hermitian matrix of moments of (1, z_1..z_N)."""
+    steps = problem.horizon
+    q, c = condensed.affine(problem, start, targets)
+    moments = cp.Variable((steps + 1, steps + 1), hermitian=True)
+    hessian = condensed.hessian(problem)
+    linear = q[:, 0] + 1j * q[:, 1]
+    cost = 0.5 * cp.real(cp.sum(cp.multiply(hessian, moments[1:, 1:])))
+    cost += cp.real(cp.sum(cp.multiply(linear.conj(), moments[1:, 0])))
+    squares = cp.real(cp.diag(moments))[1:]
+    low = problem.floor.fraction
+    constraints = [moments >> 0, moments[0, 0] == 1, squares >= low**2, squares <= 1]
+    program = cp.Problem(cp.Minimize(cost), constraints)
+    program.solve(solver=cp.CLARABEL)
+    return program.value + c
+
+
+@pytest.mark.parametrize('seed', range(40))
+def test_no_bound_exceeds_the_best_of_many_local_optima(seed):
+    """50 problems a seed, 50 local starts each: 2,000 problems in all."""
+    rng = np.random.default_rng(seed)
+    for _ in range(50):
+        problem = random_problem(rng, horizon=int(rng.integers(2, 6)))
+        start, targets = state(rng, problem, full_speed=False), goals(rng, problem)
+        found = Circle(problem, 1e-6).solve(start, targets)
+        best = min(best_descent(rng, problem, start, targets), found.cost)
+        assert found.lower_bound <= best + 1e-6 * abs(best)
+
+
+@pytest.mark.parametrize('seed', range(10))
+def test_the_chain_of_links_bounds_as_well_as_one_dense_matrix(seed):
+    rng = np.random.default_rng(seed)
+    problem = random_problem(rng, length=False)
+    start, targets = state(rng, problem), goals(rng, problem)
+    dense = dense_bound(problem, start, targets)
+    lifted = Lift(problem).solve(start, targets)
+    assert lifted.lower_bound == pytest.approx(dense, rel=2e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize('seed', range(30))
+def test_solves_to_global_optimality_and_says_so(seed):
+    rng = np.random.default_rng(100 + seed)
+    problem = random_problem(rng, length=False)
+    start, targets = state(rng, problem), goals(rng, problem, distance=1.0)
+    plan = Solver(problem).solve(start, targets)
+    assert plan.status == 'optimal'
+    assert plan.gap <= 1e-4
+    assert violations(problem, start, targets, plan) == []
+
+
+@pytest.mark.parametrize('fraction', [0.3, 0.7, 1.0])
+def test_a_certificate_is_a_zero_gap_and_its_absence_is_a_real_one(fraction):
+    rng = np.random.default_rng(1)
+    problem = Problem(floor=floor('circle', fraction))
+    annulus = Annulus(problem)
+    certified = local = 0
+    for _ in range(40):
+        start, targets = state(rng, problem), goals(rng, problem, distance=0.5)
+        annulus.bind(start, targets)
+        points = [annulus.stationary(random_start(rng, 5, fraction)) for _ in range(6)]
+        points = [p for p in points if p is not None]
+        best = min(p.cost for p in points)
+        bound = max(p.lower_bound for p in points)
+        for point in points:
+            proved = point.cost - point.lower_bound < 1e-7 * abs(point.cost)
+            certified += proved
+            local += point.cost > best * (1 + 1e-6)
+            assert not (proved and point.cost > best * (1 + 1e-6))
+        assert bound <= best * (1 + 1e-9)
+    assert certified > 0
+    assert local > 0
+
+
+def test_arrival_and_length_are_certified_at_the_papers_dubins_problem():
+    problem, start, targets = reference('dubins_circle')
+    plan = Solver(problem).solve(start, targets)
+    assert plan.status == 'optimal'
+    assert np.allclose(plan.positions[-1], targets[-1], atol=1e-9)
+    assert plan.speed_fraction[1:].min() >= np.sqrt(0.5) - 1e-8
+
+
+def test_lift_covers_arrival_and_length():
+    problem, start, _ = reference('dubins_circle')
+    short = replace(problem, horizon=6)
+    near = np.tile([2.0, 3.0], (6, 1))
+    lifted = Lift(short).solve(start, near)
+    plan = Solver(short).solve(start, near)
+    assert lifted.lower_bound <= plan.objective * (1 + 1e-6)
+    assert lifted.lower_bound == pytest.approx(plan.objective, rel=1e-2)
