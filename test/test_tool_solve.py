@@ -231,12 +231,32 @@ def test_directory_is_refused_in_one_line(tmp_path, capsys):
     assert_one_line((code, *capsys.readouterr()), str(tmp_path))
 
 
-def test_infeasible_names_the_constraint(solve):
-    out_of_reach = case(floor={'shape': 'none'}, terminal='constraint', goal=[50.0, 0.0])
-    code, out, err = solve(out_of_reach)
+OUT_OF_REACH = {'terminal': 'constraint', 'goal': [50.0, 0.0]}
+INFEASIBLE = {
+    'terminal': (
+        {**OUT_OF_REACH, 'floor': {'shape': 'none'}},
+        'without terminal: constraint there',
+    ),
+    'terminal, not the floor': (OUT_OF_REACH, 'without terminal: constraint there'),
+    'rate': (
+        {
+            'max_rate': 0.1,
+            'terminal': 'constraint',
+            'floor': {'shape': 'none'},
+            'state': {'position': [0.0, 0.0], 'rotation': [[1.0, 0.0], [0.0, 1.0]]},
+            'goal': [-2.0, 0.0],
+        },
+        'without terminal: constraint or without max_rate there',
+    ),
+}
+
+
+@pytest.mark.parametrize(('changes', 'blamed'), INFEASIBLE.values(), ids=INFEASIBLE)
+def test_infeasible_names_the_constraint(solve, changes, blamed):
+    code, out, err = solve(case(**changes))
     assert (code, out) == (cli.INFEASIBLE, '')
     assert err.count('\n') == 1
-    assert 'terminal' in err
+    assert blamed in err
 
 
 def run_process(*words, text=''):
