@@ -20,10 +20,14 @@ PATIENCE = 20.0  # [s] for anything awaited; far beyond what it takes
 _numbers = itertools.count()
 
 
+def new_domain() -> int:
+    """Return a DDS domain that no other test uses, nor another worker's."""
+    return 1 + (13 * os.getpid() + next(_numbers)) % 100
+
+
 @pytest.fixture
 def domain() -> int:
-    """A DDS domain that no other test uses, nor another worker's."""
-    return 1 + (13 * os.getpid() + next(_numbers)) % 100
+    return new_domain()
 
 
 class Process:
@@ -76,7 +80,9 @@ def launch(domain, tmp_path):
     """
     with contextlib.ExitStack() as stack:
 
-        def start(module: str, parameters: dict | None = None, *names: str) -> Process:
+        def start(
+            module: str, parameters: dict | None = None, *names: str, domain: int = domain
+        ) -> Process:
             files = [ROOT / 'config' / f'{name}.yaml' for name in names]
             log = tmp_path / f'{module}-{next(_numbers)}.log'
             process = Process(module, domain, log, parameters or {}, files)
@@ -94,6 +100,7 @@ class Observer:
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.signals import SignalHandlerOptions
 
+        self.domain = domain
         self._context = rclpy.Context()
         rclpy.init(
             args=[],
@@ -104,6 +111,7 @@ class Observer:
         self.node = rclpy.create_node('observer', context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
+        self._subscriptions: dict = {}
 
     def close(self) -> None:
         self._executor.shutdown()
@@ -115,8 +123,16 @@ class Observer:
         from orbimpc_ros.ros.process import qos as kept
 
         heard: list = []
-        self.node.create_subscription(kind, topic, heard.append, qos or kept(1000))
+        self._subscriptions[topic] = self.node.create_subscription(
+            kind, topic, heard.append, qos or kept(1000)
+        )
         return heard
+
+    def until_connected(self, *topics: str) -> None:
+        """Spin until each topic listened to has a publisher: it will miss nothing from then on."""
+        for topic in topics:
+            subscription = self._subscriptions[topic]
+            self.until(lambda s=subscription: s.get_publisher_count() > 0, f'who says {topic}')
 
     def until(self, happened, what: str = '') -> None:
         """Spin until ``happened()``; fail when that takes too long."""
@@ -139,3 +155,12 @@ def observer(domain):
     seen = Observer(domain)
     yield seen
     seen.close()
+
+
+@pytest.fixture
+def observers():
+    """Five observers, each in a domain of its own."""
+    seen = [Observer(new_domain()) for _ in range(5)]
+    yield seen
+    for each in seen:
+        each.close()

@@ -16,13 +16,15 @@ from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.condensed import first_length, position_weights
-from orbimpc_ros.mpc.conic import REDUCED, solved, solver_for
+from orbimpc_ros.mpc.conic import solved, solver_for
 from orbimpc_ros.mpc.disjunction import Slot
 from orbimpc_ros.mpc.errors import SolverFailure
 from orbimpc_ros.mpc.orbitopes import coordinate_count, coordinates
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.statement import Statement
 
+SMALL = 1e-2  # a cost below this is solved once more, scaled up
+TINY = 1e-11  # well below the 1e-9 that gaps are measured against at the least
 INERT = 1.0  # an empty slot reads 0 <= 1
 FAR = 1.0  # a goal is far from this many horizons on
 
@@ -63,9 +65,10 @@ class Program:
     ) -> None:
         self.problem = problem
         self._statement = Statement(problem, slots, coasting and problem.rotation_order == 2)
+        self._tolerance = tolerance
         self._heaviest = float(position_weights(problem).max())
         self._scale = 1.0
-        self._compile(tolerance)
+        self._compile()
 
     def bind(self, state: State, goals: Array) -> None:
         """Put a state and goals g_1..g_N, shape (N, n), into the data of the solves to come."""
@@ -94,21 +97,31 @@ class Program:
                 offset -= float(normal @ self._origin)
             a[entries] = -normal
             b[row] = -offset
-        answer = self._answer(a, b)
-        x = np.asarray(answer.x)[self._columns]
-        return Relaxation(x, self._scale * answer.obj_val_dual + self._constant)
-
-    def _answer(self, a: Array, b: Array) -> Any:
         self._solver.update(q=self._q, A=a, b=b)
         try:
-            return solved(self._solver)
+            relaxed = self._relaxation(solved(self._solver), self._scale)
         except SolverFailure:
-            # Set up anew, scaled for these very numbers: that settles nearly all of the rest.
-            matrix = self._data['A'].copy()
-            matrix.data = a
-            cost = sparse.csc_matrix(self._data['P'] / self._scale)
-            data = {**self._data, 'P': cost, 'c': self._q, 'A': matrix, 'b': b}
-            return solved(solver_for(data, REDUCED))
+            return self._solve_anew(a, b, self._scale)
+        if relaxed.bound < SMALL * self._scale:
+            return self._solve_anew(a, b, max(relaxed.bound, TINY))
+        return relaxed
+
+    def _solve_anew(self, a: Array, b: Array, scale: float) -> Relaxation:
+        """Solve with Clarabel set up for these very numbers, the cost divided by ``scale``.
+
+        That settles nearly all that an update in place could not solve, and near the goal, where
+        the cost all but vanishes, it keeps the gap small in proportion to it.
+        """
+        matrix = self._data['A'].copy()
+        matrix.data = a
+        cost = self._data['P'] / scale
+        q = self._q * (self._scale / scale)
+        data = {**self._data, 'P': cost, 'c': q, 'A': matrix, 'b': b}
+        return self._relaxation(solved(solver_for(data, self._tolerance)), scale)
+
+    def _relaxation(self, answer: Any, scale: float) -> Relaxation:
+        x = np.asarray(answer.x)[self._columns]
+        return Relaxation(x, scale * answer.obj_val_dual + self._constant)
 
     def _bind_cost(self, pull: Array) -> None:
         """Put the pull of the goals into q; goals far away are scaled down with the whole cost.
@@ -125,7 +138,7 @@ class Program:
         self._q = self._q_0 / scale
         self._q[self._moved] += pull.ravel() / scale
 
-    def _compile(self, tolerance: float) -> None:
+    def _compile(self) -> None:
         statement = self._statement
         data = statement.compiled()
         self._b_0 = np.array(data['b'])
@@ -133,7 +146,7 @@ class Program:
         self._b_theta = np.column_stack([statement.compiled(u)['b'] - self._b_0 for u in units])
         self._data = data
         self._locate(data)
-        self._solver = solver_for(data, tolerance)
+        self._solver = solver_for(data, self._tolerance)
         self._p_0 = sparse.csc_matrix(sparse.triu(data['P'])).data
         self._q_0 = np.array(data['c'])
 

@@ -1,0 +1,204 @@
+"""The controller: commands reproduce plans, and what happens when there is no plan."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from problems import ORDERS, floor
+
+from orbimpc_ros.mpc.command import command_of, stop
+from orbimpc_ros.mpc.controller import FALLBACK_TICKS, Controller
+from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
+from orbimpc_ros.mpc.forecast import Hold, Itinerary, Sighting, forecast_named
+from orbimpc_ros.mpc.odometry import Odometry, state_of
+from orbimpc_ros.mpc.plan import violations
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.rotations import exp
+from orbimpc_ros.mpc.solver import Solver
+
+
+def odometry(position=(0.0, 0.0), attitude=None, speed=1.0, rate=None, time=0.0):
+    n = len(position)
+    return Odometry(
+        time,
+        np.array(position),
+        np.eye(n) if attitude is None else attitude,
+        np.eye(n)[0] * speed,
+        np.zeros(1 if n == 2 else 3) if rate is None else np.array(rate),
+    )
+
+
+def test_state_is_the_attitude_scaled_by_the_speed_fraction():
+    attitude = exp(np.array([0.7]))
+    state = state_of(Problem(forward=2.0), odometry(attitude=attitude, speed=1.0), 0.9)
+    assert np.allclose(state.rotation, 0.5 * attitude)
+    assert np.allclose(state.attitude, attitude)
+    fast = state_of(Problem(forward=2.0), odometry(attitude=attitude, speed=7.0), 0.9)
+    assert np.allclose(fast.rotation, attitude)
+    backwards = state_of(Problem(), odometry(attitude=attitude, speed=-1.0), 0.9)
+    assert np.allclose(backwards.rotation, 0.0)
+    assert np.allclose(backwards.attitude, attitude)
+
+
+def test_second_order_state_carries_thrust_velocity_and_coasted_attitude():
+    problem = Problem(3, 2, 2, step=0.5)
+    attitude = exp(np.array([0.2, -0.4, 0.9]))
+    measured = odometry((0.0, 0.0, 0.0), attitude, speed=2.0, rate=(0.1, 0.2, -0.3))
+    state = state_of(problem, measured, 0.25)
+    assert np.allclose(state.rotation, 0.25 * attitude)
+    assert np.allclose(state.velocity, 2.0 * attitude[:, 0])
+    assert np.allclose(state.coasted, attitude @ exp(np.array([0.05, 0.1, -0.15])))
+
+
+def test_first_order_command_turns_into_the_first_planned_rotation():
+    problem = Problem(dimension=3, step=0.5)
+    state = State.at([0.0, 0.0, 0.0], np.eye(3))
+    plan = Solver(problem).solve(state, np.tile([0.0, 2.0, 1.0], (5, 1)))
+    command = command_of(problem, state, plan)
+    reached = exp(problem.step * command.body_rate)
+    assert np.allclose(reached, plan.projected[1], atol=1e-9)
+    assert np.allclose(command.speed_fraction * reached[:, 0], plan.rotations[1, :, 0], atol=1e-9)
+
+
+def test_command_never_turns_faster_than_the_limit():
+    """Inside the disk a short chord is a wide angle: the rate is cut, the rotation follows it."""
+    problem = Problem(max_rate=0.3)
+    state = State.at([0.0, 0.0], 0.1 * np.eye(2), attitude=np.eye(2))
+    plan = Solver(problem).solve(state, np.tile([-3.0, 0.5], (5, 1)))
+    command = command_of(problem, state, plan)
+    assert np.abs(command.body_rate).max() <= 0.3 + 1e-12
+    assert np.allclose(command.rotation, exp(command.body_rate * problem.step), atol=1e-12)
+    assert np.abs(np.arctan2(*plan.rotations[1, ::-1, 0])) > 0.31
+
+
+def test_stop_is_no_speed_no_turn():
+    command = stop(exp(np.array([0.3])))
+    assert command.speed_fraction == 0.0
+    assert np.all(command.body_rate == 0.0)
+
+
+@pytest.mark.parametrize('orders', ORDERS)
+def test_every_model_flies_to_its_goal_in_closed_loop(orders):
+    n = orders['dimension']
+    problem = Problem(**orders, horizon=8, step=0.5)
+    controller = Controller(problem)
+    goal = np.array([2.0, 1.5, -1.0])[:n]
+    position, velocity, attitude = np.zeros(n), np.zeros(n), np.eye(n)
+    rate, fraction = np.zeros(1 if n == 2 else 3), 0.0
+    for k in range(60):
+        body = attitude.T @ velocity if problem.translation_order == 2 else fraction * np.eye(n)[0]
+        measured = Odometry(0.5 * k, position.copy(), attitude.copy(), body, rate.copy())
+        tick = controller.tick(measured, np.tile(goal, (8, 1)))
+        assert tick.status == 'optimal', tick.reason
+        push = problem.forward * fraction * attitude[:, 0]
+        if problem.translation_order == 1:
+            position = position + problem.step * push
+        else:
+            position, velocity = position + problem.step * velocity, velocity + problem.step * push
+        turning = tick.command.body_rate if problem.rotation_order == 1 else rate
+        attitude = attitude @ exp(problem.step * turning)
+        rate, fraction = tick.command.body_rate, tick.command.speed_fraction
+    assert np.linalg.norm(position - goal) < 0.1
+
+
+def flown(controller, count):
+    """Fly a controller for some ticks towards a goal far ahead; return the last odometry."""
+    position, attitude, speed = np.zeros(2), np.eye(2), 1.0
+    for k in range(count):
+        measured = odometry(tuple(position), attitude.copy(), speed, time=float(k))
+        tick = controller.tick(measured, np.tile([9.0, 3.0], (5, 1)))
+        position = position + speed * attitude[:, 0]
+        attitude = attitude @ exp(tick.command.body_rate)
+        speed = tick.command.speed_fraction
+    return odometry(tuple(position), attitude.copy(), speed, time=float(count))
+
+
+@pytest.mark.parametrize(
+    ('error', 'status'), [(Infeasible('walled in'), 'infeasible'), (SolverFailure('no'), 'failed')]
+)
+def test_without_a_plan_the_shifted_one_serves_twice_then_the_vehicle_stops(
+    monkeypatch, error, status
+):
+    controller = Controller(Problem())
+    measured = flown(controller, 3)
+
+    def fail(*_args, **_kwargs):
+        raise error
+
+    monkeypatch.setattr(Solver, 'solve', fail)
+    ticks = []
+    for _ in range(FALLBACK_TICKS + 2):
+        tick = controller.tick(measured, np.tile([9.0, 3.0], (5, 1)))
+        ticks.append(tick)
+        turned = measured.attitude @ exp(tick.command.body_rate)
+        position = measured.position + measured.body_velocity[0] * measured.attitude[:, 0]
+        measured = odometry(tuple(position), turned, tick.command.speed_fraction)
+    assert all(t.status == status and t.reason == str(error) for t in ticks)
+    expected = ['shifted plan'] * FALLBACK_TICKS + ['safe command'] * 2
+    assert [t.fallback for t in ticks] == expected
+    assert ticks[-1].command.speed_fraction == 0.0
+    assert ticks[-1].plan is None
+
+
+def test_a_plan_that_fails_its_check_is_not_flown(monkeypatch):
+    controller = Controller(Problem())
+    measured = odometry()
+    honest = Solver.solve
+
+    def corrupted(self, *args, **kwargs):
+        plan = honest(self, *args, **kwargs)
+        return replace(plan, positions=plan.positions + 1e-3)
+
+    monkeypatch.setattr(Solver, 'solve', corrupted)
+    tick = controller.tick(measured, np.tile([9.0, 3.0], (5, 1)))
+    assert tick.status == 'failed'
+    assert 'positions differ' in tick.reason
+    assert tick.fallback == 'safe command'
+    assert tick.command.speed_fraction == 0.0
+
+
+def test_a_shifted_plan_is_checked_from_the_new_state(monkeypatch):
+    controller = Controller(Problem(floor=floor('circle', 0.5)))
+    flown(controller, 2)
+
+    def fail(*_args, **_kwargs):
+        raise SolverFailure('no')
+
+    monkeypatch.setattr(Solver, 'solve', fail)
+    slow = odometry((50.0, 50.0), speed=0.2)
+    goals = np.tile([9.0, 3.0], (5, 1))
+    tick = controller.tick(slow, goals)
+    assert tick.plan is not None  # the old inputs, checked again from here
+    assert np.allclose(tick.plan.positions[0], [50.0, 50.0])
+    assert violations(controller.problem, tick.state, goals, tick.plan) == []
+
+
+def test_a_shrinking_horizon_arrives_and_then_stops():
+    problem = Problem(horizon=6, terminal='constraint')
+    controller = Controller(problem, shrinking=True)
+    goal = np.array([3.0, 2.0])
+    position, attitude, speed = np.zeros(2), np.eye(2), 1.0
+    for k in range(6):
+        assert controller.remaining == 6 - k
+        measured = odometry(tuple(position), attitude.copy(), speed, time=float(k))
+        tick = controller.tick(measured, np.tile(goal, (6 - k, 1)))
+        assert tick.plan is not None, tick.reason
+        position = position + speed * attitude[:, 0]
+        attitude = attitude @ exp(tick.command.body_rate)
+        speed = tick.command.speed_fraction
+    assert np.linalg.norm(position - goal) < 1e-6
+    after = controller.tick(odometry(tuple(position), attitude, speed), np.zeros((0, 2)))
+    assert after.command.speed_fraction == 0.0
+    assert 'run out' in after.reason
+    controller.reset()
+    assert controller.remaining == 6
+
+
+def test_forecasts():
+    hold = forecast_named('hold')
+    assert isinstance(hold, Hold)
+    hold.observe(Sighting(0.0, np.array([1.0, 2.0])))
+    hold.observe(Sighting(1.0, np.array([3.0, 4.0])))
+    assert np.array_equal(hold.at(np.array([2.0, 9.0])), [[3.0, 4.0], [3.0, 4.0]])
+    path = Itinerary(np.array([0.0, 2.0]), np.array([[0.0, 0.0], [2.0, 4.0]]))
+    assert np.allclose(path.at(np.array([-1.0, 1.0, 5.0])), [[0, 0], [1, 2], [2, 4]])

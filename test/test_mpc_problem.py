@@ -1,0 +1,102 @@
+"""What is refused, and in which words: the value, what is allowed, who is to blame."""
+
+import numpy as np
+import pytest
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.floors.faces import normals
+from orbimpc_ros.mpc.forecast import Itinerary, forecast_named
+from orbimpc_ros.mpc.problem import (
+    Box,
+    Floor,
+    Problem,
+    State,
+    Weights,
+    largest_fraction,
+)
+from orbimpc_ros.mpc.solver import Solver
+
+
+@pytest.mark.parametrize(
+    ('make', 'culprit'),
+    [
+        (lambda: Problem(dimension=4), 'dimension'),
+        (lambda: Problem(dimension=True), 'dimension'),
+        (lambda: Problem(rotation_order=3), 'rotation_order'),
+        (lambda: Problem(translation_order=0), 'translation_order'),
+        (lambda: Problem(horizon=0), 'horizon'),
+        (lambda: Problem(horizon=2.0), 'horizon'),
+        (lambda: Problem(step=0.0), 'step'),
+        (lambda: Problem(step=np.nan), 'step'),
+        (lambda: Problem(forward=-1.0), 'forward'),
+        (lambda: Problem(forward='fast'), 'forward'),
+        (lambda: Problem(terminal='maybe'), 'terminal'),
+        (lambda: Problem(max_rate=4.0), 'max_rate'),
+        (lambda: Problem(max_rate=-0.1), 'max_rate'),
+        (lambda: Problem(obstacles=(Box([0, 0, 0], [1, 1, 1]),)), 'obstacles.min'),
+        (lambda: Problem(obstacles=(Box([0, 0], [1, 1]),) * 65), 'obstacles'),
+        (lambda: Problem(floor=Floor('polygon', 4, 0.8)), 'floor.fraction'),
+        (lambda: Problem(dimension=3, floor=Floor('polygon', 6, 0.6)), 'floor.fraction'),
+        (lambda: Problem(dimension=3, floor=Floor('polygon', 4, 0.5)), 'floor.faces'),
+        (lambda: Floor('square'), 'floor.shape'),
+        (lambda: Floor('polygon', 2, 0.4), 'floor.faces'),
+        (lambda: Floor('circle', 4, 1.1), 'floor.fraction'),
+        (lambda: Floor('circle', 4, 0.0), 'floor.fraction'),
+        (lambda: Weights(input=-1.0), 'weights.input'),
+        (lambda: Weights(position=np.inf), 'weights.position'),
+        (lambda: Box([0.0, 0.0], [1.0, 0.0]), 'obstacles.max'),
+        (lambda: Box([0.0, np.nan], [1.0, 1.0]), 'obstacles.min'),
+        (lambda: State.at([0.0], np.eye(2)), 'state.position'),
+        (lambda: State.at([0.0, np.nan], np.eye(2)), 'state.position'),
+        (lambda: State.at([0.0, 0.0], np.eye(3)), 'state.rotation'),
+        (lambda: State.at([0.0, 0.0], 1.1 * np.eye(2)), 'state.rotation'),
+        (lambda: State.at([0.0, 0.0], np.ones((2, 2))), 'state.rotation'),
+        (lambda: State.at([0.0] * 3, np.diag([1.0, 1.0, -1.0])), 'state.rotation'),
+        (lambda: State.at([0.0] * 2, np.eye(2), velocity=[1.0]), 'state.velocity'),
+        (lambda: State.at([0.0] * 2, np.eye(2), attitude=2 * np.eye(2)), 'state.attitude'),
+        (lambda: State.at([0.0] * 2, np.eye(2), coasted=np.zeros((2, 2))), 'state.coasted'),
+        (lambda: forecast_named('guess'), 'goal_prediction'),
+        (lambda: Itinerary(np.array([1.0, 1.0]), np.zeros((2, 2))), 'goal_path stamps'),
+        (lambda: Solver(Problem()).solve(STILL, np.zeros((4, 2))), 'goals'),
+    ],
+)
+def test_refused_with_the_culprit_named_in_one_line(make, culprit):
+    with pytest.raises(BadInput) as caught:
+        make()
+    assert caught.value.culprit == culprit
+    assert 'allowed: ' in str(caught.value)
+    assert '\n' not in str(caught.value)
+
+
+STILL = State.at([0.0, 0.0], np.eye(2))
+
+
+def test_a_huge_value_is_cut_short_in_the_message():
+    with pytest.raises(BadInput) as caught:
+        forecast_named('x' * 10_000)
+    assert len(str(caught.value)) < 200
+
+
+@pytest.mark.parametrize(('n', 'faces'), [(2, 3), (2, 4), (2, 7), (3, 6), (3, 12), (3, 20)])
+def test_faces_surround_the_floor_up_to_the_largest_fraction_and_no_further(n, faces):
+    directions = normals(n, faces)
+    assert directions.shape == (faces, n)
+    assert np.allclose(np.linalg.norm(directions, axis=1), 1.0)
+    assert len({tuple(np.round(d, 9)) for d in directions}) == faces
+    rng = np.random.default_rng(0)
+    v = rng.normal(size=(20_000, n))
+    v /= np.linalg.norm(v, axis=1, keepdims=True)
+    covered = (v @ directions.T).max(axis=1)
+    limit = largest_fraction(n, faces)
+    assert covered.min() >= limit - 1e-9
+    assert covered.min() <= limit + 0.02
+
+
+def test_states_start_at_rest_and_know_their_attitude():
+    state = State.at([1.0, 2.0, 3.0], 0.5 * np.eye(3))
+    assert state.dimension == 3
+    assert np.all(state.velocity == 0.0)
+    assert np.all(state.rotation_rate == 0.0)
+    assert np.allclose(state.attitude, np.eye(3))
+    with pytest.raises(ValueError, match='read-only'):
+        state.position[0] = 0.0
