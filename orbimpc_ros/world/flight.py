@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.controller import Controller, Tick
 from orbimpc_ros.mpc.forecast import Forecast, Sighting
 from orbimpc_ros.world.capture import closest_approach
 from orbimpc_ros.world.scenario import Scenario
 from orbimpc_ros.world.vehicle import Vehicle, advance, measured
+
+if TYPE_CHECKING:  # the simulator flies without a solver, and starts sooner for it
+    from orbimpc_ros.mpc.controller import Controller, Tick
 
 
 @dataclass(frozen=True)
