@@ -22,6 +22,7 @@ from orbimpc_ros.mpc.errors import SolverFailure
 from orbimpc_ros.mpc.orbitopes import coordinate_count, coordinates
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.statement import Statement
+from orbimpc_ros.mpc.trajectory import trajectory_of
 
 SMALL = 1e-2  # a cost below this is solved once more, scaled up
 TINY = 1e-11  # well below the 1e-9 that gaps are measured against at the least
@@ -73,7 +74,7 @@ class Program:
     def bind(self, state: State, goals: Array) -> None:
         """Put a state and goals g_1..g_N, shape (N, n), into the data of the solves to come."""
         self._b = self._b_0 + self._b_theta @ self._statement.values(state, goals)
-        self._origin = state.position
+        self._bound_to = (state, goals)
         seen = goals - state.position
         weights = position_weights(self.problem)
         constant = float(np.sum(weights[:, None] * seen * seen))
@@ -94,7 +95,7 @@ class Program:
         for slot, normal, offset in halfspaces:
             row, entries = self._slots[slot]
             if self._statement.slots[slot].on == 'position':  # the variable is s_k - s_0
-                offset -= float(normal @ self._origin)
+                offset -= float(normal @ self._bound_to[0].position)
             a[entries] = -normal
             b[row] = -offset
         self._solver.update(q=self._q, A=a, b=b)
@@ -103,14 +104,29 @@ class Program:
         except SolverFailure:
             return self._solve_anew(a, b, self._scale)
         if relaxed.bound < SMALL * self._scale:
-            return self._solve_anew(a, b, max(relaxed.bound, TINY))
+            return self._bound_anew(relaxed, a, b)
         return relaxed
+
+    def _bound_anew(self, relaxed: Relaxation, a: Array, b: Array) -> Relaxation:
+        """Return a relaxation as accurate in proportion as where the cost is large.
+
+        Near the goal the cost all but vanishes, and a gap that is small against one is not small
+        against the cost. Solved once more with the cost scaled up, it is.
+        """
+        try:
+            scaled = self._solve_anew(a, b, max(relaxed.bound, TINY))
+        except SolverFailure:
+            return relaxed
+        best = min((relaxed, scaled), key=lambda r: self._cost(r.x))
+        return Relaxation(best.x, max(relaxed.bound, scaled.bound))
+
+    def _cost(self, x: Array) -> float:
+        return trajectory_of(self.problem, *self._bound_to, x).cost
 
     def _solve_anew(self, a: Array, b: Array, scale: float) -> Relaxation:
         """Solve with Clarabel set up for these very numbers, the cost divided by ``scale``.
 
-        That settles nearly all that an update in place could not solve, and near the goal, where
-        the cost all but vanishes, it keeps the gap small in proportion to it.
+        That settles nearly all that an update in place could not solve.
         """
         matrix = self._data['A'].copy()
         matrix.data = a

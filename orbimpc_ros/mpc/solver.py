@@ -16,6 +16,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.search import Search
 
 SEARCH_SHARE = 0.01  # a search stops at this share of the gap that counts as proved
+ROUNDING = 1e-9  # costs that differ by less do so by rounding: at the goal the cost vanishes
 
 
 class Solver:
@@ -84,7 +85,9 @@ class Solver:
             nodes=found.nodes,
             projection=self._projection,
         )
-        return plan.proved() if plan.gap <= self._tolerance else plan
+        missing = plan.objective - plan.lower_bound
+        proved = plan.gap <= self._tolerance or missing <= ROUNDING
+        return plan.proved() if proved else plan
 
 
 def _method_for(problem: Problem, gap_tolerance: float, coasting: bool) -> Method:
