@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -9,22 +10,10 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.harmonic import Harmonic
+from orbimpc_ros.mpc.sighting import Sighting
 
-
-@dataclass(frozen=True)
-class Sighting:
-    """Where the goal was seen.
-
-    Attributes:
-        time: stamp [s].
-        position: in the world frame, shape (n,) [m].
-    """
-
-    time: float
-    position: Array
-
-    def __post_init__(self) -> None:
-        sealed(self.position)
+LATEST = 3  # sightings that a velocity is fitted to
 
 
 class Forecast(Protocol):
@@ -60,7 +49,36 @@ class Hold:
         self.last = None
 
 
-FORECASTS: dict[str, type[Forecast]] = {'hold': Hold}
+@dataclass
+class Velocity:
+    """The goal goes on in the straight line that fits its latest sightings best."""
+
+    _latest: deque[Sighting] = field(default_factory=lambda: deque(maxlen=LATEST), init=False)
+
+    def observe(self, sighting: Sighting) -> None:
+        """Take in a sighting."""
+        self._latest.append(sighting)
+
+    def at(self, times: Array) -> Array:
+        """Return points on the line at ``times``; the last position until there are two."""
+        seen = np.array([s.position for s in self._latest])
+        stamps = np.array([s.time for s in self._latest])
+        if len(seen) < 2 or stamps[-1] == stamps[0]:
+            return np.tile(seen[-1], (len(times), 1))
+        past = stamps - stamps.mean()
+        slope = past @ seen / (past @ past)
+        return seen.mean(axis=0) + np.outer(times - stamps.mean(), slope)
+
+    def reset(self) -> None:
+        """Forget every sighting."""
+        self._latest.clear()
+
+
+FORECASTS: dict[str, type[Forecast]] = {
+    'hold': Hold,
+    'velocity': Velocity,
+    'harmonic': Harmonic,
+}
 
 
 def forecast_named(kind: str) -> Forecast:

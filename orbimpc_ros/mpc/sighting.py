@@ -1,0 +1,23 @@
+"""A sighting of the goal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from orbimpc_ros.mpc.arrays import Array, sealed
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """Where the goal was seen.
+
+    Attributes:
+        time: stamp [s].
+        position: in the world frame, shape (n,) [m].
+    """
+
+    time: float
+    position: Array
+
+    def __post_init__(self) -> None:
+        sealed(self.position)
