@@ -13,6 +13,7 @@ and for the length t_k >= |z_k| also t_k >= (E|z_k|^2 + f) / (1 + f), the chord 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -62,6 +63,9 @@ class Lift:
         constraints += [*self._bounds(), *epigraph, *self._arrives(), self._read_out()]
         cost = self._position_cost() + self._input_cost() + length
         self._program = cp.Problem(cp.Minimize(cost), constraints)
+        self._compiled(
+            np.zeros((steps, n)), np.zeros(n)
+        )  # CVXPY's own work is done here, not later
 
     def solve(self, state: State, goals: Array) -> Lifted:
         """Return the relaxation's optimum for a state and goals g_1..g_N, shape (N, n).
@@ -73,9 +77,7 @@ class Lift:
         problem = self._problem
         heading = state.rotation[:, 0]
         seen = goals - (state.position + problem.step * problem.forward * heading)
-        self._goals.value, self._heading.value = seen, heading
-        self._arrival.value = np.outer(seen[-1], seen[-1])
-        data, _, _ = self._program.get_problem_data(cp.CLARABEL, enforce_dpp=True)
+        data = self._compiled(seen, heading)
         answer = solved(solver_for(data, TOLERANCE))
         constant = input_weight(problem) / problem.step**2 * (heading @ heading)
         constant += position_weights(problem) @ np.sum(seen**2, axis=1)
@@ -83,6 +85,11 @@ class Lift:
         first = data['param_prob'].var_id_to_col[self._means.id]
         means = np.asarray(answer.x)[first : first + self._means.size]
         return Lifted(means.reshape(goals.shape), bound)
+
+    def _compiled(self, goals: Array, heading: Array) -> dict[str, Any]:
+        self._goals.value, self._heading.value = goals, heading
+        self._arrival.value = np.outer(goals[-1], goals[-1])
+        return self._program.get_problem_data(cp.CLARABEL, enforce_dpp=True)[0]
 
     def _read_out(self) -> cp.Constraint:
         """Tie a plain variable to the first moments of z_1..z_N, to find them in a solution."""
