@@ -65,7 +65,7 @@ class Lift:
         self._program = cp.Problem(cp.Minimize(cost), constraints)
         self._compiled(
             np.zeros((steps, n)), np.zeros(n)
-        )  # CVXPY's own work is done here, not later
+        )  # now, not in a tick
 
     def solve(self, state: State, goals: Array) -> Lifted:
         """Return the relaxation's optimum for a state and goals g_1..g_N, shape (N, n).
