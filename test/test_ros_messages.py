@@ -1,0 +1,204 @@
+"""Messages and plain types: what goes out comes back, and nothing malformed gets in."""
+
+import math
+import random
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from nav_msgs.msg import Odometry as OdometryMessage
+from nav_msgs.msg import Path
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.rotations import exp
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.messages import Frames, Stamp
+from orbimpc_ros.ros.orders import Orders
+from orbimpc_ros.world.vehicle import Model, launched, measured
+
+FRAMES = Frames('odom', 'base_link')
+STAMP = Stamp(1_700_000_000_123_456_789, FRAMES)
+
+
+def odometry_message(n=2, rng=None):
+    rng = rng or np.random.default_rng(1)
+    model = Model(n, translation_order=2)
+    vehicle = launched(
+        model,
+        rng.normal(size=n),
+        exp(rng.normal(size=model.rates)),
+        velocity=rng.normal(size=n),
+        body_rate=rng.normal(size=model.rates),
+    )
+    return messages.odometry_message(STAMP, vehicle), vehicle
+
+
+def goal_message():
+    return messages.goal_message(STAMP, np.array([5.0, 1.0]))
+
+
+def path_message():
+    return messages.goal_path_message(STAMP, 0.5, list(np.arange(8.0).reshape(4, 2)))
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_odometry_comes_back(n):
+    for seed in range(20):
+        message, vehicle = odometry_message(n, np.random.default_rng(seed))
+        stamp, odometry = messages.read_odometry(message, n, FRAMES)
+        assert stamp == STAMP
+        meant = measured(vehicle)
+        for name in ('position', 'attitude', 'body_velocity', 'body_rate'):
+            got, wanted = getattr(odometry, name), getattr(meant, name)
+            np.testing.assert_allclose(got, wanted, atol=1e-12, err_msg=name)
+
+
+def test_goals_come_back():
+    stamp, sighting = messages.read_sighting(goal_message(), 2, FRAMES)
+    assert stamp.nanoseconds == STAMP.nanoseconds
+    np.testing.assert_array_equal(sighting.position, [5.0, 1.0])
+    _, itinerary = messages.read_itinerary(path_message(), 2, FRAMES)
+    np.testing.assert_array_equal(itinerary.positions, np.arange(8.0).reshape(4, 2))
+    np.testing.assert_allclose(np.diff(itinerary.times), 0.5, atol=1e-6)
+
+
+def test_in_the_plane_messages_lie_flat():
+    message, _ = odometry_message(2)
+    pose = message.pose.pose
+    assert pose.position.z == 0.0
+    assert pose.orientation.x == pose.orientation.y == 0.0
+
+
+def set_at(message, path, value):
+    *parents, last = path.split('.')
+    for name in parents:
+        message = message[int(name)] if name.isdigit() else getattr(message, name)
+    setattr(message, last, value)
+
+
+NAN, INF = math.nan, math.inf
+REFUSED = [
+    (odometry_message, 'header.stamp.sec', -1),
+    (odometry_message, 'header.stamp.nanosec', 10**9),
+    (odometry_message, 'header.frame_id', 'map'),
+    (odometry_message, 'child_frame_id', ''),
+    (odometry_message, 'pose.pose.position.x', NAN),
+    (odometry_message, 'pose.pose.position.z', NAN),
+    (odometry_message, 'pose.pose.position.y', 1e300),
+    (odometry_message, 'pose.pose.orientation.w', NAN),
+    (odometry_message, 'pose.pose.orientation.w', 1e200),
+    (odometry_message, 'pose.pose.orientation.x', 0.5),
+    (odometry_message, 'twist.twist.linear.x', -INF),
+    (odometry_message, 'twist.twist.angular.x', NAN),
+    (odometry_message, 'twist.twist.angular.z', INF),
+    (goal_message, 'header.stamp.sec', -(2**31)),
+    (goal_message, 'header.frame_id', 'm' * 100_000),
+    (goal_message, 'pose.position.x', INF),
+    (goal_message, 'pose.orientation.w', 0.0),
+    (path_message, 'header.frame_id', 'map'),
+    (path_message, 'poses', []),
+    (path_message, 'poses', [PoseStamped()] * (messages.LONGEST_PATH + 1)),
+    (path_message, 'poses.2.pose.position.y', NAN),
+    (path_message, 'poses.2.header.stamp.sec', 0),
+    (path_message, 'poses.1.header.stamp.nanosec', 2**32 - 1),
+]
+READ = {
+    OdometryMessage: messages.read_odometry,
+    PoseStamped: messages.read_sighting,
+    Path: messages.read_itinerary,
+}
+
+
+@pytest.mark.parametrize(('make', 'field', 'value'), REFUSED)
+def test_a_malformed_message_is_refused_in_one_line(make, field, value):
+    made = make()
+    message = made[0] if isinstance(made, tuple) else made
+    set_at(message, field, value)
+    with pytest.raises(BadInput) as refusal:
+        READ[type(message)](message, 2, FRAMES)
+    assert '\n' not in str(refusal.value)
+    assert len(str(refusal.value)) < 300
+    assert 'allowed' in str(refusal.value)
+
+
+@pytest.mark.parametrize('scale', [0.9995, 1.0005])
+def test_a_quaternion_almost_of_unit_length_is_normalised(scale):
+    message, vehicle = odometry_message(3)
+    for name in 'xyzw':
+        turned = message.pose.pose.orientation
+        setattr(turned, name, scale * getattr(turned, name))
+    _, odometry = messages.read_odometry(message, 3, FRAMES)
+    np.testing.assert_allclose(odometry.attitude, vehicle.attitude, atol=1e-9)
+
+
+def test_a_vertical_vehicle_has_no_yaw():
+    message, _ = odometry_message(2)
+    upright = message.pose.pose.orientation
+    upright.x, upright.y, upright.z, upright.w = 0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5)
+    with pytest.raises(BadInput, match='yaw'):
+        messages.read_odometry(message, 2, FRAMES)
+
+
+def test_an_empty_frame_parameter_accepts_any():
+    message, _ = odometry_message()
+    message.header.frame_id, message.child_frame_id = 'map', 'r2/base'
+    stamp, _ = messages.read_odometry(message, 2, Frames())
+    assert stamp.frames == Frames('map', 'r2/base')
+
+
+POISON = (NAN, INF, -INF, 0.0, 1e308, -1e308, 5e-324, 1.0, -1.0, 1e7)
+NUMBERS = [
+    *(f'pose.pose.position.{c}' for c in 'xyz'),
+    *(f'pose.pose.orientation.{c}' for c in 'xyzw'),
+    *(f'twist.twist.{v}.{c}' for v in ('linear', 'angular') for c in 'xyz'),
+]
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_random_messages_are_read_well_or_refused(n):
+    draw = random.Random(n)
+    accepted = 0
+    for _ in range(2000):
+        message, _ = odometry_message(n)
+        for field in draw.sample(NUMBERS, draw.randint(0, 3)):
+            set_at(message, field, draw.choice(POISON))
+        message.header.stamp.sec = draw.choice([-(2**31), -1, 0, 2**31 - 1])
+        message.header.stamp.nanosec = draw.choice([0, 10**9 - 1, 10**9, 2**32 - 1])
+        try:
+            _, odometry = messages.read_odometry(message, n, FRAMES)
+        except BadInput:
+            continue
+        accepted += 1
+        read = (odometry.position, odometry.body_velocity, odometry.body_rate)
+        assert all(np.abs(array).max() <= messages.LARGEST for array in read)
+        identity = odometry.attitude.T @ odometry.attitude
+        np.testing.assert_allclose(identity, np.eye(n), atol=1e-9)
+    assert 50 < accepted < 1900
+
+
+def test_orders_join_twist_and_force_of_one_stamp():
+    orders = Orders(Model(2, 1, 2, forward=2.0, mass=3.0))
+    later = Stamp(STAMP.nanoseconds + 1, FRAMES)
+    orders.take_twist(messages.twist_message(STAMP, 0.0, np.array([0.3])))
+    assert orders.latest is None
+    orders.take_force(messages.wrench_message(later, 3.0))
+    assert orders.latest is None
+    orders.take_twist(messages.twist_message(later, 0.0, np.array([0.4])))
+    assert orders.latest.stamp == later.nanoseconds
+    assert orders.latest.fraction == pytest.approx(0.5)
+    np.testing.assert_array_equal(orders.latest.body_rate, [0.4])
+
+
+def test_malformed_commands_are_refused():
+    orders = Orders(Model(2, 1, 2))
+    twist, wrench = TwistStamped(), WrenchStamped()
+    twist.twist.angular.z = NAN
+    wrench.wrench.torque.y = INF
+    with pytest.raises(BadInput, match=r'twist\.angular'):
+        orders.take_twist(twist)
+    with pytest.raises(BadInput, match=r'wrench\.torque'):
+        orders.take_force(wrench)
+    assert orders.latest is None

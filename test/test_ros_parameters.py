@@ -1,0 +1,213 @@
+"""Parameters: the table is the documented one, and every nonsense is refused by name."""
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+import yaml
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    SetParametersAtomically,
+)
+from rclpy.parameter import Parameter
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros.parameters import PLANNER, SIM, planner_settings, sim_settings
+from orbimpc_ros.world.scenario import retrieval, retrieval_problem
+
+CONFIG = Path(__file__).resolve().parents[1] / 'config' / 'retrieval.yaml'
+DOCUMENTED = {
+    'dimension': 2,
+    'rotation_order': 1,
+    'translation_order': 1,
+    'horizon': 5,
+    'step': 1.0,
+    'forward': 1.0,
+    'mass': 1.0,
+    'weights.position': 1.0,
+    'weights.input': 0.05,
+    'weights.length': 0.0,
+    'weights.terminal': 10.0,
+    'terminal': 'penalty',
+    'horizon_mode': 'receding',
+    'floor.shape': 'none',
+    'floor.faces': 4,
+    'floor.fraction': 0.5477225575,
+    'max_rate': 0.0,
+    'obstacles': (),
+    'projection': 'thrust_aligned',
+    'trigger': 'timer',
+    'goal_prediction': 'hold',
+    'odom_timeout': 0.0,
+    'goal_timeout': 0.0,
+    'safe_command': 'stop',
+    'deadline': 0.0,
+    'gap_tolerance': 1e-4,
+    'frame_id': 'odom',
+    'child_frame_id': 'base_link',
+}
+
+
+def defaults(table):
+    return {row.name: row.default for row in table}
+
+
+def test_the_planners_table_is_the_documented_one():
+    listed = defaults(PLANNER)
+    assert listed.keys() == {*DOCUMENTED, 'no_corner_cutting'}
+    for name, documented in DOCUMENTED.items():
+        same = pytest.approx(documented) if isinstance(documented, float) else documented
+        assert listed[name] == same, name
+
+
+@pytest.mark.parametrize('row', [*PLANNER, *SIM], ids=lambda row: row.name)
+def test_a_row_describes_itself(row):
+    described = row.descriptor
+    assert described.type == row.kind.value != ParameterType.PARAMETER_NOT_SET
+    assert described.description
+    assert described.additional_constraints == row.allowed
+    assert described.read_only != row.live
+    row.check(row.default)
+    if isinstance(row.default, float):
+        assert math.isfinite(row.low)
+        assert math.isfinite(row.high)
+        for value in (math.nan, math.inf, row.low - 1.0, row.high * 2.0 + 1.0):
+            with pytest.raises(BadInput, match=re.escape(row.name)):
+                row.check(value)
+
+
+def test_planner_and_sim_agree_on_what_they_share():
+    planner, sim = defaults(PLANNER), defaults(SIM)
+    shared = planner.keys() & sim.keys()
+    assert {'dimension', 'step', 'forward', 'mass', 'frame_id'} <= shared
+    assert all(planner[name] == sim[name] for name in shared)
+
+
+REFUSED = [
+    (PLANNER, {'floor.shape': 'polygon', 'floor.fraction': 0.8}, 'floor.fraction'),
+    (PLANNER, {'dimension': 3, 'floor.shape': 'polygon'}, 'floor.faces'),
+    (PLANNER, {'floor.shape': 'sphere'}, 'floor.shape'),
+    (PLANNER, {'obstacles': (1.0, 2.0, 3.0)}, 'obstacles'),
+    (PLANNER, {'obstacles': (1.0, 2.0, 0.0, 3.0)}, 'obstacles'),
+    (PLANNER, {'obstacles': (1.0, math.nan, 2.0, 3.0)}, 'obstacles'),
+    (PLANNER, {'max_rate': 4.0}, 'max_rate'),
+    (PLANNER, {'deadline': 0.6}, 'deadline'),
+    (PLANNER, {'safe_command': 'loiter', 'translation_order': 2}, 'safe_command'),
+    (PLANNER, {'goal_prediction': 'oracle'}, 'goal_prediction'),
+    (SIM, {'rope.center': (5.0,)}, 'rope.center'),
+    (SIM, {'rope.phase': (0.0, math.inf)}, 'rope.phase'),
+    (SIM, {'dimension': 3, 'start.position': (0.0, 0.0)}, 'start.position'),
+    (SIM, {'start.orientation': (0.0, 0.0, 0.0, 0.0)}, 'start.orientation'),
+    (SIM, {'start.orientation': (0.0, 0.0, 1.0)}, 'start.orientation'),
+    (SIM, {'capture_radius': 0.0}, 'capture_radius'),
+    (SIM, {'clock': 'lamport'}, 'clock'),
+]
+
+
+@pytest.mark.parametrize(('table', 'change', 'culprit'), REFUSED)
+def test_nonsense_is_refused_with_what_is_allowed(table, change, culprit):
+    settings_of = planner_settings if table is PLANNER else sim_settings
+    with pytest.raises(BadInput, match=rf'{re.escape(culprit)}.*allowed') as refusal:
+        settings_of({**defaults(table), **change})
+    assert '\n' not in str(refusal.value)
+
+
+def test_timeouts_are_at_least_a_step_and_a_half():
+    given = {**defaults(PLANNER), 'step': 1.0, 'odom_timeout': 0.3}
+    assert planner_settings(given).odom_timeout == 1.5
+    assert planner_settings({**given, 'step': 0.05}).odom_timeout == 0.3
+    assert planner_settings({**defaults(PLANNER), 'step': 0.05}).odom_timeout == 0.2
+
+
+def test_the_configuration_is_the_scenario():
+    """The file, the table's defaults and the loop without ROS tell one story."""
+    sections = yaml.safe_load(CONFIG.read_text())
+
+    def given(node, table):
+        own = sections[f'/**/{node}']['ros__parameters']
+        values = {**sections['/**']['ros__parameters'], **own}
+        values.pop('use_sim_time', None)
+        assert values.keys() <= defaults(table).keys()
+        return {**defaults(table), **values}
+
+    assert repr(planner_settings(given('planner', PLANNER)).problem) == repr(retrieval_problem())
+    for values in (given('sim', SIM), defaults(SIM)):
+        assert repr(sim_settings(values).scenario) == repr(retrieval())
+
+
+BAD_STARTS = [
+    ('planner', {'horizon': 0}, 'horizon'),
+    ('planner', {'step': '.nan'}, 'step'),
+    ('planner', {'horizn': 5}, 'horizn'),
+    ('planner', {'floor.shape': 'polygon', 'floor.fraction': 0.9}, 'floor.fraction'),
+    ('sim', {'rope.center': '[5, 0]'}, 'rope.center'),
+    ('sim', {'capture_radius': -1.0}, 'capture_radius'),
+]
+
+
+def test_bad_parameters_end_a_node_with_one_line_and_code_2(launch):
+    started = [(launch(node, bad), culprit) for node, bad, culprit in BAD_STARTS]
+    for process, culprit in started:
+        assert process.wait() == 2, process.output
+        lines = process.output.strip().splitlines()
+        assert len(lines) == 1, process.output
+        assert re.search(rf'{re.escape(culprit)}.* is .*allowed: ', lines[0]), lines
+
+
+@pytest.fixture
+def running(launch, observer):
+    launch('planner', {'floor.shape': 'polygon'})
+
+    def ask(kind, name, **fields):
+        return observer.call(kind, f'/planner/{name}', kind.Request(**fields))
+
+    return ask
+
+
+def held(running, names):
+    return running(GetParameters, 'get_parameters', names=list(names)).values
+
+
+def change(running, values):
+    """Set several parameters at once; return whether it worked, and why not."""
+    wanted = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+    answer = running(SetParametersAtomically, 'set_parameters_atomically', parameters=wanted)
+    return answer.result.successful, answer.result.reason
+
+
+def test_live_changes_are_made_whole(running):
+    values = {'weights.input': 0.2, 'max_rate': 1.0, 'obstacles': [1.0, 1.0, 2.0, 2.0]}
+    assert change(running, values) == (True, '')
+    weight, rate, boxes = held(running, values)
+    assert (weight.double_value, rate.double_value) == (0.2, 1.0)
+    assert list(boxes.double_array_value) == values['obstacles']
+    for values, culprit in (
+        ({'weights.input': 0.3, 'floor.fraction': 0.9}, 'floor.fraction'),
+        ({'weights.input': math.nan}, 'weights.input'),
+        ({'weights.input': -1.0}, 'weights.input'),
+        ({'weights.input': 'heavy'}, 'DOUBLE'),
+        ({'weights.input': 0.3, 'horizon': 7}, 'read-only'),
+        ({'obstacles': [1.0, 2.0]}, 'obstacles'),
+        ({'use_sim_time': True}, 'use_sim_time'),
+    ):
+        before = held(running, values)
+        done, reason = change(running, values)
+        assert not done
+        assert culprit in reason
+        assert held(running, values) == before
+    assert change(running, {'floor.shape': 'none'})[0]  # it still lives
+
+
+def test_descriptors_are_there_for_all_to_see(running):
+    names = [row.name for row in PLANNER]
+    described = running(DescribeParameters, 'describe_parameters', names=names).descriptors
+    assert [each.description for each in described] == [
+        row.descriptor.description for row in PLANNER
+    ]
+    assert [each.read_only for each in described] == [not row.live for row in PLANNER]

@@ -1,0 +1,218 @@
+"""The planner as a process: what it says while it waits, what it refuses, how it stops."""
+
+import itertools
+import json
+import signal
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from nav_msgs.msg import Odometry
+from std_msgs.msg import Bool
+from std_srvs.srv import SetBool, Trigger
+
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.messages import Frames, Stamp
+from orbimpc_ros.ros.process import qos
+from orbimpc_ros.world.vehicle import Model, launched
+
+FRAMES = Frames('odom', 'base_link')
+QUICK = {'trigger': 'odom', 'step': 0.1}
+
+
+def odometry(seconds, model=None):
+    model = model or Model()
+    vehicle = launched(model, np.zeros(2), np.eye(2))
+    return messages.odometry_message(Stamp(round(seconds * 1e9), FRAMES), vehicle)
+
+
+def goal(seconds):
+    return messages.goal_message(Stamp(round(seconds * 1e9), FRAMES), np.array([5.0, 0.0]))
+
+
+def told(message):
+    return {pair.key: pair.value for pair in message.status[0].values}
+
+
+def moving(message):
+    twist = message.twist
+    return twist.linear.x != 0.0 or twist.angular.z != 0.0
+
+
+class Bench:
+    """A planner with its inputs in this test's hands."""
+
+    def __init__(self, launch, observer, parameters):
+        self.observer = observer
+        self.commands = observer.listen(TwistStamped, 'cmd_vel')
+        self.ticks = observer.listen(DiagnosticArray, 'tick')
+        self.health = observer.listen(DiagnosticArray, '/diagnostics')
+        node = observer.node
+        self.odometry = node.create_publisher(Odometry, 'odom', qos())
+        self.goal = node.create_publisher(PoseStamped, 'goal', qos())
+        self.planner = launch('planner', parameters)
+        observer.until_connected('cmd_vel', 'tick', '/diagnostics')
+        for publisher in (self.odometry, self.goal):
+            observer.until(publisher.get_subscription_count, 'the planner listening')
+
+    def until(self, *arguments):
+        self.observer.until(*arguments)
+
+    def says(self, words):
+        """Wait until the planner's diagnostics say something."""
+        self.until(lambda: any(words in m.status[0].message for m in self.health), words)
+
+    def counts(self, what):
+        """Wait until the planner's diagnostics count something."""
+        self.until(lambda: self.health and what in told(self.health[-1]), what)
+        return int(told(self.health[-1])[what])
+
+    def fly(self, seconds):
+        """Return the command for odometry of that stamp, sent again until it is answered."""
+        sent = [odometry(seconds), goal(seconds)]
+        asked = itertools.count()
+
+        def answer():
+            if next(asked) % 10 == 0:  # best effort: a message may be lost while they connect
+                self.goal.publish(sent[1])
+                self.odometry.publish(sent[0])
+            return [c for c in self.commands if c.header.stamp == sent[0].header.stamp]
+
+        self.until(answer, 'a command')
+        return answer()[0]
+
+
+@pytest.fixture
+def bench(launch, observer):
+    return Bench(launch, observer, QUICK)
+
+
+def test_without_odometry_and_goal_nothing_moves_and_it_says_what_it_waits_for(bench):
+    bench.says('waits for odometry on odom and a goal')
+    bench.odometry.publish(odometry(1.0))
+    bench.says('waits for a goal')
+    assert bench.commands == []
+    assert 'waits for odometry on odom' in bench.planner.output
+    bench.goal.publish(goal(1.0))  # the odometry still waits for it, and is fresh or stale
+    bench.until(lambda: 'ready' in bench.health[-1].status[0].message or bench.commands, 'a goal')
+
+
+def test_malformed_messages_are_dropped_and_counted_and_the_loop_goes_on(bench):
+    assert moving(bench.fly(1.0))
+    bad = odometry(2.0)
+    bad.pose.pose.position.x = float('nan')
+    bench.odometry.publish(bad)
+    assert bench.counts('refused odom: pose.position') == 1
+    bad = odometry(2.0)
+    bad.header.stamp.sec = -1
+    bench.odometry.publish(bad)
+    assert bench.counts('refused odom: header.stamp.sec') == 1
+    bad = goal(2.0)
+    bad.header.frame_id = 'map'
+    bench.goal.publish(bad)
+    assert bench.counts('refused goal: header.frame_id') == 1
+    assert moving(bench.fly(3.0))
+
+
+def test_outputs_carry_the_odometrys_stamp_and_frame(bench):
+    command = bench.fly(7.25)
+    assert (command.header.stamp.sec, command.header.stamp.nanosec) == (7, 250_000_000)
+    assert command.header.frame_id == 'base_link'
+    assert command.twist.linear.y == command.twist.linear.z == 0.0
+
+
+def test_stale_odometry_brings_the_safe_command_again_and_again(bench):
+    assert moving(bench.fly(1.0))
+    flown = len(bench.commands)
+    bench.until(lambda: len(bench.commands) >= flown + 3, 'safe commands')
+    assert not any(moving(command) for command in bench.commands[flown:])
+    assert told(bench.ticks[-1])['fallback'] == 'safe command'
+    assert 'odometry' in told(bench.ticks[-1])['reason']
+    assert moving(bench.fly(2.0))  # and it goes on
+
+
+def test_disabled_means_the_safe_command_again_and_again(bench):
+    assert moving(bench.fly(1.0))
+    response = bench.observer.call(SetBool, '/planner/enable', SetBool.Request(data=False))
+    assert response.success
+    assert not moving(bench.fly(2.0))
+    bench.says('disabled')
+    bench.observer.call(SetBool, '/planner/enable', SetBool.Request(data=True))
+    assert moving(bench.fly(3.0))
+
+
+def test_reset_forgets_the_inputs(bench):
+    bench.fly(100.0)
+    assert bench.observer.call(Trigger, '/planner/reset', Trigger.Request()).success
+    bench.says('waits for')
+    assert moving(bench.fly(1.0))  # an older stamp than before
+
+
+def test_a_timer_plans_without_new_odometry(launch, observer):
+    bench = Bench(launch, observer, {'trigger': 'timer', 'step': 0.1, 'odom_timeout': 20.0,
+                                     'goal_timeout': 20.0})  # fmt: skip
+    bench.fly(1.0)
+    bench.until(lambda: sum(map(moving, bench.commands)) >= 3, 'commands by the timer')
+
+
+def test_thrust_is_a_force_at_translation_order_2(launch, observer):
+    forces = observer.listen(WrenchStamped, 'cmd_thrust')
+    bench = Bench(launch, observer, {**QUICK, 'translation_order': 2, 'mass': 3.0, 'forward': 2.0})
+    observer.until_connected('cmd_thrust')
+    command = bench.fly(1.0)
+    bench.until(lambda: forces, 'a force')
+    assert command.twist.linear.x == 0.0
+    assert forces[0].header.stamp == command.header.stamp
+    bench.until(lambda: bench.ticks, 'a tick')
+    fraction = json.loads(told(bench.ticks[0])['speed_fraction'])[1]
+    assert forces[0].wrench.force.x == pytest.approx(3.0 * 2.0 * fraction)
+    assert fraction > 0.1
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_with_safe_commands_and_code_0(bench, number):
+    assert moving(bench.fly(1.0))
+    bench.planner.tell(number)
+    assert bench.planner.wait() == 0, bench.planner.output
+    bench.until(lambda: len(bench.commands) >= 4, 'three safe commands')
+    assert not any(moving(command) for command in bench.commands[-3:])
+    assert 'Traceback' not in bench.planner.output
+
+
+def test_in_real_time_the_vehicle_stops_when_commands_do(launch, observer):
+    seen = observer.listen(Odometry, 'odom')
+    speeds = lambda: [m.twist.twist.linear.x for m in seen]  # noqa: E731
+    commands = observer.node.create_publisher(TwistStamped, 'cmd_vel', qos())
+    launch('sim', {'clock': 'wall', 'step': 0.05, 'max_ticks': 1000})
+    observer.until_connected('odom')
+    observer.until(commands.get_subscription_count, 'the simulator listening')
+    commands.publish(messages.twist_message(Stamp(0, FRAMES), 0.5, np.zeros(1)))
+    observer.until(lambda: 0.5 in speeds(), 'the commanded speed')
+    observer.until(lambda: speeds()[-1] == 0.0, 'a stop')
+    commands.publish(messages.twist_message(Stamp(1, FRAMES), 0.75, np.zeros(1)))
+    observer.until(lambda: speeds()[-1] == 0.75, 'the commanded speed again')
+
+
+def test_a_flight_without_capture_ends_with_code_1(launch):
+    launch('planner', {'trigger': 'odom'})
+    sim = launch('sim', {'max_ticks': 3, 'exit_when_done': True})
+    assert sim.wait() == 1, sim.output
+    assert 'not captured' in sim.output
+
+
+def test_the_simulator_flies_again_after_a_reset(launch, observer):
+    captured = observer.listen(Bool, 'captured')
+    seen = observer.listen(Odometry, 'odom')
+    launch('planner', {'trigger': 'odom'})
+    launch('sim', {'max_ticks': 3})
+    observer.until(lambda: captured, 'the end')
+    assert observer.call(Trigger, '/sim/reset', Trigger.Request()).success
+    observer.until(lambda: len(captured) >= 3, 'the end again')
+    places = {m.header.stamp.sec: m.pose.pose.position.x for m in seen}
+    assert list(places) == list(range(8))  # time goes on
+    flown = list(places.values())
+    assert flown[4:] == pytest.approx(flown[:4], abs=1e-9)

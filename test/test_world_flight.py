@@ -1,0 +1,83 @@
+"""Rope, capture and scenarios: geometry against brute force, and the paper's story."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orbimpc_ros.mpc.controller import Controller
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.forecast import forecast_named
+from orbimpc_ros.world.capture import closest_approach
+from orbimpc_ros.world.flight import departure, fly
+from orbimpc_ros.world.rope import Rope, fixed
+from orbimpc_ros.world.scenario import retrieval, retrieval_problem
+from orbimpc_ros.world.vehicle import launched
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_closest_approach_is_the_least_of_many(n):
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        s0, s1, g0, g1 = rng.normal(size=(4, n))
+        distance, share = closest_approach((s0, s1), (g0, g1))
+        shares = np.linspace(0.0, 1.0, 1001)[:, None]
+        apart = np.linalg.norm((s0 - g0) + shares * ((s1 - g1) - (s0 - g0)), axis=1)
+        assert distance <= apart.min() + 1e-12
+        assert distance == pytest.approx(apart.min(), abs=5e-3)
+        assert 0.0 <= share <= 1.0
+
+
+def test_closest_approach_of_points_that_move_alike():
+    offset = np.array([0.3, 0.4])
+    assert closest_approach((np.zeros(2), np.ones(2)), (offset, 1 + offset))[0] == pytest.approx(
+        0.5
+    )
+
+
+def test_a_rope_swings_about_its_center():
+    rope = Rope([5.0, 0.0], [0.5, 0.25], 0.1, [0.0, np.pi / 2])
+    np.testing.assert_allclose(rope.at(0.0), [5.0, 0.25])
+    np.testing.assert_allclose(rope.at(2.5), [5.5, 0.0], atol=1e-12)
+    np.testing.assert_allclose(rope.at(10.0), rope.at(0.0), atol=1e-12)
+    np.testing.assert_allclose(fixed(np.array([1.0, 2.0])).at(7.0), [1.0, 2.0])
+    with pytest.raises(BadInput, match='amplitude'):
+        Rope([5.0, 0.0], [0.5], 0.1, [0.0, 0.0])
+
+
+def test_a_flight_that_starts_later_is_the_same_flight():
+    early, late = departure(retrieval()), departure(retrieval(), 30.0)
+    np.testing.assert_array_equal(early.goal, late.goal)
+    early, late = (each.after(0.9, np.array([0.1])) for each in (early, late))
+    assert early.miss == late.miss
+    assert late.missed_at == early.missed_at + 30.0
+
+
+def test_ticks_run_out():
+    flight = departure(replace(retrieval(), max_ticks=2))
+    for expected in (False, True):
+        flight = flight.after(0.0, np.zeros(1))
+        assert flight.over == expected
+    assert not flight.captured
+
+
+@pytest.fixture(scope='module')
+def controller():
+    return Controller(retrieval_problem())
+
+
+@pytest.mark.parametrize('seed', [None, 1, 2])
+def test_the_papers_story(controller, seed):
+    """Several near misses, then capture at about t = 24; also from starts a little off."""
+    scenario = retrieval()
+    if seed is not None:
+        nudge = np.random.default_rng(seed).uniform(-1e-3, 1e-3, 2)
+        scenario = replace(scenario, start=launched(scenario.model, nudge, np.eye(2)))
+    controller.reset()
+    log = fly(controller, scenario, forecast_named('hold'))
+    assert log.captured
+    assert 23.0 <= log.flights[-1].missed_at <= 25.0
+    assert np.sum(log.misses[:-1] < 0.35) >= 3
+    assert log.misses[-1] < scenario.capture_radius - 0.01
+    assert log.misses[:-1].min() > scenario.capture_radius + 0.01
+    assert all(tick.status == 'optimal' for tick in log.ticks)
