@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.errors import BadInput, SolverFailure
+from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
+from orbimpc_ros.mpc.feasibility import reason
 from orbimpc_ros.mpc.floors.circle import Circle
 from orbimpc_ros.mpc.method import Found, Guess, Method
 from orbimpc_ros.mpc.orbitopes import coordinates
@@ -65,7 +66,11 @@ class Solver:
         if np.shape(goals) != wanted:
             raise BadInput('goals', np.shape(goals), f'an array of shape {wanted}')
         usable = self._usable(state, goals, guess)
-        return self._plan(state, goals, self._method.solve(state, goals, usable, out_of_time))
+        try:
+            found = self._method.solve(state, goals, usable, out_of_time)
+        except Infeasible:
+            raise Infeasible(reason(self.problem, state, goals)) from None
+        return self._plan(state, goals, found)
 
     def _usable(self, state: State, goals: Array, guess: Plan | None) -> Guess | None:
         if guess is None or violations(self.problem, state, goals, guess):

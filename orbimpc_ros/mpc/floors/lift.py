@@ -63,9 +63,7 @@ class Lift:
         constraints += [*self._bounds(), *epigraph, *self._arrives(), self._read_out()]
         cost = self._position_cost() + self._input_cost() + length
         self._program = cp.Problem(cp.Minimize(cost), constraints)
-        self._compiled(
-            np.zeros((steps, n)), np.zeros(n)
-        )  # now, not in a tick
+        self._compiled(np.zeros((steps, n)), np.zeros(n))  # now, not in a tick
 
     def solve(self, state: State, goals: Array) -> Lifted:
         """Return the relaxation's optimum for a state and goals g_1..g_N, shape (N, n).
