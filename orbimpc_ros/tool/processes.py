@@ -104,6 +104,8 @@ def isolate() -> int:
     domain = next((d for d in candidates if _free(d)), candidates[0])
     os.environ['ROS_DOMAIN_ID'] = str(domain)
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    # Fast DDS's first announcements often miss those who were there before; the next come 3 s on.
+    os.environ['ROS_STATIC_PEERS'] = '127.0.0.1'
     return domain
 
 

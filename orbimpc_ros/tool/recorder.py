@@ -9,6 +9,8 @@ from importlib import import_module
 from pathlib import Path
 
 import rclpy
+from rcl_interfaces.srv import GetParameters
+from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
@@ -30,9 +32,9 @@ VEHICLE = (
     Topic('rotation', 'geometry_msgs/msg/QuaternionStamped'),
     Topic('tick', 'diagnostic_msgs/msg/DiagnosticArray'),
     Topic('world_markers', 'visualization_msgs/msg/MarkerArray'),
-    # Last: a lock-step simulator starts as soon as odometry has its subscribers.
     Topic('odom', 'nav_msgs/msg/Odometry'),
 )
+TRIGGER = 'odom'  # a lock-step simulator starts as soon as it has its subscribers
 
 
 def topics_of(namespaces: Sequence[str] = ('',)) -> tuple[Topic, ...]:
@@ -47,17 +49,27 @@ class Recorder:
 
     A message goes under the stamp it carries, so that the bag plays at the speed of the run
     however fast that was simulated; one without a stamp goes under the last stamp before it.
+    Odometry is subscribed to once every planner has answered a call. DDS announces endpoints in
+    the order of their creation: a planner that knows the last one knows every subscription, and
+    a simulator that waits for the subscription to odometry finds the recorder complete.
 
     Args:
         folder: of the bag, created.
         topics: to record.
         notes: kept in the bag's metadata.
+        planners: nodes that must know the recorder before odometry is asked for.
 
     Attributes:
         counts: messages heard, by topic.
     """
 
-    def __init__(self, folder: Path, topics: Sequence[Topic], notes: dict[str, str]) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        topics: Sequence[Topic],
+        notes: dict[str, str],
+        planners: Sequence[str] = ('/planner',),
+    ) -> None:
         self.counts = dict.fromkeys((topic.name for topic in topics), 0)
         self.now: int | None = None  # the last stamp [ns]
         self._early: list[tuple[str, bytes]] = []
@@ -72,8 +84,24 @@ class Recorder:
         )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
+        self._held = [topic for topic in topics if topic.name.rpartition('/')[2] == TRIGGER]
         for topic in topics:
-            self._listen(topic)
+            if topic not in self._held:
+                self._listen(topic)
+        self._unmet = {name: self._client(name) for name in planners}
+
+    def _client(self, planner: str) -> Client:
+        """Return a client of a service that every node has."""
+        return self._node.create_client(GetParameters, f'{planner}/get_parameters')
+
+    def _meet(self) -> None:
+        """Call planners that have not answered yet; when all have, listen to odometry too."""
+        for name, client in self._unmet.items():
+            if client.service_is_ready():
+                answer = client.call_async(GetParameters.Request())
+                answer.add_done_callback(lambda _, name=name: self._unmet.pop(name, None))
+        while self._held and not self._unmet:
+            self._listen(self._held.pop())
 
     def _listen(self, topic: Topic) -> None:
         kept = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
@@ -105,7 +133,8 @@ class Recorder:
         self._early.clear()
 
     def spin(self, seconds: float) -> None:
-        """Record for a while, or until there is something to show."""
+        """Record for a while, or until something has come."""
+        self._meet()
         self._executor.spin_once(timeout_sec=seconds)
 
     def drain(self, quiet: float, limit: float) -> None:
