@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
+from rosbags.typesys import Stores, get_typestore
 
+from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool import figures, settings, summary
-from orbimpc_ros.tool.history import History, Planned
+from orbimpc_ros.tool.bag_writer import BagWriter, Topic
+from orbimpc_ros.tool.history import History, Planned, of_bag
 
 
 def history(distances, captured, **changes):
@@ -133,17 +136,60 @@ BAD_CHANGES = {
 
 @pytest.mark.parametrize(('change', 'culprit'), BAD_CHANGES.values(), ids=BAD_CHANGES)
 def test_bad_changes_are_named(file, change, culprit):
-    from orbimpc_ros.mpc.errors import BadInput
-
     with pytest.raises(BadInput, match=culprit.replace('.', r'\.')):
         settings.resolve(file, [change])
 
 
 @pytest.mark.parametrize('text', ['[]', 'a: 1', 'a: {b: 1}', 'a: {ros__parameters: 3}'])
 def test_what_is_not_a_parameter_file_is_refused(tmp_path, text):
-    from orbimpc_ros.mpc.errors import BadInput
-
     path = tmp_path / 'parameters.yaml'
     path.write_text(text)
     with pytest.raises(BadInput, match='ros__parameters'):
         settings.resolve(path)
+
+
+def record(folder, stamps, topics=('odom', 'goal')):
+    """Write a bag with odometry at given stamps [s] and goals beside it."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    types = {'odom': 'nav_msgs/msg/Odometry', 'goal': 'geometry_msgs/msg/PoseStamped'}
+    listed = [Topic(f'/{name}', types[name]) for name in types]
+    make = maker(store)
+    with BagWriter(folder, listed, {}) as writer:
+        for stamp in stamps:
+            for name in topics:
+                data = store.serialize_cdr(make(types[name], stamp), types[name])
+                writer.write(f'/{name}', stamp * 1_000_000_000, bytes(data))
+
+
+def maker(store):
+    """Return a function that makes a stamped message, all else zero."""
+
+    def make(name, stamp):
+        if name == 'builtin_interfaces/msg/Time':
+            return store.types[name](sec=stamp, nanosec=0)
+        fields = {}
+        for field, (kind, detail) in store.fielddefs[name][1]:
+            if kind == 1:
+                fields[field] = '' if detail[0] == 'string' else 0.0
+            elif kind == 2:
+                fields[field] = make(detail, stamp)
+            else:
+                fields[field] = np.zeros(detail[1])
+        return store.types[name](**fields)
+
+    return make
+
+
+def test_repeated_odometry_counts_once(tmp_path):
+    record(tmp_path / 'bag', [1, 2, 2, 2, 3])
+    found = of_bag(tmp_path / 'bag')
+    assert found.times.tolist() == [1.0, 2.0, 3.0]
+    assert found.positions.shape == found.ropes.shape == (3, 3)
+    assert not found.captured
+
+
+@pytest.mark.parametrize(('topics', 'missing'), [(['odom'], 'goal'), (['goal'], 'odom')])
+def test_a_bag_without_what_is_needed_is_refused(tmp_path, topics, missing):
+    record(tmp_path / 'bag', [1, 2], topics)
+    with pytest.raises(BadInput, match=f'without {missing}'):
+        of_bag(tmp_path / 'bag')

@@ -74,12 +74,12 @@ def fly(values: Values, folder: Path) -> None:
         ProcessFailure: a node has failed.
         KeyboardInterrupt: somebody asked to stop; the bag is complete up to then.
     """
-    from orbimpc_ros.tool import processes, settings
+    from orbimpc_ros.tool import discovery, processes, settings
 
     simulated = values['clock'] == 'lockstep'
     parameters = folder / 'parameters.yaml'
     text = settings.write(parameters, values, use_sim_time=simulated)
-    print(f'ROS_DOMAIN_ID={processes.isolate()}, results in {folder}')
+    print(f'ROS_DOMAIN_ID={discovery.isolate(folder)}, results in {folder}')
     with processes.Interruptions() as interruptions:
         with _nodes(parameters, folder) as (planner, sim), _recorder(folder, text) as recorder:
             _watch(planner, sim, recorder, interruptions, values)

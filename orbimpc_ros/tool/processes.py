@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import random
 import signal
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -16,7 +13,6 @@ from orbimpc_ros.mpc.errors import OrbimpcError
 
 PATIENCE = 3.0  # [s] between asking a process to stop and killing it
 LAST_LINES = 8
-DOMAINS = range(1, 102)  # beyond them DDS ports meet those that Linux hands out
 
 
 class ProcessFailure(OrbimpcError):
@@ -96,25 +92,3 @@ class Interruptions:
 
     def _remember(self, number: int, frame: FrameType | None) -> None:
         self.requested = True
-
-
-def isolate() -> int:
-    """Give this process and its children a ROS domain of their own and return its number."""
-    candidates = random.sample(DOMAINS, len(DOMAINS))
-    domain = next((d for d in candidates if _free(d)), candidates[0])
-    os.environ['ROS_DOMAIN_ID'] = str(domain)
-    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    # Fast DDS's first announcements often miss those who were there before; the next come 3 s on.
-    os.environ['ROS_STATIC_PEERS'] = '127.0.0.1'
-    return domain
-
-
-def _free(domain: int) -> bool:
-    """Return whether no participant of a domain lives here (RTPS 9.6.2.3: its discovery ports)."""
-    for offset in (0, 10):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(('', 7400 + 250 * domain + offset))
-            except OSError:
-                return False
-    return True
