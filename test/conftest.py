@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-os.environ['ROS_STATIC_PEERS'] = '127.0.0.1'  # discovers at once what may otherwise take 3 s
 ROOT = Path(__file__).resolve().parents[1]
 PATIENCE = 20.0  # [s] for anything awaited; far beyond what it takes
 
@@ -73,8 +72,8 @@ class Process:
             raise
 
 
-@pytest.fixture
-def launch(domain, tmp_path):
+@contextlib.contextmanager
+def launching(domain: int, folder: Path):
     """Start nodes: ``launch('planner', {'step': 0.1}, 'retrieval')``; all are stopped at the end.
 
     The last arguments name files in ``config/``.
@@ -85,11 +84,17 @@ def launch(domain, tmp_path):
             module: str, parameters: dict | None = None, *names: str, domain: int = domain
         ) -> Process:
             files = [ROOT / 'config' / f'{name}.yaml' for name in names]
-            log = tmp_path / f'{module}-{next(_numbers)}.log'
+            log = folder / f'{module}-{next(_numbers)}.log'
             process = Process(module, domain, log, parameters or {}, files)
             stack.callback(process.stop)
             return process
 
+        yield start
+
+
+@pytest.fixture
+def launch(domain, tmp_path):
+    with launching(domain, tmp_path) as start:
         yield start
 
 
@@ -153,9 +158,19 @@ class Observer:
 
 @pytest.fixture
 def observer(domain):
-    seen = Observer(domain)
-    yield seen
-    seen.close()
+    with contextlib.closing(Observer(domain)) as seen:
+        yield seen
+
+
+@pytest.fixture(scope='module')
+def shared(tmp_path_factory):
+    """``launch`` and ``observer`` for a whole module: processes are slow to meet."""
+    domain = new_domain()
+    with (
+        contextlib.closing(Observer(domain)) as seen,
+        launching(domain, tmp_path_factory.mktemp('shared')) as start,
+    ):
+        yield start, seen
 
 
 @pytest.fixture

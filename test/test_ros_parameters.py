@@ -160,8 +160,9 @@ def test_bad_parameters_end_a_node_with_one_line_and_code_2(launch):
         assert re.search(rf'{re.escape(culprit)}.* is .*allowed: ', lines[0]), lines
 
 
-@pytest.fixture
-def running(launch, observer):
+@pytest.fixture(scope='module')
+def running(shared):
+    launch, observer = shared
     launch('planner', {'floor.shape': 'polygon'})
 
     def ask(kind, name, **fields):

@@ -1,8 +1,9 @@
 """The planner as a process: what it says while it waits, what it refuses, how it stops."""
 
-import itertools
 import json
+import math
 import signal
+import time
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from orbimpc_ros.ros.process import qos
 from orbimpc_ros.world.vehicle import Model, launched
 
 FRAMES = Frames('odom', 'base_link')
-QUICK = {'trigger': 'odom', 'step': 0.1}
+QUICK = {'trigger': 'odom', 'step': 0.1, 'odom_timeout': 0.8}
 
 
 def odometry(seconds, model=None):
@@ -74,13 +75,16 @@ class Bench:
     def fly(self, seconds):
         """Return the command for odometry of that stamp, sent again until it is answered."""
         sent = [odometry(seconds), goal(seconds)]
-        asked = itertools.count()
+        before, again = len(self.commands), -math.inf
 
         def answer():
-            if next(asked) % 10 == 0:  # best effort: a message may be lost while they connect
+            nonlocal again
+            if time.monotonic() > again:  # best effort: lost while they were connecting
+                again = time.monotonic() + 0.3
                 self.goal.publish(sent[1])
                 self.odometry.publish(sent[0])
-            return [c for c in self.commands if c.header.stamp == sent[0].header.stamp]
+            later = self.commands[before:]
+            return [c for c in later if c.header.stamp == sent[0].header.stamp]
 
         self.until(answer, 'a command')
         return answer()[0]
@@ -89,6 +93,20 @@ class Bench:
 @pytest.fixture
 def bench(launch, observer):
     return Bench(launch, observer, QUICK)
+
+
+@pytest.fixture(scope='module')
+def veteran(shared):
+    return Bench(*shared, QUICK)
+
+
+@pytest.fixture
+def flying(veteran):
+    """A planner that has flown before, made to forget it."""
+    call = veteran.observer.call
+    assert call(SetBool, '/planner/enable', SetBool.Request(data=True)).success
+    assert call(Trigger, '/planner/reset', Trigger.Request()).success
+    return veteran
 
 
 def test_without_odometry_and_goal_nothing_moves_and_it_says_what_it_waits_for(bench):
@@ -101,55 +119,58 @@ def test_without_odometry_and_goal_nothing_moves_and_it_says_what_it_waits_for(b
     bench.until(lambda: 'ready' in bench.health[-1].status[0].message or bench.commands, 'a goal')
 
 
-def test_malformed_messages_are_dropped_and_counted_and_the_loop_goes_on(bench):
-    assert moving(bench.fly(1.0))
+def test_malformed_messages_are_dropped_and_counted_and_the_loop_goes_on(flying):
+    assert moving(flying.fly(1.0))
     bad = odometry(2.0)
     bad.pose.pose.position.x = float('nan')
-    bench.odometry.publish(bad)
-    assert bench.counts('refused odom: pose.position') == 1
+    flying.odometry.publish(bad)
+    assert flying.counts('refused odom: pose.position') == 1
     bad = odometry(2.0)
     bad.header.stamp.sec = -1
-    bench.odometry.publish(bad)
-    assert bench.counts('refused odom: header.stamp.sec') == 1
+    flying.odometry.publish(bad)
+    assert flying.counts('refused odom: header.stamp.sec') == 1
     bad = goal(2.0)
     bad.header.frame_id = 'map'
-    bench.goal.publish(bad)
-    assert bench.counts('refused goal: header.frame_id') == 1
-    assert moving(bench.fly(3.0))
+    flying.goal.publish(bad)
+    assert flying.counts('refused goal: header.frame_id') == 1
+    assert moving(flying.fly(3.0))
 
 
-def test_outputs_carry_the_odometrys_stamp_and_frame(bench):
-    command = bench.fly(7.25)
+def test_outputs_carry_the_odometrys_stamp_and_frame(flying):
+    command = flying.fly(7.25)
     assert (command.header.stamp.sec, command.header.stamp.nanosec) == (7, 250_000_000)
     assert command.header.frame_id == 'base_link'
     assert command.twist.linear.y == command.twist.linear.z == 0.0
 
 
-def test_stale_odometry_brings_the_safe_command_again_and_again(bench):
-    assert moving(bench.fly(1.0))
-    flown = len(bench.commands)
-    bench.until(lambda: len(bench.commands) >= flown + 3, 'safe commands')
-    assert not any(moving(command) for command in bench.commands[flown:])
-    assert told(bench.ticks[-1])['fallback'] == 'safe command'
-    assert 'odometry' in told(bench.ticks[-1])['reason']
-    assert moving(bench.fly(2.0))  # and it goes on
+def test_stale_odometry_brings_the_safe_command_again_and_again(flying):
+    assert moving(flying.fly(1.0))
+    flown = len(flying.commands)
+    flying.until(lambda: len(flying.commands) >= flown + 3, 'safe commands')
+    assert not any(moving(command) for command in flying.commands[flown:])
+    assert told(flying.ticks[-1])['fallback'] == 'safe command'
+    assert 'odometry' in told(flying.ticks[-1])['reason']
+    assert moving(flying.fly(2.0))  # and it goes on
 
 
-def test_disabled_means_the_safe_command_again_and_again(bench):
-    assert moving(bench.fly(1.0))
-    response = bench.observer.call(SetBool, '/planner/enable', SetBool.Request(data=False))
+def test_disabled_means_the_safe_command_again_and_again(flying):
+    assert moving(flying.fly(1.0))
+    response = flying.observer.call(SetBool, '/planner/enable', SetBool.Request(data=False))
     assert response.success
-    assert not moving(bench.fly(2.0))
-    bench.says('disabled')
-    bench.observer.call(SetBool, '/planner/enable', SetBool.Request(data=True))
-    assert moving(bench.fly(3.0))
+    assert not moving(flying.fly(2.0))
+    flying.says('disabled')
+    flying.observer.call(SetBool, '/planner/enable', SetBool.Request(data=True))
+    assert moving(flying.fly(3.0))
 
 
-def test_reset_forgets_the_inputs(bench):
-    bench.fly(100.0)
-    assert bench.observer.call(Trigger, '/planner/reset', Trigger.Request()).success
-    bench.says('waits for')
-    assert moving(bench.fly(1.0))  # an older stamp than before
+def test_reset_forgets_the_inputs_and_is_safe_until_they_are_there_again(flying):
+    flying.fly(100.0)
+    flown = len(flying.commands)
+    assert flying.observer.call(Trigger, '/planner/reset', Trigger.Request()).success
+    flying.until(lambda: len(flying.commands) >= flown + 3, 'safe commands')
+    assert not any(moving(command) for command in flying.commands[flown:])
+    flying.until(lambda: 'waits for' in flying.health[-1].status[0].message, 'waiting')
+    assert moving(flying.fly(1.0))  # an older stamp than before
 
 
 def test_a_timer_plans_without_new_odometry(launch, observer):

@@ -275,7 +275,7 @@ class Planner(Guarded):
         """Repeat the safe command every step while it is not safe to follow a plan."""
         flying = np.isfinite(self._commanded) or not self._enabled
         due = self.steady_now() - self._commanded >= self._settings.problem.step
-        unsafe = self._unsafe()
+        unsafe = self._unsafe() or (self._inbox.missing and f'waits for {self._inbox.missing}')
         if flying and due and unsafe:
             self.safe(unsafe)
 
@@ -288,6 +288,8 @@ class Planner(Guarded):
         self._inbox.forget()
         self._controller.reset()
         self._answered = -1
+        if np.isfinite(self._commanded):
+            self.safe('starting afresh')
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
         self._start_afresh()

@@ -96,16 +96,6 @@ class Guarded(Node):
         return self.create_timer(period, self.guard(callback), clock=self.steady)
 
 
-def keep_to_this_machine() -> None:
-    """Set the environment so that DDS stays on this machine, unless it says otherwise.
-
-    Naming the machine as a peer of its own spares a latecomer up to 3 s: under LOCALHOST alone,
-    Fast DDS's first announcements often miss those who were there before.
-    """
-    if os.environ.setdefault(RANGE, 'LOCALHOST') == 'LOCALHOST':
-        os.environ.setdefault('ROS_STATIC_PEERS', '127.0.0.1')
-
-
 def run(make: Callable[[], Guarded], argv: Sequence[str] | None = None) -> int:
     """Run a node until it is done or told to stop, and return the exit code.
 
@@ -113,7 +103,7 @@ def run(make: Callable[[], Guarded], argv: Sequence[str] | None = None) -> int:
         make: creates the node; BadInput from it ends the process with code 2 and one line.
         argv: the command line; by default this process's.
     """
-    keep_to_this_machine()
+    os.environ.setdefault(RANGE, 'LOCALHOST')
     try:
         rclpy.init(
             args=list(sys.argv if argv is None else argv),
