@@ -12,7 +12,7 @@ from orbimpc_ros.mpc.floors.annulus import Annulus
 from orbimpc_ros.mpc.floors.circle import Circle
 from orbimpc_ros.mpc.floors.lift import Lift
 from orbimpc_ros.mpc.plan import violations
-from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.problem import Problem, Weights
 from orbimpc_ros.mpc.solver import Solver
 
 
@@ -139,3 +139,18 @@ def test_lift_covers_arrival_and_length():
     plan = Solver(short).solve(start, near)
     assert lifted.lower_bound <= plan.objective * (1 + 1e-6)
     assert lifted.lower_bound == pytest.approx(plan.objective, rel=1e-2)
+
+
+@pytest.mark.parametrize('seed', range(20))
+@pytest.mark.parametrize('fraction', [0.5, 1.0])
+def test_a_sphere_is_certified_where_the_cost_sees_the_thrust_axis_alone(seed, fraction):
+    rng = np.random.default_rng(seed)
+    seen = Weights(position=1.0, input=0.0, length=0.0, terminal=10.0)
+    problem = Problem(dimension=3, horizon=4, weights=seen, floor=floor('circle', fraction))
+    start = state(rng, problem)
+    targets = np.tile(start.position + rng.normal(size=3), (4, 1))
+    plan = Solver(problem).solve(start, targets)
+    assert violations(problem, start, targets, plan) == []
+    assert plan.status == 'optimal'
+    lifted = Lift(problem).solve(start, targets)
+    assert plan.objective == pytest.approx(lifted.lower_bound, rel=1e-4, abs=1e-6)

@@ -95,3 +95,15 @@ def test_planar_rotation_of_a_tilted_body_is_its_heading_from_above():
     pitch, yaw = so.exp(np.array([0.0, 0.4, 0.0])), so.exp(np.array([0.0, 0.0, 1.1]))
     seen = so.from_quaternion(so.to_quaternion(yaw @ pitch), 2)
     assert np.allclose(seen, so.exp(np.array([1.1])), atol=1e-12)
+
+
+@pytest.mark.parametrize('seed', SEEDS)
+def test_turning_onto_an_axis_gets_there_by_the_shortest_way(seed):
+    rng = np.random.default_rng(seed)
+    q, goal = rotation(rng, 3), rotation(rng, 3)[:, 0]
+    goal = {0: q[:, 0], 1: -q[:, 0]}.get(seed, goal)
+    turned = so.turned_onto(q, goal)
+    assert np.allclose(turned[:, 0], goal, atol=1e-9)
+    assert np.allclose(turned.T @ turned, np.eye(3), atol=1e-12)
+    between = np.arccos(np.clip(q[:, 0] @ goal, -1, 1))
+    assert np.linalg.norm(so.log(q.T @ turned)) == pytest.approx(between, abs=1e-6)

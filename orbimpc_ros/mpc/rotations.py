@@ -103,6 +103,22 @@ def project(matrix: Array, previous: Array, how: str = 'thrust_aligned') -> tupl
     return (nearest(matrix) if how == 'nearest' else thrust_aligned(matrix)), True
 
 
+def turned_onto(rotation: Array, axis: Array) -> Array:
+    """Return the rotation with first column ``axis``, a unit vector, that turns least from one.
+
+    Args:
+        rotation: shape (3, 3).
+        axis: where its first column goes, shape (3,).
+    """
+    old = rotation[:, 0]
+    across = np.cross(old, axis)
+    sine, cosine = math.sqrt(across @ across), float(old @ axis)
+    if sine < HEADING_UNDEFINED:  # onto itself, or over: about any axis across, say the second
+        across, sine = rotation[:, 1], 1.0 if cosine < 0.0 else 0.0
+        return exp(math.pi * sine * across) @ rotation
+    return exp(math.atan2(sine, cosine) / sine * across) @ rotation
+
+
 def to_quaternion(rotation: Array) -> Array:
     """Return the unit quaternion (w, x, y, z) of a rotation of shape (2, 2) or (3, 3)."""
     if rotation.shape == (2, 2):

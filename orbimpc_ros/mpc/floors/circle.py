@@ -1,4 +1,7 @@
-"""The circular floor for SE(2): a local optimum, and the proof that it is the global one.
+"""The true floor where the cost sees R e1 alone: a local optimum, and the proof that it is global.
+
+That is all of R for n = 2. For n = 3 it takes an input weight of zero; the other columns are then
+free, and are carried along by the shortest turns from one thrust axis to the next.
 
 A local optimum is sought from the shifted previous plan, then from the relaxed plan. Its own
 multipliers nearly always prove it global (:mod:`annulus`). Where they do not, the lifted
@@ -8,6 +11,7 @@ relaxation (:mod:`lift`) gives another start, and a bound that holds in any case
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,12 +20,14 @@ from orbimpc_ros.mpc.errors import SolverFailure
 from orbimpc_ros.mpc.floors.annulus import Annulus
 from orbimpc_ros.mpc.floors.lift import Lift
 from orbimpc_ros.mpc.method import Found, Guess
+from orbimpc_ros.mpc.orbitopes import coordinates
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.program import Program
+from orbimpc_ros.mpc.rotations import turned_onto
 
 
 class Circle:
-    """Solves problems of orders (1, 1) over SE(2) whose only other constraint is terminal.
+    """Solves problems of orders (1, 1) with a circular floor and no limits but a terminal one.
 
     Args:
         problem: what to solve.
@@ -36,10 +42,10 @@ class Circle:
     @staticmethod
     def solves(problem: Problem) -> bool:
         """Return whether this method applies to a problem."""
-        orders = (problem.dimension, problem.rotation_order, problem.translation_order)
         return (
             problem.floor.shape == 'circle'
-            and orders == (2, 1, 1)
+            and (problem.rotation_order, problem.translation_order) == (1, 1)
+            and (problem.dimension == 2 or problem.weights.input == 0.0)
             and problem.max_rate == 0.0
             and not problem.obstacles
         )
@@ -70,17 +76,19 @@ class Circle:
                 break
             if best.x is not None and out_of_time is not None and out_of_time():
                 break
-        return best
+        if best.x is None or self._problem.dimension == 2:
+            return best
+        return replace(best, x=_carried(state.attitude, best.x))
 
     def _starts(
         self, state: State, goals: Array, guess: Guess | None
     ) -> Iterator[tuple[Array, float]]:
         """Yield headings to start from, cheapest first, each with a bound that came with it."""
         if guess is not None:
-            yield guess.x, -np.inf
+            yield guess.x[:, : self._problem.dimension], -np.inf
         self._program.bind(state, goals)
         relaxed = self._program.solve()
-        yield relaxed.x, relaxed.bound
+        yield relaxed.x[:, : self._problem.dimension], relaxed.bound
         if self._lift is None:
             return
         try:
@@ -101,3 +109,13 @@ class Circle:
 
     def _is_proved(self, best: Found) -> bool:
         return best.cost - best.lower_bound <= self._tolerance * max(abs(best.cost), 1e-9)
+
+
+def _carried(attitude: Array, headings: Array) -> Array:
+    """Return coordinates, shape (N, 9), of |z_k| Q_k, with Q_k turned from Q_{k-1} onto z_k."""
+    matrices = []
+    for z in headings:
+        size = float(np.linalg.norm(z))
+        attitude = turned_onto(attitude, z / size)
+        matrices.append(size * attitude)
+    return coordinates(np.array(matrices))
