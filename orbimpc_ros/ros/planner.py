@@ -229,7 +229,9 @@ class Planner(Guarded):
         self._fraction = command.speed_fraction
         self._report = report
         if report.reason and report.fallback:
-            self.get_logger().error(f'{report.fallback}: {report.reason}', throttle_duration_sec=1)
+            self.get_logger().warning(
+                f'{report.fallback}: {report.reason}', throttle_duration_sec=1
+            )
         self._show_health(changed_only=True)
 
     def _messages(
