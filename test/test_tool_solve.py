@@ -235,9 +235,9 @@ OUT_OF_REACH = {'terminal': 'constraint', 'goal': [50.0, 0.0]}
 INFEASIBLE = {
     'terminal': (
         {**OUT_OF_REACH, 'floor': {'shape': 'none'}},
-        'without terminal: constraint there',
+        'terminal: constraint',
     ),
-    'terminal, not the floor': (OUT_OF_REACH, 'without terminal: constraint there'),
+    'terminal, not the floor': (OUT_OF_REACH, 'terminal: constraint'),
     'rate': (
         {
             'max_rate': 0.1,
@@ -246,7 +246,7 @@ INFEASIBLE = {
             'state': {'position': [0.0, 0.0], 'rotation': [[1.0, 0.0], [0.0, 1.0]]},
             'goal': [-2.0, 0.0],
         },
-        'without terminal: constraint or without max_rate there',
+        'max_rate 0.1',
     ),
 }
 

@@ -10,11 +10,10 @@ from typing import Any
 
 from orbimpc_ros.mpc.case import Case, case_of
 from orbimpc_ros.mpc.command import command_of
-from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
+from orbimpc_ros.mpc.errors import SolverFailure
 from orbimpc_ros.mpc.plan import Plan, violations
 from orbimpc_ros.mpc.solver import Solver
 from orbimpc_ros.tool import document
-from orbimpc_ros.tool.blame import blame
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,10 +32,7 @@ def run(args: argparse.Namespace) -> int:
     case = case_of(document.read(args.file))
     solver = Solver(case.problem, projection=args.projection)
     begin = time.perf_counter()
-    try:
-        plan = solver.solve(case.state, case.goals)
-    except Infeasible as error:
-        raise Infeasible(f'{error}; {blame(case)}') from None
+    plan = solver.solve(case.state, case.goals)
     elapsed = time.perf_counter() - begin
     found = violations(case.problem, case.state, case.goals, plan)
     if found:
