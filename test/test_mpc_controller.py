@@ -194,6 +194,65 @@ def test_a_shrinking_horizon_arrives_and_then_stops():
     assert controller.remaining == 6
 
 
+def pushed(controller, goal, ticks, by):
+    """Fly to an arrival, pushed aside by a little before every tick; return miss and ticks."""
+    position, attitude, speed, made = np.zeros(2), np.eye(2), 1.0, []
+    rng = np.random.default_rng(0)
+    for k in range(ticks):
+        position = position + by * rng.normal(size=2)
+        measured = odometry(tuple(position), attitude.copy(), speed, time=float(k))
+        tick = controller.tick(measured, np.tile(goal, (controller.remaining, 1)))
+        made.append(tick)
+        position = position + speed * attitude[:, 0]
+        attitude = attitude @ exp(tick.command.body_rate)
+        speed = tick.command.speed_fraction
+    return np.linalg.norm(position - goal), made
+
+
+def test_disturbed_near_its_arrival_a_vehicle_comes_as_near_as_it_can():
+    controller = Controller(Problem(horizon=6, terminal='constraint'), shrinking=True)
+    miss, ticks = pushed(controller, np.array([3.0, 2.0]), 6, 0.02)
+    assert miss < 0.1
+    last = ticks[-1]
+    assert (last.status, last.fallback) == ('infeasible', 'soft arrival')
+    assert 'misses by' in last.reason
+    assert last.plan is not None
+
+
+def test_a_goal_out_of_reach_from_the_start_is_not_flown_at_softly():
+    controller = Controller(Problem(horizon=6, terminal='constraint'), shrinking=True)
+    tick = controller.tick(odometry(), np.tile([30.0, 0.0], (6, 1)))
+    assert (tick.status, tick.fallback) == ('infeasible', 'safe command')
+    assert 'beyond what 6 steps can reach' in tick.reason
+
+
+def test_a_goal_that_jumps_out_of_reach_under_way_is_not_flown_at_softly():
+    controller = Controller(Problem(horizon=6, terminal='constraint'), shrinking=True)
+    controller.tick(odometry(), np.tile([3.0, 2.0], (6, 1)))
+    tick = controller.tick(odometry((1.0, 0.0), time=1.0), np.tile([30.0, 0.0], (5, 1)))
+    assert tick.fallback == 'safe command'
+    assert 'nearest plan misses by' in tick.reason
+
+
+def test_the_arrival_weight_brings_second_order_vehicles_to_rest():
+    problem = Problem(dimension=3, translation_order=2, horizon=8, arrival_weight=1e4)
+    state = State.at([0.0, 0.0, 0.0], np.eye(3), velocity=[0.5, 0.2, 0.0])
+    goals = np.tile([1.5, 0.8, 0.4], (8, 1))
+    plan = Solver(problem).solve(state, goals)
+    assert plan.status == 'optimal'
+    assert violations(problem, state, goals, plan) == []
+    assert np.linalg.norm(plan.positions[-1] - goals[-1]) < 0.01
+    assert np.linalg.norm(plan.velocities[-1]) < 0.01
+
+
+def test_another_controller_goes_on_from_what_this_one_remembers():
+    first = Controller(Problem(horizon=6, terminal='constraint'), shrinking=True)
+    first.tick(odometry(), np.tile([3.0, 2.0], (6, 1)))
+    second = Controller(replace(first.problem, max_rate=1.5), shrinking=True)
+    second.continue_from(first)
+    assert second.remaining == first.remaining == 5
+
+
 def test_forecasts():
     hold = forecast_named('hold')
     assert isinstance(hold, Hold)

@@ -30,6 +30,8 @@ from orbimpc_ros.mpc.solver import Solver
         (lambda: Problem(step=np.nan), 'step'),
         (lambda: Problem(forward=-1.0), 'forward'),
         (lambda: Problem(forward='fast'), 'forward'),
+        (lambda: Problem(step=10**400), 'step'),
+        (lambda: Box([0.0, 0.0], [1.0, 10**400]), 'obstacles.max'),
         (lambda: Problem(terminal='maybe'), 'terminal'),
         (lambda: Problem(max_rate=4.0), 'max_rate'),
         (lambda: Problem(max_rate=-0.1), 'max_rate'),

@@ -21,7 +21,7 @@ def frozen(value: ArrayLike, shape: tuple[int, ...], culprit: str) -> Array:
     wanted = f'{"x".join(map(str, shape))} finite numbers'
     try:
         array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise BadInput(culprit, value, wanted) from None
     if array.shape != shape or not np.isfinite(array).all():
         raise BadInput(culprit, value, wanted)
@@ -51,7 +51,10 @@ def number(
     allowed = f'a number in {"(" if above else "["}{low:g}, {high:g}]'
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
         raise BadInput(culprit, value, allowed)
-    result = float(value)
+    try:
+        result = float(value)
+    except OverflowError:  # an integer beyond all floats
+        raise BadInput(culprit, value, allowed) from None
     if not np.isfinite(result) or not low <= result <= high or (above and result == low):
         raise BadInput(culprit, value, allowed)
     return result

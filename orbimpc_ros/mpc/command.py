@@ -37,24 +37,23 @@ def stop(rotation: Array) -> Command:
     return Command(0.0, np.zeros(1 if len(rotation) == 2 else 3), np.array(rotation))
 
 
-def command_of(problem: Problem, state: State, plan: Plan) -> Command:
-    """Return the command for the first step of ``plan``.
+def command_of(problem: Problem, state: State, plan: Plan, step: int = 0) -> Command:
+    """Return the command for a step of ``plan``, the first by default.
 
-    Rotation order 1: body rate log(Q_0^T Q_1)/h. Order 2: the present body rate already carries
-    Q_0 to Q_1 in this step, so the rate taken over at its end is log(Q_1^T Q_2)/h. The rate never
-    exceeds ``max_rate``; where it has to be cut, the commanded rotation is the one then reached.
+    Rotation order 1: body rate log(Q_k^T Q_{k+1})/h. Order 2: the present body rate already carries
+    Q_k to Q_{k+1} in this step, so the rate taken over at its end is log(Q_{k+1}^T Q_{k+2})/h. The
+    rate never exceeds ``max_rate``; where it has to be cut, the commanded rotation is the one then
+    reached.
 
     Args:
         problem: gives step and limits.
         state: the state that the plan starts from.
         plan: a checked plan.
+        step: k, in 0..N-1.
     """
-    fraction = min(1.0, float(plan.speed_fraction[1]))
-    if problem.rotation_order == 1:
-        start, end = state.attitude, plan.projected[1]
-    else:
-        start = plan.projected[1] if state.coasted is None else state.coasted
-        end = plan.projected[min(2, plan.horizon)]
+    fraction = min(1.0, float(plan.speed_fraction[step + 1]))
+    first = step + problem.rotation_order - 1
+    start, end = plan.projected[first], plan.projected[min(first + 1, plan.horizon)]
     rate = log(start.T @ end) / problem.step
     size = math.sqrt(rate @ rate)
     if problem.max_rate > 0.0 and size > problem.max_rate:

@@ -20,7 +20,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 def position_weights(problem: Problem) -> Array:
     """Return the weight on |s_k - g_k|^2, k = 1..N, the terminal weight included."""
     weights = np.full(problem.horizon, float(problem.weights.position))
-    weights[-1] += problem.weights.terminal
+    weights[-1] += problem.weights.terminal + problem.arrival_weight
     return weights
 
 
@@ -30,7 +30,7 @@ def input_weight(problem: Problem) -> float:
 
 
 def hessian(problem: Problem) -> Array:
-    """Return H, shape (N, N)."""
+    """Return H, shape (N, N), without the weight on the last velocity, which only adds to it."""
     reach = dynamics.position_map(problem)[:, 1:]
     differences = dynamics.input_map(problem)[:, 1:]
     quadratic = 2.0 * reach.T @ (position_weights(problem)[:, None] * reach)

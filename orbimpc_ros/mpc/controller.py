@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command, command_of, stop
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
@@ -14,6 +16,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solver import Solver
 
 FALLBACK_TICKS = 2  # how long the shifted previous plan may stand in for a new one
+ARRIVAL_WEIGHT = 1e4  # on the miss, when an arrival on the spot has become impossible
 
 
 @dataclass(frozen=True)
@@ -26,7 +29,7 @@ class Tick:
         state: the state that the plan starts from.
         plan: the checked plan behind the command; None if the command is the safe one.
         command: what to do next.
-        fallback: empty, ``shifted plan`` or ``safe command``.
+        fallback: empty, ``shifted plan``, ``soft arrival`` or ``safe command``.
     """
 
     status: str
@@ -37,8 +40,30 @@ class Tick:
     fallback: str = ''
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """What a tick has to find a plan for."""
+
+    solver: Solver
+    state: State
+    goals: Array
+    guess: Plan | None
+
+    @property
+    def problem(self) -> Problem:
+        """Return what the solver solves."""
+        return self.solver.problem
+
+
 class Controller:
     """Re-plans at every tick and never commands a plan that was not checked.
+
+    Without a plan it falls back, in this order, on
+
+    - the shifted previous plan, if it still holds from the new state, for two ticks at most;
+    - a *soft arrival*, where a terminal constraint that could be met before no longer can be,
+      because of disturbances: the plan that comes nearest, if that is within a step's reach;
+    - the safe command.
 
     Args:
         problem: what to solve; compiled here, so that a tick only updates data.
@@ -58,7 +83,7 @@ class Controller:
     ) -> None:
         self.problem = problem
         self._projection, self._shrinking, self._tolerance = projection, shrinking, gap_tolerance
-        self._solvers: dict[int, Solver] = {}
+        self._solvers: dict[tuple[int, bool], Solver] = {}
         self._solver(problem.horizon)
         self.reset()
 
@@ -66,8 +91,18 @@ class Controller:
         """Forget the previous plan; a shrinking horizon starts anew."""
         self._previous: Plan | None = None
         self._thrust_fraction = 0.0
-        self._ticks = 0
-        self._fallbacks = 0
+        self._ticks = self._fallbacks = 0
+        self._arriving = False
+
+    def continue_from(self, other: Controller) -> None:
+        """Take over what another controller remembers, for instance one with other weights."""
+        self._previous, self._thrust_fraction = other._previous, other._thrust_fraction
+        self._ticks, self._fallbacks = other._ticks, other._fallbacks
+        self._arriving = other._arriving
+
+    def commanded(self, speed_fraction: float) -> None:
+        """Learn that something else than the last tick's command was sent: its speed fraction."""
+        self._thrust_fraction = speed_fraction
 
     @property
     def remaining(self) -> int:
@@ -88,50 +123,40 @@ class Controller:
         """
         state = state_of(self.problem, odometry, self._thrust_fraction)
         if self.remaining == 0:
-            return self._finish(self._safe(state, FEASIBLE, 'the horizon has run out'))
+            return self._finish(_safe(state, FEASIBLE, 'the horizon has run out'))
         solver = self._solver(self.remaining)
         guess = self._shifted(solver.problem, state, goals)
-        try:
-            plan = solver.solve(state, goals, guess=guess, out_of_time=out_of_time)
-        except Infeasible as error:
-            status, reason = INFEASIBLE, str(error)
-        except SolverFailure as error:
-            status, reason = FAILED, str(error)
-        else:
-            found = violations(solver.problem, state, goals, plan)
-            if not found:
-                return self._finish(self._accept(solver.problem, state, plan))
-            status, reason = FAILED, '; '.join(found)
-        return self._finish(self._fall_back(solver.problem, state, goals, guess, status, reason))
-
-    def _accept(self, problem: Problem, state: State, plan: Plan) -> Tick:
+        asked = _Asked(solver, state, goals, guess)
+        plan, status, reason = _solved(asked, out_of_time)
+        if plan is None:
+            return self._finish(self._fall_back(asked, status, reason))
         self._fallbacks = 0
-        reason = '' if plan.status == OPTIMAL else f'not proved optimal: gap {plan.gap:.2g}'
-        return Tick(plan.status, reason, state, plan, command_of(problem, state, plan))
+        self._arriving = True
+        return self._finish(_following(asked, plan, status, reason))
 
-    def _fall_back(
-        self,
-        problem: Problem,
-        state: State,
-        goals: Array,
-        guess: Plan | None,
-        status: str,
-        reason: str,
-    ) -> Tick:
-        """Return a tick on the shifted previous plan if that still holds, else a safe one."""
+    def _fall_back(self, asked: _Asked, status: str, reason: str) -> Tick:
         self._fallbacks += 1
-        if (
-            guess is not None
-            and self._fallbacks <= FALLBACK_TICKS
-            and not violations(problem, state, goals, guess)
-        ):
-            command = command_of(problem, state, guess)
-            return Tick(status, reason, state, guess, command, 'shifted plan')
-        return self._safe(state, status, reason)
+        guess = asked.guess
+        if guess is not None and self._fallbacks <= FALLBACK_TICKS:
+            found = violations(asked.problem, asked.state, asked.goals, guess)
+            if not found:
+                return _following(asked, guess, status, reason, 'shifted plan')
+        if self._arriving and asked.problem.terminal == 'constraint' and status == INFEASIBLE:
+            return self._arrive_softly(asked, reason)
+        return _safe(asked.state, status, reason)
 
-    @staticmethod
-    def _safe(state: State, status: str, reason: str) -> Tick:
-        return Tick(status, reason, state, None, stop(state.attitude), 'safe command')
+    def _arrive_softly(self, asked: _Asked, reason: str) -> Tick:
+        eased = replace(asked, solver=self._solver(self.remaining, soft=True), guess=None)
+        plan, _, _ = _solved(eased)
+        if plan is None:
+            return _safe(asked.state, INFEASIBLE, reason)
+        miss = float(np.linalg.norm(plan.positions[-1] - asked.goals[-1]))
+        problem = asked.problem
+        if miss > problem.step**problem.translation_order * problem.forward:
+            told = f'{reason}; the nearest plan misses by {miss:.3g} m'
+            return _safe(asked.state, INFEASIBLE, told)
+        told = f'{reason}; the plan misses by {miss:.3g} m'
+        return _following(eased, plan, INFEASIBLE, told, 'soft arrival')
 
     def _finish(self, tick: Tick) -> Tick:
         self._previous = tick.plan
@@ -144,12 +169,41 @@ class Controller:
             return None
         return shifted(problem, state, goals, self._previous, projection=self._projection)
 
-    def _solver(self, horizon: int) -> Solver:
-        if horizon not in self._solvers:
-            self._solvers[horizon] = Solver(
-                replace(self.problem, horizon=horizon),
+    def _solver(self, horizon: int, *, soft: bool = False) -> Solver:
+        if (horizon, soft) not in self._solvers:
+            problem = replace(self.problem, horizon=horizon)
+            if soft:
+                problem = replace(problem, terminal='penalty', arrival_weight=ARRIVAL_WEIGHT)
+            self._solvers[horizon, soft] = Solver(
+                problem,
                 projection=self._projection,
                 gap_tolerance=self._tolerance,
                 coasting=True,
             )
-        return self._solvers[horizon]
+        return self._solvers[horizon, soft]
+
+
+def _solved(
+    asked: _Asked, out_of_time: Callable[[], bool] | None = None
+) -> tuple[Plan | None, str, str]:
+    """Return a checked plan, or None, with status and reason."""
+    try:
+        plan = asked.solver.solve(asked.state, asked.goals, asked.guess, out_of_time)
+    except Infeasible as error:
+        return None, INFEASIBLE, str(error)
+    except SolverFailure as error:
+        return None, FAILED, str(error)
+    found = violations(asked.problem, asked.state, asked.goals, plan)
+    if found:
+        return None, FAILED, '; '.join(found)
+    reason = '' if plan.status == OPTIMAL else f'not proved optimal: gap {plan.gap:.2g}'
+    return plan, plan.status, reason
+
+
+def _following(asked: _Asked, plan: Plan, status: str, reason: str, fallback: str = '') -> Tick:
+    command = command_of(asked.problem, asked.state, plan)
+    return Tick(status, reason, asked.state, plan, command, fallback)
+
+
+def _safe(state: State, status: str, reason: str) -> Tick:
+    return Tick(status, reason, state, None, stop(state.attitude), 'safe command')

@@ -99,7 +99,10 @@ def assemble(
     projected = np.empty_like(rotations)
     held = np.zeros(len(rotations), dtype=bool)
     projected[0] = state.attitude
-    for k in range(1, len(rotations)):
+    known = 1
+    if problem.rotation_order == 2 and state.coasted is not None:
+        projected[1], known = state.coasted, 2  # whatever the thrust, the body turns there
+    for k in range(known, len(rotations)):
         projected[k], defined = project(rotations[k], projected[k - 1], projection)
         held[k] = not defined
     return Plan(

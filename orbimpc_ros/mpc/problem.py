@@ -113,6 +113,8 @@ class Problem:
         max_rate: limit on the body rate [rad/s], 0 for none.
         obstacles: boxes to stay outside of.
         no_corner_cutting: whether consecutive points must share a free face of every box.
+        arrival_weight: adds this times |s_N - g_N|^2 (and |p_N|^2 at translation order 2) to the
+            objective: what stands in for an arrival that has become impossible.
     """
 
     dimension: int = 2
@@ -127,6 +129,7 @@ class Problem:
     max_rate: float = 0.0
     obstacles: tuple[Box, ...] = ()
     no_corner_cutting: bool = False
+    arrival_weight: float = 0.0
 
     def __post_init__(self) -> None:
         whole(self.dimension, 'dimension', 2, 3)
@@ -139,6 +142,7 @@ class Problem:
             raise BadInput('terminal', self.terminal, ' | '.join(TERMINALS))
         # Beyond half a turn in a step the direction of turning is lost.
         number(self.max_rate, 'max_rate', 0.0, math.pi / self.step)
+        number(self.arrival_weight, 'arrival_weight', 0.0)
         self._check_floor()
         if len(self.obstacles) > MAX_OBSTACLES:
             raise BadInput('obstacles', len(self.obstacles), f'at most {MAX_OBSTACLES} boxes')

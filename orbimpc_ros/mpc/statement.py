@@ -49,16 +49,10 @@ class Statement:
         self._arrival = cp.Parameter(n)
         self.slots = tuple(slots)
         self._offsets = cp.Parameter(len(slots)) if slots else None
+        flown = [*self._rotation_constraints(), *self._translation_constraints()]
         cost, epigraph = self._cost()
         self.program = cp.Problem(
-            cp.Minimize(cost),
-            [
-                *self._rotation_constraints(),
-                *self._translation_constraints(),
-                *self._limits(),
-                *epigraph,
-                *self._slot_rows(),
-            ],
+            cp.Minimize(cost), [*flown, *self._limits(), *epigraph, *self._slot_rows()]
         )
 
     def values(self, state: State, goals: Array) -> Array:
@@ -124,6 +118,7 @@ class Statement:
             rows.append(moved[-1] == self._arrival)
             if problem.translation_order == 2:
                 rows.append(velocity[-1] == 0)
+        self._last_velocity = velocity[-1]
         return rows
 
     def _limits(self) -> list[cp.Constraint]:
@@ -156,6 +151,8 @@ class Statement:
         squares = sparse.diags(np.repeat(position_weights(problem), n)).tocsc()
         cost = cp.quad_form(self.moved, squares, assume_PSD=True) + self.pull @ self.moved
         cost += cp.quad_form(self.x, self._input_form(), assume_PSD=True)
+        if problem.translation_order == 2 and problem.arrival_weight > 0.0:
+            cost += problem.arrival_weight * cp.sum_squares(self._last_velocity)
         if w.length == 0.0 or problem.horizon == 1:
             return cost, []
         length = cp.Variable(problem.horizon - 1, name='|R e1|')

@@ -42,7 +42,15 @@ def trajectory_of(problem: Problem, state: State, goals: Array, x: Array) -> Tra
     positions, velocities = dynamics.translation_rollout(problem, state, rotations[:, :, 0])
     inputs = dynamics.inputs_of(problem, state, rotations)
     cost = objective(problem, goals, rotations, positions, inputs)
+    cost += last_velocity_cost(problem, velocities)
     return Trajectory(positions, velocities, rotations, inputs, cost)
+
+
+def last_velocity_cost(problem: Problem, velocities: Array) -> float:
+    """Return what the arrival weight makes of p_N, given p_0..p_N, shape (N + 1, n)."""
+    if problem.translation_order == 1:
+        return 0.0
+    return problem.arrival_weight * float(velocities[-1] @ velocities[-1])
 
 
 def objective(
@@ -64,5 +72,5 @@ def objective(
         w.position * misses.sum()
         + w.input * np.sum(inputs**2)
         + w.length * problem.step * problem.forward * lengths.sum()
-        + w.terminal * misses[-1]
+        + (w.terminal + problem.arrival_weight) * misses[-1]
     )

@@ -1,0 +1,55 @@
+"""How far from its goal a vehicle ends that flies one plan to its end, without planning again."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.command import command_of
+from orbimpc_ros.mpc.plan import Plan
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.world.vehicle import Vehicle, advance, model_of
+
+
+class Arrival(NamedTuple):
+    """How a flight ended.
+
+    Attributes:
+        position: distance to the goal [m].
+        velocity: speed [m/s].
+        turned: largest angle between the thrust planned and the thrust flown [rad].
+    """
+
+    position: float
+    velocity: float
+    turned: float
+
+
+def flown_to_the_end(
+    problem: Problem, state: State, plan: Plan, vehicle: Vehicle, goal: Array
+) -> Arrival:
+    """Return how a vehicle arrives that obeys the commands of one plan, step after step.
+
+    Args:
+        problem: what was solved.
+        state: the state that the plan starts from.
+        plan: with the projection that is to be judged.
+        vehicle: what ``state`` was measured on.
+        goal: shape (n,) [m].
+    """
+    model, turned = model_of(problem), 0.0
+    for step in range(plan.horizon):
+        turned = max(turned, _angle(plan.rotations[step, :, 0], vehicle.attitude[:, 0]))
+        command = command_of(problem, state, plan, step)
+        vehicle = advance(model, vehicle, command.speed_fraction, command.body_rate)
+    missed = float(np.linalg.norm(vehicle.position - goal))
+    return Arrival(missed, float(np.linalg.norm(vehicle.velocity)), turned)
+
+
+def _angle(planned: Array, flown: Array) -> float:
+    size = float(np.linalg.norm(planned))
+    if size < 1e-3:
+        return 0.0  # no thrust, no direction to miss
+    return float(np.arccos(np.clip(planned @ flown / size, -1.0, 1.0)))
