@@ -29,28 +29,35 @@ def input_weight(problem: Problem) -> float:
     return problem.weights.input * frobenius_factor(problem.dimension)
 
 
-def hessian(problem: Problem) -> Array:
-    """Return H, shape (N, N), without the weight on the last velocity, which only adds to it."""
-    reach = dynamics.position_map(problem)[:, 1:]
-    differences = dynamics.input_map(problem)[:, 1:]
-    quadratic = 2.0 * reach.T @ (position_weights(problem)[:, None] * reach)
-    return quadratic + 2.0 * input_weight(problem) * differences.T @ differences
+class Condensed:
+    """The quadratic of one problem, its maps computed once.
 
-
-def affine(problem: Problem, state: State, goals: Array) -> tuple[Array, float]:
-    """Return q, shape (N, n), and c for a state and goals g_1..g_N, shape (N, n).
-
-    c includes the length of the first step, which no decision changes.
+    Attributes:
+        hessian: H, shape (N, N), without the weight on the last velocity, which only adds to it.
     """
-    reach, differences = dynamics.position_map(problem), dynamics.input_map(problem)
-    weights, turning = position_weights(problem), input_weight(problem)
-    heading = state.rotation[:, 0]
-    miss = dynamics.drift(problem, state) + np.outer(reach[:, 0], heading) - goals
-    q = 2.0 * reach[:, 1:].T @ (weights[:, None] * miss)
-    q += 2.0 * turning * np.outer(differences[:, 1:].T @ differences[:, 0], heading)
-    c = weights @ np.sum(miss * miss, axis=1)
-    c += turning * np.sum(differences[:, 0] ** 2) * (heading @ heading)
-    return q, float(c + first_length(problem, state))
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        self._reach, turn = dynamics.position_map(problem), dynamics.input_map(problem)
+        self._weights, self._turning = position_weights(problem), input_weight(problem)
+        self._pull = 2.0 * self._reach[:, 1:].T * self._weights
+        self._first_turn = 2.0 * self._turning * turn[:, 1:].T @ turn[:, 0]
+        self._first_square = self._turning * float(turn[:, 0] @ turn[:, 0])
+        self.hessian = self._pull @ self._reach[:, 1:]
+        self.hessian += 2.0 * self._turning * turn[:, 1:].T @ turn[:, 1:]
+
+    def affine(self, state: State, goals: Array) -> tuple[Array, float]:
+        """Return q, shape (N, n), and c for a state and goals g_1..g_N, shape (N, n).
+
+        c includes the length of the first step, which no decision changes.
+        """
+        heading = state.rotation[:, 0]
+        first = self._reach[:, :1] * heading
+        miss = dynamics.drift(self._problem, state) + first - goals
+        q = self._pull @ miss + self._first_turn[:, None] * heading
+        c = self._weights @ np.einsum('kc,kc->k', miss, miss)
+        c += self._first_square * (heading @ heading)
+        return q, float(c) + first_length(self._problem, state)
 
 
 def first_length(problem: Problem, state: State) -> float:

@@ -47,7 +47,7 @@ class _Asked:
     solver: Solver
     state: State
     goals: Array
-    guess: Plan | None
+    guess: Plan | None = None
 
     @property
     def problem(self) -> Problem:
@@ -125,8 +125,9 @@ class Controller:
         if self.remaining == 0:
             return self._finish(_safe(state, FEASIBLE, 'the horizon has run out'))
         solver = self._solver(self.remaining)
-        guess = self._shifted(solver.problem, state, goals)
-        asked = _Asked(solver, state, goals, guess)
+        asked = _Asked(solver, state, goals)
+        if solver.takes_guess:
+            asked = replace(asked, guess=self._shifted(asked))
         plan, status, reason = _solved(asked, out_of_time)
         if plan is None:
             return self._finish(self._fall_back(asked, status, reason))
@@ -136,8 +137,8 @@ class Controller:
 
     def _fall_back(self, asked: _Asked, status: str, reason: str) -> Tick:
         self._fallbacks += 1
-        guess = asked.guess
-        if guess is not None and self._fallbacks <= FALLBACK_TICKS:
+        guess = self._shifted(asked) if self._fallbacks <= FALLBACK_TICKS else None
+        if guess is not None:
             found = violations(asked.problem, asked.state, asked.goals, guess)
             if not found:
                 return _following(asked, guess, status, reason, 'shifted plan')
@@ -164,10 +165,12 @@ class Controller:
         self._ticks += 1
         return tick
 
-    def _shifted(self, problem: Problem, state: State, goals: Array) -> Plan | None:
+    def _shifted(self, asked: _Asked) -> Plan | None:
         if self._previous is None:
             return None
-        return shifted(problem, state, goals, self._previous, projection=self._projection)
+        return shifted(
+            asked.problem, asked.state, asked.goals, self._previous, projection=self._projection
+        )
 
     def _solver(self, horizon: int, *, soft: bool = False) -> Solver:
         if (horizon, soft) not in self._solvers:

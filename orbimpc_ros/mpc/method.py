@@ -41,7 +41,13 @@ class Found:
 
 
 class Method(Protocol):
-    """Solves one problem for any state and goals."""
+    """Solves one problem for any state and goals.
+
+    Attributes:
+        takes_guess: whether a guess is worth making.
+    """
+
+    takes_guess: bool
 
     def solve(
         self,

@@ -25,7 +25,7 @@ import numpy as np
 
 from orbimpc_ros.mpc import dynamics
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.condensed import hessian
+from orbimpc_ros.mpc.condensed import Condensed
 from orbimpc_ros.mpc.disjunction import Disjunction, disjunctions_of, shortfall
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.floors.cells import Cell
@@ -51,6 +51,8 @@ class Search:
         tolerance: relative gap at which a search stops.
         coasting: whether states come with a ``coasted`` rotation.
     """
+
+    takes_guess = True
 
     def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
         self.problem, self.tolerance = problem, tolerance
@@ -240,7 +242,7 @@ def inverse_curvature(problem: Problem, disjunction: Disjunction) -> Array:
     is the same for each coordinate of R_k e1, and the normals have length one. Infinite (no gain)
     where H is singular.
     """
-    curvature = hessian(problem)
+    curvature = Condensed(problem).hessian
     if np.linalg.cond(curvature) > 1e12:
         return np.full(len(disjunction.steps), np.inf)
     inverse = np.linalg.inv(curvature)

@@ -13,6 +13,7 @@ from orbimpc_ros.mpc.floors.circle import Circle
 from orbimpc_ros.mpc.method import Found, Guess, Method
 from orbimpc_ros.mpc.orbitopes import coordinates
 from orbimpc_ros.mpc.plan import FEASIBLE, Plan, assemble, violations
+from orbimpc_ros.mpc.planar import Planar
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.search import Search
 
@@ -72,8 +73,13 @@ class Solver:
             raise Infeasible(reason(self.problem, state, goals)) from None
         return self._plan(state, goals, found)
 
+    @property
+    def takes_guess(self) -> bool:
+        """Return whether a guess makes this solver faster."""
+        return self._method.takes_guess
+
     def _usable(self, state: State, goals: Array, guess: Plan | None) -> Guess | None:
-        if guess is None or violations(self.problem, state, goals, guess):
+        if guess is None or not self.takes_guess or violations(self.problem, state, goals, guess):
             return None
         return Guess(coordinates(guess.rotations[1:]), guess.objective)
 
@@ -99,4 +105,6 @@ def _method_for(problem: Problem, gap_tolerance: float, coasting: bool) -> Metho
     """Return the fastest method that proves its answer for a problem."""
     if Circle.solves(problem):
         return Circle(problem, gap_tolerance)
+    if Planar.solves(problem):
+        return Planar(problem, SEARCH_SHARE * gap_tolerance)
     return Search(problem, SEARCH_SHARE * gap_tolerance, coasting=coasting)

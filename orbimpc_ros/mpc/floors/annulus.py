@@ -18,8 +18,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orbimpc_ros.mpc import condensed, dynamics
+from orbimpc_ros.mpc import dynamics
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.condensed import Condensed
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.rotations import HEADING_UNDEFINED
 
@@ -67,7 +68,8 @@ class Annulus:
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
         n_steps, n = problem.horizon, problem.dimension
-        self._hessian = condensed.hessian(problem)
+        self._condensed = Condensed(problem)
+        self._hessian = self._condensed.hessian
         self._length = np.full(n_steps, problem.weights.length * problem.step * problem.forward)
         self._length[-1] = 0.0
         arrival = np.zeros((n_steps, 0))
@@ -81,7 +83,7 @@ class Annulus:
     def bind(self, state: State, goals: Array) -> None:
         """Take a state and goals g_1..g_N, shape (N, n)."""
         problem = self._problem
-        self._linear, self._constant = condensed.affine(problem, state, goals)
+        self._linear, self._constant = self._condensed.affine(state, goals)
         reached = problem.step * problem.forward * state.rotation[:, 0]
         left = goals[-1] - state.position - reached
         self._left = left if self._rows.shape[1] else np.zeros(0)

@@ -34,6 +34,8 @@ class Circle:
         tolerance: relative gap at which a plan is good enough to stop.
     """
 
+    takes_guess = True
+
     def __init__(self, problem: Problem, tolerance: float) -> None:
         self._problem, self._tolerance = problem, tolerance
         self._program, self._annulus = Program(problem), Annulus(problem)

@@ -1,0 +1,99 @@
+"""The search for the commonest problems of SE(2), in machine code where numba is installed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from orbimpc_ros.mpc import kernel
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.condensed import Condensed
+from orbimpc_ros.mpc.floors.faces import normals
+from orbimpc_ros.mpc.method import Found, Guess
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.search import Search
+
+LONGEST = 30  # horizon; beyond it sparse solves are faster than dense ones
+NODES = (200, 4000)  # room for the first attempt, and for one more where that was too little
+WORST_CONDITION = 1e9
+
+
+class Planar:
+    """Solves SE(2) problems with no constraint but the hull and a polygonal floor.
+
+    What the kernel cannot settle, it leaves to the general search.
+
+    Args:
+        problem: what to solve.
+        tolerance: relative gap at which a search stops.
+    """
+
+    takes_guess = False  # checking one costs more than it saves
+
+    def __init__(self, problem: Problem, tolerance: float) -> None:
+        self._problem, self._tolerance = problem, tolerance
+        self._condensed = Condensed(problem)
+        self._inverse = np.linalg.inv(self._condensed.hessian)
+        count = problem.floor.faces if problem.floor.shape == 'polygon' else 0
+        self._faces: Array = normals(2, count)
+        self._general: Search | None = None
+        still = np.zeros((problem.horizon, 2))
+        self._run(still, 0.0, still, np.inf, 1)  # compiles, or loads what was compiled before
+
+    @staticmethod
+    def solves(problem: Problem) -> bool:
+        """Return whether this method applies to a problem, and is fast on this machine."""
+        return (
+            kernel.COMPILED
+            and (problem.dimension, problem.rotation_order) == (2, 1)
+            and problem.floor.shape != 'circle'
+            and problem.terminal == 'penalty'
+            and problem.weights.length == problem.max_rate == problem.arrival_weight == 0.0
+            and not problem.obstacles
+            and problem.horizon <= LONGEST
+            and np.linalg.cond(Condensed(problem).hessian) < WORST_CONDITION
+        )
+
+    def solve(
+        self,
+        state: State,
+        goals: Array,
+        guess: Guess | None = None,
+        out_of_time: Callable[[], bool] | None = None,
+    ) -> Found:
+        """Return the best trajectory with the bound proved; see :class:`Search` for the rest."""
+        q, constant = self._condensed.affine(state, goals)
+        start, value = np.zeros_like(q), np.inf
+        if guess is not None:
+            start, value = guess.x, guess.cost - constant
+        for room in NODES:
+            x, reached, bound, nodes, complete = self._run(q, constant, start, value, room)
+            if complete and reached < np.inf:
+                return Found(x, reached + constant, bound + constant, nodes)
+        return self._search(state, goals, guess, out_of_time)
+
+    def _run(self, q: Array, constant: float, guess: Array, value: float, room: int) -> tuple:
+        return kernel.branch_and_bound(
+            self._condensed.hessian,
+            self._inverse,
+            q,
+            constant,
+            self._faces,
+            self._problem.floor.fraction,
+            self._tolerance,
+            np.ascontiguousarray(guess, dtype=float),
+            value,
+            room,
+        )
+
+    def _search(
+        self,
+        state: State,
+        goals: Array,
+        guess: Guess | None,
+        out_of_time: Callable[[], bool] | None,
+    ) -> Found:
+        if self._general is None:
+            self._general = Search(self._problem, self._tolerance)
+        return self._general.solve(state, goals, guess, out_of_time)
