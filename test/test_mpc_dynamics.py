@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from problems import ORDERS, goals, state, weights
 
-from orbimpc_ros.mpc import condensed, dynamics
+from orbimpc_ros.mpc import dynamics
+from orbimpc_ros.mpc.condensed import Condensed
 from orbimpc_ros.mpc.orbitopes import coordinates
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.trajectory import trajectory_of
@@ -50,8 +51,9 @@ def test_the_condensed_quadratic_is_the_objective(translation_order, seed):
     problem = Problem(translation_order=translation_order, horizon=5, weights=weights(rng))
     start, targets = state(rng, problem, full_speed=False), goals(rng, problem)
     z = rng.uniform(-0.7, 0.7, size=(5, 2))
-    q, c = condensed.affine(problem, start, targets)
-    quadratic = np.sum(z * (0.5 * condensed.hessian(problem) @ z + q)) + c
+    condensed = Condensed(problem)
+    q, c = condensed.affine(start, targets)
+    quadratic = np.sum(z * (0.5 * condensed.hessian @ z + q)) + c
     length = problem.weights.length * problem.step * problem.forward
     quadratic += length * np.linalg.norm(z[:-1], axis=1).sum()
     assert quadratic == pytest.approx(trajectory_of(problem, start, targets, z).cost, rel=1e-12)

@@ -67,6 +67,9 @@ def test_finds_what_enumeration_finds(seed, n, shape, boxes, sharing):
     plan = Solver(problem).solve(start, targets)
     assert plan.status == 'optimal'
     assert plan.objective == pytest.approx(expected, rel=1e-5, abs=1e-6)
+    found = Search(problem, 1e-6).solve(start, targets)
+    assert found.cost == pytest.approx(expected, rel=1e-5, abs=1e-6)
+    assert found.lower_bound <= expected + 1e-6 * max(1.0, expected)
     assert plan.lower_bound <= expected + 1e-6 * max(1.0, expected)
     assert violations(problem, start, targets, plan) == []
 

@@ -6,10 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from orbimpc_ros.mpc import kernel
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.condensed import Condensed
 from orbimpc_ros.mpc.floors.faces import normals
+from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.kernels.faces import branch_and_bound
 from orbimpc_ros.mpc.method import Found, Guess
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.search import Search
@@ -45,7 +46,7 @@ class Planar:
     def solves(problem: Problem) -> bool:
         """Return whether this method applies to a problem, and is fast on this machine."""
         return (
-            kernel.COMPILED
+            COMPILED
             and (problem.dimension, problem.rotation_order) == (2, 1)
             and problem.floor.shape != 'circle'
             and problem.terminal == 'penalty'
@@ -74,7 +75,7 @@ class Planar:
         return self._search(state, goals, guess, out_of_time)
 
     def _run(self, q: Array, constant: float, guess: Array, value: float, room: int) -> tuple:
-        return kernel.branch_and_bound(
+        return branch_and_bound(
             self._condensed.hessian,
             self._inverse,
             q,

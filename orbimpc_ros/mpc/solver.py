@@ -104,7 +104,7 @@ class Solver:
 def _method_for(problem: Problem, gap_tolerance: float, coasting: bool) -> Method:
     """Return the fastest method that proves its answer for a problem."""
     if Circle.solves(problem):
-        return Circle(problem, gap_tolerance)
+        return Circle(problem, SEARCH_SHARE * gap_tolerance)
     if Planar.solves(problem):
         return Planar(problem, SEARCH_SHARE * gap_tolerance)
     return Search(problem, SEARCH_SHARE * gap_tolerance, coasting=coasting)

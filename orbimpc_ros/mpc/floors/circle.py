@@ -18,6 +18,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import SolverFailure
 from orbimpc_ros.mpc.floors.annulus import Annulus
+from orbimpc_ros.mpc.floors.fast import Fast
 from orbimpc_ros.mpc.floors.lift import Lift
 from orbimpc_ros.mpc.method import Found, Guess
 from orbimpc_ros.mpc.orbitopes import coordinates
@@ -27,7 +28,7 @@ from orbimpc_ros.mpc.rotations import turned_onto
 
 
 class Circle:
-    """Solves problems of orders (1, 1) with a circular floor and no limits but a terminal one.
+    """Solves problems of rotation order 1 with a circular floor and no limits but a terminal one.
 
     Args:
         problem: what to solve.
@@ -39,14 +40,18 @@ class Circle:
     def __init__(self, problem: Problem, tolerance: float) -> None:
         self._problem, self._tolerance = problem, tolerance
         self._program, self._annulus = Program(problem), Annulus(problem)
-        self._lift = Lift(problem) if problem.horizon > 1 else None
+        liftable = problem.horizon > 1 and problem.translation_order == 1
+        self._lift = Lift(problem) if liftable else None
+        self._fast = Fast(problem, tolerance) if Fast.solves(problem) else None
 
     @staticmethod
     def solves(problem: Problem) -> bool:
         """Return whether this method applies to a problem."""
+        arrives = problem.terminal == 'constraint' or problem.arrival_weight > 0.0
         return (
             problem.floor.shape == 'circle'
-            and (problem.rotation_order, problem.translation_order) == (1, 1)
+            and problem.rotation_order == 1
+            and (problem.translation_order == 1 or not arrives)
             and (problem.dimension == 2 or problem.weights.input == 0.0)
             and problem.max_rate == 0.0
             and not problem.obstacles
@@ -70,8 +75,12 @@ class Circle:
         Raises:
             Infeasible: no trajectory satisfies the constraints.
         """
-        self._annulus.bind(state, goals)
         best = Found(None, np.inf, -np.inf, 0)
+        if self._fast is not None:
+            best = self._fast.solve(state, goals, guess)
+            if self._is_proved(best):
+                return best
+        self._annulus.bind(state, goals)
         for start, bound in self._starts(state, goals, guess):
             best = self._improved(best, start, bound)
             if best.x is not None and self._is_proved(best):

@@ -1,4 +1,4 @@
-"""Branch and bound over SE(2) in machine code: what :mod:`planar` runs, compiled by numba.
+"""Branch and bound over the faces of a planar floor, and over none: the hull.
 
 For n = 2, orders (1, any), no length weight and no constraint but orbitope and polygonal floor, the
 problem is a strictly convex quadratic in z_1..z_N with the same N x N Hessian H for both
@@ -7,20 +7,13 @@ quadratic program over tangents and chosen faces is solved by a dual active-set 
 Idnani). Each of its iterates minimises the Lagrangian for multipliers u >= 0, so its value is a
 lower bound at any time: a node is given up as soon as the bound says so. A child starts from its
 parent's active set.
-
-Without numba the functions are ordinary Python: right, and too slow to use.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-try:
-    from numba import njit as _njit
-except ImportError:
-    COMPILED = False
-else:
-    COMPILED = True
+from orbimpc_ros.mpc.kernels import compiled
 
 SOLVED, PRUNED, REFUTED, STALLED = 0, 1, 2, 3
 ITERATIONS = 300
@@ -29,6 +22,7 @@ SATISFIED = 1e-8  # a face missed by less need not be branched on
 SINGULAR = 1e-13
 
 
+@compiled
 def _minimiser(inverse, q, rows, normals, u, count, x):
     """Set x to the minimiser of the Lagrangian: H x + q - sum_i u_i n_i = 0."""
     n_steps = len(q)
@@ -44,6 +38,7 @@ def _minimiser(inverse, q, rows, normals, u, count, x):
         x[j, 0], x[j, 1] = a, b
 
 
+@compiled
 def _lagrangian(hessian, q, rows, normals, offsets, u, count, x):
     """Return f(x) + sum_i u_i (b_i - n_i . x)."""
     value = 0.0
@@ -60,6 +55,7 @@ def _lagrangian(hessian, q, rows, normals, offsets, u, count, x):
     return value
 
 
+@compiled
 def _most_violated(x, choice, faces, floor):
     """Return step, normal and offset of the row n . x_k >= b violated most; step -1 if none is."""
     worst, step = OUTSIDE, -1
@@ -78,7 +74,8 @@ def _most_violated(x, choice, faces, floor):
     return step, a, b, offset
 
 
-def _solve_spd(matrix, right, count):
+@compiled
+def solve_spd(matrix, right, count):
     """Solve a small positive definite system in place by Cholesky; False if it is singular."""
     for i in range(count):
         for j in range(i + 1):
@@ -102,6 +99,7 @@ def _solve_spd(matrix, right, count):
     return True
 
 
+@compiled
 def _add_row(inverse, rows, normals, offsets, u, count, x, step, a, b, offset):
     """Add a violated row to the active set, dropping those in its way.
 
@@ -121,7 +119,7 @@ def _add_row(inverse, rows, normals, offsets, u, count, x, step, a, b, offset):
         for i in range(count):
             system[i, i] *= 1.0 + 1e-14
         held = r[:count].copy()
-        if not _solve_spd(system, r, count):
+        if not solve_spd(system, r, count):
             return -2
         for i in range(count):
             curvature -= held[i] * r[i]
@@ -159,6 +157,7 @@ def _add_row(inverse, rows, normals, offsets, u, count, x, step, a, b, offset):
     return -2
 
 
+@compiled
 def _relax(hessian, inverse, q, faces, floor, choice, cutoff, rows, normals, offsets, u, count, x):
     """Solve a node from its parent's active set; return status, bound and the active count."""
     _minimiser(inverse, q, rows, normals, u, count, x)
@@ -180,6 +179,7 @@ def _relax(hessian, inverse, q, faces, floor, choice, cutoff, rows, normals, off
     return STALLED, bound, count
 
 
+@compiled
 def branch_and_bound(
     hessian, inverse, q, constant, faces, floor, tolerance, guess, guess_value, max_nodes
 ):
@@ -267,14 +267,3 @@ def branch_and_bound(
     for i in range(opened):
         closed = min(closed, bounds[open_nodes[i]])
     return best, value, min(closed, value), solved, complete
-
-
-if COMPILED:
-    _compiled = _njit(cache=True)
-    _minimiser = _compiled(_minimiser)
-    _lagrangian = _compiled(_lagrangian)
-    _most_violated = _compiled(_most_violated)
-    _solve_spd = _compiled(_solve_spd)
-    _add_row = _compiled(_add_row)
-    _relax = _compiled(_relax)
-    branch_and_bound = _compiled(branch_and_bound)

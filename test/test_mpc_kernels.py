@@ -1,0 +1,132 @@
+"""Machine code and general methods agree; needs numba, as an installation with [fast] has."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from problems import floor, goals, state, weights
+
+from orbimpc_ros.mpc.condensed import Condensed
+from orbimpc_ros.mpc.floors.circle import Circle
+from orbimpc_ros.mpc.floors.fast import Fast
+from orbimpc_ros.mpc.kernels import COMPILED, faces
+from orbimpc_ros.mpc.kernels.annulus import certified
+from orbimpc_ros.mpc.planar import Planar
+from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.search import Search
+from orbimpc_ros.mpc.trajectory import trajectory_of
+
+pytestmark = pytest.mark.skipif(
+    not COMPILED, reason="numba is not installed: pip install 'orbimpc_ros[fast]' runs these"
+)
+FLOORS = [('polygon', 0.5477, 4), ('polygon', 0.5, 6), ('polygon', 0.45, 3), ('none', 0.5, 4)]
+
+
+def random_problem(rng, shape):
+    chosen = replace(weights(rng), length=0.0)
+    return Problem(
+        horizon=int(rng.integers(1, 7)),
+        translation_order=int(rng.integers(1, 3)),
+        floor=floor(*shape),
+        weights=chosen,
+    )
+
+
+@pytest.mark.parametrize('seed', range(12))
+@pytest.mark.parametrize('shape', FLOORS)
+def test_planar_search_finds_and_proves_what_the_general_one_does(seed, shape):
+    rng = np.random.default_rng(seed)
+    problem = random_problem(rng, shape)
+    assert Planar.solves(problem)
+    fast, general = Planar(problem, 1e-6), Search(problem, 1e-6)
+    for _ in range(5):
+        start = state(rng, problem, full_speed=False)
+        targets = goals(rng, problem, distance=10.0 ** rng.uniform(-1, 3))
+        found, expected = fast.solve(start, targets), general.solve(start, targets)
+        cost = trajectory_of(problem, start, targets, found.x).cost
+        assert found.cost == pytest.approx(cost, rel=1e-9, abs=1e-12)
+        assert found.cost == pytest.approx(expected.cost, rel=3e-6, abs=1e-8)
+        assert found.lower_bound <= found.cost
+        assert found.lower_bound >= expected.lower_bound * (1 - 3e-6) - 1e-8
+
+
+def test_a_search_that_runs_out_of_room_is_finished_by_the_next():
+    rng = np.random.default_rng(3)
+    problem = Problem(horizon=6, floor=floor('polygon', 0.6, 6))
+    start = state(rng, problem)
+    targets = np.tile(start.position, (6, 1))
+    condensed = Condensed(problem)
+    q, c = condensed.affine(start, targets)
+    inverse, directions = np.linalg.inv(condensed.hessian), Planar(problem, 1e-6)._faces
+    still = np.zeros((6, 2))
+
+    def run(room):
+        return faces.branch_and_bound(
+            condensed.hessian, inverse, q, c, directions, 0.6, 1e-6, still, np.inf, room
+        )
+
+    _, _, bound, nodes, complete = run(3)
+    assert not complete
+    assert nodes == 3
+    _, value, proved, _, complete = run(4000)
+    assert complete
+    assert bound <= proved <= value
+
+
+@pytest.mark.parametrize('order', [1, 2])
+@pytest.mark.parametrize('seed', range(15))
+def test_fast_and_general_circle_agree(seed, order):
+    rng = np.random.default_rng(seed)
+    fraction = [0.3, np.sqrt(0.3), 1.0][seed % 3]
+    problem = Problem(
+        horizon=5,
+        translation_order=order,
+        weights=weights(rng),
+        floor=floor('circle', fraction),
+    )
+    assert Fast.solves(problem)
+    circle = Circle(problem, 1e-6)
+    for _ in range(4):
+        start, targets = state(rng, problem), goals(rng, problem, distance=1.0)
+        found = circle.solve(start, targets)
+        circle._annulus.bind(start, targets)
+        point = circle._annulus.stationary(found.x)
+        assert point is not None
+        assert found.cost == pytest.approx(point.cost, rel=1e-7, abs=1e-9)
+        assert found.lower_bound <= found.cost
+        proved = point.cost - point.lower_bound < 1e-7 * abs(point.cost)
+        if proved:  # the two certificates do not depend on each other's code
+            assert found.cost - found.lower_bound <= 1e-6 * abs(found.cost)
+
+
+def test_bounds_hold_whatever_the_number_of_starts():
+    rng = np.random.default_rng(0)
+    problem = Problem(floor=floor('circle', 0.6))
+    condensed = Condensed(problem)
+    for _ in range(50):
+        start, targets = state(rng, problem), goals(rng, problem, distance=0.5)
+        q, c = condensed.affine(start, targets)
+        starts = np.ones((1, 5, 2))
+
+        def run(more, q=q, c=c, starts=starts):
+            return certified(condensed.hessian, q, c, np.zeros(5), 0.6, 0.0, starts, more)
+
+        bounds = [run(more)[2] for more in (0, 5, 40)]
+        costs = [run(more)[1] for more in (0, 5, 40)]
+        assert bounds[0] <= bounds[1] <= bounds[2] <= costs[2] + 1e-9
+        assert costs[2] <= costs[1] <= costs[0]
+
+
+def test_without_numba_the_general_methods_take_over(monkeypatch):
+    monkeypatch.setattr('orbimpc_ros.mpc.planar.COMPILED', False)
+    monkeypatch.setattr('orbimpc_ros.mpc.floors.fast.COMPILED', False)
+    assert not Planar.solves(Problem())
+    problem = Problem(floor=floor('circle', 0.5))
+    assert not Fast.solves(problem)
+    circle = Circle(problem, 1e-6)
+    rng = np.random.default_rng(0)
+    start, targets = state(rng, problem), goals(rng, problem)
+    slow = circle.solve(start, targets)
+    monkeypatch.undo()
+    fast = Circle(problem, 1e-6).solve(start, targets)
+    assert slow.cost == pytest.approx(fast.cost, rel=1e-6)
