@@ -8,14 +8,15 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
 SAY = @printf '\n== %s\n'
+COMPILE = @$(BIN)/python -m orbimpc_ros.mpc.kernels
 
 ifdef ROS_DISTRO
 VENV_FLAGS = --system-site-packages
-EXTRAS_DEMO =
-EXTRAS_TEST = [test]
+EXTRAS_DEMO = [fast]
+EXTRAS_TEST = [fast,test]
 else
-EXTRAS_DEMO = [ros]
-EXTRAS_TEST = [ros,test]
+EXTRAS_DEMO = [ros,fast]
+EXTRAS_TEST = [ros,fast,test]
 endif
 
 .PHONY: demo test clean help
@@ -40,11 +41,13 @@ test: $(VENV)/.installed-test
 $(VENV)/.installed-demo: $(BIN)/python setup.py setup.cfg pyproject.toml
 	$(SAY) 'Installing orbimpc_ros into $(VENV) (a minute, only once)'
 	@$(BIN)/python -m pip install -qq --disable-pip-version-check --editable '.$(EXTRAS_DEMO)'
+	$(COMPILE)
 	@touch $@
 
 $(VENV)/.installed-test: $(BIN)/python setup.py setup.cfg pyproject.toml
 	$(SAY) 'Installing orbimpc_ros and its test tools into $(VENV) (a minute, only once)'
 	@$(BIN)/python -m pip install -qq --disable-pip-version-check --editable '.$(EXTRAS_TEST)' $(PINS)
+	$(COMPILE)
 	@touch $@ $(VENV)/.installed-demo
 
 $(BIN)/python:
