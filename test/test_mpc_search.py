@@ -10,7 +10,7 @@ from problems import box, floor, goals, reference, state, weights
 from orbimpc_ros.mpc.disjunction import disjunctions_of, shortfall
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.plan import violations
-from orbimpc_ros.mpc.problem import Box, Problem, State
+from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
 from orbimpc_ros.mpc.program import Program
 from orbimpc_ros.mpc.search import Search, inverse_curvature
 from orbimpc_ros.mpc.solver import Solver
@@ -171,3 +171,37 @@ def test_goals_drift_with_the_horizon():
     moving = goals(rng, problem, distance=1.0)
     plan = Solver(problem).solve(start, moving)
     assert plan.objective == pytest.approx(enumerated(problem, start, moving), rel=1e-5)
+
+
+@pytest.mark.parametrize('seed', range(6))
+def test_sorted_faces_lose_nothing_where_steps_are_exchangeable(seed):
+    """Pure length to an arrival: only the sum of the steps counts, so their order is free."""
+    rng = np.random.default_rng(seed)
+    problem = Problem(
+        horizon=4,
+        terminal='constraint',
+        floor=floor('polygon', 0.6, int(rng.integers(4, 7))),
+        weights=Weights(position=0.0, input=0.0, length=1.0, terminal=0.0),
+    )
+    start = state(rng, problem)
+    beyond = start.position + start.rotation[:, 0] + rng.uniform(-1.8, 1.8, size=2)
+    targets = np.tile(beyond, (4, 1))
+    assert Search(problem, 1e-6).exchangeable
+    expected = enumerated(problem, start, targets)
+    if expected == np.inf:
+        with pytest.raises(Infeasible):
+            Solver(problem).solve(start, targets)
+        return
+    plan = Solver(problem).solve(start, targets)
+    assert plan.status == 'optimal'
+    assert plan.objective == pytest.approx(expected, rel=1e-5)
+
+
+def test_the_papers_minute_long_problem_is_proved():
+    """Dubins, N = 20, det R >= 1/2 by a square, path length alone: no input weight."""
+    problem, start, targets = reference('dubins_square')
+    pure = replace(problem, weights=replace(problem.weights, input=0.0))
+    plan = Solver(pure).solve(start, targets)
+    assert plan.status == 'optimal'
+    assert violations(pure, start, targets, plan) == []
+    assert plan.objective < 14.46

@@ -57,6 +57,7 @@ class Search:
     def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
         self.problem, self.tolerance = problem, tolerance
         self.disjunctions = disjunctions_of(problem)
+        self.exchangeable = _steps_are_exchangeable(problem)
         self.curvature = [inverse_curvature(problem, d) for d in self.disjunctions]
         slots = [slot for d in self.disjunctions for slot in d.slots]
         self.program = Program(problem, slots, coasting=coasting)
@@ -197,6 +198,9 @@ class _Run:
 
     def _branch(self, choice: Choice, missed: dict[int, tuple[float, Array]], bound: float) -> None:
         """Open a child per cell of the disjunction that raises the bound the most."""
+        if self._search.exchangeable:
+            self._branch_in_order(choice, bound)
+            return
         options: dict[int, Sequence[Cell]] = {}
         for j in missed:
             cell = choice[j]
@@ -210,6 +214,22 @@ class _Run:
         chosen = max(options, key=lambda j: (gains[j].min(), missed[j][0]))
         for cell, gain in zip(options[chosen], gains[chosen], strict=True):
             self._push((*choice[:chosen], cell, *choice[chosen + 1 :]), bound + float(gain))
+
+    def _branch_in_order(self, choice: Choice, bound: float) -> None:
+        """Branch on the first open step, on faces not before that of the step before it.
+
+        Where steps are exchangeable, every trajectory has the cost of one whose faces are sorted;
+        of the last step, which the cost does not see at all, one face stands for the others.
+        """
+        if None not in choice:
+            self._closed = min(self._closed, bound)
+            return
+        j = choice.index(None)
+        cells = self._search.disjunctions[j].cells
+        least = cells.index(choice[j - 1]) if j else 0  # type: ignore[arg-type]
+        last = j == len(choice) - 1
+        for cell in cells[:1] if last else cells[least:]:
+            self._push((*choice[:j], cell, *choice[j + 1 :]), bound)
 
     def _push(self, choice: Choice, bound: float) -> None:
         if bound >= self._cutoff:
@@ -233,6 +253,16 @@ def _nearest_cell(disjunction: Disjunction, values: Array, held: Cell | None) ->
         return disjunction.cells[int(np.argmin(short))]
     norm = float(np.linalg.norm(values[0]))
     return Cell(values[0] / norm, disjunction.radius) if norm > HEADING_UNDEFINED else held
+
+
+def _steps_are_exchangeable(problem: Problem) -> bool:
+    """Return whether cost and constraints see nothing of z_1..z_{N-1} but their sum and lengths."""
+    return (
+        problem.floor.shape == 'polygon'
+        and (problem.rotation_order, problem.translation_order) == (1, 1)
+        and problem.weights.input == problem.weights.position == problem.max_rate == 0.0
+        and not problem.obstacles
+    )
 
 
 def inverse_curvature(problem: Problem, disjunction: Disjunction) -> Array:

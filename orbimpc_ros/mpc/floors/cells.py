@@ -11,7 +11,7 @@ from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.floors.faces import normals
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Cell:
     """A half-space normal . v >= offset.
 
@@ -28,7 +28,7 @@ class Cell:
         return ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Patch(Cell):
     """The half-space beyond the chord of a patch of the sphere of radius ``floor``.
 
