@@ -226,7 +226,7 @@ class _Run:
             return
         j = choice.index(None)
         cells = self._search.disjunctions[j].cells
-        least = cells.index(choice[j - 1]) if j else 0  # type: ignore[arg-type]
+        least = cells.index(choice[j - 1]) if j else 0
         last = j == len(choice) - 1
         for cell in cells[:1] if last else cells[least:]:
             self._push((*choice[:j], cell, *choice[j + 1 :]), bound)
