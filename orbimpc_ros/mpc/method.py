@@ -12,7 +12,7 @@ from orbimpc_ros.mpc.problem import State
 
 @dataclass(frozen=True)
 class Guess:
-    """A trajectory known to satisfy every constraint from the present state.
+    """A trajectory from the present state; it satisfies every constraint if the method trusts it.
 
     Attributes:
         x: rotation coordinates of R_1..R_N, shape (N, d).
@@ -45,9 +45,11 @@ class Method(Protocol):
 
     Attributes:
         takes_guess: whether a guess is worth making.
+        trusts_guess: whether it relies on the guess to satisfy every constraint.
     """
 
     takes_guess: bool
+    trusts_guess: bool
 
     def solve(
         self,

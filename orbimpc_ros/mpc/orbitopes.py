@@ -42,8 +42,11 @@ def coordinates(matrix: Array) -> Array:
 def matrix(x: Array) -> Array:
     """Return the matrices, shape (..., n, n), of coordinates of shape (..., 2) or (..., 9)."""
     if x.shape[-1] == 2:
-        a, b = x[..., 0], x[..., 1]
-        return np.stack([np.stack([a, -b], -1), np.stack([b, a], -1)], -2)
+        r = np.empty((*x.shape[:-1], 2, 2))
+        r[..., 0, 0] = r[..., 1, 1] = x[..., 0]
+        r[..., 1, 0] = x[..., 1]
+        r[..., 0, 1] = -x[..., 1]
+        return r
     return np.swapaxes(x.reshape(*x.shape[:-1], 3, 3), -1, -2)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.floors.faces import normals
 from orbimpc_ros.mpc.orbitopes import coordinates, margin
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.rotations import project
+from orbimpc_ros.mpc.rotations import project_all
 from orbimpc_ros.mpc.trajectory import trajectory_of
 
 OPTIMAL, FEASIBLE, INFEASIBLE, FAILED = 'optimal', 'feasible', 'infeasible', 'failed'
@@ -53,10 +53,6 @@ class Plan:
             value = getattr(self, each.name)
             if isinstance(value, np.ndarray):
                 sealed(value)
-
-    def proved(self) -> Plan:
-        """Return this plan as proved optimal."""
-        return replace(self, status=OPTIMAL)
 
     @property
     def horizon(self) -> int:
@@ -102,9 +98,8 @@ def assemble(
     known = 1
     if problem.rotation_order == 2 and state.coasted is not None:
         projected[1], known = state.coasted, 2  # whatever the thrust, the body turns there
-    for k in range(known, len(rotations)):
-        projected[k], defined = project(rotations[k], projected[k - 1], projection)
-        held[k] = not defined
+    before = projected[known - 1]
+    projected[known:], held[known:] = project_all(rotations[known:], before, projection)
     return Plan(
         status=status,
         objective=flown.cost,

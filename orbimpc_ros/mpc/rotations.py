@@ -76,17 +76,45 @@ def thrust_aligned(matrix: Array) -> Array:
     Thrust |R e1| along that axis moves a vehicle just as the relaxed R does. For n = 2 this is
     :func:`nearest`. Where R e1 vanishes there is no axis to keep: the nearest rotation is used.
     """
-    n = len(matrix)
-    heading = matrix[:, 0]
-    norm = math.sqrt(heading @ heading)
-    if n == 2 or norm < HEADING_UNDEFINED:
+    if len(matrix) == 2 or math.sqrt(matrix[:, 0] @ matrix[:, 0]) < HEADING_UNDEFINED:
         return nearest(matrix)
-    axis = heading / norm
-    frame = _frame_along(axis)
-    # Best roll: rotate (e2, e3) of the frame to fit columns 2 and 3 of R, a problem in SO(2).
-    across = frame[:, 1:].T @ matrix[:, 1:]
-    frame[:, 1:] = frame[:, 1:] @ nearest(across)
-    return frame
+    return _all_thrust_aligned(matrix[None])[0]
+
+
+def _all_thrust_aligned(matrices: Array) -> Array:
+    """Return the thrust-aligned rotations of matrices with headings, shape (K, 3, 3)."""
+    headings = matrices[:, :, 0]
+    axes = headings / np.sqrt(np.einsum('kc,kc->k', headings, headings))[:, None]
+    # Any frame on the axis: its second column along the axis that the first is farthest from.
+    other = np.eye(3)[np.argmin(np.abs(axes), axis=1)]
+    second = _cross(axes, other)
+    second /= np.sqrt(np.einsum('kc,kc->k', second, second))[:, None]
+    third = _cross(axes, second)
+    # Best roll: turn (second, third) to fit columns 2 and 3 of R, a problem in SO(2).
+    columns = matrices[:, :, 1:]
+    along, across = (
+        np.einsum('kc,kcj->kj', second, columns),
+        np.einsum('kc,kcj->kj', third, columns),
+    )
+    cosine, sine = along[:, 0] + across[:, 1], across[:, 0] - along[:, 1]
+    size = np.hypot(cosine, sine)
+    free = size == 0.0  # every roll fits as well
+    cosine, size = np.where(free, 1.0, cosine)[:, None], np.where(free, 1.0, size)[:, None]
+    sine = sine[:, None]
+    rolled = (cosine * second + sine * third) / size
+    return np.stack([axes, rolled, _cross(axes, rolled)], axis=2)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return the cross products of rows, shape (K, 3)."""
+    return np.stack(
+        [
+            a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1],
+            a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
+            a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
+        ],
+        axis=1,
+    )
 
 
 def project(matrix: Array, previous: Array, how: str = 'thrust_aligned') -> tuple[Array, bool]:
@@ -101,6 +129,27 @@ def project(matrix: Array, previous: Array, how: str = 'thrust_aligned') -> tupl
     if math.sqrt(heading @ heading) < HEADING_UNDEFINED:
         return previous, False
     return (nearest(matrix) if how == 'nearest' else thrust_aligned(matrix)), True
+
+
+def project_all(matrices: Array, first: Array, how: str) -> tuple[Array, np.ndarray]:
+    """Return the rotations of a sequence of points of conv SO(n), and which had to be held.
+
+    Args:
+        matrices: points in order, shape (K, n, n).
+        first: the rotation before them, to hold where a heading is undefined, shape (n, n).
+        how: ``'nearest'`` or ``'thrust_aligned'``.
+    """
+    headings = matrices[:, :, 0]
+    sizes = np.sqrt(np.einsum('kc,kc->k', headings, headings))
+    held = sizes < HEADING_UNDEFINED
+    if matrices.shape[-1] == 2 and not held.any():  # nearest and thrust-aligned are the same
+        return matrices / sizes[:, None, None], held
+    if how == 'thrust_aligned' and not held.any():
+        return _all_thrust_aligned(matrices), held
+    projected = np.empty_like(matrices)
+    for k, matrix in enumerate(matrices):
+        projected[k] = first = project(matrix, first, how)[0]
+    return projected, held
 
 
 def turned_onto(rotation: Array, axis: Array) -> Array:
@@ -167,12 +216,3 @@ def _from_heading_2(heading: Array) -> Array:
     norm = math.hypot(heading[0], heading[1])
     a, b = heading / norm if norm > 0.0 else (1.0, 0.0)
     return np.array([[a, -b], [b, a]])
-
-
-def _frame_along(axis: Array) -> Array:
-    """Return any rotation of shape (3, 3) with first column ``axis``."""
-    other = np.zeros(3)
-    other[int(np.argmin(np.abs(axis)))] = 1.0
-    second = np.cross(axis, other)
-    second /= math.sqrt(second @ second)
-    return np.column_stack([axis, second, np.cross(axis, second)])

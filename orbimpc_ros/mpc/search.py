@@ -52,11 +52,12 @@ class Search:
         coasting: whether states come with a ``coasted`` rotation.
     """
 
-    takes_guess = True
+    trusts_guess = True
 
     def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
         self.problem, self.tolerance = problem, tolerance
         self.disjunctions = disjunctions_of(problem)
+        self.takes_guess = bool(self.disjunctions)  # one relaxation needs none
         self.exchangeable = _steps_are_exchangeable(problem)
         self.curvature = [inverse_curvature(problem, d) for d in self.disjunctions]
         slots = [slot for d in self.disjunctions for slot in d.slots]

@@ -12,7 +12,7 @@ from orbimpc_ros.mpc.feasibility import reason
 from orbimpc_ros.mpc.floors.circle import Circle
 from orbimpc_ros.mpc.method import Found, Guess, Method
 from orbimpc_ros.mpc.orbitopes import coordinates
-from orbimpc_ros.mpc.plan import FEASIBLE, Plan, assemble, violations
+from orbimpc_ros.mpc.plan import FEASIBLE, OPTIMAL, Plan, assemble, violations
 from orbimpc_ros.mpc.planar import Planar
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.search import Search
@@ -79,26 +79,27 @@ class Solver:
         return self._method.takes_guess
 
     def _usable(self, state: State, goals: Array, guess: Plan | None) -> Guess | None:
-        if guess is None or not self.takes_guess or violations(self.problem, state, goals, guess):
+        if guess is None or not self.takes_guess:
+            return None
+        if self._method.trusts_guess and violations(self.problem, state, goals, guess):
             return None
         return Guess(coordinates(guess.rotations[1:]), guess.objective)
 
     def _plan(self, state: State, goals: Array, found: Found) -> Plan:
         if found.x is None:
             raise SolverFailure(f'no trajectory found in {found.nodes} relaxations')
-        plan = assemble(
+        missing = found.cost - found.lower_bound
+        proved = missing <= max(self._tolerance * abs(found.cost), ROUNDING)
+        return assemble(
             self.problem,
             state,
             goals,
             found.x,
-            status=FEASIBLE,
+            status=OPTIMAL if proved else FEASIBLE,
             lower_bound=found.lower_bound,
             nodes=found.nodes,
             projection=self._projection,
         )
-        missing = plan.objective - plan.lower_bound
-        proved = plan.gap <= self._tolerance or missing <= ROUNDING
-        return plan.proved() if proved else plan
 
 
 def _method_for(problem: Problem, gap_tolerance: float, coasting: bool) -> Method:

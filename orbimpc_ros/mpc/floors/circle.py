@@ -35,7 +35,7 @@ class Circle:
         tolerance: relative gap at which a plan is good enough to stop.
     """
 
-    takes_guess = True
+    takes_guess, trusts_guess = True, False  # anywhere is good enough to start from
 
     def __init__(self, problem: Problem, tolerance: float) -> None:
         self._problem, self._tolerance = problem, tolerance
