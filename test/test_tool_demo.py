@@ -37,7 +37,7 @@ def test_the_rope_is_caught(flown):
     assert done.returncode == 0, done.stdout + done.stderr
     rows = dict(line.split(maxsplit=1) for line in done.stdout.splitlines()[1:])
     assert rows['captured'].startswith('t = ')
-    assert rows['picture'] == str(folder / demo.PICTURE)
+    assert rows['picture'] == str(folder / 'trajectory.png')
     assert rows['bag'] == str(folder / 'bag')
     assert rows['fallbacks'] == '0'
     for word in ('near misses', 'solve time    p50', 'worst gap'):
@@ -71,7 +71,7 @@ def test_the_bag_keeps_simulated_time(flown):
 
 def test_the_picture_is_one(flown):
     _, folder = flown
-    picture = (folder / demo.PICTURE).read_bytes()
+    picture = (folder / 'trajectory.png').read_bytes()
     assert picture[:8] == b'\x89PNG\r\n\x1a\n'
     width, height = (int.from_bytes(picture[k : k + 4], 'big') for k in (16, 20))
     assert min(width, height) >= 1000

@@ -20,9 +20,12 @@ def history(distances, captured, **changes):
     return History(
         times=times,
         positions=positions,
-        headings=np.tile([1.0, 0.0, 0.0], (count, 1)),
+        attitudes=np.tile(np.eye(3), (count, 1, 1)),
+        velocities=np.tile([1.0, 0.0, 0.0], (count, 1)),
+        rates=np.zeros((count, 3)),
         ropes=np.zeros((count, 3)),
         plans=tuple(Planned(t, positions[:2]) for t in times),
+        forces=(),
         ticks=tuple((t, fields) for t in times),
         captured=captured,
         values=settings.read('{}') | {'capture_radius': 0.1} | changes,

@@ -23,6 +23,7 @@ from orbimpc_ros.ros.messages import Frames
 from orbimpc_ros.ros.parameter import FAR, SOON, TINY, Row, Values, vehicle_rows
 
 SAFE_COMMANDS = ('stop', 'hold_rate_zero', 'loiter')
+PROJECTIONS = ('nearest', 'thrust_aligned')
 
 PLANNER: tuple[Row, ...] = (
     *vehicle_rows(),
@@ -52,7 +53,7 @@ PLANNER: tuple[Row, ...] = (
     Row('no_corner_cutting', False, 'Whether the path between two steps stays out as well',
         live=True),
     Row('projection', 'thrust_aligned', 'How a point of the hull becomes a rotation',
-        choices=('nearest', 'thrust_aligned'), live=True),
+        choices=PROJECTIONS, live=True),
     Row('trigger', 'timer', 'Whether to plan at each odometry or every step',
         choices=('timer', 'odom')),
     Row('goal_prediction', 'hold', 'How the goal is expected to move',

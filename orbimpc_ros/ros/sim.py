@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped, Vector3, WrenchStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
@@ -25,7 +26,8 @@ from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.orders import Order, Orders
 from orbimpc_ros.ros.parameters import SIM, Live, sim_settings
 from orbimpc_ros.ros.process import DONE, FAILED, Guarded, qos, run
-from orbimpc_ros.world.flight import departure
+from orbimpc_ros.ros.reports import OK, WARN, diagnostics
+from orbimpc_ros.world.flight import Flight, departure
 
 try:
     from tf2_ros import TransformBroadcaster
@@ -61,6 +63,7 @@ class Sim(Guarded):
         self._odometry = self.create_publisher(OdometryMessage, 'odom', qos(DEPTH))
         self._goal = self.create_publisher(PoseStamped, 'goal', qos(DEPTH))
         self._markers = self.create_publisher(MarkerArray, 'world_markers', qos())
+        self._health = self.create_publisher(DiagnosticArray, '/diagnostics', qos(DEPTH))
         if self.settings.goal_path_steps:
             self._goal_path = self.create_publisher(Path, 'goal_path', qos(DEPTH))
         if self.settings.lockstep:
@@ -132,14 +135,18 @@ class Sim(Guarded):
         flight = self.flight
         self.finished = True
         self._captured.publish(Bool(data=flight.captured))
-        if flight.captured:
-            when = flight.missed_at - flight.scenario.start.time
-            ending = f'captured at t = {when:.2f} s, {flight.miss:.3f} m from the goal'
-        else:
-            ending = 'not captured'
-        self.get_logger().info(f'{ending}, after {flight.ticks} ticks')
+        ending = f'{told(flight)}, after {flight.ticks} ticks'
+        self._tell(flight, ending)
+        self.get_logger().info(ending)
         if self.settings.exit_when_done:
             self.exit_code = DONE if flight.captured else FAILED
+
+    def _tell(self, flight: Flight, ending: str) -> None:
+        """Publish how the flight ended, and how far from the goal and how fast."""
+        now, name = round(flight.vehicle.time * SECOND), self.get_fully_qualified_name()
+        numbers = {'distance': flight.distance, 'speed': flight.speed, 'ticks': flight.ticks}
+        level = OK if flight.captured else WARN
+        self._health.publish(diagnostics(now, name, level, ending, numbers))
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
         # Time goes on: stamps never go back.
@@ -150,6 +157,18 @@ class Sim(Guarded):
         self._pace.restart()
         response.success, response.message = True, 'back at the start'
         return response
+
+
+def told(flight: Flight) -> str:
+    """Return in words how a flight has ended."""
+    done = '' if flight.captured else 'not '
+    if flight.scenario.finish == 'arrival':
+        where = f'{flight.distance:.2e} m from the goal at {flight.speed:.2e} m/s'
+        return f'{done}arrived: {where}'
+    if not flight.captured:
+        return 'not captured'
+    when = flight.missed_at - flight.scenario.start.time
+    return f'captured at t = {when:.2f} s, {flight.miss:.3f} m from the goal'
 
 
 class LockStep:

@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.rotations import from_quaternion
 from orbimpc_ros.ros.messages import QUATERNION_TOLERANCE, Frames
 from orbimpc_ros.ros.parameter import FAR, SOON, TINY, Row, Values, vehicle_rows
 from orbimpc_ros.world.rope import Rope
-from orbimpc_ros.world.scenario import MAX_TICKS, Scenario, retrieval
+from orbimpc_ros.world.scenario import FINISHES, MAX_TICKS, Scenario, retrieval
 from orbimpc_ros.world.vehicle import Model, launched
 
 
@@ -39,6 +39,12 @@ def _sim_rows() -> tuple[Row, ...]:
             'rad', -100.0, 100.0),
         Row('capture_radius', flown.capture_radius, 'The goal is caught within it',
             'm', TINY, FAR),
+        Row('finish', flown.finish, 'Whether to end with the capture, or at max_ticks by arriving',
+            choices=FINISHES),
+        Row('arrival_radius', flown.arrival_radius, 'At arrival the goal is within it',
+            'm', TINY, FAR),
+        Row('arrival_speed', flown.arrival_speed, 'At arrival the speed is at most this; 0 for any',
+            'm/s', 0.0, 1e6),
         Row('start.position', (0.0, 0.0, 0.0), 'Where the vehicle starts: x, y, z',
             'm', -FAR, FAR),
         Row('start.orientation', (0.0, 0.0, 0.0, 1.0), 'Unit quaternion x, y, z, w at the start',
@@ -49,7 +55,7 @@ def _sim_rows() -> tuple[Row, ...]:
             'm/s', -1e6, 1e6),
         Row('start.body_rate', (0.0, 0.0, 0.0), 'Rates about the body axes at the start',
             'rad/s', -1e3, 1e3),
-        Row('max_ticks', flown.max_ticks, 'Steps before giving up', low=1, high=MAX_TICKS),
+        Row('max_ticks', flown.max_ticks, 'Steps until the flight ends', low=1, high=MAX_TICKS),
         Row('seed', 0, 'Of everything random', low=0, high=2**31 - 1),
         Row('command_timeout', 0.2, 'Wall clock: stop if no command came for so long; '
             'at least 1.5 steps', 's', 1e-3, SOON),
@@ -133,7 +139,8 @@ def _scenario(values: Values) -> Scenario:
         values['rope.frequency'],
         _vector(values, 'rope.phase', n),
     )
-    return Scenario(model, start, rope, values['capture_radius'], values['max_ticks'])
+    ending = ('capture_radius', 'max_ticks', 'finish', 'arrival_radius', 'arrival_speed')
+    return Scenario(model, start, rope, **{name: values[name] for name in ending})
 
 
 def _vector(values: Values, name: str, dimension: int) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,14 +11,17 @@ from typing import TYPE_CHECKING
 from orbimpc_ros.mpc.errors import BadInput
 
 if TYPE_CHECKING:
+    from orbimpc_ros.tool.history import History
     from orbimpc_ros.tool.processes import Interruptions, Process
     from orbimpc_ros.tool.recorder import Recorder
     from orbimpc_ros.tool.settings import Values
 
-SCENARIOS = ('retrieval',)
+SCENARIOS = ('retrieval', 'retrieval3d', 'dubins', 'spacecraft')
+# The paper shows the Dubins car with and without minimum speed. Flights of a demo, by name.
+VARIANTS = {'dubins': {'none': ('floor.shape=none',), 'polygon': ('floor.shape=polygon',)}}
+OF_A_DEMO = {'exit_when_done': True, 'wait_subscribers': 2}
 SPIN = 0.05  # [s]
 QUIET, LAST_WORDS = 0.1, 1.0  # [s] without a message, and at most, until the bag is complete
-PICTURE = 'trajectory.png'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,14 +41,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fly, record, sum up, draw; 0 only if the job was done."""
+    flights = _flights(args.scenario, args.set)
+    folder = new_folder(args.out, args.scenario)
+    places = {name: folder / name if name else folder for name in flights}
+    for name, values in flights.items():
+        places[name].mkdir(exist_ok=True)
+        fly(values, places[name])
+    return report(args.scenario, folder, places)
+
+
+def _flights(scenario: str, changes: list[str]) -> dict[str, Values]:
+    """Return the parameters of each flight of a demo, by name; a single one has none.
+
+    Raises:
+        BadInput: an unknown name, or a value or combination that is not allowed.
+    """
     from orbimpc_ros.tool import settings
     from orbimpc_ros.tool.share import config
 
-    values = settings.resolve(config(f'{args.scenario}.yaml'), args.set)
-    values |= {'exit_when_done': True, 'wait_subscribers': 2}
-    folder = new_folder(args.out, args.scenario)
-    fly(values, folder)
-    return report(folder)
+    variants = VARIANTS.get(scenario, {'': ()})
+    if any(change.startswith('floor.shape=') for change in changes):
+        variants = {'': ()}
+    file = config(f'{scenario}.yaml')
+    return {
+        name: settings.resolve(file, [*changes, *variant]) | OF_A_DEMO
+        for name, variant in variants.items()
+    }
 
 
 def new_folder(out: str, name: str) -> Path:
@@ -137,12 +158,37 @@ def _watch(
         sim.require_health()
 
 
-def report(folder: Path) -> int:
-    """Sum up a run from its bag, draw its picture, and return the exit code."""
+def report(scenario: str, folder: Path, places: Mapping[str, Path]) -> int:
+    """Sum up the flights of a demo from their bags, draw pictures, and return the exit code.
+
+    Args:
+        scenario: names the pictures to draw.
+        folder: takes them.
+        places: of the flights' bags, by name.
+    """
     from orbimpc_ros.tool import figures, history, summary
 
-    flown = history.of_bag(folder / 'bag')
-    figures.save(figures.retrieval(flown), folder / PICTURE)
-    print(summary.text(flown))
-    print(f'bag           {folder / "bag"}\npicture       {folder / PICTURE}')
-    return 0 if flown.captured else 1
+    flown = {name: history.of_bag(place / 'bag') for name, place in places.items()}
+    for name, each in flown.items():
+        print(f'{name}:\n{summary.text(each)}' if name else summary.text(each))
+    for place in places.values():
+        print(f'bag           {place / "bag"}')
+    if any(each.values['finish'] == 'arrival' for each in flown.values()):
+        print(_arrivals(flown))
+    for name, figure in figures.of_scenario(scenario, flown).items():
+        figures.save(figure, folder / name)
+        print(f'picture       {folder / name}')
+    return 0 if all(each.captured for each in flown.values()) else 1
+
+
+def _arrivals(flown: Mapping[str, History]) -> str:
+    """Return a table of errors at arrival: of the flights and, unflown, under the true floor."""
+    from orbimpc_ros.tool import arrivals
+
+    columns = {
+        arrivals.title(run.values): arrivals.column(run.values, run) for run in flown.values()
+    }
+    if len(flown) > 1:
+        values = next(iter(flown.values())).values | {'floor.shape': 'circle'}
+        columns[arrivals.title(values)] = arrivals.column(values)
+    return arrivals.table(columns)

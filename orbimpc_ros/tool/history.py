@@ -50,22 +50,44 @@ class History:
     Attributes:
         times: of odometry, shape (M,) [s].
         positions: of the vehicle, shape (M, 3) [m].
-        headings: body x axis in the world, shape (M, 3).
+        attitudes: of the body in the world, shape (M, 3, 3).
+        velocities: in the world, shape (M, 3) [m/s].
+        rates: about the body's axes, shape (M, 3) [rad/s].
         ropes: where the rope was at these times, shape (M, 3) [m].
         plans: in order of time.
+        forces: times [s] and forces [N] of the topic ``cmd_thrust``.
         ticks: times [s] and fields of the topic ``tick``.
-        captured: whether the simulator said so.
+        captured: whether the simulator said that the job was done.
         values: parameters of the run, by name.
     """
 
     times: Array
     positions: Array
-    headings: Array
+    attitudes: Array
+    velocities: Array
+    rates: Array
     ropes: Array
     plans: tuple[Planned, ...]
+    forces: tuple[tuple[float, float], ...]
     ticks: tuple[tuple[float, dict[str, Any]], ...]
     captured: bool
     values: dict[str, Any]
+
+    @property
+    def headings(self) -> Array:
+        """Return the body's x axis in the world, shape (M, 3)."""
+        return self.attitudes[:, :, 0]
+
+    @property
+    def missed(self) -> tuple[float, float]:
+        """Return how far from the goal [m] and how fast [m/s] the vehicle is at the end."""
+        apart = self.positions[-1] - self.ropes[-1]
+        return float(np.linalg.norm(apart)), float(np.linalg.norm(self.velocities[-1]))
+
+    @property
+    def flown_ticks(self) -> list[dict[str, Any]]:
+        """Return the fields of the ticks whose command was flown: all but the last answer."""
+        return [fields for time, fields in self.ticks if time < self.times[-1]]
 
     @property
     def approaches(self) -> list[Approach]:
@@ -108,8 +130,9 @@ class History:
 
     @property
     def capture(self) -> Approach | None:
-        """Return the approach that caught the rope."""
-        return self.approaches[-1] if self.captured and len(self.times) > 1 else None
+        """Return the approach that caught the rope; None too where the job is to arrive."""
+        caught = self.captured and self.values['finish'] == 'capture'
+        return self.approaches[-1] if caught and len(self.times) > 1 else None
 
 
 def of_bag(path: Path, namespace: str = '') -> History:
@@ -133,12 +156,18 @@ def of_bag(path: Path, namespace: str = '') -> History:
     # In lock-step the simulator asks again where an answer is late.
     once = {_seconds(message): message for message in found['odom']}
     times, odometry = np.array(list(once)), list(once.values())
+    attitudes = np.array([_attitude(m.pose.pose.orientation) for m in odometry])
     return History(
         times=times,
-        positions=np.array([_point(m.pose.pose.position) for m in odometry]),
-        headings=np.array([_heading(m.pose.pose.orientation) for m in odometry]),
+        positions=_vectors(m.pose.pose.position for m in odometry),
+        attitudes=attitudes,
+        velocities=np.einsum(
+            'kij,kj->ki', attitudes, _vectors(m.twist.twist.linear for m in odometry)
+        ),
+        rates=_vectors(m.twist.twist.angular for m in odometry),
         ropes=_at(times, found['goal']),
         plans=tuple(_planned(m) for m in found['plan'] if m.poses),
+        forces=tuple((_seconds(m), m.wrench.force.x) for m in found['cmd_thrust']),
         ticks=tuple((_seconds(m), _fields(m)) for m in found['tick'] if m.status),
         captured=any(m.data for m in found['captured']),
         values=values,
@@ -153,8 +182,12 @@ def _point(point: Any) -> Array:
     return np.array([point.x, point.y, point.z])
 
 
-def _heading(q: Any) -> Array:
-    return from_quaternion(np.array([q.w, q.x, q.y, q.z]), 3)[:, 0]
+def _vectors(messages: Iterable[Any]) -> Array:
+    return np.array([_point(each) for each in messages])
+
+
+def _attitude(q: Any) -> Array:
+    return from_quaternion(np.array([q.w, q.x, q.y, q.z]), 3)
 
 
 def _planned(message: Any) -> Planned:

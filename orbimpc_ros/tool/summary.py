@@ -1,4 +1,4 @@
-"""A run in a few lines: what was caught, how often it was missed, what a tick cost."""
+"""A run in a few lines: what was caught or reached, how often missed, what a tick cost."""
 
 from __future__ import annotations
 
@@ -10,14 +10,29 @@ from orbimpc_ros.tool.history import Approach, History
 def text(history: History) -> str:
     """Return the summary of a run."""
     rows = {
-        'captured': _capture(history),
-        'near misses': _near_misses(history.near_misses),
+        **_job(history),
         'ticks': str(len(history.ticks)),
         'solve time': _solve_times(history),
         'worst gap': _worst_gap(history),
-        'fallbacks': str(sum(bool(fields.get('fallback')) for _, fields in history.ticks)),
+        'fallbacks': str(sum(bool(fields.get('fallback')) for fields in history.flown_ticks)),
     }
     return '\n'.join(f'{name:<14}{value}' for name, value in rows.items())
+
+
+def _job(history: History) -> dict[str, str]:
+    if history.values['finish'] == 'arrival':
+        return {'arrived': _arrival(history)}
+    return {
+        'captured': _capture(history),
+        'near misses': _near_misses(history.near_misses),
+    }
+
+
+def _arrival(history: History) -> str:
+    missed, speed = history.missed
+    done = 'yes' if history.captured else 'no'
+    when = history.times[-1] - history.times[0]
+    return f'{done}, {missed:.1e} m from the goal at {speed:.1e} m/s, t = {when:.0f} s'
 
 
 def _capture(history: History) -> str:

@@ -8,9 +8,12 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import command_of
+from orbimpc_ros.mpc.odometry import state_of
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.world.vehicle import Vehicle, advance, model_of
+from orbimpc_ros.mpc.solver import Solver
+from orbimpc_ros.world.scenario import Scenario
+from orbimpc_ros.world.vehicle import Vehicle, advance, measured, model_of
 
 
 class Arrival(NamedTuple):
@@ -25,6 +28,35 @@ class Arrival(NamedTuple):
     position: float
     velocity: float
     turned: float
+
+
+class OpenLoop(NamedTuple):
+    """A scenario planned once, at its start.
+
+    Attributes:
+        plan: from the start to the arrival.
+        relaxed: how the plan itself arrives, its rotations anywhere in conv SO(n).
+        flown: how a vehicle arrives that obeys its commands.
+    """
+
+    plan: Plan
+    relaxed: Arrival
+    flown: Arrival
+
+
+def open_loop(problem: Problem, scenario: Scenario, projection: str) -> OpenLoop:
+    """Return a scenario's plan and how it arrives, by itself and flown without planning again.
+
+    Raises:
+        Infeasible: no trajectory satisfies the constraints.
+    """
+    start, goal = scenario.start, scenario.rope.at(0.0)
+    state = state_of(problem, measured(start), start.fraction)
+    solver = Solver(problem, projection=projection, coasting=True)
+    plan = solver.solve(state, np.tile(goal, (problem.horizon, 1)))
+    missed = float(np.linalg.norm(plan.positions[-1] - goal))
+    relaxed = Arrival(missed, float(np.linalg.norm(plan.velocities[-1])), 0.0)
+    return OpenLoop(plan, relaxed, flown_to_the_end(problem, state, plan, start, goal))
 
 
 def flown_to_the_end(

@@ -46,14 +46,36 @@ class Flight:
         return self.scenario.rope.at(self.elapsed)
 
     @property
+    def distance(self) -> float:
+        """Return how far the goal is now [m]."""
+        return float(np.linalg.norm(self.vehicle.position - self.goal))
+
+    @property
+    def speed(self) -> float:
+        """Return how fast the vehicle is now [m/s]."""
+        return float(np.linalg.norm(self.vehicle.velocity))
+
+    @property
     def captured(self) -> bool:
-        """Return whether the last step caught the goal."""
+        """Return whether the job is done: the goal caught by the last step, or arrived at."""
+        if self.scenario.finish == 'arrival':
+            return self._arrived
         return self.miss <= self.scenario.capture_radius
+
+    @property
+    def _arrived(self) -> bool:
+        fastest = self.scenario.arrival_speed or np.inf
+        near = self.distance <= self.scenario.arrival_radius and self.speed <= fastest
+        return near and self._out_of_ticks
+
+    @property
+    def _out_of_ticks(self) -> bool:
+        return self.ticks >= self.scenario.max_ticks
 
     @property
     def over(self) -> bool:
         """Return whether the goal is caught or the steps are used up."""
-        return self.captured or self.ticks >= self.scenario.max_ticks
+        return self.captured or self._out_of_ticks
 
     def after(self, fraction: float, body_rate: Array) -> Flight:
         """Return the flight one step later, the command taken over as the vehicle's model says."""

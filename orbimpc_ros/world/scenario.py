@@ -1,7 +1,7 @@
 """Scenarios by name: what flies from where, what it is after, and the problem its planner solves.
 
-The numbers of ``retrieval`` that the paper does not give were chosen; how is told in
-``config/retrieval.yaml``.
+The numbers that the paper does not give were chosen; how is told in the files of the same names
+in ``config/``.
 """
 
 from __future__ import annotations
@@ -13,11 +13,12 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import number, whole
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.problem import Floor, Problem
-from orbimpc_ros.world.rope import Rope
+from orbimpc_ros.mpc.problem import Floor, Problem, Weights
+from orbimpc_ros.world.rope import Rope, fixed
 from orbimpc_ros.world.vehicle import Model, Vehicle, launched, model_of
 
 MAX_TICKS = 1_000_000
+FINISHES = ('capture', 'arrival')
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,11 @@ class Scenario:
         start: where it is at the start; its time is the start's.
         rope: the goal, swinging or fixed.
         capture_radius: the goal counts as caught within it [m].
-        max_ticks: steps after which the flight ends without capture.
+        max_ticks: steps after which the flight ends.
+        finish: ``capture``, it ends as soon as the goal is caught; ``arrival``, it ends after
+            ``max_ticks`` and has to be at the goal then.
+        arrival_radius: how far from the goal a vehicle that has arrived may be [m].
+        arrival_speed: and how fast [m/s]; 0 for any speed.
     """
 
     model: Model
@@ -37,6 +42,9 @@ class Scenario:
     rope: Rope
     capture_radius: float
     max_ticks: int
+    finish: str = 'capture'
+    arrival_radius: float = 0.05
+    arrival_speed: float = 0.0
 
     def __post_init__(self) -> None:
         n = self.model.dimension
@@ -46,6 +54,10 @@ class Scenario:
             raise BadInput('rope.center', self.rope.center.tolist(), f'{n} numbers')
         number(self.capture_radius, 'capture_radius', 0.0, 1e6, above=True)
         whole(self.max_ticks, 'max_ticks', 1, MAX_TICKS)
+        if self.finish not in FINISHES:
+            raise BadInput('finish', self.finish, ' | '.join(FINISHES))
+        number(self.arrival_radius, 'arrival_radius', 0.0, 1e6, above=True)
+        number(self.arrival_speed, 'arrival_speed', 0.0, 1e6)
 
 
 def retrieval_problem() -> Problem:
@@ -64,4 +76,79 @@ def retrieval() -> Scenario:
         ),
         capture_radius=0.2,
         max_ticks=60,
+    )
+
+
+def retrieval3d_problem() -> Problem:
+    """Return the UAV's problem in space: as in the plane, |R e1| > sqrt(0.3) by a cube."""
+    return Problem(dimension=3, floor=Floor('polygon', 6, math.sqrt(0.3)))
+
+
+def retrieval3d() -> Scenario:
+    """Return the retrieval in space: a rope swinging about (6, 3, 4), forecast and caught."""
+    model = model_of(retrieval3d_problem())
+    return Scenario(
+        model=model,
+        start=launched(model, np.zeros(3), np.eye(3)),
+        rope=Rope(
+            np.array([6.0, 3.0, 4.0]),
+            np.array([0.5, 0.5, 0.25]),
+            0.18,
+            np.array([2.0, 9.0, 4.0]) * np.pi / 6.0,
+        ),
+        capture_radius=0.15,
+        max_ticks=60,
+    )
+
+
+def dubins_problem(floor: str = 'polygon') -> Problem:
+    """Return the paper's Dubins car: the shortest way in 20 steps; a floor of det R = 1/2."""
+    return Problem(
+        horizon=20,
+        weights=Weights(position=0.0, input=0.05, length=1.0, terminal=0.0),
+        terminal='constraint',
+        floor=Floor(floor, 4, math.sqrt(0.5)),
+    )
+
+
+def dubins() -> Scenario:
+    """Return the paper's Dubins car: from the origin along x to (5, 10) at t = 20 s."""
+    model = model_of(dubins_problem())
+    start = launched(model, np.zeros(2), np.eye(2))
+    return Scenario(
+        model=model,
+        start=start,
+        rope=fixed(np.array([5.0, 10.0])),
+        capture_radius=0.2,
+        max_ticks=20,
+        finish='arrival',
+        arrival_radius=1e-3,
+    )
+
+
+def spacecraft_problem() -> Problem:
+    """Return the paper's spacecraft: second order in space, at the goal and at rest at t = 20 s."""
+    return Problem(
+        dimension=3,
+        rotation_order=2,
+        translation_order=2,
+        horizon=20,
+        weights=Weights(position=0.0, input=1.0, length=0.1, terminal=0.0),
+        terminal='constraint',
+    )
+
+
+def spacecraft() -> Scenario:
+    """Return the paper's spacecraft: from rest, its thrust along -x, to (5, 10, 25), at rest."""
+    model = model_of(spacecraft_problem())
+    away = np.diag([-1.0, -1.0, 1.0])
+    return Scenario(
+        model=model,
+        start=launched(model, np.zeros(3), away, fraction=0.0),
+        rope=fixed(np.array([5.0, 10.0, 25.0])),
+        capture_radius=0.2,
+        max_ticks=20,
+        finish='arrival',
+        arrival_radius=0.05,
+        arrival_speed=0.05,
     )

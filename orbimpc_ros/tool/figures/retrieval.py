@@ -1,55 +1,31 @@
-"""Pictures of a run: from its history to matplotlib figures."""
+"""A retrieval in the plane: the whole flight, its end, and what happened when."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
-from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.tool.figures.style import (
+    BLUE,
+    GREEN,
+    HALO,
+    INK,
+    ORANGE,
+    RED,
+    SKY,
+    STYLE,
+    headline,
+)
 from orbimpc_ros.tool.history import History
 from orbimpc_ros.world.rope import Rope
-
-# Okabe and Ito's palette: told apart with every common colour blindness, and in grey.
-INK, BLUE, SKY, ORANGE, GREEN, RED = (
-    '#222222',
-    '#0072B2',
-    '#56B4E9',
-    '#E69F00',
-    '#009E73',
-    '#D55E00',
-)
-STYLE: Any = {
-    'font.size': 9.0,
-    'axes.titlesize': 10.0,
-    'axes.titlelocation': 'left',
-    'axes.spines.top': False,
-    'axes.spines.right': False,
-    'axes.edgecolor': INK,
-    'axes.grid': True,
-    'axes.axisbelow': True,
-    'grid.color': '#e6e6e6',
-    'grid.linewidth': 0.6,
-    'legend.frameon': False,
-    'legend.fontsize': 8.5,
-}
-DOTS_PER_INCH = 200
-HALO = [withStroke(linewidth=2.5, foreground='white')]
-
-
-def save(figure: Figure, file: Path) -> None:
-    """Write a figure as PNG."""
-    FigureCanvasAgg(figure)
-    figure.savefig(file, dpi=DOTS_PER_INCH)
 
 
 def retrieval(history: History) -> Figure:
@@ -65,11 +41,12 @@ def retrieval(history: History) -> Figure:
         draw_speed(speed, history)
         distance.sharex(speed)
         figure.legend(*end.get_legend_handles_labels(), loc='outside lower center', ncols=7)
-        figure.suptitle(_headline(history), x=0.01, ha='left', fontsize=12.0, fontweight='bold')
+        headline(figure, story(history))
     return figure
 
 
-def _headline(history: History) -> str:
+def story(history: History) -> str:
+    """Return in a line how a retrieval went."""
     near = len(history.near_misses)
     misses = f'{near} near miss{"" if near == 1 else "es"}'
     capture = history.capture
