@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +14,9 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.faces import branch_and_bound
 from orbimpc_ros.mpc.method import Found, Guess
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.search import Search
+
+if TYPE_CHECKING:
+    from orbimpc_ros.mpc.search import Search
 
 LONGEST = 30  # horizon; beyond it sparse solves are faster than dense ones
 NODES = (200, 4000)  # room for the first attempt, and for one more where that was too little
@@ -97,5 +100,7 @@ class Planar:
         out_of_time: Callable[[], bool] | None,
     ) -> Found:
         if self._general is None:
+            from orbimpc_ros.mpc.search import Search  # brings CVXPY, half of a start-up
+
             self._general = Search(self._problem, self._tolerance)
         return self._general.solve(state, goals, guess, out_of_time)

@@ -9,13 +9,11 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
 from orbimpc_ros.mpc.feasibility import reason
-from orbimpc_ros.mpc.floors.circle import Circle
 from orbimpc_ros.mpc.method import Found, Guess, Method
 from orbimpc_ros.mpc.orbitopes import coordinates
 from orbimpc_ros.mpc.plan import FEASIBLE, OPTIMAL, Plan, assemble, violations
 from orbimpc_ros.mpc.planar import Planar
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.search import Search
 
 SEARCH_SHARE = 0.01  # a search stops at this share of the gap that counts as proved
 ROUNDING = 1e-9  # costs that differ by less do so by rounding: at the goal the cost vanishes
@@ -104,8 +102,12 @@ class Solver:
 
 def _method_for(problem: Problem, gap_tolerance: float, coasting: bool) -> Method:
     """Return the fastest method that proves its answer for a problem."""
-    if Circle.solves(problem):
-        return Circle(problem, SEARCH_SHARE * gap_tolerance)
     if Planar.solves(problem):
         return Planar(problem, SEARCH_SHARE * gap_tolerance)
+    # CVXPY takes half of a start-up: only what needs it imports it.
+    from orbimpc_ros.mpc.floors.circle import Circle
+    from orbimpc_ros.mpc.search import Search
+
+    if Circle.solves(problem):
+        return Circle(problem, SEARCH_SHARE * gap_tolerance)
     return Search(problem, SEARCH_SHARE * gap_tolerance, coasting=coasting)
