@@ -43,6 +43,7 @@ setup(
         'scipy>=1.11',
     ],
     extras_require={
+        'bench': ['casadi', 'gurobipy', 'pyscipopt'],
         'fast': ['numba>=0.59'],
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'test': ['hypothesis', 'mypy', 'pytest', 'ruff', 'types-PyYAML'],

@@ -17,6 +17,7 @@ INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 # A command is a module of this package with add_arguments(parser) and run(args) -> exit code.
 COMMANDS = {
+    'bench': 'measure side by side with the solvers that are installed',
     'demo': 'run planner and simulator over DDS, record a bag, draw the picture',
     'solve': 'solve one problem from a file, print the plan as JSON',
 }

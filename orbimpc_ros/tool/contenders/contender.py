@@ -1,0 +1,50 @@
+"""What a contender takes and gives, and why one may be missing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import OrbimpcError
+from orbimpc_ros.mpc.problem import State
+
+
+class Refused(OrbimpcError):
+    """A contender cannot take a problem, such as one beyond the size its licence allows."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a solver says about one instance.
+
+    Attributes:
+        objective: of its trajectory; NaN if it found none.
+        gap: relative, as it proved it; NaN if it proves nothing.
+        capped: whether it ran into its time limit.
+    """
+
+    objective: float
+    gap: float = math.nan
+    capped: bool = False
+
+
+class Contender(Protocol):
+    """A solver set up for one problem. Only :meth:`solve` is timed."""
+
+    def solve(self, state: State, goals: Array) -> None:
+        """Put the data of an instance in and solve.
+
+        Args:
+            state: where the plan starts.
+            goals: g_1..g_N, shape (N, n) [m].
+        """
+
+    def answer(self) -> Answer:
+        """Return what came out of the last solve."""
+
+
+def relative_gap(objective: float, bound: float) -> float:
+    """Return (objective - bound) / max(1e-9, |objective|), as plans have it."""
+    return (objective - bound) / max(1e-9, abs(objective))
