@@ -44,7 +44,7 @@ class Lifted:
         self._value = np.nan
 
     def _arrives(self, inner: cp.Expression) -> list[cp.Constraint]:
-        """Row . z = d, and row . z conj(z_j) = d conj(z_j) for every j, in real numbers."""
+        """Ask for arrival . z = d, and the same times every conj(z_j), in real numbers."""
         row, (d_x, d_y), z = self._condensed.arrival, self._to_go, self._z
         times = inner.T @ row  # sum_k row_k z_k conj(z_j), Z_kj = z_k conj(z_j)
         return [

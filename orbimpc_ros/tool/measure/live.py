@@ -7,6 +7,7 @@ odometry that it answers, so that each latency is from one publish to one receip
 from __future__ import annotations
 
 import importlib.util
+import os
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -51,12 +52,23 @@ def _driven(namespaces: Sequence[str]) -> Iterator[tuple[Driver, list[Planner], 
     from orbimpc_ros.tool import discovery
     from orbimpc_ros.tool.measure.driver import Driver
 
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory() as name, _environment():
         discovery.isolate(Path(name))
         with closing(Driver(namespaces)) as driver:
             begin = time.perf_counter()
             with running(namespaces, Path(name)) as planners:
                 yield driver, planners, begin
+
+
+@contextmanager
+def _environment() -> Iterator[None]:
+    """Undo changes to the environment at the end: the folder that they name goes away."""
+    before = dict(os.environ)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
 
 
 def _start(count: int) -> list[Row]:
