@@ -92,6 +92,8 @@ def test_who_is_not_installed_is_absent_and_told_how_to_come(run, monkeypatch):
         ('spacecraft', CVXPY),
         ('se3', CVXPY),
         ('se3-faces', NODES),
+        ('boxes', GUROBI),
+        ('boxes', SCIP),
     ],
 )
 def test_every_contender_solves_the_same_problem_as_ours(key, name):

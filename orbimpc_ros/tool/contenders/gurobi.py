@@ -14,13 +14,13 @@ from gurobipy import GRB
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.floors.faces import normals
-from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.tool.contenders.condensed import Condensed
+from orbimpc_ros.mpc.problem import Box, Problem, State
+from orbimpc_ros.tool.contenders.condensed import SIDES, Condensed
 from orbimpc_ros.tool.contenders.contender import Answer, Refused
 
 
 class Gurobi:
-    """The mixed-integer program of a planar problem with a polygon floor.
+    """The mixed-integer program of a planar problem with a polygon floor or boxes.
 
     Args:
         problem: what to solve.
@@ -34,11 +34,15 @@ class Gurobi:
         self, problem: Problem, gap: float, cap: float, *, closed_loop: bool, cut: bool = False
     ) -> None:
         self._condensed, self._closed_loop = Condensed(problem), closed_loop
-        self._faces = normals(2, problem.floor.faces)
         quiet = {'OutputFlag': 0, 'Threads': 1, 'MIPGap': gap, 'TimeLimit': cap}
         self._model = gp.Model(env=gp.Env(params=quiet))
         self._z: Any = self._model.addMVar((problem.horizon, 2), lb=-1.0, ub=1.0)
-        self._add_floor(problem)
+        for k in range(problem.horizon):
+            self._model.addConstr(self._z[k] @ self._z[k] <= 1.0)
+        self._binaries: list[Any] = []
+        if problem.floor.shape == 'polygon':
+            self._add_floor(problem)
+        self._boxes = [(box, self._avoid(box)) for box in problem.obstacles]
         self._model.setObjective(self._cost(problem, cut))
         self._arrival: Any = None
         if problem.terminal == 'constraint':
@@ -47,12 +51,23 @@ class Gurobi:
 
     def _add_floor(self, problem: Problem) -> None:
         low, m = problem.floor.fraction, problem.floor.faces
-        self._face: Any = self._model.addMVar((problem.horizon, m), vtype=GRB.BINARY)
+        face = self._choice(problem.horizon, m)
         big = 1.0 + low  # the least that leaves a face without its binary inert
-        self._model.addConstr(self._z @ self._faces.T >= low - big + big * self._face)
-        self._model.addConstr(self._face.sum(axis=1) >= 1)
-        for k in range(problem.horizon):
-            self._model.addConstr(self._z[k] @ self._z[k] <= 1.0)
+        self._model.addConstr(self._z @ normals(2, m).T >= low - big + big * face)
+
+    def _choice(self, steps: int, alternatives: int) -> Any:
+        """Return binaries, at least one of which must be chosen at every step."""
+        chosen = self._model.addMVar((steps, alternatives), vtype=GRB.BINARY)
+        self._model.addConstr(chosen.sum(axis=1) >= 1)
+        self._binaries.append(chosen)
+        return chosen
+
+    def _avoid(self, box: Box) -> Any:
+        """Keep every s_k beyond a side of a box; return the rows, whose right sides move."""
+        flown = self._condensed.reach @ self._z
+        free = self._choice(len(self._condensed.reach), len(SIDES))
+        beyond = flown @ SIDES.T - self._condensed.map_size * free
+        return self._model.addConstr(beyond >= np.zeros(free.shape))
 
     def _cost(self, problem: Problem, cut: bool) -> gp.MQuadExpr:
         quadratic = self._condensed.quadratic
@@ -69,6 +84,9 @@ class Gurobi:
         self._z.Obj, self._model.ObjCon = self._condensed.linear(state, goals)
         if self._arrival is not None:
             self._arrival.RHS = self._condensed.to_go(state, goals)
+        for box, rows in self._boxes:
+            beyond = self._condensed.side_offsets(box, state) - self._condensed.map_size
+            rows.RHS = np.broadcast_to(beyond, rows.shape)
         if not self._closed_loop:
             self._model.reset()
         elif self._model.SolCount:
@@ -79,7 +97,7 @@ class Gurobi:
             raise Refused(str(error)) from None
 
     def _start(self) -> None:
-        for variables in (self._z, self._face):
+        for variables in (self._z, *self._binaries):
             before = variables.X
             variables.Start = np.concatenate([before[1:], before[-1:]])
 

@@ -7,18 +7,20 @@ offered to it. SCIP runs on one thread.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from pyscipopt import SCIP_PARAMSETTING, Model, quicksum
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.floors.faces import normals
-from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.tool.contenders.condensed import Condensed
+from orbimpc_ros.mpc.problem import Box, Problem, State
+from orbimpc_ros.tool.contenders.condensed import SIDES, Condensed
 from orbimpc_ros.tool.contenders.contender import Answer, relative_gap
 
 
 class Scip:
-    """The mixed-integer program of a planar problem with a polygon floor.
+    """The mixed-integer program of a planar problem with a polygon floor or boxes.
 
     Args:
         problem: what to solve.
@@ -38,11 +40,15 @@ class Scip:
         model.setParam('limits/time', cap)
         steps = range(problem.horizon)
         self._z = [[model.addVar(lb=-1.0, ub=1.0) for _ in range(2)] for _ in steps]
-        self._face = [[model.addVar(vtype='B') for _ in range(problem.floor.faces)] for _ in steps]
+        self._face: list[list[Any]] = []
         self._quadratic = model.addVar(lb=0.0, ub=None)
         self._norm = self._lengths(problem)
         self._add_cost()
-        self._add_floor(problem)
+        for x, y in self._z:
+            model.addCons(x * x + y * y <= 1.0)
+        if problem.floor.shape == 'polygon':
+            self._add_floor(problem)
+        self._boxes = [(box, self._avoid(box)) for box in problem.obstacles]
         self._arrival = self._arrives() if problem.terminal == 'constraint' else []
         self._constant = 0.0
         self._last: tuple[Array, Array] | None = None
@@ -69,11 +75,32 @@ class Scip:
     def _add_floor(self, problem: Problem) -> None:
         low = problem.floor.fraction
         big = 1.0 + low  # the least that leaves a face without its binary inert
+        self._face = [self._choice(problem.floor.faces) for _ in self._z]
         for (x, y), chosen in zip(self._z, self._face, strict=True):
-            self._model.addCons(x * x + y * y <= 1.0)
-            self._model.addCons(quicksum(chosen) >= 1)
             for normal, face in zip(normals(2, problem.floor.faces), chosen, strict=True):
                 self._model.addCons(normal[0] * x + normal[1] * y >= low - big + big * face)
+
+    def _choice(self, alternatives: int) -> list[Any]:
+        """Return binaries, at least one of which must be chosen."""
+        chosen = [self._model.addVar(vtype='B') for _ in range(alternatives)]
+        self._model.addCons(quicksum(chosen) >= 1)
+        return chosen
+
+    def _avoid(self, box: Box) -> list[list[Any]]:
+        """Keep s_2..s_N beyond a side of a box; return a row per step and side.
+
+        The state decides s_1: whether that is outside is no question to a solver.
+        """
+        big, rows = self._condensed.map_size, []
+        for reach in self._condensed.reach[1:]:
+            free = self._choice(len(SIDES))
+            flown = [quicksum(reach[k] * z[i] for k, z in enumerate(self._z)) for i in range(2)]
+            beyond = [
+                side[0] * flown[0] + side[1] * flown[1] - big * chosen
+                for side, chosen in zip(SIDES, free, strict=True)
+            ]
+            rows.append([self._model.addCons(each >= 0.0) for each in beyond])
+        return rows
 
     def _arrives(self) -> list:
         row = self._condensed.arrival
@@ -92,6 +119,10 @@ class Scip:
             model.chgLhs(row, -model.infinity())  # never above the right-hand side on the way
             model.chgRhs(row, side)
             model.chgLhs(row, side)
+        for box, rows in self._boxes:
+            sides = self._condensed.side_offsets(box, state) - self._condensed.map_size
+            for row, side in ((r, s) for step in rows for r, s in zip(step, sides, strict=True)):
+                model.chgLhs(row, float(side))
         if self._closed_loop and self._last is not None:
             self._offer()
         model.optimize()

@@ -164,7 +164,8 @@ def _sizes() -> list[Contest]:
     ]  # fmt: skip
     strewn = [
         Contest('boxes', f'SE(2) N=8 among boxes: {m}',
-                Problem(horizon=8, floor=NO_FLOOR, obstacles=boxes(m)), across, (1, 10))
+                Problem(horizon=8, floor=NO_FLOOR, obstacles=boxes(m)), across, (1, 10),
+                rivals=(GUROBI, SCIP))
         for m in BOXES
     ]  # fmt: skip
     return [*hulls, *strewn]
