@@ -10,7 +10,7 @@ SEEDS = range(100)
 
 
 def smallest_eigenvalue(matrix):
-    return np.linalg.eigvalsh(np.array(orbitopes.lmi(orbitopes.coordinates(matrix))))[0]
+    return np.linalg.eigvalsh(orbitopes.lmi(orbitopes.coordinates(matrix)))[0]
 
 
 @pytest.mark.parametrize('seed', SEEDS)

@@ -73,7 +73,8 @@ class Program:
 
     def bind(self, state: State, goals: Array) -> None:
         """Put a state and goals g_1..g_N, shape (N, n), into the data of the solves to come."""
-        self._b = self._b_0 + self._b_theta @ self._statement.values(state, goals)
+        self._b = self._b_0.copy()
+        self._b[self._rows] += self._signs * self._statement.values(state, goals)
         self._bound_to = (state, goals)
         seen = goals - state.position
         weights = position_weights(self.problem)
@@ -158,15 +159,14 @@ class Program:
         statement = self._statement
         data = statement.compiled()
         self._b_0 = np.array(data['b'])
-        units = np.eye(statement.size)
-        self._b_theta = np.column_stack([statement.compiled(u)['b'] - self._b_0 for u in units])
+        self._rows, self._signs, slot_rows = self._numbered_rows()
         self._data = data
-        self._locate(data)
+        self._locate(data, slot_rows)
         self._solver = solver_for(data, self._tolerance)
         self._p_0 = sparse.csc_matrix(sparse.triu(data['P'])).data
         self._q_0 = np.array(data['c'])
 
-    def _locate(self, data: dict[str, Any]) -> None:
+    def _locate(self, data: dict[str, Any], slot_rows: np.ndarray) -> None:
         """Find where rotations, positions, slots and the coasted rotation sit in the data."""
         statement, d = self._statement, coordinate_count(self.problem.dimension)
         column_of = data['param_prob'].var_id_to_col
@@ -175,7 +175,7 @@ class Program:
         self._moved = column_of[statement.moved.id] + np.arange(statement.moved.size)
         self._a_0 = data['A'].data.copy()
         self._slots = []
-        for slot, row in enumerate(self._slot_rows()):
+        for slot, row in enumerate(int(row) for row in slot_rows):
             variable, over = statement.slot_variables(slot)
             columns = [column_of[variable.id] + i for i in over]
             entries = np.array([_entry(data['A'], row, c) for c in columns])
@@ -186,14 +186,20 @@ class Program:
             column = column_of[statement.fraction.id]
             self._coasted = _coasting_entries(data['A'], column, first + d + np.arange(d))
 
-    def _slot_rows(self) -> list[int]:
-        """Return the row of each slot: numbered offsets show up in b, with the sign changed."""
-        count = len(self._statement.slots)
-        if not count:
-            return []
-        numbered = self._statement.compiled(offsets=np.arange(1.0, count + 1.0))['b'] - self._b_0
-        row_of = {int(-round(value)): row for row, value in enumerate(numbered) if value}
-        return [row_of[number] for number in range(1, count + 1)]
+    def _numbered_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the row and sign of each right-hand side, and the row of each slot.
+
+        Each of them stands alone in a row of b, as itself or with the sign changed: numbers in
+        their place show up there.
+        """
+        size, slots = self._statement.size, len(self._statement.slots)
+        numbers = np.arange(1.0, size + slots + 1.0)
+        numbered = self._statement.compiled(numbers[:size], numbers[size:])['b'] - self._b_0
+        found = np.flatnonzero(np.abs(numbered) > 0.5)
+        order = found[np.argsort(np.abs(numbered[found]))]
+        if not np.allclose(np.abs(numbered[order]), numbers):
+            raise SolverFailure('CVXPY compiled the program in a way that is not understood')
+        return order[:size], np.sign(numbered[order[:size]]), order[size:]
 
 
 def _entry(a: sparse.csc_matrix, row: int, column: int) -> int:
