@@ -77,7 +77,9 @@ class Planner(Guarded):
         live.keep(self._install)
 
     def _install(self, prepared: tuple[PlannerSettings, Controller]) -> None:
-        self._settings, self._controller = prepared
+        settings, controller = prepared
+        controller.continue_from(self._controller)
+        self._settings, self._controller = settings, controller
         self._inbox.adopt(self._settings)
 
     # --- wiring
@@ -227,6 +229,7 @@ class Planner(Guarded):
         self._answer = self._messages(stamp, command, report, plan)
         self._send(self._answer)
         self._fraction = command.speed_fraction
+        self._controller.commanded(command.speed_fraction)
         self._report = report
         if report.reason and report.fallback:
             self.get_logger().warning(
