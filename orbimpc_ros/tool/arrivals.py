@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.ros.parameters import planner_settings, sim_settings
 from orbimpc_ros.ros.planner_parameters import PROJECTIONS
 from orbimpc_ros.tool.history import History
@@ -52,3 +53,9 @@ def table(columns: Mapping[str, Mapping[str, str]]) -> str:
         '   '.join(word.ljust(width) for word, width in zip(line, widths, strict=True)).rstrip()
         for line in lines
     )
+
+
+def planned_at_start(values: Values) -> Plan:
+    """Return the plan made at a run's start."""
+    problem, scenario = planner_settings(values).problem, sim_settings(values).scenario
+    return open_loop(problem, scenario, values['projection']).plan

@@ -175,7 +175,7 @@ def report(scenario: str, folder: Path, places: Mapping[str, Path]) -> int:
         print(f'bag           {place / "bag"}')
     if any(each.values['finish'] == 'arrival' for each in flown.values()):
         print(_arrivals(flown))
-    for name, figure in figures.of_scenario(scenario, flown).items():
+    for name, figure in figures.of_runs(flown).items():
         figures.save(figure, folder / name)
         print(f'picture       {folder / name}')
     return 0 if all(each.captured for each in flown.values()) else 1

@@ -6,7 +6,12 @@ from collections.abc import Mapping
 
 from matplotlib.figure import Figure
 
+from orbimpc_ros.tool.arrivals import planned_at_start
+from orbimpc_ros.tool.figures.dubins import dubins
+from orbimpc_ros.tool.figures.moments import moments
 from orbimpc_ros.tool.figures.retrieval import retrieval
+from orbimpc_ros.tool.figures.retrieval3d import retrieval3d
+from orbimpc_ros.tool.figures.spacecraft import data, spacecraft
 from orbimpc_ros.tool.figures.style import BLUE, GREEN, INK, ORANGE, RED, SKY, STYLE, save
 from orbimpc_ros.tool.history import History
 
@@ -18,18 +23,30 @@ __all__ = [
     'RED',
     'SKY',
     'STYLE',
-    'of_scenario',
+    'data',
+    'dubins',
+    'moments',
+    'of_runs',
     'retrieval',
+    'retrieval3d',
     'save',
+    'spacecraft',
 ]
 
 
-def of_scenario(scenario: str, flown: Mapping[str, History]) -> dict[str, Figure]:
-    """Return the paper's figures of a scenario, by file name.
+def of_runs(flown: Mapping[str, History]) -> dict[str, Figure]:
+    """Return the paper's figures of one or more flights of a scenario, by file name.
 
     Args:
-        scenario: its name.
-        flown: its flights, by name.
+        flown: the flights, by name.
     """
     first = next(iter(flown.values()))
-    return {'trajectory.png': retrieval(first)}
+    space = first.values['dimension'] == 3
+    if first.values['finish'] == 'arrival' and space:
+        plan = planned_at_start(first.values)
+        return {'trajectory.png': spacecraft(first, plan), 'data.png': data(first)}
+    if first.values['finish'] == 'arrival':
+        return {'trajectory.png': dubins(flown)}
+    if space:
+        return {'trajectory.png': retrieval3d(first)}
+    return {'trajectory.png': retrieval(first), 'moments.png': moments(first)}

@@ -8,6 +8,7 @@ from typing import Any
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
 
 # Okabe and Ito's palette: told apart with every common colour blindness, and in grey.
 INK, BLUE, SKY, ORANGE, GREEN, RED = (
@@ -45,3 +46,8 @@ def save(figure: Figure, file: Path) -> None:
 def headline(figure: Figure, text: str) -> None:
     """Put a line above the whole figure."""
     figure.suptitle(text, x=0.01, ha='left', fontsize=12.0, fontweight='bold')
+
+
+def whole_seconds() -> MaxNLocator:
+    """Return ticks at whole seconds for one axis."""
+    return MaxNLocator(integer=True, steps=[1, 2, 5, 10])

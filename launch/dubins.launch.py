@@ -1,0 +1,8 @@
+"""Planner and simulator, arriving as the Dubins car: ros2 launch orbimpc_ros dubins.launch.py."""
+
+from orbimpc_ros.ros.launching import flight
+
+
+def generate_launch_description():
+    """Return both nodes on one parameter file."""
+    return flight('dubins')

@@ -1,0 +1,8 @@
+"""Planner and simulator, catching a rope in space: ros2 launch orbimpc_ros retrieval3d.launch.py."""
+
+from orbimpc_ros.ros.launching import flight
+
+
+def generate_launch_description():
+    """Return both nodes on one parameter file."""
+    return flight('retrieval3d')

@@ -1,0 +1,59 @@
+"""What happened when: distances and speeds over time."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import LogLocator, NullFormatter
+
+from orbimpc_ros.tool.figures.scene import cross, star
+from orbimpc_ros.tool.figures.style import BLUE, GREEN, INK, RED
+from orbimpc_ros.tool.history import History
+
+
+def draw_over_time(distance: Axes, speed: Axes, history: History) -> None:
+    """Draw distance above speed, over the same time."""
+    draw_distance(distance, history)
+    draw_speed(speed, history)
+    distance.sharex(speed)
+    span = history.end - history.times[0]
+    speed.set_xlim(history.times[0] - 0.04 * span, history.end + 0.04 * span)
+
+
+def draw_distance(axes: Axes, history: History) -> None:
+    """Draw the distance to the rope, at odometry and at the closest approach of every step."""
+    moments = [(moment.time, moment.distance) for moment in history.moments]
+    axes.plot(*np.array(moments).T, color=INK, lw=1.2)
+    radius = history.values['capture_radius']
+    axes.axhline(radius, color=GREEN, lw=1.2, ls='--', label=f'capture radius {radius:g} m')
+    for number, miss in enumerate(history.near_misses, start=1):
+        cross(axes, number, (miss.time, miss.distance), 'near miss')
+    if history.capture is not None:
+        star(axes, history.capture.time, history.capture.distance, 'caught')
+    axes.set(title='Distance to the rope', ylabel='distance [m]', yscale='log')
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter('{x:g}')
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.tick_params(labelbottom=False)
+    axes.legend(loc='upper right')
+
+
+def draw_speed(axes: Axes, history: History) -> None:
+    """Draw the commanded speed fraction and the floor below it."""
+    planned = [
+        (time, fields['speed_fraction'][1])
+        for time, fields in history.ticks
+        if len(fields.get('speed_fraction') or ()) > 1 and time <= history.end
+    ]
+    if planned:
+        axes.step(*np.array(planned).T, where='post', color=BLUE, lw=1.3, label='commanded')
+    values = history.values
+    if values['floor.shape'] != 'none':
+        floor = values['floor.fraction']
+        det = f' (det R > {floor**2:.2g})' if values['dimension'] == 2 else ''
+        label = f'floor {floor:.3f}{det}'
+        axes.axhline(floor, color=RED, lw=1.2, ls='--', label=label)
+        axes.axhspan(0.0, floor, color=RED, alpha=0.10, lw=0)
+    axes.set(title='Speed fraction |R e₁|', xlabel='time [s]', ylabel='share of full speed')
+    axes.set_ylim(0.0, 1.08)
+    axes.legend(loc='lower right', ncols=2)

@@ -1,0 +1,125 @@
+"""A flight as seen from above: its path, the rope, and marks for what happened."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Circle
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.ros.parameters import sim_settings
+from orbimpc_ros.tool.figures.style import GREEN, HALO, INK, ORANGE, RED
+from orbimpc_ros.tool.history import History
+
+
+def flown_path(history: History) -> Array:
+    """Return the positions up to the capture, shape (M, 3) [m]."""
+    points = history.positions.copy()
+    if history.capture is not None:
+        points[-1] = history.capture.vehicle
+    return points
+
+
+def swing(history: History) -> Array:
+    """Return points along the rope's swing, shape (500, 3) [m]."""
+    rope = sim_settings(history.values).scenario.rope
+    elapsed = np.linspace(0.0, history.times[-1] - history.times[0], 500)
+    points = np.zeros((len(elapsed), 3))
+    points[:, : len(rope.center)] = [rope.at(t) for t in elapsed]
+    return points
+
+
+def arrival_tick(history: History) -> int:
+    """Return the first tick in the rope's vicinity, one and a half steps away; 0 if none is."""
+    apart = np.linalg.norm(history.positions - history.ropes, axis=1)
+    near = apart < 1.5 * history.values['forward'] * history.values['step']
+    return int(np.argmax(near))
+
+
+def end_box(history: History) -> tuple[Array, Array]:
+    """Return the corners of a square around the swing and what is flown from its vicinity on."""
+    points = np.concatenate([history.positions[arrival_tick(history) :, :2], swing(history)[:, :2]])
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    half = 0.56 * np.ptp(points, axis=0).max()
+    return middle - half, middle + half
+
+
+def draw_path(axes: Axes, history: History, arrow: float) -> None:
+    """Draw the path up to the capture, with an arrow along the heading at every tick."""
+    points = flown_path(history)[:, :2]
+    axes.plot(*points.T, color=INK, lw=1.2, zorder=4, label='flown path, headings')
+    draw_headings(axes, points[:-1], history.headings[:-1, :2], width=arrow)
+    mark_start(axes, points[0])
+
+
+def draw_headings(
+    axes: Axes,
+    points: Array,
+    headings: Array,
+    *,
+    color: str = INK,
+    width: float = 0.005,
+    **look: Any,
+) -> None:
+    """Draw an arrow at each point, shape (K, 2), along its heading, shape (K, 2)."""
+    arrows: Any = {'angles': 'xy', 'scale': 30, 'headwidth': 5, 'zorder': 5} | look
+    axes.quiver(*points.T, *headings.T, color=color, width=width, **arrows)
+
+
+def mark_start(axes: Axes, at: Array) -> None:
+    """Mark where a flight begins, shape (2,) [m]."""
+    x, y = map(float, at)
+    axes.plot(x, y, 'o', mfc='white', mec=INK, ms=6, mew=1.3, zorder=6)
+    axes.annotate('start', (x, y), xytext=(0, 8), textcoords='offset points', ha='center')
+
+
+def draw_swing(axes: Axes, history: History) -> None:
+    """Draw the curve on which the rope swings."""
+    curve = swing(history)[:, :2]
+    axes.plot(*curve.T, color=ORANGE, lw=4, alpha=0.5, solid_capstyle='round', zorder=1,
+              label="rope's swing")  # fmt: skip
+
+
+def cross(axes: Axes, number: int, at: tuple[float, float], label: str) -> None:
+    """Mark a near miss with its number."""
+    caption = label if number == 1 else None
+    axes.plot(*at, 'x', color=RED, ms=6, mew=1.6, zorder=8, label=caption)
+    axes.annotate(
+        str(number),
+        at,
+        xytext=(0, -12),
+        textcoords='offset points',
+        ha='center',
+        color=RED,
+        fontweight='bold',
+        path_effects=HALO,
+        zorder=9,
+    )
+
+
+def mark_capture(axes: Axes, history: History) -> None:
+    """Mark where the rope was when it was caught, if it was."""
+    if history.capture is not None:
+        x, y, _ = history.capture.rope
+        star(axes, x, y, 'rope when caught')
+
+
+def draw_reach(axes: Axes, history: History) -> None:
+    """Draw the circle within which the rope was caught, and the vehicle in it."""
+    capture = history.capture
+    if capture is None:
+        return
+    radius = history.values['capture_radius']
+    reach = Circle(
+        (capture.rope[0], capture.rope[1]), radius, fill=False, ec=GREEN, ls='--', lw=1.2
+    )
+    axes.add_patch(reach)
+    axes.plot(*np.array([capture.vehicle[:2], capture.rope[:2]]).T, color=GREEN, lw=1.6, zorder=9)
+    axes.plot([], [], color=GREEN, ls='--', lw=1.2, label='capture radius')
+
+
+def star(axes: Axes, x: float, y: float, label: str) -> None:
+    """Mark the moment or the place that the flight was about."""
+    axes.plot(x, y, '*', color=GREEN, mec=INK, mew=0.6, ms=14, zorder=10, label=label)
