@@ -10,7 +10,7 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from orbimpc_ros.tool.figures import BLUE, INK, ORANGE, STYLE, save
+from orbimpc_ros.tool.figures.style import BLUE, INK, ORANGE, STYLE, save
 from orbimpc_ros.tool.measure.duel import OURS
 from orbimpc_ros.tool.measure.rows import Row
 
