@@ -1,4 +1,4 @@
-"""Planner and simulator, arriving as the Dubins car: ros2 launch orbimpc_ros dubins.launch.py."""
+"""The Dubins car: ros2 launch orbimpc_ros dubins.launch.py."""
 
 from orbimpc_ros.ros.launching import flight
 

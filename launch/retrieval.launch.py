@@ -1,4 +1,4 @@
-"""Planner and simulator, catching the rope: ros2 launch orbimpc_ros retrieval.launch.py."""
+"""The UAV retrieval: ros2 launch orbimpc_ros retrieval.launch.py."""
 
 from orbimpc_ros.ros.launching import flight
 

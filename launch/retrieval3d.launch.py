@@ -1,4 +1,4 @@
-"""Planner and simulator, catching a rope in space: ros2 launch orbimpc_ros retrieval3d.launch.py."""
+"""The retrieval in space: ros2 launch orbimpc_ros retrieval3d.launch.py."""
 
 from orbimpc_ros.ros.launching import flight
 

@@ -1,4 +1,4 @@
-"""Planner and simulator, arriving as the spacecraft: ros2 launch orbimpc_ros spacecraft.launch.py."""
+"""The spacecraft: ros2 launch orbimpc_ros spacecraft.launch.py."""
 
 from orbimpc_ros.ros.launching import flight
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
@@ -103,7 +105,7 @@ def _mark(axes: Axes, approach: Approach, color: str, marker: str, label: str) -
 
 def _legend(panels: np.flatiter) -> tuple[list, list]:
     """Return the legend of all panels, each name once."""
-    found = {}
+    found: dict[str, Any] = {}
     for axes in panels:
         handles, labels = axes.get_legend_handles_labels()
         found |= dict(zip(labels, handles, strict=True))
