@@ -226,8 +226,11 @@ class Planner(Guarded):
         return safe_command(self._settings.safe_command, problem, attitude, self._fraction)
 
     def _publish(self, stamp: Stamp, command: Command, report: Report, plan: Plan | None) -> None:
-        self._answer = self._messages(stamp, command, report, plan)
-        self._send(self._answer)
+        orders = self._orders(stamp, command)
+        self._send(orders)  # the vehicle first; who only watches can wait for the rest
+        told = self._reports(stamp, command, report, plan)
+        self._send(told)
+        self._answer = orders + told
         self._fraction = command.speed_fraction
         self._controller.commanded(command.speed_fraction)
         self._report = report
@@ -237,20 +240,22 @@ class Planner(Guarded):
             )
         self._show_health(changed_only=True)
 
-    def _messages(
-        self, stamp: Stamp, command: Command, report: Report, plan: Plan | None
-    ) -> list[tuple[Any, Any]]:
+    def _orders(self, stamp: Stamp, command: Command) -> list[tuple[Any, Any]]:
         problem = self._settings.problem
         pushed = problem.forward * command.speed_fraction  # [m/s] or [m/s^2]
         speed = pushed if problem.translation_order == 1 else 0.0
-        name = self.get_fully_qualified_name()
-        outputs = [
-            (self._velocity, messages.twist_message(stamp, speed, command.body_rate)),
-            (self._tick, tick_message(stamp.nanoseconds, name, report)),
-        ]
+        orders = [(self._velocity, messages.twist_message(stamp, speed, command.body_rate))]
         if self._thrust is not None:
             force = self._settings.mass * pushed
-            outputs.insert(0, (self._thrust, messages.wrench_message(stamp, force)))
+            orders.insert(0, (self._thrust, messages.wrench_message(stamp, force)))
+        return orders
+
+    def _reports(
+        self, stamp: Stamp, command: Command, report: Report, plan: Plan | None
+    ) -> list[tuple[Any, Any]]:
+        problem = self._settings.problem
+        name = self.get_fully_qualified_name()
+        outputs = [(self._tick, tick_message(stamp.nanoseconds, name, report))]
         if self._inbox.odometry is not None:
             outputs.append((self._rotation, messages.rotation_message(stamp, command)))
         if plan is not None:
