@@ -38,6 +38,12 @@ def test_what_is_written_is_read(folder):
     assert bag.notes(folder) == {'parameters': 'a: 1\n'}
 
 
+def test_notes_are_read_from_a_bag_recorded_in_real_time(tmp_path):
+    with BagWriter(tmp_path / 'run', TOPICS, {'parameters': 'a: 1\n'}) as writer:
+        writer.write('/captured', 1_795_235_564_222_543_403, serialised(True))
+    assert bag.notes(tmp_path / 'run') == {'parameters': 'a: 1\n'}
+
+
 def test_rosbag2_metadata_agree_with_the_file(folder):
     metadata = yaml.safe_load((folder / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
     assert metadata['storage_identifier'] == 'mcap'

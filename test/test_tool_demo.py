@@ -8,6 +8,7 @@ import time
 from collections import defaultdict
 
 import pytest
+from bags import check_pictures, check_rollout
 from rosbags.rosbag2 import Reader
 
 from orbimpc_ros.tool import bag, demo
@@ -69,12 +70,14 @@ def test_the_bag_keeps_simulated_time(flown):
     assert messages[-1].stamp - messages[0].stamp < 100_000_000_000
 
 
-def test_the_picture_is_one(flown):
+def test_the_pictures_are_the_papers(flown):
     _, folder = flown
-    picture = (folder / 'trajectory.png').read_bytes()
-    assert picture[:8] == b'\x89PNG\r\n\x1a\n'
-    width, height = (int.from_bytes(picture[k : k + 4], 'big') for k in (16, 20))
-    assert min(width, height) >= 1000
+    check_pictures(folder, 'trajectory.png', 'moments.png')
+
+
+def test_every_plan_is_what_is_flown(flown):
+    _, folder = flown
+    check_rollout(folder)
 
 
 def test_what_is_not_caught_is_a_failure_with_a_bag(tmp_path):

@@ -130,23 +130,23 @@ class Sim(Guarded):
         """Fly a step."""
         self.flight = self.flight.after(fraction, body_rate)
 
-    def finish(self) -> None:
-        """Tell how the flight ended; leave, or hold until ``~/reset``."""
+    def finish(self, at: int) -> None:
+        """Tell, stamped ``at`` [ns], how the flight ended; leave, or hold until ``~/reset``."""
         flight = self.flight
         self.finished = True
         self._captured.publish(Bool(data=flight.captured))
         ending = f'{told(flight)}, after {flight.ticks} ticks'
-        self._tell(flight, ending)
+        self._tell(at, flight, ending)
         self.get_logger().info(ending)
         if self.settings.exit_when_done:
             self.exit_code = DONE if flight.captured else FAILED
 
-    def _tell(self, flight: Flight, ending: str) -> None:
+    def _tell(self, at: int, flight: Flight, ending: str) -> None:
         """Publish how the flight ended, and how far from the goal and how fast."""
-        now, name = round(flight.vehicle.time * SECOND), self.get_fully_qualified_name()
+        name = self.get_fully_qualified_name()
         numbers = {'distance': flight.distance, 'speed': flight.speed, 'ticks': flight.ticks}
         level = OK if flight.captured else WARN
-        self._health.publish(diagnostics(now, name, level, ending, numbers))
+        self._health.publish(diagnostics(at, name, level, ending, numbers))
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
         # Time goes on: stamps never go back.
@@ -227,7 +227,7 @@ class LockStep:
         if self._sim.finished or order is None or order.stamp != self._awaited:
             return
         if self._sim.flight.over:
-            self._sim.finish()
+            self._sim.finish(order.stamp)
             return
         self._sim.fly(order.fraction, order.body_rate)
         self._ask()
@@ -259,9 +259,10 @@ class RealTime:
             return
         if self._order is not None:
             self._sim.fly(*self._in_force(self._order))
-        self._sim.show(self._sim.get_clock().now().nanoseconds)
+        now = self._sim.get_clock().now().nanoseconds
+        self._sim.show(now)
         if self._sim.flight.over:
-            self._sim.finish()
+            self._sim.finish(now)
 
     def _in_force(self, order: Order) -> tuple[float, np.ndarray]:
         silent = self._sim.steady_now() - self._heard

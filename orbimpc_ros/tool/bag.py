@@ -32,6 +32,7 @@ TYPES = frozenset(
 )  # nothing else is decoded, whatever a bag holds
 MAX_BYTES = 1 << 30
 MAX_RECORD = 1 << 26
+LATEST = 2**63  # [ns]: stamps in metadata
 ALLOWED = 'an intact rosbag2 bag of at most 1 GiB'
 FOOTER = struct.Struct('<BQQQI8s')  # opcode, length, summary start, offsets, checksum, magic
 
@@ -72,7 +73,8 @@ def notes(path: Path) -> dict[str, str]:
     if not file.is_file():
         return {}
     try:
-        found = document.read(str(file))['rosbag2_bagfile_information'].get('custom_data')
+        metadata = document.read(str(file), LATEST)['rosbag2_bagfile_information']
+        found = metadata.get('custom_data')
     except (TypeError, KeyError, AttributeError):
         raise BadInput(str(file), 'not the metadata of a bag', ALLOWED) from None
     return {str(k): str(v) for k, v in found.items()} if isinstance(found, dict) else {}

@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     for name, values in flights.items():
         places[name].mkdir(exist_ok=True)
         fly(values, places[name])
-    return report(args.scenario, folder, places)
+    return report(folder, places)
 
 
 def _flights(scenario: str, changes: list[str]) -> dict[str, Values]:
@@ -158,12 +158,11 @@ def _watch(
         sim.require_health()
 
 
-def report(scenario: str, folder: Path, places: Mapping[str, Path]) -> int:
+def report(folder: Path, places: Mapping[str, Path]) -> int:
     """Sum up the flights of a demo from their bags, draw pictures, and return the exit code.
 
     Args:
-        scenario: names the pictures to draw.
-        folder: takes them.
+        folder: takes the pictures.
         places: of the flights' bags, by name.
     """
     from orbimpc_ros.tool import figures, history, summary
@@ -177,7 +176,8 @@ def report(scenario: str, folder: Path, places: Mapping[str, Path]) -> int:
         print(_arrivals(flown))
     for name, figure in figures.of_runs(flown).items():
         figures.save(figure, folder / name)
-        print(f'picture       {folder / name}')
+        label = 'picture' if name == figures.TRAJECTORY else Path(name).stem
+        print(f'{label:<14}{folder / name}')
     return 0 if all(each.captured for each in flown.values()) else 1
 
 

@@ -42,21 +42,26 @@ StrictLoader.add_implicit_resolver(
 )
 
 
-def read(source: str) -> Any:
+def read(source: str, largest: float = MAX_NUMBER) -> Any:
     """Return the content of a JSON or YAML file, or of standard input for ``-``.
+
+    Args:
+        source: the file's path.
+        largest: magnitude allowed of numbers.
 
     Raises:
         BadInput: not readable, larger than 1 MiB, malformed.
     """
-    return parse(_text(source), 'standard input' if source == '-' else source)
+    return parse(_text(source), 'standard input' if source == '-' else source, largest)
 
 
-def parse(text: str, name: str) -> Any:
+def parse(text: str, name: str, largest: float = MAX_NUMBER) -> Any:
     """Return the content of JSON or YAML text.
 
     Args:
         text: the document.
         name: where it comes from, for the message.
+        largest: magnitude allowed of numbers.
 
     Raises:
         BadInput: malformed.
@@ -69,7 +74,7 @@ def parse(text: str, name: str) -> Any:
                 content = yaml.load(text, StrictLoader)
         else:
             content = yaml.load(text, StrictLoader)
-        _require_plain(content)
+        _require_plain(content, largest)
     except yaml.YAMLError as error:
         raise BadInput(name, _summary(error), ALLOWED) from None
     except (RecursionError, ValueError, TypeError) as error:
@@ -117,18 +122,18 @@ def _refuse_duplicates(keys: list[str]) -> None:
             raise BadInput(f'field {key}', 'given twice', 'every field once')
 
 
-def _require_plain(value: Any, path: str = '') -> None:
+def _require_plain(value: Any, largest: float, path: str = '') -> None:
     """Require mappings with names, lists and scalars, with numbers of sane size."""
     if isinstance(value, dict):
         for key, inner in value.items():
             if not isinstance(key, str):
                 raise BadInput(f'field {key!r}', 'not a name', 'names as keys')
-            _require_plain(inner, f'{path}.{key}' if path else key)
+            _require_plain(inner, largest, f'{path}.{key}' if path else key)
     elif isinstance(value, list):
         for inner in value:
-            _require_plain(inner, path)
-    elif isinstance(value, (int, float)) and abs(value) > MAX_NUMBER:
-        raise BadInput(path, _short(value), f'finite, of a magnitude of at most {MAX_NUMBER:g}')
+            _require_plain(inner, largest, path)
+    elif isinstance(value, (int, float)) and abs(value) > largest:
+        raise BadInput(path, _short(value), f'finite, of a magnitude of at most {largest:g}')
     elif value is not None and not isinstance(value, (str, int, float)):
         raise BadInput(path, str(value), 'numbers, words, lists and mappings')
 

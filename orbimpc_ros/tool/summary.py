@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orbimpc_ros.tool.history import Approach, History
+from orbimpc_ros.tool.history import History
 
 
 def text(history: History) -> str:
@@ -24,7 +24,7 @@ def _job(history: History) -> dict[str, str]:
         return {'arrived': _arrival(history)}
     return {
         'captured': _capture(history),
-        'near misses': _near_misses(history.near_misses),
+        'near misses': _near_misses(history),
     }
 
 
@@ -39,13 +39,15 @@ def _capture(history: History) -> str:
     capture = history.capture
     if capture is None:
         return 'no'
-    return f't = {capture.time:.2f} s, {capture.distance:.3f} m from the rope'
+    return f't = {capture.time - history.times[0]:.2f} s, {capture.distance:.3f} m from the rope'
 
 
-def _near_misses(misses: list[Approach]) -> str:
+def _near_misses(history: History) -> str:
+    misses, begun = history.near_misses, history.times[0]
     if not misses:
         return '0'
-    return f'{len(misses)}: ' + ', '.join(f'{m.distance:.2f} m at {m.time:.1f} s' for m in misses)
+    told = [f'{m.distance:.2f} m at {m.time - begun:.1f} s' for m in misses]
+    return f'{len(misses)}: ' + ', '.join(told)
 
 
 def _solve_times(history: History) -> str:

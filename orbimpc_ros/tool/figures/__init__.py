@@ -23,6 +23,7 @@ __all__ = [
     'RED',
     'SKY',
     'STYLE',
+    'TRAJECTORY',
     'data',
     'dubins',
     'moments',
@@ -32,6 +33,8 @@ __all__ = [
     'save',
     'spacecraft',
 ]
+
+TRAJECTORY = 'trajectory.png'  # every demo has it
 
 
 def of_runs(flown: Mapping[str, History]) -> dict[str, Figure]:
@@ -44,9 +47,9 @@ def of_runs(flown: Mapping[str, History]) -> dict[str, Figure]:
     space = first.values['dimension'] == 3
     if first.values['finish'] == 'arrival' and space:
         plan = planned_at_start(first.values)
-        return {'trajectory.png': spacecraft(first, plan), 'data.png': data(first)}
+        return {TRAJECTORY: spacecraft(first, plan), 'data.png': data(first)}
     if first.values['finish'] == 'arrival':
-        return {'trajectory.png': dubins(flown)}
+        return {TRAJECTORY: dubins(flown)}
     if space:
-        return {'trajectory.png': retrieval3d(first)}
-    return {'trajectory.png': retrieval(first), 'moments.png': moments(first)}
+        return {TRAJECTORY: retrieval3d(first)}
+    return {TRAJECTORY: retrieval(first), 'moments.png': moments(first)}

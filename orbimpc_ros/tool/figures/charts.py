@@ -17,19 +17,20 @@ def draw_over_time(distance: Axes, speed: Axes, history: History) -> None:
     draw_speed(speed, history)
     distance.sharex(speed)
     span = history.end - history.times[0]
-    speed.set_xlim(history.times[0] - 0.04 * span, history.end + 0.04 * span)
+    speed.set_xlim(-0.04 * span, 1.04 * span)
 
 
 def draw_distance(axes: Axes, history: History) -> None:
     """Draw the distance to the rope, at odometry and at the closest approach of every step."""
-    moments = [(moment.time, moment.distance) for moment in history.moments]
+    begun = history.times[0]
+    moments = [(moment.time - begun, moment.distance) for moment in history.moments]
     axes.plot(*np.array(moments).T, color=INK, lw=1.2)
     radius = history.values['capture_radius']
     axes.axhline(radius, color=GREEN, lw=1.2, ls='--', label=f'capture radius {radius:g} m')
     for number, miss in enumerate(history.near_misses, start=1):
-        cross(axes, number, (miss.time, miss.distance), 'near miss')
+        cross(axes, number, (miss.time - begun, miss.distance), 'near miss')
     if history.capture is not None:
-        star(axes, history.capture.time, history.capture.distance, 'caught')
+        star(axes, history.capture.time - begun, history.capture.distance, 'caught')
     axes.set(title='Distance to the rope', ylabel='distance [m]', yscale='log')
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter('{x:g}')
@@ -41,7 +42,7 @@ def draw_distance(axes: Axes, history: History) -> None:
 def draw_speed(axes: Axes, history: History) -> None:
     """Draw the commanded speed fraction and the floor below it."""
     planned = [
-        (time, fields['speed_fraction'][1])
+        (time - history.times[0], fields['speed_fraction'][1])
         for time, fields in history.ticks
         if len(fields.get('speed_fraction') or ()) > 1 and time <= history.end
     ]

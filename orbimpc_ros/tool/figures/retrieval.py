@@ -51,7 +51,7 @@ def story(history: History) -> str:
     if capture is None:
         return f'Rope not caught in {history.times[-1] - history.times[0]:.0f} s: {misses}'
     how = f'after {misses}' if near else 'on the first pass'
-    return f'Rope caught at t = {capture.time:.1f} s {how}'
+    return f'Rope caught at t = {capture.time - history.times[0]:.1f} s {how}'
 
 
 def draw_whole(axes: Axes, history: History) -> None:
