@@ -58,12 +58,9 @@ def test_a_search_that_runs_out_of_room_is_finished_by_the_next():
     condensed = Condensed(problem)
     q, c = condensed.affine(start, targets)
     inverse, directions = np.linalg.inv(condensed.hessian), Planar(problem, 1e-6)._faces
-    still = np.zeros((6, 2))
 
     def run(room):
-        return faces.branch_and_bound(
-            condensed.hessian, inverse, q, c, directions, 0.6, 1e-6, still, np.inf, room
-        )
+        return faces.branch_and_bound(condensed.hessian, inverse, q, c, directions, 0.6, 1e-6, room)
 
     _, _, bound, nodes, complete = run(3)
     assert not complete

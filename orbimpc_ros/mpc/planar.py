@@ -43,8 +43,8 @@ class Planar:
         count = problem.floor.faces if problem.floor.shape == 'polygon' else 0
         self._faces: Array = normals(2, count)
         self._general: Search | None = None
-        still = np.zeros((problem.horizon, 2))
-        self._run(still, 0.0, still, np.inf, 1)  # compiles, or loads what was compiled before
+        # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
+        self._run(np.zeros((problem.horizon, 2)), 0.0, 1)
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -69,16 +69,15 @@ class Planar:
     ) -> Found:
         """Return the best trajectory with the bound proved; see :class:`Search` for the rest."""
         q, constant = self._condensed.affine(state, goals)
-        start, value = np.zeros_like(q), np.inf
-        if guess is not None:
-            start, value = guess.x, guess.cost - constant
         for room in NODES:
-            x, reached, bound, nodes, complete = self._run(q, constant, start, value, room)
+            x, reached, bound, nodes, complete = self._run(q, constant, room)
             if complete and reached < np.inf:
                 return Found(x, reached + constant, bound + constant, nodes)
+            if out_of_time is not None and out_of_time():
+                break
         return self._search(state, goals, guess, out_of_time)
 
-    def _run(self, q: Array, constant: float, guess: Array, value: float, room: int) -> tuple:
+    def _run(self, q: Array, constant: float, room: int) -> tuple:
         return branch_and_bound(
             self._condensed.hessian,
             self._inverse,
@@ -87,8 +86,6 @@ class Planar:
             self._faces,
             self._problem.floor.fraction,
             self._tolerance,
-            np.ascontiguousarray(guess, dtype=float),
-            value,
             room,
         )
 

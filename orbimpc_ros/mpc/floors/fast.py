@@ -54,9 +54,7 @@ class Fast:
 
     def _search(self, q: Array, constant: float, starts: list[Array]) -> tuple:
         hessian, nothing = self._condensed.hessian, np.zeros((0, 2))
-        hull = branch_and_bound(
-            hessian, self._inverse, q, constant, nothing, 0.0, 1e-6, np.zeros_like(q), np.inf, 1
-        )[0]
+        hull = branch_and_bound(hessian, self._inverse, q, constant, nothing, 0.0, 1e-6, 1)[0]
         return certified(
             hessian,
             q,

@@ -180,9 +180,7 @@ def _relax(hessian, inverse, q, faces, floor, choice, cutoff, rows, normals, off
 
 
 @compiled
-def branch_and_bound(
-    hessian, inverse, q, constant, faces, floor, tolerance, guess, guess_value, max_nodes
-):
+def branch_and_bound(hessian, inverse, q, constant, faces, floor, tolerance, max_nodes):
     """Search best first; return x, f(x), the least bound, nodes, and whether that is complete.
 
     ``constant`` only scales the tolerance; values are those of f, without it.
@@ -199,7 +197,7 @@ def branch_and_bound(
     bounds, parent = np.empty(capacity), np.zeros(capacity, np.int64)
     open_nodes, opened = np.zeros(capacity, np.int64), 1
     bounds[0], made = -np.inf, 1
-    best, value, closed = guess.copy(), guess_value, np.inf
+    best, value, closed = np.zeros((n_steps, 2)), np.inf, np.inf
     x, gains = np.zeros((n_steps, 2)), np.empty(m)
     solved, complete = 0, True
     while opened > 0:
