@@ -12,7 +12,7 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.plan import violations
 from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
 from orbimpc_ros.mpc.program import Program
-from orbimpc_ros.mpc.search import Search, inverse_curvature
+from orbimpc_ros.mpc.search import Search, inverse_curvatures
 from orbimpc_ros.mpc.solver import Solver
 from orbimpc_ros.mpc.trajectory import trajectory_of
 
@@ -88,7 +88,7 @@ def test_inherited_bounds_never_exceed_what_the_child_costs(seed):
     raised = 0
     for j, disjunction in enumerate(disjunctions):
         values = disjunction.values(flown.headings, flown.positions)
-        curvature = inverse_curvature(problem, disjunction)
+        curvature = inverse_curvatures(problem, [disjunction])[0]
         short = np.maximum(shortfall(disjunction.cells, values), 0.0)
         gains = (short**2 / (2 * curvature)).max(axis=1)
         for cell, gain in zip(disjunction.cells, gains, strict=True):

@@ -29,6 +29,10 @@ def input_weight(problem: Problem) -> float:
     return problem.weights.input * frobenius_factor(problem.dimension)
 
 
+LONGEST = 30  # horizon; beyond it sparse solves are faster than dense ones
+WORST_CONDITION = 1e9
+
+
 class Condensed:
     """The quadratic of one problem, its maps computed once.
 
@@ -58,6 +62,13 @@ class Condensed:
         c = self._weights @ np.einsum('kc,kc->k', miss, miss)
         c += self._first_square * (heading @ heading)
         return q, float(c) + first_length(self._problem, state)
+
+
+def suits_dense_code(problem: Problem) -> bool:
+    """Return whether a problem is short and well enough conditioned for dense machine code."""
+    if problem.horizon > LONGEST:
+        return False
+    return bool(np.linalg.cond(Condensed(problem).hessian) < WORST_CONDITION)
 
 
 def first_length(problem: Problem, state: State) -> float:

@@ -137,8 +137,8 @@ class Controller:
 
     def _fall_back(self, asked: _Asked, status: str, reason: str) -> Tick:
         self._fallbacks += 1
-        guess = self._shifted(asked) if self._fallbacks <= FALLBACK_TICKS else None
-        if guess is not None:
+        guess = asked.guess or self._shifted(asked)
+        if guess is not None and self._fallbacks <= FALLBACK_TICKS:
             found = violations(asked.problem, asked.state, asked.goals, guess)
             if not found:
                 return _following(asked, guess, status, reason, 'shifted plan')

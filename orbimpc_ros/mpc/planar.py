@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.condensed import Condensed
+from orbimpc_ros.mpc.condensed import Condensed, suits_dense_code
 from orbimpc_ros.mpc.floors.faces import normals
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.faces import branch_and_bound
@@ -18,9 +18,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 if TYPE_CHECKING:
     from orbimpc_ros.mpc.search import Search
 
-LONGEST = 30  # horizon; beyond it sparse solves are faster than dense ones
 NODES = (200, 4000)  # room for the first attempt, and for one more where that was too little
-WORST_CONDITION = 1e9
 
 
 class Planar:
@@ -56,8 +54,7 @@ class Planar:
             and problem.terminal == 'penalty'
             and problem.weights.length == problem.max_rate == problem.arrival_weight == 0.0
             and not problem.obstacles
-            and problem.horizon <= LONGEST
-            and np.linalg.cond(Condensed(problem).hessian) < WORST_CONDITION
+            and suits_dense_code(problem)
         )
 
     def solve(

@@ -59,7 +59,7 @@ class Search:
         self.disjunctions = disjunctions_of(problem)
         self.takes_guess = bool(self.disjunctions)  # one relaxation needs none
         self.exchangeable = _steps_are_exchangeable(problem)
-        self.curvature = [inverse_curvature(problem, d) for d in self.disjunctions]
+        self.curvature = inverse_curvatures(problem, self.disjunctions)
         slots = [slot for d in self.disjunctions for slot in d.slots]
         self.program = Program(problem, slots, coasting=coasting)
 
@@ -266,20 +266,17 @@ def _steps_are_exchangeable(problem: Problem) -> bool:
     )
 
 
-def inverse_curvature(problem: Problem, disjunction: Disjunction) -> Array:
-    """Return a.H^-1 a of a disjunction's rows, one per step, shape (len(steps),).
+def inverse_curvatures(problem: Problem, disjunctions: Sequence[Disjunction]) -> list[Array]:
+    """Return a.H^-1 a of each disjunction's rows, one per step, shapes (len(steps),).
 
     H is the Hessian of the quadratic part of the objective in R_1..R_N, positions eliminated. It
     is the same for each coordinate of R_k e1, and the normals have length one. Infinite (no gain)
     where H is singular.
     """
-    curvature = Condensed(problem).hessian
-    if np.linalg.cond(curvature) > 1e12:
-        return np.full(len(disjunction.steps), np.inf)
-    inverse = np.linalg.inv(curvature)
-    steps = np.array(disjunction.steps) - 1
-    if disjunction.on == 'heading':
-        return np.diag(inverse)[steps]
-    rows = dynamics.position_map(problem)[steps, 1:]
+    hessian = Condensed(problem).hessian
+    if np.linalg.cond(hessian) > 1e12:
+        return [np.full(len(d.steps), np.inf) for d in disjunctions]
+    inverse, rows = np.linalg.inv(hessian), dynamics.position_map(problem)[:, 1:]
     along = np.einsum('ki,ij,kj->k', rows, inverse, rows)
-    return np.where(along > 0.0, along, np.inf)
+    every = {'heading': np.diag(inverse), 'position': np.where(along > 0.0, along, np.inf)}
+    return [every[d.on][np.array(d.steps) - 1] for d in disjunctions]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.condensed import Condensed
+from orbimpc_ros.mpc.condensed import Condensed, suits_dense_code
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.annulus import certified
 from orbimpc_ros.mpc.kernels.faces import branch_and_bound
@@ -13,8 +13,6 @@ from orbimpc_ros.mpc.method import Found, Guess
 from orbimpc_ros.mpc.problem import Problem, State
 
 FURTHER_STARTS = 30
-LONGEST = 30  # horizon; dense matrices beyond it are slow
-WORST_CONDITION = 1e9
 
 
 class Fast:
@@ -41,8 +39,7 @@ class Fast:
             COMPILED
             and problem.dimension == 2
             and problem.terminal == 'penalty'
-            and problem.horizon <= LONGEST
-            and np.linalg.cond(Condensed(problem).hessian) < WORST_CONDITION
+            and suits_dense_code(problem)
         )
 
     def solve(self, state: State, goals: Array, guess: Guess | None) -> Found:
