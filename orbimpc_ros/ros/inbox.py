@@ -18,7 +18,7 @@ from orbimpc_ros.ros.messages import (
     read_odometry,
     read_sighting,
 )
-from orbimpc_ros.ros.parameters import PlannerSettings
+from orbimpc_ros.ros.planner_parameters import PlannerSettings
 
 T = TypeVar('T')
 

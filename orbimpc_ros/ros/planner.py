@@ -22,9 +22,8 @@ from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.controller import Controller
 from orbimpc_ros.mpc.odometry import Odometry
 from orbimpc_ros.mpc.plan import Plan
-from orbimpc_ros.ros import messages
+from orbimpc_ros.ros import messages, outputs
 from orbimpc_ros.ros.inbox import Inbox
-from orbimpc_ros.ros.markers import plan_markers
 from orbimpc_ros.ros.messages import Stamp
 from orbimpc_ros.ros.parameters import PLANNER, Live, PlannerSettings, planner_settings
 from orbimpc_ros.ros.process import Guarded, qos, run
@@ -36,7 +35,6 @@ from orbimpc_ros.ros.reports import (
     diagnostics,
     report_of,
     safe_report,
-    tick_message,
 )
 from orbimpc_ros.ros.safety import safe_command
 
@@ -64,7 +62,7 @@ class Planner(Guarded):
         self._enabled = True
         self._commanded = -np.inf  # when a command went out last, on the steady clock [s]
         self._answered = -1  # stamp of the odometry that was answered last [ns]
-        self._answer: list[tuple[Any, Any]] = []
+        self._answer: dict[str, Any] = {}
         self._fraction = 0.0
         self._report: Report | None = None
         self._shown: tuple[bytes, str] = (OK, '')
@@ -85,16 +83,19 @@ class Planner(Guarded):
     # --- wiring
 
     def _create_publishers(self) -> None:
-        publisher = self.create_publisher
-        self._velocity = publisher(TwistStamped, 'cmd_vel', qos())
-        self._thrust = None
+        kinds = {
+            'cmd_vel': TwistStamped,
+            'rotation': QuaternionStamped,
+            'plan': Path,
+            'plan_markers': MarkerArray,
+            'tick': DiagnosticArray,
+        }
         if self._settings.problem.translation_order == 2:
-            self._thrust = publisher(WrenchStamped, 'cmd_thrust', qos())
-        self._rotation = publisher(QuaternionStamped, 'rotation', qos())
-        self._plan = publisher(Path, 'plan', qos())
-        self._markers = publisher(MarkerArray, 'plan_markers', qos())
-        self._tick = publisher(DiagnosticArray, 'tick', qos())
-        self._health = publisher(DiagnosticArray, '/diagnostics', qos())
+            kinds['cmd_thrust'] = WrenchStamped
+        self._outputs = {
+            topic: self.create_publisher(kind, topic, qos()) for topic, kind in kinds.items()
+        }
+        self._health = self.create_publisher(DiagnosticArray, '/diagnostics', qos())
 
     def _create_subscriptions(self) -> None:
         latest = qos(1, ReliabilityPolicy.BEST_EFFORT)
@@ -226,11 +227,13 @@ class Planner(Guarded):
         return safe_command(self._settings.safe_command, problem, attitude, self._fraction)
 
     def _publish(self, stamp: Stamp, command: Command, report: Report, plan: Plan | None) -> None:
-        orders = self._orders(stamp, command)
+        orders = outputs.orders(self._settings, stamp, command)
         self._send(orders)  # the vehicle first; who only watches can wait for the rest
-        told = self._reports(stamp, command, report, plan)
+        told = outputs.reports(self._settings, stamp, report, plan, self.get_fully_qualified_name())
+        if self._inbox.odometry is not None:
+            told['rotation'] = messages.rotation_message(stamp, command)
         self._send(told)
-        self._answer = orders + told
+        self._answer = orders | told
         self._fraction = command.speed_fraction
         self._controller.commanded(command.speed_fraction)
         self._report = report
@@ -240,33 +243,9 @@ class Planner(Guarded):
             )
         self._show_health(changed_only=True)
 
-    def _orders(self, stamp: Stamp, command: Command) -> list[tuple[Any, Any]]:
-        problem = self._settings.problem
-        pushed = problem.forward * command.speed_fraction  # [m/s] or [m/s^2]
-        speed = pushed if problem.translation_order == 1 else 0.0
-        orders = [(self._velocity, messages.twist_message(stamp, speed, command.body_rate))]
-        if self._thrust is not None:
-            force = self._settings.mass * pushed
-            orders.insert(0, (self._thrust, messages.wrench_message(stamp, force)))
-        return orders
-
-    def _reports(
-        self, stamp: Stamp, command: Command, report: Report, plan: Plan | None
-    ) -> list[tuple[Any, Any]]:
-        problem = self._settings.problem
-        name = self.get_fully_qualified_name()
-        outputs = [(self._tick, tick_message(stamp.nanoseconds, name, report))]
-        if self._inbox.odometry is not None:
-            outputs.append((self._rotation, messages.rotation_message(stamp, command)))
-        if plan is not None:
-            path = messages.plan_message(stamp, plan, problem.step)
-            outputs.append((self._plan, path))
-            outputs.append((self._markers, plan_markers(stamp, problem, plan)))
-        return outputs
-
-    def _send(self, outputs: list[tuple[Any, Any]]) -> None:
-        for publisher, message in outputs:
-            publisher.publish(message)
+    def _send(self, told: dict[str, Any]) -> None:
+        for topic, message in told.items():
+            self._outputs[topic].publish(message)
         self._commanded = self.steady_now()
 
     # --- watching
