@@ -11,7 +11,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.forecast import Forecast, Sighting
 from orbimpc_ros.world.capture import closest_approach
 from orbimpc_ros.world.scenario import Scenario
-from orbimpc_ros.world.vehicle import Vehicle, advance, measured
+from orbimpc_ros.world.vehicle import Vehicle, advance, measured, stopped
 
 if TYPE_CHECKING:  # the simulator flies without a solver, and starts sooner for it
     from orbimpc_ros.mpc.controller import Controller, Tick
@@ -77,16 +77,37 @@ class Flight:
         """Return whether the goal is caught or the steps are used up."""
         return self.captured or self._out_of_ticks
 
-    def after(self, fraction: float, body_rate: Array) -> Flight:
-        """Return the flight one step later, the command taken over as the vehicle's model says."""
-        vehicle = advance(self.scenario.model, self.vehicle, fraction, body_rate)
-        later = replace(self, vehicle=vehicle, ticks=self.ticks + 1)
+    def after(self, fraction: float, body_rate: Array, held: float = np.inf) -> Flight:
+        """Return the flight one step later, the command taken over as the vehicle's model says.
+
+        Args:
+            fraction: commanded share of full speed or thrust.
+            body_rate: commanded, shape (1,) or (3,) [rad/s].
+            held: how long into the step the command is in force [s]; after that the vehicle is
+                safe: no speed or thrust, no turning.
+        """
+        step = self.scenario.model.step
+        if held >= step:
+            later = self._flown(step, fraction, body_rate)
+        else:
+            later = self._cut_short(max(0.0, held), body_rate)
+        return replace(later, ticks=self.ticks + 1)
+
+    def _cut_short(self, held: float, body_rate: Array) -> Flight:
+        model = self.scenario.model
+        obeyed = self._flown(held, 0.0, body_rate) if held > 0.0 else self
+        safe = replace(obeyed, vehicle=stopped(model, obeyed.vehicle))
+        rest = safe._flown(model.step - held, 0.0, np.zeros(model.rates))
+        nearest = min((obeyed, rest) if held > 0.0 else (rest,), key=lambda flight: flight.miss)
+        return replace(rest, miss=nearest.miss, missed_at=nearest.missed_at)
+
+    def _flown(self, span: float, fraction: float, body_rate: Array) -> Flight:
+        model = replace(self.scenario.model, step=span)
+        later = replace(self, vehicle=advance(model, self.vehicle, fraction, body_rate))
         miss, share = closest_approach(
-            (self.vehicle.position, vehicle.position), (self.goal, later.goal)
+            (self.vehicle.position, later.vehicle.position), (self.goal, later.goal)
         )
-        return replace(
-            later, miss=miss, missed_at=self.vehicle.time + share * self.scenario.model.step
-        )
+        return replace(later, miss=miss, missed_at=self.vehicle.time + share * span)
 
 
 def departure(scenario: Scenario, time: float | None = None) -> Flight:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from orbimpc_ros.mpc.arrays import Array, frozen, number, whole
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.odometry import Odometry
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.rotations import exp, nearest
+from orbimpc_ros.mpc.rotations import exp, log, nearest
 
 
 @dataclass(frozen=True)
@@ -138,6 +138,25 @@ def advance(model: Model, vehicle: Vehicle, fraction: float, body_rate: Array) -
         attitude,
         np.array(body_rate),
         fraction,
+    )
+
+
+def stopped(model: Model, vehicle: Vehicle) -> Vehicle:
+    """Return the vehicle just told to be safe: no speed or thrust, no turning."""
+    still = np.zeros(model.dimension) if model.translation_order == 1 else vehicle.velocity
+    return replace(vehicle, velocity=still, body_rate=np.zeros(model.rates), fraction=0.0)
+
+
+def between(earlier: Vehicle, later: Vehicle, time: float) -> Vehicle:
+    """Return the vehicle on its way from one step to the next, at ``time`` [s]."""
+    share = (time - earlier.time) / (later.time - earlier.time)
+    turned = log(earlier.attitude.T @ later.attitude)
+    return replace(
+        earlier,
+        time=time,
+        position=earlier.position + share * (later.position - earlier.position),
+        attitude=earlier.attitude @ exp(share * turned),
+        body_rate=turned / (later.time - earlier.time),
     )
 
 

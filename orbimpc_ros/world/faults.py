@@ -1,0 +1,191 @@
+"""What goes wrong between a flight and its planner: noise, losses, delays, lies; all from a seed.
+
+Every tick draws all its chances from the seed and its own number, so that a run repeats exactly,
+one fault does not change the luck of another, and asking twice for a tick gives the same answer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array, number, whole
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.odometry import Odometry
+from orbimpc_ros.mpc.rotations import exp
+from orbimpc_ros.mpc.sighting import Sighting
+from orbimpc_ros.world.flight import Flight
+from orbimpc_ros.world.vehicle import Vehicle, between, measured
+
+ODOMETRY, GOAL, COMMAND = range(3)  # rows of a tick's chances
+CHANCES = ('dropout', 'reorder', 'duplicate', 'nan')  # columns
+LONGEST = 10.0  # [s] odometry may be late
+FARTHEST = 1e6  # [s] a clock may jump
+
+
+@dataclass(frozen=True)
+class Faults:
+    """How much of what goes wrong; nothing by default. Shares are of all messages of a kind.
+
+    Attributes:
+        position_noise: standard deviation along each axis, of odometry and goal [m].
+        attitude_noise: standard deviation about each axis, of odometry [rad].
+        dropout: share of odometry, goals and commands that is lost.
+        delay: age of odometry when it comes [s].
+        reorder: share of odometry and goals that comes a tick late, behind a newer one's stamp.
+        duplicate: share of odometry and goals that comes twice.
+        nan: share of odometry and goals with a number that is none.
+        occlusion_length: how long the goal is hidden, at a time of its own in each period [s].
+        occlusion_period: [s].
+        clock_jump: what every stamp is off from ``clock_jump_tick`` on [s].
+        clock_jump_tick: steps flown before the clock jumps.
+    """
+
+    position_noise: float = 0.0
+    attitude_noise: float = 0.0
+    dropout: float = 0.0
+    delay: float = 0.0
+    reorder: float = 0.0
+    duplicate: float = 0.0
+    nan: float = 0.0
+    occlusion_length: float = 0.0
+    occlusion_period: float = 10.0
+    clock_jump: float = 0.0
+    clock_jump_tick: int = 0
+
+    def __post_init__(self) -> None:
+        for name in CHANCES:
+            number(getattr(self, name), f'faults.{name}', 0.0, 1.0)
+        number(self.position_noise, 'faults.position_noise', 0.0, 1e3)
+        number(self.attitude_noise, 'faults.attitude_noise', 0.0, math.pi)
+        number(self.delay, 'faults.delay', 0.0, LONGEST)
+        number(self.occlusion_period, 'faults.occlusion_period', 0.0, 1e6, above=True)
+        number(self.clock_jump, 'faults.clock_jump', -FARTHEST, FARTHEST)
+        whole(self.clock_jump_tick, 'faults.clock_jump_tick', 0, 10**9)
+        if not 0.0 <= self.occlusion_length <= self.occlusion_period:
+            allowed = f'in [0, occlusion_period = {self.occlusion_period:g}]'
+            raise BadInput('faults.occlusion_length', self.occlusion_length, allowed)
+
+    @property
+    def any(self) -> bool:
+        """Return whether anything goes wrong at all."""
+        return any(getattr(self, field.name) != field.default for field in fields(self))
+
+    def jumped(self, ticks: int) -> float:
+        """Return what stamps are off after so many steps [s]."""
+        return self.clock_jump if ticks >= self.clock_jump_tick else 0.0
+
+
+class Sent(NamedTuple):
+    """A message that reaches the planner.
+
+    Attributes:
+        content: odometry or a sighting of the goal, at the true time of the measurement.
+        ticks: steps flown when it was sent.
+        age: time from the measurement to the tick that sent it [s].
+        late: whether it comes a tick after that.
+    """
+
+    content: Odometry | Sighting
+    ticks: int
+    age: float = 0.0
+    late: bool = False
+
+    @property
+    def finite(self) -> bool:
+        """Return whether all its numbers are some."""
+        numbers = [self.content.position]
+        if isinstance(self.content, Odometry):
+            numbers.append(self.content.body_velocity)
+        return all(bool(np.isfinite(each).all()) for each in numbers)
+
+
+class View:
+    """What a planner gets to see of a flight, tick by tick.
+
+    Args:
+        faults: what goes wrong.
+        seed: of all chances.
+        step: between ticks [s].
+    """
+
+    def __init__(self, faults: Faults, seed: int, step: float) -> None:
+        self.faults, self._seed = faults, seed
+        self._past: deque[Vehicle] = deque(maxlen=2 + math.ceil(faults.delay / step))
+        self._held_back: list[Sent] = []
+
+    def of(self, flight: Flight) -> list[Sent]:
+        """Return what arrives at this tick, in order; to be asked once a tick."""
+        self._past.append(flight.vehicle)
+        arriving, self._held_back = self._held_back, []
+        luck = _Luck.of(self._seed, flight.ticks)
+        if not self._hidden(flight.elapsed):
+            goal = Sighting(flight.vehicle.time, flight.goal + self._shift(luck, GOAL, flight.goal))
+            arriving += self._through(luck, GOAL, Sent(goal, flight.ticks))
+        odometry = Sent(self._odometry(luck), flight.ticks, self.faults.delay)
+        return arriving + self._through(luck, ODOMETRY, odometry)
+
+    def command_lost(self, ticks: int) -> bool:
+        """Return whether the command that answers a tick gets lost."""
+        return self._happens(_Luck.of(self._seed, ticks), COMMAND, 'dropout')
+
+    def _odometry(self, luck: _Luck) -> Odometry:
+        seen = measured(self._delayed())
+        n = len(seen.body_rate)
+        turned = exp(self.faults.attitude_noise * luck.turn[:n])
+        shift = self._shift(luck, ODOMETRY, seen.position)
+        return replace(seen, position=seen.position + shift, attitude=seen.attitude @ turned)
+
+    def _delayed(self) -> Vehicle:
+        """Return the vehicle as it was ``delay`` ago; before its start it stood there."""
+        at = self._past[-1].time - self.faults.delay
+        for earlier, later in zip(self._past, list(self._past)[1:], strict=False):
+            if earlier.time <= at < later.time:
+                return between(earlier, later, at)
+        return self._past[-1] if at >= self._past[-1].time else replace(self._past[0], time=at)
+
+    def _through(self, luck: _Luck, kind: int, sent: Sent) -> list[Sent]:
+        """Return what of a message arrives now: none of it, once or twice."""
+        if self._happens(luck, kind, 'dropout'):
+            return []
+        if self._happens(luck, kind, 'nan'):
+            sent = sent._replace(content=_poisoned(sent.content))
+        copies = [sent] * (2 if self._happens(luck, kind, 'duplicate') else 1)
+        if self._happens(luck, kind, 'reorder'):
+            self._held_back += [each._replace(late=True) for each in copies]
+            return []
+        return copies
+
+    def _happens(self, luck: _Luck, kind: int, fault: str) -> bool:
+        return bool(luck.chances[kind, CHANCES.index(fault)] < getattr(self.faults, fault))
+
+    def _shift(self, luck: _Luck, kind: int, position: Array) -> Array:
+        return self.faults.position_noise * luck.shifts[kind, : len(position)]
+
+    def _hidden(self, elapsed: float) -> bool:
+        """Return whether the goal is occluded."""
+        length, period = self.faults.occlusion_length, self.faults.occlusion_period
+        window, into = divmod(elapsed, period)
+        begin = (period - length) * np.random.default_rng((self._seed, 1, int(window))).uniform()
+        return length > 0.0 and begin <= into < begin + length
+
+
+class _Luck(NamedTuple):
+    """A tick's chances: uniform, shape (3, 4), and normal shifts and turns, (2, 3) and (3,)."""
+
+    chances: Array
+    shifts: Array
+    turn: Array
+
+    @classmethod
+    def of(cls, seed: int, ticks: int) -> _Luck:
+        rng = np.random.default_rng((seed, 0, ticks))
+        return cls(rng.uniform(size=(3, 4)), rng.normal(size=(2, 3)), rng.normal(size=3))
+
+
+def _poisoned(content: Odometry | Sighting) -> Odometry | Sighting:
+    return replace(content, position=np.full_like(content.position, np.nan))
