@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -13,8 +12,8 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.rotations import from_quaternion
 from orbimpc_ros.tool import bag, settings
+from orbimpc_ros.tool.content import attitude, fields, point, seconds, vectors
 from orbimpc_ros.world.capture import closest_approach
 
 NEAR = 2.0  # a local minimum of the distance within so many capture radii is a near miss
@@ -154,60 +153,33 @@ def of_bag(path: Path, namespace: str = '') -> History:
         if not found[topic]:
             raise BadInput(str(path), f'without {topic}', 'a bag with odom and goal')
     # In lock-step the simulator asks again where an answer is late.
-    once = {_seconds(message): message for message in found['odom']}
+    once = {seconds(message): message for message in found['odom']}
     times, odometry = np.array(list(once)), list(once.values())
-    attitudes = np.array([_attitude(m.pose.pose.orientation) for m in odometry])
+    attitudes = np.array([attitude(m.pose.pose.orientation) for m in odometry])
     return History(
         times=times,
-        positions=_vectors(m.pose.pose.position for m in odometry),
+        positions=vectors(m.pose.pose.position for m in odometry),
         attitudes=attitudes,
         velocities=np.einsum(
-            'kij,kj->ki', attitudes, _vectors(m.twist.twist.linear for m in odometry)
+            'kij,kj->ki', attitudes, vectors(m.twist.twist.linear for m in odometry)
         ),
-        rates=_vectors(m.twist.twist.angular for m in odometry),
+        rates=vectors(m.twist.twist.angular for m in odometry),
         ropes=_at(times, found['goal']),
         plans=tuple(_planned(m) for m in found['plan'] if m.poses),
-        forces=tuple((_seconds(m), m.wrench.force.x) for m in found['cmd_thrust']),
-        ticks=tuple((_seconds(m), _fields(m)) for m in found['tick'] if m.status),
+        forces=tuple((seconds(m), m.wrench.force.x) for m in found['cmd_thrust']),
+        ticks=tuple((seconds(m), fields(m)) for m in found['tick'] if m.status),
         captured=any(m.data for m in found['captured']),
         values=values,
     )
 
 
-def _seconds(message: Any) -> float:
-    return message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-
-
-def _point(point: Any) -> Array:
-    return np.array([point.x, point.y, point.z])
-
-
-def _vectors(messages: Iterable[Any]) -> Array:
-    return np.array([_point(each) for each in messages])
-
-
-def _attitude(q: Any) -> Array:
-    return from_quaternion(np.array([q.w, q.x, q.y, q.z]), 3)
-
-
 def _planned(message: Any) -> Planned:
-    points = np.array([_point(stamped.pose.position) for stamped in message.poses])
-    return Planned(_seconds(message), points)
+    points = np.array([point(stamped.pose.position) for stamped in message.poses])
+    return Planned(seconds(message), points)
 
 
 def _at(times: Array, goals: Iterable[Any]) -> Array:
     """Return the goal at given times; between sightings it moves straight."""
-    seen = sorted((_seconds(m), *_point(m.pose.position)) for m in goals)
+    seen = sorted((seconds(m), *point(m.pose.position)) for m in goals)
     stamps, *columns = np.array(seen).T
     return np.column_stack([np.interp(times, stamps, column) for column in columns])
-
-
-def _fields(message: Any) -> dict[str, Any]:
-    return {pair.key: _value(pair.value) for pair in message.status[0].values}
-
-
-def _value(text: str) -> Any:
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text
