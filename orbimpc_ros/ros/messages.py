@@ -283,7 +283,11 @@ def goal_path_message(stamp: Stamp, step: float, positions: Sequence[Array]) -> 
 
 def odometry_message(stamp: Stamp, vehicle: Vehicle) -> OdometryMessage:
     """Return what perfect odometry says of a simulated vehicle."""
-    odometry = measured(vehicle)
+    return measurement_message(stamp, measured(vehicle))
+
+
+def measurement_message(stamp: Stamp, odometry: Odometry) -> OdometryMessage:
+    """Return a measurement as an Odometry message."""
     message = OdometryMessage(
         header=header(stamp.nanoseconds, stamp.frames.world), child_frame_id=stamp.frames.body
     )
