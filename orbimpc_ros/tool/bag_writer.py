@@ -5,23 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import Any
 
 import yaml
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
-from rosbags.typesys import Stores, get_typestore
+
+from orbimpc_ros.tool.bag import definitions, mcap
+from orbimpc_ros.tool.topics import Topic
 
 METADATA_VERSION = 9
+CHUNK = 1 << 16  # [bytes]: what a recorder that is killed may lose
 FOREVER = {'sec': 9223372036, 'nsec': 854775807}
-
-
-class Topic(NamedTuple):
-    """A topic to record: its name, its type and whether late subscribers get the last message."""
-
-    name: str
-    type: str
-    latched: bool = False
 
 
 class BagWriter:
@@ -38,12 +33,14 @@ class BagWriter:
         self.folder, self._topics, self._notes = folder, topics, dict(notes)
         self._counts = dict.fromkeys((topic.name for topic in topics), 0)
         self._first, self._last = 0, 0
-        self._store = get_typestore(Stores.ROS2_JAZZY)
+        self._store = definitions.store()
         self._stream = (folder / f'{folder.name}.mcap').open('wb')
         self._writer = McapWriter(
-            self._stream, compression=CompressionType.ZSTD, enable_data_crcs=True
+            self._stream, CHUNK, compression=CompressionType.ZSTD, enable_data_crcs=True
         )
         self._writer.start(profile='ros2', library='orbimpc_ros')
+        # Also here: the metadata of a bag are written only when it is closed.
+        self._writer.add_metadata(mcap.NOTES, self._notes)
         self._channels = {topic.name: self._channel(topic) for topic in topics}
 
     def _channel(self, topic: Topic) -> int:
@@ -66,6 +63,7 @@ class BagWriter:
         self._first, self._last = min(self._first, stamp), max(self._last, stamp)
         self._counts[topic] += 1
         self._writer.add_message(self._channels[topic], stamp, data, stamp, self._counts[topic])
+        self._stream.flush()  # complete chunks outlive the recorder, however it ends
 
     def close(self) -> None:
         """Write the index and the metadata; a second call does nothing."""

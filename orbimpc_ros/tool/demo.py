@@ -125,7 +125,8 @@ def _nodes(parameters: Path, folder: Path) -> Iterator[tuple[Process, Process]]:
 
 @contextmanager
 def _recorder(folder: Path, parameters: str) -> Iterator[Recorder]:
-    from orbimpc_ros.tool.recorder import Recorder, topics_of
+    from orbimpc_ros.tool.recorder import Recorder
+    from orbimpc_ros.tool.topics import topics_of
 
     recorder = Recorder(folder / 'bag', topics_of(), {'parameters': parameters})
     try:

@@ -12,6 +12,7 @@ from typing import Any, BinaryIO
 import yaml
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.tool.files import opened
 
 MAX_BYTES = 1 << 20
 MAX_NUMBER = 1e12  # beyond it arithmetic on squares loses what a plan is about
@@ -95,7 +96,7 @@ def _text(source: str) -> str:
         if source == '-':
             raw = _capped(sys.stdin.buffer, 'standard input')
         else:
-            with Path(source).open('rb') as stream:
+            with opened(Path(source), MAX_BYTES) as stream:
                 raw = _capped(stream, source)
         return raw.decode()
     except OSError as error:

@@ -15,33 +15,13 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
-from orbimpc_ros.tool.bag_writer import BagWriter, Topic
+from orbimpc_ros.tool.bag_writer import BagWriter
+from orbimpc_ros.tool.topics import Topic
 
 DEPTH = 1000  # a slow disk must not cost messages
 STAMP_AT = 4  # after CDR's own four bytes, where a message begins with its stamp
 STAMP_ELSEWHERE = {'std_msgs/msg/Bool': None, 'visualization_msgs/msg/MarkerArray': 8}
-CLOCK = Topic('/clock', 'rosgraph_msgs/msg/Clock')
-VEHICLE = (
-    Topic('captured', 'std_msgs/msg/Bool', latched=True),
-    Topic('cmd_thrust', 'geometry_msgs/msg/WrenchStamped'),
-    Topic('cmd_vel', 'geometry_msgs/msg/TwistStamped'),
-    Topic('goal', 'geometry_msgs/msg/PoseStamped'),
-    Topic('goal_path', 'nav_msgs/msg/Path'),
-    Topic('plan', 'nav_msgs/msg/Path'),
-    Topic('plan_markers', 'visualization_msgs/msg/MarkerArray'),
-    Topic('rotation', 'geometry_msgs/msg/QuaternionStamped'),
-    Topic('tick', 'diagnostic_msgs/msg/DiagnosticArray'),
-    Topic('world_markers', 'visualization_msgs/msg/MarkerArray'),
-    Topic('odom', 'nav_msgs/msg/Odometry'),
-)
 TRIGGER = 'odom'  # a lock-step simulator starts as soon as it has its subscribers
-
-
-def topics_of(namespaces: Sequence[str] = ('',)) -> tuple[Topic, ...]:
-    """Return the topics of a run with one vehicle in each namespace, such as ``/uav1``."""
-    shared = (CLOCK, Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray'))
-    own = (topic._replace(name=f'{ns}/{topic.name}') for ns in namespaces for topic in VEHICLE)
-    return (*shared, *own)
 
 
 class Recorder:

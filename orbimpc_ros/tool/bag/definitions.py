@@ -1,0 +1,39 @@
+"""Message types as a bag's sender had them: they must be the ones that we decode."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+HASHED = 'RIHS01_'
+
+
+@lru_cache(maxsize=1)
+def store() -> Any:
+    """Return the types of ROS 2 Jazzy."""
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+@lru_cache(maxsize=256)
+def same(kind: str, definition: str) -> bool:
+    """Return whether a definition, by text or by hash, is ours; an unknown one is trusted."""
+    if not definition:
+        return True
+    if definition.startswith(HASHED):
+        return bool(definition == store().hash_rihs01(kind))
+    try:
+        found = get_types_from_msg(definition, kind)
+    except Exception:  # whatever a hostile text makes the parser raise
+        return False
+    return kind in found and all(_fields(found[name]) == _known(name) for name in found)
+
+
+def _known(name: str) -> Any:
+    return _fields(store().fielddefs[name]) if name in store().fielddefs else None
+
+
+def _fields(definition: Any) -> Any:
+    """Return names and types of fields; constants do not change what is sent."""
+    return definition[1]

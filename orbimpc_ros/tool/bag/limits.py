@@ -1,0 +1,29 @@
+"""How much a bag may be: far more than a long flight, far less than a machine has."""
+
+from __future__ import annotations
+
+from orbimpc_ros.mpc.errors import BadInput
+
+MAX_BYTES = 1 << 30  # of its files
+MAX_KEPT = 1 << 28  # of the messages that are read, decompressed
+MAX_MESSAGES = 1 << 22  # of all messages, whatever their topic
+MAX_MESSAGE = 1 << 24  # of one message that is read
+MAX_CHUNK = 1 << 25  # of a chunk, decompressed, and of any other record
+MAX_DEFINITION = 1 << 16  # of a type's text
+ALLOWED = 'an intact rosbag2 bag of at most 1 GiB'
+
+
+def require(amount: int, largest: int, where: object, what: str) -> None:
+    """Refuse what is too much.
+
+    Args:
+        amount: found.
+        largest: allowed.
+        where: the file.
+        what: it is, and in which unit.
+
+    Raises:
+        BadInput: too much.
+    """
+    if amount > largest:
+        raise BadInput(str(where), f'hostile or damaged: {amount} {what}', f'at most {largest}')

@@ -1,0 +1,112 @@
+"""Files that may be hostile: opened without blocking, never led out of their folder by a link."""
+
+from __future__ import annotations
+
+import os
+import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import islice
+from pathlib import Path
+from typing import BinaryIO
+
+from orbimpc_ros.mpc.errors import BadInput
+
+MAX_ENTRIES = 10_000  # of a folder
+REGULAR = 'a regular file'
+
+
+@contextmanager
+def opened(path: Path, largest: int) -> Iterator[BinaryIO]:
+    """Open a regular file to read; FIFOs and devices, which could block for ever, are refused.
+
+    Args:
+        path: of the file; it may be a link.
+        largest: size allowed [bytes].
+
+    Raises:
+        BadInput: not there, not readable, not a regular file, or too large.
+    """
+    with _stream(path) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        if size > largest:
+            raise BadInput(str(path), f'of {size} bytes', f'at most {largest} bytes')
+        yield stream
+
+
+def _stream(path: Path) -> BinaryIO:
+    try:
+        _require_regular(path, path.stat().st_mode)
+        # Non-blocking, in case a FIFO has taken its place just now.
+        stream = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), 'rb')
+    except OSError as error:
+        raise BadInput(str(path), error.strerror or str(error), 'a readable file') from None
+    except ValueError as error:  # such as a null byte in its name
+        raise BadInput(ascii(str(path)), str(error), REGULAR) from None
+    _require_regular(path, os.fstat(stream.fileno()).st_mode)
+    return stream
+
+
+def _require_regular(path: Path, mode: int) -> None:
+    if stat.S_ISDIR(mode):
+        raise BadInput(str(path), 'a folder', REGULAR)
+    if not stat.S_ISREG(mode):
+        raise BadInput(str(path), 'not a regular file', REGULAR)
+
+
+def inside(folder: Path, name: str) -> Path:
+    """Return the path of a file of a folder.
+
+    Raises:
+        BadInput: its name, or a link of that name, leads out of the folder.
+    """
+    path = folder / name
+    try:
+        stays = Path(name).name == name and path.resolve().parent == folder.resolve()
+    except (OSError, RuntimeError, ValueError):  # such as links in a circle
+        stays = False
+    if not stays:
+        raise BadInput(str(path), 'not a file of this folder', f'files in {folder}')
+    return path
+
+
+def listed(folder: Path) -> list[Path]:
+    """Return what is in a folder, in order of names.
+
+    Raises:
+        BadInput: not readable, or absurdly much.
+    """
+    try:
+        found = sorted(islice(folder.iterdir(), MAX_ENTRIES + 1))
+    except OSError as error:
+        raise BadInput(str(folder), error.strerror or str(error), 'a readable folder') from None
+    if len(found) > MAX_ENTRIES:
+        raise BadInput(str(folder), 'too full', f'at most {MAX_ENTRIES} files')
+    return found
+
+
+@contextmanager
+def replacing(folder: Path) -> Iterator[Path]:
+    """Give a new folder to fill, which takes the place of ``folder`` when all went well.
+
+    Until then nothing has changed; at no moment are both gone.
+
+    Raises:
+        BadInput: ``folder`` is a link, or cannot be replaced.
+    """
+    if folder.is_symlink():
+        raise BadInput(str(folder), 'a link', 'the folder itself')
+    try:
+        with tempfile.TemporaryDirectory(prefix=f'.{folder.name}-', dir=folder.parent) as place:
+            new, old = Path(place) / 'new' / folder.name, Path(place) / 'old'
+            new.parent.mkdir()
+            yield new
+            folder.rename(old)
+            try:
+                new.rename(folder)
+            except BaseException:
+                old.rename(folder)
+                raise
+    except OSError as error:
+        raise BadInput(str(folder), error.strerror or str(error), 'a folder to write to') from None

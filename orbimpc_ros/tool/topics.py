@@ -1,0 +1,50 @@
+"""The topics of a run: their names, their types, and which of them a bag is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+
+class Topic(NamedTuple):
+    """A topic to record: its name, its type and whether late subscribers get the last message."""
+
+    name: str
+    type: str
+    latched: bool = False
+
+
+SHARED = (
+    Topic('/clock', 'rosgraph_msgs/msg/Clock'),
+    Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray'),
+)
+INPUTS = (
+    Topic('goal', 'geometry_msgs/msg/PoseStamped'),
+    Topic('goal_path', 'nav_msgs/msg/Path'),
+    Topic('odom', 'nav_msgs/msg/Odometry'),
+)  # of the planner
+OUTPUTS = (
+    Topic('cmd_thrust', 'geometry_msgs/msg/WrenchStamped'),
+    Topic('cmd_vel', 'geometry_msgs/msg/TwistStamped'),
+    Topic('plan', 'nav_msgs/msg/Path'),
+    Topic('plan_markers', 'visualization_msgs/msg/MarkerArray'),
+    Topic('rotation', 'geometry_msgs/msg/QuaternionStamped'),
+    Topic('tick', 'diagnostic_msgs/msg/DiagnosticArray'),
+)
+WORLD = (
+    Topic('captured', 'std_msgs/msg/Bool', latched=True),
+    Topic('world_markers', 'visualization_msgs/msg/MarkerArray'),
+)
+VEHICLE = (*INPUTS, *OUTPUTS, *WORLD)
+TYPES = {topic.name.strip('/'): topic.type for topic in (*SHARED, *VEHICLE)}
+
+
+def topics_of(namespaces: Sequence[str] = ('',)) -> tuple[Topic, ...]:
+    """Return the topics of a run with one vehicle in each namespace, such as ``/uav1``."""
+    own = (topic._replace(name=f'{ns}/{topic.name}') for ns in namespaces for topic in VEHICLE)
+    return (*SHARED, *own)
+
+
+def known(name: str, kind: str) -> bool:
+    """Return whether a topic, in whatever namespace, is one of a run's and of the right type."""
+    return TYPES.get(name.rpartition('/')[2]) == kind
