@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 
@@ -16,7 +16,6 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.rotations import exp
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
-from orbimpc_ros.ros.orders import Orders
 from orbimpc_ros.world.vehicle import Model, launched, measured
 
 FRAMES = Frames('odom', 'base_link')
@@ -177,28 +176,3 @@ def test_random_messages_are_read_well_or_refused(n):
         identity = odometry.attitude.T @ odometry.attitude
         np.testing.assert_allclose(identity, np.eye(n), atol=1e-9)
     assert 50 < accepted < 1900
-
-
-def test_orders_join_twist_and_force_of_one_stamp():
-    orders = Orders(Model(2, 1, 2, forward=2.0, mass=3.0))
-    later = Stamp(STAMP.nanoseconds + 1, FRAMES)
-    orders.take_twist(messages.twist_message(STAMP, 0.0, np.array([0.3])))
-    assert orders.latest is None
-    orders.take_force(messages.wrench_message(later, 3.0))
-    assert orders.latest is None
-    orders.take_twist(messages.twist_message(later, 0.0, np.array([0.4])))
-    assert orders.latest.stamp == later.nanoseconds
-    assert orders.latest.fraction == pytest.approx(0.5)
-    np.testing.assert_array_equal(orders.latest.body_rate, [0.4])
-
-
-def test_malformed_commands_are_refused():
-    orders = Orders(Model(2, 1, 2))
-    twist, wrench = TwistStamped(), WrenchStamped()
-    twist.twist.angular.z = NAN
-    wrench.wrench.torque.y = INF
-    with pytest.raises(BadInput, match=r'twist\.angular'):
-        orders.take_twist(twist)
-    with pytest.raises(BadInput, match=r'wrench\.torque'):
-        orders.take_force(wrench)
-    assert orders.latest is None

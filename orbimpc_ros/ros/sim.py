@@ -12,21 +12,26 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped, Vector3, WrenchStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
+from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy
+from rclpy.qos import DurabilityPolicy, LivelinessPolicy
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.odometry import Odometry
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.markers import world_markers
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.orders import Order, Orders
+from orbimpc_ros.ros.paces import LockStep, RealTime
 from orbimpc_ros.ros.parameters import SIM, Live, sim_settings
 from orbimpc_ros.ros.process import DONE, FAILED, Guarded, qos, run
-from orbimpc_ros.ros.reports import OK, WARN, diagnostics
+from orbimpc_ros.ros.reports import ERROR, OK, WARN, diagnostics
+from orbimpc_ros.world.faults import Sent, View
 from orbimpc_ros.world.flight import Flight, departure
 
 try:
@@ -34,9 +39,7 @@ try:
 except ImportError:  # the PyPI wheels of ROS have no tf2
     TransformBroadcaster = None
 
-LOOK = 0.02  # [s] lock-step: how often to look whether anybody is there, or has gone
-RESEND = 0.5  # [s] lock-step: ask again without an answer; first messages may be lost
-PATIENCE = 20.0  # [s] lock-step: give up without an answer
+REFUSALS_TOLD = 1.0  # [s] between diagnostics that tell of refused commands
 DEPTH = 10  # in lock-step no message may push another out
 
 
@@ -50,12 +53,18 @@ class Sim(Guarded):
         live = Live(self, SIM, sim_settings, lambda settings: settings)
         self.settings = live.prepared
         self._create_publishers()
-        self.flight = departure(self.settings.scenario)
+        self._told = 0.0  # when a refusal was, on the steady clock [s]
+        self.flight = departure(self.settings.scenario, self.settings.begin)
+        self.view = self._new_view()
         self.orders = Orders(self.settings.scenario.model)
         self.finished = False
         self._pace = LockStep(self) if self.settings.lockstep else RealTime(self)
         self._create_subscriptions()
         live.keep(lambda _unchanged: None)  # nothing is live, yet use_sim_time must be refused
+
+    def _new_view(self) -> View:
+        settings = self.settings
+        return View(settings.faults, settings.seed, settings.scenario.model.step)
 
     def _create_publishers(self) -> None:
         kept = qos(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -81,17 +90,24 @@ class Sim(Guarded):
         ]
         self.create_service(Trigger, '~/reset', self.guard(self._on_reset))
 
-    def _taker(self, topic: str, take: Callable[[Any], None]) -> Callable[[Any], None]:
+    def _taker(self, topic: str, take: Callable[[Any, int], bool]) -> Callable[[Any], None]:
         def on_command(message: Any) -> None:
             try:
-                take(message)
+                complete = take(message, self._pace.now)
             except BadInput as error:
-                self.refused[f'{topic}: {error.culprit}'] += 1
-                self.get_logger().warning(f'{topic} refused: {error}', throttle_duration_sec=1.0)
+                self._refuse(topic, error)
                 return
-            self._pace.on_order()
+            if complete:
+                self._pace.on_order()
 
         return on_command
+
+    def _refuse(self, topic: str, error: BadInput) -> None:
+        self.refused[f'refused {topic}: {error.culprit}'] += 1
+        self.get_logger().warning(f'{topic} refused: {error}', throttle_duration_sec=1.0)
+        if sum(self.refused.values()) == 1 or self.steady_now() - self._told > REFUSALS_TOLD:
+            self._told = self.steady_now()
+            self.warn(self._pace.now, f'{topic} refused: {error}')
 
     # --- what the paces do with it
 
@@ -107,28 +123,63 @@ class Sim(Guarded):
         """Return whether a planner is connected."""
         return self._commands[0].get_publisher_count() > 0
 
-    def show(self, at: int) -> None:
-        """Publish what is seen of the flight, stamped ``at`` [ns]: clock, goal, odometry."""
-        stamp = Stamp(at, self.settings.frames)
+    def watch_life(self, heard: Callable[[Any], None]) -> None:
+        """Call back when DDS hears, or misses, signs of life from who promises them on cmd_vel."""
+        promised = qos()
+        promised.liveliness = LivelinessPolicy.AUTOMATIC
+        promised.liveliness_lease_duration = Duration(seconds=self.settings.lease)
+        # Who promises nothing does not match, which is no fault.
+        events = SubscriptionEventCallbacks(
+            liveliness=self.guard(heard), incompatible_qos=lambda _event: None
+        )
+        self.create_subscription(
+            TwistStamped, 'cmd_vel', lambda _message: None, promised, event_callbacks=events
+        )
+
+    def stamp_of(self, sent: Sent, now: int) -> int:
+        """Return the stamp of a message that arrives ``now`` [ns], the present tick's stamp."""
+        scenario, faults, ticks = self.settings.scenario, self.settings.faults, self.flight.ticks
+        jump = faults.jumped(ticks) - faults.jumped(sent.ticks)
+        age = sent.age + (ticks - sent.ticks) * scenario.model.step
+        return now - round((age + jump) * SECOND)
+
+    def show(self, at: int, seen: Sequence[Sent]) -> None:
+        """Publish what is seen of the flight at ``at`` [ns]: clock, goals, odometry."""
+        now = Stamp(at, self.settings.frames)
         if self.settings.lockstep:
             self._time.publish(Clock(clock=messages.time_message(at)))
         if self.settings.goal_path_steps:
-            self._goal_path.publish(self._future(stamp))
-        self._goal.publish(messages.goal_message(stamp, self.flight.goal))
-        self._markers.publish(world_markers(stamp, self.flight))
-        odometry = messages.odometry_message(stamp, self.flight.vehicle)
+            self._goal_path.publish(self._future(now))
+        self._markers.publish(world_markers(now, self.flight))
         if TransformBroadcaster is not None:
-            self._transforms.sendTransform(_transform(odometry))
-        self._odometry.publish(odometry)
+            truth = messages.odometry_message(now, self.flight.vehicle)
+            self._transforms.sendTransform(_transform(truth))
+        for sent in seen:
+            self._publish(sent, Stamp(self.stamp_of(sent, at), now.frames))
+
+    def _publish(self, sent: Sent, stamp: Stamp) -> None:
+        if isinstance(sent.content, Odometry):
+            self._odometry.publish(messages.measurement_message(stamp, sent.content))
+        else:
+            self._goal.publish(messages.goal_message(stamp, sent.content.position))
 
     def _future(self, stamp: Stamp) -> Path:
         step, rope = self.settings.scenario.model.step, self.settings.scenario.rope
         times = self.flight.elapsed + step * np.arange(self.settings.goal_path_steps + 1)
         return messages.goal_path_message(stamp, step, [rope.at(time) for time in times])
 
-    def fly(self, fraction: float, body_rate: np.ndarray) -> None:
-        """Fly a step."""
-        self.flight = self.flight.after(fraction, body_rate)
+    def fly(self, order: Order | None, held: float) -> None:
+        """Fly a step on an order that is in force for ``held`` [s] of it; on none, stand."""
+        if order is None:
+            self.flight = self.flight.after(0.0, np.zeros(self.settings.scenario.model.rates), 0.0)
+        else:
+            self.flight = self.flight.after(order.fraction, order.body_rate, held)
+
+    def warn(self, at: int, what: str) -> None:
+        """Tell, stamped ``at`` [ns], what is wrong."""
+        self.get_logger().warning(what, throttle_duration_sec=1.0)
+        name = self.get_fully_qualified_name()
+        self._health.publish(diagnostics(at, name, ERROR, what, dict(self.refused)))
 
     def finish(self, at: int) -> None:
         """Tell, stamped ``at`` [ns], how the flight ended; leave, or hold until ``~/reset``."""
@@ -152,6 +203,7 @@ class Sim(Guarded):
         # Time goes on: stamps never go back.
         later = self.flight.vehicle.time + self.settings.scenario.model.step
         self.flight = departure(self.settings.scenario, later)
+        self.view = self._new_view()
         self.finished = False
         self._captured.publish(Bool(data=False))
         self._pace.restart()
@@ -169,109 +221,6 @@ def told(flight: Flight) -> str:
         return 'not captured'
     when = flight.missed_at - flight.scenario.start.time
     return f'captured at t = {when:.2f} s, {flight.miss:.3f} m from the goal'
-
-
-class LockStep:
-    """Flies a step as soon as the command for the odometry's own stamp is there.
-
-    The last odometry is answered too, though that command is not flown: so every run has the
-    same messages.
-    """
-
-    def __init__(self, sim: Sim) -> None:
-        self._sim = sim
-        self.restart()
-        sim.every(LOOK, self.look)
-
-    def restart(self) -> None:
-        """Ask anew as soon as everybody is there."""
-        self._awaited: int | None = None  # stamp of the odometry to be answered [ns]
-        self._progress = self._sent = self._sim.steady_now()
-
-    def look(self) -> None:
-        """Start when everybody is there; ask again or give up when no answer comes."""
-        if self._sim.finished:
-            return
-        now = self._sim.steady_now()
-        absent = self._absent()
-        if self._awaited is None and not absent:
-            self._ask()
-        elif now - self._progress > PATIENCE:
-            self._give_up(absent or 'an answer to the odometry on cmd_vel')
-        elif self._awaited is not None and now - self._sent > RESEND:
-            self._send()
-
-    def _absent(self) -> str:
-        listeners, wanted = self._sim.listeners, self._sim.settings.wait_subscribers
-        if listeners < wanted:
-            return f'{wanted} subscribers on odom and goal (there are {listeners})'
-        return '' if self._sim.commanded else 'a planner on cmd_vel'
-
-    def _give_up(self, awaited: str) -> None:
-        self._sim.get_logger().fatal(f'waited {PATIENCE:g} s in vain for {awaited}: giving up')
-        self._sim.exit_code = FAILED
-
-    def _ask(self) -> None:
-        self._awaited = round(self._sim.flight.vehicle.time * SECOND)
-        self._progress = self._sim.steady_now()
-        self._send()
-
-    def _send(self) -> None:
-        assert self._awaited is not None
-        self._sent = self._sim.steady_now()
-        self._sim.show(self._awaited)
-
-    def on_order(self) -> None:
-        """Fly a step if this is the answer awaited."""
-        order = self._sim.orders.latest
-        if self._sim.finished or order is None or order.stamp != self._awaited:
-            return
-        if self._sim.flight.over:
-            self._sim.finish(order.stamp)
-            return
-        self._sim.fly(order.fraction, order.body_rate)
-        self._ask()
-
-
-class RealTime:
-    """Flies a step when its time is over, on the command in force; waits for the first command.
-
-    Without a fresh command the vehicle stops: a vehicle whose planner is gone must be safe.
-    """
-
-    def __init__(self, sim: Sim) -> None:
-        self._sim = sim
-        self.restart()
-        sim.every(sim.settings.scenario.model.step, self.on_time)
-
-    def restart(self) -> None:
-        """Wait for a first command."""
-        self._order: Order | None = None
-        self._heard = -np.inf
-
-    def on_order(self) -> None:
-        """Put a command in force."""
-        self._order, self._heard = self._sim.orders.latest, self._sim.steady_now()
-
-    def on_time(self) -> None:
-        """Fly a step, unless nobody has commanded yet, and show where it led."""
-        if self._sim.finished:
-            return
-        if self._order is not None:
-            self._sim.fly(*self._in_force(self._order))
-        now = self._sim.get_clock().now().nanoseconds
-        self._sim.show(now)
-        if self._sim.flight.over:
-            self._sim.finish(now)
-
-    def _in_force(self, order: Order) -> tuple[float, np.ndarray]:
-        silent = self._sim.steady_now() - self._heard
-        if silent <= self._sim.settings.command_timeout:
-            return order.fraction, order.body_rate
-        self._sim.get_logger().warning(
-            f'no command for {silent:.2f} s: stopped', throttle_duration_sec=1.0
-        )
-        return 0.0, np.zeros_like(order.body_rate)
 
 
 def _transform(odometry: OdometryMessage) -> TransformStamped:

@@ -13,6 +13,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.rotations import from_quaternion
 from orbimpc_ros.ros.messages import QUATERNION_TOLERANCE, Frames
 from orbimpc_ros.ros.parameter import FAR, SOON, TINY, Row, Values, vehicle_rows
+from orbimpc_ros.world.faults import LONGEST, Faults
 from orbimpc_ros.world.rope import Rope
 from orbimpc_ros.world.scenario import FINISHES, MAX_TICKS, Scenario, retrieval
 from orbimpc_ros.world.vehicle import Model, launched
@@ -57,8 +58,8 @@ def _sim_rows() -> tuple[Row, ...]:
             'rad/s', -1e3, 1e3),
         Row('max_ticks', flown.max_ticks, 'Steps until the flight ends', low=1, high=MAX_TICKS),
         Row('seed', 0, 'Of everything random', low=0, high=2**31 - 1),
-        Row('command_timeout', 0.2, 'Wall clock: stop if no command came for so long; '
-            'at least 1.5 steps', 's', 1e-3, SOON),
+        Row('command_timeout', 0.2, 'A command is in force for so long, at least 1.5 steps; and '
+            'a planner is given up after so long without a sign of life', 's', 1e-3, SOON),
         Row('goal_path_steps', 0, 'Steps of the true future to publish on goal_path; 0 for none',
             low=0, high=10_000),
         Row('exit_when_done', False, 'Whether to exit once the goal is caught or ticks run out'),
@@ -67,7 +68,37 @@ def _sim_rows() -> tuple[Row, ...]:
     )  # fmt: skip
 
 
-SIM: tuple[Row, ...] = _sim_rows()
+def _fault_rows() -> tuple[Row, ...]:
+    return (
+        Row('position_noise', 0.0, 'Noise of odometry and goal along each axis, deviation',
+            'm', 0.0, 1e3),
+        Row('attitude_noise', 0.0, 'Noise of odometry about each axis, deviation',
+            'rad', 0.0, math.pi),
+        Row('dropout', 0.0, 'Share of odometry, goals and commands that is lost',
+            '', 0.0, 1.0),
+        Row('delay', 0.0, 'Age of odometry when it comes',
+            's', 0.0, LONGEST),
+        Row('reorder', 0.0, 'Share of odometry and goals that comes a step late',
+            '', 0.0, 1.0),
+        Row('duplicate', 0.0, 'Share of odometry and goals that comes twice',
+            '', 0.0, 1.0),
+        Row('nan', 0.0, 'Share of odometry and goals whose position is not a number',
+            '', 0.0, 1.0),
+        Row('occlusion_length', 0.0, 'How long the goal is hidden in each period',
+            's', 0.0, FAR),
+        Row('occlusion_period', 10.0, 'The goal is hidden once in it, at a random time',
+            's', TINY, FAR),
+        Row('clock_jump', 0.0, 'What every stamp is off from clock_jump_tick on',
+            's', -FAR, FAR),
+        Row('clock_jump_tick', 0, 'Steps flown before the clock jumps',
+            low=0, high=MAX_TICKS),
+    )  # fmt: skip
+
+
+SIM: tuple[Row, ...] = (
+    *_sim_rows(),
+    *(replace(row, name=f'faults.{row.name}') for row in _fault_rows()),
+)
 
 
 @dataclass(frozen=True)
@@ -78,6 +109,8 @@ class SimSettings:
         scenario: what to simulate.
         lockstep: whether to wait for each command instead of running in real time.
         command_timeout: after which a command is stale, at least 1.5 steps [s].
+        lease: after which a planner that gives no sign of life is given up [s].
+        faults: what goes wrong between the vehicle and its planner.
         goal_path_steps: how much of the goal's future to publish.
         exit_when_done: whether to exit at the end.
         wait_subscribers: subscribers of odometry to wait for.
@@ -88,11 +121,18 @@ class SimSettings:
     scenario: Scenario
     lockstep: bool
     command_timeout: float
+    lease: float
+    faults: Faults
     goal_path_steps: int
     exit_when_done: bool
     wait_subscribers: int
     seed: int
     frames: Frames
+
+    @property
+    def begin(self) -> float:
+        """Return the time at which a flight begins [s]: no stamp is ever negative."""
+        return max(0.0, self.faults.delay, -self.faults.clock_jump)
 
 
 def sim_settings(values: Values) -> SimSettings:
@@ -107,12 +147,19 @@ def sim_settings(values: Values) -> SimSettings:
         scenario=_scenario(values),
         lockstep=values['clock'] == 'lockstep',
         command_timeout=max(values['command_timeout'], 1.5 * values['step']),
+        lease=values['command_timeout'],
+        faults=_faults(values),
         goal_path_steps=values['goal_path_steps'],
         exit_when_done=values['exit_when_done'],
         wait_subscribers=values['wait_subscribers'],
         seed=values['seed'],
         frames=Frames(values['frame_id'], values['child_frame_id']),
     )
+
+
+def _faults(values: Values) -> Faults:
+    names = (row.name for row in _fault_rows())
+    return Faults(**{name: values[f'faults.{name}'] for name in names})
 
 
 def _scenario(values: Values) -> Scenario:

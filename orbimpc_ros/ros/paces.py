@@ -1,0 +1,178 @@
+"""When a simulated step is flown: as soon as it is commanded, or when its time is over."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from orbimpc_ros.mpc.odometry import Odometry
+from orbimpc_ros.ros.messages import SECOND
+from orbimpc_ros.ros.orders import Order
+from orbimpc_ros.ros.process import FAILED
+from orbimpc_ros.world.faults import Sent
+
+if TYPE_CHECKING:
+    from orbimpc_ros.ros.sim import Sim
+
+LOOK = 0.02  # [s] how often to look whether anybody is there, or has gone
+RESEND = 0.5  # [s] lock-step: ask again without an answer; first messages may be lost
+PATIENCE = 20.0  # [s] lock-step: give up without an answer
+
+
+class LockStep:
+    """Flies a step as soon as the command for the newest odometry's own stamp is there.
+
+    The last odometry is answered too, though that command is not flown: so every run has the
+    same messages. Where faults leave nothing to answer, or lose the answer, the step is flown
+    on the last command, as long as that is in force, and without speed after that.
+    """
+
+    def __init__(self, sim: Sim) -> None:
+        self._sim = sim
+        self.restart()
+        sim.every(LOOK, self.look)
+
+    def restart(self) -> None:
+        """Ask anew as soon as everybody is there."""
+        self._asked: int | None = None  # when the step begins that waits for a command [ns]
+        self._awaited: int | None = None  # stamp of the odometry to be answered [ns]
+        self._newest = -1  # stamp of the last odometry sent [ns]
+        self._goal_sent = False
+        self._order: Order | None = None
+        self._heard = -np.inf  # when the last command came, in simulated time [s]
+        self._sent: list[Sent] = []
+        self._progress = self._asked_at = self._sim.steady_now()
+
+    @property
+    def now(self) -> int:
+        """Return the simulated time [ns], which jumps where faults make it."""
+        flight = self._sim.flight
+        jump = self._sim.settings.faults.jumped(flight.ticks)
+        return round((flight.vehicle.time + jump) * SECOND)
+
+    def look(self) -> None:
+        """Start when everybody is there; ask again or give up when no answer comes."""
+        if self._sim.finished:
+            return
+        now = self._sim.steady_now()
+        absent = self._absent()
+        if self._asked is None and not absent:
+            self._ask()
+        elif self._asked is not None and self._awaited is None:
+            self._fly_on()
+        elif now - self._progress > PATIENCE:
+            self._give_up(absent or 'an answer to the odometry on cmd_vel')
+        elif self._asked is not None and now - self._asked_at > RESEND:
+            self._send()
+
+    def _absent(self) -> str:
+        listeners, wanted = self._sim.listeners, self._sim.settings.wait_subscribers
+        if listeners < wanted:
+            return f'{wanted} subscribers on odom and goal (there are {listeners})'
+        return '' if self._sim.commanded else 'a planner on cmd_vel'
+
+    def _give_up(self, awaited: str) -> None:
+        self._sim.get_logger().fatal(f'waited {PATIENCE:g} s in vain for {awaited}: giving up')
+        self._sim.exit_code = FAILED
+
+    def _ask(self) -> None:
+        self._asked = self.now
+        self._progress = self._sim.steady_now()
+        self._sent = self._sim.view.of(self._sim.flight)
+        self._awaited = self._to_be_answered()
+        self._send()
+
+    def _to_be_answered(self) -> int | None:
+        """Return the stamp of the odometry that a planner answers, which may not be there."""
+        fresh = None
+        for sent in self._sent:
+            self._goal_sent |= sent.finite and not isinstance(sent.content, Odometry)
+            stamp = self._sim.stamp_of(sent, self.now)
+            if isinstance(sent.content, Odometry) and sent.finite and stamp > self._newest:
+                fresh = self._newest = stamp
+        return fresh if self._goal_sent else None
+
+    def _send(self) -> None:
+        self._asked_at = self._sim.steady_now()
+        self._sim.show(self.now, self._sent)
+
+    def on_order(self) -> None:
+        """Fly a step if this is the answer awaited."""
+        order, flight = self._sim.orders.latest, self._sim.flight
+        if self._sim.finished or order is None or order.stamp != self._awaited:
+            return
+        if not self._sim.view.command_lost(flight.ticks):
+            self._order, self._heard = order, flight.vehicle.time
+        self._fly_on()
+
+    def _fly_on(self) -> None:
+        if self._sim.flight.over:
+            self._sim.finish(self.now)
+            return
+        held = self._heard + self._sim.settings.command_timeout - self._sim.flight.vehicle.time
+        self._sim.fly(self._order, held)
+        self._ask()
+
+
+class RealTime:
+    """Flies a step when its time is over, on the command in force; waits for the first command.
+
+    A vehicle whose planner is gone must be safe. It is stopped when no command has come for
+    ``command_timeout``, or as soon as DDS misses signs of life from the last planner that
+    promised some, which shows a dead process long before a command is due. The step is then
+    flown in two pieces, so that the vehicle stands from that moment on.
+    """
+
+    def __init__(self, sim: Sim) -> None:
+        self._sim = sim
+        self.restart()
+        sim.watch_life(self._on_life)
+        sim.every(LOOK, self.look)
+        sim.every(sim.settings.scenario.model.step, self.on_time)
+
+    def restart(self) -> None:
+        """Wait for a first command."""
+        self._order: Order | None = None
+        self._until = -np.inf  # when the command in force ends, on the steady clock [s]
+        self._begun = self._sim.steady_now()  # this step
+        self._latched = False
+
+    @property
+    def now(self) -> int:
+        """Return the time of ROS [ns], which jumps where faults make it."""
+        jump = self._sim.settings.faults.jumped(self._sim.flight.ticks)
+        return self._sim.get_clock().now().nanoseconds + round(jump * SECOND)
+
+    def on_order(self) -> None:
+        """Put a command in force."""
+        if self._sim.view.command_lost(self._sim.flight.ticks):
+            return
+        self._order, self._latched = self._sim.orders.latest, False
+        self._until = self._sim.steady_now() + self._sim.settings.command_timeout
+
+    def _on_life(self, event: Any) -> None:
+        if event.alive_count == 0 and event.alive_count_change < 0:
+            self._stop('the planner gives no sign of life')
+
+    def look(self) -> None:
+        """Stop when the command in force has ended."""
+        if self._sim.steady_now() >= self._until:
+            self._stop(f'no command for {self._sim.settings.command_timeout:g} s')
+
+    def _stop(self, reason: str) -> None:
+        if self._order is None or self._latched or self._sim.finished:
+            return
+        self._latched, self._until = True, min(self._until, self._sim.steady_now())
+        self._sim.warn(self.now, f'{reason}: stopped')
+
+    def on_time(self) -> None:
+        """Fly a step, unless nobody has commanded yet, and show where it led."""
+        if self._sim.finished:
+            return
+        if self._order is not None:
+            self._sim.fly(self._order, self._until - self._begun)
+        self._begun = self._sim.steady_now()
+        self._sim.show(self.now, self._sim.view.of(self._sim.flight))
+        if self._sim.flight.over:
+            self._sim.finish(self.now)
