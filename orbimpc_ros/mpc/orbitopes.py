@@ -10,11 +10,12 @@ Either way the first n coordinates are the thrust axis :math:`R e_1`.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.arrays import Array, sealed
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -63,6 +64,14 @@ def lmi(x: Array) -> Array:
     )
 
 
+@lru_cache(maxsize=1)
+def lmi_parts() -> tuple[Array, Array]:
+    """Return c, shape (16,), and A, shape (16, 9), of the affine map: lmi(x).ravel() = A x + c."""
+    constant = lmi(np.zeros(9)).ravel()
+    linear = np.column_stack([lmi(e).ravel() - constant for e in np.eye(9)])
+    return sealed(constant), sealed(linear)
+
+
 def margin(rotation: Array) -> Array:
     """Return by how much matrices of shape (..., n, n) lie inside conv SO(n), negative outside.
 
@@ -84,8 +93,7 @@ def constraints(x: cp.Expression, n: int) -> list[cp.Constraint]:
 
     if n == 2:
         return [cp.SOC(np.ones(x.shape[0]), x.T)]
-    constant = lmi(np.zeros(9)).ravel()
-    linear = np.column_stack([lmi(e).ravel() - constant for e in np.eye(9)])
+    constant, linear = lmi_parts()
     # One product for a whole matrix: CVXPY compiles that much faster than sixteen sums.
     entries = x @ linear.T + np.tile(constant, (x.shape[0], 1))
     return [cp.reshape(entries[k], (4, 4), order='C') >> 0 for k in range(x.shape[0])]
