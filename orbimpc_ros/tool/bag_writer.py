@@ -56,13 +56,26 @@ class BagWriter:
             },
         )
 
-    def write(self, topic: str, stamp: int, data: bytes) -> None:
-        """Append a serialised message that came at ``stamp`` [ns]."""
+    def write(self, topic: str, stamp: int, data: bytes, sent: int | None = None) -> None:
+        """Append a serialised message.
+
+        Args:
+            topic: it came on.
+            stamp: to record it under [ns].
+            data: in CDR.
+            sent: when it was sent [ns], if that is known.
+        """
         if not sum(self._counts.values()):
             self._first = self._last = stamp
         self._first, self._last = min(self._first, stamp), max(self._last, stamp)
         self._counts[topic] += 1
-        self._writer.add_message(self._channels[topic], stamp, data, stamp, self._counts[topic])
+        self._writer.add_message(
+            self._channels[topic],
+            stamp,
+            data,
+            stamp if sent is None else sent,
+            self._counts[topic],
+        )
         self._stream.flush()  # complete chunks outlive the recorder, however it ends
 
     def close(self) -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import struct
 import time
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import rclpy
 from rcl_interfaces.srv import GetParameters
@@ -16,11 +16,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
 from orbimpc_ros.tool.bag_writer import BagWriter
+from orbimpc_ros.tool.stamps import Stamps
 from orbimpc_ros.tool.topics import Topic
 
 DEPTH = 1000  # a slow disk must not cost messages
-STAMP_AT = 4  # after CDR's own four bytes, where a message begins with its stamp
-STAMP_ELSEWHERE = {'std_msgs/msg/Bool': None, 'visualization_msgs/msg/MarkerArray': 8}
 TRIGGER = 'odom'  # a lock-step simulator starts as soon as it has its subscribers
 
 
@@ -28,7 +27,8 @@ class Recorder:
     """A node that writes what it hears into a bag.
 
     A message goes under the stamp it carries, so that the bag plays at the speed of the run
-    however fast that was simulated; one without a stamp goes under the last stamp before it.
+    however fast that was simulated; one without a stamp goes under the last stamp before it. Beside
+    it stands when the message was sent, for the order in which things happened.
     Odometry is subscribed to once every planner has answered a call. DDS announces endpoints in
     the order of their creation: a planner that knows the last one knows every subscription, and
     a simulator that waits for the subscription to odometry finds the recorder complete.
@@ -51,8 +51,8 @@ class Recorder:
         planners: Sequence[str] = ('/planner',),
     ) -> None:
         self.counts = dict.fromkeys((topic.name for topic in topics), 0)
-        self.now: int | None = None  # the last stamp [ns]
-        self._early: list[tuple[str, bytes]] = []
+        self._stamps = Stamps()
+        self._early: list[tuple[str, bytes, int]] = []
         self._bag = BagWriter(folder, topics, notes)
         self._context = rclpy.Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
@@ -86,30 +86,27 @@ class Recorder:
     def _listen(self, topic: Topic) -> None:
         kept = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
         profile = QoSProfile(depth=DEPTH, durability=kept)
-        heard = self._heard(topic)
+        heard: Any = self._heard(topic)  # rclpy also gives what is known about the message
         package, _, kind = topic.type.split('/')
         message = getattr(import_module(f'{package}.msg'), kind)
         self._node.create_subscription(message, topic.name, heard, profile, raw=True)
 
-    def _heard(self, topic: Topic) -> Callable[[bytes], None]:
-        place = STAMP_ELSEWHERE.get(topic.type, STAMP_AT)
-
-        def heard(data: bytes) -> None:
+    def _heard(self, topic: Topic) -> Callable[[bytes, dict[str, Any]], None]:
+        def heard(data: bytes, about: dict[str, Any]) -> None:
             self.counts[topic.name] += 1
-            if place is not None and len(data) >= place + 8:
-                self.now = stamp_of(data, place)
-                self._flush()
-            if self.now is not None:
-                self._bag.write(topic.name, self.now, data)
+            stamp, sent = self._stamps.of(data, topic.type), about['source_timestamp']
+            if stamp is None:
+                self._early.append((topic.name, data, sent))
             else:
-                self._early.append((topic.name, data))
+                self._flush()
+                self._bag.write(topic.name, stamp, data, sent)
 
         return heard
 
     def _flush(self) -> None:
         """Write what came before the first stamp."""
-        for name, data in self._early:
-            self._bag.write(name, self.now or 0, data)
+        for name, data, sent in self._early:
+            self._bag.write(name, self._stamps.now or 0, data, sent)
         self._early.clear()
 
     def spin(self, seconds: float) -> None:
@@ -133,10 +130,3 @@ class Recorder:
         self._executor.shutdown()
         self._node.destroy_node()
         self._context.try_shutdown()
-
-
-def stamp_of(data: bytes, place: int) -> int:
-    """Return the stamp [ns] that a serialised message has at a place."""
-    order = '<' if data[1] & 1 else '>'
-    seconds, nanoseconds = struct.unpack_from(f'{order}iI', data, place)
-    return seconds * 1_000_000_000 + nanoseconds

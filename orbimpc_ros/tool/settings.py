@@ -10,7 +10,14 @@ from typing import Any
 import yaml
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.parameters import PLANNER, SIM, Row, planner_settings, sim_settings
+from orbimpc_ros.ros.parameters import (
+    OF_ROS,
+    PLANNER,
+    SIM,
+    Row,
+    planner_settings,
+    sim_settings,
+)
 from orbimpc_ros.tool import document
 
 ROWS = {row.name: row for row in (*PLANNER, *SIM)}
@@ -27,34 +34,60 @@ def resolve(file: Path, changes: Sequence[str] = ()) -> Values:
     Raises:
         BadInput: an unknown name, or a value or combination that is not allowed.
     """
-    values: Values = {name: row.default for name, row in ROWS.items()}
-    values |= {name: value for name, value in _of_file(file) if name in ROWS}
-    values |= dict(_change(text) for text in changes)
-    planner_settings(values)
-    sim_settings(values)
-    return values
+    return changed(_completed(document.read(str(file)), str(file)), changes)
+
+
+def changed(values: Values, changes: Sequence[str]) -> Values:
+    """Return values of which some are changed, checked as a whole.
+
+    Args:
+        values: of every parameter.
+        changes: ``name=value``, as given on the command line.
+
+    Raises:
+        BadInput: an unknown name, or a value or combination that is not allowed.
+    """
+    found = values | dict(_change(each) for each in changes)
+    planner_settings(found)
+    sim_settings(found)
+    return found
 
 
 def write(file: Path, values: Values, **more: Any) -> str:
     """Write values as a file of ROS parameters for any node and return its text."""
-    plain = {k: list(v) if isinstance(v, tuple) else v for k, v in (values | more).items()}
+    written = text(values | more)
+    file.write_text(written)
+    return written
+
+
+def text(values: Values) -> str:
+    """Return values as a file of ROS parameters for any node."""
+    plain = {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
     # ROS cannot tell the type of an empty list; the defaults are empty where they may be.
     parameters = {name: value for name, value in plain.items() if value != []}
-    text = yaml.safe_dump({'/**': {'ros__parameters': parameters}}, sort_keys=False)
-    file.write_text(text)
-    return text
+    return yaml.safe_dump({'/**': {'ros__parameters': parameters}}, sort_keys=False)
 
 
-def read(text: str) -> Values:
-    """Return the values of what :func:`write` wrote, defaults where there are none."""
-    content = document.parse(text, 'parameters')
-    return {name: row.default for name, row in ROWS.items()} | dict(
-        _sections(content, 'parameters')
-    )
+def read(written: str) -> Values:
+    """Return the values of what :func:`write` wrote, defaults where there are none.
+
+    Raises:
+        BadInput: not parameters, an unknown name, or a value of another type.
+    """
+    return _completed(document.parse(written, 'parameters'), 'parameters')
 
 
-def _of_file(file: Path) -> Iterator[tuple[str, Any]]:
-    return _sections(document.read(str(file)), str(file))
+def _completed(content: Any, name: str) -> Values:
+    """Return the values in a parameter file over the defaults."""
+    values: Values = {row.name: row.default for row in ROWS.values()}
+    for given, value in _sections(content, name):
+        if given in ROWS:
+            values[given] = _typed(ROWS[given], value)
+        elif given in OF_ROS:
+            values[given] = value
+        elif not given.startswith('qos_overrides.'):
+            raise BadInput(f'{name}: {given}', value, f'a parameter, {_like(given)}')
+    return values
 
 
 def _sections(content: Any, name: str) -> Iterator[tuple[str, Any]]:
@@ -73,14 +106,19 @@ def _flat(tree: dict[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
             yield f'{prefix}{name}', value
 
 
-def _change(text: str) -> tuple[str, Any]:
-    name, given, word = text.partition('=')
-    if not given:
-        raise BadInput('--set', text, 'name=value')
+def _change(given: str) -> tuple[str, Any]:
+    name, equals, word = given.partition('=')
+    if not equals:
+        raise BadInput('--set', given, 'name=value')
     if name not in ROWS:
-        close = difflib.get_close_matches(name, ROWS, n=3, cutoff=0.4) or list(ROWS)
-        raise BadInput('--set', name, f'a parameter, such as {", ".join(close)}')
+        raise BadInput('--set', name, f'a parameter, {_like(name)}')
     return name, _typed(ROWS[name], document.parse(word, f'--set {name}'))
+
+
+def _like(name: str) -> str:
+    """Return in words which parameters have names like this one."""
+    close = difflib.get_close_matches(name, ROWS, n=3, cutoff=0.4) or list(ROWS)
+    return f'such as {", ".join(close)}'
 
 
 def _typed(row: Row, value: Any) -> Any:

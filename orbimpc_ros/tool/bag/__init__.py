@@ -20,12 +20,21 @@ __all__ = ['Message', 'notes', 'raw', 'read']
 
 
 class Message(NamedTuple):
-    """A message from a bag: where and when [ns] it came, of what type, and its decoded content."""
+    """A message from a bag.
+
+    Attributes:
+        topic: it came on.
+        stamp: under which it was recorded [ns].
+        type: of the message.
+        content: decoded.
+        sent: when it was sent, which orders what happened; the stamp if that is not known [ns].
+    """
 
     topic: str
     stamp: int
     type: str
     content: Any
+    sent: int
 
 
 def read(path: Path, names: Collection[str] = ()) -> Iterator[Message]:
@@ -42,7 +51,7 @@ def read(path: Path, names: Collection[str] = ()) -> Iterator[Message]:
     """
     for each in raw(path):
         if not names or each.topic.rpartition('/')[2] in names:
-            yield Message(each.topic, each.stamp, each.type, _decoded(each, path))
+            yield Message(each.topic, each.stamp, each.type, _decoded(each, path), each.sent)
 
 
 def raw(path: Path) -> list[Raw]:

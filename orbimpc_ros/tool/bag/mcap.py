@@ -72,7 +72,9 @@ def _raw(message: Message, channel: Channel, schema: Schema, file: Path) -> Raw:
     limits.require(len(schema.data), limits.MAX_DEFINITION, file, 'bytes of a definition')
     text = schema.data.decode() if schema.encoding == 'ros2msg' else ''
     definition = channel.metadata.get(HASH) or text
-    return Raw(channel.topic, schema.name, message.log_time, message.data, definition)
+    stamp = message.log_time
+    sent = message.publish_time or stamp
+    return Raw(channel.topic, schema.name, stamp, sent, message.data, definition)
 
 
 def notes(file: Path, closed: bool) -> dict[str, str]:

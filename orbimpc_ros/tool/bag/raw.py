@@ -17,7 +17,8 @@ class Raw(NamedTuple):
     Attributes:
         topic: it came on.
         type: of the message.
-        stamp: when it was recorded [ns].
+        stamp: under which it was recorded [ns].
+        sent: when it was sent, which orders what happened; the stamp if that is not known [ns].
         data: in CDR.
         definition: text or hash of the type as the sender had it; empty if unknown.
     """
@@ -25,6 +26,7 @@ class Raw(NamedTuple):
     topic: str
     type: str
     stamp: int
+    sent: int
     data: bytes
     definition: str = ''
 

@@ -42,7 +42,7 @@ def messages(file: Path) -> Iterator[Raw]:
                 limits.require(count, limits.MAX_MESSAGES, file, 'messages or more')
                 if topic in known:
                     name, kind, definition = known[topic]
-                    yield Raw(name, kind, stamp, data, definition)
+                    yield Raw(name, kind, stamp, stamp, data, definition)
     except (sqlite3.Error, OverflowError) as error:
         raise BadInput(str(file), f'damaged ({error})', limits.ALLOWED) from None
 
