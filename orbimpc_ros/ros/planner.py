@@ -26,7 +26,7 @@ from orbimpc_ros.ros import messages, outputs
 from orbimpc_ros.ros.inbox import Inbox
 from orbimpc_ros.ros.messages import Stamp
 from orbimpc_ros.ros.parameters import PLANNER, Live, PlannerSettings, planner_settings
-from orbimpc_ros.ros.process import Guarded, qos, run
+from orbimpc_ros.ros.process import LIFE, Guarded, qos, run
 from orbimpc_ros.ros.reports import (
     OK,
     SAFE,
@@ -93,7 +93,8 @@ class Planner(Guarded):
         if self._settings.problem.translation_order == 2:
             kinds['cmd_thrust'] = WrenchStamped
         self._outputs = {
-            topic: self.create_publisher(kind, topic, qos()) for topic, kind in kinds.items()
+            topic: self.create_publisher(kind, topic, qos(lease=LIFE))
+            for topic, kind in kinds.items()
         }
         self._health = self.create_publisher(DiagnosticArray, '/diagnostics', qos())
 

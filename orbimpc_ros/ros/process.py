@@ -17,7 +17,13 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
 from rclpy.signals import SignalHandlerOptions
 
 from orbimpc_ros.mpc.errors import BadInput
@@ -26,6 +32,7 @@ DONE, FAILED, BAD_INPUT = 0, 1, 2
 FAILURES_IN_A_ROW = 5  # of one callback, after which the node gives up
 FAREWELLS = 3  # safe commands on the way out
 ACKNOWLEDGED = 1.0  # [s] the last messages have to arrive
+LIFE = 0.1  # [s] DDS gives signs of life of a planner so often, for who watches for them
 SPIN = 0.05  # [s] a signal waits at most this long
 RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 
@@ -34,13 +41,19 @@ def qos(
     depth: int = 1,
     reliability: ReliabilityPolicy = ReliabilityPolicy.RELIABLE,
     durability: DurabilityPolicy = DurabilityPolicy.VOLATILE,
+    lease: float = 0.0,
 ) -> QoSProfile:
-    """Return a quality of service that keeps the last ``depth`` messages."""
+    """Return a quality of service that keeps the last ``depth`` messages.
+
+    With a ``lease`` [s], DDS gives or expects signs of life of the process so often.
+    """
     return QoSProfile(
         depth=depth,
         history=HistoryPolicy.KEEP_LAST,
         reliability=reliability,
         durability=durability,
+        liveliness=LivelinessPolicy.AUTOMATIC,
+        liveliness_lease_duration=Duration(nanoseconds=round(1e9 * lease)),
     )
 
 

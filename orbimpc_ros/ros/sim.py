@@ -12,10 +12,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped, Vector3, WrenchStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
-from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, LivelinessPolicy
+from rclpy.qos import DurabilityPolicy
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
@@ -125,9 +124,7 @@ class Sim(Guarded):
 
     def watch_life(self, heard: Callable[[Any], None]) -> None:
         """Call back when DDS hears, or misses, signs of life from who promises them on cmd_vel."""
-        promised = qos()
-        promised.liveliness = LivelinessPolicy.AUTOMATIC
-        promised.liveliness_lease_duration = Duration(seconds=self.settings.lease)
+        promised = qos(lease=self.settings.lease)
         # Who promises nothing does not match, which is no fault.
         events = SubscriptionEventCallbacks(
             liveliness=self.guard(heard), incompatible_qos=lambda _event: None

@@ -13,10 +13,13 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.rotations import from_quaternion
 from orbimpc_ros.ros.messages import QUATERNION_TOLERANCE, Frames
 from orbimpc_ros.ros.parameter import FAR, SOON, TINY, Row, Values, vehicle_rows
+from orbimpc_ros.ros.process import LIFE
 from orbimpc_ros.world.faults import LONGEST, Faults
 from orbimpc_ros.world.rope import Rope
 from orbimpc_ros.world.scenario import FINISHES, MAX_TICKS, Scenario, retrieval
 from orbimpc_ros.world.vehicle import Model, launched
+
+SHARE = 0.75  # of command_timeout without a sign of life; the rest is for telling
 
 
 def _triple(vector: Array) -> tuple[float, ...]:
@@ -147,7 +150,7 @@ def sim_settings(values: Values) -> SimSettings:
         scenario=_scenario(values),
         lockstep=values['clock'] == 'lockstep',
         command_timeout=max(values['command_timeout'], 1.5 * values['step']),
-        lease=values['command_timeout'],
+        lease=max(LIFE, SHARE * values['command_timeout']),
         faults=_faults(values),
         goal_path_steps=values['goal_path_steps'],
         exit_when_done=values['exit_when_done'],
