@@ -30,6 +30,8 @@ class Tick:
         plan: the checked plan behind the command; None if the command is the safe one.
         command: what to do next.
         fallback: empty, ``shifted plan``, ``soft arrival`` or ``safe command``.
+        problem: what the plan solves; None without a plan, as is the next.
+        goals: g_1..g_N that it was made for, shape (N, n) [m].
     """
 
     status: str
@@ -38,6 +40,8 @@ class Tick:
     plan: Plan | None
     command: Command
     fallback: str = ''
+    problem: Problem | None = None
+    goals: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -205,7 +209,7 @@ def _solved(
 
 def _following(asked: _Asked, plan: Plan, status: str, reason: str, fallback: str = '') -> Tick:
     command = command_of(asked.problem, asked.state, plan)
-    return Tick(status, reason, asked.state, plan, command, fallback)
+    return Tick(status, reason, asked.state, plan, command, fallback, asked.problem, asked.goals)
 
 
 def _safe(state: State, status: str, reason: str) -> Tick:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,9 +20,8 @@ from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.mpc.command import Command
-from orbimpc_ros.mpc.controller import Controller
+from orbimpc_ros.mpc.controller import Controller, Tick
 from orbimpc_ros.mpc.odometry import Odometry
-from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.ros import messages, outputs
 from orbimpc_ros.ros.inbox import Inbox
 from orbimpc_ros.ros.messages import Stamp
@@ -33,6 +33,7 @@ from orbimpc_ros.ros.reports import (
     WARN,
     Report,
     diagnostics,
+    prices,
     report_of,
     safe_report,
 )
@@ -216,7 +217,7 @@ class Planner(Guarded):
         tick = self._controller.tick(odometry, targets, lambda: time.perf_counter() > end)
         report = report_of(tick, 1e3 * (time.perf_counter() - begun))
         command = self._safe_command() if tick.fallback == SAFE else tick.command
-        self._publish(stamp, command, report, tick.plan)
+        self._publish(stamp, command, report, tick)
 
     def _command_safe(self, reason: str, stamp: Stamp) -> None:
         self._publish(stamp, self._safe_command(), safe_report(reason), None)
@@ -227,9 +228,12 @@ class Planner(Guarded):
         attitude = np.eye(problem.dimension) if known is None else known.value.attitude
         return safe_command(self._settings.safe_command, problem, attitude, self._fraction)
 
-    def _publish(self, stamp: Stamp, command: Command, report: Report, plan: Plan | None) -> None:
+    def _publish(self, stamp: Stamp, command: Command, report: Report, tick: Tick | None) -> None:
         orders = outputs.orders(self._settings, stamp, command)
         self._send(orders)  # the vehicle first; who only watches can wait for the rest
+        plan = None if tick is None else tick.plan
+        if tick is not None:
+            report = replace(report, binding=prices(tick))
         told = outputs.reports(self._settings, stamp, report, plan, self.get_fully_qualified_name())
         if self._inbox.odometry is not None:
             told['rotation'] = messages.rotation_message(stamp, command)

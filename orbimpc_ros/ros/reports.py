@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from orbimpc_ros.mpc.binding import explained
 from orbimpc_ros.mpc.plan import FAILED, OPTIMAL
 from orbimpc_ros.ros.messages import header
 
@@ -18,6 +19,8 @@ if TYPE_CHECKING:  # the simulator reports without a solver, and starts sooner f
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 SAFE = 'safe command'
+ANOTHER_PLAN = 0.01  # unexplained share of the gradient beyond which a plan is no optimum
+LONGEST = 60  # steps; prices of longer plans take milliseconds
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,8 @@ class Report:
         speed_fraction: |R_k e1| along the plan, k = 0..N.
         projection_distance: largest Frobenius distance from R_k to its rotation, k = 1..N.
         fallback: empty, ``shifted plan`` or ``safe command``.
+        binding: price of each constraint that keeps the plan from being better, dearest first, by
+            its name and step, such as ``floor@3``; empty if none does or the plan is no optimum.
     """
 
     status: str
@@ -47,6 +52,7 @@ class Report:
     speed_fraction: tuple[float, ...] = ()
     projection_distance: float = math.nan
     fallback: str = ''
+    binding: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def level(self) -> bytes:
@@ -73,6 +79,17 @@ def report_of(tick: Tick, solve_time_ms: float) -> Report:
         float(plan.projection_distance[1:].max()),
         tick.fallback,
     )
+
+
+def prices(tick: Tick) -> dict[str, float]:
+    """Return what binds at a tick's plan: apart, for the vehicle must not wait for it."""
+    problem, goals, plan = tick.problem, tick.goals, tick.plan
+    if problem is None or goals is None or plan is None or plan.horizon > LONGEST:
+        return {}
+    told = explained(problem, tick.state, goals, plan)
+    if told.unexplained > ANOTHER_PLAN:
+        return {}
+    return {str(each): each.price for each in told.binding}
 
 
 def safe_report(reason: str) -> Report:

@@ -1,0 +1,50 @@
+"""What binds, as the planner tells it on ``tick``."""
+
+import json
+
+import numpy as np
+import pytest
+
+from orbimpc_ros.mpc.controller import Controller
+from orbimpc_ros.mpc.odometry import Odometry
+from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.ros.reports import prices, report_of, tick_message
+from orbimpc_ros.world.flight import departure, planned
+from orbimpc_ros.world.scenario import retrieval, retrieval_problem
+from orbimpc_ros.world.vehicle import measured
+
+pytest.importorskip('rclpy')
+
+
+def far_away(problem):
+    """Return a tick towards a goal far ahead: nothing but full speed is in the way."""
+    odometry = measured(departure(retrieval()).vehicle)
+    return Controller(problem).tick(odometry, np.tile([99.0, 0.0], (problem.horizon, 1)))
+
+
+def test_full_speed_binds_on_the_way_to_a_far_goal():
+    assert list(prices(far_away(Problem()))) == ['hull@1', 'hull@2', 'hull@3', 'hull@4']
+
+
+def test_longer_plans_than_can_be_priced_in_time_have_none():
+    assert prices(far_away(Problem(horizon=61))) == {}
+
+
+def test_a_plan_that_only_stands_in_has_no_prices():
+    problem = Problem(horizon=5, terminal='constraint')
+    controller = Controller(problem)
+    near, beyond = np.tile([4.0, 0.0], (5, 1)), np.tile([50.0, 0.0], (5, 1))
+    odometry = measured(departure(retrieval()).vehicle)
+    assert controller.tick(odometry, near).fallback == ''
+    tick = controller.tick(odometry, beyond)
+    assert tick.fallback
+    assert prices(tick) == {}
+
+
+def test_a_tick_message_carries_the_prices_as_json():
+    from dataclasses import replace
+
+    tick = far_away(Problem())
+    report = replace(report_of(tick, 1.0), binding=prices(tick))
+    told = {pair.key: pair.value for pair in tick_message(0, 'planner', report).status[0].values}
+    assert json.loads(told['binding']) == pytest.approx(prices(tick))
