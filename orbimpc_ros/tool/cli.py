@@ -19,6 +19,7 @@ INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 COMMANDS = {
     'bench': 'measure side by side with the solvers that are installed',
     'demo': 'run planner and simulator over DDS, record a bag, draw the picture',
+    'replay': 'solve the inputs of a bag again, compare with its outputs',
     'solve': 'solve one problem from a file, print the plan as JSON',
 }
 

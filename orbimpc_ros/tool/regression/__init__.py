@@ -1,0 +1,1 @@
+"""Bags as regression tests: what was recorded, solved again, compared."""

@@ -1,0 +1,58 @@
+"""Accepting a replay: the bag anew, with the same inputs and the new outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.tool import bag, settings
+from orbimpc_ros.tool.bag.raw import Raw
+from orbimpc_ros.tool.bag_writer import BagWriter
+from orbimpc_ros.tool.files import replacing
+from orbimpc_ros.tool.regression.recording import OUTPUTS, Recording
+from orbimpc_ros.tool.regression.resolving import Replayed
+from orbimpc_ros.tool.settings import Values
+from orbimpc_ros.tool.topics import TYPES, Topic, topics_of
+
+
+def accept(recording: Recording, replayed: Sequence[Replayed], values: Values) -> None:
+    """Replace a bag of our recorder by one with new outputs; until that is whole, nothing changes.
+
+    Args:
+        recording: what the bag held.
+        replayed: the new answers.
+        values: of every parameter; noted in the bag.
+
+    Raises:
+        BadInput: the bag is not one of our recorder's, or cannot be replaced.
+    """
+    path = recording.path
+    if not path.is_dir() or 'parameters' not in bag.notes(path):
+        raise BadInput(str(path), 'not a bag of orbimpc', "the folder of a bag of orbimpc's")
+    kept = [each for each in bag.raw(path) if not _replaced(each, recording)]
+    fresh = list(_serialised(recording, replayed))
+    notes = bag.notes(path) | {'parameters': settings.text(values)}
+    with replacing(path) as folder, BagWriter(folder, _topics(kept, recording), notes) as writer:
+        for each in sorted([*kept, *fresh], key=lambda each: each.stamp):
+            writer.write(each.topic, each.stamp, each.data, each.sent)
+
+
+def _replaced(each: Raw, recording: Recording) -> bool:
+    before, _, name = each.topic.rpartition('/')
+    return before == recording.namespace and name in OUTPUTS
+
+
+def _topics(kept: Sequence[Raw], recording: Recording) -> list[Topic]:
+    """Return the topics of the bag, as its recorder had them."""
+    shared = {topic.name for topic in topics_of(())}
+    spaces = {each.topic.rpartition('/')[0] for each in kept if each.topic not in shared}
+    return list(topics_of(sorted(spaces | {recording.namespace})))
+
+
+def _serialised(recording: Recording, replayed: Sequence[Replayed]) -> Iterator[Raw]:
+    from rclpy.serialization import serialize_message
+
+    for each in replayed:
+        for name, message in each.messages.items():
+            topic, then = f'{recording.namespace}/{name}', each.recorded
+            yield Raw(topic, TYPES[name], then.stamp, then.sent, serialize_message(message))

@@ -1,0 +1,180 @@
+"""``orbimpc replay``: a bag's inputs solved again, tick by tick, and compared with its outputs."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from orbimpc_ros.mpc.errors import BadInput
+
+if TYPE_CHECKING:
+    from orbimpc_ros.ros.parameters import PlannerSettings
+    from orbimpc_ros.tool.regression.difference import Comparison, Tolerances
+    from orbimpc_ros.tool.regression.recording import Recording
+    from orbimpc_ros.tool.regression.resolving import Replayed
+    from orbimpc_ros.tool.settings import Values
+
+LINES = 20  # differences told one by one
+SAME, DIFFERENT = 0, 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the command."""
+    parser.add_argument('bag', metavar='BAG', help='its folder, .mcap or .db3 file')
+    parser.add_argument(
+        '--params', metavar='FILE', help='parameters; by default those that the bag was made with'
+    )
+    parser.add_argument(
+        '--set',
+        action='append',
+        default=[],
+        metavar='NAME=VALUE',
+        help='override a parameter: what if? may be repeated',
+    )
+    parser.add_argument(
+        '--tick', type=int, metavar='K', help='show this tick alone, recorded and replayed'
+    )
+    parser.add_argument(
+        '--namespace', default='', metavar='NS', help='of the vehicle, such as /uav1'
+    )
+    parser.add_argument(
+        '--update', action='store_true', help="accept: replace the bag's outputs by the new ones"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Solve a bag's inputs again, compare, tell; 0 if nothing differs beyond the tolerances."""
+    from orbimpc_ros.ros.parameters import planner_settings
+    from orbimpc_ros.tool.regression.accept import accept
+    from orbimpc_ros.tool.regression.recording import recording_of
+    from orbimpc_ros.tool.regression.resolving import Replay, before
+
+    begun = time.perf_counter()
+    path, namespace = Path(args.bag), _namespace(args.namespace)
+    values = _values(path, args)
+    settings = planner_settings(values)
+    recording = recording_of(path, namespace)
+    if args.tick is not None:
+        recording = before(recording, _tick(args, len(recording.answers)))
+    replayed = list(Replay(recording, settings).answers())
+    found = compared(replayed, settings)
+    if args.tick is not None:
+        _show(replayed[-1], [each for each in found if each.tick == args.tick])
+        return DIFFERENT if any(c.differs for c in found if c.tick == args.tick) else SAME
+    _tell(recording, found, replayed, time.perf_counter() - begun)
+    if args.update:
+        accept(recording, replayed, values)
+        print(f'accepted      {path}')
+        return SAME
+    return DIFFERENT if any(each.differs for each in found) else SAME
+
+
+def _namespace(given: str) -> str:
+    return f'/{given.strip("/")}' if given.strip('/') else ''
+
+
+def _tick(args: argparse.Namespace, count: int) -> int:
+    """Return the number of the tick asked for.
+
+    Raises:
+        BadInput: there is no such tick, or the command would accept what it does not show.
+    """
+    if args.update:
+        raise BadInput('--update', 'given with --tick', 'one of the two')
+    if not 0 <= args.tick < count:
+        raise BadInput('--tick', args.tick, f'0 to {count - 1}')
+    return int(args.tick)
+
+
+def _values(path: Path, args: argparse.Namespace) -> Values:
+    """Return every parameter's value: as given, or as noted in the bag by whoever recorded it."""
+    from orbimpc_ros.tool import bag, settings
+
+    if args.params is not None:
+        return settings.resolve(Path(args.params), args.set)
+    noted = bag.notes(path).get('parameters')
+    if noted is None and not args.set:
+        raise BadInput(str(path), 'without notes of its parameters', '--params FILE or --set')
+    return settings.changed(settings.read(noted or '{}'), args.set)
+
+
+def compared(replayed: Sequence[Replayed], settings: PlannerSettings) -> list[Comparison]:
+    """Return the comparisons of all answers."""
+    from orbimpc_ros.tool.regression.answer import answer_of
+    from orbimpc_ros.tool.regression.difference import comparisons
+    from orbimpc_ros.tool.stamps import SECOND
+
+    tolerances = _tolerances(settings)
+    return [
+        comparison
+        for tick, each in enumerate(replayed)
+        for comparison in comparisons(
+            tick,
+            each.recorded.stamp / SECOND,
+            each.recorded.answer,
+            answer_of(each.messages),
+            tolerances,
+        )
+    ]
+
+
+def _tolerances(settings: PlannerSettings) -> Tolerances:
+    from orbimpc_ros.tool.regression.difference import SPEED, Tolerances
+
+    full = settings.problem.forward
+    return Tolerances(
+        speed=SPEED * full, force=SPEED * full * settings.mass, gap=settings.gap_tolerance
+    )
+
+
+def _tell(
+    recording: Recording,
+    found: Sequence[Comparison],
+    replayed: Sequence[Replayed],
+    elapsed: float,
+) -> None:
+    differences = [each for each in found if each.differs]
+    for each in differences[:LINES]:
+        print(each)
+    if len(differences) > LINES:
+        print(f'... and {len(differences) - LINES} more')
+    print(f'replayed      {len(replayed)} ticks of {recording.path} in {elapsed:.2f} s')
+    refused = sum(len(each.refusals) for each in replayed)
+    print(f'inputs        {len(recording.inputs)}, {refused} refused')
+    counts = Counter(each.quantity for each in found)
+    print(f'compared      {", ".join(f"{n} {quantity}" for quantity, n in counts.items())}')
+    print(f'differences   {_summary(differences)}')
+
+
+def _summary(differences: Sequence[Comparison]) -> str:
+    if not differences:
+        return 'none'
+    worst: dict[str, Comparison] = {}
+    for each in differences:
+        if each.quantity not in worst or each.apart > worst[each.quantity].apart:
+            worst[each.quantity] = each
+    ticks = len({each.tick for each in differences})
+    parts = ', '.join(f'{name} at tick {each.tick}' for name, each in worst.items())
+    return f'{len(differences)} in {ticks} ticks; worst {parts}'
+
+
+def _show(replayed: Replayed, found: Sequence[Comparison]) -> None:
+    """Print one tick, recorded and replayed side by side."""
+    from orbimpc_ros.tool.regression.answer import answer_of
+    from orbimpc_ros.tool.regression.difference import UNITS, shown
+
+    then, now = replayed.recorded.answer, answer_of(replayed.messages)
+    print(f'{f"tick {found[0].tick} at {found[0].time:.3f} s":<22}{"recorded":<34}replayed')
+    for each in found:
+        unit = f' [{UNITS[each.quantity]}]' if each.quantity in UNITS else ''
+        mark = '   differs' if each.differs else ''
+        row = f'{each.quantity + unit:<22}{shown(each.recorded):<34}{shown(each.replayed)}'
+        print(row + mark)
+    if then.reason or now.reason:
+        print(f'{"reason":<22}{shown(then.reason):<34}{shown(now.reason)}')
+    for refusal in replayed.refusals:
+        print(refusal)
