@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -20,17 +21,20 @@ class ProcessFailure(OrbimpcError):
 
 
 class Process:
-    """A node in a process of its own.
+    """A node in a process of its own, which ends with this one, however that ends.
 
     Args:
         module: to run, such as ``orbimpc_ros.ros.sim``.
         parameters: file of ROS parameters.
         log: takes what the process prints.
+        domain: of ROS; this process's by default.
     """
 
-    def __init__(self, module: str, parameters: Path, log: Path) -> None:
+    def __init__(self, module: str, parameters: Path, log: Path, domain: int | None = None) -> None:
         self.name, self._log = module.rpartition('.')[2], log
-        command = [sys.executable, '-m', module, '--ros-args', '--params-file', str(parameters)]
+        tethered = [sys.executable, '-m', 'orbimpc_ros.tool.tethered', str(os.getpid())]
+        command = [*tethered, module, '--ros-args', '--params-file', str(parameters)]
+        own = {} if domain is None else {'ROS_DOMAIN_ID': str(domain)}
         with log.open('wb') as stream:
             # A session of its own: Ctrl-C reaches the tool alone, which then stops in order.
             self._child = subprocess.Popen(
@@ -39,7 +43,18 @@ class Process:
                 stdout=stream,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
+                env=os.environ | own,
             )
+
+    @property
+    def pid(self) -> int:
+        """Return the process's number."""
+        return self._child.pid
+
+    @property
+    def output(self) -> str:
+        """Return what the process has printed."""
+        return self._log.read_text(errors='replace')
 
     @property
     def running(self) -> bool:
@@ -53,18 +68,27 @@ class Process:
             ProcessFailure: with the last lines of its log.
         """
         if self._child.poll():
-            lines = self._log.read_text(errors='replace').splitlines()[-LAST_LINES:]
+            lines = self.output.splitlines()[-LAST_LINES:]
             print('\n'.join(lines), file=sys.stderr)
             raise ProcessFailure(f'{self.name} ended with code {self._child.returncode}')
+
+    def tell(self, number: int) -> None:
+        """Send a signal."""
+        self._child.send_signal(number)
+
+    def wait(self, patience: float) -> int | None:
+        """Return the exit code; None if the process has not ended after ``patience`` [s]."""
+        try:
+            return self._child.wait(patience)
+        except subprocess.TimeoutExpired:
+            return None
 
     def stop(self) -> None:
         """Ask the process to end; kill it if it does not."""
         if not self.running:
             return
-        self._child.send_signal(signal.SIGINT)
-        try:
-            self._child.wait(PATIENCE)
-        except subprocess.TimeoutExpired:
+        self.tell(signal.SIGINT)
+        if self.wait(PATIENCE) is None:
             self._child.kill()
             self._child.wait()
 
