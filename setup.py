@@ -38,6 +38,7 @@ setup(
         'matplotlib>=3.6',
         'mcap>=1.1',
         'numpy>=1.26',
+        'pillow>=9.0',
         'pyyaml>=6.0',
         'rosbags>=0.10',
         'scipy>=1.11',
@@ -47,6 +48,8 @@ setup(
         'fast': ['numba>=0.59'],
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'test': ['hypothesis', 'mypy', 'pytest', 'ruff', 'types-PyYAML'],
+        # Its blueprints and wheels change from release to release; 0.39 is the last for 3.10.
+        'view': ['rerun-sdk>=0.39,<0.42'],
     },
     entry_points={
         'console_scripts': [

@@ -17,6 +17,7 @@ STANDARD = sys.stdlib_module_names
 
 # Who brings what the code imports: rosdep key, distribution on PyPI. None: not needed there.
 PROVIDERS = {
+    'PIL': ('python3-pil', 'pillow'),
     'clarabel': ('python3-cvxpy-pip', 'clarabel'),
     'cvxpy': ('python3-cvxpy-pip', 'cvxpy'),
     'matplotlib': ('python3-matplotlib', 'matplotlib'),
@@ -26,6 +27,7 @@ PROVIDERS = {
     'scipy': ('python3-scipy', 'scipy'),
     'yaml': ('python3-yaml', 'pyyaml'),
 }
+MODULES = {'rerun-sdk': ('rerun', 'rerun_cli')}  # of what is not named as its module is
 
 
 def setup_keyword(name):
@@ -65,9 +67,11 @@ def test_manifests_agree(field):
 
 
 def optional():
-    """Return the modules that the package does without: those of the extras fast and bench."""
+    """Return the modules that the package does without: those of extras."""
     extras = setup_keyword('extras_require')
-    return {re.split(r'[<>=\[]', r)[0] for name in ('fast', 'bench') for r in extras.get(name, [])}
+    wanted = [r for name in ('fast', 'bench', 'view') for r in extras.get(name, [])]
+    brought = {re.split(r'[<>=\[]', r)[0] for r in wanted}
+    return brought | {module for name in brought for module in MODULES.get(name, ())}
 
 
 def test_every_import_is_declared_in_package_xml():

@@ -21,6 +21,7 @@ COMMANDS = {
     'demo': 'run planner and simulator over DDS, record a bag, draw the picture',
     'replay': 'solve the inputs of a bag again, compare with its outputs',
     'solve': 'solve one problem from a file, print the plan as JSON',
+    'view': 'look at a flight in a browser, live or from a bag',
 }
 
 

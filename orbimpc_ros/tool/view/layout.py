@@ -1,0 +1,91 @@
+"""What is where on the page: the world, the set of thrusts, the tick in words, and charts."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import rerun.blueprint as rrb
+
+from orbimpc_ros.mpc.arrays import Array
+
+TIMELINE = 'ros_time'
+WORLD, THRUST, TICK = 'world', 'thrust', 'tick'
+CHARTS = {
+    'distance': ('Distance to the goal [m]', None),
+    'speed': ('Share of full speed |R e₁|, floor', (0.0, 1.05)),
+    'gap': ('Gap to the proved bound, log₁₀', (-13.0, 0.0)),
+    'time': ('Solve time [ms]', None),
+}  # entity: title and range
+OPENING = math.radians(27.0)  # half the viewer's vertical field of view
+SLANT = np.array([0.45, -0.85, 0.5])  # where space is looked at from
+
+
+class Eye(NamedTuple):
+    """From where to look, at what, and which way is up; shape (3,) each [m]."""
+
+    position: Array
+    target: Array
+    up: Array
+
+
+def eye(dimension: int, points: Array) -> Eye:
+    """Return a view of points, shape (K, 3) [m]: the plane from above, space aslant."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    target, reach = 0.5 * (low + high), 0.5 * max(1.0, float(np.linalg.norm(high - low)))
+    away = 1.15 * reach / math.tan(OPENING)
+    if dimension == 2:
+        return Eye(target + np.array([0.0, 0.0, away]), target, np.array([0.0, 1.0, 0.0]))
+    return Eye(target + away * SLANT / np.linalg.norm(SLANT), target, np.array([0.0, 0.0, 1.0]))
+
+
+def blueprint(dimension: int, world: Eye) -> rrb.Blueprint:
+    """Return the page's layout."""
+    low = dimension == 2
+    axes = 'the (a, b) disk' if low else 'the unit ball'
+    corners = np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 0.0]])
+    charts = [_chart(entity, *look) for entity, look in CHARTS.items()]
+    disk = eye(dimension, 0.75 * corners)
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(
+                _space(WORLD, 'Vehicle, plan, rope', world, grid=True),
+                rrb.Horizontal(charts[0], charts[1]),
+                row_shares=[9, 3],
+            ),
+            rrb.Vertical(
+                _space(THRUST, f'R e₁ of the plan in {axes}: hull, floor', disk, grid=False),
+                rrb.TextDocumentView(origin=TICK, name='Tick'),
+                rrb.Horizontal(charts[2], charts[3]),
+                row_shares=[5, 4, 3],
+            ),
+            column_shares=[3, 2],
+        ),
+        rrb.TimePanel(timeline=TIMELINE, state='collapsed'),
+        collapse_panels=True,
+    )
+
+
+def _chart(entity: str, title: str, span: tuple[float, float] | None) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        origin=entity,
+        name=title,
+        plot_legend=rrb.PlotLegend(visible=False),
+        axis_y=span and rrb.ScalarAxis(range=span),
+    )
+
+
+def _space(origin: str, name: str, seen: Eye, grid: bool) -> rrb.Spatial3DView:
+    controls = rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital,
+        position=seen.position,
+        look_target=seen.target,
+        eye_up=seen.up,
+    )
+    return rrb.Spatial3DView(
+        origin=origin,
+        name=name,
+        eye_controls=controls,
+        line_grid=rrb.LineGrid3D(visible=grid),
+    )

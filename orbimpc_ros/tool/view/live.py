@@ -1,0 +1,100 @@
+"""What runs now, drawn as it comes: a node that only listens."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any
+
+import rclpy
+import rerun as rr
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import parameter_value_to_python
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+
+from orbimpc_ros.ros.parameters import PLANNER, SIM
+from orbimpc_ros.ros.process import RANGE, qos
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.topics import VEHICLE, Topic
+from orbimpc_ros.tool.view.scene import Scene
+
+SPIN = 0.05  # [s]
+ASK = 2.0  # [s] between questions for parameters: they may change, nodes may come later
+DEPTH = 20  # a viewer that is behind loses messages; it never holds a controller up
+NODES = {'planner': PLANNER, 'sim': SIM}
+
+
+class Watcher:
+    """Listens to one vehicle and draws it.
+
+    Args:
+        namespace: of the vehicle, such as ``/uav1``.
+        recording: to draw into.
+    """
+
+    def __init__(self, namespace: str, recording: rr.RecordingStream) -> None:
+        os.environ.setdefault(RANGE, 'LOCALHOST')
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = rclpy.create_node('viewer', context=self._context, namespace=namespace or '/')
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._values = settings.read('{}')
+        self._scene = Scene(recording, self._values)
+        for topic in VEHICLE:
+            if topic.name in self._scene.topics:
+                self._listen(topic)
+        self._clients = {name: AsyncParameterClient(self._node, name) for name in NODES}
+        self._node.create_timer(ASK, self._ask)
+
+    def _listen(self, topic: Topic) -> None:
+        package, _, kind = topic.type.split('/')
+        message = getattr(import_module(f'{package}.msg'), kind)
+        # What is kept for those who come late is only handed over reliably.
+        kept = qos(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        profile = kept if topic.latched else qos(DEPTH, ReliabilityPolicy.BEST_EFFORT)
+        self._node.create_subscription(
+            message, topic.name, lambda heard: self._scene.take(topic.name, heard), profile
+        )
+
+    def _ask(self) -> None:
+        for name, client in self._clients.items():
+            if client.services_are_ready():
+                names = [row.name for row in NODES[name]]
+                answer = client.get_parameters(names)
+                answer.add_done_callback(lambda done, names=names: self._learn(names, done))
+
+    def _learn(self, names: list[str], answer: Future) -> None:
+        """Draw anew what depends on parameters, if they have changed."""
+        response: Any = answer.result()
+        if response is None:
+            return
+        told = dict(zip(names, map(parameter_value_to_python, response.values), strict=False))
+        known = {name: value for name, value in told.items() if value is not None}
+        if known | self._values != self._values | known:
+            self._values |= known
+            self._scene.configure(self._values)
+
+    def spin(self) -> None:
+        """Draw what comes for a while."""
+        self._executor.spin_once(timeout_sec=SPIN)
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+
+def draw(namespace: str, recording: rr.RecordingStream, going: Callable[[], bool]) -> None:
+    """Draw what runs now for as long as ``going()``."""
+    watcher = Watcher(namespace, recording)
+    try:
+        while going():
+            watcher.spin()
+    finally:
+        watcher.close()

@@ -1,0 +1,53 @@
+"""A bag's messages, drawn in the order of their stamps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import rerun as rr
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.tool import bag, settings
+from orbimpc_ros.tool.view.scene import Scene
+
+NEEDED = ('odom', 'goal')
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A vehicle's flight in a bag.
+
+    Attributes:
+        messages: topics, named without the namespace, and contents, in order of time.
+        values: parameters of the run.
+    """
+
+    messages: tuple[tuple[str, Any], ...]
+    values: settings.Values
+
+    def draw(self, recording: rr.RecordingStream) -> None:
+        """Draw the flight into a recording."""
+        scene = Scene(recording, self.values)
+        for topic, content in self.messages:
+            scene.take(topic, content)
+        recording.flush()
+
+
+def read(path: Path, namespace: str) -> Recorded:
+    """Return a vehicle's flight in a bag.
+
+    Raises:
+        BadInput: no bag, or one without odometry and goal of this vehicle.
+    """
+    own = f'{namespace}/'
+    found = tuple(
+        (message.topic[len(own) :], message.content)
+        for message in bag.read(path)
+        if message.topic.startswith(own)
+    )
+    for topic in NEEDED:
+        if topic not in {name for name, _ in found}:
+            raise BadInput(str(path), f'without {own}{topic}', 'a bag with odom and goal')
+    return Recorded(found, settings.read(bag.notes(path).get('parameters', '{}')))

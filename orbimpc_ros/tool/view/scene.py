@@ -1,0 +1,231 @@
+"""What topics say, drawn at the time of their stamps: the same for a bag and for what runs now."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.ros.parameters import planner_settings
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.content import attitude, fields, point, seconds, vectors
+from orbimpc_ros.tool.palette import BLUE, GREEN, GREY, ORANGE, RED, SKY, rgb
+from orbimpc_ros.tool.view import shapes
+from orbimpc_ros.tool.view.layout import THRUST, TICK, TIMELINE, WORLD, blueprint, eye
+
+WALL_CLOCK = 1e8  # [s]: later stamps are dates, earlier ones count from a simulation's start
+REMEMBERED = 500  # places on the flown path
+SWING = 20  # sightings of the goal
+SIZE = 0.06  # of a vehicle, as a share of the scene
+LEAST_GAP = 1e-12  # drawn for a gap without a logarithm
+LINE, STEPS = (
+    rr.components.InterpolationMode.Linear,
+    rr.components.InterpolationMode.StepAfter,
+)
+SERIES = {
+    'distance/to_goal': (BLUE, 2.0, LINE),
+    'speed/commanded': (BLUE, 2.0, STEPS),
+    'speed/floor': (RED, 1.5, STEPS),
+    'gap/log10': (GREEN, 2.0, STEPS),
+    'time/solve_ms': (ORANGE, 2.0, STEPS),
+}  # colour, width and manner of what charts show
+
+
+class Scene:
+    """Draws what it is told of one vehicle.
+
+    Args:
+        recording: to draw into.
+        values: parameters of planner and simulator, as far as they are known.
+    """
+
+    def __init__(self, recording: rr.RecordingStream, values: settings.Values) -> None:
+        self._to = recording
+        self._way: deque[Array] = deque(maxlen=REMEMBERED)
+        self._headings: deque[Array] = deque(maxlen=REMEMBERED)
+        self._swing: deque[Array] = deque(maxlen=SWING)
+        self._unit = 0.0  # length of a vehicle [m]; 0 until the scene is known
+        self._pointing = self._shares = (-1.0, np.zeros(0))  # of which tick [s], and what
+        self._takers = {
+            'odom': self._take_odometry,
+            'goal': self._take_goal,
+            'goal_path': self._take_forecast,
+            'plan': self._take_plan,
+            'tick': self._take_tick,
+            'captured': self._take_captured,
+        }
+        for entity, look in SERIES.items():
+            self._to.log(entity, _series(*look), static=True)
+        self.configure(values)
+
+    @property
+    def topics(self) -> Sequence[str]:
+        """Return the topics that are drawn, named without a namespace."""
+        return tuple(self._takers)
+
+    def configure(self, values: settings.Values) -> None:
+        """Draw what parameters say: hull, floor, obstacles; nothing if they contradict."""
+        try:
+            self._problem = planner_settings(values).problem
+        except BadInput:
+            self._problem = Problem()
+        self._radius = float(values['capture_radius'])
+        self._done = 'caught' if values['finish'] == 'capture' else 'arrived'
+        n, floor = self._problem.dimension, self._problem.floor
+        self._to.log(f'{THRUST}/hull', _lines(shapes.hull(n), GREY, 0.008), static=True)
+        self._to.log(f'{THRUST}/floor', _lines(shapes.floor(n, floor), RED, 0.014), static=True)
+        self._to.log(f'{WORLD}/obstacles', _boxes(self._problem), static=True)
+
+    def take(self, topic: str, message: Any) -> None:
+        """Draw a message; ``topic`` is named without a namespace."""
+        if topic not in self._takers:
+            return
+        if hasattr(message, 'header'):
+            now = seconds(message)
+            self._to.set_time(TIMELINE, **{'timestamp' if now > WALL_CLOCK else 'duration': now})
+        self._takers[topic](message)
+
+    def _take_odometry(self, message: Any) -> None:
+        place, turned = point(message.pose.pose.position), attitude(message.pose.pose.orientation)
+        self._way.append(place)
+        self._headings.append(turned[:, 0])
+        self._begin()
+        self._to.log(f'{WORLD}/vehicle', rr.Transform3D(translation=place, mat3x3=turned))
+        noses = _arrows(self._way, self._unit * np.array(self._headings), BLUE, 0.07 * self._unit)
+        self._to.log(f'{WORLD}/flown/headings', noses)
+        self._to.log(f'{WORLD}/flown', _lines([np.array(self._way)], SKY, 0.05 * self._unit))
+        if self._swing:
+            distance = np.linalg.norm(place - self._swing[-1])
+            self._to.log('distance/to_goal', rr.Scalars([distance]))
+
+    def _take_goal(self, message: Any) -> None:
+        self._swing.append(point(message.pose.position))
+        self._begin()
+        ball = rr.Ellipsoids3D(
+            centers=[self._swing[-1]],
+            half_sizes=[[self._radius] * 3],
+            colors=[rgb(ORANGE)],
+            fill_mode=rr.components.FillMode.TransparentFillMajorWireframe,
+        )
+        self._to.log(f'{WORLD}/goal', ball)
+        trail = _lines([np.array(self._swing)], ORANGE, 0.05 * self._unit)
+        self._to.log(f'{WORLD}/goal/trail', trail)
+
+    def _begin(self) -> None:
+        """Choose the point of view and the size of things once both ends of the way are known."""
+        if self._unit or not (self._way and self._swing):
+            return
+        ends = np.array([self._way[0], self._swing[0]])
+        self._unit = SIZE * max(1.0, float(np.linalg.norm(ends[1] - ends[0])))
+        self._to.send_blueprint(
+            blueprint(self._problem.dimension, eye(self._problem.dimension, ends))
+        )
+        dart = rr.Mesh3D(
+            vertex_positions=self._unit * shapes.DART, vertex_colors=shapes.DART_COLORS
+        )
+        self._to.log(f'{WORLD}/vehicle/body', dart, static=True)
+        axes = rr.Arrows3D(
+            vectors=self._unit * np.eye(3),
+            colors=[rgb(RED), rgb(GREEN), rgb(BLUE)],
+            radii=0.06 * self._unit,
+        )
+        self._to.log(f'{WORLD}/vehicle/axes', axes, static=True)
+
+    def _take_forecast(self, message: Any) -> None:
+        places = vectors(stamped.pose.position for stamped in message.poses)
+        dots = rr.Points3D(places, radii=0.1 * self._unit, colors=[rgb(ORANGE)])
+        self._to.log(f'{WORLD}/goal/forecast', dots)
+
+    def _take_plan(self, message: Any) -> None:
+        places = vectors(stamped.pose.position for stamped in message.poses)
+        self._to.log(f'{WORLD}/plan', _lines([places], GREEN, 0.08 * self._unit))
+        dots = rr.Points3D(places, radii=0.16 * self._unit, colors=[rgb(GREEN)])
+        self._to.log(f'{WORLD}/plan/steps', dots)
+        turned = [attitude(stamped.pose.orientation)[:, 0] for stamped in message.poses]
+        self._pointing = seconds(message), np.array(turned)
+        self._draw_thrust()
+
+    def _take_tick(self, message: Any) -> None:
+        told = fields(message)
+        self._shares = seconds(message), np.array(told.get('speed_fraction') or [])
+        self._to.log(TICK, rr.TextDocument(_words(told), media_type=rr.MediaType.MARKDOWN))
+        self._chart('time/solve_ms', told.get('solve_time_ms'))
+        gap = told.get('gap')
+        if isinstance(gap, float) and np.isfinite(gap):
+            self._chart('gap/log10', np.log10(max(gap, LEAST_GAP)))
+        if len(self._shares[1]) > 1:
+            self._chart('speed/commanded', self._shares[1][1])
+        if self._problem.floor.shape != 'none':
+            self._chart('speed/floor', self._problem.floor.fraction)
+        self._draw_thrust()
+
+    def _draw_thrust(self) -> None:
+        """Draw R_k e1 = sigma_k Q_k e1 once direction and share of the same tick are there."""
+        (planned, axes), (ticked, shares) = self._pointing, self._shares
+        if planned != ticked or len(axes) != len(shares):
+            return
+        ends = shares[:, None] * axes
+        names = [str(k) for k in range(len(ends))]
+        dots = rr.Points3D(ends, radii=0.03, colors=[rgb(GREEN)], labels=names)
+        self._to.log(f'{THRUST}/plan', dots)
+        self._to.log(f'{THRUST}/plan/order', _lines([ends], GREEN, 0.008))
+
+    def _take_captured(self, message: Any) -> None:
+        if message.data and self._swing:
+            radius, place = 0.3 * self._unit, self._swing[-1]
+            star = rr.Points3D([place], radii=radius, colors=[rgb(GREEN)], labels=[self._done])
+            self._to.log(f'{WORLD}/done', star)
+
+    def _chart(self, entity: str, value: Any) -> None:
+        if value is not None:
+            self._to.log(entity, rr.Scalars([value]))
+
+
+def _series(color: str, width: float, manner: rr.components.InterpolationMode) -> rr.SeriesLines:
+    return rr.SeriesLines(colors=[rgb(color)], widths=[width], interpolation_mode=manner)
+
+
+def _lines(strips: list[Array], color: str, radius: float) -> rr.LineStrips3D:
+    return rr.LineStrips3D(strips, colors=[rgb(color)], radii=[radius])
+
+
+def _arrows(places: Sequence[Array], along: Array, color: str, radius: float) -> rr.Arrows3D:
+    return rr.Arrows3D(origins=list(places), vectors=along, colors=[rgb(color)], radii=[radius])
+
+
+def _boxes(problem: Problem) -> rr.Boxes3D:
+    """Return the obstacles; in the plane they are flat."""
+    corners = [np.array([box.minimum, box.maximum]) for box in problem.obstacles]
+    places = np.pad(np.reshape(corners, (-1, 2, problem.dimension)), _to_space(problem.dimension))
+    return rr.Boxes3D(
+        centers=places.mean(axis=1),
+        sizes=np.diff(places, axis=1)[:, 0],
+        colors=[rgb(GREY)],
+        fill_mode=rr.components.FillMode.Solid,
+    )
+
+
+def _to_space(dimension: int) -> list[tuple[int, int]]:
+    return [(0, 0), (0, 0), (0, 3 - dimension)]
+
+
+def _words(told: dict[str, Any]) -> str:
+    """Return what a tick says, as a table in Markdown."""
+    first, *others = [f'| {key} | {_word(value)} |' for key, value in told.items() if _said(value)]
+    return '\n'.join([first, '| --- | --- |', *others])
+
+
+def _said(value: Any) -> bool:
+    return value not in ('', []) and value == value  # NaN stands for nothing
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, list):
+        return ', '.join(_word(each) for each in value)
+    return f'{value:.4g}' if isinstance(value, float) else str(value)
