@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.forecast import Forecast, Sighting
+from orbimpc_ros.mpc.odometry import Odometry
+from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.world.capture import closest_approach
 from orbimpc_ros.world.scenario import Scenario
 from orbimpc_ros.world.vehicle import Vehicle, advance, measured, stopped
 
 if TYPE_CHECKING:  # the simulator flies without a solver, and starts sooner for it
-    from orbimpc_ros.mpc.controller import Controller, Tick
+    from orbimpc_ros.mpc.controller import Tick
 
 
 @dataclass(frozen=True)
@@ -141,23 +144,52 @@ class Log:
         return np.array([flight.miss for flight in self.flights[1:]])
 
 
-def fly(controller: Controller, scenario: Scenario, forecast: Forecast) -> Log:
+class Pilot(Protocol):
+    """What flies a vehicle: the controller of this package, or another to compare it with.
+
+    Attributes:
+        problem: gives the step.
+    """
+
+    problem: Problem
+
+    @property
+    def remaining(self) -> int:
+        """Return how many steps ahead it looks."""
+
+    def tick(self, odometry: Odometry, goals: Array) -> Tick:
+        """Return what to do next, given goals g_1..g_N, shape (``remaining``, n) [m]."""
+
+
+Sensor = Callable[[Flight], tuple[Sighting, Odometry]]
+
+
+def perfect_sensor(flight: Flight) -> tuple[Sighting, Odometry]:
+    """Return what is seen of a flight without noise: its goal and its vehicle."""
+    return Sighting(flight.vehicle.time, flight.goal), measured(flight.vehicle)
+
+
+def fly(
+    pilot: Pilot, scenario: Scenario, forecast: Forecast, sensor: Sensor = perfect_sensor
+) -> Log:
     """Close the loop of controller and vehicle until the goal is caught or the steps run out.
 
     The simulator and the planner do the same over DDS; this is the loop without ROS.
     """
     flights, ticks = [departure(scenario)], []
     while not flights[-1].over:
-        tick = planned(controller, flights[-1], forecast)
+        tick = planned(pilot, flights[-1], forecast, sensor)
         command = tick.command
         ticks.append(tick)
         flights.append(flights[-1].after(command.speed_fraction, command.body_rate))
     return Log(tuple(flights), tuple(ticks))
 
 
-def planned(controller: Controller, flight: Flight, forecast: Forecast) -> Tick:
-    """Return the controller's tick on what is seen of a flight just now."""
-    now = flight.vehicle.time
-    forecast.observe(Sighting(now, flight.goal))
-    ahead = controller.problem.step * np.arange(1, controller.remaining + 1)
-    return controller.tick(measured(flight.vehicle), forecast.at(now + ahead))
+def planned(
+    pilot: Pilot, flight: Flight, forecast: Forecast, sensor: Sensor = perfect_sensor
+) -> Tick:
+    """Return a controller's tick on what is seen of a flight just now."""
+    sighting, odometry = sensor(flight)
+    forecast.observe(sighting)
+    ahead = pilot.problem.step * np.arange(1, pilot.remaining + 1)
+    return pilot.tick(odometry, forecast.at(sighting.time + ahead))

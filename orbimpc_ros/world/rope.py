@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, frozen, number
+from orbimpc_ros.mpc.sighting import Sighting
 
 
 @dataclass(frozen=True)
@@ -41,3 +42,24 @@ def fixed(point: Array) -> Rope:
     """Return a goal that stays at a point, shape (n,) [m]."""
     still = np.zeros(len(point))
     return Rope(point, still, 0.0, still)
+
+
+class Told:
+    """The forecast of who knows the rope: where it will be indeed.
+
+    Args:
+        rope: whose own time is that of the sightings.
+    """
+
+    def __init__(self, rope: Rope) -> None:
+        self._rope = rope
+
+    def observe(self, sighting: Sighting) -> None:
+        """Learn nothing new."""
+
+    def at(self, times: Array) -> Array:
+        """Return where the goal will be at ``times``, shape (N,) [s], as shape (N, n) [m]."""
+        return np.array([self._rope.at(time) for time in times])
+
+    def reset(self) -> None:
+        """Forget nothing."""
