@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     from orbimpc_ros.ros.parameters import planner_settings
     from orbimpc_ros.tool.regression.accept import accept
     from orbimpc_ros.tool.regression.recording import recording_of
-    from orbimpc_ros.tool.regression.resolving import Replay, before
+    from orbimpc_ros.tool.regression.resolving import before, replayed
 
     begun = time.perf_counter()
     path, namespace = Path(args.bag), _namespace(args.namespace)
@@ -60,14 +60,14 @@ def run(args: argparse.Namespace) -> int:
     recording = recording_of(path, namespace)
     if args.tick is not None:
         recording = before(recording, _tick(args, len(recording.answers)))
-    replayed = list(Replay(recording, settings).answers())
-    found = compared(replayed, settings)
+    answers = list(replayed(recording, settings))
+    found = compared(answers, settings)
     if args.tick is not None:
-        _show(replayed[-1], [each for each in found if each.tick == args.tick])
+        _show(answers[-1], [each for each in found if each.tick == args.tick])
         return DIFFERENT if any(c.differs for c in found if c.tick == args.tick) else SAME
-    _tell(recording, found, replayed, time.perf_counter() - begun)
+    _tell(recording, found, answers, time.perf_counter() - begun)
     if args.update:
-        accept(recording, replayed, values)
+        accept(recording, answers, values)
         print(f'accepted      {path}')
         return SAME
     return DIFFERENT if any(each.differs for each in found) else SAME
