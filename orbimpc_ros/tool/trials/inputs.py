@@ -1,0 +1,91 @@
+"""Rows on what comes in: nothing, too late, out of order, out of range."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from orbimpc_ros.tool.trials import feed, onsets
+from orbimpc_ros.tool.trials.feed import HUGE, Spoiled, shifted, with_field
+from orbimpc_ros.tool.trials.lab import Lab
+from orbimpc_ros.tool.trials.onsets import Expected
+from orbimpc_ros.tool.trials.outcome import Outcome, Trial
+
+ODOMETRY = Expected(wait=0.3, allowed=1.0)  # odom_timeout: 1.5 steps
+GOAL = Expected(wait=0.4, allowed=1.0)  # goal_timeout of the stand
+NAN, INF = math.nan, math.inf
+BEYOND = (NAN, INF, -INF, 1e300)
+
+STAMPS = {
+    'future stamps': shifted(5.0, 1e6),
+    'nanosec >= 1e9': with_field('header.stamp.nanosec', 10**9, 2**32 - 1),
+    'sec < 0': with_field('header.stamp.sec', -1, -(2**31)),
+    'the same stamp': None,  # made anew for every case: it remembers
+}
+NUMBERS = {
+    'position': with_field('pose.pose.position.x', *BEYOND),
+    'orientation': with_field('pose.pose.orientation.w', *BEYOND),
+    'quaternion not unit': feed.scaled_quaternion('odometry'),
+    'velocity': with_field('twist.twist.linear.x', *BEYOND),
+    'rate': with_field('twist.twist.angular.z', *BEYOND),
+    'frame': with_field('header.frame_id', 'map', '', 'x' * HUGE),
+    'child frame': with_field('child_frame_id', 'map', '', '\x00' * HUGE),
+}
+GOALS = {
+    'goal position': with_field('pose.position.y', *BEYOND),
+    'goal orientation': with_field('pose.orientation.x', *BEYOND),
+    'goal quaternion not unit': feed.scaled_quaternion('goal'),
+    'goal frame': with_field('header.frame_id', 'map', 'x' * HUGE),
+    'goal stamp in the future': shifted(5.0, 1e6),
+    'goal stamp sec < 0': with_field('header.stamp.sec', -1),
+}
+
+
+def _stamps() -> list[Spoiled]:
+    found = {name: spoil or feed.repeated() for name, spoil in STAMPS.items()}
+    return [Spoiled(name, odometry=spoil) for name, spoil in found.items()]
+
+
+def _contents() -> list[Spoiled]:
+    odometry = [Spoiled(name, odometry=spoil) for name, spoil in NUMBERS.items()]
+    return odometry + [Spoiled(name, goal=spoil) for name, spoil in GOALS.items()]
+
+
+def _trial(name: str, title: str, variants: Callable[[], Sequence[Spoiled]], number: int) -> Trial:
+    def run(lab: Lab, long: bool) -> Iterator[Outcome]:
+        for spoiled, onset, seed in onsets.cases(long, variants(), number):
+            stand = onsets.stand_for(lab, onset)
+            stand.draw.seed(f'{spoiled.name} {onset} {seed}')
+            expected = GOAL if spoiled.goal is not None else ODOMETRY
+            yield onsets.spoiling(stand, spoiled, onset, expected)
+
+    return Trial(name, title, 1.0, run)
+
+
+def _mixed(lab: Lab, long: bool) -> Iterator[Outcome]:
+    """Old messages and doubles among good ones: refused and counted, planned on all the same."""
+    spoiled = Spoiled('old among new', feed.interleaved, feed.interleaved)
+    for seed in onsets.SEEDS if long else onsets.SEEDS[:1]:
+        stand = onsets.stand_for(lab, onsets.MIDWAY)
+        stand.draw.seed(seed)
+        expected = Expected(0.0, 5.0, strict=False)
+        outcome = onsets.spoiling(stand, spoiled, onsets.MIDWAY, expected)
+        yield Outcome(outcome.case, outcome.unsafe, math.nan, _uncounted(stand))
+
+
+def _uncounted(stand: Any) -> str:
+    told: dict[str, str] = {}
+    for each in stand.watch.health:
+        told |= each.values
+    counted = [name for name in told if 'duplicate' in name or 'reordered' in name]
+    return '' if len(counted) >= 2 else f'counted only {counted}'
+
+
+TRIALS = (
+    _trial('odometry', 'stale odometry', lambda: [Spoiled('no odometry', odometry=feed.lost)], 0),
+    _trial('goal', 'stale goal', lambda: [Spoiled('no goal', goal=feed.lost)], 0),
+    _trial('stamps', 'future, repeated, malformed stamps', _stamps, 0),
+    Trial('mixed', 'duplicates and older stamps among good ones', 1.0, _mixed),
+    _trial('contents', 'NaN, Inf, quaternions, frames, huge strings', _contents, 0),
+)

@@ -1,0 +1,178 @@
+"""A test stand: one planner in a process of its own, what feeds it, and the watch on it."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+from rosgraph_msgs.msg import Clock
+
+from orbimpc_ros.mpc.errors import OrbimpcError
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.process import qos
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.processes import Process
+from orbimpc_ros.tool.trials import feed
+from orbimpc_ros.tool.trials.watch import Limits, Watch
+
+STEP = 0.2  # [s]
+RATE = 20.0  # [Hz] of odometry and goal
+PATIENCE = 20.0  # [s] for anything awaited
+KEPT = 1000
+PLANNER: dict[str, Any] = {
+    'step': STEP,
+    'floor.shape': 'polygon',
+    'goal_timeout': 0.4,
+    'max_rate': 3.0,
+}  # [s], [rad/s]
+
+
+class Stand:
+    """Feeds a planner at a steady rate and hears all that it says, until closed.
+
+    Args:
+        folder: takes parameters and logs.
+        domain: of ROS, nobody else's.
+        parameters: of the planner, beside those of all stands.
+        simulated: whether to be the planner's clock as well.
+
+    Attributes:
+        watch: on the planner.
+        planner: its process.
+        spoiled: what is wrong with the feed.
+        running: whether the clock runs; only where that is simulated.
+        jump: what the clock is off [s].
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        domain: int,
+        parameters: Mapping[str, Any] | None = None,
+        *,
+        simulated: bool = False,
+        seed: int = 0,
+    ) -> None:
+        self._folder, self._domain, self._simulated = folder, domain, simulated
+        self._values = PLANNER | dict(parameters or {}) | {'use_sim_time': simulated}
+        self.draw = random.Random(seed)
+        self.watch = Watch(Limits(1.0, self._values['max_rate']))
+        self.spoiled = feed.Spoiled('nothing')
+        self.running, self.jump, self.fed = True, 0.0, True
+        self._begun, self._due, self._count = time.monotonic(), 0.0, 0
+        self._frozen = 0.0
+        self._connect()
+        self.start()
+
+    def _connect(self) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(
+            args=[],
+            context=self.context,
+            domain_id=self._domain,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self.node = rclpy.create_node('stand', context=self.context)
+        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+        listen = self.node.create_subscription
+        listen(TwistStamped, 'cmd_vel', self.watch.on_command, qos(KEPT))
+        listen(DiagnosticArray, 'tick', self.watch.on_tick, qos(KEPT))
+        listen(DiagnosticArray, '/diagnostics', self.watch.on_health, qos(KEPT))
+        self.odometry = self.node.create_publisher(Odometry, 'odom', qos(KEPT))
+        self.goal = self.node.create_publisher(PoseStamped, 'goal', qos(KEPT))
+        self._clock = self.node.create_publisher(Clock, '/clock', qos(KEPT))
+
+    def start(self) -> None:
+        """Start a planner."""
+        self._count += 1
+        file = self._folder / f'planner-{self._count}.yaml'
+        settings.write(file, {}, **self._values)
+        log = file.with_suffix('.log')
+        self.planner = Process('orbimpc_ros.ros.planner', file, log, self._domain)
+
+    # --- time
+
+    @property
+    def now(self) -> int:
+        """Return the time that messages are stamped with [ns]."""
+        if not self._simulated:
+            return time.time_ns()
+        elapsed = time.monotonic() - self._begun if self.running else self._frozen
+        return round((1000.0 + elapsed + self.jump) * messages.SECOND)
+
+    def freeze(self) -> None:
+        """Stop the clock."""
+        self._frozen, self.running = time.monotonic() - self._begun, False
+
+    def spin(self, seconds: float, done: Callable[[], bool] = lambda: False) -> None:
+        """Feed and listen for a while, or until ``done``."""
+        end = time.monotonic() + seconds
+        while (now := time.monotonic()) < end and not done():
+            if now >= self._due:
+                self._due = max(self._due + 1.0 / RATE, now)
+                self._feed()
+            wait = min(self._due, end) - time.monotonic()
+            self._executor.spin_once(timeout_sec=max(0.0, wait))
+
+    def until(self, done: Callable[[], bool], what: str) -> None:
+        """Feed and listen until ``done``.
+
+        Raises:
+            OrbimpcError: it never is.
+        """
+        self.spin(PATIENCE, done)
+        if not done():
+            raise OrbimpcError(f'waited {PATIENCE:g} s in vain for {what}')
+
+    def until_planned(self) -> None:
+        """Feed a healthy planner until it commands to move."""
+        since = time.monotonic()
+        self.until(lambda: self.watch.planned_since(since), 'a plan')
+
+    def _feed(self) -> None:
+        if self._simulated:
+            self._clock.publish(Clock(clock=messages.time_message(self.now)))
+        if not self.fed:
+            return
+        seconds, now = time.monotonic() - self._begun, self.now
+        goal, odometry = feed.goal_at(seconds, now), feed.odometry_at(seconds, now)
+        self._publish(self.goal, goal, self.spoiled.goal)
+        self._publish(self.odometry, odometry, self.spoiled.odometry)
+
+    def _publish(self, publisher: Any, message: Any, spoil: feed.Spoiler | None) -> None:
+        for each in [message] if spoil is None else spoil(message, self.draw):
+            publisher.publish(each)
+
+    def call(self, kind: Any, name: str, request: Any) -> Any:
+        """Return the response of a service of the planner."""
+        client = self.node.create_client(kind, name)
+        self.until(client.service_is_ready, name)
+        future = client.call_async(request)
+        self.until(future.done, name)
+        self.node.destroy_client(client)
+        return future.result()
+
+    def __enter__(self) -> Stand:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.planner.stop()
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()

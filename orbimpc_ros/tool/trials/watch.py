@@ -1,0 +1,141 @@
+"""The watch: every command that is heard, judged by what it says and by when it came."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TwistStamped
+
+from orbimpc_ros.ros.reports import ERROR, OK
+
+SLACK = 1e-6  # relative, on limits
+STILL = 1e-9  # [m/s], [rad/s]: nothing moves
+
+
+class Heard(NamedTuple):
+    """A command: when it came [s], forward speed [m/s], turn rates [rad/s]."""
+
+    at: float
+    speed: float
+    rates: tuple[float, float, float]
+
+    @property
+    def safe(self) -> bool:
+        """Return whether it stops the vehicle."""
+        return abs(self.speed) <= STILL and all(abs(rate) <= STILL for rate in self.rates)
+
+
+class Told(NamedTuple):
+    """A diagnostic status: when it came [s], of whom, how bad, in words, and its values."""
+
+    at: float
+    name: str
+    level: bytes
+    message: str
+    values: dict[str, str]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What no command may exceed, fault or not.
+
+    Attributes:
+        speed: full [m/s].
+        rate: greatest [rad/s].
+    """
+
+    speed: float
+    rate: float
+
+    def broken(self, command: Heard) -> bool:
+        """Return whether a command is not finite or beyond a limit."""
+        numbers = (command.speed, *command.rates)
+        if not all(map(math.isfinite, numbers)):
+            return True
+        turning = math.hypot(*command.rates)
+        too_fast = not -STILL <= command.speed <= self.speed * (1.0 + SLACK)
+        return too_fast or turning > self.rate * (1.0 + SLACK)
+
+
+@dataclass
+class Watch:
+    """Hears everything that a planner says.
+
+    Attributes:
+        limits: of commands.
+        commands: heard so far.
+        ticks: reports heard on ``tick``, as when they came and what they say.
+        health: diagnostics heard.
+    """
+
+    limits: Limits
+    commands: list[Heard] = field(default_factory=list)
+    ticks: list[Told] = field(default_factory=list)
+    health: list[Told] = field(default_factory=list)
+
+    def on_command(self, message: TwistStamped) -> None:
+        """Take down a command."""
+        turn = message.twist.angular
+        rates = (turn.x, turn.y, turn.z)
+        self.commands.append(Heard(time.monotonic(), message.twist.linear.x, rates))
+
+    def on_tick(self, message: DiagnosticArray) -> None:
+        """Take down the report of a tick."""
+        self.ticks += _told(message)
+
+    def on_health(self, message: DiagnosticArray) -> None:
+        """Take down diagnostics."""
+        self.health += _told(message)
+
+    def broken(self, since: float = -math.inf) -> int:
+        """Return how many commands are not finite or beyond a limit."""
+        return sum(each.at >= since and self.limits.broken(each) for each in self.commands)
+
+    def moving(self, since: float, until: float) -> int:
+        """Return how many commands of a time are not the safe one."""
+        return sum(since < each.at <= until and not each.safe for each in self.commands)
+
+    def first_safe(self, since: float) -> float:
+        """Return when the first safe command came [s]; infinite if none has."""
+        return _first(self.commands, lambda each: each.at >= since and each.safe)
+
+    def planned_since(self, since: float) -> bool:
+        """Return whether a command to move has come."""
+        return any(each.at >= since and not each.safe for each in self.commands)
+
+    def first_error(self, since: float) -> float:
+        """Return when the first error was told [s]; infinite if none was."""
+        return _first(self.health, lambda each: each.at >= since and each.level == ERROR)
+
+    def first_complaint(self, since: float, word: str) -> float:
+        """Return when a diagnostic that is not well spoke of a word [s]; infinite if none did."""
+
+        def complains(each: Told) -> bool:
+            text = ' '.join((each.message, *each.values))
+            return each.at >= since and each.level != OK and word in text
+
+        return _first(self.health, complains)
+
+    @property
+    def solve_ms(self) -> float:
+        """Return how long the last solve took [ms]."""
+        said = self.ticks[-1].values.get('solve_time_ms', '0') if self.ticks else '0'
+        return float(json.loads(said))
+
+
+def _told(message: DiagnosticArray) -> list[Told]:
+    now = time.monotonic()
+    return [
+        Told(now, each.name, each.level, each.message, {v.key: v.value for v in each.values})
+        for each in message.status
+    ]
+
+
+def _first(heard: Sequence[Any], fits: Callable[[Any], bool]) -> float:
+    return next((each.at for each in heard if fits(each)), math.inf)
