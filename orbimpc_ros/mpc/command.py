@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -11,6 +12,9 @@ from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.rotations import exp, log
+
+RATE_TOLERANCE = 1e-6  # relative
+ROTATION_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,38 @@ class Command:
 def stop(rotation: Array) -> Command:
     """Return the safe command: no speed, no turning, the present attitude, shape (n, n)."""
     return Command(0.0, np.zeros(1 if len(rotation) == 2 else 3), np.array(rotation))
+
+
+def flaw(problem: Problem, command: Command) -> str:
+    """Return why a command must not be sent, whatever it came from; empty if it may be.
+
+    The last look before a vehicle gets it: finite, a share of full speed, a rate below the limit
+    (without one, below half a turn in a step), and a rotation. In plain floats, for speed.
+    """
+    fraction = command.speed_fraction
+    rate, rotation = command.body_rate.tolist(), command.rotation.tolist()
+    if not all(map(math.isfinite, (fraction, *rate, *itertools.chain(*rotation)))):
+        return 'the command is not finite'
+    if not 0.0 <= fraction <= 1.0:
+        return f'a speed fraction of {fraction:.6g} is not in [0, 1]'
+    largest = problem.max_rate or math.pi / problem.step
+    if math.hypot(*rate) > largest * (1.0 + RATE_TOLERANCE):
+        return f'a body rate of {math.hypot(*rate):.6g} rad/s is beyond {largest:.6g}'
+    if rotation_error(rotation) > ROTATION_TOLERANCE:
+        return 'the commanded rotation is not a rotation'
+    return ''
+
+
+def rotation_error(rows: list[list[float]]) -> float:
+    """Return how far a matrix, given as n rows, is from SO(n): products of rows, handedness."""
+    if len(rows) == 2:
+        (a, b), (c, d) = rows
+        return max(abs(a - d), abs(b + c), abs(a * a + b * b - 1.0))
+    (a, b, c), (d, e, f), (g, h, i) = rows
+    # A rotation's last row is the cross product of its first two, which are orthonormal.
+    crossed = abs(b * f - c * e - g), abs(c * d - a * f - h), abs(a * e - b * d - i)
+    lengths = abs(a * a + b * b + c * c - 1.0), abs(d * d + e * e + f * f - 1.0)
+    return max(*crossed, *lengths, abs(a * d + b * e + c * f))
 
 
 def command_of(problem: Problem, state: State, plan: Plan, step: int = 0) -> Command:

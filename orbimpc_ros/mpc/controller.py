@@ -13,6 +13,7 @@ from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.odometry import Odometry, state_of
 from orbimpc_ros.mpc.plan import FAILED, FEASIBLE, INFEASIBLE, OPTIMAL, Plan, shifted, violations
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.reach import pulled_in
 from orbimpc_ros.mpc.solver import Solver
 
 FALLBACK_TICKS = 2  # how long the shifted previous plan may stand in for a new one
@@ -25,7 +26,8 @@ class Tick:
 
     Attributes:
         status: ``optimal``, ``feasible``, ``infeasible`` or ``failed``: of the solve.
-        reason: why, where it is not ``optimal``; else empty.
+        reason: why, where it is not ``optimal``, and what was done about a goal too far away;
+            else empty.
         state: the state that the plan starts from.
         plan: the checked plan behind the command; None if the command is the safe one.
         command: what to do next.
@@ -64,7 +66,8 @@ class Controller:
 
     Without a plan it falls back, in this order, on
 
-    - the shifted previous plan, if it still holds from the new state, for two ticks at most;
+    - the shifted previous plan, if it still holds from the new state, for two ticks at most and
+      never past its horizon;
     - a *soft arrival*, where a terminal constraint that could be met before no longer can be,
       because of disturbances: the plan that comes nearest, if that is within a step's reach;
     - the safe command.
@@ -94,15 +97,17 @@ class Controller:
     def reset(self) -> None:
         """Forget the previous plan; a shrinking horizon starts anew."""
         self._previous: Plan | None = None
+        self._goals: Array | None = None  # of the previous plan
         self._thrust_fraction = 0.0
-        self._ticks = self._fallbacks = 0
+        self._ticks = self._fallbacks = self._planned = 0
         self._arriving = False
 
     def continue_from(self, other: Controller) -> None:
         """Take over what another controller remembers, for instance one with other weights."""
-        self._previous, self._thrust_fraction = other._previous, other._thrust_fraction
+        self._previous, self._goals = other._previous, other._goals
+        self._thrust_fraction = other._thrust_fraction
         self._ticks, self._fallbacks = other._ticks, other._fallbacks
-        self._arriving = other._arriving
+        self._planned, self._arriving = other._planned, other._arriving
 
     def commanded(self, speed_fraction: float) -> None:
         """Learn that something else than the last tick's command was sent: its speed fraction."""
@@ -128,21 +133,42 @@ class Controller:
         state = state_of(self.problem, odometry, self._thrust_fraction)
         if self.remaining == 0:
             return self._finish(_safe(state, FEASIBLE, 'the horizon has run out'))
-        solver = self._solver(self.remaining)
-        asked = _Asked(solver, state, goals)
-        if solver.takes_guess:
-            asked = replace(asked, guess=self._shifted(asked))
+        goals, told = pulled_in(self.problem, state, goals)
+        asked = self._asked(state, goals)
+        self._goals = goals
         plan, status, reason = _solved(asked, out_of_time)
+        reason = '; '.join(filter(None, (reason, told)))
         if plan is None:
             return self._finish(self._fall_back(asked, status, reason))
-        self._fallbacks = 0
+        self._fallbacks, self._planned = 0, plan.horizon
         self._arriving = True
         return self._finish(_following(asked, plan, status, reason))
+
+    def _asked(self, state: State, goals: Array) -> _Asked:
+        asked = _Asked(self._solver(self.remaining), state, goals)
+        if asked.solver.takes_guess:
+            return replace(asked, guess=self._shifted(asked))
+        return asked
+
+    def hold(self, odometry: Odometry, reason: str) -> Tick:
+        """Go on without a goal: by the previous plan as long as the fallback allows, then safely.
+
+        Args:
+            odometry: the measurement.
+            reason: why there is no goal.
+        """
+        state = state_of(self.problem, odometry, self._thrust_fraction)
+        if self._goals is None or self.remaining == 0:
+            return self._finish(_safe(state, FAILED, reason))
+        self._goals = np.concatenate([self._goals[1:], self._goals[-1:]])[: self.remaining]
+        asked = self._asked(state, self._goals)
+        return self._finish(self._fall_back(asked, FAILED, reason))
 
     def _fall_back(self, asked: _Asked, status: str, reason: str) -> Tick:
         self._fallbacks += 1
         guess = asked.guess or self._shifted(asked)
-        if guess is not None and self._fallbacks <= FALLBACK_TICKS:
+        # The n-th tick after a plan was found is its step n: the last is N - 1.
+        if guess is not None and self._fallbacks < min(FALLBACK_TICKS + 1, self._planned):
             found = violations(asked.problem, asked.state, asked.goals, guess)
             if not found:
                 return _following(asked, guess, status, reason, 'shifted plan')

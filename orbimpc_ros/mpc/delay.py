@@ -1,0 +1,121 @@
+"""Where a vehicle is by the time a command reaches it: its motion since it was measured."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.command import Command
+from orbimpc_ros.mpc.odometry import Odometry
+from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.rotations import exp, skew
+
+MEMORY = 32  # commands; whatever was sent before them is taken as measured
+SMALL = 1e-2  # [rad] below it series are more exact than the closed forms
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A stretch of time with one command in force.
+
+    Attributes:
+        duration: [s].
+        command: in force all the while; None if none is known.
+        before: the command before it, whose speed or thrust was taken over when it ended.
+    """
+
+    duration: float
+    command: Command | None
+    before: Command | None
+
+
+class Sent:
+    """The commands sent of late, and since when each is in force."""
+
+    def __init__(self) -> None:
+        self._sent: deque[tuple[float, Command]] = deque(maxlen=MEMORY)
+
+    def add(self, command: Command, at: float) -> None:
+        """Note a command sent at a time [s]; times do not decrease."""
+        self._sent.append((at, command))
+
+    def forget(self) -> None:
+        """Forget every command, for instance because the clock jumped."""
+        self._sent.clear()
+
+    def legs(self, begin: float, end: float) -> list[Leg]:
+        """Return what was in force from ``begin`` to ``end`` [s]; nothing if that is no time."""
+        legs, before, command, since = [], None, None, begin
+        for at, following in self._sent:
+            if since < at < end:
+                legs.append(Leg(at - since, command, before))
+                since = at
+            if at < end:
+                before, command = command, following
+        if end > since:
+            legs.append(Leg(end - since, command, before))
+        return legs
+
+
+def advanced(problem: Problem, odometry: Odometry, legs: Sequence[Leg]) -> Odometry:
+    """Return the measurement as it would be after the legs; the same one if there are none.
+
+    Within a leg body rate and forward speed (or thrust) are constant, so that the vehicle flies an
+    arc, integrated exactly. As in the discrete model, a commanded rate applies at once at rotation
+    order 1; everything else that a command says is taken over when the next command comes. Until
+    then the vehicle goes on as it was measured.
+
+    Args:
+        problem: gives the orders and the full speed or thrust.
+        odometry: the measurement.
+        legs: in order of time, since the measurement.
+    """
+    if not legs:
+        return odometry
+    position, attitude = odometry.position, odometry.attitude
+    body_velocity, rate = odometry.body_velocity, odometry.body_rate
+    velocity = attitude @ body_velocity
+    forward = problem.forward * np.eye(problem.dimension)[0]
+    for k, leg in enumerate(legs):
+        if k and leg.before is not None:
+            body_velocity, rate = forward * leg.before.speed_fraction, leg.before.body_rate
+        turning = rate
+        if problem.rotation_order == 1 and leg.command is not None:
+            turning = leg.command.body_rate
+        once, twice = _integrals(leg.duration * turning)
+        if problem.translation_order == 1:
+            position = position + leg.duration * (attitude @ once @ body_velocity)
+        else:
+            push = forward * (0.0 if leg.before is None else leg.before.speed_fraction)
+            curved = leg.duration**2 * (attitude @ twice @ push)
+            position = position + leg.duration * velocity + curved
+            velocity = velocity + leg.duration * (attitude @ once @ push)
+        attitude = attitude @ exp(leg.duration * turning)
+    if problem.translation_order == 2:
+        body_velocity = attitude.T @ velocity
+    later = odometry.time + sum(leg.duration for leg in legs)
+    return Odometry(later, position, attitude, np.array(body_velocity), np.array(rate))
+
+
+def _integrals(phi: Array) -> tuple[Array, Array]:
+    r"""Return :math:`\int_0^1 e^{s\hat\phi} ds` and :math:`\int_0^1 (1-s) e^{s\hat\phi} ds`.
+
+    Args:
+        phi: tangent vector, shape (1,) or (3,) [rad]; the results have shape (n, n).
+    """
+    hat = skew(phi)
+    square, unit = hat @ hat, np.eye(len(hat))
+    angle = math.sqrt(phi @ phi)
+    if angle < SMALL:
+        a = angle * angle
+        first, second, third = 0.5 - a / 24.0, 1.0 / 6.0 - a / 120.0, 1.0 / 24.0 - a / 720.0
+    else:
+        first = (1.0 - math.cos(angle)) / angle**2
+        second = (angle - math.sin(angle)) / angle**3
+        third = (0.5 - first) / angle**2
+    return unit + first * hat + second * square, 0.5 * unit + second * hat + third * square

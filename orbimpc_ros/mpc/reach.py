@@ -1,0 +1,43 @@
+"""How far a horizon reaches, and goals so far beyond it that only their direction counts."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.problem import Problem, State
+
+BEYOND = 100.0  # times the reach: goals farther away are pulled in to there
+
+
+def reach(problem: Problem, state: State) -> float:
+    """Return a distance that no point within the horizon exceeds [m]."""
+    time = problem.horizon * problem.step
+    if problem.translation_order == 1:
+        return problem.forward * time
+    return math.sqrt(state.velocity @ state.velocity) * time + 0.5 * problem.forward * time**2
+
+
+def pulled_in(problem: Problem, state: State, goals: Array) -> tuple[Array, str]:
+    """Return goals no farther away than counts, and what was done about them in words, if anything.
+
+    The cost of a goal at distance d is of the order of d^2, and what plans differ by of the order
+    of d: far out every plan would count as proved optimal within a relative gap. A terminal
+    constraint is left alone: it cannot be met, which the solver proves.
+
+    Args:
+        problem: gives the reach.
+        state: where the vehicle is.
+        goals: g_1..g_N, shape (N, n) [m].
+    """
+    away = goals - state.position
+    largest = BEYOND * reach(problem, state)
+    distances = np.sqrt(np.einsum('kc,kc->k', away, away))
+    farthest = distances.max(initial=0.0)
+    if farthest <= largest or problem.terminal == 'constraint':
+        return goals, ''
+    shares = np.minimum(1.0, largest / np.maximum(distances, largest))
+    told = f'the goal is {farthest:.3g} m away: aimed {largest:.3g} m towards it'
+    return state.position + shares[:, None] * away, told
