@@ -2,12 +2,17 @@
 
 import itertools
 from collections import defaultdict
+from pathlib import Path
 
 import numpy as np
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.rotations import exp, from_quaternion
 from orbimpc_ros.ros.parameters import sim_settings
 from orbimpc_ros.tool import bag, settings
+from orbimpc_ros.tool.bag_writer import BagWriter
+from orbimpc_ros.tool.topics import Topic
 from orbimpc_ros.world.vehicle import advance, launched
 
 
@@ -85,3 +90,33 @@ def command_of(found, stamp, model):
         return twist.linear.x / model.forward, vector(twist.angular)
     force = found['cmd_thrust'][stamp].wrench.force.x
     return force / (model.mass * model.forward), vector(twist.angular)
+
+
+GOLDEN = Path(__file__).parent / 'golden'
+
+
+def rewritten(source, target, change=lambda each: each, notes=None):
+    """Copy a bag of ours, each message as ``change`` returns it, or left out for None."""
+    kept = [new for new in map(change, bag.raw(source)) if new is not None]
+    listed = {each.topic: Topic(each.topic, each.type) for each in kept}
+    notes = bag.notes(source) if notes is None else notes
+    with BagWriter(target, list(listed.values()), notes) as writer:
+        for each in kept:
+            writer.write(each.topic, each.stamp, each.data, each.sent)
+    return target
+
+
+def ros2_bag(source, target, storage, mode='none', skip=()):
+    """Write a bag's messages as ``ros2 bag record`` does: its storages, no notes of ours."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    writer = Writer(target, version=9, storage_plugin=StoragePlugin[storage.upper()])
+    writer.set_compression(CompressionMode[mode.upper()], CompressionFormat.ZSTD)
+    with writer:
+        topics = {}
+        for each in bag.raw(source):
+            if each.topic in skip:
+                continue
+            if each.topic not in topics:
+                topics[each.topic] = writer.add_connection(each.topic, each.type, typestore=store)
+            writer.write(topics[each.topic], each.sent, each.data)
+    return target

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool import bag, settings
+from orbimpc_ros.tool.bag import definitions
 from orbimpc_ros.tool.bag.raw import Raw
 from orbimpc_ros.tool.bag_writer import BagWriter
 from orbimpc_ros.tool.files import replacing
@@ -29,8 +31,11 @@ def accept(recording: Recording, replayed: Sequence[Replayed], values: Values) -
     path = recording.path
     if not path.is_dir() or 'parameters' not in bag.notes(path):
         raise BadInput(str(path), 'not a bag of orbimpc', "the folder of a bag of orbimpc's")
-    kept = [each for each in bag.raw(path) if not _replaced(each, recording)]
-    fresh = list(_serialised(recording, replayed))
+    held = bag.raw(path)
+    kept = [each for each in held if not _replaced(each, recording)]
+    # What was not recorded, such as markers, stays out.
+    wanted = {each.topic for each in held}
+    fresh = [each for each in _serialised(recording, replayed) if each.topic in wanted]
     notes = bag.notes(path) | {'parameters': settings.text(values)}
     with replacing(path) as folder, BagWriter(folder, _topics(kept, recording), notes) as writer:
         for each in sorted([*kept, *fresh], key=lambda each: each.stamp):
@@ -50,9 +55,18 @@ def _topics(kept: Sequence[Raw], recording: Recording) -> list[Topic]:
 
 
 def _serialised(recording: Recording, replayed: Sequence[Replayed]) -> Iterator[Raw]:
-    from rclpy.serialization import serialize_message
-
     for each in replayed:
         for name, message in each.messages.items():
-            topic, then = f'{recording.namespace}/{name}', each.recorded
-            yield Raw(topic, TYPES[name], then.stamp, then.sent, serialize_message(message))
+            topic, then, kind = f'{recording.namespace}/{name}', each.recorded, TYPES[name]
+            yield Raw(topic, kind, then.stamp, then.sent, serialised(message, kind))
+
+
+def serialised(message: Any, kind: str) -> bytes:
+    """Return a ROS message in CDR, the same bytes every time.
+
+    The middleware leaves in the padding whatever was in memory.
+    """
+    from rclpy.serialization import serialize_message
+
+    store = definitions.store()
+    return bytes(store.serialize_cdr(store.deserialize_cdr(serialize_message(message), kind), kind))

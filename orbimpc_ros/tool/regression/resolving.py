@@ -58,19 +58,22 @@ def before(recording: Recording, tick: int) -> Recording:
 
 
 def _heard(pilot: Pilot, inputs: deque[Input], recorded: Recorded, awaited: bool) -> Iterator[str]:
-    """Take in what had come by then, at least the odometry that is answered; yield refusals."""
-    known = recorded.sent - round(1e6 * _solve_time_ms(recorded))
-    while inputs:
-        if not awaited and (inputs[0].sent > known or inputs[0].topic == 'odom'):
-            return
+    """Take in what had come when the answer was begun; yield refusals.
+
+    Sent times tell that up to what a message takes on its way. For odometry the answer's own stamp
+    tells it exactly.
+    """
+    begun = recorded.sent - round(1e6 * _solve_time_ms(recorded))
+    latest, found = recorded.sent if awaited else begun, False
+    while inputs and inputs[0].sent <= latest and not (found and inputs[0].topic == 'odom'):
         each = inputs.popleft()
         refusal = pilot.hear(each.topic, each.message, each.sent / SECOND)
         if refusal:
             yield refusal
-        if each.topic == 'odom' and each.stamp == recorded.stamp:
-            awaited = False
+        elif each.topic == 'odom' and each.stamp == recorded.stamp:
+            found = True
             # By a clock of stamps no time passes: what carries the same stamp came in time.
-            known = max(known, each.sent)
+            latest = max(begun, each.sent)
 
 
 def _answer(pilot: Pilot, recorded: Recorded) -> Told:

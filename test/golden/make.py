@@ -1,0 +1,167 @@
+"""Make the golden bags: ``python test/golden/make.py [FOLDER]``, from seeds, without DDS.
+
+The loop is closed as over DDS in lock-step: what the simulator would publish is what the planner's
+own parts take in, and what they answer is what the vehicle flies. One bag per flight; afterwards
+``orbimpc replay`` must find nothing that differs. Where a change of the planner is meant,
+``orbimpc replay BAG --update`` accepts it with the same inputs.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from rosgraph_msgs.msg import Clock
+
+from orbimpc_ros.mpc.odometry import Odometry
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.messages import SECOND, Stamp
+from orbimpc_ros.ros.parameters import planner_settings, sim_settings
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.bag_writer import BagWriter
+from orbimpc_ros.tool.regression.accept import serialised
+from orbimpc_ros.tool.regression.pilot import Pilot
+from orbimpc_ros.tool.share import config
+from orbimpc_ros.tool.topics import TYPES, topics_of
+from orbimpc_ros.world.faults import View
+from orbimpc_ros.world.flight import departure
+
+FLIGHTS = {
+    'retrieval': ('retrieval', ()),
+    'dubins': ('dubins', ()),
+    'spacecraft': ('spacecraft', ()),
+    'obstacles': (
+        'retrieval',
+        (
+            'obstacles=[1.5, -1.0, 2.5, 0.6, 4.0, 0.2, 5.0, 3.0, 6.5, -2.0, 7.0, 1.0]',
+            'rope.center=[9.0, 0.0, 0.0]',
+            'no_corner_cutting=true',
+            'floor.shape=none',
+            'goal_prediction=velocity',
+            'rope.amplitude=[0.3, 0.3, 0.0]',
+            'faults.position_noise=0.05',
+        ),
+    ),
+    'disturbed': ('dubins', ('floor.shape=none', 'faults.position_noise=0.05')),
+    'faulty': (
+        'retrieval',
+        (
+            'seed=7',
+            'goal_prediction=harmonic',
+            'safe_command=hold_rate_zero',
+            'capture_radius=0.001',
+            'max_ticks=40',
+            *(f'faults.{name}=0.12' for name in ('dropout', 'reorder', 'duplicate', 'nan')),
+            'faults.position_noise=0.05',
+            'faults.attitude_noise=0.03',
+        ),
+    ),
+}
+SOLVE_TIME_MS = 1.0  # noted in every tick: a measured one would differ every time
+LATER = 1000  # [ns] between two messages of a tick
+DISABLED = range(20, 23)  # ticks of the faulty flight at which the planner is switched off
+
+
+def make(name: str, folder: Path) -> None:
+    """Fly ``name`` and write its bag."""
+    file, changes = FLIGHTS[name]
+    values = settings.resolve(config(f'{file}.yaml'), changes)
+    notes = {'parameters': settings.text(values)}
+    with BagWriter(folder, topics_of(), notes) as bag:
+        Loop(values, bag, hostile=name == 'faulty').fly()
+
+
+class Loop:
+    """The closed loop; everything said in it goes into a bag.
+
+    Args:
+        values: of every parameter.
+        bag: takes the messages.
+        hostile: whether malformed messages come too, and the planner is disabled for a while.
+    """
+
+    def __init__(self, values: settings.Values, bag: BagWriter, hostile: bool) -> None:
+        self._planner, self._sim = planner_settings(values), sim_settings(values)
+        self._pilot, self._bag, self._hostile = Pilot(self._planner), bag, hostile
+        self._view = View(self._sim.faults, self._sim.seed, self._sim.scenario.model.step)
+        self._order = (0.0, np.zeros(self._sim.scenario.model.rates))
+        self._draw = np.random.default_rng(self._sim.seed)
+        self._at = self._said = 0
+
+    def fly(self) -> None:
+        """Fly until the goal is caught or the steps are used up; the last odometry is answered."""
+        flight = departure(self._sim.scenario)
+        while True:
+            self._at = self._said = round(flight.vehicle.time * SECOND)
+            self._say('clock', Clock(clock=messages.time_message(self._at)))
+            self._tell(self._view.of(flight))
+            self._answer(flight.ticks)
+            if flight.over:
+                return
+            flight = flight.after(*self._order)
+
+    def _say(self, topic: str, message: object) -> None:
+        self._said += LATER
+        self._bag.write(f'/{topic}', self._at, serialised(message, TYPES[topic]), self._said)
+
+    def _tell(self, arriving: Iterable) -> None:
+        """Let the planner know what is seen, each under the stamp of its measurement."""
+        for sent in arriving:
+            stamp = Stamp(round(sent.content.time * SECOND), self._sim.frames)
+            if isinstance(sent.content, Odometry):
+                topic, message = 'odom', messages.measurement_message(stamp, sent.content)
+            else:
+                topic, message = 'goal', messages.goal_message(stamp, sent.content.position)
+            if self._hostile and self._draw.uniform() < 0.1:
+                self._hear(topic, self._malformed(message))
+            self._hear(topic, message)
+
+    def _hear(self, topic: str, message: object) -> None:
+        self._say(topic, message)
+        self._pilot.hear(topic, message, self._said / SECOND)
+
+    def _malformed(self, message):
+        """Return a message that must be refused: of a kind that validators look for."""
+        wrong = type(message)(header=messages.header(self._at, self._sim.frames.world))
+        kind = self._draw.integers(4)
+        if kind == 0:
+            wrong.header.frame_id = 'map'
+        elif kind == 1:
+            wrong.header.stamp.nanosec = SECOND
+        elif kind == 2:
+            wrong.header.stamp.sec = -1
+        else:
+            pose = getattr(wrong.pose, 'pose', wrong.pose)
+            pose.orientation.w = 0.5
+        return wrong
+
+    def _answer(self, tick: int) -> None:
+        if self._pilot.stamp != self._at:
+            return  # no odometry this time: the last command stays in force
+        if self._hostile and tick in DISABLED:
+            told = self._pilot.be_safe(self._at, 'disabled')
+        else:
+            told = self._pilot.plan(self._said / SECOND, SOLVE_TIME_MS)
+        self._said += round(1e6 * SOLVE_TIME_MS)
+        for topic, message in told.items():
+            if topic != 'plan_markers':  # large, and made of the plan
+                self._say(topic, message)
+        model = self._sim.scenario.model
+        twist = told['cmd_vel'].twist
+        pushed = twist.linear.x
+        if model.translation_order == 2:
+            pushed = told['cmd_thrust'].wrench.force.x
+        self._pilot.commanded(pushed)
+        full = model.forward * (1.0 if model.translation_order == 1 else model.mass)
+        rate = [twist.angular.x, twist.angular.y, twist.angular.z]
+        self._order = (pushed / full, np.array(rate[-model.rates :]))
+
+
+if __name__ == '__main__':
+    place = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent
+    for each in FLIGHTS:
+        shutil.rmtree(place / each, ignore_errors=True)
+        make(each, place / each)
