@@ -61,16 +61,16 @@ def test_a_frozen_stamp_never_counts_as_fresh(inbox):
     inbox.take_odometry(odometry(1.0), 0.0)
     for now in np.arange(0.05, 1.0, 0.05):
         assert inbox.take_odometry(odometry(1.0), now)
-    assert 'odometry' in inbox.stale(1.0)
+    assert 'odometry' in inbox.stale_odometry(1.0)
 
 
 def test_age_is_of_arrival(inbox):
     inbox.take_odometry(odometry(1e6), 0.0)  # a stamp far in the future
     inbox.take_goal(goal(1e6), 0.0)
-    assert inbox.stale(0.15) == ''
-    assert 'odometry' in inbox.stale(0.25)
+    assert inbox.stale_odometry(0.15) == ''
+    assert 'odometry' in inbox.stale_odometry(0.25)
     inbox.take_odometry(odometry(1e6 + 1), 1.1)
-    assert 'goal' in inbox.stale(1.15)
+    assert 'goal' in inbox.stale_goal(1.15)
 
 
 def test_a_source_stamped_like_the_odometry_is_waited_for(inbox):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +12,9 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.forecast import Forecast, Itinerary, Sighting, forecast_named
 from orbimpc_ros.mpc.odometry import Odometry
+from orbimpc_ros.ros.arrival import COMPARABLE, UNKNOWN, Arrival, RosTime
 from orbimpc_ros.ros.messages import (
+    SECOND,
     Stamp,
     read_itinerary,
     read_odometry,
@@ -20,36 +22,24 @@ from orbimpc_ros.ros.messages import (
 )
 from orbimpc_ros.ros.planner_parameters import PlannerSettings
 
-T = TypeVar('T')
-
-
-@dataclass(frozen=True)
-class Arrival(Generic[T]):
-    """A message taken in.
-
-    Attributes:
-        stamp: the sender's.
-        value: what it said.
-        at: when it came, on the steady clock [s].
-    """
-
-    stamp: Stamp
-    value: T
-    at: float
+INCREASING = 'stamps that increase'
 
 
 @dataclass
 class Inbox:
-    """The planner's inputs. Times named ``now`` are of the steady clock [s].
+    """The planner's inputs.
+
+    Times named ``now`` are of the steady clock [s], those named ``ros`` of the node's ROS clock.
 
     Attributes:
-        settings: dimension, frames and timeouts.
+        settings: dimension, frames, timeouts and limits.
         odometry: the latest, if any.
         goal: the latest, if any.
         path: the latest forecast from outside, if any.
         forecast: predicts the goal from its sightings.
         refused: messages refused so far, by topic and field.
         synchronised: topics whose stamps have been seen to equal the odometry's.
+        timed: topics whose stamps have been seen to be of the node's own clock.
     """
 
     settings: PlannerSettings
@@ -59,6 +49,7 @@ class Inbox:
     forecast: Forecast = field(init=False)
     refused: Counter[str] = field(default_factory=Counter)
     synchronised: set[str] = field(default_factory=set)
+    timed: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.forecast = forecast_named(self.settings.goal_prediction)
@@ -73,38 +64,55 @@ class Inbox:
                 self.forecast.observe(self.goal.value)
 
     def forget(self) -> None:
-        """Forget every input, as after a reset or when the clock went back."""
+        """Forget every input and whose clock is whose, as after a reset or when time jumped."""
+        self._drop_all()
+        self.timed.clear()
+
+    def _drop_all(self) -> None:
         self.odometry = self.goal = self.path = None
         self.forecast.reset()
 
-    def take_odometry(self, message: Any, now: float) -> str:
+    def take_odometry(self, message: Any, now: float, ros: RosTime = UNKNOWN) -> str:
         """Take in an odometry message; return why it was refused, or an empty string."""
-        return self._take('odom', message, now)
+        return self._take('odom', message, now, ros)
 
-    def take_goal(self, message: Any, now: float) -> str:
+    def take_goal(self, message: Any, now: float, ros: RosTime = UNKNOWN) -> str:
         """Take in a goal; return why it was refused, or an empty string."""
-        refusal = self._take('goal', message, now)
+        refusal = self._take('goal', message, now, ros)
         if not refusal and self.goal is not None:
             self.forecast.observe(self.goal.value)
         return refusal
 
-    def take_path(self, message: Any, now: float) -> str:
+    def take_path(self, message: Any, now: float, ros: RosTime = UNKNOWN) -> str:
         """Take in a goal's path; return why it was refused, or an empty string."""
-        return self._take('goal_path', message, now)
+        return self._take('goal_path', message, now, ros)
 
-    def _take(self, topic: str, message: Any, now: float) -> str:
+    def _take(self, topic: str, message: Any, now: float, ros: RosTime) -> str:
         read = {'odom': read_odometry, 'goal': read_sighting, 'goal_path': read_itinerary}[topic]
         attribute = {'odom': 'odometry', 'goal': 'goal', 'goal_path': 'path'}[topic]
-        settings = self.settings
+        settings, last = self.settings, getattr(self, attribute)
+        value: Any
         try:
             stamp, value = read(message, settings.problem.dimension, settings.frames)
-            self._require_newer(topic, stamp, getattr(self, attribute), now)
+            self._require_past(stamp, ros)
+            self._require_newer(topic, stamp, last, now)
+            if topic != 'odom':
+                self._require_near(topic, stamp, value, last, now)
         except BadInput as error:
             self.refused[f'{topic}: {error.culprit}'] += 1
             return f'{topic} refused: {error}'
-        setattr(self, attribute, Arrival(stamp, value, now))
+        # Once timed, always timed: what was held up on the way must not pass for fresh.
+        if abs(ros.since(stamp.nanoseconds)) <= COMPARABLE:
+            self.timed.add(topic)
+        setattr(self, attribute, Arrival(stamp, value, now, topic in self.timed))
         self._note_synchronised()
         return ''
+
+    def _require_past(self, stamp: Stamp, ros: RosTime) -> None:
+        ahead, allowed = -ros.since(stamp.nanoseconds), self.settings.future_tolerance + ros.lag
+        if ahead > allowed:
+            ahead_of = f"{allowed:g} s ahead of this node's clock"
+            raise BadInput('future stamp', f'{ahead:.3g} s ahead', f'at most {ahead_of}')
 
     def _require_newer(
         self, topic: str, stamp: Stamp, last: Arrival[Any] | None, now: float
@@ -112,11 +120,31 @@ class Inbox:
         if last is None or stamp.nanoseconds > last.stamp.nanoseconds:
             return
         if stamp.nanoseconds == last.stamp.nanoseconds:
-            raise BadInput('duplicate stamp', stamp.nanoseconds, 'stamps that increase')
+            raise BadInput('duplicate stamp', stamp.nanoseconds, INCREASING)
         # Once the last one is stale, an older stamp means that the sender's clock was set back.
         if now - last.at <= self._timeout(topic):
-            raise BadInput('reordered stamp', stamp.nanoseconds, 'stamps that increase')
-        self.forget()
+            raise BadInput('reordered stamp', stamp.nanoseconds, INCREASING)
+        self._drop_all()
+
+    def _require_near(
+        self,
+        topic: str,
+        stamp: Stamp,
+        value: Sighting | Itinerary,
+        last: Arrival[Any] | None,
+        now: float,
+    ) -> None:
+        limit = self.settings.goal_jump_limit
+        if limit == 0.0 or last is None:
+            return
+        time = stamp.nanoseconds / SECOND
+        jump = float(np.linalg.norm(_place(value, time) - _place(last.value, time)))
+        if jump <= limit:
+            return
+        # Once the last one is stale, the goal is believed to be where it is said to be.
+        if now - last.at <= self._timeout(topic):
+            raise BadInput('goal jump', f'{jump:.3g} m', f'at most goal_jump_limit, {limit:g} m')
+        self.forecast.reset()
 
     def _timeout(self, topic: str) -> float:
         return self.settings.odom_timeout if topic == 'odom' else self.settings.goal_timeout
@@ -153,23 +181,37 @@ class Inbox:
             absent.append('a goal on goal or goal_path')
         return ' and '.join(absent)
 
-    def stale(self, now: float) -> str:
-        """Return which input is too old to plan with, in words; empty if none is."""
-        if self.odometry is not None and now - self.odometry.at > self.settings.odom_timeout:
-            return f'odometry is {now - self.odometry.at:.2f} s old'
-        ages = [now - arrival.at for arrival in self._goal_sources().values()]
-        if ages and min(ages) > self.settings.goal_timeout:
-            return f'the goal is {min(ages):.2f} s old'
-        return ''
+    @property
+    def untimed(self) -> str:
+        """Return which sources' stamps are of another clock than this node's, in words."""
+        heard = {'odom': self.odometry, **self._goal_sources()}
+        return ', '.join(t for t, each in heard.items() if each is not None and not each.timed)
 
-    def targets(self, steps: int, now: float) -> Array:
+    def stale_odometry(self, now: float, ros: RosTime = UNKNOWN) -> str:
+        """Return that odometry is too old to plan with, in words; empty if it is not."""
+        age = 0.0 if self.odometry is None else self.odometry.age(now, ros)
+        return f'odometry is {age:.2f} s old' if age > self.settings.odom_timeout else ''
+
+    def stale_goal(self, now: float, ros: RosTime = UNKNOWN) -> str:
+        """Return that every source of the goal is too old, in words; empty if one is not."""
+        age = min((each.age(now, ros) for each in self._goal_sources().values()), default=0.0)
+        return f'the goal is {age:.2f} s old' if age > self.settings.goal_timeout else ''
+
+    def targets(
+        self, steps: int, now: float, ros: RosTime = UNKNOWN, start: float | None = None
+    ) -> Array:
         """Return the goals at the ends of the next ``steps`` steps, shape (steps, n) [m].
 
-        A forecast from outside is used while it is fresh; otherwise one's own.
+        A forecast from outside is used while it is fresh; otherwise one's own. The first step
+        begins at ``start`` [s], by default when odometry was measured.
         """
         assert self.odometry is not None
-        ahead = self.settings.problem.step * np.arange(1, steps + 1)
-        times = self.odometry.value.time + ahead
-        if self.path is not None and now - self.path.at <= self.settings.goal_timeout:
+        start = self.odometry.value.time if start is None else start
+        times = start + self.settings.problem.step * np.arange(1, steps + 1)
+        if self.path is not None and self.path.age(now, ros) <= self.settings.goal_timeout:
             return self.path.value.at(times)
         return self.forecast.at(times)
+
+
+def _place(value: Sighting | Itinerary, time: float) -> Array:
+    return value.position if isinstance(value, Sighting) else value.at(np.array([time]))[0]

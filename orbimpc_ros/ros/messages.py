@@ -2,7 +2,8 @@
 
 What comes in is untrusted. A message is taken whole or refused whole, with the field to blame;
 stamps are read as integers, never through rclpy's Time, which raises on negative seconds.
-Covariances are not read. In the plane (n = 2) poses lie at z = 0 and turn about z.
+Covariances are not read: many drivers say NaN there for "unknown", which does no harm. In the
+plane (n = 2) poses lie at z = 0 and turn about z.
 """
 
 from __future__ import annotations
@@ -254,18 +255,21 @@ def rotation_message(stamp: Stamp, command: Command) -> QuaternionStamped:
     return QuaternionStamped(header=head, quaternion=quaternion(command.rotation))
 
 
-def plan_message(stamp: Stamp, plan: Plan, step: float) -> Path:
-    """Return a plan's N + 1 poses, stamped t + k h, in the world frame."""
+def plan_message(stamp: Stamp, plan: Plan, step: float, advanced: float = 0.0) -> Path:
+    """Return a plan's N + 1 poses, stamped t + k h, in the world frame.
+
+    The plan starts at t, which is ``advanced`` [s] after the stamp.
+    """
     poses = zip(plan.positions, plan.projected, strict=True)
-    return path_message(stamp, step, (pose(*each) for each in poses))
+    return path_message(stamp, step, (pose(*each) for each in poses), advanced)
 
 
-def path_message(stamp: Stamp, step: float, poses: Iterable[Pose]) -> Path:
-    """Return a path of poses at the stamp and every ``step`` [s] after it."""
+def path_message(stamp: Stamp, step: float, poses: Iterable[Pose], after: float = 0.0) -> Path:
+    """Return a path of poses, the first ``after`` [s] the stamp, then one every ``step`` [s]."""
     frame = stamp.frames.world
     path = Path(header=header(stamp.nanoseconds, frame))
     for k, each in enumerate(poses):
-        at = stamp.nanoseconds + round(k * step * SECOND)
+        at = stamp.nanoseconds + round((after + k * step) * SECOND)
         path.poses.append(PoseStamped(header=header(at, frame), pose=each))
     return path
 

@@ -39,6 +39,6 @@ def reports(
     """
     told: dict[str, Any] = {'tick': tick_message(stamp.nanoseconds, node, report)}
     if plan is not None:
-        told['plan'] = messages.plan_message(stamp, plan, settings.problem.step)
+        told['plan'] = messages.plan_message(stamp, plan, settings.problem.step, report.advanced)
         told['plan_markers'] = plan_markers(stamp, settings.problem, plan)
     return told

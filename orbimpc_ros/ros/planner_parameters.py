@@ -62,6 +62,12 @@ PLANNER: tuple[Row, ...] = (
         's', 0.0, SOON, live=True),
     Row('goal_timeout', 0.0, 'A goal older than this is stale; 0 for 1 s; at least 1.5 steps',
         's', 0.0, SOON, live=True),
+    Row('future_tolerance', 0.1, 'A stamp this far ahead of the clock is refused; simulated time '
+        'may trail by a step more', 's', 0.0, SOON, live=True),
+    Row('goal_jump_limit', 0.0, 'A goal farther than this from the one before is refused until '
+        'that is stale; 0 for no limit', 'm', 0.0, FAR, live=True),
+    Row('delay_compensation', True, 'Whether to plan from where the vehicle is by the time the '
+        'command comes, not from where it was measured', live=True),
     Row('safe_command', 'stop',
         'When there is no plan: stop; keep the speed and stop turning; circle',
         choices=SAFE_COMMANDS, live=True),
@@ -85,6 +91,9 @@ class PlannerSettings:
         goal_prediction: kind of forecast.
         odom_timeout: after which odometry is stale, at least 1.5 steps [s].
         goal_timeout: after which a goal is stale, at least 1.5 steps [s].
+        future_tolerance: by which a stamp may be ahead of the clock [s].
+        goal_jump_limit: distance from one goal to the next; 0 for no limit [m].
+        delay_compensation: whether to plan from the state advanced by the odometry's age.
         safe_command: kind of safe command.
         deadline: for a solve, at most half a step [s].
         gap_tolerance: relative gap that counts as proved.
@@ -99,6 +108,9 @@ class PlannerSettings:
     goal_prediction: str
     odom_timeout: float
     goal_timeout: float
+    future_tolerance: float
+    goal_jump_limit: float
+    delay_compensation: bool
     safe_command: str
     deadline: float
     gap_tolerance: float
@@ -127,6 +139,9 @@ def planner_settings(values: Values) -> PlannerSettings:
         goal_prediction=values['goal_prediction'],
         odom_timeout=max(values['odom_timeout'] or 0.2, 1.5 * step),
         goal_timeout=max(values['goal_timeout'] or 1.0, 1.5 * step),
+        future_tolerance=values['future_tolerance'],
+        goal_jump_limit=values['goal_jump_limit'],
+        delay_compensation=values['delay_compensation'],
         safe_command=values['safe_command'],
         deadline=values['deadline'] or 0.5 * step,
         gap_tolerance=values['gap_tolerance'],

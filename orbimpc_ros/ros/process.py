@@ -6,6 +6,7 @@ import functools
 import os
 import signal
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -63,20 +64,22 @@ class Guarded(Node):
     Attributes:
         exit_code: the process ends with it as soon as it is not None.
         steady: a clock that neither jumps nor stops, for everything that watches.
+        failures: callbacks that have failed so far.
     """
 
     def __init__(self, name: str, parameters: Sequence[Parameter] = ()) -> None:
         super().__init__(name, parameter_overrides=list(parameters))
         self.exit_code: int | None = None
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._failures: Counter[str] = Counter()
+        self.failures = 0
+        self._in_a_row: Counter[str] = Counter()
 
     def safe(self, reason: str) -> None:
         """Do what is safe right now; the farewell and every failure call it."""
 
     def steady_now(self) -> float:
         """Return the time of the steady clock [s]."""
-        return self.steady.now().nanoseconds * 1e-9
+        return time.monotonic()
 
     def guard(self, callback: Callable[..., Any]) -> Callable[..., Any]:
         """Return the callback, made to report what it raises instead of raising it."""
@@ -85,24 +88,39 @@ class Guarded(Node):
         def guarded(*arguments: Any) -> Any:
             try:
                 result = callback(*arguments)
-            except Exception as error:
+            except BaseException as error:
                 self.failed(callback.__name__, error)
                 # A service has to answer: with the response as it came.
                 return arguments[1] if len(arguments) == 2 else None
-            self._failures[callback.__name__] = 0
+            self._in_a_row[callback.__name__] = 0
             return result
 
         return guarded
 
-    def failed(self, what: str, error: Exception) -> None:
-        """Report a failure, do what is safe, and give up after too many in a row."""
-        self._failures[what] += 1
+    def failed(self, what: str, error: BaseException) -> None:
+        """Report a failure, do what is safe, and give up after too many in a row.
+
+        A panic in a library written in Rust is no ``Exception``, yet no reason to end at once.
+
+        Raises:
+            KeyboardInterrupt, SystemExit: if that is what the error is.
+        """
+        if isinstance(error, (KeyboardInterrupt, SystemExit)):
+            raise error
         reason = f'{what} failed: {type(error).__name__}: {error}'
+        self._count(what, reason)
+        try:
+            self.safe(reason)
+        except Exception as worse:
+            self._count('safe', f'the safe command failed: {type(worse).__name__}: {worse}')
+
+    def _count(self, what: str, reason: str) -> None:
+        self.failures += 1
+        self._in_a_row[what] += 1
         self.get_logger().error(reason)
-        if self._failures[what] >= FAILURES_IN_A_ROW:
+        if self._in_a_row[what] >= FAILURES_IN_A_ROW:
             self.get_logger().fatal(f'{what} failed {FAILURES_IN_A_ROW} times in a row: giving up')
             self.exit_code = FAILED
-        self.safe(reason)
 
     def every(self, period: float, callback: Callable[[], None]) -> Any:
         """Call back every ``period`` [s] of the steady clock."""
@@ -153,15 +171,16 @@ def _live(make: Callable[[], Guarded]) -> int:
 def _spin(node: Guarded, executor: SingleThreadedExecutor) -> None:
     try:
         executor.spin_once(timeout_sec=SPIN)
-    except Exception as error:  # from callbacks of rclpy's own, such as a malformed /clock
+    except BaseException as error:  # from callbacks of rclpy's own, such as a malformed /clock
         node.failed('spinning', error)
 
 
 def _part(node: Guarded, executor: SingleThreadedExecutor, told: bool) -> int:
     if told:
         node.get_logger().info('told to stop')
+    farewell = node.guard(node.safe)
     for _ in range(FAREWELLS):
-        node.safe('shutting down')
+        farewell('shutting down')
     _let_go(node)
     executor.shutdown()
     node.destroy_node()

@@ -29,7 +29,7 @@ class Report:
 
     Attributes:
         status: ``optimal``, ``feasible``, ``infeasible`` or ``failed``.
-        reason: why it is not ``optimal``; else empty.
+        reason: why it is not ``optimal``, or what was done about the goal; else empty.
         objective: of the commanded plan; NaN without one, as are the next two.
         lower_bound: proved below any plan's objective.
         gap: (objective - lower bound) / max(1e-9, |objective|).
@@ -40,6 +40,7 @@ class Report:
         fallback: empty, ``shifted plan`` or ``safe command``.
         binding: price of each constraint that keeps the plan from being better, dearest first, by
             its name and step, such as ``floor@3``; empty if none does or the plan is no optimum.
+        advanced: by how much the measured state was moved on before planning [s].
     """
 
     status: str
@@ -53,13 +54,14 @@ class Report:
     projection_distance: float = math.nan
     fallback: str = ''
     binding: Mapping[str, float] = field(default_factory=dict)
+    advanced: float = 0.0
 
     @property
     def level(self) -> bytes:
         """Return how bad it is, in diagnostics' terms."""
         if self.fallback == SAFE:
             return ERROR
-        return OK if self.status == OPTIMAL and not self.fallback else WARN
+        return WARN if self.fallback or self.reason or self.status != OPTIMAL else OK
 
 
 def report_of(tick: Tick, solve_time_ms: float) -> Report:

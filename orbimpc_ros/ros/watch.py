@@ -1,0 +1,98 @@
+"""What no message tells: clocks that jump, who else publishes, and who cannot hear whom."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSCompatibility, qos_check_compatible
+from rclpy.subscription import Subscription
+
+from orbimpc_ros.ros.messages import SECOND
+from orbimpc_ros.ros.timing import Drift, Standstill
+
+ERROR = 'ERROR: '  # how rclpy begins what makes two profiles incompatible
+
+
+class Watch:
+    """Looks after a planner's surroundings.
+
+    The other ends of its topics are looked at one topic at a time: each look is short, so that no
+    odometry waits for it. DDS tells of mismatches in events too; but events of every topic lengthen
+    every wait of the node, and they do not tell when a mismatch is over.
+
+    Args:
+        node: whose topics to look at.
+        odometry: its subscription to odometry.
+        velocity: its publisher of commands.
+    """
+
+    def __init__(self, node: Node, odometry: Subscription, velocity: Publisher) -> None:
+        self._node, self._odometry, self._velocity = node, odometry, velocity
+        self._drift, self._standstill = Drift(), Standstill()
+        self._rota: list[Any] = []
+        self._mismatched: dict[str, str] = {}
+
+    @property
+    def sources(self) -> str:
+        """Return that more than one publishes odometry, in words; empty if none or one does."""
+        count = self._odometry.get_publisher_count()
+        return f'{count} publishers on odom, of which only one can be right' if count > 1 else ''
+
+    @property
+    def rivals(self) -> str:
+        """Return that somebody else commands the vehicle as well, in words; empty if nobody."""
+        count = self._node.count_publishers(self._velocity.topic_name)
+        return f'{count} publishers on cmd_vel: the vehicle hears them all' if count > 1 else ''
+
+    @property
+    def mismatches(self) -> str:
+        """Return which topics connect to somebody who cannot hear, or be heard, and why."""
+        return '; '.join(self._mismatched[topic] for topic in sorted(self._mismatched))
+
+    def look(self) -> None:
+        """Look at the other ends of one more topic."""
+        if not self._rota:
+            self._rota = [*self._node.publishers, *self._node.subscriptions]
+        end = self._rota.pop()
+        told = _mismatch(self._node, end)
+        if told:
+            self._mismatched[end.topic_name] = told
+        else:
+            self._mismatched.pop(end.topic_name, None)
+
+    def jump(self) -> float:
+        """Return by how much the system's clock was set since the last look [s]."""
+        before = time.monotonic()
+        clock = self._node.get_clock().now().nanoseconds / SECOND
+        return self._drift.jump(before, clock, time.monotonic())
+
+    def standstill(self) -> float:
+        """Return for how long the clock of ROS has not moved [s]."""
+        return self._standstill.lasted(self._node.get_clock().now().nanoseconds, time.monotonic())
+
+
+def _mismatch(node: Node, end: Publisher | Subscription) -> str:
+    """Return who cannot hear ``end`` or be heard by it, and why; empty if there is nobody."""
+    topic, kind = end.topic_name, _name(end.msg_type)
+    ends = node.get_publishers_info_by_topic(topic), node.get_subscriptions_info_by_topic(topic)
+    same, others = ends if isinstance(end, Publisher) else ends[::-1]
+    # What DDS makes of a profile is told for one's own as for any other: as the default is.
+    own = [each.qos_profile for each in same if each.node_name == node.get_name()]
+    for other in others if own else ():
+        who = f'{topic} of {other.node_namespace.rstrip("/")}/{other.node_name}'
+        if other.topic_type != kind:
+            return f'{who} is a {other.topic_type}, not a {kind}'
+        pair = (own[0], other.qos_profile)
+        verdict, why = qos_check_compatible(*(pair if same is ends[0] else pair[::-1]))
+        if verdict == QoSCompatibility.ERROR:
+            errors = [each for each in why.split(';') if each.startswith(ERROR)]
+            return f'{who} does not match: {", ".join(e.removeprefix(ERROR) for e in errors)}'
+    return ''
+
+
+def _name(kind: Any) -> str:
+    """Return the name of a message's class, such as ``nav_msgs/msg/Odometry``."""
+    return f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'
