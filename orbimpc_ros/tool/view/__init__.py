@@ -6,19 +6,21 @@ import argparse
 import time
 import webbrowser
 from collections.abc import Callable
+from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
+from uuid import uuid4
 
 from orbimpc_ros.mpc.errors import BadInput
 
 if TYPE_CHECKING:
     import rerun as rr
 
-    from orbimpc_ros.tool.view.server import Server
+    Recordings = Callable[[], rr.RecordingStream]  # each call begins a new one, if it can
+    Going = Callable[[], bool]  # until nobody wants to see more
 
-PAUSE = 0.1  # [s] between looks at what has happened
-NAME = 'orbimpc'
+PAUSE = 0.1  # [s] between looks at the server
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,58 +52,61 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _save(args: argparse.Namespace, going: Callable[[], bool]) -> None:
+def _save(args: argparse.Namespace, going: Going) -> None:
     """Write the recording of a bag, or of what runs for as long as ``going()``."""
     file = Path(args.save).resolve()
     if file.exists() or not file.parent.is_dir():
         raise BadInput('--save', str(file), 'a new file in a folder that exists')
-    recording = _recording()
     draw = _drawing(args)
+    recording = _recording()
     recording.save(file)
-    draw(recording, going)
+    draw(lambda: recording, going)
     recording.disconnect()
     print(f'recording     {file}')
 
 
-def _serve(args: argparse.Namespace, going: Callable[[], bool]) -> None:
+def _serve(args: argparse.Namespace, going: Going) -> None:
     """Serve the page and its data for as long as ``going()``."""
     from orbimpc_ros.tool.view.server import Server, choose
 
     draw = _drawing(args)
-    with Server(choose(args.port)) as server:
-        recording = _recording()
-        recording.connect_grpc(server.data)
+    with Server(choose(args.port)) as server, ExitStack() as connections:
         print(f'page          {server.page} (Ctrl-C ends it)', flush=True)
         if not args.no_browser:
             webbrowser.open(server.page)
-        draw(recording, lambda: going() and _healthy(server))
-        while going() and _healthy(server):
+
+        def connected() -> rr.RecordingStream:
+            recording = _recording()
+            recording.connect_grpc(server.data)
+            connections.callback(recording.disconnect)  # before the server goes
+            return recording
+
+        def alive() -> bool:
+            server.require_health()
+            return going()
+
+        draw(connected, alive)
+        while alive():
             time.sleep(PAUSE)
-        recording.disconnect()
-
-
-def _healthy(server: Server) -> bool:
-    server.require_health()
-    return True
 
 
 def _recording() -> rr.RecordingStream:
     """Return a recording in which nothing but the stamps of messages is time."""
     import rerun as rr
 
-    recording = rr.RecordingStream(NAME)
+    recording = rr.RecordingStream('orbimpc', recording_id=uuid4())
     recording.set_log_tick_enabled(False)
     recording.set_log_time_enabled(False)
     return recording
 
 
-def _drawing(args: argparse.Namespace) -> Callable[[rr.RecordingStream, Callable[[], bool]], None]:
-    """Return what draws into a recording; a bag has been read by then."""
+def _drawing(args: argparse.Namespace) -> Callable[[Recordings, Going], None]:
+    """Return what draws; a bag has been read by then."""
     if args.bag is None:
         from orbimpc_ros.tool.view import live
 
-        return lambda recording, going: live.draw(args.namespace, recording, going)
+        return lambda recordings, going: live.draw(args.namespace, recordings, going)
     from orbimpc_ros.tool.view import recorded
 
     flight = recorded.read(Path(args.bag), args.namespace)
-    return lambda recording, _going: flight.draw(recording)
+    return lambda recordings, _going: flight.draw(recordings())

@@ -19,6 +19,7 @@ CHARTS = {
     'time': ('Solve time [ms]', None),
 }  # entity: title and range
 OPENING = math.radians(27.0)  # half the viewer's vertical field of view
+NEAR = 2.0  # [m]: look at no less
 SLANT = np.array([0.45, -0.85, 0.5])  # where space is looked at from
 
 
@@ -33,7 +34,7 @@ class Eye(NamedTuple):
 def eye(dimension: int, points: Array) -> Eye:
     """Return a view of points, shape (K, 3) [m]: the plane from above, space aslant."""
     low, high = points.min(axis=0), points.max(axis=0)
-    target, reach = 0.5 * (low + high), 0.5 * max(1.0, float(np.linalg.norm(high - low)))
+    target, reach = 0.5 * (low + high), 0.5 * max(NEAR, float(np.linalg.norm(high - low)))
     away = 1.15 * reach / math.tan(OPENING)
     if dimension == 2:
         return Eye(target + np.array([0.0, 0.0, away]), target, np.array([0.0, 1.0, 0.0]))

@@ -19,11 +19,13 @@ from rclpy.task import Future
 from orbimpc_ros.ros.parameters import PLANNER, SIM
 from orbimpc_ros.ros.process import RANGE, qos
 from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.content import seconds
 from orbimpc_ros.tool.topics import VEHICLE, Topic
 from orbimpc_ros.tool.view.scene import Scene
 
 SPIN = 0.05  # [s]
 ASK = 2.0  # [s] between questions for parameters: they may change, nodes may come later
+BACK = 1.0  # [s]: a clock this much behind has been set back, as by a simulator started anew
 DEPTH = 20  # a viewer that is behind loses messages; it never holds a controller up
 NODES = {'planner': PLANNER, 'sim': SIM}
 
@@ -33,18 +35,19 @@ class Watcher:
 
     Args:
         namespace: of the vehicle, such as ``/uav1``.
-        recording: to draw into.
+        recordings: gives one to draw into, at first and whenever the clock has gone back.
     """
 
-    def __init__(self, namespace: str, recording: rr.RecordingStream) -> None:
+    def __init__(self, namespace: str, recordings: Callable[[], rr.RecordingStream]) -> None:
         os.environ.setdefault(RANGE, 'LOCALHOST')
         self._context = rclpy.Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self._node = rclpy.create_node('viewer', context=self._context, namespace=namespace or '/')
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        self._values = settings.read('{}')
-        self._scene = Scene(recording, self._values)
+        self._told: dict[str, settings.Values] = {}  # by node
+        self._recordings, self._now = recordings, -1.0
+        self._scene = Scene(recordings(), self._values)
         for topic in VEHICLE:
             if topic.name in self._scene.topics:
                 self._listen(topic)
@@ -58,26 +61,45 @@ class Watcher:
         kept = qos(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         profile = kept if topic.latched else qos(DEPTH, ReliabilityPolicy.BEST_EFFORT)
         self._node.create_subscription(
-            message, topic.name, lambda heard: self._scene.take(topic.name, heard), profile
+            message, topic.name, lambda heard: self._take(topic.name, heard), profile
         )
 
+    def _take(self, topic: str, message: Any) -> None:
+        if topic == 'odom':
+            before, self._now = self._now, seconds(message)
+            if self._now < before - BACK:
+                self._scene = Scene(self._recordings(), self._values)
+        self._scene.take(topic, message)
+
     def _ask(self) -> None:
+        """Ask which parameters there are, then for those that we know: versions may differ."""
         for name, client in self._clients.items():
             if client.services_are_ready():
-                names = [row.name for row in NODES[name]]
-                answer = client.get_parameters(names)
-                answer.add_done_callback(lambda done, names=names: self._learn(names, done))
+                listed = client.list_parameters()
+                listed.add_done_callback(lambda done, name=name: self._ask_for(name, done))
 
-    def _learn(self, names: list[str], answer: Future) -> None:
+    def _ask_for(self, name: str, listed: Future) -> None:
+        response: Any = listed.result()
+        if response is not None:
+            there = set(response.result.names)
+            names = [row.name for row in NODES[name] if row.name in there]
+            answer = self._clients[name].get_parameters(names)
+            answer.add_done_callback(lambda done: self._learn(name, names, done))
+
+    def _learn(self, name: str, names: list[str], answer: Future) -> None:
         """Draw anew what depends on parameters, if they have changed."""
         response: Any = answer.result()
         if response is None:
             return
         told = dict(zip(names, map(parameter_value_to_python, response.values), strict=False))
-        known = {name: value for name, value in told.items() if value is not None}
-        if known | self._values != self._values | known:
-            self._values |= known
+        if told != self._told.get(name):
+            self._told[name] = told
             self._scene.configure(self._values)
+
+    @property
+    def _values(self) -> settings.Values:
+        """Return the parameters of planner and simulator, defaults as long as they are silent."""
+        return settings.read('{}') | self._told.get('sim', {}) | self._told.get('planner', {})
 
     def spin(self) -> None:
         """Draw what comes for a while."""
@@ -90,9 +112,11 @@ class Watcher:
         self._context.try_shutdown()
 
 
-def draw(namespace: str, recording: rr.RecordingStream, going: Callable[[], bool]) -> None:
+def draw(
+    namespace: str, recordings: Callable[[], rr.RecordingStream], going: Callable[[], bool]
+) -> None:
     """Draw what runs now for as long as ``going()``."""
-    watcher = Watcher(namespace, recording)
+    watcher = Watcher(namespace, recordings)
     try:
         while going():
             watcher.spin()

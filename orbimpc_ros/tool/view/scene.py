@@ -63,6 +63,7 @@ class Scene:
         for entity, look in SERIES.items():
             self._to.log(entity, _series(*look), static=True)
         self.configure(values)
+        self._look_at(np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 0.0]]))
 
     @property
     def topics(self) -> Sequence[str]:
@@ -98,8 +99,8 @@ class Scene:
         self._begin()
         self._to.log(f'{WORLD}/vehicle', rr.Transform3D(translation=place, mat3x3=turned))
         noses = _arrows(self._way, self._unit * np.array(self._headings), BLUE, 0.07 * self._unit)
-        self._to.log(f'{WORLD}/flown/headings', noses)
-        self._to.log(f'{WORLD}/flown', _lines([np.array(self._way)], SKY, 0.05 * self._unit))
+        way = _lines([np.array(self._way)], SKY, 0.05 * self._unit)
+        self._to.log(f'{WORLD}/flown', way, noses)
         if self._swing:
             distance = np.linalg.norm(place - self._swing[-1])
             self._to.log('distance/to_goal', rr.Scalars([distance]))
@@ -113,9 +114,8 @@ class Scene:
             colors=[rgb(ORANGE)],
             fill_mode=rr.components.FillMode.TransparentFillMajorWireframe,
         )
-        self._to.log(f'{WORLD}/goal', ball)
         trail = _lines([np.array(self._swing)], ORANGE, 0.05 * self._unit)
-        self._to.log(f'{WORLD}/goal/trail', trail)
+        self._to.log(f'{WORLD}/goal', ball, trail)
 
     def _begin(self) -> None:
         """Choose the point of view and the size of things once both ends of the way are known."""
@@ -123,19 +123,19 @@ class Scene:
             return
         ends = np.array([self._way[0], self._swing[0]])
         self._unit = SIZE * max(1.0, float(np.linalg.norm(ends[1] - ends[0])))
-        self._to.send_blueprint(
-            blueprint(self._problem.dimension, eye(self._problem.dimension, ends))
-        )
-        dart = rr.Mesh3D(
-            vertex_positions=self._unit * shapes.DART, vertex_colors=shapes.DART_COLORS
-        )
-        self._to.log(f'{WORLD}/vehicle/body', dart, static=True)
+        self._look_at(ends)
+        corners, shades = self._unit * shapes.DART, shapes.DART_COLORS
+        dart = rr.Mesh3D(vertex_positions=corners, vertex_colors=shades)
         axes = rr.Arrows3D(
             vectors=self._unit * np.eye(3),
             colors=[rgb(RED), rgb(GREEN), rgb(BLUE)],
             radii=0.06 * self._unit,
         )
-        self._to.log(f'{WORLD}/vehicle/axes', axes, static=True)
+        self._to.log(f'{WORLD}/vehicle/body', dart, axes, static=True)
+
+    def _look_at(self, points: Array) -> None:
+        dimension = self._problem.dimension
+        self._to.send_blueprint(blueprint(dimension, eye(dimension, points)))
 
     def _take_forecast(self, message: Any) -> None:
         places = vectors(stamped.pose.position for stamped in message.poses)
@@ -144,9 +144,8 @@ class Scene:
 
     def _take_plan(self, message: Any) -> None:
         places = vectors(stamped.pose.position for stamped in message.poses)
-        self._to.log(f'{WORLD}/plan', _lines([places], GREEN, 0.08 * self._unit))
         dots = rr.Points3D(places, radii=0.16 * self._unit, colors=[rgb(GREEN)])
-        self._to.log(f'{WORLD}/plan/steps', dots)
+        self._to.log(f'{WORLD}/plan', _lines([places], GREEN, 0.08 * self._unit), dots)
         turned = [attitude(stamped.pose.orientation)[:, 0] for stamped in message.poses]
         self._pointing = seconds(message), np.array(turned)
         self._draw_thrust()
@@ -173,8 +172,7 @@ class Scene:
         ends = shares[:, None] * axes
         names = [str(k) for k in range(len(ends))]
         dots = rr.Points3D(ends, radii=0.03, colors=[rgb(GREEN)], labels=names)
-        self._to.log(f'{THRUST}/plan', dots)
-        self._to.log(f'{THRUST}/plan/order', _lines([ends], GREEN, 0.008))
+        self._to.log(f'{THRUST}/plan', dots, _lines([ends], GREEN, 0.008))
 
     def _take_captured(self, message: Any) -> None:
         if message.data and self._swing:
