@@ -132,7 +132,8 @@ class RealTime:
         sim.every(sim.settings.scenario.model.step, self.on_time)
 
     def restart(self) -> None:
-        """Wait for a first command."""
+        """Wait for subscribers, then for a first command."""
+        self._begins = False
         self._order: Order | None = None
         self._until = -np.inf  # when the command in force ends, on the steady clock [s]
         self._begun = self._sim.steady_now()  # this step
@@ -168,7 +169,8 @@ class RealTime:
 
     def on_time(self) -> None:
         """Fly a step, unless nobody has commanded yet, and show where it led."""
-        if self._sim.finished:
+        self._begins = self._begins or self._sim.watchers >= self._sim.settings.wait_subscribers
+        if self._sim.finished or not self._begins:
             return
         if self._order is not None:
             self._sim.fly(self._order, self._until - self._begun)

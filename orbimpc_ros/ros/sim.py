@@ -111,11 +111,14 @@ class Sim(Guarded):
     # --- what the paces do with it
 
     @property
-    def listeners(self) -> int:
-        """Return how many subscribers of odom are connected, if the goal has one as well."""
-        if not self._goal.get_subscription_count():
-            return 0
+    def watchers(self) -> int:
+        """Return how many subscribers of odom are connected."""
         return self._odometry.get_subscription_count()
+
+    @property
+    def listeners(self) -> int:
+        """Return the same, if the goal has a subscriber as well."""
+        return self.watchers if self._goal.get_subscription_count() else 0
 
     @property
     def commanded(self) -> bool:

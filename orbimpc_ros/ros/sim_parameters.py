@@ -66,7 +66,7 @@ def _sim_rows() -> tuple[Row, ...]:
         Row('goal_path_steps', 0, 'Steps of the true future to publish on goal_path; 0 for none',
             low=0, high=10_000),
         Row('exit_when_done', False, 'Whether to exit once the goal is caught or ticks run out'),
-        Row('wait_subscribers', 1, 'Subscribers of odom that a lock-step run waits for',
+        Row('wait_subscribers', 1, 'Subscribers of odom that a flight waits for',
             low=1, high=100),
     )  # fmt: skip
 

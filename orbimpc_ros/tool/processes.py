@@ -28,12 +28,22 @@ class Process:
         parameters: file of ROS parameters.
         log: takes what the process prints.
         domain: of ROS; this process's by default.
+        namespace: of the node, such as ``/uav1``.
     """
 
-    def __init__(self, module: str, parameters: Path, log: Path, domain: int | None = None) -> None:
+    def __init__(
+        self,
+        module: str,
+        parameters: Path,
+        log: Path,
+        domain: int | None = None,
+        namespace: str = '',
+    ) -> None:
         self.name, self._log = module.rpartition('.')[2], log
         tethered = [sys.executable, '-m', 'orbimpc_ros.tool.tethered', str(os.getpid())]
         command = [*tethered, module, '--ros-args', '--params-file', str(parameters)]
+        if namespace:
+            command += ['-r', f'__ns:={namespace}']
         own = {} if domain is None else {'ROS_DOMAIN_ID': str(domain)}
         with log.open('wb') as stream:
             # A session of its own: Ctrl-C reaches the tool alone, which then stops in order.

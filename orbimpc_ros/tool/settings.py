@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import yaml
@@ -22,6 +23,7 @@ from orbimpc_ros.tool import document
 
 ROWS = {row.name: row for row in (*PLANNER, *SIM)}
 Values = dict[str, Any]
+EMPTY: Mapping[str, Values] = MappingProxyType({})
 
 
 def resolve(file: Path, changes: Sequence[str] = ()) -> Values:
@@ -60,25 +62,44 @@ def write(file: Path, values: Values, **more: Any) -> str:
     return written
 
 
-def text(values: Values) -> str:
-    """Return values as a file of ROS parameters for any node."""
+def text(values: Values, own: Mapping[str, Values] = EMPTY) -> str:
+    """Return values as a file of ROS parameters for any node.
+
+    Args:
+        values: for all nodes.
+        own: values that differ from one namespace, such as ``/uav1``, to another.
+    """
+    differ = {name for each in own.values() for name in each}
+    sections = {'/**': {name: value for name, value in values.items() if name not in differ}}
+    sections |= {f'{namespace}/**': each for namespace, each in own.items()}
+    plain = {name: {'ros__parameters': _plain(each)} for name, each in sections.items()}
+    return yaml.safe_dump(plain, sort_keys=False)
+
+
+def _plain(values: Values) -> Values:
+    """Return values for YAML, without empty lists: ROS cannot tell their type."""
     plain = {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
-    # ROS cannot tell the type of an empty list; the defaults are empty where they may be.
-    parameters = {name: value for name, value in plain.items() if value != []}
-    return yaml.safe_dump({'/**': {'ros__parameters': parameters}}, sort_keys=False)
+    return {name: value for name, value in plain.items() if value != []}
 
 
-def read(written: str) -> Values:
-    """Return the values of what :func:`write` wrote, defaults where there are none.
+def read(written: str, namespace: str = '') -> Values:
+    """Return the values of what :func:`text` made, defaults where there are none.
+
+    Args:
+        written: the parameter file.
+        namespace: whose values are wanted in the file of a fleet.
 
     Raises:
         BadInput: not parameters, an unknown name, or a value of another type.
     """
-    return _completed(document.parse(written, 'parameters'), 'parameters')
+    return _completed(document.parse(written, 'parameters'), 'parameters', namespace)
 
 
-def _completed(content: Any, name: str) -> Values:
+def _completed(content: Any, name: str, namespace: str = '') -> Values:
     """Return the values in a parameter file over the defaults."""
+    if namespace and isinstance(content, dict):
+        wanted = ('/**', f'{namespace}/')
+        content = {key: each for key, each in content.items() if str(key).startswith(wanted)}
     values: Values = {row.name: row.default for row in ROWS.values()}
     for given, value in _sections(content, name):
         if given in ROWS:
