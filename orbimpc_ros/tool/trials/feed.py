@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
+from rclpy.serialization import serialize_message
 
 from orbimpc_ros.mpc import odometry as measurement
 from orbimpc_ros.mpc.rotations import exp
@@ -22,6 +23,7 @@ FRAMES = Frames('odom', 'base_link')
 RADIUS = 3.0  # [m] of the circle that the vehicle flies
 SPEED = 0.8  # [m/s]
 HUGE = 1_000_000  # characters
+SLIP = 5.0  # [m/s] sideways, which makes the failing planner raise
 
 # What becomes of a message: others in its place, none, or bytes that are no message at all.
 Spoiler = Callable[[Any, random.Random], list[Any]]
@@ -124,3 +126,20 @@ def scaled_quaternion(path: str) -> Spoiler:
         return [message]
 
     return spoil
+
+
+def garbled(message: Any, draw: random.Random) -> list[Any]:
+    """Return bytes that are no such message: cut off, with absurd lengths, in another encoding."""
+    whole = bytes(serialize_message(message))
+    length = draw.randrange(len(whole))
+    return [
+        draw.choice(
+            (
+                whole[:length],
+                whole[:12] + b'\xff\xff\xff\x7f' + whole[16:],
+                b'\x00\x09' + whole[2:],
+                whole[:4] + draw.randbytes(len(whole) - 4),
+                whole.replace(FRAMES.world.encode(), b'\xff' * len(FRAMES.world)),
+            )
+        )
+    ]

@@ -82,10 +82,16 @@ def _uncounted(stand: Any) -> str:
     return '' if len(counted) >= 2 else f'counted only {counted}'
 
 
+def _garbage() -> list[Spoiled]:
+    odometry = Spoiled('no odometry message', odometry=feed.garbled)
+    return [odometry, Spoiled('no goal message', goal=feed.garbled)]
+
+
 TRIALS = (
     _trial('odometry', 'stale odometry', lambda: [Spoiled('no odometry', odometry=feed.lost)], 0),
     _trial('goal', 'stale goal', lambda: [Spoiled('no goal', goal=feed.lost)], 0),
     _trial('stamps', 'future, repeated, malformed stamps', _stamps, 0),
     Trial('mixed', 'duplicates and older stamps among good ones', 1.0, _mixed),
+    _trial('garbage', 'bytes that are no message', _garbage, 0),
     _trial('contents', 'NaN, Inf, quaternions, frames, huge strings', _contents, 0),
 )

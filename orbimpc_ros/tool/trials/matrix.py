@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
-from orbimpc_ros.tool.trials import inputs
+from orbimpc_ros.tool.trials import clocks, endings, files, inputs, network, parameters, plans
 
-MATRIX = (*inputs.TRIALS,)
+GROUPS = (inputs, clocks, plans, network, endings, parameters, files)
+MATRIX = tuple(trial for group in GROUPS for trial in group.TRIALS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import time
 from collections.abc import Callable, Mapping
@@ -9,12 +10,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from nav_msgs.msg import Odometry
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 
 from orbimpc_ros.mpc.errors import OrbimpcError
@@ -23,12 +21,12 @@ from orbimpc_ros.ros.process import qos
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.processes import Process
 from orbimpc_ros.tool.trials import feed
+from orbimpc_ros.tool.trials.ears import KEPT, Ears
 from orbimpc_ros.tool.trials.watch import Limits, Watch
 
 STEP = 0.2  # [s]
 RATE = 20.0  # [Hz] of odometry and goal
 PATIENCE = 20.0  # [s] for anything awaited
-KEPT = 1000
 PLANNER: dict[str, Any] = {
     'step': STEP,
     'floor.shape': 'polygon',
@@ -45,6 +43,8 @@ class Stand:
         domain: of ROS, nobody else's.
         parameters: of the planner, beside those of all stands.
         simulated: whether to be the planner's clock as well.
+        seed: of all that is drawn.
+        module: of the planner.
 
     Attributes:
         watch: on the planner.
@@ -52,6 +52,7 @@ class Stand:
         spoiled: what is wrong with the feed.
         running: whether the clock runs; only where that is simulated.
         jump: what the clock is off [s].
+        fed: whether it is fed at all.
     """
 
     def __init__(
@@ -62,9 +63,11 @@ class Stand:
         *,
         simulated: bool = False,
         seed: int = 0,
+        module: str = 'orbimpc_ros.ros.planner',
     ) -> None:
         self._folder, self._domain, self._simulated = folder, domain, simulated
         self._values = PLANNER | dict(parameters or {}) | {'use_sim_time': simulated}
+        self._module = module
         self.draw = random.Random(seed)
         self.watch = Watch(Limits(1.0, self._values['max_rate']))
         self.spoiled = feed.Spoiled('nothing')
@@ -75,21 +78,13 @@ class Stand:
         self.start()
 
     def _connect(self) -> None:
-        self.context = rclpy.Context()
-        rclpy.init(
-            args=[],
-            context=self.context,
-            domain_id=self._domain,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
-        self.node = rclpy.create_node('stand', context=self.context)
-        self._executor = SingleThreadedExecutor(context=self.context)
-        self._executor.add_node(self.node)
-        listen = self.node.create_subscription
-        listen(TwistStamped, 'cmd_vel', self.watch.on_command, qos(KEPT))
-        listen(DiagnosticArray, 'tick', self.watch.on_tick, qos(KEPT))
-        listen(DiagnosticArray, '/diagnostics', self.watch.on_health, qos(KEPT))
-        self.odometry = self.node.create_publisher(Odometry, 'odom', qos(KEPT))
+        self._ears = Ears(self._domain)
+        self.node = self._ears.node
+        listen = self._ears.listen
+        listen(TwistStamped, 'cmd_vel', self.watch.on_command)
+        listen(DiagnosticArray, 'tick', self.watch.on_tick)
+        listen(DiagnosticArray, '/diagnostics', self.watch.on_health)
+        self.odometry: Any = self.node.create_publisher(Odometry, 'odom', qos(KEPT))
         self.goal = self.node.create_publisher(PoseStamped, 'goal', qos(KEPT))
         self._clock = self.node.create_publisher(Clock, '/clock', qos(KEPT))
 
@@ -99,7 +94,7 @@ class Stand:
         file = self._folder / f'planner-{self._count}.yaml'
         settings.write(file, {}, **self._values)
         log = file.with_suffix('.log')
-        self.planner = Process('orbimpc_ros.ros.planner', file, log, self._domain)
+        self.planner = Process(self._module, file, log, self._domain)
 
     # --- time
 
@@ -115,6 +110,11 @@ class Stand:
         """Stop the clock."""
         self._frozen, self.running = time.monotonic() - self._begun, False
 
+    def thaw(self) -> None:
+        """Let the clock run on from where it stopped."""
+        self.jump += self._frozen - (time.monotonic() - self._begun)
+        self.running = True
+
     def spin(self, seconds: float, done: Callable[[], bool] = lambda: False) -> None:
         """Feed and listen for a while, or until ``done``."""
         end = time.monotonic() + seconds
@@ -123,7 +123,7 @@ class Stand:
                 self._due = max(self._due + 1.0 / RATE, now)
                 self._feed()
             wait = min(self._due, end) - time.monotonic()
-            self._executor.spin_once(timeout_sec=max(0.0, wait))
+            self._ears.hear(wait)
 
     def until(self, done: Callable[[], bool], what: str) -> None:
         """Feed and listen until ``done``.
@@ -131,8 +131,9 @@ class Stand:
         Raises:
             OrbimpcError: it never is.
         """
-        self.spin(PATIENCE, done)
+        self.spin(PATIENCE, lambda: done() or not self.planner.running)
         if not done():
+            self.planner.require_health()
             raise OrbimpcError(f'waited {PATIENCE:g} s in vain for {what}')
 
     def until_planned(self) -> None:
@@ -140,19 +141,53 @@ class Stand:
         since = time.monotonic()
         self.until(lambda: self.watch.planned_since(since), 'a plan')
 
+    def until_heard(self) -> None:
+        """Feed a planner until it says anything."""
+        self.until(lambda: bool(self.watch.health), 'its diagnostics')
+
+    def spin_until_gone(self, seconds: float) -> None:
+        """Feed a planner until it has ended, ``seconds`` at most."""
+        self.spin(seconds, lambda: not self.planner.running)
+
     def _feed(self) -> None:
         if self._simulated:
             self._clock.publish(Clock(clock=messages.time_message(self.now)))
         if not self.fed:
             return
-        seconds, now = time.monotonic() - self._begun, self.now
-        goal, odometry = feed.goal_at(seconds, now), feed.odometry_at(seconds, now)
+        goal = feed.goal_at(time.monotonic() - self._begun, self.now)
         self._publish(self.goal, goal, self.spoiled.goal)
-        self._publish(self.odometry, odometry, self.spoiled.odometry)
+        if self.odometry is not None:
+            self._publish(self.odometry, self.healthy_odometry(), self.spoiled.odometry)
+
+    def healthy_odometry(self) -> Odometry:
+        """Return what nothing is wrong with."""
+        return feed.odometry_at(time.monotonic() - self._begun, self.now)
 
     def _publish(self, publisher: Any, message: Any, spoil: feed.Spoiler | None) -> None:
         for each in [message] if spoil is None else spoil(message, self.draw):
             publisher.publish(each)
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """Return the environment of a process that is to join."""
+        return os.environ | {'ROS_DOMAIN_ID': str(self._domain)}
+
+    def mute(self) -> None:
+        """Leave odometry to another publisher."""
+        self.node.destroy_publisher(self.odometry)
+        self.odometry = None
+
+    def unmute(self) -> None:
+        """Publish odometry again."""
+        self.odometry = self.node.create_publisher(Odometry, 'odom', qos(KEPT))
+
+    def add_source(self) -> None:
+        """Add a second publisher of odometry, a silent one."""
+        self._second = self.node.create_publisher(Odometry, 'odom', qos())
+
+    def remove_source(self) -> None:
+        """Remove the second publisher."""
+        self.node.destroy_publisher(self._second)
 
     def call(self, kind: Any, name: str, request: Any) -> Any:
         """Return the response of a service of the planner."""
@@ -173,6 +208,4 @@ class Stand:
         trace: TracebackType | None,
     ) -> None:
         self.planner.stop()
-        self._executor.shutdown()
-        self.node.destroy_node()
-        self.context.try_shutdown()
+        self._ears.close()

@@ -1,0 +1,99 @@
+"""Rows on who else is there: other publishers, other qualities of service, a flood."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from geometry_msgs.msg import TwistStamped
+from rclpy.qos import DurabilityPolicy
+
+from orbimpc_ros.ros.process import qos
+from orbimpc_ros.tool.trials import onsets
+from orbimpc_ros.tool.trials.lab import Lab
+from orbimpc_ros.tool.trials.onsets import AFTER
+from orbimpc_ros.tool.trials.outcome import Outcome, Trial
+from orbimpc_ros.tool.trials.stand import STEP, Stand
+
+TOLD = 1.0  # [s] in which a mismatch must be told
+MEET = 0.6  # [s] that discovery may take
+FLOOD = 5000.0  # [Hz]
+LATE = 5.0  # [ms] beyond a period
+
+
+def _mismatch(lab: Lab, long: bool) -> Iterator[Outcome]:
+    """Somebody subscribes to commands as latched, which they are not: no command would come."""
+    for seed in onsets.SEEDS if long else onsets.SEEDS[:1]:
+        stand = lab.shared('plain')
+        stand.draw.seed(seed)
+        stand.until_planned()
+        stand.spin(stand.draw.uniform(0.0, STEP))
+        begin = time.monotonic()
+        latched = qos(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        wrong = stand.node.create_subscription(
+            TwistStamped, 'cmd_vel', lambda _message: None, latched
+        )
+        stand.spin(TOLD + MEET)
+        told = stand.watch.first_error(begin) - begin
+        stand.node.destroy_subscription(wrong)
+        yield onsets.recovered(stand, Outcome('latched cmd_vel', stand.watch.broken(begin), told))
+
+
+def _two_sources(lab: Lab, long: bool) -> Iterator[Outcome]:
+    """A second publisher of odometry: whom to believe?"""
+    for onset in onsets.ONSETS[1:] if long else onsets.ONSETS[1:2]:
+        for seed in onsets.SEEDS if long else onsets.SEEDS[:1]:
+            stand = onsets.stand_for(lab, onset)
+            stand.draw.seed(seed)
+            begin = onsets.set_in(stand, onset, stand.add_source)
+            stand.spin(MEET + (1 + AFTER) * STEP)
+            until = time.monotonic()
+            reaction = onsets.reaction(stand.watch.first_safe(begin), begin)
+            moving = stand.watch.moving(begin + MEET + STEP, until)
+            unsafe = stand.watch.broken(begin) + moving
+            stand.remove_source()
+            yield onsets.recovered(stand, Outcome(f'another, {onset}', unsafe, reaction))
+
+
+@contextmanager
+def flooded(stand: Stand, rate: float) -> Iterator[None]:
+    """Have another process take over a stand's odometry, at a rate [Hz]."""
+    stand.mute()
+    words = [sys.executable, '-m', 'orbimpc_ros.tool.trials.flood', str(rate)]
+    child = subprocess.Popen(words, env=stand.environment, stdin=subprocess.DEVNULL)
+    try:
+        yield
+    finally:
+        child.kill()
+        child.wait()
+        stand.unmute()
+
+
+def _flood(lab: Lab, long: bool) -> Iterator[Outcome]:
+    with lab.stand() as stand:
+        stand.until_planned()
+        with flooded(stand, FLOOD):
+            begin = time.monotonic()
+            stand.until_planned()
+            stand.spin(2.0)  # it has found its feet
+            settled = time.monotonic()
+            stand.spin(30.0 if long else 5.0)
+            times = [tick.at for tick in stand.watch.ticks if tick.at >= settled]
+        if len(times) < 2:
+            yield Outcome('5 kHz', stand.watch.broken(begin), failure='no ticks')
+            return
+        late = 1e3 * (np.percentile(np.diff(times), 99) - STEP)
+        still = sum(each.safe for each in stand.watch.commands if each.at >= settled)
+        failure = f'{still} safe commands' if still else ''
+        yield Outcome('5 kHz', stand.watch.broken(begin), max(0.0, late), failure)
+
+
+TRIALS = (
+    Trial('qos', 'a quality of service that does not match: told', TOLD, _mismatch, 's'),
+    Trial('sources', 'two publishers of odometry', 1.0 + MEET / STEP, _two_sources),
+    Trial('flood', 'odometry at 5 kHz: p99 of ticks beyond the period', LATE, _flood, 'ms'),
+)
