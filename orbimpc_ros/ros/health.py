@@ -2,51 +2,74 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray
 
 from orbimpc_ros.ros.process import Guarded, qos
-from orbimpc_ros.ros.reports import OK, diagnostics
+from orbimpc_ros.ros.reports import ERROR, OK, WARN, Report, diagnostics
 
 PERIOD = 1.0  # [s] how often it is told, at least
 Condition = tuple[bytes, str]
 
 
+def condition(
+    wrong: Sequence[str], waiting: str, report: Report | None, notices: Sequence[str]
+) -> Condition:
+    """Return a planner's condition: a level with a message.
+
+    Args:
+        wrong: what is wrong around it, in words; empty ones do not count.
+        waiting: why it does not plan, in words; empty if it does.
+        report: of the last tick, if there was one.
+        notices: what to warn of while all goes well; empty ones do not count.
+    """
+    if any(wrong):
+        return ERROR, '; '.join(filter(None, wrong))
+    if waiting:
+        return WARN, waiting
+    level, message = OK, 'ready'
+    if report is not None:
+        level, message = report.level, report.reason or 'planning'
+    if level == OK and any(notices):
+        level = WARN
+    return level, '; '.join(filter(None, (message, *notices)))
+
+
 class Health:
-    """Publishes a condition, a level with a message, and the counts behind it.
+    """Publishes the condition of a planner.
 
     Args:
         node: whose health.
-        condition: asked for the level and the message.
-        values: asked for the counts.
+        asked: for the condition.
+        values: asked for, the counts behind it.
     """
 
     def __init__(
         self,
         node: Guarded,
-        condition: Callable[[], Condition],
+        asked: Callable[[], Condition],
         values: Callable[[], Mapping[str, object]],
     ) -> None:
-        self._node, self._condition, self._values = node, condition, values
+        self._node, self._asked, self._values = node, asked, values
         self._shown: Condition = (OK, '')
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', qos())
         node.every(PERIOD, self.show)
 
     def show(self) -> None:
         """Publish how it is."""
-        self._publish(self._condition())
+        self._publish(self._asked())
 
     def show_changes(self) -> None:
         """Publish how it is if the level has changed."""
-        condition = self._condition()
-        if condition[0] != self._shown[0]:
-            self._publish(condition)
+        asked = self._asked()
+        if asked[0] != self._shown[0]:
+            self._publish(asked)
 
-    def _publish(self, condition: Condition) -> None:
-        level, message = condition
+    def _publish(self, shown: Condition) -> None:
+        level, message = shown
         if message != self._shown[1] and message.startswith('waits'):
             self._node.get_logger().info(message)
-        self._shown = condition
+        self._shown = shown
         now, name = self._node.get_clock().now().nanoseconds, self._node.get_fully_qualified_name()
         self._publisher.publish(diagnostics(now, name, level, message, self._values()))

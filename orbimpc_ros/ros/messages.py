@@ -256,10 +256,7 @@ def rotation_message(stamp: Stamp, command: Command) -> QuaternionStamped:
 
 
 def plan_message(stamp: Stamp, plan: Plan, step: float, advanced: float = 0.0) -> Path:
-    """Return a plan's N + 1 poses, stamped t + k h, in the world frame.
-
-    The plan starts at t, which is ``advanced`` [s] after the stamp.
-    """
+    """Return a plan's N + 1 poses, from ``advanced`` [s] after the stamp on, in the world frame."""
     poses = zip(plan.positions, plan.projected, strict=True)
     return path_message(stamp, step, (pose(*each) for each in poses), advanced)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -12,44 +11,26 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
-from rclpy.clock import JumpThreshold, TimeJump
-from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import ReliabilityPolicy
 from std_srvs.srv import SetBool, Trigger
 
-from orbimpc_ros.mpc.command import Command, flaw, stop
-from orbimpc_ros.mpc.controller import Controller, Tick
-from orbimpc_ros.mpc.delay import Leg, Sent, advanced
-from orbimpc_ros.mpc.odometry import Odometry
+from orbimpc_ros.mpc.controller import Controller
 from orbimpc_ros.ros import messages, outputs
-from orbimpc_ros.ros.arrival import Arrival, RosTime
-from orbimpc_ros.ros.health import Condition, Health
-from orbimpc_ros.ros.inbox import Inbox
+from orbimpc_ros.ros.clock import NodeClock
+from orbimpc_ros.ros.health import Condition, Health, condition
 from orbimpc_ros.ros.messages import SECOND, Stamp
+from orbimpc_ros.ros.neighbours import Neighbours
 from orbimpc_ros.ros.outlet import Outlet
 from orbimpc_ros.ros.parameters import PLANNER, Live, PlannerSettings, planner_settings
 from orbimpc_ros.ros.process import Guarded, qos, run
-from orbimpc_ros.ros.reports import ERROR, OK, SAFE, WARN, Report, prices, report_of, safe_report
-from orbimpc_ros.ros.safety import safe_command
-from orbimpc_ros.ros.timing import Timing
-from orbimpc_ros.ros.watch import Watch
+from orbimpc_ros.ros.reports import prices
+from orbimpc_ros.ros.ticker import Answer, Ticker, prepared
 
 GOAL_PATIENCE = 0.1  # [s] to wait for the goal that belongs to an odometry message
 WATCH = 0.05  # [s] how often the inputs' age is looked at, at least
 REFUSED = 1.0  # [s] for which a refused message is a reason to warn
 AFRESH = 'starting afresh'
-
-
-def prepared(settings: PlannerSettings) -> tuple[PlannerSettings, Controller]:
-    """Return the settings with a controller compiled for them."""
-    controller = Controller(
-        settings.problem,
-        projection=settings.projection,
-        shrinking=settings.shrinking,
-        gap_tolerance=settings.gap_tolerance,
-    )
-    return settings, controller
 
 
 class Planner(Guarded):
@@ -59,24 +40,21 @@ class Planner(Guarded):
         super().__init__('planner')
         self._enabled = True
         self._answered = -1  # stamp of the odometry that was answered last [ns]
-        self._fraction = 0.0
-        self._report: Report | None = None
         self._refusal, self._refused_at = '', -np.inf
-        self._simulated = bool(self.get_parameter('use_sim_time').value)  # refused from then on
         live = Live(self, PLANNER, planner_settings, prepared)
-        self._settings, self._controller = live.prepared
-        self._inbox, self._sent, self._timing = Inbox(self._settings), Sent(), Timing()
-        self._outlet = Outlet(self, self._settings.problem.translation_order == 2)
+        self._settings, controller = live.prepared
+        self._time = NodeClock(self, self._settings.problem.step, self._on_jump)
+        self._ticker = Ticker(self._settings, controller, simulated=self._time.simulated)
+        self._inbox = self._ticker.inbox
+        self._outlet = Outlet(self, thrust=self._settings.problem.translation_order == 2)
         self._health = Health(self, self._condition, self._counts)
         self._create_subscriptions()
         self._create_timers()
         live.keep(self._install)
 
     def _install(self, prepared: tuple[PlannerSettings, Controller]) -> None:
-        settings, controller = prepared
-        controller.continue_from(self._controller)
-        self._settings, self._controller = settings, controller
-        self._inbox.adopt(self._settings)
+        self._settings, controller = prepared
+        self._ticker.install(self._settings, controller)
 
     # --- wiring
 
@@ -95,7 +73,7 @@ class Planner(Guarded):
                 (Path, 'goal_path', self._on_path),
             )
         )
-        self._surroundings = Watch(self, odometry, self._outlet.velocity)
+        self._neighbours = Neighbours(self, odometry, self._outlet.velocity)
         self.create_service(Trigger, '~/reset', self.guard(self._on_reset))
         self.create_service(SetBool, '~/enable', self.guard(self._on_enable))
 
@@ -107,34 +85,11 @@ class Planner(Guarded):
         self._patience = self.every(0.5 * GOAL_PATIENCE, self._on_patience)
         self._patience.cancel()
         self.every(min(WATCH, 0.5 * step), self._watch)
-        threshold = JumpThreshold(
-            min_forward=Duration(seconds=step),  # how far lock-step moves it at once
-            min_backward=Duration(nanoseconds=-1),
-            on_clock_change=False,
-        )
-        self._jumps = self.get_clock().create_jump_callback(
-            threshold, post_callback=self.guard(self._on_jump)
-        )
-
-    # --- time
-
-    def _ros(self) -> RosTime:
-        """Return the time of ROS; simulated time is zero until it starts."""
-        now = self.get_clock().now().nanoseconds
-        if not self._simulated:
-            return RosTime(now)
-        return RosTime(now or None, self._settings.problem.step)
-
-    def _stamp_now(self) -> Stamp:
-        """Return a stamp of now that is no answer to any odometry."""
-        now = max(self.get_clock().now().nanoseconds, self._answered + 1)
-        known = self._inbox.odometry
-        return Stamp(now, self._settings.frames if known is None else known.stamp.frames)
 
     # --- inputs
 
     def _on_odometry(self, message: OdometryMessage) -> None:
-        refusal = self._inbox.take_odometry(message, self.steady_now(), self._ros())
+        refusal = self._inbox.take_odometry(message, self.steady_now(), self._time.now)
         if refusal:
             self._refuse(refusal)
             self._repeat_answer(message)
@@ -142,10 +97,10 @@ class Planner(Guarded):
             self._tick_or_wait()
 
     def _on_goal(self, message: PoseStamped) -> None:
-        self._took_goal(self._inbox.take_goal(message, self.steady_now(), self._ros()))
+        self._took_goal(self._inbox.take_goal(message, self.steady_now(), self._time.now))
 
     def _on_path(self, message: Path) -> None:
-        self._took_goal(self._inbox.take_path(message, self.steady_now(), self._ros()))
+        self._took_goal(self._inbox.take_path(message, self.steady_now(), self._time.now))
 
     def _took_goal(self, refusal: str) -> None:
         if refusal:
@@ -157,7 +112,7 @@ class Planner(Guarded):
     def _unanswered(self) -> bool:
         """Return whether an odometry message still waits for its goal."""
         odometry = self._inbox.odometry
-        if odometry is None or self._inbox.stale_odometry(self.steady_now(), self._ros()):
+        if odometry is None or self._inbox.stale_odometry(self.steady_now(), self._time.now):
             return False
         return odometry.stamp.nanoseconds != self._answered
 
@@ -194,7 +149,7 @@ class Planner(Guarded):
             self._plan_now()
 
     def _on_timer(self) -> None:
-        self._timing.began(self.get_clock().now().nanoseconds / SECOND, self._settings.problem.step)
+        self._ticker.timing.began(self._time.seconds, self._settings.problem.step)
         self._plan_now()
 
     # --- a tick
@@ -205,137 +160,86 @@ class Planner(Guarded):
         if odometry is None or self._inbox.missing:
             self._health.show_changes()
             return
-        unsafe = self._unsafe()
-        if unsafe:
-            self._command_safe(unsafe, odometry.stamp)
-        else:
-            self._command_plan(odometry)
+        unsafe, answer = self._unsafe(), None
+        if not unsafe:
+            answer = self._ticker.planned(self.steady_now(), self._time.now)
+            unsafe = self._unsafe()  # a tick that takes too long outdates what it started from
+        if unsafe or answer is None:
+            answer = self._ticker.safe(unsafe)
+        self._publish(odometry.stamp, answer)
         self._answered = odometry.stamp.nanoseconds
 
     def _unsafe(self) -> str:
         """Return why no plan may be followed now; empty if one may."""
         if not self._enabled:
             return 'disabled'
-        stale = self._inbox.stale_odometry(self.steady_now(), self._ros())
-        return stale or self._surroundings.sources
+        stale = self._inbox.stale_odometry(self.steady_now(), self._time.now)
+        return stale or self._neighbours.sources
 
-    def _command_plan(self, arrival: Arrival[Odometry]) -> None:
-        begun = time.perf_counter()
-        odometry = advanced(self._settings.problem, arrival.value, self._legs(arrival))
-        tick, solved = self._planned(odometry, begun + self._settings.deadline)
-        took = time.perf_counter() - begun
-        settings = self._settings
-        on_time = not settings.on_odometry
-        self._timing.took(took, settings.deadline, settings.problem.step, on_time)
-        outdated = self._unsafe()  # by a tick that took too long
-        if outdated:
-            self._command_safe(outdated, arrival.stamp)
-            return
-        ahead = odometry.time - arrival.value.time
-        report = replace(report_of(tick, 1e3 * took if solved else 0.0), advanced=ahead)
-        command = self._safe_command() if tick.fallback == SAFE else tick.command
-        self._publish(arrival.stamp, command, report, tick)
+    def _publish(self, stamp: Stamp, answer: Answer) -> None:
+        self._outlet.begin(outputs.orders(self._settings, stamp, answer.command))
+        self._ticker.went_out(answer, self._time.seconds)
+        self._tell(stamp, answer)
+        self._health.show_changes()
 
-    def _planned(self, odometry: Odometry, end: float) -> tuple[Tick, bool]:
-        """Return the controller's tick, and whether it had a goal to plan towards."""
-        now, ros = self.steady_now(), self._ros()
-        lost = self._inbox.stale_goal(now, ros)
-        if lost:
-            return self._controller.hold(odometry, lost), False
-        targets = self._inbox.targets(self._controller.remaining, now, ros, odometry.time)
-        return self._controller.tick(odometry, targets, lambda: time.perf_counter() > end), True
-
-    def _legs(self, arrival: Arrival[Odometry]) -> list[Leg]:
-        """Return what is in force from the measurement until the answer to it is there."""
-        ros = self._ros()
-        if not self._settings.delay_compensation or not arrival.timed or ros.nanoseconds is None:
-            return []
-        now = ros.nanoseconds / SECOND
-        # Simulated time stands still while a tick is computed.
-        taking = 0.0 if self._simulated else self._timing.expected
-        return self._sent.legs(now - arrival.delay(ros), now + taking)
-
-    def _command_safe(self, reason: str, stamp: Stamp) -> None:
-        self._publish(stamp, self._safe_command(), safe_report(reason), None)
-
-    def _safe_command(self) -> Command:
-        settings = self._settings
-        return safe_command(settings.safe_command, settings.problem, self._attitude, self._fraction)
-
-    @property
-    def _attitude(self) -> np.ndarray:
-        known = self._inbox.odometry
-        return np.eye(self._settings.problem.dimension) if known is None else known.value.attitude
-
-    def _publish(self, stamp: Stamp, command: Command, report: Report, tick: Tick | None) -> None:
-        wrong = flaw(self._settings.problem, command)
-        if wrong:  # nothing that was checked before leads here
-            command, report, tick = stop(self._attitude), safe_report(f'not sent: {wrong}'), None
-        self._outlet.begin(outputs.orders(self._settings, stamp, command))
-        self._sent.add(command, self.get_clock().now().nanoseconds / SECOND)
-        self._fraction = command.speed_fraction
-        self._controller.commanded(command.speed_fraction)
-        if tick is not None:
-            report = replace(report, binding=prices(tick))
-        self._report = report
-        self._tell(stamp, command, report, tick)
-
-    def _tell(self, stamp: Stamp, command: Command, report: Report, tick: Tick | None) -> None:
-        plan = None if tick is None else tick.plan
-        told = outputs.reports(self._settings, stamp, report, plan, self.get_fully_qualified_name())
+    def _tell(self, stamp: Stamp, answer: Answer) -> None:
+        report, name = answer.report, self.get_fully_qualified_name()
+        if answer.tick is not None:
+            report = replace(report, binding=prices(answer.tick))
+        told = outputs.reports(self._settings, stamp, report, answer.plan, name)
         if self._inbox.odometry is not None:
-            told['rotation'] = messages.rotation_message(stamp, command)
+            told['rotation'] = messages.rotation_message(stamp, answer.command)
         self._outlet.add(told)
         if report.reason and report.fallback:
             said = f'{report.fallback}: {report.reason}'
-            self.get_logger().warning(said, throttle_duration_sec=1)
-        self._health.show_changes()
+            self.get_logger().warning(said, throttle_duration_sec=1.0)
 
     # --- watching
 
     def safe(self, reason: str) -> None:
         """Command what is safe, now."""
-        self._command_safe(reason, self._stamp_now())
+        # Stamped now: it is no answer to any odometry.
+        now, known = max(self._time.nanoseconds, self._answered + 1), self._inbox.odometry
+        frames = self._settings.frames if known is None else known.stamp.frames
+        self._publish(Stamp(now, frames), self._ticker.safe(reason))
 
     def _watch(self) -> None:
         """Repeat the safe command every step while it is not safe to follow a plan."""
-        self._surroundings.look()
-        stood = self._look_at_clock()
-        unsafe = self._unsafe() or (self._inbox.missing and f'waits for {self._inbox.missing}')
-        if not unsafe and self._simulated and stood > self._settings.odom_timeout:
-            unsafe = f'the clock has stood still for {stood:.2f} s'
+        self._neighbours.look()
+        self._time.look()
         flying = self._outlet.used or not self._enabled
         due = self.steady_now() - self._outlet.at >= self._settings.problem.step
+        unsafe = self._unsafe() or self._stuck()
         if flying and due and unsafe:
             self.safe(unsafe)
         self._health.show_changes()
 
-    def _look_at_clock(self) -> float:
-        """Start afresh if the system's clock was set; return how long time has stood still [s]."""
-        jump = self._surroundings.jump()
-        if not self._simulated and abs(jump) > self._settings.future_tolerance:
-            self._start_afresh(f'the clock was set by {jump:.3g} s')
-        return self._surroundings.standstill()
+    def _stuck(self) -> str:
+        """Return why no tick will come, in words; empty if one will."""
+        if self._inbox.missing:
+            return f'waits for {self._inbox.missing}'
+        stood = self._time.standstill()
+        if stood > self._settings.odom_timeout:
+            return f'the clock has stood still for {stood:.2f} s'
+        return ''
 
-    def _on_jump(self, jump: TimeJump) -> None:
-        """Start afresh if simulated time goes back, or on by more than makes inputs stale.
+    def _on_jump(self, by: float) -> None:
+        """Start afresh if the clock has jumped [s].
 
-        A smaller step forward makes what is known as much older, which their ages tell.
+        Simulated time moves in steps. A step forward makes what is known as much older, which its
+        age tells; a jump is what makes all of it stale.
         """
-        by = jump.delta.nanoseconds
-        if self.get_clock().now().nanoseconds == by:
-            return  # it starts
         settings = self._settings
-        largest = max(settings.odom_timeout, settings.goal_timeout) + settings.problem.step
-        if by < 0 or by > largest * SECOND:
-            self._start_afresh(f'the clock jumped by {by / SECOND:.3g} s')
+        largest = settings.future_tolerance
+        if self._time.simulated and by > 0.0:
+            largest = max(settings.odom_timeout, settings.goal_timeout) + settings.problem.step
+        if abs(by) > largest or (self._time.simulated and by < 0.0):
+            self._start_afresh(f'the clock jumped by {by:.3g} s')
 
     def _start_afresh(self, why: str) -> None:
         self.get_logger().warning(f'{AFRESH}: {why}')
         self._patience.cancel()
-        self._inbox.forget()
-        self._sent.forget()
-        self._controller.reset()
+        self._ticker.forget()
         self._answered = -1
         if self._outlet.used:
             self.safe(AFRESH)
@@ -357,39 +261,32 @@ class Planner(Guarded):
     # --- diagnostics
 
     def _counts(self) -> dict[str, object]:
-        refused = self._inbox.refused.items()
+        timing, refused = self._ticker.timing, self._inbox.refused.items()
         return {
             'waits_for': self._inbox.missing,
             'enabled': self._enabled,
-            'deadline misses': self._timing.misses,
-            'overruns': self._timing.overruns,
+            'deadline misses': timing.misses,
+            'overruns': timing.overruns,
+            'late ticks': timing.late,
             'callbacks failed': self.failures,
             **{f'refused {what}': count for what, count in refused},
         }
 
     def _condition(self) -> Condition:
-        wrong = '; '.join(filter(None, (self._surroundings.sources, self._surroundings.mismatches)))
-        if wrong:
-            return ERROR, wrong
-        if not self._enabled:
-            return WARN, 'disabled'
-        if self._inbox.missing:
-            return WARN, f'waits for {self._inbox.missing}'
-        level, message = OK, 'ready'
-        if self._report is not None:
-            level, message = self._report.level, self._report.reason or 'planning'
-        return (level, message) if level != OK else self._notices(message)
-
-    def _notices(self, message: str) -> Condition:
-        """Return what to warn of while all goes well, if anything."""
+        missing, untimed = self._inbox.missing, self._inbox.untimed
+        waiting = missing and f'waits for {missing}'
         refused = self.steady_now() - self._refused_at < REFUSED
-        untimed = self._inbox.untimed
-        notices = (
-            self._surroundings.rivals,
-            self._refusal if refused else '',
-            f"stamps of {untimed} are not of this node's clock" if untimed else '',
+        latest = self._ticker.latest
+        return condition(
+            (self._neighbours.sources, self._neighbours.mismatches),
+            waiting if self._enabled else 'disabled',
+            None if latest is None else latest.report,
+            (
+                self._neighbours.rivals,
+                self._refusal if refused else '',
+                untimed and f"stamps of {untimed} are not of this node's clock",
+            ),
         )
-        return (WARN if any(notices) else OK), '; '.join(filter(None, (message, *notices)))
 
 
 def main(argv: Sequence[str] | None = None) -> int:

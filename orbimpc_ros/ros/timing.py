@@ -48,11 +48,12 @@ class Timing:
 
     Attributes:
         misses: ticks that took longer than their deadline.
-        overruns: ticks that took longer than a step, or that came late because of others.
+        overruns: ticks that took longer than a step.
+        late: ticks of the timer that came late, whatever held them up.
     """
 
     def __init__(self) -> None:
-        self.misses = self.overruns = 0
+        self.misses = self.overruns = self.late = 0
         self._recent: deque[float] = deque(maxlen=RECENT)
         self._last: float | None = None
 
@@ -64,18 +65,11 @@ class Timing:
     def began(self, clock: float, step: float) -> None:
         """Note a tick of the timer, at a time of the timer's clock [s]."""
         if self._last is not None and clock - self._last > LATE * step:
-            self.overruns += 1
+            self.late += 1
         self._last = clock
 
-    def took(self, duration: float, deadline: float, step: float, on_time: bool) -> None:
-        """Note how long a tick took [s].
-
-        Args:
-            duration: of the tick [s].
-            deadline: that it had [s].
-            step: within which it had to be over [s].
-            on_time: whether a tick that comes late will be noticed when it begins.
-        """
+    def took(self, duration: float, deadline: float, step: float) -> None:
+        """Note how long a tick took, and how long it may and must not take [s]."""
         self._recent.append(duration)
         self.misses += duration > deadline
-        self.overruns += duration > step and not on_time
+        self.overruns += duration > step

@@ -1,8 +1,7 @@
-"""What no message tells: clocks that jump, who else publishes, and who cannot hear whom."""
+"""What no message tells: who else publishes, and who cannot hear whom."""
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 from rclpy.node import Node
@@ -10,18 +9,15 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.subscription import Subscription
 
-from orbimpc_ros.ros.messages import SECOND
-from orbimpc_ros.ros.timing import Drift, Standstill
-
 ERROR = 'ERROR: '  # how rclpy begins what makes two profiles incompatible
 
 
-class Watch:
-    """Looks after a planner's surroundings.
+class Neighbours:
+    """Who is at the other ends of a planner's topics.
 
-    The other ends of its topics are looked at one topic at a time: each look is short, so that no
-    odometry waits for it. DDS tells of mismatches in events too; but events of every topic lengthen
-    every wait of the node, and they do not tell when a mismatch is over.
+    They are looked at one topic at a time: each look is short, so that no odometry waits for it.
+    DDS tells of mismatches in events, too. But handlers of events lengthen every wait of the node,
+    and no event tells when a mismatch is over.
 
     Args:
         node: whose topics to look at.
@@ -31,7 +27,6 @@ class Watch:
 
     def __init__(self, node: Node, odometry: Subscription, velocity: Publisher) -> None:
         self._node, self._odometry, self._velocity = node, odometry, velocity
-        self._drift, self._standstill = Drift(), Standstill()
         self._rota: list[Any] = []
         self._mismatched: dict[str, str] = {}
 
@@ -62,16 +57,6 @@ class Watch:
             self._mismatched[end.topic_name] = told
         else:
             self._mismatched.pop(end.topic_name, None)
-
-    def jump(self) -> float:
-        """Return by how much the system's clock was set since the last look [s]."""
-        before = time.monotonic()
-        clock = self._node.get_clock().now().nanoseconds / SECOND
-        return self._drift.jump(before, clock, time.monotonic())
-
-    def standstill(self) -> float:
-        """Return for how long the clock of ROS has not moved [s]."""
-        return self._standstill.lasted(self._node.get_clock().now().nanoseconds, time.monotonic())
 
 
 def _mismatch(node: Node, end: Publisher | Subscription) -> str:
