@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from bags import GOLDEN, rewritten
 from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.errors import BadInput
@@ -166,7 +167,7 @@ def record(folder, stamps, topics=('odom', 'goal')):
 
 
 def maker(store):
-    """Return a function that makes a stamped message, all else zero."""
+    """Return a function that makes a stamped message, all else zero and unturned."""
 
     def make(name, stamp):
         if name == 'builtin_interfaces/msg/Time':
@@ -179,6 +180,8 @@ def maker(store):
                 fields[field] = make(detail, stamp)
             else:
                 fields[field] = np.zeros(detail[1])
+        if name == 'geometry_msgs/msg/Quaternion':
+            fields['w'] = 1.0
         return store.types[name](**fields)
 
     return make
@@ -195,5 +198,41 @@ def test_repeated_odometry_counts_once(tmp_path):
 @pytest.mark.parametrize(('topics', 'missing'), [(['odom'], 'goal'), (['goal'], 'odom')])
 def test_a_bag_without_what_is_needed_is_refused(tmp_path, topics, missing):
     record(tmp_path / 'bag', [1, 2], topics)
-    with pytest.raises(BadInput, match=f'without {missing}'):
+    with pytest.raises(BadInput, match=f'without /{missing}'):
         of_bag(tmp_path / 'bag')
+
+
+def test_what_a_planner_would_refuse_is_no_history(tmp_path):
+    run = of_bag(GOLDEN / 'faulty')
+    assert np.isfinite(run.positions).all()
+    assert np.isfinite(run.ropes).all()
+    assert (np.diff(run.times) > 0.0).all()
+    assert run.times[-1] - run.times[0] == 40.0
+
+
+def test_a_vehicle_of_a_fleet_has_its_own_history(tmp_path):
+    def moved(each):
+        return each._replace(topic=f'/uav1{each.topic}')
+
+    path = rewritten(GOLDEN / 'retrieval', tmp_path / 'bag', moved)
+    alone, member = of_bag(GOLDEN / 'retrieval'), of_bag(path, '/uav1')
+    np.testing.assert_array_equal(alone.positions, member.positions)
+    with pytest.raises(BadInput, match='without /odom'):
+        of_bag(path)
+
+
+@pytest.mark.parametrize('field', ['gap', 'solve_time_ms', 'speed_fraction'])
+def test_a_tick_of_another_version_is_refused(tmp_path, field):
+    from diagnostic_msgs.msg import DiagnosticArray
+    from rclpy.serialization import deserialize_message, serialize_message
+
+    def renamed(each):
+        if each.topic != '/tick':
+            return each
+        message = deserialize_message(each.data, DiagnosticArray)
+        next(pair for pair in message.status[0].values if pair.key == field).key = 'other'
+        return each._replace(data=serialize_message(message))
+
+    path = rewritten(GOLDEN / 'retrieval', tmp_path / 'bag', renamed)
+    with pytest.raises(BadInput, match=f'tick is without {field}'):
+        of_bag(path)

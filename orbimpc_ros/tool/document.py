@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+from collections import Counter
 from collections.abc import Hashable
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -15,6 +16,8 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.files import opened
 
 MAX_BYTES = 1 << 20
+MAX_NODES = 50_000  # of YAML, which is slow to take apart
+LONGEST = 4096  # characters of an unquoted word; converting numbers takes their length squared
 MAX_NUMBER = 1e12  # beyond it arithmetic on squares loses what a plan is about
 ALLOWED = 'a JSON or YAML mapping'
 
@@ -22,11 +25,25 @@ ALLOWED = 'a JSON or YAML mapping'
 class StrictLoader(yaml.SafeLoader):
     """YAML's safe subset without aliases, which can blow up, and without duplicate keys."""
 
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self._nodes = 0
+
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """Compose a node, unless it is an alias."""
+        """Compose a node, unless it is an alias or there are too many."""
         if self.check_event(yaml.AliasEvent):
             raise yaml.composer.ComposerError(None, None, 'aliases are not accepted')
+        self._nodes += 1
+        if self._nodes > MAX_NODES:
+            raise yaml.composer.ComposerError(None, None, f'more than {MAX_NODES} values')
         return super().compose_node(parent, index)
+
+    def compose_scalar_node(self, anchor: Any) -> Any:
+        """Compose a word, a number or a text, unless it is an absurdly long number."""
+        node = super().compose_scalar_node(anchor)
+        if node.style is None and len(node.value) > LONGEST:
+            raise yaml.composer.ComposerError(None, None, f'a word longer than {LONGEST}')
+        return node
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Hashable, Any]:
         """Construct a mapping, unless a key comes twice."""
@@ -118,9 +135,9 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _refuse_duplicates(keys: list[str]) -> None:
-    for key in keys:
-        if keys.count(key) > 1:
-            raise BadInput(f'field {key}', 'given twice', 'every field once')
+    if len(set(keys)) < len(keys):
+        key = Counter(keys).most_common(1)[0][0]
+        raise BadInput(f'field {key}', 'given twice', 'every field once')
 
 
 def _require_plain(value: Any, largest: float, path: str = '') -> None:

@@ -3,19 +3,30 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.sighting import Sighting
+from orbimpc_ros.ros.messages import Frames, read_odometry, read_sighting
 from orbimpc_ros.tool import bag, settings
-from orbimpc_ros.tool.content import attitude, fields, point, seconds, vectors
+from orbimpc_ros.tool.content import fields, point, seconds
 from orbimpc_ros.world.capture import closest_approach
 
+T = TypeVar('T')
+WANTED = ('captured', 'cmd_thrust', 'goal', 'odom', 'plan', 'tick')
+# What a tick has to tell for summaries and pictures.
+TOLD: dict[str, tuple[type, ...]] = {
+    'gap': (int, float),
+    'solve_time_ms': (int, float),
+    'speed_fraction': (list,),
+}
 NEAR = 2.0  # a local minimum of the distance within so many capture radii is a near miss
 
 
@@ -144,33 +155,54 @@ def of_bag(path: Path, namespace: str = '') -> History:
     Raises:
         BadInput: no bag, or one without odometry and goal.
     """
-    values = settings.read(bag.notes(path).get('parameters', '{}'))
+    values = settings.of_bag(path, namespace) or settings.read('{}')
     found: dict[str, list[Any]] = defaultdict(list)
-    for message in bag.read(path):
-        if message.topic.startswith(f'{namespace}/'):
-            found[message.topic[len(namespace) + 1 :]].append(message.content)
-    for topic in ('odom', 'goal'):
-        if not found[topic]:
-            raise BadInput(str(path), f'without {topic}', 'a bag with odom and goal')
-    # In lock-step the simulator asks again where an answer is late.
-    once = {seconds(message): message for message in found['odom']}
-    times, odometry = np.array(list(once)), list(once.values())
-    attitudes = np.array([attitude(m.pose.pose.orientation) for m in odometry])
+    for message in bag.read(path, WANTED):
+        before, _, name = message.topic.rpartition('/')
+        if before == namespace:
+            found[name].append(message.content)
+    # In lock-step the simulator asks again where an answer is late; it counts once.
+    measured = {o.time: o for _, o in _valid(read_odometry, found['odom'])}
+    seen = {sighting.time: sighting for _, sighting in _valid(read_sighting, found['goal'])}
+    for topic, valid in (('odom', measured), ('goal', seen)):
+        if not valid:
+            raise BadInput(str(path), f'without {namespace}/{topic}', 'a bag with odom and goal')
+    times = np.array(sorted(measured))
+    odometry = [measured[time] for time in times]
+    attitudes = np.array([o.attitude for o in odometry])
     return History(
         times=times,
-        positions=vectors(m.pose.pose.position for m in odometry),
+        positions=np.array([o.position for o in odometry]),
         attitudes=attitudes,
-        velocities=np.einsum(
-            'kij,kj->ki', attitudes, vectors(m.twist.twist.linear for m in odometry)
-        ),
-        rates=vectors(m.twist.twist.angular for m in odometry),
-        ropes=_at(times, found['goal']),
+        velocities=np.einsum('kij,kj->ki', attitudes, [o.body_velocity for o in odometry]),
+        rates=np.array([o.body_rate for o in odometry]),
+        ropes=_at(times, [seen[time] for time in sorted(seen)]),
         plans=tuple(_planned(m) for m in found['plan'] if m.poses),
         forces=tuple((seconds(m), m.wrench.force.x) for m in found['cmd_thrust']),
-        ticks=tuple((seconds(m), fields(m)) for m in found['tick'] if m.status),
+        ticks=tuple((seconds(m), _told(m, path)) for m in found['tick'] if m.status),
         captured=any(m.data for m in found['captured']),
         values=values,
     )
+
+
+def _valid(read: Callable[..., T], found: Iterable[Any]) -> Iterator[T]:
+    """Yield what the planner, too, would take from messages: in a faulty run not from all."""
+    for message in found:
+        with suppress(BadInput):
+            yield read(message, 3, Frames())
+
+
+def _told(message: Any, path: Path) -> dict[str, Any]:
+    """Return what a tick told.
+
+    Raises:
+        BadInput: another version of it.
+    """
+    told = fields(message)
+    for name, kinds in TOLD.items():
+        if not isinstance(told.get(name), kinds):
+            raise BadInput(f'{path}: tick', f'without {name}', f'{name} of this version')
+    return told
 
 
 def _planned(message: Any) -> Planned:
@@ -178,8 +210,8 @@ def _planned(message: Any) -> Planned:
     return Planned(seconds(message), points)
 
 
-def _at(times: Array, goals: Iterable[Any]) -> Array:
+def _at(times: Array, seen: Sequence[Sighting]) -> Array:
     """Return the goal at given times; between sightings it moves straight."""
-    seen = sorted((seconds(m), *point(m.pose.position)) for m in goals)
-    stamps, *columns = np.array(seen).T
-    return np.column_stack([np.interp(times, stamps, column) for column in columns])
+    stamps = np.array([sighting.time for sighting in seen])
+    places = np.array([sighting.position for sighting in seen])
+    return np.column_stack([np.interp(times, stamps, column) for column in places.T])

@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
 
     begun = time.perf_counter()
     path, namespace = Path(args.bag), _namespace(args.namespace)
-    values = _values(path, args)
+    values = _values(path, namespace, args)
     settings = planner_settings(values)
     recording = recording_of(path, namespace)
     if args.tick is not None:
@@ -90,16 +90,16 @@ def _tick(args: argparse.Namespace, count: int) -> int:
     return int(args.tick)
 
 
-def _values(path: Path, args: argparse.Namespace) -> Values:
+def _values(path: Path, namespace: str, args: argparse.Namespace) -> Values:
     """Return every parameter's value: as given, or as noted in the bag by whoever recorded it."""
-    from orbimpc_ros.tool import bag, settings
+    from orbimpc_ros.tool import settings
 
     if args.params is not None:
         return settings.resolve(Path(args.params), args.set)
-    noted = bag.notes(path).get('parameters')
+    noted = settings.of_bag(path, namespace)
     if noted is None and not args.set:
         raise BadInput(str(path), 'without notes of its parameters', '--params FILE or --set')
-    return settings.changed(settings.read(noted or '{}'), args.set)
+    return settings.changed(settings.read('{}') if noted is None else noted, args.set)
 
 
 def compared(replayed: Sequence[Replayed], settings: PlannerSettings) -> list[Comparison]:

@@ -19,7 +19,7 @@ from orbimpc_ros.ros.parameters import (
     planner_settings,
     sim_settings,
 )
-from orbimpc_ros.tool import document
+from orbimpc_ros.tool import bag, document
 
 ROWS = {row.name: row for row in (*PLANNER, *SIM)}
 Values = dict[str, Any]
@@ -82,17 +82,32 @@ def _plain(values: Values) -> Values:
     return {name: value for name, value in plain.items() if value != []}
 
 
-def read(written: str, namespace: str = '') -> Values:
+def of_bag(path: Path, namespace: str = '') -> Values | None:
+    """Return the values that the recorder of a bag has noted in it; None if it has not.
+
+    Args:
+        path: of the bag.
+        namespace: whose values are wanted in the bag of a fleet.
+
+    Raises:
+        BadInput: no bag, or notes that are none.
+    """
+    noted = bag.notes(path).get('parameters')
+    return None if noted is None else read(noted, namespace, f'{path}: parameters')
+
+
+def read(written: str, namespace: str = '', name: str = 'parameters') -> Values:
     """Return the values of what :func:`text` made, defaults where there are none.
 
     Args:
         written: the parameter file.
         namespace: whose values are wanted in the file of a fleet.
+        name: where it comes from, for the message.
 
     Raises:
         BadInput: not parameters, an unknown name, or a value of another type.
     """
-    return _completed(document.parse(written, 'parameters'), 'parameters', namespace)
+    return _completed(document.parse(written, name), name, namespace)
 
 
 def _completed(content: Any, name: str, namespace: str = '') -> Values:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -61,13 +62,8 @@ def raw(path: Path) -> list[Raw]:
         BadInput: missing, damaged, too large, of another version, or not a bag.
     """
     folder = folder_of(path)
-    try:
+    with _blamed(path):
         found = _collected(folder)
-    except BadInput:
-        raise
-    # Damaged bytes surface as whatever the decoder that trips over them happens to raise.
-    except Exception as error:
-        raise BadInput(str(path), f'unreadable ({error!r})', limits.ALLOWED) from None
     if not folder.closed:
         told = f'{path} was not closed: read up to its last chunk, {len(found)} messages'
         print(f'orbimpc: {told}', file=sys.stderr)
@@ -77,14 +73,23 @@ def raw(path: Path) -> list[Raw]:
 def notes(path: Path) -> dict[str, str]:
     """Return what our recorder has noted in a bag; empty if it is not one of ours.
 
+    Notes in the file itself come first: unlike ``metadata.yaml`` it has checksums. They are checked
+    as a whole only when the messages are read too.
+
     Raises:
         BadInput: no bag, or damaged.
     """
     folder = folder_of(path)
-    if folder.notes or not folder.files or folder.files[0].suffix != '.mcap':
-        return folder.notes
+    files = [file for file in folder.files if file.suffix == '.mcap']
+    with _blamed(path):
+        return (mcap.notes(files[0], folder.closed) if files else {}) or folder.notes
+
+
+@contextmanager
+def _blamed(path: Path) -> Iterator[None]:
+    """Blame the bag for whatever a decoder that trips over damaged bytes happens to raise."""
     try:
-        return mcap.notes(folder.files[0], folder.closed)
+        yield
     except BadInput:
         raise
     except Exception as error:
@@ -121,9 +126,5 @@ def _messages(file: Path, folder: Folder) -> Iterator[Raw]:
 
 
 def _decoded(each: Raw, path: Path) -> Any:
-    try:
+    with _blamed(path):
         return definitions.store().deserialize_cdr(each.data, each.type)
-    except Exception as error:  # see above
-        raise BadInput(
-            f'{path}: {each.topic}', f'undecodable ({error!r})', f'a {each.type}'
-        ) from None

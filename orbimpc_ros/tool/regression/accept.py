@@ -36,10 +36,18 @@ def accept(recording: Recording, replayed: Sequence[Replayed], values: Values) -
     # What was not recorded, such as markers, stays out.
     wanted = {each.topic for each in held}
     fresh = [each for each in _serialised(recording, replayed) if each.topic in wanted]
-    notes = bag.notes(path) | {'parameters': settings.text(values)}
+    notes = bag.notes(path)
+    if values != settings.of_bag(path, recording.namespace):
+        notes['parameters'] = _text(values, recording)
     with replacing(path) as folder, BagWriter(folder, _topics(kept, recording), notes) as writer:
         for each in sorted([*kept, *fresh], key=lambda each: each.stamp):
             writer.write(each.topic, each.stamp, each.data, each.sent)
+
+
+def _text(values: Values, recording: Recording) -> str:
+    if recording.namespace:
+        raise BadInput('--update', 'given with other parameters', 'those of the fleet as they are')
+    return settings.text(values)
 
 
 def _replaced(each: Raw, recording: Recording) -> bool:
