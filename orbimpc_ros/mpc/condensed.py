@@ -38,6 +38,8 @@ class Condensed:
 
     Attributes:
         hessian: H, shape (N, N), without the weight on the last velocity, which only adds to it.
+        turning: its part from the input weight, shape (N, N): all that coordinates of R_k other
+            than those of R_k e1 are subject to.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -47,8 +49,8 @@ class Condensed:
         self._pull = 2.0 * self._reach[:, 1:].T * self._weights
         self._first_turn = 2.0 * self._turning * turn[:, 1:].T @ turn[:, 0]
         self._first_square = self._turning * float(turn[:, 0] @ turn[:, 0])
-        self.hessian = self._pull @ self._reach[:, 1:]
-        self.hessian += 2.0 * self._turning * turn[:, 1:].T @ turn[:, 1:]
+        self.turning = 2.0 * self._turning * turn[:, 1:].T @ turn[:, 1:]
+        self.hessian = self._pull @ self._reach[:, 1:] + self.turning
 
     def affine(self, state: State, goals: Array) -> tuple[Array, float]:
         """Return q, shape (N, n), and c for a state and goals g_1..g_N, shape (N, n).
@@ -63,12 +65,18 @@ class Condensed:
         c += self._first_square * (heading @ heading)
         return q, float(c) + first_length(self._problem, state)
 
+    def beside(self, first: Array) -> tuple[Array, float]:
+        """Return q, shape (N, m), and c of coordinates beside R_k e1; ``first`` are R_0's, (m,)."""
+        return self._first_turn[:, None] * first, self._first_square * float(first @ first)
+
 
 def suits_dense_code(problem: Problem) -> bool:
     """Return whether a problem is short and well enough conditioned for dense machine code."""
     if problem.horizon > LONGEST:
         return False
-    return bool(np.linalg.cond(Condensed(problem).hessian) < WORST_CONDITION)
+    decided = slice(problem.rotation_order - 1, None)  # at order 2, R_1 is not free
+    hessian = Condensed(problem).hessian[decided, decided]
+    return bool(np.linalg.cond(hessian) < WORST_CONDITION)
 
 
 def first_length(problem: Problem, state: State) -> float:

@@ -84,6 +84,16 @@ def position_map(problem: Problem) -> Array:
     return np.asarray(h * h * problem.forward * np.maximum(lag - 1, 0), dtype=float)
 
 
+def arrival_map(problem: Problem) -> Array:
+    """Return the rows over R_0 e1..R_N e1 that say what they add to s_N and, at order 2, to p_N."""
+    place = position_map(problem)[-1:]
+    if problem.translation_order == 1:
+        return place
+    pushed = np.full((1, problem.horizon + 1), problem.step * problem.forward)
+    pushed[0, -1] = 0.0  # R_N pushes nothing any more
+    return np.concatenate([place, pushed])
+
+
 def drift(problem: Problem, state: State) -> Array:
     """Return the positions s_1..s_N, shape (N, n), of a vehicle that coasts without thrust."""
     if problem.translation_order == 1:

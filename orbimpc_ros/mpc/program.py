@@ -8,7 +8,6 @@ matrix-vector product, an update and a solve; CVXPY is not touched again.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from orbimpc_ros.mpc.disjunction import Slot
 from orbimpc_ros.mpc.errors import SolverFailure
 from orbimpc_ros.mpc.orbitopes import coordinate_count, coordinates
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.relaxation import Halfspace, Relaxation
 from orbimpc_ros.mpc.statement import Statement
 from orbimpc_ros.mpc.trajectory import trajectory_of
 
@@ -28,22 +28,6 @@ SMALL = 1e-2  # a cost below this is solved once more, scaled up
 TINY = 1e-11  # well below the 1e-9 that gaps are measured against at the least
 INERT = 1.0  # an empty slot reads 0 <= 1
 FAR = 1.0  # a goal is far from this many horizons on
-
-
-Halfspace = tuple[int, Array, float]  # slot, unit normal, offset: normal . v >= offset
-
-
-@dataclass(frozen=True)
-class Relaxation:
-    """The optimum of the convex program with some half-spaces in force.
-
-    Attributes:
-        x: rotation coordinates of R_1..R_N, shape (N, d).
-        bound: dual objective: no trajectory of this relaxation costs less.
-    """
-
-    x: Array
-    bound: float
 
 
 class Program:

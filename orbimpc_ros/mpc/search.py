@@ -26,13 +26,14 @@ import numpy as np
 from orbimpc_ros.mpc import dynamics
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.condensed import Condensed
-from orbimpc_ros.mpc.disjunction import Disjunction, disjunctions_of, shortfall
+from orbimpc_ros.mpc.disjunction import Disjunction, Slot, disjunctions_of, shortfall
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.floors.cells import Cell
 from orbimpc_ros.mpc.method import Found, Guess
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.program import Halfspace, Program
+from orbimpc_ros.mpc.relaxation import Halfspace, Relaxed
 from orbimpc_ros.mpc.rotations import HEADING_UNDEFINED
+from orbimpc_ros.mpc.spatial import Spatial
 from orbimpc_ros.mpc.trajectory import Trajectory, trajectory_of
 
 SATISFIED = 1e-7  # a cell missed by less holds; a tenth of what the plan's check allows
@@ -61,7 +62,7 @@ class Search:
         self.exchangeable = _steps_are_exchangeable(problem)
         self.curvature = inverse_curvatures(problem, self.disjunctions)
         slots = [slot for d in self.disjunctions for slot in d.slots]
-        self.program = Program(problem, slots, coasting=coasting)
+        self.program = _program(problem, slots, coasting)
 
     def solve(
         self,
@@ -78,6 +79,15 @@ class Search:
         """
         self.program.bind(state, goals)
         return _Run(self, state, goals, guess).run(out_of_time)
+
+
+def _program(problem: Problem, slots: Sequence[Slot], coasting: bool) -> Relaxed:
+    """Return the fastest convex program for a problem."""
+    if Spatial.solves(problem, slots):
+        return Spatial(problem, slots, coasting=coasting)
+    from orbimpc_ros.mpc.program import Program  # brings CVXPY, half of a start-up
+
+    return Program(problem, slots, coasting=coasting)
 
 
 @dataclass(order=True)

@@ -18,3 +18,8 @@ else:
 def compiled(function: Callable) -> Callable:
     """Compile a function at its first call, and keep the code for the next process."""
     return njit(cache=True)(function) if COMPILED else function
+
+
+def vectorised(function: Callable) -> Callable:
+    """Compile as :func:`compiled` does, and let sums be reordered, as wide arithmetic needs."""
+    return njit(cache=True, fastmath={'reassoc', 'contract'})(function) if COMPILED else function

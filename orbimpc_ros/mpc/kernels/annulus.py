@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.faces import solve_spd
+from orbimpc_ros.mpc.kernels.linear import solve_spd
 
 ITERATIONS = 80
 HALVINGS = 20

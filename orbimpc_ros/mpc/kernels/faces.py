@@ -14,12 +14,12 @@ from __future__ import annotations
 import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled
+from orbimpc_ros.mpc.kernels.linear import SINGULAR, solve_spd
 
 SOLVED, PRUNED, REFUTED, STALLED = 0, 1, 2, 3
 ITERATIONS = 300
 OUTSIDE = 1e-10  # a disk or face violated by less holds
 SATISFIED = 1e-8  # a face missed by less need not be branched on
-SINGULAR = 1e-13
 
 
 @compiled
@@ -72,31 +72,6 @@ def _most_violated(x, choice, faces, floor):
                 worst, step, offset = short, k, floor
                 a, b = face[0], face[1]
     return step, a, b, offset
-
-
-@compiled
-def solve_spd(matrix, right, count):
-    """Solve a small positive definite system in place by Cholesky; False if it is singular."""
-    for i in range(count):
-        for j in range(i + 1):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            if i == j:
-                if total <= SINGULAR:
-                    return False
-                matrix[i, i] = np.sqrt(total)
-            else:
-                matrix[i, j] = total / matrix[j, j]
-    for i in range(count):
-        for k in range(i):
-            right[i] -= matrix[i, k] * right[k]
-        right[i] /= matrix[i, i]
-    for i in range(count - 1, -1, -1):
-        for k in range(i + 1, count):
-            right[i] -= matrix[k, i] * right[k]
-        right[i] /= matrix[i, i]
-    return True
 
 
 @compiled

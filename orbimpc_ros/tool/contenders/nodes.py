@@ -8,7 +8,7 @@ from typing import Any
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.program import Halfspace, Relaxation
+from orbimpc_ros.mpc.relaxation import Halfspace, Relaxation
 from orbimpc_ros.mpc.search import Search
 from orbimpc_ros.mpc.solver import SEARCH_SHARE
 from orbimpc_ros.tool.contenders.contender import Answer, relative_gap

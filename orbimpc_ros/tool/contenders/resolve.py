@@ -13,7 +13,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.program import Halfspace, Relaxation
+from orbimpc_ros.mpc.relaxation import Halfspace, Relaxation
 from orbimpc_ros.tool.contenders.contender import Answer
 
 

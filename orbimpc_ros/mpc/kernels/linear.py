@@ -1,0 +1,138 @@
+"""Small dense linear algebra in machine code."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orbimpc_ros.mpc.kernels import compiled, vectorised
+
+SINGULAR = 1e-13  # a pivot no larger is taken for zero
+DIAGONAL = 1e-32  # squared share of what is off the diagonal
+SWEEPS = 12
+
+
+@vectorised
+def _factorise(matrix, count):
+    """Set the lower triangle to Cholesky's factor, its diagonal inverted; False if singular.
+
+    Two rows and two columns at a time: every number that is loaded serves two sums.
+    """
+    for i in range(0, count - 1, 2):
+        for j in range(0, i, 2):
+            a, b, c, d = matrix[i, j], matrix[i, j + 1], matrix[i + 1, j], matrix[i + 1, j + 1]
+            for k in range(j):
+                upper, lower = matrix[i, k], matrix[i + 1, k]
+                left, right = matrix[j, k], matrix[j + 1, k]
+                a -= upper * left
+                b -= upper * right
+                c -= lower * left
+                d -= lower * right
+            a, c = a * matrix[j, j], c * matrix[j, j]
+            matrix[i, j], matrix[i + 1, j] = a, c
+            matrix[i, j + 1] = (b - a * matrix[j + 1, j]) * matrix[j + 1, j + 1]
+            matrix[i + 1, j + 1] = (d - c * matrix[j + 1, j]) * matrix[j + 1, j + 1]
+        a, c, d = matrix[i, i], matrix[i + 1, i], matrix[i + 1, i + 1]
+        for k in range(i):
+            upper, lower = matrix[i, k], matrix[i + 1, k]
+            a -= upper * upper
+            c -= lower * upper
+            d -= lower * lower
+        if a <= SINGULAR:
+            return False
+        matrix[i, i] = 1.0 / np.sqrt(a)
+        matrix[i + 1, i] = c = c * matrix[i, i]
+        if d - c * c <= SINGULAR:
+            return False
+        matrix[i + 1, i + 1] = 1.0 / np.sqrt(d - c * c)
+    return count % 2 == 0 or _factorise_last(matrix, count - 1)
+
+
+@vectorised
+def _factorise_last(matrix, i):
+    for j in range(i):
+        a = matrix[i, j]
+        for k in range(j):
+            a -= matrix[i, k] * matrix[j, k]
+        matrix[i, j] = a * matrix[j, j]
+    a = matrix[i, i]
+    for k in range(i):
+        a -= matrix[i, k] * matrix[i, k]
+    if a <= SINGULAR:
+        return False
+    matrix[i, i] = 1.0 / np.sqrt(a)
+    return True
+
+
+@vectorised
+def solve_spd(matrix, right, count):
+    """Solve a positive definite system, its lower triangle given, in place; False if singular."""
+    if not _factorise(matrix, count):
+        return False
+    for i in range(count):
+        total = right[i]
+        for k in range(i):
+            total -= matrix[i, k] * right[k]
+        right[i] = total * matrix[i, i]
+    for i in range(count - 1, -1, -1):
+        right[i] *= matrix[i, i]
+        for k in range(i):
+            right[k] -= matrix[i, k] * right[i]
+    return True
+
+
+@compiled
+def diagonalise(matrix, basis, values):
+    """Set ``values`` to the eigenvalues of a symmetric 4x4 matrix, by Jacobi's rotations.
+
+    ``basis`` is multiplied by the eigenvectors (its columns); ``matrix`` is destroyed.
+    """
+    for _ in range(SWEEPS):
+        beside = along = 0.0
+        for i in range(4):
+            along += matrix[i, i] ** 2
+            for j in range(i):
+                beside += matrix[i, j] ** 2
+        if beside <= DIAGONAL * along:
+            break
+        for p in range(3):
+            for q in range(p + 1, 4):
+                if matrix[p, q] != 0.0:
+                    _rotate(matrix, basis, p, q)
+    for i in range(4):
+        values[i] = matrix[i, i]
+
+
+@compiled
+def _rotate(matrix, basis, p, q):
+    """Rotate axes p and q so that entry (p, q) vanishes."""
+    entry = matrix[p, q]
+    cotangent = 0.5 * (matrix[q, q] - matrix[p, p]) / entry
+    t = 1.0 / (abs(cotangent) + np.sqrt(cotangent * cotangent + 1.0))
+    if cotangent < 0.0:
+        t = -t
+    c = 1.0 / np.sqrt(t * t + 1.0)
+    s = t * c
+    matrix[p, p] -= t * entry
+    matrix[q, q] += t * entry
+    matrix[p, q] = matrix[q, p] = 0.0
+    for r in range(4):
+        if r != p and r != q:
+            a, b = matrix[r, p], matrix[r, q]
+            matrix[r, p] = matrix[p, r] = c * a - s * b
+            matrix[r, q] = matrix[q, r] = s * a + c * b
+        a, b = basis[r, p], basis[r, q]
+        basis[r, p] = c * a - s * b
+        basis[r, q] = s * a + c * b
+
+
+@compiled
+def is_positive(matrix):
+    """Return whether a symmetric 4x4 matrix is positive definite; it is destroyed."""
+    for k in range(4):
+        if matrix[k, k] <= SINGULAR:
+            return False
+        for i in range(k + 1, 4):
+            factor = matrix[i, k] / matrix[k, k]
+            for j in range(k + 1, i + 1):
+                matrix[i, j] -= factor * matrix[j, k]
+    return True

@@ -1,0 +1,220 @@
+"""The relaxation over SO(3) by the method of multipliers, its steps by Newton's method.
+
+With positions eliminated, the problem is a strictly convex quadratic in R_1..R_N (nine coordinates
+each), whose Hessian is the same N x N matrix for every coordinate of R_k e1, and another one for
+every coordinate of the other two columns. To it come
+
+- R_k in conv SO(3): S(R_k) >= 0, with a multiplier matrix L_k >= 0;
+- c_k |R_k e1|, the length: the maximum of w . R_k e1 over |w| <= c_k;
+- rows a . R_k e1 >= b, with multipliers >= 0;
+- 0 <= rho <= 1, where the body rate decides R_1 up to its thrust fraction rho. That stands in the
+  place of R_1, as the first of its nine coordinates.
+
+The augmented Lagrangian replaces each of them by its Moreau envelope of parameter 1/sigma (see
+:mod:`terms`). It is convex and once differentiable; its generalised Hessian is the quadratic's plus
+a few columns for each constraint that acts, so that a Newton step solves a system as large as what
+acts (Woodbury), and not as the problem. When the minimiser is near enough, the projections become
+the multipliers, and sigma grows (Rockafellar's method of multipliers; Zhao, Sun and Toh, *A
+Newton-CG augmented Lagrangian method for semidefinite programming*).
+
+The multipliers satisfy their constraints at any time, so the dual function at them is a lower bound
+at any time:  L(x, multipliers) - 1/2 r . P r,  where r is the gradient left over and P the inverse
+Hessian on the directions that a terminal constraint leaves free.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orbimpc_ros.mpc.kernels import compiled, vectorised
+from orbimpc_ros.mpc.kernels.linear import solve_spd
+from orbimpc_ros.mpc.kernels.terms import (
+    multipliers,
+    project,
+    set_columns,
+    set_forces,
+    value_of,
+)
+
+LIMIT = 200  # Newton steps and updates of the multipliers
+ENOUGH = 1e-2  # a minimum is near enough at this share of what the multipliers gain by it
+NOTHING = 1e-18  # or where so little is left
+HALVINGS = 30
+DESCENT = 1e-4
+ROUNDING = 1e-13
+WARM = 30.0  # sigma may be larger by this where multipliers are of use from the start
+QUICK, SLOW, STUCK = 2, 6, 15  # Newton steps after which sigma grows fast, grows, stays, shrinks
+
+
+@compiled
+def inner(a, b):
+    """Return the inner product of two arrays of shape (n, 9)."""
+    total = 0.0
+    for k in range(len(a)):
+        for c in range(9):
+            total += a[k, c] * b[k, c]
+    return total
+
+
+@compiled
+def apply(terms, force, out):
+    """Set ``out`` to P times a force; all of shape (n, 9)."""
+    n, inverse = len(force), terms.inverse
+    slid = inner(terms.slide, force) if terms.coasting else 0.0
+    for k in range(n):
+        for c in range(9):
+            out[k, c] = slid * terms.slide[k, c]
+        for j in range(n):
+            first, others = inverse[0, k, j], inverse[1, k, j]
+            for c in range(3):
+                out[k, c] += first * force[j, c]
+            for c in range(3, 9):
+                out[k, c] += others * force[j, c]
+
+
+@vectorised
+def _set_gram(terms, count, work):
+    """Set the lower triangle of a Newton system's matrix, C^-1 + U'P U, U the columns."""
+    column, matrix = work.column, work.matrix
+    for i in range(count):
+        k = work.step[i]
+        slid = 0.0
+        for c in range(9):
+            slid += column[i, c] * terms.slide[k, c]
+        work.slid[i] = slid
+        for j in range(i + 1):
+            first = others = 0.0
+            for c in range(3):
+                first += column[i, c] * column[j, c]
+            for c in range(3, 9):
+                others += column[i, c] * column[j, c]
+            near = work.step[j]
+            first *= terms.inverse[0, k, near]
+            matrix[i, j] = first + others * terms.inverse[1, k, near] + slid * work.slid[j]
+        matrix[i, i] += 1.0 / work.weight[i]
+
+
+@compiled
+def _newton(terms, residual, moved_by, count, work, force):
+    """Set ``force`` to what a Newton step exerts: residual - U (C^-1 + U'P U)^-1 U'P residual."""
+    _set_gram(terms, count, work)
+    for i in range(count):
+        total = 0.0
+        for c in range(9):
+            total += work.column[i, c] * moved_by[work.step[i], c]
+        work.solution[i] = total
+    if not solve_spd(work.matrix, work.solution, count):
+        return False
+    force[:] = residual
+    for i in range(count):
+        for c in range(9):
+            force[work.step[i], c] -= work.solution[i] * work.column[i, c]
+    return True
+
+
+@compiled
+def _begin(terms, start, held, force, x, work):
+    """Set x to the minimiser for the multipliers held; drop them if none at all are better.
+
+    Returns the dual function there, above the cost of ``start``: a lower bound.
+    """
+    for k in range(len(x)):
+        for i in range(4):
+            for j in range(4):
+                work.bases[k, i, j] = 1.0 if i == j else 0.0
+    set_forces(terms, held, force)
+    apply(terms, force, x)
+    least = 0.5 * inner(force, x)
+    x[:] = start - x
+    least += value_of(terms, x, held, work.small[0])
+    if least < 0.0:
+        _keep(multipliers(len(x)), held)
+        force[:], x[:], least = 0.0, start, 0.0
+    return least
+
+
+@compiled
+def _keep(new, held):
+    held.orbitopes[:], held.lengths[:] = new.orbitopes, new.lengths
+    held.rows[:], held.fraction[:] = new.rows, new.fraction
+
+
+@compiled
+def _with_lengths(quadratic, terms, x):
+    """Return the cost of x, above that of the start."""
+    cost = quadratic
+    for k in range(len(x)):
+        if terms.lengths[k] > 0.0:
+            cost += terms.lengths[k] * np.sqrt(x[k, 0] ** 2 + x[k, 1] ** 2 + x[k, 2] ** 2)
+    return cost
+
+
+@compiled
+def minimise(terms, start, held, sigmas, limits, work):
+    """Minimise quadratic and terms, from multipliers that are updated in place.
+
+    Args:
+        terms: what comes to the quadratic.
+        start: x_0, its minimiser subject to the terminal constraint, shape (n, 9).
+        held: the multipliers to start from.
+        sigmas: the first parameter of the augmented Lagrangian, its growth, its limit.
+        limits: on the violation of a constraint; on the gap, in proportion to the cost; the cost
+            of x_0; what rounding may make of it.
+        work: room to work in.
+
+    Returns:
+        x, its cost and a lower bound (both above that of x_0), the steps taken, and whether the
+        limits are met.
+    """
+    sigma, growth, largest = sigmas
+    precision, proportion, least, rounding = limits
+    x, trial, direction = np.empty_like(start), np.empty_like(start), np.empty_like(start)
+    # With a force F held, x = x_0 - P F; the gradient left over is force - F.
+    held_force, force = np.empty_like(start), np.empty_like(start)
+    residual, change = np.empty_like(start), np.empty_like(start)
+    new = multipliers(len(start))
+    best = _begin(terms, start, held, held_force, x, work)
+    if best > 0.0:
+        sigma *= WARM
+    value, moved, worst = project(terms, x, held, sigma, new, work)
+    gain, taken = np.inf, 0
+    for iteration in range(LIMIT):
+        set_forces(terms, new, force)
+        residual[:] = force - held_force
+        apply(terms, residual, direction)
+        left = inner(residual, direction)
+        quadratic = 0.5 * inner(held_force, start - x)
+        cost = _with_lengths(quadratic, terms, x)
+        best = max(best, quadratic + value - 0.5 * left)
+        if worst <= precision and abs(cost - best) <= proportion * abs(least + cost) + rounding:
+            return x, cost, best, iteration, True
+        near = min(left, gain) <= max(NOTHING, ENOUGH * moved / sigma)
+        if near or taken == STUCK:
+            if near:
+                _keep(new, held)
+                sigma *= growth * growth if taken <= QUICK else growth if taken <= SLOW else 1.0
+                sigma = min(largest, sigma)
+            else:
+                sigma /= growth * growth
+            gain, taken = np.inf, 0
+            value, moved, worst = project(terms, x, held, sigma, new, work)
+            continue
+        taken += 1
+        count = set_columns(terms, x, held, sigma, new, work)
+        if not _newton(terms, residual, direction, count, work, change):
+            break
+        apply(terms, change, direction)
+        bend, pull = inner(change, direction), inner(held_force, direction)
+        gain = inner(residual, direction)
+        merit = quadratic + value - 0.5 * moved / sigma
+        share = 1.0
+        for _ in range(HALVINGS):
+            trial[:] = x - share * direction
+            value, moved, worst = project(terms, trial, held, sigma, new, work)
+            reached = quadratic + share * (pull + 0.5 * share * bend) + value - 0.5 * moved / sigma
+            if reached <= merit - DESCENT * share * gain + ROUNDING * (1.0 + abs(merit)):
+                break
+            share *= 0.5
+        x[:] = trial
+        held_force += share * change
+    return x, cost, best, LIMIT, False

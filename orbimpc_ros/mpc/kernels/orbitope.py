@@ -1,0 +1,53 @@
+"""The 4x4 matrix S(R) whose positive semidefiniteness is conv SO(3), in machine code.
+
+S(R) = I + K(R) with K linear onto the traceless symmetric matrices; K* is its adjoint for the
+entrywise inner products. R is given by its nine entries, column by column.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orbimpc_ros.mpc.kernels import compiled
+
+
+@compiled
+def set_lmi(x, s):
+    """Set ``s`` to S(R), the matrix of :func:`orbimpc_ros.mpc.orbitopes.lmi`."""
+    s[0, 0] = 1.0 + x[0] + x[4] + x[8]
+    s[1, 1] = 1.0 + x[0] - x[4] - x[8]
+    s[2, 2] = 1.0 - x[0] + x[4] - x[8]
+    s[3, 3] = 1.0 - x[0] - x[4] + x[8]
+    s[0, 1] = s[1, 0] = x[5] - x[7]
+    s[0, 2] = s[2, 0] = x[6] - x[2]
+    s[0, 3] = s[3, 0] = x[1] - x[3]
+    s[1, 2] = s[2, 1] = x[1] + x[3]
+    s[1, 3] = s[3, 1] = x[6] + x[2]
+    s[2, 3] = s[3, 2] = x[5] + x[7]
+
+
+@compiled
+def add_adjoint(m, scale, out):
+    """Add scale * K*(m) to ``out``, shape (9,), for a symmetric 4x4 matrix m."""
+    out[0] += scale * (m[0, 0] + m[1, 1] - m[2, 2] - m[3, 3])
+    out[4] += scale * (m[0, 0] - m[1, 1] + m[2, 2] - m[3, 3])
+    out[8] += scale * (m[0, 0] - m[1, 1] - m[2, 2] + m[3, 3])
+    out[5] += scale * 2.0 * (m[0, 1] + m[2, 3])
+    out[7] += scale * 2.0 * (m[2, 3] - m[0, 1])
+    out[6] += scale * 2.0 * (m[0, 2] + m[1, 3])
+    out[2] += scale * 2.0 * (m[1, 3] - m[0, 2])
+    out[1] += scale * 2.0 * (m[0, 3] + m[1, 2])
+    out[3] += scale * 2.0 * (m[1, 2] - m[0, 3])
+
+
+@compiled
+def set_pair(basis, i, j, m, out):
+    """Set ``out`` to K* of the unit symmetric matrix that columns i and j of a basis span."""
+    scale = 1.0 if i == j else np.sqrt(0.5)
+    for a in range(4):
+        for b in range(4):
+            product = basis[a, i] * basis[b, j]
+            m[a, b] = product if i == j else product + basis[b, i] * basis[a, j]
+    for c in range(9):
+        out[c] = 0.0
+    add_adjoint(m, scale, out)

@@ -1,0 +1,40 @@
+"""What a convex program of the problem is asked, and what it answers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Protocol
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.problem import State
+
+Halfspace = tuple[int, Array, float]  # slot, unit normal, offset: normal . v >= offset
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """The optimum of a convex program with some half-spaces in force.
+
+    Attributes:
+        x: rotation coordinates of R_1..R_N, shape (N, d).
+        bound: dual objective: no trajectory of this relaxation costs less.
+    """
+
+    x: Array
+    bound: float
+
+
+class Relaxed(Protocol):
+    """A convex program: bound to a state and goals, then solved with some slots filled."""
+
+    def bind(self, state: State, goals: Array) -> None:
+        """Put a state and goals g_1..g_N, shape (N, n), into the data of the solves to come."""
+
+    def solve(self, halfspaces: Iterable[Halfspace] = ()) -> Relaxation:
+        """Solve with some slots filled, the others inert.
+
+        Raises:
+            Infeasible: no trajectory satisfies the constraints.
+            SolverFailure: there is no answer to trust.
+        """
