@@ -63,7 +63,7 @@ def test_nine_moments_are_the_near_misses_and_the_end(count):
 
 
 def test_moments_show_vehicle_plan_and_rope_to_scale():
-    figure = figures.moments(run('retrieval', circling(12)))
+    figure = figures.of_runs({'': run('retrieval', circling(12))})['moments.png']
     assert len(figure.axes) == 9
     assert {axes.get_aspect() for axes in figure.axes} == {1.0}
     assert {'vehicle', 'plan', 'rope', 'near miss', 'caught'} <= labels(figure)

@@ -7,42 +7,53 @@ from collections.abc import Mapping
 from matplotlib.figure import Figure
 
 from orbimpc_ros.tool.arrivals import planned_at_start
+from orbimpc_ros.tool.figures.data import data
 from orbimpc_ros.tool.figures.dubins import dubins
 from orbimpc_ros.tool.figures.moments import moments
 from orbimpc_ros.tool.figures.retrieval import retrieval
 from orbimpc_ros.tool.figures.retrieval3d import retrieval3d
-from orbimpc_ros.tool.figures.spacecraft import data, spacecraft
-from orbimpc_ros.tool.figures.style import BLUE, GREEN, INK, ORANGE, RED, SKY, STYLE, save
+from orbimpc_ros.tool.figures.solver import solver
+from orbimpc_ros.tool.figures.spacecraft import spacecraft
+from orbimpc_ros.tool.figures.style import look, save
 from orbimpc_ros.tool.history import History
 
 __all__ = [
-    'BLUE',
-    'GREEN',
-    'INK',
-    'ORANGE',
-    'RED',
-    'SKY',
-    'STYLE',
     'TRAJECTORY',
     'data',
     'dubins',
+    'look',
     'moments',
+    'of_flight',
     'of_runs',
     'retrieval',
     'retrieval3d',
     'save',
+    'solver',
     'spacecraft',
 ]
 
 TRAJECTORY = 'trajectory.png'  # every demo has it
 
 
-def of_runs(flown: Mapping[str, History]) -> dict[str, Figure]:
+def of_runs(flown: Mapping[str, History], dark: bool = False) -> dict[str, Figure]:
     """Return the paper's figures of one or more flights of a scenario, by file name.
 
     Args:
         flown: the flights, by name.
+        dark: for dark pages, not for print.
     """
+    with look(dark):
+        return _of_runs(flown)
+
+
+def of_flight(history: History, dark: bool = False) -> dict[str, Figure]:
+    """Return every figure there is of a flight, by file name: the paper's, and its numbers."""
+    with look(dark):
+        more = {'data.png': data(history), 'solver.png': solver(history)}
+        return _of_runs({'': history}) | more
+
+
+def _of_runs(flown: Mapping[str, History]) -> dict[str, Figure]:
     first = next(iter(flown.values()))
     space = first.values['dimension'] == 3
     if first.values['finish'] == 'arrival' and space:

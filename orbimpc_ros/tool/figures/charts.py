@@ -21,22 +21,32 @@ def draw_over_time(distance: Axes, speed: Axes, history: History) -> None:
 
 
 def draw_distance(axes: Axes, history: History) -> None:
-    """Draw the distance to the rope, at odometry and at the closest approach of every step."""
+    """Draw the distance to the goal, at odometry and at the closest approach of every step."""
     begun = history.times[0]
     moments = [(moment.time - begun, moment.distance) for moment in history.moments]
     axes.plot(*np.array(moments).T, color=INK, lw=1.2)
-    radius = history.values['capture_radius']
-    axes.axhline(radius, color=GREEN, lw=1.2, ls='--', label=f'capture radius {radius:g} m')
+    radius, done, goal = _aim(history)
+    axes.axhline(radius, color=GREEN, lw=1.2, ls='--', label=f'{done} radius {radius:g} m')
     for number, miss in enumerate(history.near_misses, start=1):
         cross(axes, number, (miss.time - begun, miss.distance), 'near miss')
     if history.capture is not None:
         star(axes, history.capture.time - begun, history.capture.distance, 'caught')
-    axes.set(title='Distance to the rope', ylabel='distance [m]', yscale='log')
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.set(title=f'Distance to the {goal}', ylabel='distance [m]', yscale='log')
+    # An arrival on the spot has no place on a logarithmic axis.
+    axes.set_ylim(bottom=max(axes.get_ylim()[0], 0.2 * radius))
+    low, high = axes.get_ylim()
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 1e3 * low else (1.0,)))
     axes.yaxis.set_major_formatter('{x:g}')
     axes.yaxis.set_minor_formatter(NullFormatter())
     axes.tick_params(labelbottom=False)
     axes.legend(loc='upper right')
+
+
+def _aim(history: History) -> tuple[float, str, str]:
+    """Return how near is near enough [m], what that is called, and what the goal is."""
+    if history.values['finish'] == 'arrival':
+        return history.values['arrival_radius'], 'arrival', 'goal'
+    return history.values['capture_radius'], 'capture', 'rope'
 
 
 def draw_speed(axes: Axes, history: History) -> None:
@@ -47,6 +57,7 @@ def draw_speed(axes: Axes, history: History) -> None:
         if len(fields.get('speed_fraction') or ()) > 1 and time <= history.end
     ]
     if planned:
+        planned.append((history.end - history.times[0], planned[-1][1]))  # holds to the end
         axes.step(*np.array(planned).T, where='post', color=BLUE, lw=1.3, label='commanded')
     values = history.values
     if values['floor.shape'] != 'none':
@@ -55,6 +66,8 @@ def draw_speed(axes: Axes, history: History) -> None:
         label = f'floor {floor:.3f}{det}'
         axes.axhline(floor, color=RED, lw=1.2, ls='--', label=label)
         axes.axhspan(0.0, floor, color=RED, alpha=0.10, lw=0)
-    axes.set(title='Speed fraction |R e₁|', xlabel='time [s]', ylabel='share of full speed')
+    what = 'thrust' if values['translation_order'] == 2 else 'speed'
+    title = f'{what.capitalize()} fraction |R e₁|'
+    axes.set(title=title, xlabel='time [s]', ylabel=f'share of full {what}')
     axes.set_ylim(0.0, 1.08)
     axes.legend(loc='lower right', ncols=2)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.tool.figures.scene import draw_headings, mark_start, star
-from orbimpc_ros.tool.figures.style import BLUE, RED, STYLE, headline, whole_seconds
+from orbimpc_ros.tool.figures.scene import draw_headings, draw_obstacles, mark_start, star
+from orbimpc_ros.tool.figures.style import BLUE, RED, headline, whole_seconds
 from orbimpc_ros.tool.history import History
 
 COLORS = (BLUE, RED)
@@ -20,16 +19,15 @@ LINES = ('-', '--')
 
 def dubins(flown: Mapping[str, History]) -> Figure:
     """Return paths and determinants of one or two flights, by name."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(10.0, 6.2), layout='constrained')
-        paths, determinants = figure.subplots(1, 2, width_ratios=(1.0, 1.25))
-        for number, history in enumerate(flown.values()):
-            draw_path(paths, history, number)
-            draw_determinant(determinants, history, number)
-        _finish_paths(paths, list(flown.values()))
-        _finish_determinants(determinants, list(flown.values()))
-        figure.legend(*paths.get_legend_handles_labels(), loc='outside lower center', ncols=4)
-        headline(figure, _story(list(flown.values())))
+    figure = Figure(figsize=(10.0, 6.2), layout='constrained')
+    paths, determinants = figure.subplots(1, 2, width_ratios=(1.0, 1.25))
+    for number, history in enumerate(flown.values()):
+        draw_path(paths, history, number)
+        draw_determinant(determinants, history, number)
+    _finish_paths(paths, list(flown.values()))
+    _finish_determinants(determinants, list(flown.values()))
+    figure.legend(*paths.get_legend_handles_labels(), loc='outside lower center', ncols=4)
+    headline(figure, _story(list(flown.values())))
     return figure
 
 
@@ -70,6 +68,7 @@ def draw_determinant(axes: Axes, history: History, number: int) -> None:
 
 
 def _finish_paths(axes: Axes, flown: list[History]) -> None:
+    draw_obstacles(axes, flown[0])
     mark_start(axes, flown[0].positions[0, :2])
     x, y = flown[0].ropes[-1, :2]
     star(axes, x, y, f'goal at t = {flown[0].times[-1] - flown[0].times[0]:.0f} s')

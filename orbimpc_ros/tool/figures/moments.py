@@ -4,39 +4,42 @@ from __future__ import annotations
 
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from orbimpc_ros.tool.figures.retrieval import story
-from orbimpc_ros.tool.figures.scene import arrival_tick, draw_headings, draw_swing, end_box
-from orbimpc_ros.tool.figures.style import BLUE, GREEN, INK, ORANGE, RED, STYLE, headline
+from orbimpc_ros.tool.figures.scene import (
+    arrival_tick,
+    draw_headings,
+    draw_obstacles,
+    draw_swing,
+    end_box,
+)
+from orbimpc_ros.tool.figures.stories import story
+from orbimpc_ros.tool.figures.style import BLUE, GREEN, GREY, INK, ORANGE, RED, headline
 from orbimpc_ros.tool.history import Approach, History
 
 PANELS = 9
-GREY = '#a0a0a0'
 
 
 def moments(history: History) -> Figure:
     """Return nine moments of a retrieval, from above, each with the plan made then."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(9.0, 9.8), layout='constrained')
-        panels = figure.subplots(3, 3, sharex=True, sharey=True)
-        chosen = chosen_ticks(history)
-        for axes, tick in zip(panels.flat, chosen, strict=False):
-            draw_moment(axes, history, tick)
-        for axes in panels.flat[len(chosen) :]:
-            axes.set_axis_off()
-        low, high = end_box(history)
-        panels[0, 0].set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-        for axes in panels[-1]:
-            axes.set_xlabel('x [m]')
-        for axes in panels[:, 0]:
-            axes.set_ylabel('y [m]')
-        figure.legend(*_legend(panels.flat), loc='outside lower center', ncols=7)
-        headline(figure, story(history))
+    figure = Figure(figsize=(9.0, 9.8), layout='constrained')
+    panels = figure.subplots(3, 3, sharex=True, sharey=True)
+    chosen = chosen_ticks(history)
+    for axes, tick in zip(panels.flat, chosen, strict=False):
+        draw_moment(axes, history, tick)
+    for axes in panels.flat[len(chosen) :]:
+        axes.set_axis_off()
+    low, high = end_box(history)
+    panels[0, 0].set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    for axes in panels[-1]:
+        axes.set_xlabel('x [m]')
+    for axes in panels[:, 0]:
+        axes.set_ylabel('y [m]')
+    figure.legend(*_legend(panels.flat), loc='outside lower center', ncols=7)
+    headline(figure, story(history))
     return figure
 
 
@@ -60,6 +63,7 @@ def _tick_before(history: History, time: float) -> int:
 def draw_moment(axes: Axes, history: History, tick: int) -> None:
     """Draw a tick: the way so far, the plan, the rope, and how the step went."""
     axes.set_aspect('equal')
+    draw_obstacles(axes, history)
     draw_swing(axes, history)
     way = history.positions[: tick + 1, :2]
     axes.plot(*way.T, color=GREY, lw=1.0, zorder=2, label='flown so far')

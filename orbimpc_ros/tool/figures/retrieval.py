@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -12,17 +11,18 @@ from matplotlib.patches import Rectangle
 from orbimpc_ros.tool.figures.charts import draw_over_time
 from orbimpc_ros.tool.figures.scene import (
     cross,
+    draw_obstacles,
     draw_path,
     draw_reach,
     draw_swing,
     end_box,
     mark_capture,
 )
+from orbimpc_ros.tool.figures.stories import story
 from orbimpc_ros.tool.figures.style import (
     INK,
     RED,
     SKY,
-    STYLE,
     headline,
 )
 from orbimpc_ros.tool.history import History
@@ -30,32 +30,21 @@ from orbimpc_ros.tool.history import History
 
 def retrieval(history: History) -> Figure:
     """Return the picture of a retrieval: the whole flight, its end, and what happened when."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(10.0, 9.0), layout='constrained')
-        grid = figure.add_gridspec(3, 2, height_ratios=(1.15, 1.0, 1.0), width_ratios=(1.1, 1.0))
-        whole, end = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1:, 0])
-        distance, speed = figure.add_subplot(grid[1, 1]), figure.add_subplot(grid[2, 1])
-        draw_whole(whole, history)
-        draw_end(end, history)
-        draw_over_time(distance, speed, history)
-        figure.legend(*end.get_legend_handles_labels(), loc='outside lower center', ncols=7)
-        headline(figure, story(history))
+    figure = Figure(figsize=(10.0, 9.0), layout='constrained')
+    grid = figure.add_gridspec(3, 2, height_ratios=(1.15, 1.0, 1.0), width_ratios=(1.1, 1.0))
+    whole, end = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1:, 0])
+    distance, speed = figure.add_subplot(grid[1, 1]), figure.add_subplot(grid[2, 1])
+    draw_whole(whole, history)
+    draw_end(end, history)
+    draw_over_time(distance, speed, history)
+    figure.legend(*end.get_legend_handles_labels(), loc='outside lower center', ncols=7)
+    headline(figure, story(history))
     return figure
-
-
-def story(history: History) -> str:
-    """Return in a line how a retrieval went."""
-    near = len(history.near_misses)
-    misses = f'{near} near miss{"" if near == 1 else "es"}'
-    capture = history.capture
-    if capture is None:
-        return f'Rope not caught in {history.times[-1] - history.times[0]:.0f} s: {misses}'
-    how = f'after {misses}' if near else 'on the first pass'
-    return f'Rope caught at t = {capture.time - history.times[0]:.1f} s {how}'
 
 
 def draw_whole(axes: Axes, history: History) -> None:
     """Draw the whole flight from above and frame its end."""
+    draw_obstacles(axes, history)
     draw_swing(axes, history)
     draw_path(axes, history, arrow=0.0022)
     mark_capture(axes, history)
@@ -70,6 +59,7 @@ def draw_end(axes: Axes, history: History) -> None:
     fans = [planned.points[:, :2] for planned in history.plans]
     axes.add_collection(LineCollection(fans, colors=SKY, linewidths=0.7, alpha=0.6, zorder=2))
     axes.plot([], [], color=SKY, lw=0.8, label='plans')
+    draw_obstacles(axes, history)
     draw_swing(axes, history)
     draw_path(axes, history, arrow=0.005)
     for number, miss in enumerate(history.near_misses, start=1):

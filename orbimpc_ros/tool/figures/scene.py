@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Rectangle
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.ros.parameters import sim_settings
-from orbimpc_ros.tool.figures.style import GREEN, HALO, INK, ORANGE, RED
+from orbimpc_ros.tool.figures.style import FAINT, GREEN, GREY, INK, ORANGE, RED, halo, paper
 from orbimpc_ros.tool.history import History
 
 
@@ -23,12 +23,35 @@ def flown_path(history: History) -> Array:
 
 
 def swing(history: History) -> Array:
-    """Return points along the rope's swing, shape (500, 3) [m]."""
+    """Return points along the rope's swing, shape (K, 3) [m].
+
+    Where it was sighted elsewhere than the parameters say, these are the sightings: a bag may have
+    been recorded by others, without parameters.
+    """
     rope = sim_settings(history.values).scenario.rope
-    elapsed = np.linspace(0.0, history.times[-1] - history.times[0], 500)
-    points = np.zeros((len(elapsed), 3))
-    points[:, : len(rope.center)] = [rope.at(t) for t in elapsed]
-    return points
+    elapsed = history.times - history.times[0]
+    fine = np.linspace(0.0, elapsed[-1], 500)
+    known = [np.pad([rope.at(t) for t in at], _to_space(rope.center)) for at in (elapsed, fine)]
+    return known[1] if np.allclose(known[0], history.ropes, atol=0.05) else history.ropes
+
+
+def _to_space(point: Array) -> tuple[tuple[int, int], tuple[int, int]]:
+    return (0, 0), (0, 3 - len(point))
+
+
+def boxes(history: History) -> list[Array]:
+    """Return the lower and the upper corner of every obstacle, shape (2, n) each [m]."""
+    corners = np.reshape(history.values['obstacles'], (-1, 2, history.values['dimension']))
+    return list(corners)
+
+
+def draw_obstacles(axes: Axes, history: History) -> None:
+    """Draw the obstacles as seen from above, hatched."""
+    for number, (low, high) in enumerate(boxes(history)):
+        label = 'obstacle' if number == 0 else None
+        (x, y), (width, height) = low[:2], (high - low)[:2]
+        look: Any = {'fc': FAINT, 'ec': GREY, 'hatch': '///', 'alpha': 0.6, 'zorder': 1}
+        axes.add_patch(Rectangle((x, y), width, height, label=label, **look))
 
 
 def arrival_tick(history: History) -> int:
@@ -71,7 +94,7 @@ def draw_headings(
 def mark_start(axes: Axes, at: Array) -> None:
     """Mark where a flight begins, shape (2,) [m]."""
     x, y = map(float, at)
-    axes.plot(x, y, 'o', mfc='white', mec=INK, ms=6, mew=1.3, zorder=6)
+    axes.plot(x, y, 'o', mfc=paper(), mec=INK, ms=6, mew=1.3, zorder=6)
     axes.annotate('start', (x, y), xytext=(0, 8), textcoords='offset points', ha='center')
 
 
@@ -94,7 +117,7 @@ def cross(axes: Axes, number: int, at: tuple[float, float], label: str) -> None:
         ha='center',
         color=RED,
         fontweight='bold',
-        path_effects=HALO,
+        path_effects=halo(),
         zorder=9,
     )
 

@@ -1,46 +1,91 @@
-"""One look for every picture: legible in print, told apart with every common colour blindness."""
+"""Looks for every picture: one for print, legible in grey, and one for dark pages.
+
+Figures are drawn in colours by place in the cycle, ``C0`` and so on; a look says what colour that
+is. So what draws a figure need not know on what it will be seen.
+"""
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
-# Okabe and Ito's palette: told apart with every common colour blindness, and in grey.
-INK, BLUE, SKY, ORANGE, GREEN, RED = (
-    '#222222',
-    '#0072B2',
-    '#56B4E9',
-    '#E69F00',
-    '#009E73',
-    '#D55E00',
+from orbimpc_ros.tool import palette
+
+INK, BLUE, SKY, ORANGE, GREEN, RED, GREY, FAINT = (f'C{place}' for place in range(8))
+PRINT = (
+    palette.INK,
+    palette.BLUE,
+    palette.SKY,
+    palette.ORANGE,
+    palette.GREEN,
+    palette.RED,
+    palette.GREY,
+    '#B5B5B5',
 )
-STYLE: Any = {
-    'font.size': 9.0,
-    'axes.titlesize': 10.0,
-    'axes.titlelocation': 'left',
-    'axes.spines.top': False,
-    'axes.spines.right': False,
-    'axes.edgecolor': INK,
-    'axes.grid': True,
-    'axes.axisbelow': True,
-    'grid.color': '#e6e6e6',
-    'grid.linewidth': 0.6,
-    'legend.frameon': False,
-    'legend.fontsize': 8.5,
-}
+DARK = ('#E6EDF3', '#58A6FF', '#9CCBF5', '#F0B33C', '#2FBF94', '#FF8A4C', '#9AA4AE', '#4A535D')
+PAGE = '#0D1117'  # dark
 DOTS_PER_INCH = 200
-HALO = [withStroke(linewidth=2.5, foreground='white')]
+MAKER = 'orbimpc'  # noted in every picture
 
 
-def save(figure: Figure, file: Path) -> None:
-    """Write a figure as PNG."""
+def _style(colors: tuple[str, ...], page: str, grid: str) -> Any:
+    """Return matplotlib's settings for a look: colours by place, the page's, the grid's."""
+    ink = colors[0]
+    return {
+        'font.size': 9.0,
+        'text.color': ink,
+        'figure.facecolor': page,
+        'axes.facecolor': page,
+        'axes.prop_cycle': mpl.cycler(color=colors),
+        'axes.titlesize': 10.0,
+        'axes.titlelocation': 'left',
+        'axes.spines.top': False,
+        'axes.spines.right': False,
+        'axes.edgecolor': ink,
+        'axes.labelcolor': ink,
+        'axes.grid': True,
+        'axes.axisbelow': True,
+        'xtick.color': ink,
+        'ytick.color': ink,
+        'grid.color': grid,
+        'grid.linewidth': 0.6,
+        'legend.frameon': False,
+        'legend.fontsize': 8.5,
+        'hatch.linewidth': 0.6,
+    }
+
+
+STYLE = _style(PRINT, 'white', '#E6E6E6')
+DARK_STYLE = _style(DARK, PAGE, '#21262D')
+
+
+def look(dark: bool = False) -> AbstractContextManager:
+    """Return a context in which figures are drawn for print, or for dark pages."""
+    return mpl.rc_context(DARK_STYLE if dark else STYLE)
+
+
+def save(figure: Figure, file: Path, dark: bool = False) -> None:
+    """Write a figure as PNG, in the look in which it was drawn; the file says whose it is."""
     FigureCanvasAgg(figure)
-    figure.savefig(file, dpi=DOTS_PER_INCH)
+    with look(dark):  # some ticks are only made now
+        figure.savefig(file, dpi=DOTS_PER_INCH, format='png', metadata={'Software': MAKER})
+
+
+def paper() -> str:
+    """Return the colour behind what is drawn now."""
+    return mpl.rcParams['axes.facecolor']
+
+
+def halo() -> list[withStroke]:
+    """Return an effect that sets text off from what is behind it."""
+    return [withStroke(linewidth=2.5, foreground=paper())]
 
 
 def headline(figure: Figure, text: str) -> None:

@@ -1,0 +1,74 @@
+"""A fleet from above: every flight, every rope's swing, and when each rope was caught."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from orbimpc_ros.tool.figures.scene import draw_headings, draw_swing, flown_path, star
+from orbimpc_ros.tool.figures.style import GREEN, INK, RED, headline
+from orbimpc_ros.tool.history import History
+
+EVERY = 5  # ticks from one arrow to the next
+
+
+def fleet(flown: Mapping[str, History]) -> Figure:
+    """Return the picture of a fleet's flights, by namespace."""
+    figure = Figure(figsize=(10.0, 6.2), layout='constrained')
+    above, distance = figure.subplots(1, 2, width_ratios=(1.4, 1.0))
+    for name, history in flown.items():
+        draw_member(above, name, history)
+        draw_distance(distance, history)
+    above.set(xlabel='x [m]', ylabel='y [m]', title='Flights, seen from above')
+    above.margins(0.12)  # for the names
+    above.set_aspect('equal', adjustable='datalim')
+    distance.set(xlabel='time [s]', ylabel='distance to the own rope [m]', yscale='log')
+    distance.set_title('Approach')
+    handles = dict(zip(*above.get_legend_handles_labels()[::-1], strict=True))
+    figure.legend(handles.values(), handles.keys(), loc='outside lower center', ncols=4)
+    headline(figure, story(flown))
+    return figure
+
+
+def story(flown: Mapping[str, History]) -> str:
+    """Return in a line how a fleet has done."""
+    ends = [each.end - each.times[0] for each in flown.values() if each.capture is not None]
+    if len(ends) < len(flown):
+        return f'{len(ends)} of {len(flown)} ropes caught'
+    return f'{len(ends)} of {len(flown)} ropes caught, the last at t = {max(ends):.1f} s'
+
+
+def draw_member(axes: Axes, name: str, history: History) -> None:
+    """Draw one flight from above."""
+    draw_swing(axes, history)
+    path = flown_path(history)[:, :2]
+    axes.plot(*path.T, color=INK, lw=1.2, zorder=4, label='flown paths, headings')
+    draw_headings(axes, path[:-1:EVERY], history.headings[:-1:EVERY, :2], width=0.003)
+    axes.annotate(
+        name.strip('/'), _beyond(path, history), ha='center', va='center', zorder=9, fontsize=8.5
+    )
+    if history.capture is not None:
+        x, y, _ = map(float, history.capture.rope)
+        star(axes, x, y, 'rope when caught')
+
+
+def _beyond(path: np.ndarray, history: History) -> tuple[float, float]:
+    """Return a place for a name: outwards of the rope's swing."""
+    middle = np.array(history.values['rope.center'][:2])
+    away = middle - path[0]
+    x, y = middle + 1.3 * away / np.linalg.norm(away)
+    return float(x), float(y)
+
+
+def draw_distance(axes: Axes, history: History) -> None:
+    """Draw the distance to the rope over time, down to the capture."""
+    moments, begun = history.moments, history.times[0]
+    times = [moment.time - begun for moment in moments]
+    distances = [moment.distance for moment in moments]
+    color = INK if history.capture is not None else RED
+    axes.plot(times, distances, color=color, lw=0.9, alpha=0.8)
+    if history.capture is not None:
+        axes.plot(times[-1], distances[-1], '*', color=GREEN, mec=INK, mew=0.6, ms=11, zorder=5)

@@ -1,0 +1,125 @@
+"""``orbimpc plot``: the paper's figures of a bag, its numbers, and an animation."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from orbimpc_ros.mpc.errors import BadInput
+
+if TYPE_CHECKING:
+    from orbimpc_ros.mpc.arrays import Array
+    from orbimpc_ros.tool.history import History
+
+ANIMATION = 'animation.gif'
+FRAME, LAST = 80, 2500  # [ms] that frames are shown
+COLORS = 64  # of an animation
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the command."""
+    parser.add_argument('bag', metavar='BAG', help='a recorded flight')
+    parser.add_argument(
+        '-o', '--out', required=True, metavar='DIR', help='takes the pictures; made if missing'
+    )
+    parser.add_argument(
+        '--namespace', default='', metavar='NS', help='of the vehicle, such as /uav1'
+    )
+    parser.add_argument('--dark', action='store_true', help='for dark pages, not for print')
+    parser.add_argument('--no-animation', action='store_true', help='only still pictures')
+
+
+def run(args: argparse.Namespace) -> int:
+    """Draw a flight; nothing is written unless everything can be."""
+    from orbimpc_ros.tool import history
+
+    flight = history.of_bag(Path(args.bag), args.namespace)
+    pictures = _pictures(flight, args.dark, not args.no_animation)
+    folder = _folder(Path(args.out).resolve(), pictures)
+    for name, write in pictures.items():
+        _replace(folder / name, write)
+    print(f'written: {", ".join(pictures)} in {folder}')
+    return 0
+
+
+def _pictures(flight: History, dark: bool, animated: bool) -> dict[str, Callable[[Path], None]]:
+    """Return what writes each picture, by file name."""
+    from orbimpc_ros.tool import figures
+    from orbimpc_ros.tool.figures.animation import animation
+
+    pictures: dict[str, Callable[[Path], None]] = {
+        name: lambda file, figure=figure: figures.save(figure, file, dark)  # type: ignore[misc]
+        for name, figure in figures.of_flight(flight, dark).items()
+    }
+    if animated:
+        pictures[ANIMATION] = lambda file: write_gif(list(animation(flight, dark)), file)
+    return pictures
+
+
+def _folder(folder: Path, names: Sequence[str] | dict) -> Path:
+    """Create a folder for pictures, and see to it that none of somebody else's is replaced.
+
+    Raises:
+        BadInput: it cannot be created, or has a file of such a name that we have not made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput('--out', f'{folder} ({error.strerror})', 'a folder to write to') from None
+    for name in names:
+        if (folder / name).exists() and not made_here(folder / name):
+            raise BadInput('--out', f'{folder / name} (not made by orbimpc)', 'another folder')
+    return folder
+
+
+def made_here(file: Path) -> bool:
+    """Return whether a picture says that orbimpc has made it."""
+    from PIL import Image, UnidentifiedImageError
+
+    from orbimpc_ros.tool.figures.style import MAKER
+
+    try:
+        with Image.open(file) as image:
+            notes = (image.info.get('Software'), image.info.get('comment'))
+    except (OSError, UnidentifiedImageError):
+        return False
+    return MAKER in notes or MAKER.encode() in notes
+
+
+def _replace(file: Path, write: Callable[[Path], None]) -> None:
+    """Write a file whole or not at all."""
+    new = file.with_name(f'.{file.name}.new')
+    try:
+        write(new)
+        new.replace(file)
+    except OSError as error:
+        raise BadInput('--out', f'{file} ({error.strerror})', 'a folder to write to') from None
+    finally:
+        new.unlink(missing_ok=True)
+
+
+def write_gif(frames: Sequence[Array], file: Path) -> None:
+    """Write frames, shape (height, width, 3), as an animation that repeats for ever."""
+    import numpy as np
+    from PIL import Image
+
+    from orbimpc_ros.tool.figures.style import MAKER
+
+    # One palette for all frames, from the busiest: colours must not flicker.
+    busy = Image.fromarray(np.concatenate([frames[0], frames[len(frames) // 2], frames[-1]]))
+    palette = busy.quantize(COLORS)
+    images = [
+        Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
+        for frame in frames
+    ]
+    images[0].save(
+        file,
+        format='GIF',
+        save_all=True,
+        append_images=images[1:],
+        duration=[FRAME] * (len(images) - 1) + [LAST],
+        loop=0,
+        comment=MAKER.encode(),
+    )
