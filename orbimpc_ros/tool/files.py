@@ -36,16 +36,26 @@ def opened(path: Path, largest: int) -> Iterator[BinaryIO]:
 
 
 def _stream(path: Path) -> BinaryIO:
-    try:
-        _require_regular(path, path.stat().st_mode)
+    with _told(path):
+        mode = path.stat().st_mode
+    _require_regular(path, mode)
+    with _told(path):
         # Non-blocking, in case a FIFO has taken its place just now.
         stream = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), 'rb')
+        mode = os.fstat(stream.fileno()).st_mode
+    _require_regular(path, mode)
+    return stream
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Tell in one line why a file cannot be opened."""
+    try:
+        yield
     except OSError as error:
         raise BadInput(str(path), error.strerror or str(error), 'a readable file') from None
     except ValueError as error:  # such as a null byte in its name
         raise BadInput(ascii(str(path)), str(error), REGULAR) from None
-    _require_regular(path, os.fstat(stream.fileno()).st_mode)
-    return stream
 
 
 def _require_regular(path: Path, mode: int) -> None:

@@ -11,7 +11,7 @@ from typing import IO, BinaryIO, cast
 
 import lz4.frame
 from mcap.exceptions import EndOfFile
-from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
+from mcap.records import Channel, Chunk, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from orbimpc_ros.mpc.errors import BadInput
@@ -102,17 +102,15 @@ def _records(file: Path, closed: bool) -> Iterator[McapRecord]:
             validate_crcs=True,
             record_size_limit=limits.MAX_CHUNK,
         )
-        finished = False
         try:
             for record in reader.records:
-                finished = finished or isinstance(record, DataEnd)
                 if isinstance(record, Chunk):
                     yield from breakup_chunk(_plain(record, file), validate_crc=True)
                 else:
                     yield record
             _require_intact_summary(stream, file)
         except EndOfFile:
-            if closed or finished:
+            if closed:
                 raise BadInput(str(file), 'damaged (cut off)', limits.ALLOWED) from None
 
 
