@@ -1,0 +1,128 @@
+"""A fleet over DDS: pairs of processes in namespaces, in real time, in one bag."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from bags import check_pictures
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros.fleet import vehicles
+from orbimpc_ros.tool import fleet, history, settings
+from orbimpc_ros.tool.bag_writer import BagWriter
+from orbimpc_ros.tool.topics import topics_of
+from orbimpc_ros.world.fleet import members
+
+pytest.importorskip('rclpy')
+NAMES = ('/uav1', '/uav2')
+
+
+def run(*words):
+    command = [sys.executable, '-m', 'orbimpc_ros.tool.cli', 'demo', 'fleet', *words]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope='module')
+def flown(tmp_path_factory):
+    """Return the finished process of a fleet of two, twice as fast as usual, and its folder."""
+    out = tmp_path_factory.mktemp('fleet')
+    return run('--vehicles', '2', '--set', 'forward=2', '--out', str(out)), out / 'fleet'
+
+
+def test_every_rope_is_caught(flown):
+    done, folder = flown
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = dict(line.split(maxsplit=1) for line in done.stdout.splitlines()[1:])
+    assert rows['captured'] == '2 of 2'
+    for name in ('uav1', 'uav2'):
+        assert rows[name].startswith('t = ')
+    assert 'late' in rows['ticks']
+    check_pictures(folder, 'trajectory.png')
+
+
+def test_one_bag_holds_every_vehicle_from_its_first_step_on(flown):
+    _, folder = flown
+    for name in NAMES:
+        seen = history.of_bag(folder / 'bag', name)
+        start = vehicles(2)[name]['start.position']
+        assert np.allclose(seen.positions[0], start)
+        assert seen.values['forward'] == 2.0
+        assert seen.values['rope.center'] == vehicles(2)[name]['rope.center']
+        assert np.ptp(np.diff(seen.times)) < 1.0
+        assert seen.captured
+
+
+def test_what_is_not_caught_is_a_failure(tmp_path):
+    done = run('--vehicles', '1', '--out', str(tmp_path), '--set', 'max_ticks=2')
+    assert done.returncode == 1
+    assert 'captured      0 of 1' in done.stdout
+    assert 'Traceback' not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ('words', 'culprit'),
+    [
+        (('--vehicles', '0'), 'vehicles'),
+        (('--vehicles', '65'), 'vehicles'),
+        (('--vehicles', 'all'), '--vehicles'),
+        (('--set', 'clock=lockstep'), 'clock'),
+        (('--set', 'rope.frequency=-1'), 'rope.frequency'),
+    ],
+)
+def test_bad_words_are_refused_in_one_line(tmp_path, words, culprit):
+    done = run('--out', str(tmp_path), *words)
+    assert done.returncode == 2
+    assert done.stderr.count('\n') == 1
+    assert culprit in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_only_a_fleet_has_vehicles(tmp_path):
+    words = [sys.executable, '-m', 'orbimpc_ros.tool.cli', 'demo', 'retrieval', '--vehicles', '2']
+    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 2
+    assert '--vehicles' in done.stderr
+
+
+def test_ropes_are_drawn_from_the_seed_alone():
+    assert vehicles(3) == vehicles(3)
+    assert vehicles(3) != vehicles(3, seed=1)
+    few, many = members(3), members(8)
+    for one, other in zip(few, many, strict=False):
+        assert one.rope.frequency == other.rope.frequency
+        assert np.array_equal(one.rope.phase, other.rope.phase)
+    frequencies = {member.rope.frequency for member in many}
+    assert len(frequencies) == 8
+    assert all(0.02 <= frequency <= 0.3 for frequency in frequencies)
+
+
+def test_what_is_set_holds_for_every_vehicle():
+    values, own = fleet.resolve(3, ['rope.frequency=0.25', 'seed=7'])
+    assert values['rope.frequency'] == 0.25
+    assert all('rope.frequency' not in each for each in own.values())
+    assert own == {
+        name: {key: value for key, value in each.items() if key != 'rope.frequency'}
+        for name, each in vehicles(3, 7).items()
+    }
+    with pytest.raises(BadInput, match='clock'):
+        fleet.resolve(3, ['clock=lockstep'])
+
+
+def test_a_fleets_parameters_are_read_back_by_namespace():
+    values, own = fleet.resolve(3, [])
+    text = settings.text(values, own)
+    for name, each in own.items():
+        read = settings.read(text, name)
+        assert read['rope.center'] == each['rope.center']
+        assert read == values | each
+
+
+def test_an_answer_after_the_next_question_is_late(tmp_path):
+    with BagWriter(tmp_path / 'bag', topics_of(NAMES), {}) as writer:
+        for stamp, answered in enumerate([None, 11, 35, 36, None, 51]):
+            writer.write('/uav1/odom', stamp, bytes(20), 10 * stamp)
+            if answered is not None:
+                writer.write('/uav1/cmd_vel', stamp, bytes(20), answered)
+    # Numbers 2 and 4. Not the first, asked before there was any answer, nor the last.
+    assert fleet.late(tmp_path / 'bag', '/uav1') == 2
