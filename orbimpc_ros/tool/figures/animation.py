@@ -127,7 +127,12 @@ class Stage:
     def show(self, instant: Instant) -> Array:
         """Return a frame."""
         nose = instant.way[-1] + self._reach * instant.nose
-        shapes = (instant.plan, instant.way, [instant.way[-1], nose], [instant.rope])
+        shapes: tuple[Any, ...] = (
+            instant.plan,
+            instant.way,
+            [instant.way[-1], nose],
+            [instant.rope],
+        )
         for line, points in zip(self._moving, shapes, strict=True):
             self._place(line, np.reshape(points, (-1, 3)))
         self._canvas.restore_region(self._background)

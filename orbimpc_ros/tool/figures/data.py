@@ -42,13 +42,21 @@ def draw_components(axes: Axes, history: History, what: str, unit: str) -> None:
     vectors = getattr(history, what)
     held = what == 'rates' or (what == 'velocities' and not _thrust(history))
     times = history.times - history.times[0]
-    for column, (name, color, line) in enumerate(COMPONENTS):
-        drawstyle = 'steps-post' if held else 'default'
+    drawstyle = 'steps-post' if held else 'default'
+    for column in _columns(history, what):
+        name, color, line = COMPONENTS[column]
         axes.plot(
             times, vectors[:, column], line, color=color, lw=1.4, label=name, drawstyle=drawstyle
         )
     axes.set(title=TITLES[what], ylabel=unit)
     axes.legend(ncols=3)
+
+
+def _columns(history: History, what: str) -> tuple[int, ...]:
+    """Return the components that can differ from zero: in the plane, turning is about z."""
+    if history.values['dimension'] == 3:
+        return 0, 1, 2
+    return (2,) if what == 'rates' else (0, 1)
 
 
 def draw_pushed(axes: Axes, history: History) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.tool.figures.stories import story
@@ -71,3 +71,6 @@ def draw_positive(axes: Axes, history: History, name: str, title: str, label: st
         axes.plot(times[bad], values[bad], 'x', color=RED, ms=8, mew=1.6, label='fell back')
         axes.legend()
     axes.set(title=title, ylabel=label, yscale='log')
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter('{x:g}')
+    axes.yaxis.set_minor_formatter(NullFormatter())

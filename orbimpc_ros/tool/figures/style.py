@@ -14,6 +14,7 @@ import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
+from matplotlib.rcsetup import cycler
 from matplotlib.ticker import MaxNLocator
 
 from orbimpc_ros.tool import palette
@@ -43,7 +44,7 @@ def _style(colors: tuple[str, ...], page: str, grid: str) -> Any:
         'text.color': ink,
         'figure.facecolor': page,
         'axes.facecolor': page,
-        'axes.prop_cycle': mpl.cycler(color=colors),
+        'axes.prop_cycle': cycler(color=colors),
         'axes.titlesize': 10.0,
         'axes.titlelocation': 'left',
         'axes.spines.top': False,
