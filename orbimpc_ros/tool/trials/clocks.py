@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 from orbimpc_ros.tool.trials import onsets
 from orbimpc_ros.tool.trials.lab import Lab
@@ -45,9 +45,9 @@ def _frozen(lab: Lab, long: bool) -> Iterator[Outcome]:
         stand = _stand(lab, onset)
         stand.draw.seed(seed)
         outcome = _disturbed(stand, 'frozen', onset, stand.freeze, STALE)
-        moving = stand.watch.moving(time.monotonic() - STEP, time.monotonic())
+        moving = stand.watch.moving_again(stand.frozen_at, stand.frozen_at + STALE + STEP)
         stand.thaw()
-        outcome = Outcome(outcome.case, outcome.unsafe + moving, outcome.reaction)
+        outcome = replace(outcome, unsafe=outcome.unsafe + moving)
         yield onsets.recovered(stand, outcome)
 
 

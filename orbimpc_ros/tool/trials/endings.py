@@ -61,7 +61,7 @@ def _exceptions(lab: Lab, long: bool) -> Iterator[Outcome]:
     for seed in onsets.SEEDS if long else onsets.SEEDS[:1]:
         with lab.stand(seed=seed, module='orbimpc_ros.tool.trials.failing') as stand:
             begin = onsets.set_in(stand, onsets.MIDWAY, partial(_spoil, stand, slipping))
-            stand.spin(1.5 * STEP)
+            stand.spin(2.5 * STEP)
             raised = begin + 1.0 / RATE + STEP  # at the latest: the next odometry, the next tick
             safe = onsets.reaction(stand.watch.first_safe(begin), raised)
             yield onsets.recovered(stand, Outcome('raises', stand.watch.broken(), safe))
@@ -69,7 +69,7 @@ def _exceptions(lab: Lab, long: bool) -> Iterator[Outcome]:
             stand.spin_until_gone(LEAVE)
             code = stand.planner.wait(0.0)
             failure = '' if code == 1 else f'exit code {code} after many in a row'
-            unsafe = stand.watch.broken() + stand.watch.moving(begin + STEP, time.monotonic())
+            unsafe = stand.watch.broken() + stand.watch.moving_again(begin, begin + 2 * STEP)
             yield Outcome('raises again and again', unsafe, math.nan, failure)
 
 

@@ -51,10 +51,9 @@ def _two_sources(lab: Lab, long: bool) -> Iterator[Outcome]:
             stand.draw.seed(seed)
             begin = onsets.set_in(stand, onset, stand.add_source)
             stand.spin(MEET + (1 + AFTER) * STEP)
-            until = time.monotonic()
             reaction = onsets.reaction(stand.watch.first_safe(begin), begin)
-            moving = stand.watch.moving(begin + MEET + STEP, until)
-            unsafe = stand.watch.broken(begin) + moving
+            again = stand.watch.moving_again(begin, begin + MEET + STEP)
+            unsafe = stand.watch.broken(begin) + again
             stand.remove_source()
             yield onsets.recovered(stand, Outcome(f'another, {onset}', unsafe, reaction))
 

@@ -71,10 +71,9 @@ def spoiling(stand: Stand, spoiled: Spoiled, onset: str, expected: Expected) -> 
     due = begin + expected.wait
     end = due + expected.allowed * STEP
     stand.spin(end + AFTER * STEP - time.monotonic())
-    until = time.monotonic()
     unsafe = stand.watch.broken(begin)
     if expected.strict:
-        unsafe += stand.watch.moving(end, until)
+        unsafe += stand.watch.moving_again(begin, end)
     outcome = Outcome(
         f'{spoiled.name}, {onset}', unsafe, reaction(stand.watch.first_safe(begin), due)
     )
@@ -103,7 +102,7 @@ def _from_the_start(stand: Stand, spoiled: Spoiled, expected: Expected) -> Outco
     stand.spin(expected.wait + (expected.allowed + AFTER) * STEP)
     unsafe = stand.watch.broken(begin)
     if expected.strict:
-        unsafe += stand.watch.moving(begin, time.monotonic())
+        unsafe += stand.watch.moving(begin)
     return recovered(stand, Outcome(f'{spoiled.name}, {START}', unsafe))
 
 

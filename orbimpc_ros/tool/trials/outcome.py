@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 HEAD = ('row', 'cases', 'unsafe', 'worst', 'allowed', 'unit', 'ok', 'remarks')
 NUMBERS = range(1, 5)
+NEVER = 'never'
 TOLD = 3  # failures that a row names
 
 
@@ -83,10 +84,11 @@ class Row:
 
     def _failure(self, outcome: Outcome) -> str:
         late = outcome.reaction > self.trial.allowed
+        when = f'{outcome.reaction:.3g} {self.trial.unit}' if outcome.reaction < math.inf else NEVER
         said = [
             outcome.failure,
             f'{outcome.unsafe} unsafe commands' if outcome.unsafe else '',
-            f'reaction {outcome.reaction:.3g} {self.trial.unit}' if late else '',
+            f'reaction: {when}' if late else '',
         ]
         wrong = ', '.join(filter(None, said))
         return f'{outcome.case}: {wrong}' if wrong else ''
@@ -99,13 +101,15 @@ class Row:
     def as_json(self) -> dict[str, Any]:
         """Return the row for a JSON file."""
         told = {name: getattr(self.trial, name) for name in ('name', 'title', 'allowed', 'unit')}
-        cases = [_without_nan(asdict(each)) for each in self.outcomes]
+        cases = [_plain(asdict(each)) for each in self.outcomes]
         summed = {'unsafe': self.unsafe, 'worst': self.worst, 'ok': self.ok}
-        return _without_nan({**told, **summed, 'failures': self.failures, 'cases': cases})
+        return _plain({**told, **summed, 'failures': self.failures, 'cases': cases})
 
 
-def _without_nan(values: dict[str, Any]) -> dict[str, Any]:
-    return {k: None if isinstance(v, float) and not math.isfinite(v) else v
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    """Return values without what JSON has no word for."""
+    words = {math.inf: NEVER}
+    return {k: None if v != v else words.get(v, v) if isinstance(v, float) else v
             for k, v in values.items()}  # fmt: skip
 
 

@@ -60,8 +60,8 @@ def _infeasible(lab: Lab, long: bool) -> Iterator[Outcome]:
         free = SLOW['obstacles'] if onset == onsets.SOLVING else [FAR, FAR, FAR + 1, FAR + 1]
         begin = onsets.set_in(stand, onset, partial(set_live, stand, obstacles=WALLED_IN))
         stand.spin((LADDER + 1 + AFTER) * STEP)
-        until = time.monotonic()
-        unsafe = stand.watch.broken(begin) + stand.watch.moving(begin + 3 * STEP, until)
+        again = stand.watch.moving_again(begin, begin + (LADDER + 1) * STEP)
+        unsafe = stand.watch.broken(begin) + again
         reaction = onsets.reaction(stand.watch.first_safe(begin), begin)
         told = any(tick.at >= begin and SAFE in tick.values['fallback']
                    for tick in stand.watch.ticks)  # fmt: skip

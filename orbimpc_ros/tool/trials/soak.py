@@ -5,11 +5,13 @@ from __future__ import annotations
 import itertools
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros.reports import SAFE
 from orbimpc_ros.tool.progress import Progress
 from orbimpc_ros.tool.trials.lab import Lab
 from orbimpc_ros.tool.trials.network import flooded
@@ -32,13 +34,13 @@ class Soak:
         memory: resident, look by look after the warm-up [MiB].
         ticks: when they were heard [s].
         unsafe: commands that should never have been sent.
-        stopped: safe commands, for which there was no reason.
+        stopped: why the vehicle was stopped without need, tick by tick.
     """
 
     memory: tuple[float, ...]
     ticks: tuple[float, ...]
     unsafe: int
-    stopped: int
+    stopped: tuple[str, ...]
 
     @property
     def growth(self) -> float:
@@ -60,11 +62,13 @@ class Soak:
     def __str__(self) -> str:
         gaps = self.gaps
         missed = sum(gap > MAX_GAP for gap in gaps)
+        reasons = ', '.join(f'{n} x {why}' for why, n in Counter(self.stopped).items()) or 'never'
         memory = f'{self.memory[0]:.1f} MiB after the warm-up' if self.memory else 'not settled'
         return '\n'.join(
             (
                 f'ticks         {len(self.ticks)}',
-                f'unsafe        {self.unsafe}, stopped without need {self.stopped}',
+                f'unsafe        {self.unsafe}',
+                f'stopped       {reasons}',
                 f'memory        {memory}, grown by {self.growth:.2f} MiB (< {MAX_GROWTH:g})',
                 f'longest gaps  {", ".join(f"{gap:.2f}" for gap in gaps[:3])} periods '
                 f'(<= {MAX_GAP:g}), {missed} beyond',
@@ -76,9 +80,12 @@ def soaked(minutes: float) -> int:
     """Soak a planner, print what came of it, and return the exit code."""
     if not 0.0 < minutes <= LONGEST:
         raise BadInput('--soak', minutes, f'minutes, above 0 and at most {LONGEST:g}')
-    with tempfile.TemporaryDirectory() as folder, Lab(Path(folder)) as lab:
-        with lab.stand({'step': STEP}) as stand:
-            result = _soak(stand, 60.0 * minutes)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        Lab(Path(folder)) as lab,
+        lab.stand({'step': STEP}) as stand,
+    ):
+        result = _soak(stand, 60.0 * minutes)
     print(result)
     return 0 if result.ok else 1
 
@@ -101,10 +108,10 @@ def _soak(stand: Stand, seconds: float) -> Soak:
 
 
 def _result(stand: Stand, begin: float, memory: Sequence[float]) -> Soak:
-    heard = [each for each in stand.watch.commands if each.at >= begin]
-    ticks = tuple(each.at for each in stand.watch.ticks if each.at >= begin)
-    stopped = sum(each.safe for each in heard)
-    return Soak(tuple(memory), ticks, stand.watch.broken(begin), stopped)
+    ticks = [each for each in stand.watch.ticks if each.at >= begin]
+    stopped = tuple(each.message for each in ticks if each.values['fallback'] == SAFE)
+    times = tuple(each.at for each in ticks)
+    return Soak(tuple(memory), times, stand.watch.broken(begin), stopped)
 
 
 def resident(pid: int) -> float:

@@ -25,6 +25,7 @@ from orbimpc_ros.tool.trials.ears import KEPT, Ears
 from orbimpc_ros.tool.trials.watch import Limits, Watch
 
 STEP = 0.2  # [s]
+EPOCH = 1000.0  # [s] at which simulated time begins
 RATE = 20.0  # [Hz] of odometry and goal
 PATIENCE = 20.0  # [s] for anything awaited
 PLANNER: dict[str, Any] = {
@@ -52,6 +53,7 @@ class Stand:
         spoiled: what is wrong with the feed.
         running: whether the clock runs; only where that is simulated.
         jump: what the clock is off [s].
+        frozen_at: when the clock was stopped last, on the monotonic clock [s].
         fed: whether it is fed at all.
     """
 
@@ -73,7 +75,7 @@ class Stand:
         self.spoiled = feed.Spoiled('nothing')
         self.running, self.jump, self.fed = True, 0.0, True
         self._begun, self._due, self._count = time.monotonic(), 0.0, 0
-        self._frozen = 0.0
+        self.frozen_at = 0.0
         self._connect()
         self.start()
 
@@ -103,16 +105,16 @@ class Stand:
         """Return the time that messages are stamped with [ns]."""
         if not self._simulated:
             return time.time_ns()
-        elapsed = time.monotonic() - self._begun if self.running else self._frozen
-        return round((1000.0 + elapsed + self.jump) * messages.SECOND)
+        at = time.monotonic() if self.running else self.frozen_at
+        return round((EPOCH + at - self._begun + self.jump) * messages.SECOND)
 
     def freeze(self) -> None:
         """Stop the clock."""
-        self._frozen, self.running = time.monotonic() - self._begun, False
+        self.frozen_at, self.running = time.monotonic(), False
 
     def thaw(self) -> None:
         """Let the clock run on from where it stopped."""
-        self.jump += self._frozen - (time.monotonic() - self._begun)
+        self.jump += self.frozen_at - time.monotonic()
         self.running = True
 
     def spin(self, seconds: float, done: Callable[[], bool] = lambda: False) -> None:

@@ -97,9 +97,14 @@ class Watch:
         """Return how many commands are not finite or beyond a limit."""
         return sum(each.at >= since and self.limits.broken(each) for each in self.commands)
 
-    def moving(self, since: float, until: float) -> int:
+    def moving(self, since: float, until: float = math.inf) -> int:
         """Return how many commands of a time are not the safe one."""
         return sum(since < each.at <= until and not each.safe for each in self.commands)
+
+    def moving_again(self, since: float, due: float) -> int:
+        """Return how many commands are not safe though one was, or, if none was, are overdue."""
+        safe = self.first_safe(since)
+        return self.moving(safe if safe < math.inf else due)
 
     def first_safe(self, since: float) -> float:
         """Return when the first safe command came [s]; infinite if none has."""
