@@ -24,13 +24,12 @@ from orbimpc_ros.ros.neighbours import Neighbours
 from orbimpc_ros.ros.outlet import Outlet
 from orbimpc_ros.ros.parameters import PLANNER, Live, PlannerSettings, planner_settings
 from orbimpc_ros.ros.process import Guarded, qos, run
-from orbimpc_ros.ros.reports import prices
+from orbimpc_ros.ros.reports import AFRESH, prices
 from orbimpc_ros.ros.ticker import Answer, Ticker, prepared
 
 GOAL_PATIENCE = 0.1  # [s] to wait for the goal that belongs to an odometry message
 WATCH = 0.05  # [s] how often the inputs' age is looked at, at least
 REFUSED = 1.0  # [s] for which a refused message is a reason to warn
-AFRESH = 'starting afresh'
 
 
 class Planner(Guarded):

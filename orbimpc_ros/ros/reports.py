@@ -19,6 +19,7 @@ if TYPE_CHECKING:  # the simulator reports without a solver, and starts sooner f
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 SAFE = 'safe command'
+AFRESH = 'starting afresh'  # why: inputs and plan were forgotten
 ANOTHER_PLAN = 0.01  # unexplained share of the gradient beyond which a plan is no optimum
 LONGEST = 60  # steps; prices of longer plans take milliseconds
 
