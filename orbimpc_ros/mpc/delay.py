@@ -80,36 +80,45 @@ def advanced(problem: Problem, odometry: Odometry, legs: Sequence[Leg]) -> Odome
     position, attitude = odometry.position, odometry.attitude
     body_velocity, rate = odometry.body_velocity, odometry.body_rate
     velocity = attitude @ body_velocity
-    forward = problem.forward * np.eye(problem.dimension)[0]
     for k, leg in enumerate(legs):
         if k and leg.before is not None:
-            body_velocity, rate = forward * leg.before.speed_fraction, leg.before.body_rate
+            body_velocity = _forward(problem, leg.before.speed_fraction)
+            rate = leg.before.body_rate
         turning = rate
         if problem.rotation_order == 1 and leg.command is not None:
             turning = leg.command.body_rate
-        once, twice = _integrals(leg.duration * turning)
+        time, angle = leg.duration, leg.duration * turning
         if problem.translation_order == 1:
-            position = position + leg.duration * (attitude @ once @ body_velocity)
+            position = position + time * (attitude @ _turned(angle, body_velocity)[0])
         else:
-            push = forward * (0.0 if leg.before is None else leg.before.speed_fraction)
-            curved = leg.duration**2 * (attitude @ twice @ push)
-            position = position + leg.duration * velocity + curved
-            velocity = velocity + leg.duration * (attitude @ once @ push)
-        attitude = attitude @ exp(leg.duration * turning)
+            push = _forward(problem, 0.0 if leg.before is None else leg.before.speed_fraction)
+            once, twice = _turned(angle, push)
+            position = position + time * velocity + time * time * (attitude @ twice)
+            velocity = velocity + time * (attitude @ once)
+        attitude = attitude @ exp(angle)
     if problem.translation_order == 2:
         body_velocity = attitude.T @ velocity
     later = odometry.time + sum(leg.duration for leg in legs)
     return Odometry(later, position, attitude, np.array(body_velocity), np.array(rate))
 
 
-def _integrals(phi: Array) -> tuple[Array, Array]:
-    r"""Return :math:`\int_0^1 e^{s\hat\phi} ds` and :math:`\int_0^1 (1-s) e^{s\hat\phi} ds`.
+def _forward(problem: Problem, fraction: float) -> Array:
+    """Return a share of full speed or thrust along the body's x axis, shape (n,)."""
+    vector = np.zeros(problem.dimension)
+    vector[0] = problem.forward * fraction
+    return vector
+
+
+def _turned(phi: Array, vector: Array) -> tuple[Array, Array]:
+    r"""Return :math:`\int_0^1 e^{s\hat\phi} v\, ds` and :math:`\int_0^1 (1-s) e^{s\hat\phi} v\, ds`.
 
     Args:
-        phi: tangent vector, shape (1,) or (3,) [rad]; the results have shape (n, n).
+        phi: tangent vector, shape (1,) or (3,) [rad].
+        vector: v, shape (n,).
     """
     hat = skew(phi)
-    square, unit = hat @ hat, np.eye(len(hat))
+    across = hat @ vector
+    back = hat @ across
     angle = math.sqrt(phi @ phi)
     if angle < SMALL:
         a = angle * angle
@@ -118,4 +127,4 @@ def _integrals(phi: Array) -> tuple[Array, Array]:
         first = (1.0 - math.cos(angle)) / angle**2
         second = (angle - math.sin(angle)) / angle**3
         third = (0.5 - first) / angle**2
-    return unit + first * hat + second * square, 0.5 * unit + second * hat + third * square
+    return vector + first * across + second * back, 0.5 * vector + second * across + third * back

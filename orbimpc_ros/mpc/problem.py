@@ -252,7 +252,7 @@ def _rotation(value: ArrayLike, n: int, culprit: str) -> Array:
 
 
 def _require_structure(matrix: Array, culprit: str) -> None:
-    if len(matrix) == 2 and not np.allclose(
-        [matrix[0, 0], matrix[0, 1]], [matrix[1, 1], -matrix[1, 0]], rtol=0, atol=1e-6
-    ):
-        raise BadInput(culprit, matrix.tolist(), '[[a, -b], [b, a]]')
+    if len(matrix) == 2:
+        (a, b), (c, d) = matrix.tolist()
+        if abs(a - d) > 1e-6 or abs(b + c) > 1e-6:
+            raise BadInput(culprit, matrix.tolist(), '[[a, -b], [b, a]]')
