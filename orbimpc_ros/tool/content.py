@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -20,11 +19,6 @@ def seconds(message: Any) -> float:
 def point(vector: Any) -> Array:
     """Return a Point or Vector3, shape (3,)."""
     return np.array([vector.x, vector.y, vector.z])
-
-
-def vectors(messages: Iterable[Any]) -> Array:
-    """Return Points or Vector3s, shape (K, 3)."""
-    return np.array([point(each) for each in messages])
 
 
 def attitude(q: Any) -> Array:

@@ -41,13 +41,14 @@ def read(path: Path, namespace: str) -> Recorded:
     Raises:
         BadInput: no bag, or one without odometry and goal of this vehicle.
     """
-    own = f'{namespace}/'
+    values = settings.of_bag(path, namespace) or settings.read('{}')
     found = tuple(
-        (message.topic[len(own) :], message.content)
+        (name, message.content)
         for message in bag.read(path)
-        if message.topic.startswith(own)
+        for before, _, name in [message.topic.rpartition('/')]
+        if before == namespace
     )
     for topic in NEEDED:
         if topic not in {name for name, _ in found}:
-            raise BadInput(str(path), f'without {own}{topic}', 'a bag with odom and goal')
-    return Recorded(found, settings.read(bag.notes(path).get('parameters', '{}')))
+            raise BadInput(str(path), f'without {namespace}/{topic}', 'a bag with odom and goal')
+    return Recorded(found, values)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,17 @@ import rerun as rr
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.ros.messages import (
+    SECOND,
+    Frames,
+    nanoseconds,
+    read_itinerary,
+    read_odometry,
+    read_sighting,
+)
 from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.content import attitude, fields, point, seconds, vectors
+from orbimpc_ros.tool.content import attitude, fields, seconds
 from orbimpc_ros.tool.palette import BLUE, GREEN, GREY, ORANGE, RED, SKY, rgb
 from orbimpc_ros.tool.view import shapes
 from orbimpc_ros.tool.view.layout import THRUST, TICK, TIMELINE, WORLD, blueprint, eye
@@ -51,7 +60,8 @@ class Scene:
         self._headings: deque[Array] = deque(maxlen=REMEMBERED)
         self._swing: deque[Array] = deque(maxlen=SWING)
         self._unit = 0.0  # length of a vehicle [m]; 0 until the scene is known
-        self._pointing = self._shares = (-1.0, np.zeros(0))  # of which tick [s], and what
+        self._pointing: tuple[float, Array] = (-1.0, np.zeros(0))  # of which tick [s], and what
+        self._shares = self._pointing
         self._takers = {
             'odom': self._take_odometry,
             'goal': self._take_goal,
@@ -84,16 +94,22 @@ class Scene:
         self._to.log(f'{WORLD}/obstacles', _boxes(self._problem), static=True)
 
     def take(self, topic: str, message: Any) -> None:
-        """Draw a message; ``topic`` is named without a namespace."""
+        """Draw a message; ``topic`` is named without a namespace.
+
+        What the planner, too, would refuse is not drawn.
+        """
         if topic not in self._takers:
             return
-        if hasattr(message, 'header'):
-            now = seconds(message)
-            self._to.set_time(TIMELINE, **{'timestamp' if now > WALL_CLOCK else 'duration': now})
-        self._takers[topic](message)
+        with suppress(BadInput):
+            if hasattr(message, 'header'):
+                now = nanoseconds(message.header.stamp, 'header.stamp') / SECOND
+                kind = 'timestamp' if now > WALL_CLOCK else 'duration'
+                self._to.set_time(TIMELINE, **{kind: now})
+            self._takers[topic](message)
 
     def _take_odometry(self, message: Any) -> None:
-        place, turned = point(message.pose.pose.position), attitude(message.pose.pose.orientation)
+        _, odometry = read_odometry(message, 3, Frames())
+        place, turned = odometry.position, odometry.attitude
         self._way.append(place)
         self._headings.append(turned[:, 0])
         self._begin()
@@ -106,7 +122,7 @@ class Scene:
             self._to.log('distance/to_goal', rr.Scalars([distance]))
 
     def _take_goal(self, message: Any) -> None:
-        self._swing.append(point(message.pose.position))
+        self._swing.append(read_sighting(message, 3, Frames())[1].position)
         self._begin()
         ball = rr.Ellipsoids3D(
             centers=[self._swing[-1]],
@@ -138,12 +154,12 @@ class Scene:
         self._to.send_blueprint(blueprint(dimension, eye(dimension, points)))
 
     def _take_forecast(self, message: Any) -> None:
-        places = vectors(stamped.pose.position for stamped in message.poses)
+        places = read_itinerary(message, 3, Frames())[1].positions
         dots = rr.Points3D(places, radii=0.1 * self._unit, colors=[rgb(ORANGE)])
         self._to.log(f'{WORLD}/goal/forecast', dots)
 
     def _take_plan(self, message: Any) -> None:
-        places = vectors(stamped.pose.position for stamped in message.poses)
+        places = read_itinerary(message, 3, Frames())[1].positions
         dots = rr.Points3D(places, radii=0.16 * self._unit, colors=[rgb(GREEN)])
         self._to.log(f'{WORLD}/plan', _lines([places], GREEN, 0.08 * self._unit), dots)
         turned = [attitude(stamped.pose.orientation)[:, 0] for stamped in message.poses]
@@ -152,11 +168,10 @@ class Scene:
 
     def _take_tick(self, message: Any) -> None:
         told = fields(message)
-        self._shares = seconds(message), np.array(told.get('speed_fraction') or [])
+        self._shares = seconds(message), _numbers(told.get('speed_fraction'))
         self._to.log(TICK, rr.TextDocument(_words(told), media_type=rr.MediaType.MARKDOWN))
         self._chart('time/solve_ms', told.get('solve_time_ms'))
-        gap = told.get('gap')
-        if isinstance(gap, float) and np.isfinite(gap):
+        for gap in _numbers([told.get('gap')]):
             self._chart('gap/log10', np.log10(max(gap, LEAST_GAP)))
         if len(self._shares[1]) > 1:
             self._chart('speed/commanded', self._shares[1][1])
@@ -181,8 +196,15 @@ class Scene:
             self._to.log(f'{WORLD}/done', star)
 
     def _chart(self, entity: str, value: Any) -> None:
-        if value is not None:
-            self._to.log(entity, rr.Scalars([value]))
+        for number in _numbers([value]):
+            self._to.log(entity, rr.Scalars([number]))
+
+
+def _numbers(value: Any) -> Array:
+    """Return a list of finite numbers as an array, anything else as an empty one."""
+    whole = isinstance(value, list) and all(isinstance(each, (int, float)) for each in value)
+    found = np.array(value if whole else [], dtype=float)
+    return found if np.isfinite(found).all() else np.zeros(0)
 
 
 def _series(color: str, width: float, manner: rr.components.InterpolationMode) -> rr.SeriesLines:
@@ -220,10 +242,12 @@ def _words(told: dict[str, Any]) -> str:
 
 
 def _said(value: Any) -> bool:
-    return value not in ('', []) and value == value  # NaN stands for nothing
+    return value not in ('', [], {}) and value == value  # NaN stands for nothing
 
 
 def _word(value: Any) -> str:
+    if isinstance(value, dict):
+        return ', '.join(f'{key} {_word(each)}' for key, each in value.items())
     if isinstance(value, list):
         return ', '.join(_word(each) for each in value)
     return f'{value:.4g}' if isinstance(value, float) else str(value)
