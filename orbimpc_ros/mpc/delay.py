@@ -110,7 +110,9 @@ def _forward(problem: Problem, fraction: float) -> Array:
 
 
 def _turned(phi: Array, vector: Array) -> tuple[Array, Array]:
-    r"""Return :math:`\int_0^1 e^{s\hat\phi} v\, ds` and :math:`\int_0^1 (1-s) e^{s\hat\phi} v\, ds`.
+    r"""Return a vector that turns with the body, averaged over a leg, and averaged twice.
+
+    :math:`\int_0^1 e^{s\hat\phi} v\, ds` and :math:`\int_0^1 (1-s) e^{s\hat\phi} v\, ds`.
 
     Args:
         phi: tangent vector, shape (1,) or (3,) [rad].

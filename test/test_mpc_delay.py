@@ -1,0 +1,206 @@
+"""Delay compensation: arcs against fine steps, what was in force when, and what it is worth."""
+
+import numpy as np
+import pytest
+from problems import ORDERS, rotation
+
+from orbimpc_ros.mpc.command import Command
+from orbimpc_ros.mpc.controller import Controller
+from orbimpc_ros.mpc.delay import Leg, Sent, advanced
+from orbimpc_ros.mpc.odometry import Odometry
+from orbimpc_ros.mpc.problem import Problem, Weights
+from orbimpc_ros.mpc.rotations import exp
+from orbimpc_ros.world.rope import Rope
+
+
+def command(fraction, rate):
+    return Command(
+        fraction, np.atleast_1d(rate).astype(float), np.eye(2 if np.size(rate) == 1 else 3)
+    )
+
+
+def drawn(rng, n):
+    """A command and a measurement, at random."""
+    rates = 1 if n == 2 else 3
+    measured = Odometry(
+        7.0, rng.normal(size=n), rotation(rng, n), rng.normal(size=n), rng.normal(size=rates)
+    )
+    return command(rng.uniform(), 10.0 ** rng.uniform(-4, 0.5) * rng.normal(size=rates)), measured
+
+
+def stepwise(problem, odometry, legs, count=4000):
+    """The same motion in small steps: midpoint rule, straight in each."""
+    position, attitude = odometry.position, odometry.attitude
+    velocity, body, rate = (
+        attitude @ odometry.body_velocity,
+        odometry.body_velocity,
+        odometry.body_rate,
+    )
+    ahead = problem.forward * np.eye(problem.dimension)[0]
+    for k, leg in enumerate(legs):
+        if k:
+            body, rate = leg.before.speed_fraction * ahead, leg.before.body_rate
+        turning = leg.command.body_rate if problem.rotation_order == 1 else rate
+        thrust = 0.0 if leg.before is None else leg.before.speed_fraction
+        h = leg.duration / count
+        half = exp(0.5 * h * turning)
+        for _ in range(count):
+            middle = attitude @ half
+            if problem.translation_order == 1:
+                position = position + h * middle @ body
+            else:
+                gain = h * thrust * middle @ ahead
+                position, velocity = position + h * (velocity + 0.5 * gain), velocity + gain
+            attitude = middle @ half
+    return position, attitude, velocity
+
+
+@pytest.mark.parametrize('orders', ORDERS)
+def test_legs_are_flown_as_in_many_small_steps(orders):
+    rng = np.random.default_rng(1)
+    problem = Problem(**orders, forward=2.0)
+    for _ in range(3):
+        (first, measured), (second, _) = (
+            drawn(rng, problem.dimension),
+            drawn(rng, problem.dimension),
+        )
+        legs = [Leg(0.3, first, None), Leg(0.2, second, first)]
+        later = advanced(problem, measured, legs)
+        position, attitude, velocity = stepwise(problem, measured, legs)
+        assert later.time == pytest.approx(7.5)
+        np.testing.assert_allclose(later.position, position, atol=1e-6)
+        np.testing.assert_allclose(later.attitude, attitude, atol=1e-9)
+        if problem.translation_order == 2:
+            np.testing.assert_allclose(attitude @ later.body_velocity, velocity, atol=1e-6)
+        else:
+            speed = problem.forward * first.speed_fraction
+            np.testing.assert_allclose(later.body_velocity, speed * np.eye(problem.dimension)[0])
+        if problem.rotation_order == 2:
+            np.testing.assert_array_equal(later.body_rate, first.body_rate)
+
+
+@pytest.mark.parametrize('orders', ORDERS)
+def test_a_leg_in_two_is_the_leg(orders):
+    """Near zero rates, too, where the closed forms give way to series."""
+    rng = np.random.default_rng(2)
+    problem = Problem(**orders)
+    for _ in range(20):
+        given, measured = drawn(rng, problem.dimension)
+        one = advanced(problem, measured, [Leg(0.4, given, given)])
+        half = advanced(problem, measured, [Leg(0.2, given, given)])
+        two = advanced(problem, half, [Leg(0.2, given, given)])
+        for name in ('position', 'attitude', 'body_velocity'):
+            np.testing.assert_allclose(getattr(two, name), getattr(one, name), atol=1e-8)
+
+
+def test_no_time_changes_nothing():
+    _, measured = drawn(np.random.default_rng(3), 2)
+    assert advanced(Problem(), measured, []) is measured
+
+
+def test_what_is_not_known_goes_on_as_measured():
+    measured = Odometry(0.0, np.zeros(2), np.eye(2), np.array([2.0, 0.0]), np.array([0.1]))
+    later = advanced(Problem(), measured, [Leg(0.5, None, None)])
+    np.testing.assert_allclose(later.position, [1.0, 0.025], atol=1e-3)
+    np.testing.assert_allclose(later.attitude, exp(np.array([0.05])), atol=1e-12)
+
+
+A, B, C = command(0.1, 0.0), command(0.2, 0.0), command(0.3, 0.0)
+
+
+def told(begin, end, sent=((1.0, A), (2.0, B), (3.0, C))):
+    kept = Sent()
+    for at, given in sent:
+        kept.add(given, at)
+    return [(pytest.approx(leg.duration), leg.command, leg.before) for leg in kept.legs(begin, end)]
+
+
+def test_legs_are_what_was_in_force():
+    assert told(1.5, 1.7) == [(0.2, A, None)]
+    assert told(1.5, 2.5) == [(0.5, A, None), (0.5, B, A)]
+    assert told(2.0, 3.5) == [(1.0, B, A), (0.5, C, B)]
+    assert told(4.0, 4.25) == [(0.25, C, B)]
+    assert told(0.5, 1.25) == [(0.5, None, None), (0.25, A, None)]
+    assert told(0.0, 0.5) == [(0.5, None, None)]
+
+
+@pytest.mark.parametrize(('begin', 'end'), [(2.5, 2.5), (2.5, 2.0)])
+def test_no_time_has_no_legs(begin, end):
+    assert told(begin, end) == []
+
+
+def test_forgotten_commands_are_not_in_force():
+    kept = Sent()
+    kept.add(A, 1.0)
+    kept.forget()
+    assert [leg.command for leg in kept.legs(1.5, 2.0)] == [None]
+
+
+STEP = 0.2  # [s]
+FINE = 0.01  # [s]
+
+
+class Flown:
+    """A vehicle in continuous time that hears commands late, and its controller.
+
+    It turns at the commanded rate at once, and takes over a commanded speed when the next command
+    comes. Odometry is measured once a step and arrives after ``delay``.
+    """
+
+    def __init__(self, delay, compensated, seed):
+        rng = np.random.default_rng(seed)
+        self.delay, self.compensated = delay, compensated
+        self.rope = Rope([2.0, 0.0], [1.5, 1.0], rng.uniform(0.05, 0.07), rng.uniform(0, 6.28, 2))
+        self.controller = Controller(
+            Problem(horizon=8, step=STEP, weights=Weights(1.0, 0.01, 0.0, 10.0))
+        )
+        self.position, self.attitude = np.zeros(2), exp(rng.uniform(-3.0, 3.0, 1))
+        self.fraction, self.last = 1.0, command(1.0, 0.0)
+        self.sent, self.under_way = Sent(), []
+
+    def measure(self, time):
+        velocity = np.array([self.fraction, 0.0])
+        self.under_way.append(
+            Odometry(time, self.position, self.attitude, velocity, self.last.body_rate)
+        )
+
+    def answer(self, time):
+        while self.under_way and self.under_way[0].time + self.delay <= time + 1e-9:
+            measured = self.under_way.pop(0)
+            if self.compensated:
+                legs = self.sent.legs(measured.time, time)
+                measured = advanced(self.controller.problem, measured, legs)
+            ahead = measured.time + STEP * np.arange(1, 9)
+            given = self.controller.tick(
+                measured, np.array([self.rope.at(t) for t in ahead])
+            ).command
+            self.fraction, self.last = self.last.speed_fraction, given
+            self.sent.add(given, time)
+
+    def move(self):
+        half = exp(0.5 * FINE * self.last.body_rate)
+        middle = self.attitude @ half
+        self.position = self.position + FINE * self.fraction * middle[:, 0]
+        self.attitude = middle @ half
+
+
+def tracking_error(delay, compensated, seed):
+    """Root mean square of the distance to a goal that swings, once it has been reached [m]."""
+    flown, misses = Flown(delay, compensated, seed), []
+    for k in range(1200):
+        time = k * FINE
+        if k % 20 == 0:
+            flown.measure(time)
+        flown.answer(time)
+        flown.move()
+        if time > 5.0:
+            misses.append(np.linalg.norm(flown.position - flown.rope.at(time)))
+    return np.sqrt(np.mean(np.square(misses)))
+
+
+def test_compensation_tracks_better_whatever_the_delay():
+    undelayed = tracking_error(0.0, True, 0)
+    for delay in (0.05, 0.1, 0.15, 0.2, 0.25, 0.3):
+        without, with_it = (tracking_error(delay, on, 0) for on in (False, True))
+        assert with_it < without
+        assert with_it < 1.25 * undelayed
