@@ -1,4 +1,4 @@
-"""What the launch files share: planner and simulator on one parameter file.
+"""What the launch files share: pairs of planner and simulator on one parameter file.
 
 Needs ROS 2's launch, which PyPI does not have: only launch files import this module.
 """
@@ -8,30 +8,89 @@ from __future__ import annotations
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler
+from launch.action import Action
+from launch.actions import (
+    DeclareLaunchArgument,
+    EmitEvent,
+    ExecuteProcess,
+    OpaqueFunction,
+    RegisterEventHandler,
+    SetEnvironmentVariable,
+)
+from launch.conditions import IfCondition
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
+from launch.events.process import ProcessExited
+from launch.launch_context import LaunchContext
 from launch.launch_description import LaunchDescription
-from launch.substitutions import LaunchConfiguration
+from launch.substitutions import EnvironmentVariable, EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
+
+from orbimpc_ros.ros.fleet import vehicles
+from orbimpc_ros.ros.process import RANGE
 
 
 def flight(scenario: str) -> LaunchDescription:
     """Return planner and simulator of a scenario; the launch ends when the flight does."""
     clock = LaunchConfiguration('clock')
-    simulated = ParameterValue(LaunchConfiguration('use_sim_time'), value_type=bool)
-    done = ParameterValue(LaunchConfiguration('exit_when_done'), value_type=bool)
-    planner = _node('planner', {'use_sim_time': simulated})
-    sim = _node('sim', {'clock': clock, 'exit_when_done': done})
-    ended = OnProcessExit(target_action=sim, on_exit=[EmitEvent(event=Shutdown())])
-    return LaunchDescription([*_arguments(scenario), planner, sim, RegisterEventHandler(ended)])
+    planner = _node('planner', {'use_sim_time': _flag('use_sim_time')})
+    sim = _node('sim', {'clock': clock, 'exit_when_done': _flag('exit_when_done')})
+    arguments = [
+        *_arguments(scenario),
+        DeclareLaunchArgument('namespace', default_value='', description='of both nodes'),
+        DeclareLaunchArgument(
+            'clock',
+            default_value='lockstep',
+            choices=['lockstep', 'wall'],
+            description='simulated time as fast as it goes, or real time',
+        ),
+        DeclareLaunchArgument(
+            'use_sim_time',
+            default_value=EqualsSubstitution(clock, 'lockstep'),
+            description='of the planner; the simulator makes the time',
+        ),
+    ]
+    return LaunchDescription([*arguments, *_surroundings(), planner, sim, *_ending([sim])])
 
 
-def _node(name: str, parameters: dict[str, object]) -> Node:
+def fleet() -> LaunchDescription:
+    """Return a fleet; the launch ends when the last flight does.
+
+    It flies in real time: simulators cannot share one /clock.
+    """
+    arguments = [
+        *_arguments('fleet'),
+        DeclareLaunchArgument('vehicles', default_value='4', description='how many'),
+        DeclareLaunchArgument('seed', default_value='0', description='of the ropes'),
+        DeclareLaunchArgument('namespace', default_value='', description='of the whole fleet'),
+    ]
+    return LaunchDescription([*arguments, *_surroundings(), OpaqueFunction(function=_members)])
+
+
+def _members(context: LaunchContext) -> list[Action]:
+    """Return the nodes of a fleet, now that the arguments are known."""
+    count, seed = (int(context.launch_configurations[name]) for name in ('vehicles', 'seed'))
+    outer = context.launch_configurations['namespace'].strip('/')
+    outer = f'/{outer}' if outer else ''
+    planners, sims = [], []
+    for namespace, own in vehicles(count, seed).items():
+        where = outer + namespace
+        planners.append(_node('planner', {'use_sim_time': False}, where))
+        plain = {name: list(v) if isinstance(v, tuple) else v for name, v in own.items()}
+        settings = {'clock': 'wall', 'exit_when_done': _flag('exit_when_done'), **plain}
+        sims.append(_node('sim', settings, where))
+    return [*planners, *sims, *_ending(sims)]
+
+
+def _flag(name: str) -> ParameterValue:
+    return ParameterValue(LaunchConfiguration(name), value_type=bool)
+
+
+def _node(name: str, parameters: dict[str, object], namespace: str | None = None) -> Node:
     return Node(
         package='orbimpc_ros',
-        namespace=LaunchConfiguration('namespace'),
+        namespace=LaunchConfiguration('namespace') if namespace is None else namespace,
         executable=name,
         name=name,
         output='screen',
@@ -39,15 +98,39 @@ def _node(name: str, parameters: dict[str, object]) -> Node:
     )
 
 
+def _surroundings() -> list[Action]:
+    """Keep to this machine unless told otherwise, and record where wanted."""
+    return [
+        SetEnvironmentVariable(RANGE, EnvironmentVariable(RANGE, default_value='LOCALHOST')),
+        ExecuteProcess(
+            cmd=['ros2', 'bag', 'record', '--storage', 'mcap', '--all'],
+            condition=IfCondition(LaunchConfiguration('record')),
+            output='screen',
+        ),
+    ]
+
+
+def _ending(sims: list[Node]) -> list[Action]:
+    """Shut down when the last of the simulators has ended."""
+    flying = set(sims)
+
+    def ended(event: ProcessExited, _context: LaunchContext) -> list[Action]:
+        flying.discard(event.action)
+        return [] if flying else [EmitEvent(event=Shutdown(reason='every flight has ended'))]
+
+    return [RegisterEventHandler(OnProcessExit(target_action=sim, on_exit=ended)) for sim in sims]
+
+
 def _arguments(scenario: str) -> list[DeclareLaunchArgument]:
     share = Path(get_package_share_directory('orbimpc_ros'))
     default = str(share / 'config' / f'{scenario}.yaml')
     return [
-        DeclareLaunchArgument('params_file', default_value=default),
-        DeclareLaunchArgument('namespace', default_value=''),
-        DeclareLaunchArgument('clock', default_value='lockstep', choices=['lockstep', 'wall']),
+        DeclareLaunchArgument('params_file', default_value=default, description='of all nodes'),
+        DeclareLaunchArgument('exit_when_done', default_value='true', choices=['true', 'false']),
         DeclareLaunchArgument(
-            'use_sim_time', default_value='true', description='false with clock:=wall'
+            'record',
+            default_value='false',
+            choices=['true', 'false'],
+            description='all topics, by ros2 bag record, into the current folder',
         ),
-        DeclareLaunchArgument('exit_when_done', default_value='true'),
     ]
