@@ -158,7 +158,7 @@ def test_a_bag_without_its_end_is_read_up_to_its_last_chunk(tmp_path, capsys):
     data = (GOLDEN / 'retrieval' / 'retrieval.mcap').read_bytes()
     before, counts = bag.raw(GOLDEN / 'retrieval'), set()
     capsys.readouterr()
-    for length in range(len(data) // 2, len(data), 997):
+    for length in range(6000, len(data), 997):
         (path / 'bag.mcap').write_bytes(data[:length])
         found = bag.raw(path)
         assert found == before[: len(found)]

@@ -60,7 +60,8 @@ def run(args: argparse.Namespace) -> int:
     recording = recording_of(path, namespace)
     if args.tick is not None:
         recording = before(recording, _tick(args, len(recording.answers)))
-    answers = list(replayed(recording, settings))
+    simulated = bool(values.get('use_sim_time', recording.simulated))
+    answers = list(replayed(recording, settings, simulated))
     found = compared(answers, settings)
     if args.tick is not None:
         _show(answers[-1], [each for each in found if each.tick == args.tick])
@@ -144,7 +145,7 @@ def _tell(
         print(f'... and {len(differences) - LINES} more')
     print(f'replayed      {len(replayed)} ticks of {recording.path} in {elapsed:.2f} s')
     refused = sum(len(each.refusals) for each in replayed)
-    print(f'inputs        {len(recording.inputs)}, {refused} refused')
+    print(f'inputs        {recording.told}, {refused} refused')
     counts = Counter(each.quantity for each in found)
     print(f'compared      {", ".join(f"{n} {quantity}" for quantity, n in counts.items())}')
     print(f'differences   {_summary(differences)}')

@@ -18,6 +18,7 @@ from rosgraph_msgs.msg import Clock
 
 from orbimpc_ros.mpc.odometry import Odometry
 from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.arrival import RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters import planner_settings, sim_settings
 from orbimpc_ros.tool import settings
@@ -69,7 +70,7 @@ def make(name: str, folder: Path) -> None:
     """Fly ``name`` and write its bag."""
     file, changes = FLIGHTS[name]
     values = settings.resolve(config(f'{file}.yaml'), changes)
-    notes = {'parameters': settings.text(values)}
+    notes = {'parameters': settings.text(values | {'use_sim_time': True})}
     with BagWriter(folder, topics_of(), notes) as bag:
         Loop(values, bag, hostile=name == 'faulty').fly()
 
@@ -121,7 +122,8 @@ class Loop:
 
     def _hear(self, topic: str, message: object) -> None:
         self._say(topic, message)
-        self._pilot.hear(topic, message, self._said / SECOND)
+        clock = RosTime(self._at, self._planner.problem.step)
+        self._pilot.hear(topic, message, self._said / SECOND, clock)
 
     def _malformed(self, message):
         """Return a message that must be refused: of a kind that validators look for."""
@@ -144,7 +146,7 @@ class Loop:
         if self._hostile and tick in DISABLED:
             told = self._pilot.be_safe(self._at, 'disabled')
         else:
-            told = self._pilot.plan(self._said / SECOND, SOLVE_TIME_MS)
+            told = self._pilot.plan(self._said / SECOND, 0.0, SOLVE_TIME_MS)
         self._said += round(1e6 * SOLVE_TIME_MS)
         for topic, message in told.items():
             if topic != 'plan_markers':  # large, and made of the plan
@@ -154,7 +156,7 @@ class Loop:
         pushed = twist.linear.x
         if model.translation_order == 2:
             pushed = told['cmd_thrust'].wrench.force.x
-        self._pilot.commanded(pushed)
+        self._pilot.went_out(self._at / SECOND)
         full = model.forward * (1.0 if model.translation_order == 1 else model.mass)
         rate = [twist.angular.x, twist.angular.y, twist.angular.z]
         self._order = (pushed / full, np.array(rate[-model.rates :]))

@@ -28,7 +28,8 @@ class Answer:
         rotation: commanded, as a quaternion, shape (4,).
         objective: of the plan; NaN without one.
         gap: of the plan; NaN without one.
-        solve_time_ms: what the tick took; 0 if no solver was asked at all [ms].
+        advanced: how far the measurement was advanced to plan from [s].
+        solve_time_ms: what the tick took; 0 if no solver was asked [ms].
     """
 
     status: str | None = None
@@ -40,6 +41,7 @@ class Answer:
     rotation: Array | None = None
     objective: float | None = None
     gap: float | None = None
+    advanced: float | None = None
     solve_time_ms: float | None = None
 
     @property
@@ -62,7 +64,7 @@ def answer_of(messages: Messages) -> Answer:
     if 'tick' in messages and messages['tick'].status:
         told = fields(messages['tick'])
         found |= {name: _text(told.get(name)) for name in ('status', 'reason', 'fallback')}
-        numbers = ('objective', 'gap', 'solve_time_ms')
+        numbers = ('objective', 'gap', 'advanced', 'solve_time_ms')
         found |= {name: _number(told.get(name)) for name in numbers}
     return Answer(**found)
 

@@ -1,26 +1,26 @@
-"""The planner without a node: its own validators, forecasts, controller and messages."""
+"""The planner without a node: its own ticker and messages, told and asked by whoever flies."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
-from orbimpc_ros.mpc.command import Command
-from orbimpc_ros.mpc.controller import Controller
-from orbimpc_ros.mpc.plan import Plan
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.ros import messages, outputs
-from orbimpc_ros.ros.inbox import Inbox
-from orbimpc_ros.ros.messages import Stamp
+from orbimpc_ros.ros.arrival import RosTime
+from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.planner_parameters import PlannerSettings
-from orbimpc_ros.ros.reports import SAFE, Report, report_of, safe_report
-from orbimpc_ros.ros.safety import safe_command
+from orbimpc_ros.ros.reports import prices
+from orbimpc_ros.ros.ticker import Answer, Ticker, prepared
 
 Told = dict[str, Any]  # messages by topic
 
 
 class Pilot:
     """Takes in messages and answers, when it is told to, with what the planner would publish.
+
+    A solve has no deadline here: what it finds must not depend on the machine.
 
     Args:
         settings: of the planner.
@@ -29,69 +29,85 @@ class Pilot:
 
     def __init__(self, settings: PlannerSettings, node: str = '/planner') -> None:
         self._settings, self._node = settings, node
-        self._inbox = Inbox(settings)
-        self._controller = Controller(
-            settings.problem,
-            projection=settings.projection,
-            shrinking=settings.shrinking,
-            gap_tolerance=settings.gap_tolerance,
-        )
-        self._fraction = 0.0
+        timeless = replace(settings, deadline=math.inf)
+        # Simulated: what a tick takes is told, not measured.
+        self._ticker = Ticker(*prepared(timeless), simulated=True)
+        self._answer: Answer | None = None
 
-    def hear(self, topic: str, message: Any, now: float) -> str:
-        """Take in an input that came ``now`` [s]; return why it was refused, or an empty string."""
+    def hear(self, topic: str, message: Any, now: float, ros: RosTime) -> str:
+        """Take in an input; return why it was refused, or an empty string.
+
+        Args:
+            topic: without its namespace.
+            message: its content.
+            now: when it came, on the steady clock [s].
+            ros: on the ROS clock.
+        """
+        inbox = self._ticker.inbox
         take = {
-            'odom': self._inbox.take_odometry,
-            'goal': self._inbox.take_goal,
-            'goal_path': self._inbox.take_path,
+            'odom': inbox.take_odometry,
+            'goal': inbox.take_goal,
+            'goal_path': inbox.take_path,
         }[topic]
-        return take(message, now)
+        return take(message, now, ros)
 
     def forget(self) -> None:
         """Start afresh."""
-        self._inbox.forget()
-        self._controller.reset()
+        self._ticker.forget()
 
     @property
     def stamp(self) -> int | None:
         """Return the stamp of the odometry that a plan would start from [ns]; None without."""
-        odometry = self._inbox.odometry
-        return None if self._inbox.missing or odometry is None else odometry.stamp.nanoseconds
+        inbox = self._ticker.inbox
+        known = None if inbox.missing else inbox.odometry
+        return None if known is None else known.stamp.nanoseconds
 
-    def plan(self, now: float, solve_time_ms: float) -> Told:
-        """Answer the latest odometry ``now`` [s] with a plan, or with what stands in for one."""
-        odometry = self._inbox.odometry
-        assert odometry is not None
-        targets = self._inbox.targets(self._controller.remaining, now)
-        tick = self._controller.tick(odometry.value, targets)
-        command = self._safe_command() if tick.fallback == SAFE else tick.command
-        report = report_of(tick, solve_time_ms)
-        return self._told(odometry.stamp, command, report, tick.plan)
+    def plan(self, now: float, advanced: float, solve_time_ms: float) -> Told:
+        """Answer the latest odometry with a plan, or with what stands in for one.
+
+        Args:
+            now: on the steady clock [s].
+            advanced: how far the measurement is advanced, to when the answer takes effect [s].
+            solve_time_ms: to report.
+        """
+        known = self._ticker.inbox.odometry
+        assert known is not None
+        at = RosTime(known.stamp.nanoseconds + round(advanced * SECOND))
+        answer = self._ticker.planned(now, at)
+        report = answer.report
+        if report.solve_time_ms:
+            report = replace(report, solve_time_ms=solve_time_ms)
+        if answer.tick is not None:
+            report = replace(report, binding=prices(answer.tick))
+        return self._told(known.stamp, replace(answer, report=report))
 
     def be_safe(self, stamp: int, reason: str) -> Told:
         """Answer with the safe command, for a reason that is no solver's."""
-        known = self._inbox.odometry
+        known = self._ticker.inbox.odometry
         frames = self._settings.frames if known is None else known.stamp.frames
-        return self._told(Stamp(stamp, frames), self._safe_command(), safe_report(reason), None)
+        return self._told(Stamp(stamp, frames), self._ticker.safe(reason))
 
-    def commanded(self, pushed: float | None) -> None:
-        """Learn what was really commanded: a speed [m/s] or a force [N]; None if not known."""
-        problem = self._settings.problem
+    def went_out(self, at: float, pushed: float | None = None, rate: Array | None = None) -> None:
+        """Learn what was really commanded; by default the last answer.
+
+        Args:
+            at: when, on the ROS clock [s].
+            pushed: speed [m/s] or, at translation order 2, force [N].
+            rate: body rate, shape (3,) [rad/s].
+        """
+        assert self._answer is not None
+        problem, command = self._settings.problem, self._answer.command
         if pushed is not None:
-            full = problem.forward * (
-                1.0 if problem.translation_order == 1 else self._settings.mass
-            )
-            self._fraction = pushed / full
-        self._controller.commanded(self._fraction)
+            weight = 1.0 if problem.translation_order == 1 else self._settings.mass
+            command = replace(command, speed_fraction=pushed / (weight * problem.forward))
+        if rate is not None:
+            command = replace(command, body_rate=rate[-len(command.body_rate) :].copy())
+        self._ticker.went_out(replace(self._answer, command=command), at)
 
-    def _safe_command(self) -> Command:
-        problem, known = self._settings.problem, self._inbox.odometry
-        attitude = np.eye(problem.dimension) if known is None else known.value.attitude
-        return safe_command(self._settings.safe_command, problem, attitude, self._fraction)
-
-    def _told(self, stamp: Stamp, command: Command, report: Report, plan: Plan | None) -> Told:
-        told = outputs.orders(self._settings, stamp, command)
-        told |= outputs.reports(self._settings, stamp, report, plan, self._node)
-        if self._inbox.odometry is not None:
-            told['rotation'] = messages.rotation_message(stamp, command)
+    def _told(self, stamp: Stamp, answer: Answer) -> Told:
+        self._answer = answer
+        told = outputs.orders(self._settings, stamp, answer.command)
+        told |= outputs.reports(self._settings, stamp, answer.report, answer.plan, self._node)
+        if self._ticker.inbox.odometry is not None:
+            told['rotation'] = messages.rotation_message(stamp, answer.command)
         return told

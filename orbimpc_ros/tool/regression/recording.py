@@ -14,6 +14,7 @@ from orbimpc_ros.tool.bag import Message
 from orbimpc_ros.tool.regression.answer import Answer, Messages, answer_of
 from orbimpc_ros.tool.stamps import SECOND
 
+CLOCK = 'clock'
 INPUTS = tuple(topic.name for topic in topics.INPUTS)
 OUTPUTS = tuple(topic.name for topic in topics.OUTPUTS)
 COMPARED = tuple(name for name in OUTPUTS if name not in ('plan', 'plan_markers'))
@@ -24,7 +25,7 @@ class Input:
     """Something that the planner was told.
 
     Attributes:
-        topic: without its namespace.
+        topic: without its namespace, or ``clock``.
         stamp: that it carries [ns].
         sent: when, on the recording machine's clock or under which stamp [ns].
         message: its content.
@@ -69,6 +70,16 @@ class Recording:
     inputs: tuple[Input, ...]
     answers: tuple[Recorded, ...]
 
+    @property
+    def simulated(self) -> bool:
+        """Return whether somebody published simulated time."""
+        return self.told < len(self.inputs)
+
+    @property
+    def told(self) -> int:
+        """Return how many messages the planner was told, beside the time."""
+        return sum(each.topic != CLOCK for each in self.inputs)
+
 
 def recording_of(path: Path, namespace: str = '') -> Recording:
     """Return what a bag holds of the planner in a namespace.
@@ -76,10 +87,11 @@ def recording_of(path: Path, namespace: str = '') -> Recording:
     Raises:
         BadInput: no bag, or not one with odometry, a goal and the planner's answers.
     """
-    found = list(bag.read(path, {*INPUTS, *COMPARED}))
+    found = list(bag.read(path, {CLOCK, *INPUTS, *COMPARED}))
     own = _by_topic(found, namespace)
     _require(own, found, path, namespace)
-    inputs = [_input(topic, m) for topic in INPUTS for m in own[topic]]
+    clock = [_input(CLOCK, m) for m in found if m.topic == f'/{CLOCK}']
+    inputs = clock + [_input(topic, m) for topic in INPUTS for m in own[topic]]
     answers = _answers({topic: own[topic] for topic in COMPARED})
     return Recording(
         path,
@@ -112,8 +124,8 @@ def _require(
 
 
 def stamp_of(message: Any) -> int:
-    """Return the stamp [ns] in a message's header, however nonsensical."""
-    stamp = message.header.stamp
+    """Return the stamp [ns] in a message's header, or of ``/clock``, however nonsensical."""
+    stamp = message.header.stamp if hasattr(message, 'header') else message.clock
     return int(stamp.sec) * SECOND + int(stamp.nanosec)
 
 

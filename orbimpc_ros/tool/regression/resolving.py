@@ -11,12 +11,14 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from orbimpc_ros.ros.arrival import RosTime
 from orbimpc_ros.ros.planner_parameters import PlannerSettings
+from orbimpc_ros.ros.reports import AFRESH
 from orbimpc_ros.tool.regression.pilot import Pilot, Told
-from orbimpc_ros.tool.regression.recording import Input, Recorded, Recording
+from orbimpc_ros.tool.regression.recording import CLOCK, Input, Recorded, Recording
 from orbimpc_ros.tool.stamps import SECOND
 
-AFRESH = 'starting afresh'  # why the planner commands what is safe when it has forgotten all
+LOST = 'the goal is'  # how the planner begins to say that it goes on without one
 
 
 @dataclass(frozen=True)
@@ -34,21 +36,25 @@ class Replayed:
     refusals: tuple[str, ...]
 
 
-def replayed(recording: Recording, settings: PlannerSettings) -> Iterator[Replayed]:
+def replayed(
+    recording: Recording, settings: PlannerSettings, simulated: bool
+) -> Iterator[Replayed]:
     """Yield an answer for each that was recorded.
 
     Args:
         recording: the inputs, and when they were answered.
         settings: of the planner.
+        simulated: whether its time came from ``/clock``.
     """
     pilot = Pilot(settings, f'{recording.namespace}/planner')
-    inputs = deque(recording.inputs)
-    measured = {each.stamp for each in recording.inputs if each.topic == 'odom'}
+    listener = Listener(pilot, recording, simulated, settings.problem.step)
     for recorded in recording.answers:
-        refusals = tuple(_heard(pilot, inputs, recorded, recorded.stamp in measured))
+        refusals = tuple(listener.heard(recorded))
         told = _answer(pilot, recorded)
         answer = recorded.answer
-        pilot.commanded(answer.force if settings.problem.translation_order == 2 else answer.speed)
+        pushed = answer.force if settings.problem.translation_order == 2 else answer.speed
+        at = recorded.stamp if simulated else recorded.sent
+        pilot.went_out(at / SECOND, pushed, answer.body_rate)
         yield Replayed(recorded, told, refusals)
 
 
@@ -57,34 +63,60 @@ def before(recording: Recording, tick: int) -> Recording:
     return replace(recording, answers=recording.answers[: tick + 1])
 
 
-def _heard(pilot: Pilot, inputs: deque[Input], recorded: Recorded, awaited: bool) -> Iterator[str]:
-    """Take in what had come when the answer was begun; yield refusals.
+class Listener:
+    """Tells a pilot what the planner had been told by the time of an answer.
 
-    Sent times tell that up to what a message takes on its way. For odometry the answer's own stamp
-    tells it exactly.
+    Args:
+        pilot: to tell.
+        recording: what there is to tell.
+        simulated: whether the ROS clock is ``/clock``, or the one by which messages were sent.
+        step: by which simulated time moves [s].
     """
-    begun = recorded.sent - round(1e6 * _solve_time_ms(recorded))
-    latest, found = recorded.sent if awaited else begun, False
-    while inputs and inputs[0].sent <= latest and not (found and inputs[0].topic == 'odom'):
-        each = inputs.popleft()
-        refusal = pilot.hear(each.topic, each.message, each.sent / SECOND)
-        if refusal:
-            yield refusal
-        elif each.topic == 'odom' and each.stamp == recorded.stamp:
-            found = True
-            # By a clock of stamps no time passes: what carries the same stamp came in time.
-            latest = max(begun, each.sent)
+
+    def __init__(self, pilot: Pilot, recording: Recording, simulated: bool, step: float) -> None:
+        self._pilot, self._inputs = pilot, deque(recording.inputs)
+        self._measured = {each.stamp for each in recording.inputs if each.topic == 'odom'}
+        self._simulated, self._step = simulated, step
+        self._clock: int | None = None
+
+    def heard(self, recorded: Recorded) -> Iterator[str]:
+        """Take in what had come when the answer was begun; yield refusals.
+
+        Sent times tell that up to what a message takes on its way. For odometry the answer's own
+        stamp tells it exactly.
+        """
+        begun = recorded.sent - round(1e6 * _solve_time_ms(recorded))
+        latest = recorded.sent if recorded.stamp in self._measured else begun
+        found = False
+        while self._inputs and self._inputs[0].sent <= latest:
+            if found and self._inputs[0].topic == 'odom':
+                return
+            each = self._inputs.popleft()
+            refusal = self._take(each)
+            if refusal:
+                yield refusal
+            elif each.topic == 'odom' and each.stamp == recorded.stamp:
+                found = True
+                # By a clock of stamps no time passes: what carries the same stamp came in time.
+                latest = max(begun, each.sent)
+
+    def _take(self, each: Input) -> str:
+        if each.topic == CLOCK:
+            self._clock = each.stamp
+            return ''
+        shown = RosTime(self._clock, self._step) if self._simulated else RosTime(each.sent)
+        return self._pilot.hear(each.topic, each.message, each.sent / SECOND, shown)
 
 
 def _answer(pilot: Pilot, recorded: Recorded) -> Told:
-    reason = recorded.answer.reason or ''
+    answer, reason = recorded.answer, recorded.answer.reason or ''
     if reason == AFRESH:
         pilot.forget()
-    if not recorded.answer.solved:
+    if not answer.solved and not reason.startswith(LOST):
         return pilot.be_safe(recorded.stamp, reason)
     if pilot.stamp != recorded.stamp:
         return pilot.be_safe(recorded.stamp, 'its odometry was refused, or a goal is missing')
-    return pilot.plan(recorded.sent / SECOND, _solve_time_ms(recorded))
+    return pilot.plan(recorded.sent / SECOND, answer.advanced or 0.0, _solve_time_ms(recorded))
 
 
 def _solve_time_ms(recorded: Recorded) -> float:
