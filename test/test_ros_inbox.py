@@ -6,8 +6,9 @@ import pytest
 pytest.importorskip('rclpy')
 
 from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.arrival import RosTime
 from orbimpc_ros.ros.inbox import Inbox
-from orbimpc_ros.ros.messages import Frames, Stamp
+from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.planner_parameters import PLANNER, planner_settings
 from orbimpc_ros.world.vehicle import Model, launched
 
@@ -100,3 +101,108 @@ def test_a_malformed_message_changes_nothing(inbox):
     assert 'position' in inbox.take_goal(goal(1.0, x=np.nan), 0.1)
     assert inbox.goal is before
     np.testing.assert_array_equal(inbox.forecast.at(np.array([1.0])), [[5.0, 0.0]])
+
+
+NOW = 1_700_000_000 * SECOND  # [ns]
+
+
+def clock(seconds, lag=0.0):
+    """The node's clock, some seconds after it showed NOW."""
+    return RosTime(NOW + round(seconds * SECOND), lag)
+
+
+def stamped(make, seconds, *arguments):
+    message = make(1.0, *arguments)
+    message.header.stamp = messages.time_message(NOW + round(seconds * SECOND))
+    return message
+
+
+def test_a_stamp_from_the_future_is_refused_and_counted(inbox):
+    assert inbox.take_odometry(stamped(odometry, 0.09), 0.0, clock(0.0)) == ''
+    refusal = inbox.take_odometry(stamped(odometry, 0.25), 0.1, clock(0.1))
+    assert 'future stamp is 0.15 s ahead; allowed: at most 0.1 s ahead' in refusal
+    assert 'future' in inbox.take_goal(stamped(goal, 9.0), 0.1, clock(0.1))
+    assert inbox.refused == {'odom: future stamp': 1, 'goal: future stamp': 1}
+    assert inbox.odometry.at == 0.0
+    assert inbox.goal is None
+
+
+def test_simulated_time_may_trail_by_a_step(inbox):
+    assert inbox.take_odometry(stamped(odometry, 0.1), 0.0, clock(0.0, lag=0.1)) == ''
+    assert 'future' in inbox.take_odometry(stamped(odometry, 0.3), 0.1, clock(0.0, lag=0.1))
+
+
+def test_before_time_starts_nothing_is_from_the_future(inbox):
+    assert inbox.take_odometry(stamped(odometry, 0.0), 0.0, RosTime(None, 0.1)) == ''
+    assert not inbox.odometry.timed
+
+
+def test_what_was_held_up_on_the_way_is_as_old_as_its_stamp(inbox):
+    inbox.take_odometry(stamped(odometry, 0.0), 5.0, clock(0.5))
+    assert 'odometry is 0.50 s old' in inbox.stale_odometry(5.0, clock(0.5))
+    inbox.take_goal(stamped(goal, 0.0), 5.0, clock(1.5))
+    assert 'the goal is 1.50 s old' in inbox.stale_goal(5.0, clock(1.5))
+
+
+def test_age_is_of_arrival_too_where_time_stands_still(inbox):
+    inbox.take_odometry(stamped(odometry, 0.0), 0.0, clock(0.0))
+    assert inbox.stale_odometry(0.1, clock(0.0)) == ''
+    assert 'odometry is 0.30 s old' in inbox.stale_odometry(0.3, clock(0.0))
+
+
+def test_stamps_of_another_clock_are_aged_by_arrival_and_told(inbox):
+    inbox.take_odometry(odometry(1.0), 0.0, clock(0.0))  # counts from when that machine started
+    assert inbox.stale_odometry(0.1, clock(0.1)) == ''
+    assert inbox.untimed == 'odom'
+    assert 'odometry' in inbox.stale_odometry(0.3, clock(0.3))
+
+
+def test_a_source_once_timed_stays_so(inbox):
+    """What a link held back for minutes comes in order, and must not pass for fresh."""
+    inbox.take_odometry(stamped(odometry, 0.0), 0.0, clock(0.0))
+    assert inbox.take_odometry(stamped(odometry, 0.1), 120.0, clock(120.0)) == ''
+    assert 'odometry is 119.90 s old' in inbox.stale_odometry(120.0, clock(120.0))
+    assert inbox.take_odometry(stamped(odometry, -0.1), 240.0, clock(240.0)) == ''
+    assert 'odometry' in inbox.stale_odometry(240.0, clock(240.0))
+    inbox.forget()
+    inbox.take_odometry(odometry(1.0), 240.1, clock(240.1))
+    assert inbox.untimed == 'odom'
+
+
+@pytest.fixture
+def limited():
+    values = {row.name: row.default for row in PLANNER}
+    return Inbox(planner_settings({**values, 'step': 0.1, 'goal_jump_limit': 0.5}))
+
+
+def test_a_goal_that_jumps_is_refused_until_the_old_one_is_stale(limited):
+    assert limited.take_goal(goal(1.0, x=5.0), 0.0) == ''
+    assert limited.take_goal(goal(1.1, x=5.5), 0.1) == ''
+    refusal = limited.take_goal(goal(1.2, x=9.0), 0.2)
+    assert 'goal jump is 3.5 m; allowed: at most goal_jump_limit, 0.5 m' in refusal
+    assert limited.refused == {'goal: goal jump': 1}
+    assert limited.goal.value.position[0] == 5.5
+    assert limited.take_goal(goal(2.2, x=9.0), 1.2) == ''  # it has really moved
+    np.testing.assert_array_equal(limited.forecast.at(np.array([2.2])), [[9.0, 0.0]])
+
+
+def test_a_path_that_jumps_is_refused(limited):
+    def path(seconds, x):
+        places = [np.array([x + 0.1 * k, 0.0]) for k in range(20)]
+        return messages.goal_path_message(stamp(seconds), 0.1, places)
+
+    assert limited.take_path(path(1.0, 5.0), 0.0) == ''
+    assert limited.take_path(path(1.2, 5.2), 0.2) == ''  # on the path
+    assert 'goal jump is 2 m' in limited.take_path(path(1.4, 7.4), 0.4)
+
+
+def test_by_default_a_goal_may_be_anywhere(inbox):
+    assert inbox.take_goal(goal(1.0, x=5.0), 0.0) == ''
+    assert inbox.take_goal(goal(1.1, x=-900.0), 0.1) == ''
+
+
+def test_targets_begin_where_the_plan_does(inbox):
+    inbox.take_odometry(odometry(0.0), 0.0)
+    places = [np.array([k, 1.0]) for k in range(5)]
+    inbox.take_path(messages.goal_path_message(stamp(0.0), 0.1, places), 0.0)
+    np.testing.assert_allclose(inbox.targets(2, 0.1, start=0.05), [[1.5, 1.0], [2.5, 1.0]])
