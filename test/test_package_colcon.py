@@ -1,0 +1,149 @@
+"""Installed, the package works from where it is installed: a colcon workspace, and a wheel."""
+
+import os
+import shutil
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import PATIENCE
+
+ROOT = Path(__file__).parents[1]
+NAME = 'orbimpc_ros'
+NOT_SOURCES = ('.*', 'build', 'dist', 'install', 'log', 'out', '__pycache__', '*.egg-info')
+
+
+def run(*words, cwd, **environment):
+    """Run a command to its end and return it finished."""
+    return subprocess.run(
+        [str(word) for word in words],
+        cwd=cwd,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def copied(folder):
+    """Return a folder with a copy of the sources."""
+    return Path(shutil.copytree(ROOT, folder, ignore=shutil.ignore_patterns(*NOT_SOURCES)))
+
+
+def colcon(*words, cwd):
+    script = 'import sys; from colcon_core.command import main; sys.exit(main())'
+    # Packages are built with the python3 that is found first.
+    path = f'{Path(sys.executable).parent}{os.pathsep}{os.environ["PATH"]}'
+    return run(sys.executable, '-c', script, *words, '--packages-select', NAME, cwd=cwd, PATH=path)
+
+
+@pytest.fixture(scope='module')
+def workspace(tmp_path_factory):
+    """Return a workspace in which the package is built."""
+    pytest.importorskip('colcon_ros', reason='colcon is not installed (extra test)')
+    pytest.importorskip('colcon_package_selection', reason='colcon is not installed (extra test)')
+    folder = tmp_path_factory.mktemp('workspace')
+    copied(folder / 'src' / NAME)
+    done = colcon('build', cwd=folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder
+
+
+def sourced(workspace, *words):
+    """Return a command that runs in a shell with the workspace's environment."""
+    return ['sh', '-c', '. install/setup.sh && exec "$@"', 'sh', *(str(word) for word in words)]
+
+
+def prefix(workspace):
+    return workspace / 'install' / NAME
+
+
+def test_ros2_run_finds_the_executables(workspace):
+    pytest.importorskip('ament_index_python')
+    found = run(
+        *sourced(workspace, sys.executable, '-c'),
+        'from ament_index_python.packages import get_package_prefix as where\n'
+        f'import orbimpc_ros\nprint(where("{NAME}"), orbimpc_ros.__file__, sep="\\n")',
+        cwd=workspace,
+    )
+    where, package = found.stdout.split()
+    assert where == str(prefix(workspace))
+    assert package.startswith(where)
+    # As ros2 run has it: every executable file in lib/<package>.
+    files = (prefix(workspace) / 'lib' / NAME).iterdir()
+    executable = {file.name for file in files if file.stat().st_mode & stat.S_IXUSR}
+    assert executable == {'orbimpc', 'planner', 'sim'}
+
+
+def test_share_holds_what_users_configure_and_launch(workspace):
+    for root in ('config', 'launch'):
+        for file in (ROOT / root).rglob('*'):
+            if file.is_file() and '__pycache__' not in file.parts:
+                shared = prefix(workspace) / 'share' / NAME / file.relative_to(ROOT)
+                assert shared.read_bytes() == file.read_bytes()
+    assert (prefix(workspace) / 'share' / NAME / 'package.xml').is_file()
+
+
+def test_installed_nodes_fly_with_the_shared_configuration(workspace, domain, monkeypatch):
+    pytest.importorskip('rclpy')
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    lib, share = prefix(workspace) / 'lib' / NAME, prefix(workspace) / 'share' / NAME
+    words = ('--ros-args', '--params-file', share / 'config' / 'dubins.yaml')
+    planner = subprocess.Popen(
+        sourced(workspace, lib / 'planner', *words), cwd=workspace, stderr=subprocess.DEVNULL
+    )
+    try:
+        done = run(
+            *sourced(workspace, lib / 'sim', *words, '-p', 'sim:exit_when_done:=true'),
+            cwd=workspace,
+        )
+        assert done.returncode == 0, done.stderr
+        assert 'arrived' in done.stderr
+    finally:
+        planner.terminate()
+        assert planner.wait(PATIENCE) == 0
+
+
+def test_the_installed_tool_flies_a_demo(workspace, tmp_path):
+    pytest.importorskip('rclpy')
+    tool = prefix(workspace) / 'lib' / NAME / 'orbimpc'
+    words = (tool, 'demo', 'dubins', '--set', 'floor.shape=none', '--out', tmp_path)
+    done = run(*sourced(workspace, *words), cwd=workspace)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert 'arrived       yes' in done.stdout
+
+
+def test_colcon_test_runs_pytest(workspace):
+    one = 'test/test_mpc_orbitopes.py'
+    done = colcon(
+        'test', '--event-handlers', 'console_direct+', '--pytest-args', one, cwd=workspace
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert ' passed' in done.stdout
+    assert (workspace / 'build' / NAME / 'pytest.xml').is_file()
+
+
+def test_a_wheel_carries_configuration_and_launch_files(tmp_path):
+    for tool in ('pip', 'wheel'):
+        pytest.importorskip(tool, reason=f'{tool} is not installed (extra test)')
+    sources, wheels, site = copied(tmp_path / 'sources'), tmp_path / 'wheels', tmp_path / 'site'
+    pip = (sys.executable, '-m', 'pip', '-q', '--disable-pip-version-check')
+    # Without isolation nothing is fetched: the build tools are in the extra test.
+    built = run(
+        *pip, 'wheel', '--no-deps', '--no-build-isolation', '-w', wheels, sources, cwd=tmp_path
+    )
+    assert built.returncode == 0, built.stdout + built.stderr
+    (wheel,) = wheels.iterdir()
+    placed = run(*pip, 'install', '--no-deps', '--no-index', '--target', site, wheel, cwd=tmp_path)
+    assert placed.returncode == 0, placed.stdout + placed.stderr
+    script = (
+        'from orbimpc_ros.tool import share; print(share.config("retrieval.yaml"))\n'
+        'from orbimpc_ros.tool import cli; cli.main(["--version"])'
+    )
+    done = run(sys.executable, '-c', script, cwd=tmp_path, PYTHONPATH=str(site))
+    path, version = done.stdout.splitlines()
+    assert path == str(site / 'share' / NAME / 'config' / 'retrieval.yaml')
+    assert version == 'orbimpc_ros 0.1.0'
+    assert (site / 'share' / NAME / 'launch' / 'fleet.launch.py').is_file()
