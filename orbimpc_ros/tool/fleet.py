@@ -52,7 +52,7 @@ def report(folder: Path, namespaces: tuple[str, ...]) -> int:
     """Sum up a fleet's flights from their bag, draw them, and return the exit code."""
     from orbimpc_ros.tool import figures, history, summary
     from orbimpc_ros.tool.figures.fleet import fleet
-    from orbimpc_ros.tool.figures.style import look
+    from orbimpc_ros.tool.style import look
 
     path, picture = folder / 'bag', folder / figures.TRAJECTORY
     flown = {name: history.of_bag(path, name) for name in namespaces}

@@ -78,7 +78,7 @@ def made_here(file: Path) -> bool:
     """Return whether a picture says that orbimpc has made it."""
     from PIL import Image, UnidentifiedImageError
 
-    from orbimpc_ros.tool.figures.style import MAKER
+    from orbimpc_ros.tool.style import MAKER
 
     try:
         with Image.open(file) as image:
@@ -105,7 +105,7 @@ def write_gif(frames: Sequence[Array], file: Path) -> None:
     import numpy as np
     from PIL import Image
 
-    from orbimpc_ros.tool.figures.style import MAKER
+    from orbimpc_ros.tool.style import MAKER
 
     # One palette for all frames, from the busiest: colours must not flicker.
     busy = Image.fromarray(np.concatenate([frames[0], frames[len(frames) // 2], frames[-1]]))

@@ -17,8 +17,8 @@ from orbimpc_ros.tool.figures.scene import (
     end_box,
 )
 from orbimpc_ros.tool.figures.stories import story
-from orbimpc_ros.tool.figures.style import BLUE, GREEN, GREY, INK, ORANGE, RED, headline
 from orbimpc_ros.tool.history import Approach, History
+from orbimpc_ros.tool.style import BLUE, GREEN, GREY, INK, ORANGE, RED, headline
 
 PANELS = 9
 

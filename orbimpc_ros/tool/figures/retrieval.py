@@ -19,13 +19,13 @@ from orbimpc_ros.tool.figures.scene import (
     mark_capture,
 )
 from orbimpc_ros.tool.figures.stories import story
-from orbimpc_ros.tool.figures.style import (
+from orbimpc_ros.tool.history import History
+from orbimpc_ros.tool.style import (
     INK,
     RED,
     SKY,
     headline,
 )
-from orbimpc_ros.tool.history import History
 
 
 def retrieval(history: History) -> Figure:

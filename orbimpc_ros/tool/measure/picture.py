@@ -10,9 +10,9 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from orbimpc_ros.tool.figures.style import BLUE, INK, ORANGE, STYLE, save
 from orbimpc_ros.tool.measure.duel import OURS
 from orbimpc_ros.tool.measure.rows import Row
+from orbimpc_ros.tool.style import BLUE, INK, ORANGE, STYLE, save
 
 
 def draw(rows: Sequence[Row], file: Path) -> None:
