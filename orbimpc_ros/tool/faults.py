@@ -6,6 +6,7 @@ import argparse
 import json
 import signal
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -78,8 +79,10 @@ def tried(trials: Sequence[Trial], long: bool) -> list[Row]:
     progress = Progress(len(rows))
     with tempfile.TemporaryDirectory() as folder, Lab(Path(folder)) as lab, _terminated():
         for number, row in enumerate(rows):
+            begin = time.monotonic()
             for outcome in _outcomes(row.trial, lab, long):
                 row.outcomes.append(outcome)
+                row.seconds = time.monotonic() - begin
                 progress.show(number, f'{row.trial.title}: {len(row.outcomes)} cases')
     progress.close()
     print(table(rows))

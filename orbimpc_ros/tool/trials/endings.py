@@ -27,8 +27,8 @@ def _told(number: int) -> Any:
 
     def run(lab: Lab, long: bool) -> Iterator[Outcome]:
         draw = random.Random(number)
-        for count in range(50 if long else 2):
-            slow = SLOW if count % 2 else None
+        for count in range(50 if long else 1):
+            slow = SLOW if (count + number) % 2 else None
             with lab.stand(slow, seed=count) as stand:
                 if count % 10 != 9:  # every tenth is told to stop at the start
                     stand.until_planned()

@@ -25,7 +25,8 @@ from orbimpc_ros.tool.trials.watch import STILL, Limits, Watch
 
 PATIENCE = 20.0  # [s] until it flies
 LATCH = 0.2  # [s] command_timeout
-FLIGHT = 24  # steps until the usual capture
+FLIGHT = 16  # steps until the usual capture
+START = [-10.0, 0.0, 0.0]  # [m]: far enough off for something to happen on the way
 
 
 class Flying:
@@ -34,7 +35,7 @@ class Flying:
     Args:
         folder: takes parameters and logs.
         domain: of ROS, nobody else's.
-        step: between ticks [s]; speed and swing are scaled with it.
+        step: between ticks [s]; speed, swing and cost of turning are scaled with it.
         seed: of random moments.
 
     Attributes:
@@ -46,11 +47,12 @@ class Flying:
         self._folder, self._domain, self._count = folder, domain, 0
         self.draw = random.Random(seed)
         self.usual = FLIGHT * step
-        self.patience = 20 * self.usual
+        self.patience = 10 * self.usual
         self.captured: bool | None = None
         changes = [
             'clock=wall', f'step={step}', f'forward={1.0 / step}', f'rope.frequency={0.1 / step}',
-            'max_ticks=400', 'odom_timeout=0.0', 'goal_timeout=0.0',
+            'max_ticks=400', 'odom_timeout=0.0', 'goal_timeout=0.0', 'goal_prediction=harmonic',
+            f'start.position={START}', f'weights.input={0.05 * step**2}',
         ]  # fmt: skip
         self._values = settings.resolve(config('retrieval.yaml'), changes)
         self.watch = Watch(Limits(1.0 / step, math.pi / step))

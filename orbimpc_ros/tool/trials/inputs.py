@@ -9,7 +9,7 @@ from typing import Any
 from orbimpc_ros.tool.trials import feed, onsets
 from orbimpc_ros.tool.trials.feed import HUGE, Spoiled, shifted, with_field
 from orbimpc_ros.tool.trials.lab import Lab
-from orbimpc_ros.tool.trials.onsets import Expected
+from orbimpc_ros.tool.trials.onsets import MIDWAY, SOLVING, START, Expected
 from orbimpc_ros.tool.trials.outcome import Outcome, Trial
 
 ODOMETRY = Expected(wait=0.3, allowed=1.0)  # odom_timeout: 1.5 steps
@@ -54,7 +54,7 @@ def _contents() -> list[Spoiled]:
 
 def _trial(name: str, title: str, variants: Callable[[], Sequence[Spoiled]], number: int) -> Trial:
     def run(lab: Lab, long: bool) -> Iterator[Outcome]:
-        for spoiled, onset, seed in onsets.cases(long, variants(), number):
+        for spoiled, onset, seed in onsets.cases(long, variants(), short):
             stand = onsets.stand_for(lab, onset)
             stand.draw.seed(f'{spoiled.name} {onset} {seed}')
             expected = GOAL if spoiled.goal is not None else ODOMETRY
@@ -67,10 +67,10 @@ def _mixed(lab: Lab, long: bool) -> Iterator[Outcome]:
     """Old messages and doubles among good ones: refused and counted, planned on all the same."""
     spoiled = Spoiled('old among new', feed.interleaved, feed.interleaved)
     for seed in onsets.SEEDS if long else onsets.SEEDS[:1]:
-        stand = onsets.stand_for(lab, onsets.MIDWAY)
+        stand = onsets.stand_for(lab, MIDWAY)
         stand.draw.seed(seed)
         expected = Expected(0.0, 5.0, strict=False)
-        outcome = onsets.spoiling(stand, spoiled, onsets.MIDWAY, expected)
+        outcome = onsets.spoiling(stand, spoiled, MIDWAY, expected)
         yield Outcome(outcome.case, outcome.unsafe, math.nan, _uncounted(stand))
 
 
@@ -88,10 +88,18 @@ def _garbage() -> list[Spoiled]:
 
 
 TRIALS = (
-    _trial('odometry', 'stale odometry', lambda: [Spoiled('no odometry', odometry=feed.lost)], 0),
-    _trial('goal', 'stale goal', lambda: [Spoiled('no goal', goal=feed.lost)], 0),
-    _trial('stamps', 'future, repeated, malformed stamps', _stamps, 0),
+    _trial(
+        'odometry',
+        'stale odometry',
+        lambda: [Spoiled('no odometry', odometry=feed.lost)],
+        MIDWAY,
+        SOLVING,
+    ),
+    _trial('goal', 'stale goal', lambda: [Spoiled('no goal', goal=feed.lost)], MIDWAY),
+    _trial('stamps', 'future, repeated, malformed stamps', _stamps, MIDWAY, SOLVING),
     Trial('mixed', 'duplicates and older stamps among good ones', 1.0, _mixed),
-    _trial('garbage', 'bytes that are no message', _garbage, 0),
-    _trial('contents', 'NaN, Inf, quaternions, frames, huge strings', _contents, 0),
+    _trial('garbage', 'bytes that are no message', _garbage, MIDWAY),
+    _trial(
+        'contents', 'NaN, Inf, quaternions, frames, huge strings', _contents, START, MIDWAY, SOLVING
+    ),
 )

@@ -106,8 +106,10 @@ def _from_the_start(stand: Stand, spoiled: Spoiled, expected: Expected) -> Outco
     return recovered(stand, Outcome(f'{spoiled.name}, {START}', unsafe))
 
 
-def cases(long: bool, variants: Sequence[Spoiled], number: int) -> list[tuple[Spoiled, str, int]]:
-    """Return variants with onsets and seeds: all of them, or one for each onset, in turns."""
+def cases(
+    long: bool, variants: Sequence[Spoiled], short: Sequence[str]
+) -> list[tuple[Spoiled, str, int]]:
+    """Return variants with onsets and seeds: all of them, or one for each onset in ``short``."""
     if long:
         return [(each, onset, seed) for each in variants for onset in ONSETS for seed in SEEDS]
-    return [(variants[(number + i) % len(variants)], onset, 1) for i, onset in enumerate(ONSETS)]
+    return [(variants[i % len(variants)], onset, 1) for i, onset in enumerate(short)]

@@ -61,10 +61,11 @@ class Trial:
 
 @dataclass
 class Row:
-    """A row of the matrix: the outcomes so far of a trial."""
+    """A row of the matrix: the outcomes so far of a trial, and the time that it took [s]."""
 
     trial: Trial
     outcomes: list[Outcome] = field(default_factory=list)
+    seconds: float = 0.0
 
     @property
     def unsafe(self) -> int:
@@ -102,7 +103,12 @@ class Row:
         """Return the row for a JSON file."""
         told = {name: getattr(self.trial, name) for name in ('name', 'title', 'allowed', 'unit')}
         cases = [_plain(asdict(each)) for each in self.outcomes]
-        summed = {'unsafe': self.unsafe, 'worst': self.worst, 'ok': self.ok}
+        summed = {
+            'unsafe': self.unsafe,
+            'worst': self.worst,
+            'ok': self.ok,
+            'seconds': self.seconds,
+        }
         return _plain({**told, **summed, 'failures': self.failures, 'cases': cases})
 
 

@@ -24,7 +24,7 @@ from orbimpc_ros.tool.trials.stand import Stand
 
 LEAVE = 2.0  # [s] in which a node with nonsense for parameters must have ended
 BAD_INPUT = 2
-SETS = (6, 200)  # short, long
+SETS = (4, 200)  # short, long
 
 
 def nonsense(row: Row, draw: random.Random) -> Any:
