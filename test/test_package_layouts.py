@@ -1,0 +1,127 @@
+"""Layouts for RViz, Foxglove and PlotJuggler name topics, fields and keys that there are."""
+
+import json
+import re
+import xml.etree.ElementTree as ElementTree
+from dataclasses import fields
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+import yaml
+
+from orbimpc_ros.ros.reports import Report, tick_message
+from orbimpc_ros.tool.topics import TYPES
+
+pytest.importorskip('rclpy')
+CONFIG = Path(__file__).parents[1] / 'config'
+KEYS = {each.name for each in fields(Report)}
+SHOWS = {
+    'MarkerArray': 'visualization_msgs/msg/MarkerArray',
+    'Odometry': 'nav_msgs/msg/Odometry',
+    'Path': 'nav_msgs/msg/Path',
+    'Pose': 'geometry_msgs/msg/PoseStamped',
+    'SetGoal': 'geometry_msgs/msg/PoseStamped',
+}  # what RViz's displays and tools are for
+
+
+def rviz():
+    return yaml.safe_load((CONFIG / 'rviz' / 'retrieval.rviz').read_text())
+
+
+def foxglove():
+    return json.loads((CONFIG / 'foxglove' / 'retrieval.json').read_text())
+
+
+def plotjuggler():
+    return ElementTree.parse(CONFIG / 'plotjuggler' / 'retrieval.xml').getroot()
+
+
+def of_rviz():
+    """Return name and type of every topic that RViz is to show or to send."""
+    manager = rviz()['Visualization Manager']
+    for each in (*manager['Displays'], *manager['Tools']):
+        if 'Topic' in each:
+            yield each['Topic']['Value'], SHOWS[each['Class'].rpartition('/')[2]]
+
+
+def require(topic, steps):
+    """Fail unless a topic's type has a field at the end of a way through fields."""
+    kind = TYPES[topic]
+    for step in steps:
+        package, _, name = kind.split('/')
+        have = getattr(import_module(f'{package}.msg'), name).get_fields_and_field_types()
+        assert step in have, f'{kind} has no {step}'
+        found = have[step].removeprefix('sequence<').removesuffix('>')
+        kind = found.replace('/', '/msg/')
+    return kind
+
+
+def test_rviz_shows_what_there_is():
+    found = dict(of_rviz())
+    assert set(found) == {'plan', 'plan_markers', 'world_markers', 'odom', 'goal'}
+    for topic, kind in found.items():
+        assert TYPES[topic] == kind
+    displays = rviz()['Visualization Manager']['Displays']
+    assert 'rviz_default_plugins/TF' in {each['Class'] for each in displays}
+    assert all(each['Enabled'] for each in displays)
+    assert rviz()['Visualization Manager']['Global Options']['Fixed Frame'] == 'odom'
+
+
+def test_foxglove_shows_what_there_is():
+    panels = foxglove()['configById']
+    assert set(panels['3D!world']['topics']) == {f'/{topic}' for topic, _ in of_rviz()}
+    for name, panel in panels.items():
+        if name.startswith('Diagnostic'):
+            assert TYPES[panel['topicToRender'][1:]] == 'diagnostic_msgs/msg/DiagnosticArray'
+        for path in panel.get('paths', ()):
+            topic, *steps = path['value'][1:].split('.')
+            key = re.search(r'{key=="(\w+)"}', path['value'])
+            assert key is None or key[1] in KEYS
+            plain = [step.partition('[')[0] for step in steps]
+            assert require(topic, plain) == ('string' if key else 'double')
+
+
+def test_foxglove_lays_out_every_panel_once():
+    def leaves(tree):
+        return [tree] if isinstance(tree, str) else leaves(tree['first']) + leaves(tree['second'])
+
+    layout = foxglove()
+    assert sorted(leaves(layout['layout'])) == sorted(layout['configById'])
+
+
+def test_plotjuggler_shows_what_there_is():
+    curves = [c.get(key) for c in plotjuggler().iter('curve') for key in ('curve_x', 'curve_y')]
+    curves = [c for c in curves if c] + [
+        c.get('name') for c in plotjuggler().iter('curve') if '[' not in c.get('name')
+    ]
+    # It names a number on tick by topic, status and key, as its parser of diagnostics does.
+    status = tick_message(0, '/planner', Report('optimal')).status[0].name
+    for curve in curves:
+        if curve.startswith('/tick/'):
+            assert curve.startswith(f'/tick/{status}/')
+            assert curve.rpartition('/')[2] in KEYS
+        else:
+            topic, *steps = curve[1:].split('/')
+            assert require(topic, steps) == 'double'
+    assert {'/cmd_thrust/wrench/force/x', f'/tick/{status}/gap'} <= set(curves)
+
+
+def test_values_on_tick_that_are_plotted_are_numbers():
+    report = Report('optimal', objective=1.5, lower_bound=1.0, gap=1e-9, solve_time_ms=0.4)
+    values = {pair.key: pair.value for pair in tick_message(0, '/planner', report).status[0].values}
+    for key in ('objective', 'lower_bound', 'gap', 'solve_time_ms', 'nodes'):
+        assert float(values[key]) == getattr(report, key)
+
+
+def test_the_nodes_have_the_topics_that_layouts_show(launch, observer):
+    launch('planner', {}, 'spacecraft')
+    launch('sim', {'wait_subscribers': 9}, 'spacecraft')
+    shown = {topic for topic, _ in of_rviz()} | {'tick', 'cmd_vel', 'cmd_thrust', 'diagnostics'}
+    wanted = {(f'/{topic}', TYPES[topic]) for topic in shown}
+
+    def there():
+        found = observer.node.get_topic_names_and_types()
+        return wanted <= {(name, kind) for name, kinds in found for kind in kinds}
+
+    observer.until(there, f'topics {sorted(wanted)}')
