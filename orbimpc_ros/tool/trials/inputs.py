@@ -52,7 +52,7 @@ def _contents() -> list[Spoiled]:
     return odometry + [Spoiled(name, goal=spoil) for name, spoil in GOALS.items()]
 
 
-def _trial(name: str, title: str, variants: Callable[[], Sequence[Spoiled]], number: int) -> Trial:
+def _trial(name: str, title: str, variants: Callable[[], Sequence[Spoiled]], *short: str) -> Trial:
     def run(lab: Lab, long: bool) -> Iterator[Outcome]:
         for spoiled, onset, seed in onsets.cases(long, variants(), short):
             stand = onsets.stand_for(lab, onset)
