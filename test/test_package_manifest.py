@@ -22,6 +22,7 @@ PROVIDERS = {
     'cvxpy': ('python3-cvxpy-pip', 'cvxpy'),
     'matplotlib': ('python3-matplotlib', 'matplotlib'),
     'mcap': ('mcap-ros2-support', 'mcap'),
+    'mpl_toolkits': ('python3-matplotlib', 'matplotlib'),
     'numpy': ('python3-numpy', 'numpy'),
     'rosbags': ('python3-rosbags-pip', 'rosbags'),
     'scipy': ('python3-scipy', 'scipy'),
