@@ -68,6 +68,19 @@ def test_no_rotation(n):
         assert found == 'the commanded rotation is not a rotation'
 
 
+@pytest.mark.parametrize(
+    'rows',
+    [
+        np.zeros((3, 3)),
+        np.diag([2.0, 0.5, 1.0]),
+        np.array([[1.0, 0.0, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 0.8]]),
+    ],
+)
+def test_a_last_row_across_the_others_makes_no_rotation(rows):
+    found = flaw(Problem(3), replace(good(3), rotation=rows))
+    assert found == 'the commanded rotation is not a rotation'
+
+
 def changed(array, index, value):
     copy = array.copy()
     copy[index] = value

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from problems import floor, state
 
-from orbimpc_ros.mpc.plan import CHECK_TOLERANCE, shifted, violations
+from orbimpc_ros.mpc.orbitopes import coordinates
+from orbimpc_ros.mpc.plan import CHECK_TOLERANCE, assemble, shifted, violations
 from orbimpc_ros.mpc.problem import Box, Problem, State
 from orbimpc_ros.mpc.rotations import exp
 from orbimpc_ros.mpc.solver import Solver
@@ -68,22 +69,16 @@ def test_a_plan_from_another_state_is_not_this_states_plan():
     assert 'positions differ' in only_complaint(problem, plan, elsewhere)
 
 
-def stretched(problem, start, goals, scale):
-    """A consistent plan with R_1..R_N scaled: only the limits can object to it."""
-    from orbimpc_ros.mpc.orbitopes import coordinates
-    from orbimpc_ros.mpc.plan import assemble
+def assembled(problem, start, goals, x):
+    """A consistent plan through any rotations: only the limits can object to it."""
+    how = {'status': 'optimal', 'lower_bound': -np.inf, 'nodes': 1, 'projection': 'nearest'}
+    return assemble(problem, start, goals, x, **how)
 
+
+def stretched(problem, start, goals, scale):
+    """A plan with R_1..R_N scaled."""
     plan = solved(problem, start, goals)
-    return assemble(
-        problem,
-        start,
-        goals,
-        scale * coordinates(plan.rotations[1:]),
-        status='optimal',
-        lower_bound=plan.lower_bound,
-        nodes=1,
-        projection='nearest',
-    )
+    return assembled(problem, start, goals, scale * coordinates(plan.rotations[1:]))
 
 
 def test_outside_the_orbitope():
@@ -159,6 +154,16 @@ def test_second_order_rotation_leaves_where_the_body_rate_carries_it():
     other = replace(start, coasted=turned)
     assert plan.speed_fraction[1] > 0.1
     assert any('R_1' in f for f in violations(problem, other, goals, plan))
+
+
+def test_second_order_rotation_thrusts_forwards():
+    problem = Problem(rotation_order=2, translation_order=2)
+    start = State.at([0.0, 0.0], np.eye(2), coasted=np.eye(2))
+    plan = solved(problem, start, GOALS, coasting=True)
+    x = coordinates(plan.rotations[1:])
+    x[0] = [-0.1, 0.0]  # in the hull, but no thrust
+    backwards = assembled(problem, start, GOALS, x)
+    assert 'backwards by 0.1' in only_complaint(problem, backwards, start)
 
 
 def test_shifted_plan_holds_from_where_the_plan_leads():
