@@ -34,40 +34,51 @@ WORST_CONDITION = 1e9
 
 
 class Condensed:
-    """The quadratic of one problem, its maps computed once.
+    """The quadratic of one problem; what varies from tick to tick enters linearly.
+
+    What varies are the *knowns*, rows of shape (n,): R_0 e1, p_0, and g_1 - s_0..g_N - s_0.
 
     Attributes:
         hessian: H, shape (N, N), without the weight on the last velocity, which only adds to it.
         turning: its part from the input weight, shape (N, N): all that coordinates of R_k other
             than those of R_k e1 are subject to.
+        pulled: q of the knowns, shape (N, N + 2).
+        squared: c of the knowns, a quadratic form, shape (N + 2, N + 2).
+        turned: q of the other coordinates of R_0, shape (N, 1).
+        turned_squared: c of them, shape (1, 1).
     """
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
-        self._reach, turn = dynamics.position_map(problem), dynamics.input_map(problem)
-        self._weights, self._turning = position_weights(problem), input_weight(problem)
-        self._pull = 2.0 * self._reach[:, 1:].T * self._weights
-        self._first_turn = 2.0 * self._turning * turn[:, 1:].T @ turn[:, 0]
-        self._first_square = self._turning * float(turn[:, 0] @ turn[:, 0])
-        self.turning = 2.0 * self._turning * turn[:, 1:].T @ turn[:, 1:]
-        self.hessian = self._pull @ self._reach[:, 1:] + self.turning
+        reach, turn = dynamics.position_map(problem), dynamics.input_map(problem)
+        weights, turning = position_weights(problem), input_weight(problem)
+        miss = np.hstack([reach[:, :1], dynamics.drift_map(problem), -np.eye(problem.horizon)])
+        pull = 2.0 * reach[:, 1:].T * weights
+        self.turning = 2.0 * turning * turn[:, 1:].T @ turn[:, 1:]
+        self.turned = 2.0 * turning * turn[:, 1:].T @ turn[:, :1]
+        self.turned_squared = turning * turn[:, :1].T @ turn[:, :1]
+        self.hessian = pull @ reach[:, 1:] + self.turning
+        self.pulled = pull @ miss
+        self.pulled[:, :1] += self.turned
+        self.squared = miss.T * weights @ miss
+        self.squared[:1, :1] += self.turned_squared
 
     def affine(self, state: State, goals: Array) -> tuple[Array, float]:
         """Return q, shape (N, n), and c for a state and goals g_1..g_N, shape (N, n).
 
         c includes the length of the first step, which no decision changes.
         """
-        heading = state.rotation[:, 0]
-        first = self._reach[:, :1] * heading
-        miss = dynamics.drift(self._problem, state) + first - goals
-        q = self._pull @ miss + self._first_turn[:, None] * heading
-        c = self._weights @ np.einsum('kc,kc->k', miss, miss)
-        c += self._first_square * (heading @ heading)
-        return q, float(c) + first_length(self._problem, state)
+        known = knowns(state, goals)
+        c = float(np.sum(known * (self.squared @ known)))
+        return self.pulled @ known, c + first_length(self._problem, state)
 
-    def beside(self, first: Array) -> tuple[Array, float]:
-        """Return q, shape (N, m), and c of coordinates beside R_k e1; ``first`` are R_0's, (m,)."""
-        return self._first_turn[:, None] * first, self._first_square * float(first @ first)
+
+def knowns(state: State, goals: Array) -> Array:
+    """Return what the quadratic depends on, shape (N + 2, n): see :class:`Condensed`."""
+    known = np.empty((len(goals) + 2, goals.shape[1]))
+    known[0], known[1] = state.rotation[:, 0], state.velocity
+    np.subtract(goals, state.position, out=known[2:])
+    return known
 
 
 def suits_dense_code(problem: Problem) -> bool:

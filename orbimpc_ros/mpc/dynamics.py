@@ -22,11 +22,11 @@ def inputs_of(problem: Problem, state: State, rotations: Array) -> Array:
         state: gives the initial rotation and its rate.
         rotations: R_0..R_N, shape (N + 1, n, n).
     """
-    rates = np.diff(rotations, axis=0) / problem.step
+    rates = (rotations[1:] - rotations[:-1]) / problem.step
     if problem.rotation_order == 1:
         return rates
-    inputs = np.zeros_like(rates)
-    inputs[:-1] = np.diff(rates, axis=0) / problem.step
+    inputs = np.zeros(rates.shape)
+    inputs[:-1] = (rates[1:] - rates[:-1]) / problem.step
     return inputs
 
 
@@ -70,8 +70,8 @@ def translation_rollout(problem: Problem, state: State, headings: Array) -> tupl
 
 def _sums(increments: Array) -> Array:
     """Return 0 and the partial sums of all but the last increment, one row each."""
-    sums = np.zeros_like(increments)
-    np.cumsum(increments[:-1], axis=0, out=sums[1:])
+    sums = np.zeros(increments.shape)
+    np.add.accumulate(increments[:-1], out=sums[1:])
     return sums
 
 
@@ -96,10 +96,14 @@ def arrival_map(problem: Problem) -> Array:
 
 def drift(problem: Problem, state: State) -> Array:
     """Return the positions s_1..s_N, shape (N, n), of a vehicle that coasts without thrust."""
+    return state.position + drift_map(problem) * state.velocity
+
+
+def drift_map(problem: Problem) -> Array:
+    """Return what p_0 adds to s_1..s_N, shape (N, 1)."""
     if problem.translation_order == 1:
-        return np.tile(state.position, (problem.horizon, 1))
-    steps = np.arange(1, problem.horizon + 1)[:, None]
-    return state.position + problem.step * steps * state.velocity
+        return np.zeros((problem.horizon, 1))
+    return problem.step * np.arange(1.0, problem.horizon + 1.0)[:, None]
 
 
 def input_map(problem: Problem) -> Array:

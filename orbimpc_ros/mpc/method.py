@@ -8,6 +8,7 @@ from typing import Protocol
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import State
+from orbimpc_ros.mpc.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -32,12 +33,14 @@ class Found:
         cost: of that trajectory, inf if there is none.
         lower_bound: no trajectory costs less.
         nodes: relaxations or local problems solved.
+        flown: the whole trajectory, where the method has it.
     """
 
     x: Array | None
     cost: float
     lower_bound: float
     nodes: int
+    flown: Trajectory | None = None
 
 
 class Method(Protocol):

@@ -13,6 +13,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 
+ROLL_UNDEFINED = 1e-6  # below this length, what the roll is to fit says nothing
 HEADING_UNDEFINED = 1e-9  # below this speed fraction R e1 has no direction worth the name
 
 
@@ -82,39 +83,42 @@ def thrust_aligned(matrix: Array) -> Array:
 
 
 def _all_thrust_aligned(matrices: Array) -> Array:
-    """Return the thrust-aligned rotations of matrices with headings, shape (K, 3, 3)."""
-    headings = matrices[:, :, 0]
-    axes = headings / np.sqrt(np.einsum('kc,kc->k', headings, headings))[:, None]
-    # Any frame on the axis: its second column along the axis that the first is farthest from.
-    other = np.eye(3)[np.argmin(np.abs(axes), axis=1)]
-    second = _cross(axes, other)
-    second /= np.sqrt(np.einsum('kc,kc->k', second, second))[:, None]
-    third = _cross(axes, second)
-    # Best roll: turn (second, third) to fit columns 2 and 3 of R, a problem in SO(2).
-    columns = matrices[:, :, 1:]
-    along, across = (
-        np.einsum('kc,kcj->kj', second, columns),
-        np.einsum('kc,kcj->kj', third, columns),
-    )
-    cosine, sine = along[:, 0] + across[:, 1], across[:, 0] - along[:, 1]
-    size = np.hypot(cosine, sine)
-    free = size == 0.0  # every roll fits as well
-    cosine, size = np.where(free, 1.0, cosine)[:, None], np.where(free, 1.0, size)[:, None]
-    sine = sine[:, None]
-    rolled = (cosine * second + sine * third) / size
-    return np.stack([axes, rolled, _cross(axes, rolled)], axis=2)
+    """Return the thrust-aligned rotations of matrices with headings, shape (K, 3, 3).
+
+    With first axis a, the best second one maximises b.c2 + (a x b).c3 over unit vectors across a,
+    c2 and c3 being the other columns of R: it is along c2 - (a.c2) a + c3 x a.
+    """
+    headings, second, third = matrices[:, :, 0], matrices[:, :, 1], matrices[:, :, 2]
+    axes = headings / _lengths(headings)
+    around = _wide(axes)
+    rolled = second - np.einsum('kc,kc->k', axes, second)[:, None] * axes
+    rolled += _cross(_wide(third), around)
+    sizes = _lengths(rolled)
+    weak = sizes[:, 0] < ROLL_UNDEFINED
+    if weak.any():  # every roll fits as well: across the axis that a is farthest from
+        other = np.eye(3)[np.argmin(np.abs(axes[weak]), axis=1)]
+        rolled[weak] = _cross(around[weak], _wide(other))
+        sizes = _lengths(rolled)
+    rolled /= sizes
+    rotations = np.empty_like(matrices)
+    rotations[:, :, 0], rotations[:, :, 1] = axes, rolled
+    rotations[:, :, 2] = _cross(around, _wide(rolled))
+    return rotations
+
+
+def _lengths(rows: Array) -> Array:
+    """Return the lengths of rows, shape (K, 1)."""
+    return np.sqrt(np.einsum('kc,kc->k', rows, rows))[:, None]
+
+
+def _wide(rows: Array) -> Array:
+    """Return rows x, y, z as x, y, z, x, y: cyclic neighbours are then slices."""
+    return rows[:, (0, 1, 2, 0, 1)]
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Return the cross products of rows, shape (K, 3)."""
-    return np.stack(
-        [
-            a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1],
-            a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
-            a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
-        ],
-        axis=1,
-    )
+    """Return the cross products, shape (K, 3), of rows made wide."""
+    return a[:, 1:4] * b[:, 2:5] - a[:, 2:5] * b[:, 1:4]
 
 
 def project(matrix: Array, previous: Array, how: str = 'thrust_aligned') -> tuple[Array, bool]:

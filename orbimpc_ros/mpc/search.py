@@ -78,6 +78,10 @@ class Search:
             SolverFailure: the relaxation without any choice could not be solved.
         """
         self.program.bind(state, goals)
+        if not self.disjunctions:
+            relaxed = self.program.solve()
+            flown = trajectory_of(self.problem, state, goals, relaxed.x)
+            return Found(relaxed.x, flown.cost, relaxed.bound, 1, flown)
         return _Run(self, state, goals, guess).run(out_of_time)
 
 
@@ -103,6 +107,7 @@ class _Run:
     def __init__(self, search: Search, state: State, goals: Array, guess: Guess | None) -> None:
         self._search, self._state, self._goals = search, state, goals
         self._best = None if guess is None else guess.x
+        self._flown: Trajectory | None = None
         self._cost = np.inf if guess is None else guess.cost
         self._closed = np.inf
         self._open = [_Node(-np.inf, 0, (None,) * len(search.disjunctions))]
@@ -116,7 +121,7 @@ class _Run:
         lower = min([self._closed, self._cost, *(node.bound for node in self._open)])
         if lower == np.inf:
             raise Infeasible('no trajectory satisfies the constraints: every branch is infeasible')
-        return Found(self._best, self._cost, lower, self._nodes)
+        return Found(self._best, self._cost, lower, self._nodes, self._flown)
 
     @property
     def _cutoff(self) -> float:
@@ -156,7 +161,7 @@ class _Run:
 
     def _accept(self, x: Array, trajectory: Trajectory) -> None:
         if trajectory.cost < self._cost:
-            self._best, self._cost = x, trajectory.cost
+            self._best, self._cost, self._flown = x, trajectory.cost, trajectory
 
     def _halfspaces(self, choice: Choice) -> Iterator[Halfspace]:
         slot = 0

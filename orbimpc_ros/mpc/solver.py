@@ -97,6 +97,7 @@ class Solver:
             lower_bound=found.lower_bound,
             nodes=found.nodes,
             projection=self._projection,
+            flown=found.flown,
         )
 
 

@@ -11,9 +11,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from orbimpc_ros.mpc import dynamics
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.condensed import Condensed, suits_dense_code
+from orbimpc_ros.mpc.condensed import Condensed, first_length, knowns, suits_dense_code
 from orbimpc_ros.mpc.disjunction import Slot
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.kernels import COMPILED
@@ -22,6 +21,7 @@ from orbimpc_ros.mpc.kernels.terms import Terms, multipliers, scratch
 from orbimpc_ros.mpc.orbitopes import coordinates
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.relaxation import Halfspace, Relaxation, Relaxed
+from orbimpc_ros.mpc.unbounded import other_axes, thrust_axis
 
 SIGMA = (1.0, 3.0, 1e6)  # first, growth, last; times the scale of the forces at work
 USUAL = 100.0  # forces of problems near their goal
@@ -44,10 +44,9 @@ class Spatial:
         self.problem, self._slots = problem, tuple(slots)
         self._given = problem.rotation_order - 1  # at order 2, R_1 is not free
         self._coasting = coasting and bool(self._given)
-        self._condensed = Condensed(problem)
-        self._hessian = np.array([self._condensed.hessian, self._condensed.turning])
-        self._inverse = np.linalg.inv(self._hessian[:, self._given :, self._given :])
-        self._meet_arrival()
+        condensed = Condensed(problem)
+        self._thrust = thrust_axis(problem, condensed)
+        self._others = other_axes(problem, condensed)
         self._length = problem.weights.length * problem.step * problem.forward
         self._make_room()
         self._general: Relaxed | None = None
@@ -58,13 +57,16 @@ class Spatial:
     def _make_room(self) -> None:
         """Set up what the kernel works on; rho, if there is one, has the first place."""
         n = self._places = self.problem.horizon - self._given + self._coasting
-        self._kernel_inverse = np.zeros((2, n, n))
-        self._kernel_inverse[:, self._coasting :, self._coasting :] = self._inverse
-        self._slide = np.zeros((n, 9))
+        self._inverse = np.zeros((2, n, n))
+        for own, maps in zip(self._inverse, (self._thrust, self._others), strict=True):
+            own[self._coasting :, self._coasting :] = maps.inverse
+        self._start, self._slide = np.zeros((n, 9)), np.zeros((n, 9))
         self._lengths = np.full(n, self._length)
         self._lengths[-1] = 0.0  # R_N pushes nothing any more
         if self._coasting:
             self._lengths[0] = 0.0  # linear in rho
+        self._axes = np.zeros((self.problem.horizon + 3, 3))
+        self._rest = np.zeros((2, 6))
         self._work, self._held = scratch(n), multipliers(n)
 
     @staticmethod
@@ -83,56 +85,44 @@ class Spatial:
     def bind(self, state: State, goals: Array) -> None:
         """See :meth:`orbimpc_ros.mpc.relaxation.Relaxed.bind`."""
         self._bound_to = (state, goals)
-        before = coordinates(state.rotation)
-        pulled, constant = self._condensed.affine(state, goals)
-        turned, more = self._condensed.beside(before[3:])
-        q, constant = np.hstack([pulled, turned]), constant + more
-        first = np.zeros((self._given, 9))
-        if self._given and not self._coasting:
-            first[0] = coordinates(state.rotation + self.problem.step * state.rotation_rate)
-            constant += self._length * float(np.linalg.norm(first[0, :3]))
-        self._first = first
-        x = self._minimiser(q, first, self._arrival(state, goals))
-        bent = _by_column(self._hessian, x)
-        self._least = constant + float(np.sum(x * (0.5 * bent + q)))
-        self._start = x[self._given :]
+        axes, rest = self._axes, self._rest
+        axes[:-1] = knowns(state, goals)
+        rest[0] = state.rotation[:, 1:].T.ravel()
+        self._least = first_length(self.problem, state)
         if self._coasting:
             assert state.coasted is not None
-            self._slide_on(coordinates(state.coasted), bent + q)
-        self._scale = max(1.0, float(np.abs(bent).max()) / USUAL)
-        self._rounding = ROUNDING * constant
+            self._first = coordinates(state.coasted)
+            self._choose_fraction()
+        elif self._given:
+            self._first = coordinates(state.rotation + self.problem.step * state.rotation_rate)
+            axes[-1], rest[-1] = self._first[:3], self._first[3:]
+            self._least += self._length * float(np.linalg.norm(axes[-1]))
+        self._start[self._coasting :, :3] = (self._thrust.minimiser @ axes)[self._given :]
+        self._start[self._coasting :, 3:] = (self._others.minimiser @ rest)[self._given :]
+        self._least += _quadratic(self._thrust.least, axes) + _quadratic(self._others.least, rest)
+        self._rounding = ROUNDING * _quadratic(self._thrust.constant, axes)
+        bent = float(np.abs(self._thrust.bent @ axes).max())
+        self._scale = max(1.0, bent / USUAL)
 
-    def _minimiser(self, q: Array, first: Array, arrival: Array) -> Array:
-        """Return R_1..R_N of least cost, orbitopes aside, for R_1 as given, where it is given.
-
-        Args:
-            q: linear term of the cost, shape (N, 9).
-            first: R_1, shape (1, 9), or none.
-            arrival: what the rows of the arrival come to, shape (rows, 3).
-        """
-        given = self._given
-        bent = _by_column(self._hessian[:, given:, :given], first)
-        x = -_by_column(self._inverse, q[given:] + bent)
-        left = arrival - self._reached[:, 1 : 1 + given] @ first[:, :3]
-        x[:, :3] += self._lift @ left
-        return np.concatenate([first, x])
-
-    def _slide_on(self, coasted: Array, gradient: Array) -> None:
-        """Let R_1 = rho * coasted with rho free, from what is best for rho = 0.
+    def _choose_fraction(self) -> None:
+        """Let R_1 = rho * coasted, with the rho that is best while no orbitope is in its way.
 
         Everything else follows rho on a line, along which the cost is a parabola.
         """
-        nothing = np.zeros_like(gradient), np.zeros((len(self._reached), 3))
-        along = self._minimiser(nothing[0], coasted[None], nothing[1])
-        curvature = float(np.sum(along * _by_column(self._hessian, along)))
-        slope = float(np.sum(along * gradient)) + self._length
+        axes, rest, first = self._axes, self._rest, self._first
+        axes[-1], rest[-1] = 0.0, 0.0
+        slope = 2.0 * float(first[:3] @ (self._thrust.least[-1] @ axes)) + self._length
+        slope += 2.0 * float(first[3:] @ (self._others.least[-1] @ rest))
+        # The coasted rotation has columns of length one.
+        curvature = 2.0 * (self._thrust.least[-1, -1] + 2.0 * self._others.least[-1, -1])
         rho = -slope / curvature
-        self._least -= 0.5 * slope * slope / curvature
-        self._start = np.vstack([np.zeros(9), self._start + rho * along[1:]])
+        axes[-1], rest[-1] = rho * first[:3], rho * first[3:]
+        self._least += self._length * rho
         self._start[0, 0] = rho
-        self._slide[0, 0], self._slide[1:] = 1.0, along[1:]
+        self._slide[0, 0] = 1.0
+        self._slide[1:, :3] = np.outer(self._thrust.minimiser[1:, -1], first[:3])
+        self._slide[1:, 3:] = np.outer(self._others.minimiser[1:, -1], first[3:])
         self._slide /= np.sqrt(curvature)
-        self._first = coasted[None]
 
     def solve(self, halfspaces: Iterable[Halfspace] = ()) -> Relaxation:
         """See :meth:`orbimpc_ros.mpc.relaxation.Relaxed.solve`."""
@@ -157,9 +147,10 @@ class Spatial:
         )
 
     def _rotations(self, x: Array) -> Array:
-        if not self._coasting:
-            return np.concatenate([self._first, x])
-        return np.concatenate([min(1.0, max(0.0, x[0, 0])) * self._first, x[1:]])
+        if self._coasting:
+            fraction = min(1.0, max(0.0, x[0, 0]))
+            return np.concatenate([fraction * self._first[None], x[1:]])
+        return np.concatenate([self._first[None], x]) if self._given else x
 
     def _leave(self, imposed: list[Halfspace]) -> Relaxation:
         """Leave a solve to the general program."""
@@ -170,21 +161,6 @@ class Spatial:
         self._general.bind(*self._bound_to)
         return self._general.solve(imposed)
 
-    def _meet_arrival(self) -> None:
-        """Take the directions that an arrival forbids out of the inverse Hessian."""
-        every = dynamics.arrival_map(self.problem)
-        self._reached = every if self.problem.terminal == 'constraint' else every[:0]
-        rows = self._reached[:, 1 + self._given :]
-        raised = self._inverse[0] @ rows.T
-        self._lift = raised @ np.linalg.inv(rows @ raised)
-        self._inverse[0] -= self._lift @ raised.T
-
-    def _arrival(self, state: State, goals: Array) -> Array:
-        """Return what R_1 e1..R_N e1 must come to in each of the arrival's rows."""
-        missing = [goals[-1] - dynamics.drift(self.problem, state)[-1], -state.velocity]
-        rows = len(self._reached)
-        return np.array(missing)[:rows] - self._reached[:, :1] * state.rotation[:, 0]
-
     def _terms(self, imposed: Iterable[Halfspace]) -> Terms:
         rows, offsets = np.zeros((self._places, 3)), np.full(self._places, INERT)
         for slot, normal, offset in imposed:
@@ -193,17 +169,14 @@ class Spatial:
                 place = step - 1 - self._given + self._coasting
                 rows[place], offsets[place] = normal, offset
             elif self._coasting:
-                rows[0, 0], offsets[0] = normal @ self._first[0, :3], offset
-            elif normal @ self._first[0, :3] < offset - PRECISION:
+                rows[0, 0], offsets[0] = normal @ self._first[:3], offset
+            elif normal @ self._first[:3] < offset - PRECISION:
                 raise Infeasible('R_1 is given, and on the wrong side of a half-space')
-        return Terms(
-            self._kernel_inverse, self._slide, self._lengths, rows, offsets, self._coasting
-        )
+        return Terms(self._inverse, self._slide, self._lengths, rows, offsets, self._coasting)
 
 
-def _by_column(matrices: Array, x: Array) -> Array:
-    """Return one matrix times the first three columns of x, the other times the last six."""
-    return np.hstack([matrices[0] @ x[:, :3], matrices[1] @ x[:, 3:]])
+def _quadratic(form: Array, known: Array) -> float:
+    return float(np.vdot(known, form @ known))
 
 
 def _rest(coasting: bool) -> State:

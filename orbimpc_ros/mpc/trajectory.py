@@ -66,11 +66,11 @@ def objective(
         inputs: u_0..u_{N-1}, shape (N, n, n).
     """
     w = problem.weights
-    misses = np.sum((positions[1:] - goals) ** 2, axis=1)
-    lengths = np.sqrt(np.sum(rotations[:-1, :, 0] ** 2, axis=1))
-    return float(
-        w.position * misses.sum()
-        + w.input * np.sum(inputs**2)
-        + w.length * problem.step * problem.forward * lengths.sum()
-        + (w.terminal + problem.arrival_weight) * misses[-1]
-    )
+    miss, u, headings = positions[1:] - goals, inputs.ravel(), rotations[:-1, :, 0]
+    last = miss[-1] @ miss[-1]
+    cost = w.position * (miss.ravel() @ miss.ravel()) + w.input * (u @ u)
+    cost += (w.terminal + problem.arrival_weight) * last
+    if w.length > 0.0:
+        lengths = np.sqrt(np.einsum('kc,kc->k', headings, headings)).sum()
+        cost += w.length * problem.step * problem.forward * lengths
+    return float(cost)

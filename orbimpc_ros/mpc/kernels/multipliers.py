@@ -73,31 +73,34 @@ def apply(terms, force, out):
 
 
 @vectorised
-def _set_gram(terms, count, work):
+def _set_gram(inverse, slide, step, column, weight, count, slid, matrix):
     """Set the lower triangle of a Newton system's matrix, C^-1 + U'P U, U the columns."""
-    column, matrix = work.column, work.matrix
     for i in range(count):
-        k = work.step[i]
-        slid = 0.0
+        k = step[i]
+        along = 0.0
         for c in range(9):
-            slid += column[i, c] * terms.slide[k, c]
-        work.slid[i] = slid
+            along += column[i, c] * slide[k, c]
+        slid[i] = along
         for j in range(i + 1):
             first = others = 0.0
             for c in range(3):
                 first += column[i, c] * column[j, c]
             for c in range(3, 9):
                 others += column[i, c] * column[j, c]
-            near = work.step[j]
-            first *= terms.inverse[0, k, near]
-            matrix[i, j] = first + others * terms.inverse[1, k, near] + slid * work.slid[j]
-        matrix[i, i] += 1.0 / work.weight[i]
+            near = step[j]
+            matrix[i, j] = (
+                first * inverse[0, k, near] + others * inverse[1, k, near] + along * slid[j]
+            )
+        matrix[i, i] += 1.0 / weight[i]
 
 
 @compiled
 def _newton(terms, residual, moved_by, count, work, force):
     """Set ``force`` to what a Newton step exerts: residual - U (C^-1 + U'P U)^-1 U'P residual."""
-    _set_gram(terms, count, work)
+    _set_gram(
+        terms.inverse, terms.slide, work.step, work.column, work.weight, count, work.slid,
+        work.matrix,
+    )  # fmt: skip
     for i in range(count):
         total = 0.0
         for c in range(9):

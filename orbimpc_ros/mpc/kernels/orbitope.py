@@ -41,13 +41,17 @@ def add_adjoint(m, scale, out):
 
 
 @compiled
-def set_pair(basis, i, j, m, out):
+def set_pair(basis, i, j, out):
     """Set ``out`` to K* of the unit symmetric matrix that columns i and j of a basis span."""
-    scale = 1.0 if i == j else np.sqrt(0.5)
-    for a in range(4):
-        for b in range(4):
-            product = basis[a, i] * basis[b, j]
-            m[a, b] = product if i == j else product + basis[b, i] * basis[a, j]
-    for c in range(9):
-        out[c] = 0.0
-    add_adjoint(m, scale, out)
+    scale = 1.0 if i == j else np.sqrt(2.0)
+    a, b, c, d = basis[0, i], basis[1, i], basis[2, i], basis[3, i]
+    p, q, r, s = basis[0, j] * scale, basis[1, j] * scale, basis[2, j] * scale, basis[3, j] * scale
+    out[0] = a * p + b * q - c * r - d * s
+    out[4] = a * p - b * q + c * r - d * s
+    out[8] = a * p - b * q - c * r + d * s
+    left, right = a * q + b * p, c * s + d * r
+    out[5], out[7] = left + right, right - left
+    left, right = a * r + c * p, b * s + d * q
+    out[6], out[2] = left + right, right - left
+    left, right = a * s + d * p, b * r + c * q
+    out[1], out[3] = left + right, right - left

@@ -172,52 +172,55 @@ def _project_fraction(rho, held, sigma, new):
 
 
 @compiled
-def _project_length(x, held, sigma, limit, new):
-    """Project w + sigma z on the ball of radius c; return the term's value, |new - w|^2, |.|."""
-    size = 0.0
-    for c in range(3):
-        new[c] = held[c] + sigma * x[c]
-        size += new[c] * new[c]
-    size = np.sqrt(size)
-    share = limit / size if size > limit else 1.0
+def _project_lengths(x, held, sigma, limits, new, sizes):
+    """Project w + sigma z on balls of radius c; return the terms' value and |new - w|^2."""
     value = moved = 0.0
-    for c in range(3):
-        new[c] *= share
-        value += new[c] * x[c]
-        moved += (new[c] - held[c]) ** 2
-    return value, moved, size
+    for k in range(len(x)):
+        if limits[k] == 0.0:
+            continue
+        size = 0.0
+        for c in range(3):
+            new[k, c] = held[k, c] + sigma * x[k, c]
+            size += new[k, c] * new[k, c]
+        sizes[k] = np.sqrt(size)
+        share = limits[k] / sizes[k] if sizes[k] > limits[k] else 1.0
+        for c in range(3):
+            new[k, c] *= share
+            value += new[k, c] * x[k, c]
+            moved += (new[k, c] - held[k, c]) ** 2
+    return value, moved
 
 
 @compiled
-def _project_row(terms, k, x, held, sigma, new):
-    """Project on what is not negative; return the term's value, |new - held|^2, the violation."""
-    short = terms.offsets[k]
-    for c in range(3):
-        short -= terms.rows[k, c] * x[c]
-    new[k] = max(0.0, held[k] + sigma * short)
-    change = new[k] - held[k]
-    return new[k] * short, change * change, abs(change) / sigma
+def _project_rows(x, rows, offsets, held, sigma, new):
+    """Project on what is not negative; return the terms' value, |new - held|^2, the violation."""
+    value = moved = worst = 0.0
+    for k in range(len(x)):
+        short = offsets[k]
+        for c in range(3):
+            short -= rows[k, c] * x[k, c]
+        new[k] = max(0.0, held[k] + sigma * short)
+        change = new[k] - held[k]
+        value += new[k] * short
+        moved += change * change
+        worst = max(worst, abs(change))
+    return value, moved, worst / sigma
 
 
 @compiled
 def project(terms, x, held, sigma, new, work):
     """Set ``new`` to the projections; return the terms' value, |new - held|^2, the violation."""
-    value = moved = worst = 0.0
-    for k in range(len(x)):
-        if k == 0 and terms.coasting:
-            v, m, w = _project_fraction(x[0, 0], held.fraction, sigma, new.fraction)
-        else:
-            v, m, w = _project_orbitope(
-                x[k], held.orbitopes[k], sigma, new.orbitopes[k], work.bases[k], work.values[k],
-                work.small,
-            )  # fmt: skip
-        value, moved, worst = value + v, moved + m, max(worst, w)
-        if terms.lengths[k] > 0.0:
-            v, m, work.sizes[k] = _project_length(
-                x[k], held.lengths[k], sigma, terms.lengths[k], new.lengths[k]
-            )
-            value, moved = value + v, moved + m
-        v, m, w = _project_row(terms, k, x[k], held.rows, sigma, new.rows)
+    value, moved, worst = _project_rows(x, terms.rows, terms.offsets, held.rows, sigma, new.rows)
+    v, m = _project_lengths(x, held.lengths, sigma, terms.lengths, new.lengths, work.sizes)
+    value, moved = value + v, moved + m
+    first = 0
+    if terms.coasting:
+        v, m, w = _project_fraction(x[0, 0], held.fraction, sigma, new.fraction)
+        value, moved, worst, first = value + v, moved + m, max(worst, w), 1
+    before, after = held.orbitopes, new.orbitopes
+    bases, values, small = work.bases, work.values, work.small
+    for k in range(first, len(x)):
+        v, m, w = _project_orbitope(x[k], before[k], sigma, after[k], bases[k], values[k], small)
         value, moved, worst = value + v, moved + m, max(worst, w)
     return value, moved, worst
 
@@ -241,69 +244,78 @@ def value_of(terms, x, held, s):
 @compiled
 def set_columns(terms, x, held, sigma, new, work):
     """Set every rank-one part of the terms' Hessian in the scratch; return how many there are."""
-    count = 0
+    step, column, weight = work.step, work.column, work.weight
+    count = first = 0
+    if terms.coasting:
+        first = 1
+        if new.fraction[0] != 0.0:
+            column[0] = 0.0
+            column[0, 0] = 1.0
+            step[0], weight[0] = 0, sigma
+            count = 1
+    count = _orbitope_columns(first, work.bases, work.values, sigma, step, column, weight, count)
+    count = _length_columns(
+        x, held.lengths, sigma, terms.lengths, work.sizes, step, column, weight, count
+    )
+    return _row_columns(terms.rows, new.rows, sigma, step, column, weight, count)
+
+
+@compiled
+def _orbitope_columns(first, bases, values, sigma, step, column, weight, count):
+    """Add the Hessian of the orbitopes' envelopes, by pairs of eigenvectors."""
+    for k in range(first, len(bases)):
+        for i in range(4):
+            if values[k, i] <= 0.0:
+                continue
+            for j in range(4):
+                both = values[k, j] > 0.0
+                if both and j < i:
+                    continue
+                share = 1.0 if both else values[k, i] / (values[k, i] - values[k, j])
+                if share > NEGLIGIBLE:
+                    set_pair(bases[k], i, j, column[count])
+                    step[count], weight[count] = k, sigma * share
+                    count += 1
+    return count
+
+
+@compiled
+def _length_columns(x, held, sigma, limits, sizes, step, column, weight, count):
+    """Add the Hessian of the lengths' envelopes: c/|v| (I - d d') where |v| > c, v = w + sigma z.
+
+    Householder's reflection that takes an axis, ``pole``, to d takes the others across d.
+    """
+    d = np.zeros(3)
     for k in range(len(x)):
-        if k == 0 and terms.coasting:
-            if new.fraction[0] != 0.0:
-                work.column[0] = 0.0
-                work.column[0, 0] = 1.0
-                work.step[0], work.weight[0] = 0, sigma
-                count = 1
-        else:
-            count = _orbitope_columns(k, sigma, count, work)
-        if terms.lengths[k] > 0.0:
-            count = _length_columns(x[k], held.lengths[k], sigma, terms.lengths[k], k, count, work)
-        if new.rows[k] > 0.0:
-            work.column[count] = 0.0
+        if limits[k] == 0.0:
+            continue
+        outside = sizes[k] > limits[k]
+        pole = 0
+        for c in range(3):
+            d[c] = (held[k, c] + sigma * x[k, c]) / sizes[k] if outside else 0.0
+            if abs(d[c]) > abs(d[pole]):
+                pole = c
+        sign = 1.0 if d[pole] >= 0.0 else -1.0
+        for i in range(3):
+            if outside and i == pole:
+                continue
+            for c in range(9):
+                column[count, c] = 1.0 if c == i else 0.0
             for c in range(3):
-                work.column[count, c] = terms.rows[k, c]
-            work.step[count], work.weight[count] = k, sigma
+                along = d[c] + sign if c == pole else d[c]
+                column[count, c] -= d[i] * along / (1.0 + abs(d[pole]))
+            step[count] = k
+            weight[count] = sigma * limits[k] / sizes[k] if outside else sigma
             count += 1
     return count
 
 
 @compiled
-def _orbitope_columns(k, sigma, count, work):
-    """Add the Hessian of an orbitope's envelope, by pairs of eigenvectors."""
-    values = work.values[k]
-    for i in range(4):
-        if values[i] <= 0.0:
-            continue
-        for j in range(4):
-            both = values[j] > 0.0
-            if both and j < i:
-                continue
-            share = 1.0 if both else values[i] / (values[i] - values[j])
-            if share > NEGLIGIBLE:
-                set_pair(work.bases[k], i, j, work.small[0], work.column[count])
-                work.step[count], work.weight[count] = k, sigma * share
-                count += 1
-    return count
-
-
-@compiled
-def _length_columns(x, held, sigma, limit, k, count, work):
-    """Add the Hessian of a length's envelope: c/|v| (I - d d') where |v| > c, v = w + sigma z."""
-    size, column = work.sizes[k], work.column
-    outside = size > limit
-    d = np.zeros(3)
-    pole = 0
-    if outside:
-        for c in range(3):
-            d[c] = (held[c] + sigma * x[c]) / size
-            if abs(d[c]) > abs(d[pole]):
-                pole = c
-    # Householder's reflection that takes axis ``pole`` to d takes the others across d.
-    sign = 1.0 if d[pole] >= 0.0 else -1.0
-    for i in range(3):
-        if outside and i == pole:
-            continue
-        for c in range(9):
-            column[count, c] = 0.0
-        for c in range(3):
-            along = d[c] + sign if c == pole else d[c]
-            column[count, c] = (1.0 if c == i else 0.0) - d[i] * along / (1.0 + abs(d[pole]))
-        work.step[count] = k
-        work.weight[count] = sigma * limit / size if outside else sigma
-        count += 1
+def _row_columns(rows, new, sigma, step, column, weight, count):
+    for k in range(len(rows)):
+        if new[k] > 0.0:
+            for c in range(9):
+                column[count, c] = rows[k, c] if c < 3 else 0.0
+            step[count], weight[count] = k, sigma
+            count += 1
     return count
