@@ -160,7 +160,7 @@ def test_second_order_rotation_thrusts_forwards():
     problem = Problem(rotation_order=2, translation_order=2)
     start = State.at([0.0, 0.0], np.eye(2), coasted=np.eye(2))
     plan = solved(problem, start, GOALS, coasting=True)
-    x = coordinates(plan.rotations[1:])
+    x = coordinates(plan.rotations[1:]).copy()
     x[0] = [-0.1, 0.0]  # in the hull, but no thrust
     backwards = assembled(problem, start, GOALS, x)
     assert 'backwards by 0.1' in only_complaint(problem, backwards, start)
