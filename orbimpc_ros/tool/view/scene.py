@@ -61,7 +61,7 @@ class Scene:
         self._swing: deque[Array] = deque(maxlen=SWING)
         self._unit = 0.0  # length of a vehicle [m]; 0 until the scene is known
         self._pointing: tuple[float, Array] = (-1.0, np.zeros(0))  # of which tick [s], and what
-        self._shares = self._pointing
+        self._shares: tuple[float, Array] = self._pointing
         self._takers = {
             'odom': self._take_odometry,
             'goal': self._take_goal,
