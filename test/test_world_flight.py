@@ -81,3 +81,39 @@ def test_the_papers_story(controller, seed):
     assert log.misses[-1] < scenario.capture_radius - 0.01
     assert log.misses[:-1].min() > scenario.capture_radius + 0.01
     assert all(tick.status == 'optimal' for tick in log.ticks)
+
+
+def test_a_command_that_ends_within_a_step_stops_the_vehicle_there():
+    flight = departure(retrieval()).after(1.0, np.array([0.4]))
+    whole, cut = (flight.after(0.9, np.array([0.6]), held) for held in (np.inf, 0.25))
+    start, model = flight.vehicle, retrieval().model
+    np.testing.assert_allclose(
+        cut.vehicle.position - start.position, 0.25 * (whole.vehicle.position - start.position)
+    )
+    turned = start.attitude.T @ cut.vehicle.attitude
+    assert np.arctan2(turned[1, 0], turned[0, 0]) == pytest.approx(0.15)
+    assert cut.speed == cut.vehicle.fraction == 0.0
+    assert cut.vehicle.time == start.time + model.step
+    assert cut.ticks == whole.ticks
+    none = flight.after(0.9, np.array([0.6]), -1.0)
+    np.testing.assert_array_equal(none.vehicle.position, start.position)
+    np.testing.assert_array_equal(flight.after(0.9, np.array([0.6]), 1.0).vehicle.position,
+                                  whole.vehicle.position)  # fmt: skip
+
+
+def test_a_thrust_that_ends_within_a_step_leaves_the_vehicle_coasting():
+    scenario = retrieval()
+    model = replace(scenario.model, translation_order=2)
+    start = launched(model, np.zeros(2), np.eye(2), fraction=1.0, velocity=np.array([2.0, 0.0]))
+    flight = departure(replace(scenario, model=model, start=start)).after(1.0, np.zeros(1), 0.25)
+    np.testing.assert_allclose(flight.vehicle.velocity, [2.25, 0.0])
+    np.testing.assert_allclose(flight.vehicle.position, [0.25 * 2.0 + 0.75 * 2.25, 0.0])
+    assert flight.vehicle.fraction == 0.0
+
+
+def test_a_rope_caught_before_the_vehicle_stops_is_caught():
+    near = replace(retrieval(), rope=fixed(np.array([0.2, 0.05])), capture_radius=0.1)
+    caught = departure(near).after(1.0, np.zeros(1), 0.5)
+    assert caught.captured
+    assert caught.missed_at == pytest.approx(0.2)
+    assert not departure(near).after(1.0, np.zeros(1), 0.05).captured

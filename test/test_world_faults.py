@@ -1,0 +1,216 @@
+"""Faults between a flight and its planner: each does what it says, from a seed alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orbimpc_ros.mpc.controller import Controller
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.forecast import forecast_named
+from orbimpc_ros.mpc.odometry import Odometry
+from orbimpc_ros.mpc.rotations import log
+from orbimpc_ros.world.disturbed import Ears, fly_disturbed
+from orbimpc_ros.world.faults import Faults, View
+from orbimpc_ros.world.flight import departure, fly
+from orbimpc_ros.world.scenario import retrieval, retrieval3d, retrieval_problem
+from orbimpc_ros.world.vehicle import between, measured
+
+TURN = np.array([0.3])
+
+
+def views(faults, *, seed=0, ticks=400, scenario=None):
+    """Return what is seen at each tick of a flight that turns, with the flight itself."""
+    scenario = replace(scenario or retrieval(), max_ticks=10**6, capture_radius=1e-9)
+    view, flight, seen = View(faults, seed, scenario.model.step), departure(scenario), []
+    for _ in range(ticks):
+        seen.append((flight, view.of(flight)))
+        flight = flight.after(0.8, np.resize(TURN, scenario.model.rates))
+    return seen
+
+
+def of_kind(sent, odometry):
+    return [each for each in sent if isinstance(each.content, Odometry) == odometry]
+
+
+def test_without_faults_everything_is_seen_as_it_is():
+    for flight, (goal, odometry) in views(Faults(), ticks=5):
+        np.testing.assert_array_equal(goal.content.position, flight.goal)
+        np.testing.assert_array_equal(odometry.content.position, flight.vehicle.position)
+        np.testing.assert_array_equal(odometry.content.attitude, flight.vehicle.attitude)
+        assert odometry.content.time == flight.vehicle.time
+
+
+def test_a_seed_decides_everything():
+    faults = Faults(0.1, 0.1, 0.3, 0.4, 0.2, 0.2, 0.2, 1.0, 5.0)
+    first, same, other = (
+        [
+            [(s.ticks, s.late, *s.content.position) for s in sent]
+            for _, sent in views(faults, seed=s)
+        ]
+        for s in (3, 3, 4)
+    )
+    assert str(first) == str(same)  # as text: NaN equals nothing
+    assert str(first) != str(other)
+
+
+def test_one_fault_does_not_change_the_luck_of_another():
+    plain = views(Faults(dropout=0.3), ticks=50)
+    noisy = views(Faults(dropout=0.3, position_noise=1.0, attitude_noise=0.1), ticks=50)
+    for (_, a), (_, b) in zip(plain, noisy, strict=True):
+        assert [type(s.content) for s in a] == [type(s.content) for s in b]
+
+
+@pytest.mark.parametrize('scenario', [retrieval(), retrieval3d()])
+def test_noise_has_its_deviation(scenario):
+    shifts, turns = [], []
+    for flight, (goal, odometry) in views(Faults(0.05, 0.02), scenario=scenario):
+        shifts += [goal.content.position - flight.goal]
+        shifts += [odometry.content.position - flight.vehicle.position]
+        turns += [log(flight.vehicle.attitude.T @ odometry.content.attitude)]
+    assert np.std(shifts) == pytest.approx(0.05, rel=0.1)
+    assert np.std(turns) == pytest.approx(0.02, rel=0.1)
+    assert abs(np.mean(shifts)) < 0.005
+
+
+def test_a_share_of_each_kind_is_lost():
+    view = View(Faults(dropout=0.2), 7, 1.0)
+    seen = views(Faults(dropout=0.2), seed=7, ticks=2000)
+    for odometry in (True, False):
+        kept = sum(len(of_kind(sent, odometry)) for _, sent in seen)
+        assert kept / 2000 == pytest.approx(0.8, abs=0.03)
+    lost = sum(view.command_lost(tick) for tick in range(2000))
+    assert lost / 2000 == pytest.approx(0.2, abs=0.03)
+
+
+@pytest.mark.parametrize('delay', [0.2, 1.0, 2.5])
+def test_delayed_odometry_shows_the_past(delay):
+    seen = views(Faults(delay=delay), ticks=20)
+    flights = [flight.vehicle for flight, _ in seen]
+    for flight, sent in seen[4:]:
+        (odometry,) = of_kind(sent, odometry=True)
+        then = flight.vehicle.time - delay
+        assert odometry.content.time == pytest.approx(then)
+        assert odometry.age == delay
+        before = [v for v in flights if v.time <= then + 1e-9][-1]
+        after = next(v for v in flights if v.time > before.time)
+        truth = before if np.isclose(before.time, then) else between(before, after, then)
+        np.testing.assert_allclose(odometry.content.position, truth.position, atol=1e-12)
+        np.testing.assert_allclose(odometry.content.attitude, truth.attitude, atol=1e-12)
+
+
+def test_before_its_start_a_vehicle_stood_there():
+    flight, sent = views(Faults(delay=2.5), ticks=1)[0]
+    (odometry,) = of_kind(sent, odometry=True)
+    np.testing.assert_array_equal(odometry.content.position, flight.vehicle.position)
+    assert odometry.content.time == flight.vehicle.time - 2.5
+
+
+def test_between_two_steps_a_vehicle_is_on_its_way():
+    before = departure(retrieval()).vehicle
+    after = departure(retrieval()).after(0.5, np.array([0.8])).vehicle
+    for end, time in ((before, before.time), (after, after.time)):
+        met = between(before, after, time)
+        np.testing.assert_allclose(met.position, end.position, atol=1e-12)
+        np.testing.assert_allclose(met.attitude, end.attitude, atol=1e-12)
+    halfway = between(before, after, before.time + 0.5)
+    assert log(before.attitude.T @ halfway.attitude)[0] == pytest.approx(0.4)
+    assert measured(halfway).body_rate == pytest.approx([0.8])
+
+
+def test_reordered_messages_come_behind_newer_ones():
+    seen = views(Faults(reorder=0.3), ticks=300)
+    late = [(flight, s) for flight, sent in seen for s in sent if s.late]
+    assert len(late) / 600 == pytest.approx(0.3, abs=0.05)
+    assert all(flight.ticks == s.ticks + 1 for flight, s in late)
+    for _, sent in seen:
+        assert [s.late for s in sent] == sorted((s.late for s in sent), reverse=True)
+
+
+def test_duplicates_come_together():
+    counts = [len(sent) for _, sent in views(Faults(duplicate=0.25))]
+    assert sum(counts) / (2 * len(counts)) == pytest.approx(1.25, abs=0.05)
+
+
+def test_poisoned_messages_are_not_finite():
+    sent = [s for _, all_sent in views(Faults(nan=0.3)) for s in all_sent]
+    poisoned = [s for s in sent if not s.finite]
+    assert len(poisoned) / len(sent) == pytest.approx(0.3, abs=0.05)
+    assert all(np.isnan(s.content.position).all() for s in poisoned)
+
+
+def test_the_goal_is_hidden_once_in_a_period():
+    seen = views(Faults(occlusion_length=3.0, occlusion_period=10.0), seed=2, ticks=200)
+    visible = [bool(of_kind(sent, odometry=False)) for _, sent in seen]
+    begins = set()
+    for k in range(0, 200, 10):
+        hidden = [i for i in range(10) if not visible[k + i]]
+        assert 2 <= len(hidden) <= 3
+        assert hidden[-1] - hidden[0] == len(hidden) - 1
+        begins.add(hidden[0])
+    assert len(begins) > 3
+    assert all(of_kind(sent, odometry=True) for _, sent in seen)
+
+
+def test_clocks_jump_from_a_tick_on():
+    faults = Faults(clock_jump=-3.0, clock_jump_tick=5)
+    assert [faults.jumped(tick) for tick in (0, 4, 5, 9)] == [0.0, 0.0, -3.0, -3.0]
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [
+        ('dropout', 1.1), ('nan', -0.1), ('reorder', float('nan')), ('duplicate', 2.0),
+        ('position_noise', -1.0), ('attitude_noise', 4.0), ('delay', 11.0), ('delay', -0.1),
+        ('occlusion_length', 11.0), ('occlusion_length', -1.0), ('occlusion_period', 0.0),
+        ('clock_jump', float('inf')), ('clock_jump_tick', -1),
+    ],
+)  # fmt: skip
+def test_impossible_faults_are_refused(name, value):
+    with pytest.raises(BadInput, match=f'faults.{name}'):
+        Faults(**{name: value})
+
+
+def test_a_planner_takes_what_is_finite_and_newer():
+    scenario = retrieval()
+    view, flight, ears = View(Faults(), 0, 1.0), departure(scenario), Ears(forecast_named('hold'))
+    goal, odometry = view.of(flight)
+    assert ears.hear([odometry]) is None  # no goal yet
+    later = view.of(flight.after(0.8, TURN))
+    assert ears.hear(later) is later[1].content
+    assert ears.hear([goal, odometry]) is None
+    assert ears.hear(later) is None
+    poisoned = View(Faults(nan=1.0), 0, 1.0).of(flight.after(0.8, TURN).after(0.8, TURN))
+    assert ears.hear(poisoned) is None
+
+
+def test_a_flight_without_faults_is_the_flight():
+    scenario, controller = retrieval(), Controller(retrieval_problem())
+    log_ = fly(controller, scenario, forecast_named('hold'))
+    controller.reset()
+    end = fly_disturbed(controller, scenario, forecast_named('hold'), View(Faults(), 0, 1.0))
+    assert end.ticks == len(log_.ticks)
+    np.testing.assert_array_equal(end.vehicle.position, log_.flights[-1].vehicle.position)
+
+
+def test_the_rope_is_caught_through_noise_and_losses():
+    """A fifth of all messages lost, 5 cm and 2 degrees of noise: at least 95 of 100 runs."""
+    scenario = replace(retrieval(), capture_radius=0.3)
+    controller, caught = Controller(retrieval_problem()), 0
+    faults = Faults(position_noise=0.05, attitude_noise=np.radians(2.0), dropout=0.2)
+    for seed in range(100):
+        controller.reset()
+        view = View(faults, seed, scenario.model.step)
+        caught += fly_disturbed(controller, scenario, forecast_named('harmonic'), view).captured
+    assert caught >= 95
+
+
+def test_all_faults_at_once_do_not_stop_the_retrieval():
+    scenario = replace(retrieval(), capture_radius=0.3)
+    controller, caught = Controller(retrieval_problem()), 0
+    faults = Faults(0.05, np.radians(2.0), 0.2, 0.2, 0.1, 0.1, 0.1, 3.0, 10.0)
+    for seed in range(20):
+        controller.reset()
+        view = View(faults, seed, scenario.model.step)
+        caught += fly_disturbed(controller, scenario, forecast_named('harmonic'), view).captured
+    assert caught >= 18
