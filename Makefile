@@ -1,5 +1,6 @@
 # make demo   sets up .venv and catches the swinging rope over ROS 2
 # make test   sets up .venv and runs lint, types and tests
+# make docs   writes the table of parameters and draws the pictures of docs/ anew
 #
 # PYTHON=... picks the interpreter, VENV=... the environment. With ROS 2 installed (ROS_DISTRO is
 # set) its Python packages are used; elsewhere rclpy and the messages come from PyPI.
@@ -13,13 +14,13 @@ COMPILE = @$(BIN)/python -m orbimpc_ros.mpc.kernels
 ifdef ROS_DISTRO
 VENV_FLAGS = --system-site-packages
 EXTRAS_DEMO = [fast]
-EXTRAS_TEST = [fast,test]
+EXTRAS_TEST = [fast,study,test]
 else
 EXTRAS_DEMO = [ros,fast]
-EXTRAS_TEST = [ros,fast,test]
+EXTRAS_TEST = [ros,fast,study,test]
 endif
 
-.PHONY: demo test clean help
+.PHONY: demo test docs clean help
 .DELETE_ON_ERROR:
 
 help:
@@ -37,6 +38,12 @@ test: $(VENV)/.installed-test
 	$(BIN)/mypy
 	$(SAY) 'Tests (pytest)'
 	$(BIN)/python -m pytest $(PYTEST_FLAGS)
+
+docs: $(VENV)/.installed-demo
+	$(SAY) 'Parameters and pictures'
+	$(BIN)/python -m orbimpc_ros.ros.parameter_page > docs/parameters.new
+	mv docs/parameters.new docs/parameters.md
+	$(BIN)/python docs/pictures.py
 
 $(VENV)/.installed-demo: $(BIN)/python setup.py setup.cfg pyproject.toml
 	$(SAY) 'Installing orbimpc_ros into $(VENV) (a minute, only once)'

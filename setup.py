@@ -47,6 +47,7 @@ setup(
         'bench': ['casadi', 'gurobipy', 'pyscipopt'],
         'fast': ['numba>=0.59'],
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
+        'study': ['casadi', 'distributed>=2024.1', 'pyarrow>=14'],
         'test': [
             'colcon-core',
             'colcon-package-selection',

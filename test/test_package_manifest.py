@@ -70,7 +70,7 @@ def test_manifests_agree(field):
 def optional():
     """Return the modules that the package does without: those of extras."""
     extras = setup_keyword('extras_require')
-    wanted = [r for name in ('fast', 'bench', 'view') for r in extras.get(name, [])]
+    wanted = [r for name in ('fast', 'bench', 'study', 'view') for r in extras.get(name, [])]
     brought = {re.split(r'[<>=\[]', r)[0] for r in wanted}
     return brought | {module for name in brought for module in MODULES.get(name, ())}
 

@@ -22,6 +22,7 @@ COMMANDS = {
     'replay': 'solve the inputs of a bag again, compare with its outputs',
     'plot': 'draw the figures and an animation of a bag',
     'solve': 'solve one problem from a file, print the plan as JSON',
+    'study': 'fly many ropes with several controllers and compare them',
     'view': 'look at a flight in a browser, live or from a bag',
 }
 

@@ -1,0 +1,45 @@
+"""Who flies: the planner of this package and the baselines, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.problem import Problem
+
+ORBITOPE, NONLINEAR = 'orbitope', 'nonlinear'
+PILOTS = {
+    ORBITOPE: ('orbimpc_ros.mpc.controller', 'Controller'),
+    'linearised': ('orbimpc_ros.world.baselines.linearised', 'Linearised'),
+    NONLINEAR: ('orbimpc_ros.world.baselines.nonlinear', 'Nonlinear'),
+    'pursuit': ('orbimpc_ros.world.baselines.pursuit', 'Pursuit'),
+}
+NEEDED = ('distributed', 'pyarrow')
+KEPT = 8  # controllers ready for another run of the same problem
+
+
+@lru_cache(maxsize=KEPT)
+def pilot_named(name: str, problem: Problem, purpose: str = '') -> Any:
+    """Return a controller for a problem, the same one each time; it remembers its last flight.
+
+    Args:
+        name: in :data:`PILOTS`.
+        problem: what it solves.
+        purpose: tells apart controllers that must not share a memory.
+    """
+    module, kind = PILOTS[name]
+    return getattr(import_module(module), kind)(problem)
+
+
+def require_installed(controllers: Sequence[str]) -> None:
+    """Raise BadInput, saying what to install, unless a study with these controllers can run."""
+    needed = (*NEEDED, 'casadi') if NONLINEAR in controllers else NEEDED
+    missing = [module for module in needed if find_spec(module) is None]
+    if missing:
+        raise BadInput(
+            'orbimpc study', f'without {", ".join(missing)}', "pip install 'orbimpc_ros[study]'"
+        )
