@@ -1,0 +1,296 @@
+"""Draws the pictures of docs/explanation.md, light and dark: python docs/pictures.py.
+
+Everything in them is computed by the package, from fixed seeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+from orbimpc_ros.mpc.binding import explained
+from orbimpc_ros.mpc.controller import Controller
+from orbimpc_ros.mpc.floors.annulus import Annulus
+from orbimpc_ros.mpc.floors.faces import normals
+from orbimpc_ros.mpc.forecast import Hold
+from orbimpc_ros.mpc.plan import Plan
+from orbimpc_ros.mpc.problem import Floor, Problem, State
+from orbimpc_ros.mpc.solver import Solver
+from orbimpc_ros.tool.style import (
+    BLUE,
+    FAINT,
+    GREEN,
+    INK,
+    ORANGE,
+    RED,
+    SKY,
+    halo,
+    look,
+    paper,
+    save,
+)
+from orbimpc_ros.world.flight import departure, planned
+from orbimpc_ros.world.scenario import retrieval, retrieval_problem
+
+FOLDER = Path(__file__).parent / 'pictures'
+FRACTION = np.sqrt(0.3)  # the paper's det R > 0.3
+STARTS = 400
+AROUND = np.linspace(0.0, 2.0 * np.pi, 400)
+
+
+def passing() -> tuple[State, np.ndarray]:
+    """Return a state and goals g_1..g_5 right behind the vehicle: it has to come round."""
+    state = State.at([0.0, 0.0], np.eye(2))
+    return state, np.tile([-0.2, 0.3], (5, 1))
+
+
+def solved(problem: Problem) -> Plan:
+    """Return the optimal plan of a problem for :func:`passing`."""
+    return Solver(problem, gap_tolerance=1e-9).solve(*passing())
+
+
+# --- the hull
+
+
+def hull() -> Figure:
+    """Return conv SO(2) with its projection, and a slice of conv SO(3)."""
+    figure = Figure(figsize=(9.0, 4.2), layout='constrained')
+    draw_disk_hull(figure.add_subplot(1, 2, 1))
+    draw_slice(figure.add_subplot(1, 2, 2, projection='3d'))
+    return figure
+
+
+def draw_disk_hull(axes: Axes) -> None:
+    """Draw the disk, a point in it, its rotation and its speed fraction."""
+    axes.add_patch(Circle((0.0, 0.0), 1.0, color=SKY, alpha=0.25, lw=0))
+    axes.plot(np.cos(AROUND), np.sin(AROUND), color=BLUE, lw=2.0)
+    point = np.array([0.42, 0.36])
+    rotation = point / np.linalg.norm(point)
+    axes.annotate('', point, (0.0, 0.0), arrowprops={'arrowstyle': '-|>', 'color': ORANGE, 'lw': 2})
+    axes.plot(*np.array([point, rotation]).T, color=INK, ls=':', lw=1.4)
+    axes.plot(*point, 'o', color=ORANGE, ms=7)
+    axes.plot(*rotation, 'o', color=BLUE, ms=8)
+    say(axes, '$R_k e_1$: its length\nis the share\nof full speed', (0.16, 0.02), va='top')
+    say(axes, 'the rotation flown', [rotation[0] + 0.06, rotation[1] + 0.04])
+    say(axes, 'SO(2): full speed', (-1.18, 1.1), color=BLUE)
+    say(axes, 'conv SO(2)', (-0.4, -0.5), ha='center')
+    axes.plot(0.0, 0.0, 'o', color=INK, ms=4)
+    say(axes, 'no speed', (-0.04, -0.1), ha='right')
+    frame(axes, 'Rotations of the plane, and their hull', 1.25)
+
+
+def draw_slice(axes) -> None:
+    """Draw the diagonal matrices of conv SO(3), and those of the unit cube around."""
+    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], dtype=float)
+    faces = [corners[[i for i in range(4) if i != left]] for left in range(4)]
+    axes.add_collection3d(Poly3DCollection(faces, facecolor=SKY, edgecolor=BLUE, alpha=0.3, lw=1.6))
+    for a in (-1, 1):
+        for b in (-1, 1):
+            for line in ([[-1, 1], [a, a], [b, b]], [[a, a], [-1, 1], [b, b]]):
+                axes.plot(*line, color=FAINT, lw=0.8)
+            axes.plot([a, a], [b, b], [-1, 1], color=FAINT, lw=0.8)
+    axes.scatter(*corners.T, color=BLUE, s=45, depthshade=False)
+    names = ('I', 'half turn about x', 'half turn about y', 'half turn about z')
+    for corner, name in zip(corners, names, strict=True):
+        x, y, z = corner
+        axes.text(x, y, z + 0.25, name, ha='center', path_effects=halo(), zorder=9)
+    axes.scatter(-1, -1, -1, color=RED, s=35, depthshade=False)
+    axes.text(-1, -1, -0.75, '-I is out', color=RED, ha='left', path_effects=halo(), zorder=9)
+    axes.set(xticks=[-1, 0, 1], yticks=[-1, 0, 1], zticks=[-1, 0, 1])
+    axes.set(xlabel=r'$R_{11}$', ylabel=r'$R_{22}$', zlabel=r'$R_{33}$')
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.pane.set_facecolor(paper())
+        axis.pane.set_edgecolor(FAINT)
+    axes.set_box_aspect(None, zoom=0.88)
+    axes.view_init(elev=18.0, azim=-58.0)
+    axes.set_title('The diagonal matrices in conv SO(3)')
+
+
+# --- the floor
+
+
+def floor() -> Figure:
+    """Return what each floor allows, and the same plan under each."""
+    figure = Figure(figsize=(9.0, 3.3), layout='constrained')
+    shapes = ('none', 'polygon', 'circle')
+    for axes, shape in zip(figure.subplots(1, 3), shapes, strict=True):
+        draw_floor(axes, shape)
+    return figure
+
+
+def draw_floor(axes: Axes, shape: str) -> None:
+    """Draw the disk without what a floor forbids, and R_1 e1..R_5 e1 of a plan under it."""
+    problem = Problem(floor=Floor(shape, 4, float(FRACTION)))
+    plan = solved(problem)
+    axes.add_patch(Circle((0.0, 0.0), 1.0, color=SKY, alpha=0.3, lw=0))
+    axes.plot(np.cos(AROUND), np.sin(AROUND), color=BLUE, lw=1.6)
+    if shape == 'circle':
+        axes.add_patch(Circle((0.0, 0.0), FRACTION, fc=paper(), ec=RED, lw=1.6))
+    if shape == 'polygon':
+        corners = FRACTION * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+        axes.add_patch(Polygon(corners, fc=paper(), ec=RED, lw=1.6))
+        for normal in normals(2, 4):
+            axes.annotate(
+                '', 1.3 * FRACTION * normal, FRACTION * normal,
+                arrowprops={'arrowstyle': '-|>', 'color': RED},
+            )  # fmt: skip
+    headings = plan.rotations[:, :, 0]
+    axes.plot(*headings.T, '-', color=INK, lw=1.0)
+    axes.plot(*headings[1:].T, 'o', color=ORANGE, mec=INK, ms=6)
+    axes.plot(*headings[0], 'o', color=paper(), mec=INK, ms=6)
+    near = np.linalg.norm(headings[:, None] - headings, axis=2) < 0.08
+    for first in {int(np.argmax(each)) for each in near}:
+        steps = ', '.join(str(k) for k in np.flatnonzero(near[first]))
+        axes.annotate(steps, headings[first], xytext=(5, 5), textcoords='offset points', fontsize=8)
+    slowest = plan.speed_fraction[1:].min()
+    name = {'none': 'no floor', 'polygon': 'polygon', 'circle': 'circle'}[shape]
+    frame(axes, f'{name}: slowest {slowest:.2f}, cost {plan.objective:.2f}', 1.15)
+
+
+# --- the lift
+
+
+def lift() -> Figure:
+    """Return the lifting of a floor on the line, and what it proves about local optima."""
+    figure = Figure(figsize=(9.0, 3.8), layout='constrained')
+    line, optima = figure.subplots(1, 2)
+    draw_parabola(line)
+    draw_local_optima(optima)
+    return figure
+
+
+def draw_parabola(axes: Axes) -> None:
+    """Draw z against Z = |z|^2: the floor is a straight line up there, and the optimum tight."""
+    z = np.linspace(-1.0, 1.0, 400)
+    inside = np.abs(z) <= FRACTION
+    top = np.ones_like(z)
+    axes.fill_between(z, np.maximum(z**2, FRACTION**2), top, color=SKY, alpha=0.3, lw=0)
+    axes.plot(z, z**2, color=FAINT, lw=1.4)
+    for part in (z < -FRACTION, z > FRACTION):
+        axes.plot(z[part], z[part] ** 2, color=BLUE, lw=2.6)
+    axes.plot(z[inside], np.full(inside.sum(), FRACTION**2), color=RED, lw=1.6)
+    best = np.array([FRACTION, FRACTION**2])
+    tilt = 0.55  # between the floor's slope, 0, and the parabola's
+    axes.plot(z, best[1] + tilt * (z - best[0]), color=ORANGE, lw=1.2, ls='--')
+    axes.plot(*best, 'o', color=ORANGE, mec=INK, ms=8)
+    say(
+        axes,
+        'the cost is linear up here;\nits optimum lies on the parabola',
+        (0.0, 0.7),
+        ha='center',
+    )
+    say(axes, r'$Z \geq \sigma^2$', (-0.28, FRACTION**2 - 0.07), color=RED)
+    say(axes, r'$Z = |z|^2$', (0.72, 0.36), color=BLUE)
+    axes.set(xlim=(-1.05, 1.05), ylim=(-0.05, 1.1), xlabel='z', ylabel='Z')
+    axes.set_title('A floor on the line, lifted')
+
+
+def draw_local_optima(axes: Axes) -> None:
+    """Draw the costs at which local searches from random starts end, and the proved bound."""
+    problem = Problem(floor=Floor('circle', fraction=1.0))
+    annulus, rng = Annulus(problem), np.random.default_rng(0)
+    annulus.bind(*passing())
+    starts = rng.normal(size=(STARTS, 5, 2))
+    found = [point for point in map(annulus.stationary, starts) if point is not None]
+    costs = np.array([point.cost for point in found])
+    bound = max(point.lower_bound for point in found)
+    axes.hist(costs, bins=40, color=BLUE, alpha=0.7)
+    axes.axvline(bound, color=GREEN, lw=2.0)
+    axes.set(xlabel='cost', ylabel=f'of {len(found)} local searches')
+    share = np.mean(costs < bound + 1e-6)
+    say(axes, f'  proved: nothing is cheaper;\n  {share:.0%} end here', (bound, 0.97),
+        color=GREEN, va='top', transform=axes.get_xaxis_transform())  # fmt: skip
+    axes.set_title('Constant speed: where local searches end')
+
+
+# --- the price
+
+
+def price() -> Figure:
+    """Return the cost over the floor with the price as its slope, and the prices of a flight."""
+    figure = Figure(figsize=(9.0, 3.8), layout='constrained')
+    slope, flight = figure.subplots(1, 2)
+    draw_slope(slope)
+    draw_prices(flight)
+    return figure
+
+
+def draw_slope(axes: Axes) -> None:
+    """Draw the optimal cost over the fraction of the floor, and what the prices say of it."""
+    fractions = np.linspace(0.3, 0.8, 41)
+    of = [solved(Problem(floor=Floor('circle', fraction=float(f)))).objective for f in fractions]
+    problem = Problem(floor=Floor('circle', fraction=float(FRACTION)))
+    plan = solved(problem)
+    told = explained(problem, *passing(), plan)
+    rises = sum(each.price for each in told.binding if each.name == 'floor')
+    near = np.array([FRACTION - 0.15, FRACTION + 0.15])
+    axes.plot(fractions, of, color=BLUE, lw=2.0, label='optimal cost')
+    axes.plot(near, plan.objective + rises * (near - FRACTION), color=ORANGE, lw=1.6, ls='--',
+              label=f'sum of the floor\'s prices: {rises:.2f}')  # fmt: skip
+    axes.plot(FRACTION, plan.objective, 'o', color=ORANGE, mec=INK, ms=7)
+    axes.set(xlabel='floor.fraction', ylabel='cost', title='A price is a slope')
+    axes.legend(loc='upper left')
+
+
+def draw_prices(axes: Axes) -> None:
+    """Draw what hull and floor cost at every tick of the retrieval, up to the capture."""
+    problem, flight = retrieval_problem(), departure(retrieval())
+    controller, forecast, bills = Controller(problem), Hold(), []
+    while not flight.over:
+        tick = planned(controller, flight, forecast)
+        told = explained(problem, tick.state, tick.goals, tick.plan)
+        bills.append([total(told.binding, name) for name in ('hull', 'floor')])
+        flight = flight.after(tick.command.speed_fraction, tick.command.body_rate)
+    fast, slow = np.array(bills).T
+    ticks = np.arange(len(bills))
+    axes.bar(ticks, fast, color=BLUE, label='hull: faster would be better')
+    axes.bar(ticks, slow, bottom=fast, color=RED, label='floor: slower would be better')
+    axes.set(xlabel='tick of the retrieval', ylabel='price per unit of speed fraction')
+    axes.set_title('What binds on the way to the rope')
+    axes.legend()
+
+
+def total(binding, name: str) -> float:
+    """Return the sum of the prices of one kind of constraint."""
+    return sum(each.price for each in binding if each.name == name)
+
+
+# --- what the drawings share
+
+
+def say(axes: Axes, text: str, at, **how) -> None:
+    """Write a text at a point, to the right of it by default."""
+    axes.text(*at, text, **{'ha': 'left', 'va': 'center', 'fontsize': 8.5} | how)
+
+
+def frame(axes: Axes, title: str, half: float) -> None:
+    """Show a square of the (a, b) plane about zero."""
+    axes.set(xlim=(-half, half), ylim=(-half, half), aspect='equal', title=title)
+    axes.set(xlabel='a', ylabel='b', xticks=[-1, 0, 1], yticks=[-1, 0, 1])
+
+
+PICTURES: dict[str, Callable[[], Figure]] = {
+    'hull': hull,
+    'floor': floor,
+    'lift': lift,
+    'price': price,
+}
+
+
+def main(folder: Path = FOLDER) -> None:
+    """Draw every picture in both looks."""
+    folder.mkdir(exist_ok=True)
+    for name, draw in PICTURES.items():
+        for dark in (False, True):
+            with look(dark):
+                save(draw(), folder / f'{name}{"-dark" if dark else ""}.png', dark)
+
+
+if __name__ == '__main__':
+    main()
