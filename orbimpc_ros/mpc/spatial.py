@@ -8,13 +8,14 @@ it leaves to the general program, such as the proof that there is no solution.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.condensed import Condensed, first_length, knowns, suits_dense_code
 from orbimpc_ros.mpc.disjunction import Slot
-from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.multipliers import minimise
 from orbimpc_ros.mpc.kernels.terms import Terms, multipliers, scratch
@@ -52,7 +53,8 @@ class Spatial:
         self._general: Relaxed | None = None
         # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
         self.bind(_rest(self._coasting), np.zeros((problem.horizon, 3)))
-        self.solve()
+        with suppress(Infeasible, SolverFailure):  # as with few steps left to turn round in
+            self.solve()
 
     def _make_room(self) -> None:
         """Set up what the kernel works on; rho, if there is one, has the first place."""
