@@ -86,6 +86,32 @@ def test_a_source_stamped_like_the_odometry_is_waited_for(inbox):
     np.testing.assert_array_equal(inbox.targets(3, 0.1), [[6.0, 0.0]] * 3)
 
 
+def test_a_source_that_misses_three_turns_is_not_waited_for_any_more(inbox):
+    inbox.take_goal(goal(1.0), 0.0)
+    for turn in (1.0, 1.1, 1.2, 1.3):
+        assert inbox.synchronised == ({} if turn == 1.0 else {'goal': 0})
+        inbox.take_odometry(odometry(turn), turn)
+        if turn < 1.3:
+            inbox.take_goal(goal(turn), turn)
+    for turn in (1.4, 1.5, 1.6):
+        assert not inbox.complete
+        inbox.stop_waiting()
+        inbox.take_odometry(odometry(turn), turn)
+    assert inbox.complete
+
+
+def test_a_source_that_speaks_again_has_all_its_turns_again(inbox):
+    inbox.take_odometry(odometry(1.0), 0.0)
+    inbox.take_goal(goal(1.0), 0.0)
+    for turn in (1.1, 1.2, 1.3, 1.4, 1.5, 1.6):
+        inbox.take_odometry(odometry(turn), turn)
+        assert not inbox.complete
+        if turn in (1.3, 1.6):
+            inbox.take_goal(goal(turn), turn)
+        inbox.stop_waiting()
+    assert inbox.synchronised == {'goal': 0}
+
+
 def test_a_forecast_from_outside_is_used_while_it_is_fresh(inbox):
     inbox.take_goal(goal(0.0), 0.0)
     inbox.take_odometry(odometry(0.0), 0.0)

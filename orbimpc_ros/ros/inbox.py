@@ -25,6 +25,9 @@ from orbimpc_ros.ros.planner_parameters import PlannerSettings
 INCREASING = 'stamps that increase'
 
 
+TURNS = 3  # missed in a row, after which a source is not waited for any more
+
+
 @dataclass
 class Inbox:
     """The planner's inputs.
@@ -38,7 +41,8 @@ class Inbox:
         path: the latest forecast from outside, if any.
         forecast: predicts the goal from its sightings.
         refused: messages refused so far, by topic and field.
-        synchronised: topics whose stamps have been seen to equal the odometry's.
+        synchronised: topics whose stamps have been seen to equal the odometry's, and how many
+            turns in a row each has missed since.
         timed: topics whose stamps have been seen to be of the node's own clock.
     """
 
@@ -48,7 +52,7 @@ class Inbox:
     path: Arrival[Itinerary] | None = None
     forecast: Forecast = field(init=False)
     refused: Counter[str] = field(default_factory=Counter)
-    synchronised: set[str] = field(default_factory=set)
+    synchronised: dict[str, int] = field(default_factory=dict)
     timed: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
@@ -156,7 +160,20 @@ class Inbox:
     def _note_synchronised(self) -> None:
         for topic, arrival in self._goal_sources().items():
             if self.odometry is not None and arrival.stamp.nanoseconds == self._time:
-                self.synchronised.add(topic)
+                self.synchronised[topic] = 0
+
+    def stop_waiting(self) -> None:
+        """Note which synchronised sources have not spoken; who misses three turns is not one."""
+        for topic, missed in list(self.synchronised.items()):
+            if self._spoken(topic):
+                continue
+            self.synchronised[topic] = missed + 1
+            if missed + 1 == TURNS:
+                del self.synchronised[topic]
+
+    def _spoken(self, topic: str) -> bool:
+        arrival = self._goal_sources().get(topic)
+        return arrival is not None and arrival.stamp.nanoseconds >= self._time
 
     @property
     def _time(self) -> int:
@@ -165,11 +182,7 @@ class Inbox:
     @property
     def complete(self) -> bool:
         """Return whether nothing is missing, nor any synchronised source yet to speak."""
-        sources = self._goal_sources()
-        return not self.missing and all(
-            topic in sources and sources[topic].stamp.nanoseconds >= self._time
-            for topic in self.synchronised
-        )
+        return not self.missing and all(map(self._spoken, self.synchronised))
 
     @property
     def missing(self) -> str:

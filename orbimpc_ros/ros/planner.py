@@ -144,7 +144,7 @@ class Planner(Guarded):
         # On the second call only: after a stall, a goal that lies waiting gets its turn first.
         self._waits += 1
         if self._waits == 2:
-            self._inbox.synchronised.clear()
+            self._inbox.stop_waiting()
             self._plan_now()
 
     def _on_timer(self) -> None:
