@@ -343,3 +343,14 @@ def test_a_goal_within_reach_is_left_alone():
     assert pulled_in(Problem(), start, goals) == (goals, '')
     far = 10.0 * goals
     assert pulled_in(Problem(terminal='constraint'), start, far) == (far, '')  # proved infeasible
+
+
+def test_a_soft_arrival_has_no_more_time_than_any_other_plan():
+    problem = Problem(horizon=6, terminal='constraint', max_rate=1.0, floor=floor('circle', 0.5))
+    controller = Controller(problem, shrinking=True)
+    assert controller.tick(odometry(), np.tile([3.0, 2.0], (6, 1))).plan is not None
+    polled = []
+    aside = odometry((1.0, 0.3), time=1.0)
+    tick = controller.tick(aside, np.tile([-3.0, 0.0], (5, 1)), lambda: polled.append(1) or True)
+    assert tick.status == 'infeasible'
+    assert polled

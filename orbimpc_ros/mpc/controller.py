@@ -53,6 +53,7 @@ class _Asked:
     solver: Solver
     state: State
     goals: Array
+    out_of_time: Callable[[], bool] | None = None
     guess: Plan | None = None
 
     @property
@@ -134,9 +135,9 @@ class Controller:
         if self.remaining == 0:
             return self._finish(_safe(state, FEASIBLE, 'the horizon has run out'))
         goals, told = pulled_in(self.problem, state, goals)
-        asked = self._asked(state, goals)
+        asked = self._asked(state, goals, out_of_time)
         self._goals = goals
-        plan, status, reason = _solved(asked, out_of_time)
+        plan, status, reason = _solved(asked)
         reason = '; '.join(filter(None, (reason, told)))
         if plan is None:
             return self._finish(self._fall_back(asked, status, reason))
@@ -144,8 +145,10 @@ class Controller:
         self._arriving = True
         return self._finish(_following(asked, plan, status, reason))
 
-    def _asked(self, state: State, goals: Array) -> _Asked:
-        asked = _Asked(self._solver(self.remaining), state, goals)
+    def _asked(
+        self, state: State, goals: Array, out_of_time: Callable[[], bool] | None = None
+    ) -> _Asked:
+        asked = _Asked(self._solver(self.remaining), state, goals, out_of_time)
         if asked.solver.takes_guess:
             return replace(asked, guess=self._shifted(asked))
         return asked
@@ -216,12 +219,10 @@ class Controller:
         return self._solvers[horizon, soft]
 
 
-def _solved(
-    asked: _Asked, out_of_time: Callable[[], bool] | None = None
-) -> tuple[Plan | None, str, str]:
+def _solved(asked: _Asked) -> tuple[Plan | None, str, str]:
     """Return a checked plan, or None, with status and reason."""
     try:
-        plan = asked.solver.solve(asked.state, asked.goals, asked.guess, out_of_time)
+        plan = asked.solver.solve(asked.state, asked.goals, asked.guess, asked.out_of_time)
     except Infeasible as error:
         return None, INFEASIBLE, str(error)
     except SolverFailure as error:
