@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from orbimpc_ros.mpc.odometry import Odometry
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.orders import Order
 from orbimpc_ros.ros.process import FAILED
@@ -42,6 +41,7 @@ class LockStep:
         self._order: Order | None = None
         self._heard = -np.inf  # when the last command came, in simulated time [s]
         self._sent: list[Sent] = []
+        self._held_back: list[Sent] = []  # odometry that follows
         self._progress = self._asked_at = self._sim.steady_now()
 
     @property
@@ -59,6 +59,8 @@ class LockStep:
         absent = self._absent()
         if self._asked is None and not absent:
             self._ask()
+        elif self._held_back:
+            self._follow_up()
         elif self._asked is not None and self._awaited is None:
             self._fly_on()
         elif now - self._progress > PATIENCE:
@@ -87,15 +89,22 @@ class LockStep:
         """Return the stamp of the odometry that a planner answers, which may not be there."""
         fresh = None
         for sent in self._sent:
-            self._goal_sent |= sent.finite and not isinstance(sent.content, Odometry)
+            self._goal_sent |= sent.finite and not sent.is_odometry
             stamp = self._sim.stamp_of(sent, self.now)
-            if isinstance(sent.content, Odometry) and sent.finite and stamp > self._newest:
+            if sent.is_odometry and sent.finite and stamp > self._newest:
                 fresh = self._newest = stamp
         return fresh if self._goal_sent else None
 
     def _send(self) -> None:
         self._asked_at = self._sim.steady_now()
-        self._sim.show(self.now, self._sent)
+        apart = self._sim.settings.faults.any
+        self._held_back = [sent for sent in self._sent if apart and sent.is_odometry]
+        self._sim.show(self.now, [s for s in self._sent if not (apart and s.is_odometry)])
+
+    def _follow_up(self) -> None:
+        if self._sim.steady_now() - self._asked_at >= 0.5 * LOOK:
+            self._sim.say(self.now, self._held_back)
+            self._held_back = []
 
     def on_order(self) -> None:
         """Fly a step if this is the answer awaited."""

@@ -154,14 +154,16 @@ class Sim(Guarded):
         if TransformBroadcaster is not None:
             truth = messages.odometry_message(now, self.flight.vehicle)
             self._transforms.sendTransform(_transform(truth))
-        for sent in seen:
-            self._publish(sent, Stamp(self.stamp_of(sent, at), now.frames))
+        self.say(at, seen)
 
-    def _publish(self, sent: Sent, stamp: Stamp) -> None:
-        if isinstance(sent.content, Odometry):
-            self._odometry.publish(messages.measurement_message(stamp, sent.content))
-        else:
-            self._goal.publish(messages.goal_message(stamp, sent.content.position))
+    def say(self, at: int, seen: Sequence[Sent]) -> None:
+        """Publish goals and odometry that arrive at ``at`` [ns]."""
+        for sent in seen:
+            stamp = Stamp(self.stamp_of(sent, at), self.settings.frames)
+            if isinstance(sent.content, Odometry):
+                self._odometry.publish(messages.measurement_message(stamp, sent.content))
+            else:
+                self._goal.publish(messages.goal_message(stamp, sent.content.position))
 
     def _future(self, stamp: Stamp) -> Path:
         step, rope = self.settings.scenario.model.step, self.settings.scenario.rope

@@ -96,6 +96,11 @@ class Sent(NamedTuple):
     late: bool = False
 
     @property
+    def is_odometry(self) -> bool:
+        """Return whether it is odometry, not a sighting."""
+        return isinstance(self.content, Odometry)
+
+    @property
     def finite(self) -> bool:
         """Return whether all its numbers are some."""
         numbers = [self.content.position]
