@@ -37,6 +37,10 @@ def find() -> str | None:
     return next(filter(None, map(shutil.which, (chosen, *NAMES))), None)
 
 
+class Refused(Exception):
+    """The browser does not do what it was asked."""
+
+
 class Browser:
     """A page in a browser of its own.
 
@@ -73,7 +77,14 @@ class Browser:
 
     def picture(self) -> np.ndarray:
         """Return what the page shows, shape (height, width, 3)."""
-        data = self._ask('Page.captureScreenshot', format='png')['data']
+        end = time.monotonic() + ANSWER
+        while True:
+            try:
+                data = self._ask('Page.captureScreenshot', format='png')['data']
+                break
+            except Refused:  # while a page is loading there is none
+                assert time.monotonic() < end
+                time.sleep(0.1)
         image = Image.open(io.BytesIO(base64.b64decode(data)))
         return np.asarray(image.convert('RGB'))
 
@@ -98,7 +109,8 @@ class Browser:
         while True:
             answer = self._next(end)
             if answer.get('id') == number:
-                assert 'error' not in answer, answer
+                if 'error' in answer:
+                    raise Refused(f'{method}: {answer["error"]["message"]}')
                 return answer['result']
 
     def _next(self, end: float) -> dict:

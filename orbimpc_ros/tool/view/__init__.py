@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Show a bag, or what is running, until somebody asks to stop."""
-    if find_spec('rerun') is None or find_spec('rerun_cli') is None:
+    if not installed():
         raise BadInput('orbimpc view', 'without rerun-sdk', "pip install 'orbimpc_ros[view]'")
     from orbimpc_ros.tool.processes import Interruptions
 
@@ -50,6 +50,11 @@ def run(args: argparse.Namespace) -> int:
         show = _save if args.save else _serve
         show(args, lambda: not interruptions.requested)
     return 0
+
+
+def installed() -> bool:
+    """Return whether the viewer is there: rerun's library, and its server in the same wheel."""
+    return all(find_spec(name) is not None for name in ('rerun', 'rerun_cli'))
 
 
 def _save(args: argparse.Namespace, going: Going) -> None:

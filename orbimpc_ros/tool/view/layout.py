@@ -59,7 +59,7 @@ def blueprint(dimension: int, world: Eye) -> rrb.Blueprint:
                 _space(THRUST, f'R e₁ of the plan in {axes}: hull, floor', disk, grid=False),
                 rrb.TextDocumentView(origin=TICK, name='Tick'),
                 rrb.Horizontal(charts[2], charts[3]),
-                row_shares=[5, 4, 3],
+                row_shares=[9, 9, 6],
             ),
             column_shares=[3, 2],
         ),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from importlib import import_module
@@ -25,9 +26,21 @@ from orbimpc_ros.tool.view.scene import Scene
 
 SPIN = 0.05  # [s]
 ASK = 2.0  # [s] between questions for parameters: they may change, nodes may come later
-BACK = 1.0  # [s]: a clock this much behind has been set back, as by a simulator started anew
+BACK = 1.0  # [s]: less may be messages out of order
 DEPTH = 20  # a viewer that is behind loses messages; it never holds a controller up
 NODES = {'planner': PLANNER, 'sim': SIM}
+
+
+class Restarts:
+    """Notices a clock that has been set back, as by a simulator started anew."""
+
+    def __init__(self) -> None:
+        self._latest = -math.inf
+
+    def seen(self, message: Any) -> bool:
+        """Take a message with a header; return whether its stamp is far behind the last one's."""
+        before, self._latest = self._latest, seconds(message)
+        return self._latest < before - BACK
 
 
 class Watcher:
@@ -46,7 +59,7 @@ class Watcher:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._told: dict[str, settings.Values] = {}  # by node
-        self._recordings, self._now = recordings, -1.0
+        self._recordings, self._restarts = recordings, Restarts()
         self._scene = Scene(recordings(), self._values)
         for topic in VEHICLE:
             if topic.name in self._scene.topics:
@@ -65,10 +78,8 @@ class Watcher:
         )
 
     def _take(self, topic: str, message: Any) -> None:
-        if topic == 'odom':
-            before, self._now = self._now, seconds(message)
-            if self._now < before - BACK:
-                self._scene = Scene(self._recordings(), self._values)
+        if topic == 'odom' and self._restarts.seen(message):
+            self._scene = Scene(self._recordings(), self._values)
         self._scene.take(topic, message)
 
     def _ask(self) -> None:

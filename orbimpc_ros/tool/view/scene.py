@@ -40,7 +40,7 @@ LINE, STEPS = (
 SERIES = {
     'distance/to_goal': (BLUE, 2.0, LINE),
     'speed/commanded': (BLUE, 2.0, STEPS),
-    'speed/floor': (RED, 1.5, STEPS),
+    'speed/floor': (RED, 2.5, STEPS),
     'gap/log10': (GREEN, 2.0, STEPS),
     'time/solve_ms': (ORANGE, 2.0, STEPS),
 }  # colour, width and manner of what charts show
