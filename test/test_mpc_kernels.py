@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from problems import floor, goals, state, weights
 
-from orbimpc_ros.mpc.condensed import Condensed
+from orbimpc_ros.mpc.condensed import Condensed, position_weights
 from orbimpc_ros.mpc.floors.circle import Circle
 from orbimpc_ros.mpc.floors.fast import Fast
-from orbimpc_ros.mpc.kernels import COMPILED, faces
+from orbimpc_ros.mpc.hull import Hull
+from orbimpc_ros.mpc.kernels import COMPILED, chain, faces
 from orbimpc_ros.mpc.kernels.annulus import certified
+from orbimpc_ros.mpc.orbitopes import margin, matrix
 from orbimpc_ros.mpc.planar import Planar
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.search import Search
@@ -127,3 +129,42 @@ def test_without_numba_the_general_methods_take_over(monkeypatch):
     monkeypatch.undo()
     fast = Circle(problem, 1e-6).solve(start, targets)
     assert slow.cost == pytest.approx(fast.cost, rel=1e-6)
+
+
+@pytest.mark.parametrize('seed', range(10))
+@pytest.mark.parametrize('horizon', [1, 2, 7, 25, 60])
+def test_the_hull_is_solved_whatever_the_horizon(horizon, seed):
+    rng = np.random.default_rng(seed)
+    problem = Problem(
+        horizon=horizon,
+        step=float(rng.uniform(0.2, 1.0)),
+        floor=floor('none'),
+        weights=replace(weights(rng), length=0.0),
+    )
+    assert Hull.solves(problem)
+    fast, general = Hull(problem, 1e-6), Search(problem, 1e-6)
+    for distance in (0.0, 1.0, 0.5 * horizon, 1e4):
+        start = state(rng, problem, full_speed=False)
+        targets = goals(rng, problem, distance=distance)
+        found, expected = fast.solve(start, targets), general.solve(start, targets)
+        cost = trajectory_of(problem, start, targets, found.x).cost
+        assert found.cost == pytest.approx(cost, rel=1e-9, abs=1e-12)
+        assert found.cost == pytest.approx(expected.cost, rel=1e-6, abs=1e-8)
+        assert found.lower_bound == pytest.approx(found.cost, rel=1e-8, abs=1e-9)
+        assert margin(matrix(found.x)).min() > -1e-8
+    assert fast._general._search is None  # nothing was left to the general search
+
+
+def test_a_bound_on_the_hull_holds_for_any_multipliers():
+    rng = np.random.default_rng(5)
+    problem = Problem(horizon=6, floor=floor('none'))
+    start, targets = state(rng, problem), goals(rng, problem)
+    optimum = Hull(problem, 1e-6).solve(start, targets).cost
+    seen = targets - start.position
+    along = np.array([[1.0, 1.0], [0.0, 1.0]])
+    first = np.array([np.zeros(2), start.rotation[:, 0]])
+    turning, weights_ = 2.0 * problem.weights.input, position_weights(problem)
+    room = np.zeros((6, 2, 2)), np.empty((6, 2, 2, 2)), np.empty((6, 2)), np.empty((6, 2))
+    for scale in (0.0, 0.1, 1.0, 10.0, 100.0):
+        held = scale * rng.normal(size=(6, 2))
+        assert chain._dual(along, first, turning, weights_, seen, held, *room) <= optimum + 1e-9

@@ -65,7 +65,7 @@ def test_thrust_aligned_keeps_the_axis_and_finds_the_best_roll(seed):
     rng = np.random.default_rng(seed)
     mix = rng.dirichlet(np.ones(4))
     matrix = sum(w * rotation(rng, 3) for w in mix)
-    q = so.thrust_aligned(matrix)
+    q = so.project_all(matrix[None], np.eye(3), 'thrust_aligned')[0][0]
     heading = matrix[:, 0]
     assert np.allclose(q.T @ q, np.eye(3), atol=1e-12)
     assert np.linalg.det(q) == pytest.approx(1.0, abs=1e-12)
@@ -75,11 +75,26 @@ def test_thrust_aligned_keeps_the_axis_and_finds_the_best_roll(seed):
         assert np.linalg.norm(matrix - q @ so.exp(np.array([roll, 0, 0]))) >= distance - 1e-12
 
 
-def test_heading_is_held_where_it_is_undefined():
-    held = rotation(np.random.default_rng(1), 3)
-    q, defined = so.project(np.diag([0.0, 1.0, 0.0]), held)
-    assert not defined
-    assert q is held
+@pytest.mark.parametrize('how', ['nearest', 'thrust_aligned'])
+@pytest.mark.parametrize('n', [2, 3])
+def test_heading_is_held_where_it_is_undefined(n, how):
+    rng = np.random.default_rng(1)
+    first, *points = (rotation(rng, n) for _ in range(6))
+    still = np.diag([0.0, 1.0, 0.0]) if n == 3 else np.zeros((2, 2))
+    given = np.array([still, 0.5 * points[1], still, still, 0.7 * points[4]])
+    projected, held = so.project_all(given, first, how)
+    assert held.tolist() == [True, False, True, True, False]
+    expected = [first, points[1], points[1], points[1], points[4]]
+    np.testing.assert_allclose(projected, expected, atol=1e-12)
+
+
+def test_any_roll_will_do_where_all_fit_as_well():
+    flat = np.diag([0.3, 0.0, 0.0]) @ rotation(np.random.default_rng(2), 3)
+    flat[:, 1:] = 0.0
+    (q,), _ = so.project_all(flat[None], np.eye(3), 'thrust_aligned')
+    assert np.allclose(q.T @ q, np.eye(3), atol=1e-12)
+    assert np.linalg.det(q) == pytest.approx(1.0, abs=1e-12)
+    assert np.allclose(q[:, 0] * np.linalg.norm(flat[:, 0]), flat[:, 0], atol=1e-12)
 
 
 @pytest.mark.parametrize('n', [2, 3])

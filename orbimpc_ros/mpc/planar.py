@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.condensed import Condensed, suits_dense_code
 from orbimpc_ros.mpc.floors.faces import normals
+from orbimpc_ros.mpc.general import General
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.faces import branch_and_bound
 from orbimpc_ros.mpc.method import Found, Guess
 from orbimpc_ros.mpc.problem import Problem, State
-
-if TYPE_CHECKING:
-    from orbimpc_ros.mpc.search import Search
 
 NODES = (200, 4000)  # room for the first attempt, and for one more where that was too little
 
@@ -40,7 +37,7 @@ class Planar:
         self._inverse = np.linalg.inv(self._condensed.hessian)
         count = problem.floor.faces if problem.floor.shape == 'polygon' else 0
         self._faces: Array = normals(2, count)
-        self._general: Search | None = None
+        self._general = General(problem, tolerance)
         # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
         self._run(np.zeros((problem.horizon, 2)), 0.0, 1)
 
@@ -64,7 +61,10 @@ class Planar:
         guess: Guess | None = None,
         out_of_time: Callable[[], bool] | None = None,
     ) -> Found:
-        """Return the best trajectory with the bound proved; see :class:`Search` for the rest."""
+        """Return the best trajectory with the bound proved.
+
+        See :class:`orbimpc_ros.mpc.search.Search` for the rest.
+        """
         q, constant = self._condensed.affine(state, goals)
         for room in NODES:
             x, reached, bound, nodes, complete = self._run(q, constant, room)
@@ -72,7 +72,7 @@ class Planar:
                 return Found(x, reached + constant, bound + constant, nodes)
             if out_of_time is not None and out_of_time():
                 break
-        return self._search(state, goals, guess, out_of_time)
+        return self._general.solve(state, goals, guess, out_of_time)
 
     def _run(self, q: Array, constant: float, room: int) -> tuple:
         return branch_and_bound(
@@ -85,16 +85,3 @@ class Planar:
             self._tolerance,
             room,
         )
-
-    def _search(
-        self,
-        state: State,
-        goals: Array,
-        guess: Guess | None,
-        out_of_time: Callable[[], bool] | None,
-    ) -> Found:
-        if self._general is None:
-            from orbimpc_ros.mpc.search import Search  # brings CVXPY, half of a start-up
-
-            self._general = Search(self._problem, self._tolerance)
-        return self._general.solve(state, goals, guess, out_of_time)

@@ -71,22 +71,13 @@ def nearest(matrix: Array) -> Array:
     return u @ vt
 
 
-def thrust_aligned(matrix: Array) -> Array:
-    """Return the rotation whose first axis is R e1 / |R e1| and whose roll fits R best.
-
-    Thrust |R e1| along that axis moves a vehicle just as the relaxed R does. For n = 2 this is
-    :func:`nearest`. Where R e1 vanishes there is no axis to keep: the nearest rotation is used.
-    """
-    if len(matrix) == 2 or math.sqrt(matrix[:, 0] @ matrix[:, 0]) < HEADING_UNDEFINED:
-        return nearest(matrix)
-    return _all_thrust_aligned(matrix[None])[0]
-
-
 def _all_thrust_aligned(matrices: Array) -> Array:
     """Return the thrust-aligned rotations of matrices with headings, shape (K, 3, 3).
 
-    With first axis a, the best second one maximises b.c2 + (a x b).c3 over unit vectors across a,
-    c2 and c3 being the other columns of R: it is along c2 - (a.c2) a + c3 x a.
+    Their first axes are R e1 / |R e1|, so that thrust |R e1| along them moves a vehicle just as the
+    relaxed R does; their rolls fit R best. With first axis a, the best second one maximises
+    b.c2 + (a x b).c3 over unit vectors across a, c2 and c3 being the other columns of R: it is
+    along c2 - (a.c2) a + c3 x a.
     """
     headings, second, third = matrices[:, :, 0], matrices[:, :, 1], matrices[:, :, 2]
     axes = headings / _lengths(headings)
@@ -121,20 +112,6 @@ def _cross(a: Array, b: Array) -> Array:
     return a[:, 1:4] * b[:, 2:5] - a[:, 2:5] * b[:, 1:4]
 
 
-def project(matrix: Array, previous: Array, how: str = 'thrust_aligned') -> tuple[Array, bool]:
-    """Return a rotation for a point of conv SO(n), and whether its heading was defined.
-
-    Args:
-        matrix: point of conv SO(n), shape (n, n).
-        previous: rotation to hold where R e1 = 0 leaves the heading undefined.
-        how: ``'nearest'`` or ``'thrust_aligned'``.
-    """
-    heading = matrix[:, 0]
-    if math.sqrt(heading @ heading) < HEADING_UNDEFINED:
-        return previous, False
-    return (nearest(matrix) if how == 'nearest' else thrust_aligned(matrix)), True
-
-
 def project_all(matrices: Array, first: Array, how: str) -> tuple[Array, np.ndarray]:
     """Return the rotations of a sequence of points of conv SO(n), and which had to be held.
 
@@ -144,16 +121,21 @@ def project_all(matrices: Array, first: Array, how: str) -> tuple[Array, np.ndar
         how: ``'nearest'`` or ``'thrust_aligned'``.
     """
     headings = matrices[:, :, 0]
-    sizes = np.sqrt(np.einsum('kc,kc->k', headings, headings))
-    held = sizes < HEADING_UNDEFINED
-    if matrices.shape[-1] == 2 and not held.any():  # nearest and thrust-aligned are the same
-        return matrices / sizes[:, None, None], held
-    if how == 'thrust_aligned' and not held.any():
-        return _all_thrust_aligned(matrices), held
-    projected = np.empty_like(matrices)
-    for k, matrix in enumerate(matrices):
-        projected[k] = first = project(matrix, first, how)[0]
-    return projected, held
+    held = _lengths(headings)[:, 0] < HEADING_UNDEFINED
+    if not held.any():
+        return _projected(matrices, how), held
+    defined = np.flatnonzero(~held)
+    choices = np.concatenate([first[None], _projected(matrices[defined], how)])
+    return choices[np.searchsorted(defined, np.arange(len(matrices)), side='right')], held
+
+
+def _projected(matrices: Array, how: str) -> Array:
+    """Return the rotations of matrices with headings, shape (K, n, n)."""
+    if matrices.shape[-1] == 2:  # nearest and thrust-aligned are the same
+        return matrices / _lengths(matrices[:, :, 0])[:, :, None]
+    if how == 'thrust_aligned':
+        return _all_thrust_aligned(matrices)
+    return np.array([nearest(matrix) for matrix in matrices]).reshape(matrices.shape)
 
 
 def turned_onto(rotation: Array, axis: Array) -> Array:

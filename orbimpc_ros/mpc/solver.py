@@ -9,6 +9,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
 from orbimpc_ros.mpc.feasibility import reason
+from orbimpc_ros.mpc.hull import Hull
 from orbimpc_ros.mpc.method import Found, Guess, Method
 from orbimpc_ros.mpc.orbitopes import coordinates
 from orbimpc_ros.mpc.plan import FEASIBLE, OPTIMAL, Plan, assemble, violations
@@ -103,6 +104,8 @@ class Solver:
 
 def _method_for(problem: Problem, gap_tolerance: float, coasting: bool) -> Method:
     """Return the fastest method that proves its answer for a problem."""
+    if Hull.solves(problem):
+        return Hull(problem, SEARCH_SHARE * gap_tolerance)
     if Planar.solves(problem):
         return Planar(problem, SEARCH_SHARE * gap_tolerance)
     # CVXPY takes half of a start-up: only what needs it imports it.

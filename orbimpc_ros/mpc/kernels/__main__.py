@@ -1,12 +1,14 @@
 """``python -m orbimpc_ros.mpc.kernels``: compile the machine code now, so that no start waits."""
 
 from orbimpc_ros.mpc.floors.fast import Fast
+from orbimpc_ros.mpc.hull import Hull
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.planar import Planar
 from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.mpc.spatial import Spatial
 
 if COMPILED:
-    Planar(Problem(), 1e-6)
+    Hull(Problem(), 1e-6)
+    Planar(Problem(floor=Floor('polygon')), 1e-6)
     Fast(Problem(floor=Floor('circle')), 1e-6)
     Spatial(Problem(dimension=3))

@@ -1,0 +1,249 @@
+"""The planar hull over long horizons: linear-quadratic sweeps and the method of multipliers.
+
+For n = 2 and rotation order 1 the problem is a linear-quadratic one in the state (s, R e1), or
+(s, p, R e1) at translation order 2, but for the disks |R_k e1| <= 1. The augmented Lagrangian
+replaces each disk by a smooth penalty with multiplier y_k, 1/2 sigma dist(R_k e1 + y_k/sigma)^2,
+whose generalised Hessian is a 2 x 2 block of that step alone. A Newton step is then a
+linear-quadratic problem itself: one sweep back and one forth (Riccati), linear in N.
+
+For any y, the least of the cost plus y . R e1, by one more sweep, less the sum of |y_k| is a lower
+bound.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orbimpc_ros.mpc.kernels import compiled
+
+LIMIT = 150  # Newton steps and updates of the multipliers
+ENOUGH = 1e-2  # a minimum is near enough at this share of what the multipliers gain by it
+NOTHING = 1e-20
+HALVINGS = 30
+DESCENT = 1e-4
+ROUNDING = 1e-13
+QUICK, SLOW, STUCK = 2, 6, 15  # Newton steps after which sigma grows fast, grows, stays, shrinks
+GROWTH, LARGEST = 3.0, 1e7
+
+
+@compiled
+def _back(along, turning, weights, goals, bent, pulled, gain, offset):
+    """Sweep back: set the feedback u = gain . state + offset of every step."""
+    m, last = len(along), len(along) - 1
+    value, slope = np.zeros((m, 2, m, 2)), np.zeros((m, 2))
+    ahead, leaning = np.zeros((m, 2, m, 2)), np.zeros((m, 2))
+    seen = np.zeros((2, m, 2))
+    for k in range(len(goals) - 1, -1, -1):
+        for a in range(2):  # what is to be paid at step k + 1
+            value[0, a, 0, a] += 2.0 * weights[k]
+            slope[0, a] -= 2.0 * weights[k] * goals[k, a]
+            slope[last, a] += pulled[k, a]
+            for b in range(2):
+                value[last, a, last, b] += bent[k, a, b]
+        p, q = 2.0 * turning + value[last, 0, last, 0], value[last, 0, last, 1]
+        s = 2.0 * turning + value[last, 1, last, 1]
+        size = p * s - q * q
+        p, q, s = s / size, -q / size, p / size
+        for a in range(2):
+            for j in range(m):
+                for b in range(2):
+                    seen[a, j, b] = 0.0
+                    for i in range(m):
+                        seen[a, j, b] += value[last, a, i, b] * along[i, j]
+        offset[k, 0] = -p * slope[last, 0] - q * slope[last, 1]
+        offset[k, 1] = -q * slope[last, 0] - s * slope[last, 1]
+        for j in range(m):
+            for b in range(2):
+                gain[k, 0, j, b] = -p * seen[0, j, b] - q * seen[1, j, b]
+                gain[k, 1, j, b] = -q * seen[0, j, b] - s * seen[1, j, b]
+        _carry(along, value, slope, seen, gain[k], offset[k], ahead, leaning)
+        value[:], slope[:] = ahead, leaning
+
+
+@compiled
+def _carry(along, value, slope, seen, gain, offset, ahead, leaning):
+    """Set value and slope a step earlier: A'PA + S'K and A'p + S'k."""
+    m = len(along)
+    for i in range(m):
+        for a in range(2):
+            total = seen[0, i, a] * offset[0] + seen[1, i, a] * offset[1]
+            for c in range(m):
+                total += along[c, i] * slope[c, a]
+            leaning[i, a] = total
+            for j in range(m):
+                for b in range(2):
+                    total = seen[0, i, a] * gain[0, j, b] + seen[1, i, a] * gain[1, j, b]
+                    for c in range(m):
+                        for e in range(m):
+                            total += along[c, i] * value[c, a, e, b] * along[e, j]
+                    ahead[i, a, j, b] = total
+
+
+@compiled
+def _forth(along, start, gain, offset, z):
+    """Set z_1..z_N to what the feedback leads to from a start."""
+    m = len(along)
+    state, after = start.copy(), np.empty_like(start)
+    for k in range(len(z)):
+        for a in range(2):
+            for i in range(m):
+                after[i, a] = 0.0
+                for j in range(m):
+                    after[i, a] += along[i, j] * state[j, a]
+            after[m - 1, a] += offset[k, a]
+            for j in range(m):
+                for b in range(2):
+                    after[m - 1, a] += gain[k, a, j, b] * state[j, b]
+        state[:] = after
+        z[k] = state[m - 1]
+
+
+@compiled
+def _cost(along, start, turning, weights, goals, z):
+    """Return the cost of z_1..z_N, shape (N, 2)."""
+    m = len(along)
+    state, after = start.copy(), np.empty_like(start)
+    total = 0.0
+    for k in range(len(z)):
+        for a in range(2):
+            for i in range(m):
+                after[i, a] = 0.0
+                for j in range(i, m):
+                    after[i, a] += along[i, j] * state[j, a]
+            turn, after[m - 1, a] = z[k, a] - after[m - 1, a], z[k, a]
+            miss = after[0, a] - goals[k, a]
+            total += turning * turn * turn + weights[k] * miss * miss
+        state[:] = after
+    return total
+
+
+@compiled
+def _slope(along, start, turning, weights, goals, z, target):
+    """Return the derivative of the cost at z along target - z."""
+    m = len(along)
+    state, moving = start.copy(), np.zeros_like(start)
+    after, moved = np.empty_like(start), np.empty_like(start)
+    total = 0.0
+    for k in range(len(z)):
+        for a in range(2):
+            for i in range(m):
+                after[i, a] = moved[i, a] = 0.0
+                for j in range(i, m):
+                    after[i, a] += along[i, j] * state[j, a]
+                    moved[i, a] += along[i, j] * moving[j, a]
+            change = target[k, a] - z[k, a]
+            total += 2.0 * turning * (z[k, a] - after[m - 1, a]) * (change - moved[m - 1, a])
+            total += 2.0 * weights[k] * (after[0, a] - goals[k, a]) * moved[0, a]
+            after[m - 1, a], moved[m - 1, a] = z[k, a], change
+        state[:], moving[:] = after, moved
+    return total
+
+
+@compiled
+def _project(z, held, sigma, new, bent):
+    """Set the multipliers that the penalty exerts, and its Hessian.
+
+    Returns the term's value, |new - held|^2 and the violation.
+    """
+    value = moved = worst = 0.0
+    for k in range(len(z)):
+        a, b = z[k, 0] + held[k, 0] / sigma, z[k, 1] + held[k, 1] / sigma
+        size = np.sqrt(a * a + b * b)
+        if size <= 1.0:
+            new[k] = 0.0
+            bent[k] = 0.0
+        else:
+            a, b = a / size, b / size
+            push = sigma * (size - 1.0)
+            new[k, 0], new[k, 1] = push * a, push * b
+            flat = sigma * (1.0 - 1.0 / size)
+            bent[k, 0, 0] = flat + (sigma - flat) * a * a
+            bent[k, 1, 1] = flat + (sigma - flat) * b * b
+            bent[k, 0, 1] = bent[k, 1, 0] = (sigma - flat) * a * b
+            value += push * (a * z[k, 0] + b * z[k, 1] - 1.0)
+        change = (new[k, 0] - held[k, 0]) ** 2 + (new[k, 1] - held[k, 1]) ** 2
+        moved += change
+        worst = max(worst, change)
+    return value, moved, np.sqrt(worst) / sigma
+
+
+@compiled
+def _dual(along, start, turning, weights, goals, held, none, gain, offset, z):
+    """Return the lower bound that multipliers give; z is set to where it is taken."""
+    _back(along, turning, weights, goals, none, held, gain, offset)
+    _forth(along, start, gain, offset, z)
+    value = _cost(along, start, turning, weights, goals, z)
+    for k in range(len(z)):
+        value += held[k, 0] * z[k, 0] + held[k, 1] * z[k, 1]
+        value -= np.sqrt(held[k, 0] ** 2 + held[k, 1] ** 2)
+    return value
+
+
+@compiled
+def minimise(along, start, turning, weights, goals, sigma, precision, proportion, rounding):
+    """Minimise the cost over headings in their disks.
+
+    Args:
+        along: A, shape (m, m): the state one step on, for each coordinate; R e1 is its last part.
+        start: the state at first, shape (m, 2).
+        turning: weight on |R_{k+1} e1 - R_k e1|^2.
+        weights: on |s_k - g_k|^2, shape (N,).
+        goals: g_1..g_N, shape (N, 2).
+        sigma: the first parameter of the augmented Lagrangian.
+        precision: on the disks.
+        proportion: of the cost that the gap may come to.
+        rounding: what it may come to anyway.
+
+    Returns:
+        z_1..z_N, shape (N, 2), their cost, a lower bound, and whether the limits are met.
+    """
+    count, m = len(goals), len(along)
+    gain, offset = np.empty((count, 2, m, 2)), np.empty((count, 2))
+    none, bent = np.zeros((count, 2, 2)), np.empty((count, 2, 2))
+    held, new, pulled = np.zeros((count, 2)), np.empty((count, 2)), np.empty((count, 2))
+    z, target, trial = np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 2))
+    largest = LARGEST * sigma
+    best = _dual(along, start, turning, weights, goals, held, none, gain, offset, z)
+    quadratic = best
+    value, moved, worst = _project(z, held, sigma, new, bent)
+    decrease, taken = np.inf, 0
+    for _ in range(LIMIT):
+        near = decrease <= max(NOTHING, ENOUGH * moved / sigma)
+        if worst <= precision or near:
+            bound = _dual(along, start, turning, weights, goals, new, none, gain, offset, target)
+            best = max(best, bound)
+            if worst <= precision and quadratic - best <= proportion * quadratic + rounding:
+                return z, quadratic, best, True
+        if near or taken == STUCK:
+            if near:
+                held[:] = new
+                sigma *= GROWTH * GROWTH if taken <= QUICK else GROWTH if taken <= SLOW else 1.0
+                sigma = min(largest, sigma)
+            else:
+                sigma /= GROWTH * GROWTH
+            decrease, taken = np.inf, 0
+            value, moved, worst = _project(z, held, sigma, new, bent)
+            continue
+        taken += 1
+        for k in range(count):
+            for a in range(2):
+                pulled[k, a] = new[k, a] - bent[k, a, 0] * z[k, 0] - bent[k, a, 1] * z[k, 1]
+        _back(along, turning, weights, goals, bent, pulled, gain, offset)
+        _forth(along, start, gain, offset, target)
+        merit = quadratic + value - 0.5 * moved / sigma
+        decrease = -_slope(along, start, turning, weights, goals, z, target)
+        for k in range(count):
+            for a in range(2):
+                decrease -= new[k, a] * (target[k, a] - z[k, a])
+        share = 1.0
+        for _ in range(HALVINGS):
+            trial[:] = z + share * (target - z)
+            quadratic = _cost(along, start, turning, weights, goals, trial)
+            value, moved, worst = _project(trial, held, sigma, new, bent)
+            reached = quadratic + value - 0.5 * moved / sigma
+            allowed = DESCENT * share * decrease - ROUNDING * (1.0 + abs(merit))
+            if reached <= merit - allowed:
+                break
+            share *= 0.5
+        z[:] = trial
+    return z, quadratic, best, False
