@@ -1,9 +1,11 @@
 """Golden bags as regression tests, and what the replay must notice, tell and accept."""
 
+import math
 import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from bags import GOLDEN, rewritten, ros2_bag
 
@@ -12,6 +14,8 @@ pytest.importorskip('rclpy')
 from rclpy.serialization import deserialize_message, serialize_message
 
 from orbimpc_ros.tool import bag, cli, settings
+from orbimpc_ros.tool.regression.answer import Answer
+from orbimpc_ros.tool.regression.difference import Tolerances, comparisons
 from orbimpc_ros.tool.regression.recording import recording_of
 
 FLIGHTS = ('retrieval', 'dubins', 'spacecraft', 'obstacles', 'disturbed', 'faulty')
@@ -93,6 +97,17 @@ def test_the_script_makes_the_same_bags_every_time(tmp_path):
     for name in ('faulty.mcap', 'metadata.yaml'):
         one, two = (tmp_path / place / 'faulty' / name for place in ('one', 'two'))
         assert one.read_bytes() == two.read_bytes()
+
+
+def test_another_solver_finds_the_same():
+    """Without numba general programs solve what machine code did."""
+    script = (
+        "import sys; sys.modules['numba'] = None; from orbimpc_ros.tool.cli import main; main()"
+    )
+    for name in ('retrieval', 'spacecraft'):
+        words = [sys.executable, '-c', script, 'replay', str(GOLDEN / name)]
+        done = subprocess.run(words, capture_output=True, text=True, check=True)
+        assert done.stdout.endswith('differences   none\n'), done.stdout
 
 
 # --- what is noticed
@@ -192,6 +207,63 @@ def test_one_difference_does_not_cause_all_that_follow(replay, tmp_path):
     assert code == 1
     ticks = {int(line.split()[1]) for line in out.splitlines() if line.startswith('tick')}
     assert ticks <= {4, 5}  # its own, and the one that starts from another thrust
+
+
+def distances(recorded, replayed, **tolerances):
+    found = comparisons(0, 0.0, Answer(**recorded), Answer(**replayed), Tolerances(**tolerances))
+    return {each.quantity: each for each in found}
+
+
+def test_where_an_engine_is_silent_may_point_anywhere():
+    """What a turn may differ by grows as the thrust falls that it directs."""
+    ahead, aside = np.array([1.0, 0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.01])
+    aside /= np.linalg.norm(aside)
+    for order, thrust, differs in (
+        (1, (1.0, 1.0, 1.0), True),
+        (1, (1.0, 0.01, 1.0), False),
+        (1, (1.0, 1.0, 0.01), True),  # of the step after the one commanded
+        (2, (1.0, 1.0, 0.01), False),
+        (2, (1.0, 1.0, 0.0), False),
+        (1, (), True),
+    ):
+        recorded = {'rotation': ahead, 'thrust': thrust}
+        found = distances(recorded, {'rotation': aside}, order=order)['rotation']
+        assert found.apart == pytest.approx(0.02, rel=1e-3)
+        assert found.differs == differs
+
+
+def test_half_a_turn_goes_either_way():
+    left, right = (np.array([0.0, 0.0, sign * np.pi / 0.5]) for sign in (1.0, -1.0))
+    assert not distances({'body_rate': left}, {'body_rate': right}, step=0.5)['body_rate'].differs
+    assert distances({'body_rate': left}, {'body_rate': right}, step=0.4)['body_rate'].differs
+    small = np.array([0.0, 0.0, 3e-3])
+    found = distances({'body_rate': small}, {'body_rate': 0.0 * small})['body_rate']
+    assert found.apart == pytest.approx(3e-3)
+
+
+def test_a_rotation_and_its_opposite_quaternion_are_the_same():
+    q = np.array([0.5, 0.5, -0.5, 0.5])
+    assert distances({'rotation': q}, {'rotation': -q})['rotation'].apart == 0.0
+
+
+def test_objectives_are_compared_relative_but_near_zero():
+    assert not distances({'objective': 1e3}, {'objective': 1e3 + 1e-4})['objective'].differs
+    assert distances({'objective': 1.0}, {'objective': 1.0 + 1e-4})['objective'].differs
+    assert not distances({'objective': 0.0}, {'objective': 1e-8})['objective'].differs
+
+
+@pytest.mark.parametrize(
+    ('before', 'now', 'apart'),
+    [
+        (math.nan, math.nan, 0.0),
+        (math.nan, 1.0, math.inf),
+        (1.0, math.nan, math.inf),
+        (math.inf, math.inf, 0.0),
+        (1.0, None, math.inf),
+    ],
+)
+def test_what_is_no_number_is_only_like_itself(before, now, apart):
+    assert distances({'gap': before}, {'gap': now})['gap'].apart == apart
 
 
 def test_many_differences_are_capped_and_summed_up(replay):

@@ -126,9 +126,13 @@ def compared(replayed: Sequence[Replayed], settings: PlannerSettings) -> list[Co
 def _tolerances(settings: PlannerSettings) -> Tolerances:
     from orbimpc_ros.tool.regression.difference import SPEED, Tolerances
 
-    full = settings.problem.forward
+    problem = settings.problem
     return Tolerances(
-        speed=SPEED * full, force=SPEED * full * settings.mass, gap=settings.gap_tolerance
+        speed=SPEED * problem.forward,
+        force=SPEED * problem.forward * settings.mass,
+        gap=settings.gap_tolerance,
+        step=problem.step,
+        order=problem.rotation_order,
     )
 
 

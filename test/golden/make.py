@@ -33,7 +33,8 @@ from orbimpc_ros.world.flight import departure
 FLIGHTS = {
     'retrieval': ('retrieval', ()),
     'dubins': ('dubins', ()),
-    'spacecraft': ('spacecraft', ()),
+    # Off the straight line, on which half a turn may go either way.
+    'spacecraft': ('spacecraft', ('weights.length=0.0', 'start.velocity=[0.0, 0.6, -0.4]')),
     'obstacles': (
         'retrieval',
         (

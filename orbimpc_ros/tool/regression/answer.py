@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -26,6 +27,7 @@ class Answer:
         body_rate: commanded, shape (3,) [rad/s].
         force: commanded [N].
         rotation: commanded, as a quaternion, shape (4,).
+        thrust: share of full speed or thrust along the plan, shape (N + 1,); empty without one.
         objective: of the plan; NaN without one.
         gap: of the plan; NaN without one.
         advanced: how far the measurement was advanced to plan from [s].
@@ -39,6 +41,7 @@ class Answer:
     body_rate: Array | None = None
     force: float | None = None
     rotation: Array | None = None
+    thrust: tuple[float, ...] = ()
     objective: float | None = None
     gap: float | None = None
     advanced: float | None = None
@@ -66,6 +69,7 @@ def answer_of(messages: Messages) -> Answer:
         found |= {name: _text(told.get(name)) for name in ('status', 'reason', 'fallback')}
         numbers = ('objective', 'gap', 'advanced', 'solve_time_ms')
         found |= {name: _number(told.get(name)) for name in numbers}
+        found['thrust'] = _numbers(told.get('speed_fraction'))
     return Answer(**found)
 
 
@@ -76,3 +80,8 @@ def _text(value: Any) -> str | None:
 def _number(value: Any) -> float | None:
     good = isinstance(value, (int, float)) and not isinstance(value, bool)
     return float(value) if good else None
+
+
+def _numbers(value: Any) -> tuple[float, ...]:
+    found = [_number(each) for each in value] if isinstance(value, list) else []
+    return tuple(math.nan if each is None else each for each in found)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from orbimpc_ros.mpc.rotations import exp, to_quaternion
 from orbimpc_ros.tool.regression.answer import Answer
 
 # Solvers of other versions, and numba or not, find the same optimum up to these. An objective is
@@ -21,13 +22,18 @@ OBJECTIVE, ROUNDING = 1e-6, 1e-7  # relative, and near zero
 class Tolerances:
     """What two answers may differ by; words must be the same.
 
+    A plan gives attitudes as directions of thrust. The less thrust, the less it matters where it
+    points, and the less exactly that is known: what a turn may differ by is divided by its share.
+
     Attributes:
         speed: [m/s].
         force: [N].
-        body_rate: [rad/s], about each axis.
-        rotation: [rad].
+        body_rate: at full thrust [rad/s].
+        rotation: at full thrust [rad].
         objective: relative.
         gap: absolute; what counts as proved.
+        step: for which a body rate is commanded [s].
+        order: of the rotation, 1 or 2: so many steps of the plan decide the command.
     """
 
     speed: float = SPEED
@@ -36,11 +42,22 @@ class Tolerances:
     rotation: float = ANGLE
     objective: float = OBJECTIVE
     gap: float = 1e-4
+    step: float = 1.0
+    order: int = 1
+
+    def of(self, quantity: str, *answers: Answer) -> float:
+        """Return what a quantity of some answers may differ by; words by nothing."""
+        allowed = getattr(self, quantity, 0.0)
+        if quantity not in TURNS:
+            return allowed
+        shares = [share for each in answers for share in each.thrust[1 : self.order + 1]]
+        least = min([1.0, *shares])
+        return allowed / least if least > 0.0 else math.inf
 
 
 UNITS = {'speed': 'm/s', 'force': 'N', 'body_rate': 'rad/s', 'rotation': 'rad'}
-WORDS = ('status', 'fallback')
-QUANTITIES = (*WORDS, *(field.name for field in fields(Tolerances)))
+WORDS, TURNS = ('status', 'fallback'), ('body_rate', 'rotation')
+QUANTITIES = (*WORDS, 'speed', 'force', *TURNS, 'objective', 'gap')
 
 
 @dataclass(frozen=True)
@@ -93,28 +110,28 @@ def comparisons(
     for quantity in QUANTITIES:
         before, now = getattr(recorded, quantity), getattr(replayed, quantity)
         if before is not None:
-            allowed = getattr(tolerances, quantity, 0.0)
-            apart = math.inf if now is None else float(_apart(quantity)(before, now))
+            allowed = tolerances.of(quantity, recorded, replayed)
+            apart = math.inf if now is None else _apart(quantity, before, now, tolerances.step)
             yield Comparison(tick, time, quantity, before, now, apart, allowed)
 
 
-def _apart(quantity: str) -> Callable[[Any, Any], float]:
+def _apart(quantity: str, before: Any, now: Any, step: float) -> float:
     if quantity in WORDS:
-        return _words_apart
-    return {'rotation': _turned, 'objective': _relative}.get(quantity, _absolute)
+        return 0.0 if before == now else math.inf
+    if quantity == 'rotation':
+        return _turned(before, now)
+    if quantity == 'body_rate':
+        # As turns: half a turn to the left is one to the right.
+        return _turned(*(to_quaternion(exp(step * rate)) for rate in (before, now))) / step
+    return _relative(before, now) if quantity == 'objective' else _absolute(before, now)
 
 
-def _words_apart(before: str, now: str) -> float:
-    return 0.0 if before == now else math.inf
-
-
-def _absolute(before: Any, now: Any) -> float:
-    """Return the largest difference of any number; two unknown ones (NaN) are the same."""
-    first, second = np.asarray(before, dtype=float), np.asarray(now, dtype=float)
-    if np.array_equal(first, second, equal_nan=True):
+def _absolute(before: float, now: float) -> float:
+    """Return the difference; two unknown numbers (NaN) are the same."""
+    if before == now or (math.isnan(before) and math.isnan(now)):
         return 0.0
-    apart = np.abs(first - second)
-    return math.inf if np.isnan(apart).any() else float(apart.max())
+    apart = abs(before - now)
+    return math.inf if math.isnan(apart) else apart
 
 
 def _relative(before: float, now: float) -> float:
@@ -125,8 +142,8 @@ def _relative(before: float, now: float) -> float:
 def _turned(before: Any, now: Any) -> float:
     """Return the angle between two quaternions [rad]; q and -q are the same rotation."""
     aligned = now if before @ now >= 0.0 else -now
-    half = np.linalg.norm(before - aligned) / 2.0
-    return 4.0 * math.asin(min(1.0, half)) if half == half else math.inf
+    half = float(np.linalg.norm(before - aligned)) / 2.0
+    return math.inf if math.isnan(half) else 4.0 * math.asin(min(1.0, half))
 
 
 def shown(value: Any) -> str:
