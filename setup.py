@@ -44,7 +44,7 @@ setup(
         'scipy>=1.11',
     ],
     extras_require={
-        'bench': ['casadi', 'gurobipy', 'pyscipopt'],
+        'bench': ['casadi', 'gurobipy', 'pyscipopt', 'qoco'],
         'fast': ['numba>=0.59'],
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'study': ['casadi', 'distributed>=2024.1', 'pyarrow>=14'],

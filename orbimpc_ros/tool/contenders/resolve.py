@@ -1,6 +1,6 @@
-"""CVXPY solved anew at each tick, with Clarabel: stated once, DPP, only parameters change.
+"""CVXPY solved anew at each tick: stated once, DPP, only parameters change.
 
-Clarabel runs on one thread, with its own tolerances (1e-8).
+Its solver runs on one thread, with its own tolerances (Clarabel: 1e-8, QOCO: 1e-7).
 """
 
 from __future__ import annotations
@@ -23,9 +23,16 @@ class Resolve:
     Args:
         problem: what to solve; of a floor nothing is stated but the half-spaces asked for.
         halfspaces: whether each R_k e1, k = 1..N, may be held in a half-space.
+        solver: by the name that CVXPY knows it by.
     """
 
-    def __init__(self, problem: Problem, *, halfspaces: bool = False) -> None:
+    def __init__(
+        self, problem: Problem, *, halfspaces: bool = False, solver: str = cp.CLARABEL
+    ) -> None:
+        if solver not in cp.installed_solvers():
+            raise ImportError(solver)
+        self._solver = solver
+        self._options = {'max_threads': 1} if solver == cp.CLARABEL else {}
         self._problem, n, steps = problem, problem.dimension, problem.horizon
         self._s_0, self._p_0 = cp.Parameter(n), cp.Parameter(n)
         self._goals = cp.Parameter((steps, n))
@@ -91,7 +98,7 @@ class Resolve:
         """Solve and return the optimal value."""
         with warnings.catch_warnings():
             warnings.simplefilter('ignore')  # of inaccurate solutions: objectives are compared
-            self._program.solve(solver=cp.CLARABEL, enforce_dpp=True, max_threads=1)
+            self._program.solve(solver=self._solver, enforce_dpp=True, **self._options)
         self._value = float(self._program.value)
         return self._value
 
@@ -113,8 +120,8 @@ class Resolve:
         return Relaxation(x[:, :n] if n == 2 else x, self._value)
 
     def answer(self) -> Answer:
-        """Return the optimal value, which Clarabel's duality proves."""
-        return Answer(self._value, 1e-8)
+        """Return the optimal value, which the solver's duality proves to its tolerance."""
+        return Answer(self._value, 1e-8 if self._solver == cp.CLARABEL else 1e-7)
 
 
 def _orbitope(x: cp.Expression, n: int) -> list[cp.Constraint]:

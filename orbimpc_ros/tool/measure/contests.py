@@ -20,8 +20,21 @@ from orbimpc_ros.tool.measure.instances import Instance, arrivals, boxes, circli
 
 GUROBI, SCIP, IPOPT = 'Gurobi', 'SCIP', 'IPOPT (local)'
 GUROBI_CUT = 'Gurobi + our cut'
-CVXPY, NODES, LIFTED = 'CVXPY + Clarabel', 'CVXPY nodes, same tree', 'dense lifted SDP'
-PACKAGES = {GUROBI: 'gurobipy', GUROBI_CUT: 'gurobipy', SCIP: 'pyscipopt', IPOPT: 'casadi'}
+CVXPY, QOCO = 'CVXPY + Clarabel', 'CVXPY + QOCO'
+NODES, LIFTED = 'CVXPY nodes, same tree', 'dense lifted SDP'
+PACKAGES = {
+    GUROBI: 'gurobipy',
+    GUROBI_CUT: 'gurobipy',
+    SCIP: 'pyscipopt',
+    IPOPT: 'casadi',
+    QOCO: 'qoco',
+}
+    GUROBI: 'gurobipy',
+    GUROBI_CUT: 'gurobipy',
+    SCIP: 'pyscipopt',
+    IPOPT: 'casadi',
+    QOCO: 'qoco',
+}
 CAP, QUICK_CAP = 60.0, 5.0  # [s] for one solve
 HORIZONS, BOXES = (5, 10, 20, 50, 100), (1, 2, 4, 8, 16)
 ARRIVAL: dict[str, Any] = {'horizon': 20, 'terminal': 'constraint'}
@@ -67,6 +80,7 @@ class Contest:
             SCIP: ('scip', 'Scip', {**mixed, 'fast': self.key != DEFAULTS}),
             IPOPT: ('ipopt', 'Ipopt', {'tolerance': self.gap}),
             CVXPY: ('resolve', 'Resolve', {}),
+            QOCO: ('resolve', 'Resolve', {'solver': 'QOCO'}),
             NODES: ('nodes', 'Nodes', {'gap': self.gap}),
             LIFTED: ('lifted', 'Lifted', {'gap': self.gap}),
         }
@@ -91,7 +105,7 @@ def _planar() -> list[Contest]:
     square = Problem(floor=Floor('polygon', 4, math.sqrt(0.3)))
     contests = [
         Contest('hull', 'SE(2) N=5 hull', Problem(floor=NO_FLOOR), circling, (20, 200),
-                rivals=(CVXPY,), required={CVXPY: _p50(8.0)}, closed_loop=True),
+                rivals=(CVXPY, QOCO), required={CVXPY: _p50(8.0)}, closed_loop=True),
         Contest('square', 'SE(2) N=5 square floor, circling, 1e-4', square, circling, (10, 200),
                 rivals=(GUROBI, SCIP), closed_loop=True,
                 required={GUROBI: {'ratio_p50': 10.0, 'ratio_p99': 5.0}, SCIP: _p50(50.0)}),
