@@ -1,8 +1,8 @@
 """Small studies, and how tests run and compare them."""
 
 from orbimpc_ros.tool import cli
+from orbimpc_ros.tool.study.design import Study
 from orbimpc_ros.tool.study.pilots import PILOTS
-from orbimpc_ros.tool.study.plan import Study
 from orbimpc_ros.tool.study.settings import resolved
 
 TIMES = ('tick_ms', 'forecast_ms')

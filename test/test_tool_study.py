@@ -1,6 +1,7 @@
 """``orbimpc study``: small studies end to end, and what is refused in one line."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,11 +17,12 @@ pytest.importorskip('pyarrow', reason="no pyarrow: pip install 'orbimpc_ros[stud
 pytest.importorskip('casadi', reason="no casadi: pip install 'orbimpc_ros[study]'")
 
 import distributed
+import pyarrow as pa
 import pyarrow.parquet as pq
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool import cli
-from orbimpc_ros.tool.study import columns, crew, store, trial
+from orbimpc_ros.tool.study import cluster, columns, store, trial
 from orbimpc_ros.tool.study.pilots import PILOTS, require_installed
 from orbimpc_ros.tool.study.settings import SETTINGS
 
@@ -70,7 +72,7 @@ def test_bad_input_is_one_line(words, named, tmp_path, monkeypatch, capsys):
 
 @pytest.mark.parametrize('address', ['tcp://127.0.0.1:1', 'pigeon://coop', '127.0.0.1:no'])
 def test_a_scheduler_that_does_not_answer_leaves_nothing(address, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(crew, 'PATIENCE', 0.5)
+    monkeypatch.setattr(cluster, 'PATIENCE', 0.5)
     folder = tmp_path / 'study'
     for _ in range(2):  # nothing that would be in the way of a second try
         code = cli.main(['study', '--scheduler', address, '-o', str(folder)])
@@ -143,6 +145,16 @@ def test_a_finished_study_is_only_reported_again(finished, capsys):
     (folder / 'runs.parquet').write_bytes(before)
 
 
+def test_a_cheaper_plan_of_ipopts_fails_the_study(finished, tmp_path, capsys):
+    folder = shutil.copytree(finished[0], tmp_path / 'study')
+    table = pq.read_table(folder / 'runs.parquet')
+    rows = table.to_pylist()
+    rows[0]['excess'] = 2e-3
+    pq.write_table(pa.Table.from_pylist(rows, table.schema), folder / 'runs.parquet')
+    assert cli.main(['study', '--resume', '-o', str(folder)]) == 1
+    assert 'cheaper by 2.0e-03' in capsys.readouterr().out
+
+
 def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(tmp_path):
     folder = tmp_path / 'study'
     words = ['--runs', 60, '--seed', 3, '--controllers', 'linearised', '--workers', 1]
@@ -184,17 +196,17 @@ def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(tmp_path):
 def test_an_existing_cluster_is_used(tmp_path, capsys):
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address=':0'
-    ) as cluster:
+    ) as peers:
         folder = tmp_path / 'study'
         words = ['--runs', '2', '--seed', '3', '--controllers', 'pursuit', '-o', str(folder)]
-        assert cli.main(['study', '--scheduler', cluster.scheduler_address, *words]) == 0
+        assert cli.main(['study', '--scheduler', peers.scheduler_address, *words]) == 0
     same(rows_of(folder), trial.flown(replace(SMALL, runs=2, controllers=('pursuit',)), range(2)))
 
 
 def test_a_cluster_without_workers_is_refused(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(crew, 'PATIENCE', 0.5)
-    with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=':0') as cluster:
-        words = ['--scheduler', cluster.scheduler_address, '-o', str(tmp_path / 'study')]
+    monkeypatch.setattr(cluster, 'PATIENCE', 0.5)
+    with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=':0') as peers:
+        words = ['--scheduler', peers.scheduler_address, '-o', str(tmp_path / 'study')]
         code = cli.main(['study', *words])
     assert code == 2
     assert 'has workers' in capsys.readouterr().err
@@ -204,12 +216,12 @@ def test_a_run_that_fails_is_told(monkeypatch, tmp_path, capsys):
     def fail(study, numbers):
         raise RuntimeError('out of luck')
 
-    monkeypatch.setattr(crew, 'flown', fail)
+    monkeypatch.setattr(cluster, 'flown', fail)
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address=':0'
-    ) as cluster:
+    ) as peers:
         words = ['--runs', '2', '--controllers', 'pursuit', '-o', str(tmp_path / 'study')]
-        code = cli.main(['study', '--scheduler', cluster.scheduler_address, *words])
+        code = cli.main(['study', '--scheduler', peers.scheduler_address, *words])
     assert code == 1
     assert 'RuntimeError: out of luck' in capsys.readouterr().err
 

@@ -9,8 +9,8 @@ import pytest
 from studies import SMALL
 
 from orbimpc_ros.tool.study import trial
+from orbimpc_ros.tool.study.design import FORECAST_KINDS, differences, run_of, study_of
 from orbimpc_ros.tool.study.pilots import pilot_named
-from orbimpc_ros.tool.study.plan import FORECAST_KINDS, differences, run_of, study_of
 from orbimpc_ros.tool.study.settings import SETTINGS, resolved
 from orbimpc_ros.world.flight import fly
 from orbimpc_ros.world.rope import Told

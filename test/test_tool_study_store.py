@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from orbimpc_ros.tool.study import columns, store, trial
-from orbimpc_ros.tool.study.plan import study_of
+from orbimpc_ros.tool.study.design import study_of
 from orbimpc_ros.tool.study.store import Store
 
 

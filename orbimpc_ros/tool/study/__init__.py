@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from orbimpc_ros.mpc.errors import BadInput
 
 if TYPE_CHECKING:
-    from orbimpc_ros.tool.study.plan import Study
+    from orbimpc_ros.tool.study.design import Study
     from orbimpc_ros.tool.study.store import Store
 
 RUNS, SEED, FORECAST, OUT = 1000, 0, 'harmonic', 'out'
@@ -88,8 +88,8 @@ def _store(args: argparse.Namespace, given: dict[str, Any]) -> Store:
 
 
 def _study(given: dict[str, Any]) -> Study:
+    from orbimpc_ros.tool.study.design import Study
     from orbimpc_ros.tool.study.pilots import PILOTS
-    from orbimpc_ros.tool.study.plan import Study
     from orbimpc_ros.tool.study.settings import resolved
 
     defaults = {'runs': RUNS, 'seed': SEED, 'controllers': tuple(PILOTS), 'forecast': FORECAST}
@@ -103,13 +103,13 @@ def _fly(store: Store, args: argparse.Namespace) -> None:
         KeyboardInterrupt: somebody asked to stop; what was flown is kept.
     """
     from orbimpc_ros.tool.processes import Interruptions
-    from orbimpc_ros.tool.study.crew import crew
+    from orbimpc_ros.tool.study.cluster import client_of
 
     missing = store.missing()
     if not missing:
         return
     print(f'results in {store.folder}')
-    with Interruptions() as interruptions, crew(args.scheduler, args.workers) as client:
+    with Interruptions() as interruptions, client_of(args.scheduler, args.workers) as client:
         store.begin()
         done = _kept(store, client, missing, lambda: not interruptions.requested)
     if done < store.study.runs:
@@ -120,7 +120,7 @@ def _fly(store: Store, args: argparse.Namespace) -> None:
 def _kept(store: Store, client: Any, missing: Sequence[int], going: Callable[[], bool]) -> int:
     """Return how many runs are done after keeping what comes in."""
     from orbimpc_ros.tool.progress import Progress
-    from orbimpc_ros.tool.study.crew import each_flown
+    from orbimpc_ros.tool.study.cluster import each_flown
 
     runs = store.study.runs
     done, progress = runs - len(missing), Progress(runs)

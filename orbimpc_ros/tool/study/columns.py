@@ -53,7 +53,7 @@ RESULTS = (
     Column(
         'excess',
         'double',
-        "largest (cost - IPOPT's cost) / |IPOPT's cost| on them; negative: always cheaper",
+        "on them, by how much of IPOPT's cost a plan cost more at most; negative: always less",
     ),
     Column('cheaper', 'int32', 'ticks of these that IPOPT solved at a cost higher by over 1e-6'),
     Column('tick_ms', 'list<item: float>', "each tick's time, without the forecast", 'ms'),

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from orbimpc_ros.tool.measure.machine import machine, versions
-from orbimpc_ros.tool.study.pilots import NONLINEAR, ORBITOPE
-from orbimpc_ros.tool.study.plan import Study
+from orbimpc_ros.tool.study.design import Study
+from orbimpc_ros.tool.study.pilots import ORBITOPE
 from orbimpc_ros.tool.study.score import Score, frequencies, scores, versus
 from orbimpc_ros.tool.study.settings import SETTINGS, Span
 from orbimpc_ros.tool.study.store import Store
@@ -30,22 +30,25 @@ def report(store: Store) -> bool:
     rows, study = store.result(), store.study
     found = scores(rows, study.controllers)
     draw(study, found, frequencies(rows, study.controllers[0]), store.folder / PICTURE)
-    text = '\n'.join(_lines(study, found))
-    (store.folder / REPORT).write_text(text)
-    print(text)
+    result = '\n'.join(_result(study, found))
+    (store.folder / REPORT).write_text('\n'.join([result, *_circumstances(study)]) + '\n')
+    print(result)
     for name, file in (('report', REPORT), ('picture', PICTURE), ('rows', 'runs.parquet')):
         print(f'{name:<9}{store.folder / file}')
     ours = found.get(ORBITOPE)
     return ours is not None and ours.excess > CHEAPER
 
 
-def _lines(study: Study, found: dict[str, Score]) -> Iterator[str]:
+def _result(study: Study, found: dict[str, Score]) -> Iterator[str]:
     draws = f'{study.runs} run{"s" if study.runs != 1 else ""}'
     yield f'# Study: {draws}, seed {study.seed}, forecast `{study.forecast}`\n'
     yield from _markdown(_table(found))
     yield ''
     if ORBITOPE in found:
         yield from _verdicts(found)
+
+
+def _circumstances(study: Study) -> Iterator[str]:
     yield f'![Catches, times and costs]({PICTURE})\n'
     yield '## Settings\n'
     yield from _markdown([('setting', 'drawn from'), *_settings(study)])
@@ -98,17 +101,20 @@ def _verdicts(found: dict[str, Score]) -> Iterator[str]:
         yield '## Run by run, on the same ropes with the same forecasts\n'
         yield from _markdown([('', 'sooner', 'alike', 'later'), *map(_versus(ours), rivals)])
         yield ''
-    if NONLINEAR in found and ours.compared:
-        yield (
-            f'On {ours.compared} ticks IPOPT solved the very problem that the planner solved: '
-            f'{ours.cheaper / ours.compared:.1%} of its plans cost more, and the planner never '
-            f'cost more than {max(0.0, ours.excess):.0e} (relative) above it.\n'
-            if ours.excess <= CHEAPER
-            else f'On a tick IPOPT found a plan that is cheaper by {ours.excess:.1e} (relative).\n'
-        )
+    if ours.compared:
+        yield _against_ipopt(ours) + '\n'
 
 
-def _versus(ours: Score):
+def _against_ipopt(ours: Score) -> str:
+    if ours.excess > CHEAPER:
+        return f'On a tick IPOPT found a plan that is cheaper by {ours.excess:.1e} (relative).'
+    return (
+        f'On {ours.compared} ticks IPOPT solved the same problem as the planner: none of its plans '
+        f'was cheaper (by over {CHEAPER:g}), {ours.cheaper / ours.compared:.1%} cost more.'
+    )
+
+
+def _versus(ours: Score) -> Callable[[Score], tuple[str, ...]]:
     def row(theirs: Score) -> tuple[str, ...]:
         shares = (f'{share:.1%}' for share in versus(ours, theirs))
         return (f'`{ours.name}` than `{theirs.name}`', *shares)

@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool import document
 from orbimpc_ros.tool.study.columns import COLUMNS
-from orbimpc_ros.tool.study.plan import Study, differences, study_of
+from orbimpc_ros.tool.study.design import Study, differences, study_of
 
 CONFIGURATION, PARTS, RESULT = 'study.json', 'parts', 'runs.parquet'
 STAMP = b'orbimpc_study'  # what the rows of a file belong to

@@ -15,8 +15,8 @@ from orbimpc_ros.mpc.odometry import Odometry
 from orbimpc_ros.mpc.plan import OPTIMAL, violations
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.sighting import Sighting
+from orbimpc_ros.tool.study.design import TRUTH, Run, Study, run_of
 from orbimpc_ros.tool.study.pilots import NONLINEAR, ORBITOPE, pilot_named
-from orbimpc_ros.tool.study.plan import TRUTH, Run, Study, run_of
 from orbimpc_ros.world.faults import View
 from orbimpc_ros.world.flight import Log, Pilot, Sensor, fly
 from orbimpc_ros.world.rope import Told

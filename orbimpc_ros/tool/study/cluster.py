@@ -18,7 +18,7 @@ from orbimpc_ros.tool.study.trial import Row, flown
 if TYPE_CHECKING:
     from distributed import Client
 
-    from orbimpc_ros.tool.study.plan import Study
+    from orbimpc_ros.tool.study.design import Study
 
 MOST_WORKERS = 1024
 PATIENCE = 5.0  # [s] for a scheduler to answer, and for its first worker
@@ -30,7 +30,7 @@ class RunFailure(OrbimpcError):
 
 
 @contextmanager
-def crew(address: str | None, workers: int | None) -> Iterator[Client]:
+def client_of(address: str | None, workers: int | None) -> Iterator[Client]:
     """Give a client of a cluster: the one at an address, or one of this machine's cores.
 
     Args:
