@@ -29,12 +29,6 @@ PACKAGES = {
     IPOPT: 'casadi',
     QOCO: 'qoco',
 }
-    GUROBI: 'gurobipy',
-    GUROBI_CUT: 'gurobipy',
-    SCIP: 'pyscipopt',
-    IPOPT: 'casadi',
-    QOCO: 'qoco',
-}
 CAP, QUICK_CAP = 60.0, 5.0  # [s] for one solve
 HORIZONS, BOXES = (5, 10, 20, 50, 100), (1, 2, 4, 8, 16)
 ARRIVAL: dict[str, Any] = {'horizon': 20, 'terminal': 'constraint'}
