@@ -1,0 +1,113 @@
+"""The documentation is true: tables, links, commands, and the tutorial's own vehicle over DDS."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from orbimpc_ros.tool import cli
+from orbimpc_ros.tool.cli import _parser
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / 'docs'
+PAGES = [*sorted(DOCS.glob('*.md')), ROOT / 'README.md', ROOT / 'CONTRIBUTING.md']
+BLOCK = re.compile(r'^```(\w+)\n(.*?)^```$', re.DOTALL | re.MULTILINE)
+LINK = re.compile(r'\]\((?!https?:)([^)#]*)(#[^)]+)?\)|(?:src|srcset)="([^"]+)"')
+
+
+def blocks(page, language):
+    """Return the code blocks of a page in a language."""
+    return [text for kind, text in BLOCK.findall(page.read_text()) if kind == language]
+
+
+def test_the_parameters_are_those_of_the_nodes():
+    pytest.importorskip('rclpy')
+    from orbimpc_ros.ros.parameter_page import page
+
+    assert (DOCS / 'parameters.md').read_text() == page(), 'make docs'
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    for linked, anchor, picture in LINK.findall(page.read_text()):
+        target = page.parent / (linked or picture) if linked or picture else page
+        assert target.is_file(), f'{page.name}: {target}'
+        assert not anchor or anchor in anchors(target), f'{page.name}: {anchor}'
+
+
+def anchors(page):
+    """Return what headings of a page can be linked by, as GitHub has it."""
+    headings = re.findall(r'^#+ (.*)$', page.read_text(), re.MULTILINE)
+    return {'#' + re.sub(r'[^\w\- ]', '', each.lower()).replace(' ', '-') for each in headings}
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
+def test_commands_of_the_tool_exist(page):
+    found = [line for text in blocks(page, 'sh') for line in text.splitlines()]
+    for line in found:
+        words = line.partition('#')[0].removeprefix('ros2 run orbimpc_ros ').split()
+        if words[:1] == ['orbimpc']:
+            assert words[1] in cli.COMMANDS
+            _parser(words[1:]).parse_args(words[1:])
+
+
+def test_the_tutorials_problem_is_solved(tmp_path):
+    (text,) = (t for t in blocks(DOCS / 'tutorial.md', 'yaml') if t.startswith('dimension'))
+    (tmp_path / 'problem.yaml').write_text(text)
+    words = [sys.executable, '-m', 'orbimpc_ros.tool.cli', 'solve', 'problem.yaml']
+    done = subprocess.run(words, cwd=tmp_path, env=here(), capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert yaml.safe_load(done.stdout)['status'] == 'optimal'
+
+
+@pytest.mark.parametrize('page', [DOCS / 'tutorial.md', ROOT / 'README.md'], ids=lambda p: p.name)
+def test_python_that_needs_no_ros_runs(page, tmp_path):
+    for text in blocks(page, 'python'):
+        if 'rclpy' not in text:
+            done = subprocess.run(
+                [sys.executable, '-c', text],
+                cwd=tmp_path,
+                env=here(),
+                capture_output=True,
+                check=False,
+            )
+            assert done.returncode == 0, done.stderr
+            assert b'optimal' in done.stdout
+
+
+def test_the_tutorials_boat_reaches_its_beacon(tmp_path, domain):
+    pytest.importorskip('rclpy')
+    (boat,) = (t for t in blocks(DOCS / 'tutorial.md', 'python') if 'rclpy' in t)
+    (parameters,) = (t for t in blocks(DOCS / 'tutorial.md', 'yaml') if t.startswith('planner'))
+    (tmp_path / 'boat.py').write_text(boat)
+    (tmp_path / 'boat.yaml').write_text(parameters)
+    environment = here() | {'ROS_DOMAIN_ID': str(domain)}
+    words = ('--ros-args', '--params-file', 'boat.yaml', '-r', 'goal:=beacon')
+    planner = subprocess.Popen(
+        [sys.executable, '-m', 'orbimpc_ros.ros.planner', *words], cwd=tmp_path, env=environment
+    )
+    try:
+        done = subprocess.run(
+            [sys.executable, 'boat.py'],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=60,
+        )
+        assert done.returncode == 0, done.stderr
+        assert 'at the beacon' in done.stdout
+    finally:
+        planner.terminate()
+        assert planner.wait(20) == 0
+
+
+def here():
+    """Return an environment in which this very package is imported from anywhere."""
+    path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get('PYTHONPATH'))))
+    return os.environ | {'PYTHONPATH': path}
