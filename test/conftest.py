@@ -31,12 +31,13 @@ def domain() -> int:
 
 
 class Process:
-    """A node in a process of its own, its output kept."""
+    """A node in a process of its own, its output kept: a module's, or a test's own script's."""
 
     def __init__(
-        self, module: str, domain: int, log: Path, parameters: dict, files: list[Path]
+        self, module: str | Path, domain: int, log: Path, parameters: dict, files: list[Path]
     ) -> None:
-        command = [sys.executable, '-m', f'orbimpc_ros.ros.{module}', '--ros-args']
+        runs = [str(module)] if isinstance(module, Path) else ['-m', f'orbimpc_ros.ros.{module}']
+        command = [sys.executable, *runs, '--ros-args']
         for file in files:
             command += ['--params-file', str(file)]
         for name, value in parameters.items():
@@ -81,10 +82,10 @@ def launching(domain: int, folder: Path):
     with contextlib.ExitStack() as stack:
 
         def start(
-            module: str, parameters: dict | None = None, *names: str, domain: int = domain
+            module: str | Path, parameters: dict | None = None, *names: str, domain: int = domain
         ) -> Process:
             files = [ROOT / 'config' / f'{name}.yaml' for name in names]
-            log = folder / f'{module}-{next(_numbers)}.log'
+            log = folder / f'{Path(module).stem}-{next(_numbers)}.log'
             process = Process(module, domain, log, parameters or {}, files)
             stack.callback(process.stop)
             return process

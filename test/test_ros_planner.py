@@ -10,9 +10,13 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from nav_msgs.msg import Odometry
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
@@ -47,7 +51,7 @@ def moving(message):
 class Bench:
     """A planner with its inputs in this test's hands."""
 
-    def __init__(self, launch, observer, parameters):
+    def __init__(self, launch, observer, parameters, planner='planner'):
         self.observer = observer
         self.commands = observer.listen(TwistStamped, 'cmd_vel')
         self.ticks = observer.listen(DiagnosticArray, 'tick')
@@ -55,7 +59,7 @@ class Bench:
         node = observer.node
         self.odometry = node.create_publisher(Odometry, 'odom', qos())
         self.goal = node.create_publisher(PoseStamped, 'goal', qos())
-        self.planner = launch('planner', parameters)
+        self.planner = launch(planner, parameters)
         observer.until_connected('cmd_vel', 'tick', '/diagnostics')
         for publisher in (self.odometry, self.goal):
             observer.until(publisher.get_subscription_count, 'the planner listening')
@@ -202,6 +206,172 @@ def test_a_signal_ends_it_with_safe_commands_and_code_0(bench, number):
     bench.until(lambda: len(bench.commands) >= 4, 'three safe commands')
     assert not any(moving(command) for command in bench.commands[-3:])
     assert 'Traceback' not in bench.planner.output
+
+
+def safe_again(bench, after, reason):
+    """Wait for safe commands after the first so many commands, and for their reason on tick."""
+    bench.until(lambda: len(bench.commands) >= after + 3, 'safe commands')
+    bench.until(lambda: any(reason in told(m)['reason'] for m in bench.ticks), reason)
+    assert not any(moving(command) for command in bench.commands[after + 1 :])
+
+
+def level(bench, words):
+    """Return the level at which the planner's diagnostics say something, waiting for it."""
+    said = lambda: [m.status[0] for m in bench.health if words in m.status[0].message]  # noqa: E731
+    bench.until(said, words)
+    return said()[-1].level
+
+
+def gone(bench, words):
+    bench.until(lambda: words not in bench.health[-1].status[0].message, f'no more {words}')
+
+
+def test_two_sources_of_odometry_bring_the_safe_command(flying):
+    assert moving(flying.fly(1.0))
+    node = flying.observer.node
+    other = node.create_publisher(Odometry, 'odom', qos())
+    words = '2 publishers on odom'
+    assert level(flying, words) == DiagnosticStatus.ERROR
+    assert not moving(flying.fly(2.0))
+    flying.until(lambda: any(words in told(m)['reason'] for m in flying.ticks), words)
+    node.destroy_publisher(other)
+    gone(flying, words)
+    assert moving(flying.fly(3.0))
+
+
+def test_a_rival_on_the_vehicles_topic_is_warned_of(flying):
+    flying.fly(1.0)
+    node = flying.observer.node
+    rival = node.create_publisher(TwistStamped, 'cmd_vel', qos())
+    assert level(flying, '2 publishers on cmd_vel') >= DiagnosticStatus.WARN
+    node.destroy_publisher(rival)
+    flying.fly(2.0)
+
+
+def test_who_cannot_hear_us_for_qos_is_named_with_the_policy(flying):
+    node, kept = flying.observer.node, qos(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    deaf = node.create_subscription(TwistStamped, 'cmd_vel', lambda _message: None, kept)
+    words = '/cmd_vel of /observer does not match: Volatile publisher and transient local'
+    assert level(flying, words) == DiagnosticStatus.ERROR
+    node.destroy_subscription(deaf)
+    gone(flying, words)
+
+
+def test_who_speaks_another_type_is_named(flying):
+    node = flying.observer.node
+    other = node.create_publisher(Bool, 'goal_path', qos())
+    words = '/goal_path of /observer is a std_msgs/msg/Bool, not a nav_msgs/msg/Path'
+    assert level(flying, words) == DiagnosticStatus.ERROR
+    node.destroy_publisher(other)
+    gone(flying, words)
+
+
+def now():
+    return time.time()
+
+
+def test_stamps_from_the_future_and_from_long_ago_move_nothing(flying):
+    assert moving(flying.fly(now()))
+    flying.odometry.publish(odometry(now() + 10.0))
+    assert flying.counts('refused odom: future stamp') >= 1
+    flown = len(flying.commands)
+    flying.goal.publish(goal(now() - 5.0))
+    flying.odometry.publish(odometry(now() - 5.0))
+    safe_again(flying, flown, 'odometry is')
+    assert moving(flying.fly(now()))
+
+
+def test_a_goal_that_is_lost_holds_the_plan_for_two_ticks_and_then_stops(launch, observer):
+    bench = Bench(launch, observer, QUICK | {'goal_timeout': 0.3})
+    assert moving(bench.fly(now()))
+    begun, sent = len(bench.ticks), 0.0
+
+    def stopped():
+        nonlocal sent
+        if now() - sent > 0.05:
+            sent = now()
+            bench.odometry.publish(odometry(sent))
+        fallbacks = [told(m)['fallback'] for m in bench.ticks[begun:]]
+        return 'safe command' in fallbacks and fallbacks
+
+    bench.until(stopped, 'the safe command')
+    fallbacks = stopped()
+    until = fallbacks.index('safe command')
+    assert fallbacks[:until].count('shifted plan') in (1, 2)  # the first tick may be a second one
+    lost = [told(m) for m in bench.ticks[begun:] if told(m)['fallback']]
+    assert all('the goal is' in each['reason'] for each in lost)
+
+
+def test_each_safe_command_is_what_it_is_called(flying):
+    expected = {
+        'hold_rate_zero': (1.0, False),
+        'loiter': (1.0, True),
+        'stop': (0.0, False),
+    }
+    for seconds, (kind, (speed, turns)) in enumerate(expected.items()):
+        value = Parameter('safe_command', value=kind).to_parameter_msg()
+        request = SetParametersAtomically.Request(parameters=[value])
+        name = '/planner/set_parameters_atomically'
+        assert flying.observer.call(SetParametersAtomically, name, request).result.successful
+        flown = flying.fly(10.0 + seconds)
+        assert flown.twist.linear.x == pytest.approx(1.0, abs=1e-3)
+        count = len(flying.commands)
+        flying.until(lambda n=count: len(flying.commands) >= n + 2, 'safe commands')
+        safe = flying.commands[-1].twist
+        assert safe.linear.x == pytest.approx(speed, abs=1e-3)
+        assert (safe.angular.z != 0.0) == turns
+
+
+class Simulated(Bench):
+    """A planner whose time this test makes, too."""
+
+    def __init__(self, launch, observer):
+        self.clock = observer.node.create_publisher(Clock, '/clock', qos())
+        super().__init__(launch, observer, QUICK | {'use_sim_time': True})
+        observer.until(self.clock.get_subscription_count, 'the planner listening to time')
+
+    def fly(self, seconds):
+        self.tell(seconds)
+        return super().fly(seconds)
+
+    def tell(self, seconds):
+        self.clock.publish(Clock(clock=messages.time_message(round(seconds * 1e9))))
+
+
+def test_time_that_jumps_or_stands_still_brings_the_safe_command(launch, observer):
+    bench = Simulated(launch, observer)
+    assert moving(bench.fly(100.0))
+    for seconds in (90.0, 500.0):  # back, and on
+        flown = len(bench.commands)
+        bench.tell(seconds)
+        safe_again(bench, flown, 'starting afresh')
+        assert moving(bench.fly(seconds + 0.1))
+    flown = len(bench.commands)  # and now it stands still
+    safe_again(bench, flown, 'odometry is')
+    bench.odometry.publish(odometry(505.0))
+    assert bench.counts('refused odom: future stamp') >= 1
+
+
+def test_a_timer_whose_clock_stands_still_is_noticed(launch, observer):
+    clock = observer.node.create_publisher(Clock, '/clock', qos())
+    patient = {'trigger': 'timer', 'step': 0.1, 'odom_timeout': 0.5, 'goal_timeout': 60.0}
+    bench = Bench(launch, observer, patient | {'use_sim_time': True})
+    observer.until(clock.get_subscription_count, 'the planner listening to time')
+    at = 0.0
+
+    def told_of_later(by, time_moves):
+        nonlocal at
+        at += by
+        if time_moves:
+            clock.publish(Clock(clock=messages.time_message(round(at * 1e9))))
+        bench.odometry.publish(odometry(at))
+        bench.goal.publish(goal(at))
+        return [told(m)['reason'] for m in bench.ticks]
+
+    bench.until(lambda: told_of_later(0.01, True) and moving(bench.commands[-1]), 'a plan')
+    words = 'the clock has stood still for'  # while odometry, not much ahead of it, stays fresh
+    bench.until(lambda: any(words in reason for reason in told_of_later(1e-4, False)), words)
+    assert not moving(bench.commands[-1])
 
 
 def test_in_real_time_the_vehicle_stops_when_commands_do(launch, observer):

@@ -1,0 +1,110 @@
+"""A node as a process: callbacks that fail, signals at any time, nothing said on a bad start."""
+
+import re
+import signal
+import textwrap
+import time
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+from geometry_msgs.msg import TwistStamped
+from test_ros_planner import QUICK, Bench, goal, moving, odometry, told
+
+from orbimpc_ros.ros.process import FAILURES_IN_A_ROW, FAREWELLS
+
+BROKEN = """
+    import sys
+    from orbimpc_ros.ros import planner
+    from orbimpc_ros.ros.process import run
+
+    class Panic(BaseException):
+        '''As a library written in Rust raises it.'''
+
+    class Broken(planner.Planner):
+        '''Its ticks fail from the second on; every third one works if it is told so.'''
+
+        ticks = 0
+
+        def _plan_now(self):
+            self.ticks += 1
+            if self.ticks > 1 and ({always} or self.ticks % 3):
+                raise {error}('out of order')
+            super()._plan_now()
+
+    sys.exit(run(Broken, sys.argv))
+"""
+
+
+@pytest.fixture
+def broken(tmp_path, launch, observer):
+    """Start a planner whose ticks fail."""
+
+    def start(error, always):
+        script = tmp_path / 'broken.py'
+        script.write_text(textwrap.dedent(BROKEN).format(error=error, always=always))
+        return Bench(launch, observer, QUICK, script)
+
+    return start
+
+
+def driven(bench, done):
+    """Send odometry and goals until something has happened; return what was commanded."""
+    seconds, sent = 1.0, 0.0
+
+    def step():
+        nonlocal seconds, sent
+        if time.monotonic() - sent > 0.05:
+            sent, seconds = time.monotonic(), seconds + 0.1
+            bench.goal.publish(goal(seconds))
+            bench.odometry.publish(odometry(seconds))
+        return done()
+
+    bench.until(step, 'the end')
+    return bench.commands
+
+
+@pytest.mark.parametrize('error', ['ValueError', 'Panic'])
+def test_after_five_failures_in_a_row_it_gives_up_with_code_1(broken, error):
+    bench = broken(error, always=True)
+    commands = driven(bench, lambda: bench.planner.ended)
+    assert bench.planner.wait() == 1, bench.planner.output
+    assert bench.planner.output.count(f'{error}: out of order') >= FAILURES_IN_A_ROW
+    assert 'giving up' in bench.planner.output
+    assert 'Traceback' not in bench.planner.output
+    reasons = [told(m)['reason'] for m in bench.ticks]
+    assert any('_plan_now failed' in r or '_on_' in r for r in reasons)
+    assert not any(moving(command) for command in commands[-FAREWELLS:])
+
+
+def test_failures_now_and_then_bring_the_safe_command_and_no_end(broken):
+    bench = broken('ValueError', always=False)
+    failed = 'callbacks failed'
+    driven(bench, lambda: bench.health and int(told(bench.health[-1]).get(failed, 0)) > 6)
+    assert not bench.planner.ended
+    assert any(moving(command) for command in bench.commands)
+    assert sum('failed: ValueError' in told(m)['reason'] for m in bench.ticks) >= FAILURES_IN_A_ROW
+    assert bench.planner.stop() == 0
+
+
+def test_a_signal_in_the_middle_of_anything_ends_it_well(launch, observer):
+    bench = Bench(launch, observer, QUICK)
+    begun = driven(bench, lambda: any(map(moving, bench.commands)))
+    assert begun
+    bench.goal.publish(goal(1e3))
+    bench.odometry.publish(odometry(1e3))
+    bench.planner.tell(signal.SIGTERM)
+    assert bench.planner.wait() == 0, bench.planner.output
+    assert 'Traceback' not in bench.planner.output
+    bench.until(lambda: not moving(bench.commands[-1]), 'the last safe command')
+
+
+def test_a_bad_start_says_one_line_and_no_command(launch, observer):
+    heard = observer.listen(TwistStamped, 'cmd_vel')
+    process = launch('planner', {'safe_command': 'panic', 'trigger': 'odom'})
+    observer.until(lambda: process.ended, 'the end')
+    assert process.wait() == 2
+    wanted = r'safe_command is panic; allowed: stop \| hold_rate_zero \| loiter'
+    assert re.fullmatch(wanted, process.output.strip())
+    assert heard == []
