@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import time
+import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -16,6 +17,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import (
@@ -35,7 +37,9 @@ FAREWELLS = 3  # safe commands on the way out
 ACKNOWLEDGED = 1.0  # [s] the last messages have to arrive
 LIFE = 0.1  # [s] DDS gives signs of life of a planner so often, for who watches for them
 SPIN = 0.05  # [s] a signal waits at most this long
-RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
+RANGE, PEERS = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS'
+CLOSED = ('LOCALHOST', 'OFF')  # ranges that keep other machines out
+SECURITY = 'ROS_SECURITY_ENABLE'
 
 
 def qos(
@@ -146,26 +150,51 @@ def run(make: Callable[[], Guarded], argv: Sequence[str] | None = None) -> int:
         return _live(make)
     except BadInput as error:
         return _refused(error)
+    except _Stillborn as error:
+        print(_line(error), file=sys.stderr)
+        return FAILED
     finally:
         rclpy.try_shutdown()
 
 
+class _Stillborn(Exception):
+    """The middleware does not let the node be, as where security is asked for and missing."""
+
+
 def _refused(error: Exception) -> int:
-    print(' '.join(str(error).split()), file=sys.stderr)
+    print(_line(error), file=sys.stderr)
     return BAD_INPUT
+
+
+def _line(error: Exception) -> str:
+    """Return an error in one line; those of security are told as what they are."""
+    line = ' '.join(str(error).split())
+    if os.environ.get(SECURITY) != 'true':
+        return line
+    return f'{line} ({SECURITY}=true needs ROS_SECURITY_KEYSTORE and a middleware with security)'
 
 
 def _live(make: Callable[[], Guarded]) -> int:
     signals: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda received, _frame: signals.append(received))
-    node = make()
+    node = _born(make)
     _warn_of_range(node)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     while not signals and node.exit_code is None:
         _spin(node, executor)
     return _part(node, executor, bool(signals))
+
+
+def _born(make: Callable[[], Guarded]) -> Guarded:
+    try:
+        with warnings.catch_warnings():
+            # What rclpy says about its own clearing away, where it fails.
+            warnings.simplefilter('ignore', RuntimeWarning)
+            return make()
+    except rclpy_implementation.RCLError as error:
+        raise _Stillborn(f'the node cannot be created: {error}') from None
 
 
 def _spin(node: Guarded, executor: SingleThreadedExecutor) -> None:
@@ -196,5 +225,7 @@ def _let_go(node: Guarded) -> None:
 
 
 def _warn_of_range(node: Guarded) -> None:
-    if os.environ[RANGE] != 'LOCALHOST':
+    if os.environ[RANGE] not in CLOSED:
         node.get_logger().warning(f'{RANGE}={os.environ[RANGE]}: open to other machines')
+    if os.environ.get(PEERS):
+        node.get_logger().warning(f'{PEERS}={os.environ[PEERS]}: open to these machines')
