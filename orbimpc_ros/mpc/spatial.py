@@ -24,7 +24,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.relaxation import Halfspace, Relaxation, Relaxed
 from orbimpc_ros.mpc.unbounded import other_axes, thrust_axis
 
-SIGMA = (1.0, 3.0, 1e6)  # first, growth, last; times the scale of the forces at work
+SIGMA = (1.0, 1e6)  # first and largest; times the scale of the forces at work
 USUAL = 100.0  # forces of problems near their goal
 PRECISION = 1e-8  # on constraints
 GAP = 1e-8  # relative
@@ -138,12 +138,12 @@ class Spatial:
         return self._leave(imposed)
 
     def _minimise(self, terms: Terms) -> tuple[Array, float, float, int, bool]:
-        first, growth, last = SIGMA
+        first, largest = SIGMA
         return minimise(
             terms,
             self._start,
             self._held,
-            (self._scale * first, growth, self._scale * last),
+            (self._scale * first, self._scale * largest),
             (PRECISION, GAP, self._least, self._rounding),
             self._work,
         )

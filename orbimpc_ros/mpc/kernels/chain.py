@@ -15,15 +15,11 @@ from __future__ import annotations
 import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled
+from orbimpc_ros.mpc.kernels.penalty import ENOUGH, HALVINGS, STUCK, descends, stiffened
 
 LIMIT = 150  # Newton steps and updates of the multipliers
-ENOUGH = 1e-2  # a minimum is near enough at this share of what the multipliers gain by it
-NOTHING = 1e-20
-HALVINGS = 30
-DESCENT = 1e-4
-ROUNDING = 1e-13
-QUICK, SLOW, STUCK = 2, 6, 15  # Newton steps after which sigma grows fast, grows, stays, shrinks
-GROWTH, LARGEST = 3.0, 1e7
+NOTHING = 1e-20  # a minimum is near enough where so little is left
+LARGEST = 1e7  # sigma, in proportion to the first
 
 
 @compiled
@@ -217,10 +213,7 @@ def minimise(along, start, turning, weights, goals, sigma, precision, proportion
         if near or taken == STUCK:
             if near:
                 held[:] = new
-                sigma *= GROWTH * GROWTH if taken <= QUICK else GROWTH if taken <= SLOW else 1.0
-                sigma = min(largest, sigma)
-            else:
-                sigma /= GROWTH * GROWTH
+            sigma = stiffened(sigma, largest, near, taken)
             decrease, taken = np.inf, 0
             value, moved, worst = _project(z, held, sigma, new, bent)
             continue
@@ -241,8 +234,7 @@ def minimise(along, start, turning, weights, goals, sigma, precision, proportion
             quadratic = _cost(along, start, turning, weights, goals, trial)
             value, moved, worst = _project(trial, held, sigma, new, bent)
             reached = quadratic + value - 0.5 * moved / sigma
-            allowed = DESCENT * share * decrease - ROUNDING * (1.0 + abs(merit))
-            if reached <= merit - allowed:
+            if descends(reached, merit, share, decrease):
                 break
             share *= 0.5
         z[:] = trial

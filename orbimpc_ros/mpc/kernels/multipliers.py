@@ -28,6 +28,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled, vectorised
 from orbimpc_ros.mpc.kernels.linear import solve_spd
+from orbimpc_ros.mpc.kernels.penalty import ENOUGH, HALVINGS, STUCK, descends, stiffened
 from orbimpc_ros.mpc.kernels.terms import (
     multipliers,
     project,
@@ -37,13 +38,8 @@ from orbimpc_ros.mpc.kernels.terms import (
 )
 
 LIMIT = 200  # Newton steps and updates of the multipliers
-ENOUGH = 1e-2  # a minimum is near enough at this share of what the multipliers gain by it
-NOTHING = 1e-18  # or where so little is left
-HALVINGS = 30
-DESCENT = 1e-4
-ROUNDING = 1e-13
+NOTHING = 1e-18  # a minimum is near enough where so little is left
 WARM = 30.0  # sigma may be larger by this where multipliers are of use from the start
-QUICK, SLOW, STUCK = 2, 6, 15  # Newton steps after which sigma grows fast, grows, stays, shrinks
 
 
 @compiled
@@ -160,7 +156,7 @@ def minimise(terms, start, held, sigmas, limits, work):
         terms: what comes to the quadratic.
         start: x_0, its minimiser subject to the terminal constraint, shape (n, 9).
         held: the multipliers to start from.
-        sigmas: the first parameter of the augmented Lagrangian, its growth, its limit.
+        sigmas: the first parameter of the augmented Lagrangian, and its limit.
         limits: on the violation of a constraint; on the gap, in proportion to the cost; the cost
             of x_0; what rounding may make of it.
         work: room to work in.
@@ -169,7 +165,7 @@ def minimise(terms, start, held, sigmas, limits, work):
         x, its cost and a lower bound (both above that of x_0), the steps taken, and whether the
         limits are met.
     """
-    sigma, growth, largest = sigmas
+    sigma, largest = sigmas
     precision, proportion, least, rounding = limits
     x, trial, direction = np.empty_like(start), np.empty_like(start), np.empty_like(start)
     # With a force F held, x = x_0 - P F; the gradient left over is force - F.
@@ -195,10 +191,7 @@ def minimise(terms, start, held, sigmas, limits, work):
         if near or taken == STUCK:
             if near:
                 _keep(new, held)
-                sigma *= growth * growth if taken <= QUICK else growth if taken <= SLOW else 1.0
-                sigma = min(largest, sigma)
-            else:
-                sigma /= growth * growth
+            sigma = stiffened(sigma, largest, near, taken)
             gain, taken = np.inf, 0
             value, moved, worst = project(terms, x, held, sigma, new, work)
             continue
@@ -215,7 +208,7 @@ def minimise(terms, start, held, sigmas, limits, work):
             trial[:] = x - share * direction
             value, moved, worst = project(terms, trial, held, sigma, new, work)
             reached = quadratic + share * (pull + 0.5 * share * bend) + value - 0.5 * moved / sigma
-            if reached <= merit - DESCENT * share * gain + ROUNDING * (1.0 + abs(merit)):
+            if descends(reached, merit, share, gain):
                 break
             share *= 0.5
         x[:] = trial
