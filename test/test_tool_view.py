@@ -156,6 +156,23 @@ def test_obstacles_are_drawn_where_they_are(drawn):
     assert np.allclose((centers + halves)[:, :2], high)
 
 
+@pytest.mark.parametrize('first', ['goal', 'odom'])
+def test_distances_are_those_of_one_moment(drawn, first):
+    from orbimpc_ros.tool.view.scene import Scene
+
+    _, flight = drawn['retrieval']
+    told = {name: [m for topic, m in flight.messages if topic == name] for name in ('odom', 'goal')}
+    drawing = Drawing()
+    scene = Scene(drawing, flight.values)
+    for odometry, goal in zip(told['odom'], told['goal'], strict=True):
+        both = [('odom', odometry), ('goal', goal)]
+        for topic, message in both if first == 'odom' else both[::-1]:
+            scene.take(topic, message)
+    found = [drawing.numbers('distance/to_goal', k, 'scalars')[0] for k in range(1, 27)]
+    pairs = [(o.pose.pose.position, g.pose.position) for o, g in zip(*told.values(), strict=True)]
+    assert np.allclose(found, [np.hypot(o.x - g.x, o.y - g.y) for o, g in pairs])
+
+
 def test_the_goal_leaves_a_trail(drawn):
     drawing, flight = drawn['retrieval']
     goals = [m.pose.position for topic, m in flight.messages if topic == 'goal'][:5]

@@ -59,6 +59,7 @@ class Scene:
         self._way: deque[Array] = deque(maxlen=REMEMBERED)
         self._headings: deque[Array] = deque(maxlen=REMEMBERED)
         self._swing: deque[Array] = deque(maxlen=SWING)
+        self._measured, self._sighted, self._paired = -1.0, -2.0, False  # [s], [s], alike?
         self._unit = 0.0  # length of a vehicle [m]; 0 until the scene is known
         self._pointing: tuple[float, Array] = (-1.0, np.zeros(0))  # of which tick [s], and what
         self._shares: tuple[float, Array] = self._pointing
@@ -117,9 +118,8 @@ class Scene:
         noses = _arrows(self._way, self._unit * np.array(self._headings), BLUE, 0.07 * self._unit)
         way = _lines([np.array(self._way)], SKY, 0.05 * self._unit)
         self._to.log(f'{WORLD}/flown', way, noses)
-        if self._swing:
-            distance = np.linalg.norm(place - self._swing[-1])
-            self._to.log('distance/to_goal', rr.Scalars([distance]))
+        self._measured = seconds(message)
+        self._draw_distance()
 
     def _take_goal(self, message: Any) -> None:
         self._swing.append(read_sighting(message, 3, Frames())[1].position)
@@ -132,6 +132,16 @@ class Scene:
         )
         trail = _lines([np.array(self._swing)], ORANGE, 0.05 * self._unit)
         self._to.log(f'{WORLD}/goal', ball, trail)
+        self._sighted = seconds(message)
+        self._draw_distance()
+
+    def _draw_distance(self) -> None:
+        """Draw the distance to the goal of the odometry's own stamp, if goals have such stamps."""
+        together = self._measured == self._sighted
+        self._paired = self._paired or together
+        if together or (not self._paired and self._sighted < self._measured and self._swing):
+            apart = np.linalg.norm(self._way[-1] - self._swing[-1])
+            self._to.log('distance/to_goal', rr.Scalars([apart]))
 
     def _begin(self) -> None:
         """Choose the point of view and the size of things once both ends of the way are known."""
