@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from studies import SMALL
 
+from orbimpc_ros.mpc.problem import Floor
 from orbimpc_ros.tool.study import trial
 from orbimpc_ros.tool.study.design import FORECAST_KINDS, differences, run_of, study_of
 from orbimpc_ros.tool.study.pilots import pilot_named
 from orbimpc_ros.tool.study.settings import SETTINGS, resolved
 from orbimpc_ros.world.flight import fly
 from orbimpc_ros.world.rope import Told
+from orbimpc_ros.world.scenario import retrieval_problem
 
 CASADI = pytest.mark.skipif(
     find_spec('casadi') is None, reason="no casadi: pip install 'orbimpc_ros[study]'"
@@ -66,6 +68,11 @@ def test_the_scenario_is_what_was_drawn():
     assert (scenario.capture_radius, scenario.max_ticks) == (0.15, 60)
 
 
+def test_the_problem_is_the_retrievals_with_the_true_floor():
+    expected = replace(retrieval_problem(), floor=Floor('circle'))
+    assert run_of(SMALL, 0).problem == expected
+
+
 def test_a_study_survives_json():
     study = replace(SMALL, settings=resolved(['floor.shape=none', 'max_rate=[0.5, 1]']))
     assert study_of(json.loads(json.dumps(study.as_json())), 'file') == study
@@ -102,6 +109,7 @@ def test_everyone_sees_the_same_forecast():
     assert len(shared.spent) == 3
 
 
+@CASADI
 def test_rows_add_up():
     for row in flown():
         assert row['caught'] == (row['closest'] <= row['capture_radius'])
@@ -136,6 +144,7 @@ def test_every_forecast_flies(kind):
     assert row['forecast'] == kind
 
 
+@CASADI
 def test_no_plan_of_the_planner_costs_more_than_ipopts():
     """On random ropes, every tick; where IPOPT ends in a worse local optimum it is counted."""
     rows = [row for row in trial.flown(SMALL, range(6)) if row['controller'] == 'orbitope']
@@ -143,6 +152,7 @@ def test_no_plan_of_the_planner_costs_more_than_ipopts():
     assert sum(row['cheaper'] for row in rows) > 0
 
 
+@CASADI
 def test_a_plan_that_costs_more_would_be_noticed():
     run = run_of(SMALL, 0)
     log = fly(pilot_named('linearised', run.problem), run.scenario, Told(run.scenario.rope))
