@@ -16,7 +16,7 @@ from orbimpc_ros.tool.trials.flying import LATCH, Flying
 from orbimpc_ros.tool.trials.lab import Lab
 from orbimpc_ros.tool.trials.onsets import SLOW
 from orbimpc_ros.tool.trials.outcome import Outcome, Trial
-from orbimpc_ros.tool.trials.stand import RATE, STEP, Stand
+from orbimpc_ros.tool.trials.stand import PATIENCE, RATE, STEP, Stand
 
 FAREWELLS = 3  # safe commands at the end
 LEAVE = 3.0  # [s] in which a process must have ended
@@ -43,7 +43,7 @@ def _told(number: int) -> Any:
 def _ended(stand: Stand, number: int, case: str) -> Outcome:
     begin = time.monotonic()
     stand.planner.tell(number)
-    stand.spin_until_gone(LEAVE)
+    stand.spin_until_gone(PATIENCE)
     code = stand.planner.wait(0.0)
     took = time.monotonic() - begin
     stand.spin(0.2)
@@ -66,7 +66,7 @@ def _exceptions(lab: Lab, long: bool) -> Iterator[Outcome]:
             safe = onsets.reaction(stand.watch.first_safe(begin), raised)
             yield onsets.recovered(stand, Outcome('raises', stand.watch.broken(), safe))
             begin = onsets.set_in(stand, onsets.MIDWAY, partial(_spoil, stand, slipping))
-            stand.spin_until_gone(LEAVE)
+            stand.spin_until_gone(PATIENCE)
             code = stand.planner.wait(0.0)
             failure = '' if code == 1 else f'exit code {code} after many in a row'
             unsafe = stand.watch.broken() + stand.watch.moving_again(begin, begin + 2 * STEP)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterator
+from contextlib import redirect_stderr
 from functools import partial
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -67,8 +69,9 @@ def _bags(lab: Lab, long: bool) -> Iterator[Outcome]:
 
 
 def _through(file: Path) -> None:
-    for _ in bag.read(file):
-        pass
+    with redirect_stderr(StringIO()):  # that a bag was cut off is told there
+        for _ in bag.read(file):
+            pass
 
 
 def _named(damage: Damage, number: int) -> str:
