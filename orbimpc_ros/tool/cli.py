@@ -20,6 +20,7 @@ COMMANDS = {
     'bench': 'measure side by side with the solvers that are installed',
     'demo': 'run planner and simulator over DDS, record a bag, draw the picture',
     'replay': 'solve the inputs of a bag again, compare with its outputs',
+    'faults': 'try planner and simulator under faults, as real processes, and print the matrix',
     'plot': 'draw the figures and an animation of a bag',
     'solve': 'solve one problem from a file, print the plan as JSON',
     'study': 'fly many ropes with several controllers and compare them',
