@@ -35,6 +35,7 @@ setup(
     install_requires=[
         'clarabel>=0.9',
         'cvxpy>=1.7',
+        'lz4>=3.1',
         'matplotlib>=3.6',
         'mcap>=1.1',
         'numpy>=1.26',
@@ -42,6 +43,7 @@ setup(
         'pyyaml>=6.0',
         'rosbags>=0.10',
         'scipy>=1.11',
+        'zstandard>=0.18',
     ],
     extras_require={
         'bench': ['casadi', 'gurobipy', 'pyscipopt', 'qoco'],

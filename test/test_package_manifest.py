@@ -20,6 +20,7 @@ PROVIDERS = {
     'PIL': ('python3-pil', 'pillow'),
     'clarabel': ('python3-cvxpy-pip', 'clarabel'),
     'cvxpy': ('python3-cvxpy-pip', 'cvxpy'),
+    'lz4': ('mcap-ros2-support', 'lz4'),
     'matplotlib': ('python3-matplotlib', 'matplotlib'),
     'mcap': ('mcap-ros2-support', 'mcap'),
     'mpl_toolkits': ('python3-matplotlib', 'matplotlib'),
@@ -27,6 +28,7 @@ PROVIDERS = {
     'rosbags': ('python3-rosbags-pip', 'rosbags'),
     'scipy': ('python3-scipy', 'scipy'),
     'yaml': ('python3-yaml', 'pyyaml'),
+    'zstandard': ('mcap-ros2-support', 'zstandard'),
 }
 MODULES = {'rerun-sdk': ('rerun', 'rerun_cli')}  # of what is not named as its module is
 
