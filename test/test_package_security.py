@@ -1,0 +1,237 @@
+"""The SROS2 policy grants what the nodes use and nothing else; without security nothing flies."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from importlib.util import find_spec
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+from geometry_msgs.msg import TwistStamped
+
+ROOT = Path(__file__).parents[1]
+POLICY = ROOT / 'config' / 'security' / 'policy.xml'
+# The schema's structure: elements in each, and the attributes that each must and may have.
+INSIDE = {
+    'policy': {'enclaves'},
+    'enclaves': {'enclave'},
+    'enclave': {'profiles'},
+    'profiles': {'profile'},
+    'profile': {'topics', 'services', 'actions'},
+    'topics': {'topic'},
+    'services': {'service'},
+}
+REQUIRED = {'policy': {'version'}, 'enclave': {'path'}, 'profile': {'ns', 'node'}}
+RULES = {'topics': {'publish', 'subscribe'}, 'services': {'reply', 'request'}}
+KINDS = {
+    ('topics', 'publish'): 'publisher',
+    ('topics', 'subscribe'): 'subscriber',
+    ('services', 'reply'): 'service',
+    ('services', 'request'): 'client',
+}
+NAME = re.compile(r'(~/|/)?[a-z][a-z0-9_]*(/[a-z][a-z0-9_]*)*')
+
+
+@pytest.fixture(scope='module')
+def policy():
+    return ElementTree.parse(POLICY).getroot()
+
+
+def granted(policy, node):
+    """Return the full names that a node is granted, by kind of endpoint."""
+    (profile,) = policy.iterfind(f".//profile[@node='{node}']")
+    found = {kind: set() for kind in KINDS.values()}
+    for rules in profile:
+        for rule in rules.attrib:
+            names = {full(name.text, profile) for name in rules}
+            found[KINDS[rules.tag, rule]] |= names
+    return found
+
+
+def full(name, profile):
+    """Return a name as SROS2 expands it: absolute, below the node, or below the namespace."""
+    ns = profile.get('ns').rstrip('/')
+    if name.startswith('/'):
+        return name
+    return f'{ns}/{profile.get("node")}{name[1:]}' if name[0] == '~' else f'{ns}/{name}'
+
+
+def test_the_policy_has_the_structure_of_its_format(policy):
+    assert (policy.tag, policy.get('version')) == ('policy', '0.2.0')
+    for element in policy.iter():
+        inside = INSIDE.get(element.tag, set())
+        assert {child.tag for child in element} <= inside, element.tag
+        assert bool(len(element)) == bool(inside), element.tag
+        rules = set(element.attrib)
+        if element.tag in RULES:
+            assert len(rules) == 1
+            assert rules <= RULES[element.tag]
+            assert set(element.attrib.values()) == {'ALLOW'}
+        else:
+            assert rules == REQUIRED.get(element.tag, set())
+        if not inside:
+            assert NAME.fullmatch(element.text), element.text
+
+
+def test_every_node_has_an_enclave_of_its_own(policy):
+    enclaves = policy.findall('enclaves/enclave')
+    profiles = [enclave.findall('profiles/profile') for enclave in enclaves]
+    assert [len(each) for each in profiles] == [1, 1, 1]
+    nodes = [each[0].get('node') for each in profiles]
+    assert sorted(nodes) == ['planner', 'recorder', 'sim']
+    assert [enclave.get('path') for enclave in enclaves] == [f'/{node}' for node in nodes]
+    assert {each[0].get('ns') for each in profiles} == {'/'}
+
+
+def test_nothing_is_granted_twice_or_by_wildcard(policy):
+    for rules in policy.iter('topics'):
+        names = [name.text for name in rules]
+        assert len(names) == len(set(names))
+    assert not any(set('*?[') & set(element.text or '') for element in policy.iter())
+
+
+def test_nobody_may_set_parameters_or_switch_a_node(policy):
+    asked = {s.text for rules in policy.iter('services') if rules.get('request') for s in rules}
+    assert asked == {'planner/get_parameters'}
+
+
+def test_only_the_planner_commands_and_only_the_vehicle_says_where_it_is(policy):
+    for topic, speaker in (('/cmd_vel', 'planner'), ('/cmd_thrust', 'planner'), ('/odom', 'sim')):
+        for node in ('planner', 'sim', 'recorder'):
+            assert (topic in granted(policy, node)['publisher']) == (node == speaker)
+
+
+RECORD = """
+    import sys
+    from pathlib import Path
+    from orbimpc_ros.tool.processes import Interruptions
+    from orbimpc_ros.tool.recorder import Recorder
+    from orbimpc_ros.tool.topics import topics_of
+
+    with Interruptions() as interruptions:
+        recorder = Recorder(Path(sys.argv[1]), topics_of(), {})
+        while not interruptions.requested:
+            recorder.spin(0.05)
+        recorder.close()
+"""
+
+
+@pytest.fixture(scope='module')
+def endpoints(shared, tmp_path_factory):
+    """Return what three real nodes have, by node and kind of endpoint.
+
+    The spacecraft has every topic of a planner; a forecast adds the simulator's last one.
+    """
+    launch, observer = shared
+    launch('planner', {}, 'spacecraft')
+    launch('sim', {'wait_subscribers': 9, 'goal_path_steps': 3}, 'spacecraft')
+    words = [sys.executable, '-c', textwrap.dedent(RECORD), str(tmp_path_factory.mktemp('r') / 'b')]
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(observer.domain)}
+    recorder = subprocess.Popen(words, env=environment)
+
+    def names(node, kind):
+        found = getattr(observer.node, f'get_{kind}_names_and_types_by_node')(node, '/')
+        return {name for name, _ in found}
+
+    def complete():
+        known = {name for name, _ in observer.node.get_node_names_and_namespaces()}
+        if not {'planner', 'sim', 'recorder'} <= known:
+            return False
+        last = {'planner': '/planner/enable', 'sim': '/sim/reset'}
+        return '/odom' in names('recorder', 'subscriber') and all(
+            service in names(node, 'service') for node, service in last.items()
+        )
+
+    try:
+        observer.until(complete, 'three nodes')
+        yield {
+            node: {kind: names(node, kind) for kind in KINDS.values()}
+            for node in ('planner', 'sim', 'recorder')
+        }
+    finally:
+        recorder.send_signal(signal.SIGTERM)
+        recorder.wait()
+
+
+@pytest.mark.parametrize('node', ['planner', 'sim', 'recorder'])
+def test_a_node_is_granted_exactly_what_it_uses(policy, endpoints, node):
+    allowed = granted(policy, node)
+    if node == 'sim' and find_spec('tf2_ros') is None:
+        allowed['publisher'].discard('/tf')  # broadcast only where tf2 is installed
+    assert endpoints[node] == allowed
+
+
+# --- without security in the middleware
+
+
+def keystore(folder):
+    """Make a keystore whose files are none: it is found, and then the middleware must refuse."""
+    enclaves = folder / 'enclaves'
+    enclaves.mkdir(parents=True)
+    for name in (
+        *('identity_ca.cert.pem', 'permissions_ca.cert.pem', 'cert.pem', 'key.pem'),
+        *('governance.p7s', 'permissions.p7s'),
+    ):
+        (enclaves / name).write_text('none')
+    return folder
+
+
+@pytest.mark.parametrize('prepare', [keystore, lambda folder: folder], ids=['keys', 'no keys'])
+@pytest.mark.parametrize('node', ['planner', 'sim'])
+def test_where_security_is_asked_for_and_missing_nothing_flies(
+    observer, domain, tmp_path, node, prepare
+):
+    """The Fast DDS of PyPI has no security library: it must fail closed."""
+    commands = observer.listen(TwistStamped, 'cmd_vel')
+    environment = {
+        **os.environ,
+        'ROS_DOMAIN_ID': str(domain),
+        'ROS_SECURITY_ENABLE': 'true',
+        'ROS_SECURITY_STRATEGY': 'Enforce',
+        'ROS_SECURITY_KEYSTORE': str(prepare(tmp_path / 'keystore')),
+    }
+    words = [sys.executable, '-m', f'orbimpc_ros.ros.{node}']
+    done = subprocess.run(
+        words, env=environment, capture_output=True, text=True, check=False, timeout=60
+    )
+    lines = [line for line in done.stderr.splitlines() if not line.startswith('[INFO]')]
+    assert done.returncode not in (0, None)
+    assert len([line for line in lines if 'ROS_SECURITY_ENABLE=true' in line]) == 1, done.stderr
+    assert 'Traceback' not in done.stderr
+    assert lines[-1].endswith('middleware with security)')
+    observer.until(lambda: True)
+    assert commands == []
+    assert observer.node.count_publishers('cmd_vel') == 0
+
+
+@pytest.mark.parametrize(
+    ('place', 'peers', 'warnings'),
+    [('SUBNET', '10.0.0.7', 2), ('LOCALHOST', '', 0), ('OFF', '', 0)],
+)
+def test_a_node_warns_where_other_machines_may_join(domain, tmp_path, place, peers, warnings):
+    environment = {
+        **os.environ,
+        'ROS_DOMAIN_ID': str(domain),
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': place,
+        'ROS_STATIC_PEERS': peers,
+    }
+    log = tmp_path / 'log'
+    with log.open('wb') as stream:
+        words = [sys.executable, '-m', 'orbimpc_ros.ros.planner']
+        node = subprocess.Popen(words, env=environment, stdout=stream, stderr=stream)
+        try:
+            while 'waits for' not in log.read_text():
+                assert node.poll() is None
+                time.sleep(0.05)
+        finally:
+            node.kill()
+            node.wait()
+    assert log.read_text().count('open to') == warnings
