@@ -30,7 +30,7 @@ def frozen(value: ArrayLike, shape: tuple[int, ...], culprit: str) -> Array:
 
 
 def sealed(array: Array) -> Array:
-    """Make an array of our own read-only, so that frozen types stay frozen."""
+    """Make an array of our own, of any shape, read-only, so that frozen types stay frozen."""
     array.setflags(write=False)
     return array
 

@@ -18,7 +18,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 
 
 def position_weights(problem: Problem) -> Array:
-    """Return the weight on |s_k - g_k|^2, k = 1..N, the terminal weight included."""
+    """Return the weight on |s_k - g_k|^2, k = 1..N, the terminal one included, shape (N,)."""
     weights = np.full(problem.horizon, float(problem.weights.position))
     weights[-1] += problem.weights.terminal + problem.arrival_weight
     return weights

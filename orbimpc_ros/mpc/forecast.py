@@ -40,7 +40,7 @@ class Hold:
         self.last = sighting
 
     def at(self, times: Array) -> Array:
-        """Return the last position seen, once per time."""
+        """Return the last position seen, once for each of ``times`` [s], shape (N, n) [m]."""
         assert self.last is not None
         return np.tile(self.last.position, (len(times), 1))
 
@@ -60,7 +60,7 @@ class Velocity:
         self._latest.append(sighting)
 
     def at(self, times: Array) -> Array:
-        """Return points on the line at ``times``; the last position until there are two."""
+        """Return points on the line at ``times`` [s], shape (N, n) [m]; the last while there is one."""
         seen = np.array([s.position for s in self._latest])
         stamps = np.array([s.time for s in self._latest])
         if len(seen) < 2 or stamps[-1] == stamps[0]:

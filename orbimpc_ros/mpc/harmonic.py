@@ -75,13 +75,13 @@ class _Fit(NamedTuple):
         return _Fit(frequencies[order], evidence[order], predicted[order])
 
     def between_best(self) -> Array:
-        """Return new frequencies between the neighbours of the best one."""
+        """Return new frequencies between the neighbours of the best one, shape (F,) [Hz]."""
         best, last = int(np.argmax(self.evidence)), len(self.frequencies) - 1
         low, high = self.frequencies[max(best - 1, 0)], self.frequencies[min(best + 1, last)]
         return np.geomspace(low, high, FINE + 2)[1:-1]
 
     def mean(self) -> Array:
-        """Return the prediction averaged by evidence over the logarithm of frequency."""
+        """Return the prediction, shape (N, n) [m], averaged by evidence over log(frequency)."""
         width = np.gradient(np.log(self.frequencies)) if len(self.frequencies) > 1 else 1.0
         weights = np.exp(self.evidence - self.evidence.max()) * width
         return np.tensordot(weights / weights.sum(), self.predicted, axes=1)

@@ -52,7 +52,7 @@ def matrix(x: Array) -> Array:
 
 
 def lmi(x: Array) -> Array:
-    """Return the paper's symmetric 4x4 matrix of nine coordinates: PSD exactly on conv SO(3)."""
+    """Return the paper's matrix, shape (4, 4), of coordinates (9,): PSD exactly on conv SO(3)."""
     x11, x21, x31, x12, x22, x32, x13, x23, x33 = x
     return np.array(
         [

@@ -121,6 +121,12 @@ def violations(problem: Problem, state: State, goals: Array, plan: Plan) -> list
 
     Independent of how the plan was found: a rollout of its inputs from the measured state must
     reproduce it, and every constraint must hold on the result.
+
+    Args:
+        problem: what was to be solved.
+        state: where the vehicle was measured to be.
+        goals: g_1..g_N, shape (N, n) [m].
+        plan: to be checked.
     """
     arrays = (plan.positions, plan.velocities, plan.rotations, plan.inputs, plan.projected)
     if not all(np.isfinite(a).all() for a in arrays) or not np.isfinite(plan.objective):
@@ -209,6 +215,10 @@ def rate_margin(problem: Problem, headings: Array) -> Array:
 def obstacle_margin(problem: Problem, positions: Array) -> float:
     """Return how far s_1..s_N stay outside every box, negative inside [m].
 
+    Args:
+        problem: gives the boxes.
+        positions: s_0..s_N, shape (N + 1, n) [m].
+
     With ``no_corner_cutting`` also how far consecutive points clear a face that they share.
     """
     least = np.inf
@@ -227,6 +237,13 @@ def shifted(
     """Return the previous plan moved one step on, its last rotation held, from a new state.
 
     None where the shift does not fit: at rotation order 2 the first rotation is given.
+
+    Args:
+        problem: what is to be solved now.
+        state: from where.
+        goals: g_1..g_N, shape (N, n) [m].
+        plan: the previous one, for a state a step before.
+        projection: ``nearest`` or ``thrust_aligned``.
     """
     if problem.rotation_order == 2:
         return None

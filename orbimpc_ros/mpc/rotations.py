@@ -59,7 +59,7 @@ def log(rotation: Array) -> Array:
 
 
 def nearest(matrix: Array) -> Array:
-    r"""Return the rotation nearest to ``matrix`` in the Frobenius norm.
+    r"""Return the rotation nearest to ``matrix``, shape (n, n), in the Frobenius norm.
 
     :math:`U \operatorname{diag}(1, .., \det(UV^T)) V^T`; the sign keeps the determinant at +1
     where the plain :math:`UV^T` of the paper is a reflection.
@@ -182,7 +182,7 @@ def to_quaternion(rotation: Array) -> Array:
 
 
 def from_quaternion(quaternion: Array, dimension: int) -> Array:
-    """Return the rotation of a unit quaternion (w, x, y, z); for n = 2 its yaw alone.
+    """Return the rotation, shape (n, n), of a unit quaternion (w, x, y, z); for n = 2 its yaw.
 
     The yaw is the heading of the body's x axis seen from above, as REP-103 has it.
     """

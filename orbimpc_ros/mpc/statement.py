@@ -66,7 +66,7 @@ class Statement:
         return np.concatenate([known[parameter] for parameter in self._parameters()])
 
     def compiled(self, values: Array | None = None, offsets: Array | None = None) -> dict[str, Any]:
-        """Return Clarabel's data for :meth:`values` and slot offsets (zero by default)."""
+        """Return Clarabel's data for :meth:`values` and offsets of slots; both zero by default."""
         ends = np.cumsum([parameter.size for parameter in self._parameters()])
         values = np.zeros(ends[-1]) if values is None else values
         for parameter, value in zip(self._parameters(), np.split(values, ends), strict=False):

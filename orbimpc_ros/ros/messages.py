@@ -134,6 +134,8 @@ def read_itinerary(message: Path, dimension: int, frames: Frames) -> tuple[Stamp
 def read_speed_and_rate(message: TwistStamped, dimension: int) -> tuple[int, float, Array]:
     """Return the stamp [ns], forward speed [m/s] and body rate [rad/s] of a commanded twist.
 
+    The rate has shape (1,) in the plane and (3,) in space.
+
     Raises:
         BadInput: a stamp or a number is not acceptable.
     """
@@ -235,7 +237,7 @@ def pose(position: Array, rotation: Array) -> Pose:
 
 
 def twist_message(stamp: Stamp, speed: float, body_rate: Array) -> TwistStamped:
-    """Return a commanded forward speed [m/s] and body rate [rad/s], in the body frame."""
+    """Return a forward speed [m/s] and body rate, shape (1,) or (3,) [rad/s], in the body frame."""
     message = TwistStamped(header=header(stamp.nanoseconds, stamp.frames.body))
     message.twist.linear.x = float(speed)
     message.twist.angular = angular(body_rate)
@@ -272,13 +274,19 @@ def path_message(stamp: Stamp, step: float, poses: Iterable[Pose], after: float 
 
 
 def goal_message(stamp: Stamp, position: Array) -> PoseStamped:
-    """Return where the goal is, in the world frame."""
+    """Return where the goal is, shape (n,) [m], in the world frame."""
     head = header(stamp.nanoseconds, stamp.frames.world)
     return PoseStamped(header=head, pose=Pose(position=point(position)))
 
 
 def goal_path_message(stamp: Stamp, step: float, positions: Sequence[Array]) -> Path:
-    """Return where the goal will be, from the stamp on every ``step`` [s], in the world frame."""
+    """Return where the goal will be, from the stamp on every ``step`` [s].
+
+    Args:
+        stamp: of the first position.
+        step: from one to the next [s].
+        positions: in the world frame, each of shape (n,) [m].
+    """
     return path_message(stamp, step, (Pose(position=point(each)) for each in positions))
 
 

@@ -104,7 +104,17 @@ def launched(
     body_rate: Array | None = None,
     time: float = 0.0,
 ) -> Vehicle:
-    """Return a vehicle at its start; velocity (order 2 only) and body rate are zero by default."""
+    """Return a vehicle at its start; velocity (order 2 only) and body rate are zero by default.
+
+    Args:
+        model: how it moves.
+        position: shape (n,) [m].
+        attitude: of the body in the world, shape (n, n).
+        fraction: share of full speed or thrust, in [0, 1].
+        velocity: in the world, shape (n,) [m/s]; at translation order 1 it follows from the rest.
+        body_rate: shape (1,) or (3,) [rad/s].
+        time: at the start [s].
+    """
     if model.translation_order == 1:
         velocity = model.forward * fraction * attitude[:, 0]
     elif velocity is None:
