@@ -60,7 +60,7 @@ class Velocity:
         self._latest.append(sighting)
 
     def at(self, times: Array) -> Array:
-        """Return points on the line at ``times`` [s], shape (N, n) [m]; the last while there is one."""
+        """Return points on the line at ``times`` [s], shape (N, n) [m]; the last if it is alone."""
         seen = np.array([s.position for s in self._latest])
         stamps = np.array([s.time for s in self._latest])
         if len(seen) < 2 or stamps[-1] == stamps[0]:
