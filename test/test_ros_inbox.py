@@ -225,6 +225,17 @@ def test_a_path_that_jumps_is_refused(limited):
     assert 'goal jump is 2 m' in limited.take_path(path(1.4, 7.4), 0.4)
 
 
+def test_a_path_that_has_really_moved_leaves_what_is_known_of_the_goal(limited):
+    def path(seconds, x):
+        return messages.goal_path_message(stamp(seconds), 0.1, [np.array([x, 0.0])])
+
+    limited.take_odometry(odometry(1.0), 0.0)
+    limited.take_path(path(1.0, 9.0), 0.0)
+    limited.take_goal(goal(2.4, x=5.0), 1.4)
+    assert limited.take_path(path(2.5, 20.0), 1.5) == ''
+    np.testing.assert_array_equal(limited.targets(1, 2.7), [[5.0, 0.0]])
+
+
 def test_by_default_a_goal_may_be_anywhere(inbox):
     assert inbox.take_goal(goal(1.0, x=5.0), 0.0) == ''
     assert inbox.take_goal(goal(1.1, x=-900.0), 0.1) == ''

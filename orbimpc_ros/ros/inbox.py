@@ -148,7 +148,8 @@ class Inbox:
         # Once the last one is stale, the goal is believed to be where it is said to be.
         if now - last.at <= self._timeout(topic):
             raise BadInput('goal jump', f'{jump:.3g} m', f'at most goal_jump_limit, {limit:g} m')
-        self.forecast.reset()
+        if topic == 'goal':
+            self.forecast.reset()
 
     def _timeout(self, topic: str) -> float:
         return self.settings.odom_timeout if topic == 'odom' else self.settings.goal_timeout

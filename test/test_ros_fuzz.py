@@ -1,0 +1,150 @@
+"""Hostile messages: 10,000 against the validators, 500 against a live planner."""
+
+import math
+import random
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from nav_msgs.msg import Path
+from std_srvs.srv import Trigger
+from test_ros_planner import QUICK, Bench
+
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.arrival import RosTime
+from orbimpc_ros.ros.inbox import Inbox
+from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
+from orbimpc_ros.ros.planner_parameters import PLANNER, planner_settings
+from orbimpc_ros.world.vehicle import Model, launched
+
+FRAMES = Frames('odom', 'base_link')
+NUMBERS = (
+    math.nan, math.inf, -math.inf, 0.0, -0.0, 1e308, -1e308, 5e-324, 1.0, -1.0, 1e7, 1e-3, 3e38,
+)  # fmt: skip
+WORDS = ('', 'map', 'odom', 'base_link', 'o' * 100_000, 'odom\n', '/odom', 'öдом', '\x7f', '%s%n{}')
+SECONDS = (-(2**31), -1, 0, 1, 2**31 - 1)
+NANOSECONDS = (0, 1, SECOND - 1, SECOND, 2**32 - 1)
+MOST = 40  # poses of a path
+
+
+def numbers_in(message, path=()):
+    """Yield where in a message there are numbers: as (names of fields, index or None)."""
+    for name, kind in message.get_fields_and_field_types().items():
+        value = getattr(message, name)
+        if kind == 'double':
+            yield (*path, name), None
+        elif kind.startswith('double['):
+            yield from (((*path, name), i) for i in range(len(value)))
+        elif hasattr(value, 'get_fields_and_field_types'):
+            yield from numbers_in(value, (*path, name))
+
+
+def poisoned(draw, message, most=4):
+    """Return a message of which a few numbers, names and stamps are something else."""
+    places = list(numbers_in(message))
+    for path, index in draw.sample(places, min(len(places), draw.randint(0, most))):
+        *parents, last = path
+        holder = message
+        for name in parents:
+            holder = getattr(holder, name)
+        if index is None:
+            setattr(holder, last, draw.choice(NUMBERS))
+        else:
+            getattr(holder, last)[index] = draw.choice(NUMBERS)
+    if draw.random() < 0.2:
+        message.header.frame_id = draw.choice(WORDS)
+    if draw.random() < 0.2 and hasattr(message, 'child_frame_id'):
+        message.child_frame_id = draw.choice(WORDS)
+    if draw.random() < 0.2:
+        message.header.stamp.sec = draw.choice(SECONDS)
+        message.header.stamp.nanosec = draw.choice(NANOSECONDS)
+    return message
+
+
+def odometry(draw, at):
+    vehicle = launched(Model(), np.array([draw.gauss(0, 3), draw.gauss(0, 3)]), np.eye(2))
+    return poisoned(draw, messages.odometry_message(Stamp(at, FRAMES), vehicle))
+
+
+def goal(draw, at):
+    return poisoned(
+        draw, messages.goal_message(Stamp(at, FRAMES), np.array([5.0, draw.gauss(0, 3)]))
+    )
+
+
+def path(draw, at):
+    length = draw.choice([0, 1, 2, 5, MOST])
+    places = [np.array([k, draw.gauss(0, 1)]) for k in range(length)]
+    whole = messages.goal_path_message(Stamp(at, FRAMES), draw.choice([0.1, 0.0]), places)
+    for each in draw.sample(whole.poses, min(length, draw.randint(0, 2))):
+        poisoned(draw, each)
+    return poisoned(draw, whole)
+
+
+def finite(*arrays):
+    return all(np.isfinite(array).all() for array in arrays)
+
+
+@pytest.mark.parametrize('part', range(4))
+def test_whatever_comes_is_taken_whole_or_refused_whole(part):
+    draw = random.Random(part)
+    values = {row.name: row.default for row in PLANNER} | {'step': 0.1, 'goal_jump_limit': 50.0}
+    inbox = Inbox(planner_settings(values))
+    makers = {
+        'odom': (odometry, inbox.take_odometry),
+        'goal': (goal, inbox.take_goal),
+        'goal_path': (path, inbox.take_path),
+    }
+    taken = 0
+    for k in range(2500):
+        now, at = 0.05 * k, (1_700_000_000 * SECOND) + k * SECOND // 20
+        make, take = makers[draw.choice(('odom', 'odom', 'goal', 'goal_path'))]
+        refusal = take(make(draw, at), now, RosTime(at + draw.choice((0, SECOND // 10))))
+        taken += not refusal
+        assert '\n' not in refusal
+        assert len(refusal) < 400
+        if inbox.missing or inbox.stale_goal(now):
+            continue
+        known = inbox.odometry.value
+        assert finite(known.position, known.attitude, known.body_velocity, known.body_rate)
+        np.testing.assert_allclose(known.attitude.T @ known.attitude, np.eye(2), atol=1e-9)
+        assert finite(inbox.targets(5, now))
+    assert 500 < taken < 2000
+    assert sum(inbox.refused.values()) == 2500 - taken
+
+
+def test_covariances_are_not_read():
+    """Many drivers mean "unknown" by NaN there."""
+    message = messages.odometry_message(Stamp(1, FRAMES), launched(Model(), np.zeros(2), np.eye(2)))
+    message.pose.covariance[:] = np.full(36, np.nan)
+    message.twist.covariance[:] = np.full(36, np.inf)
+    _, read = messages.read_odometry(message, 2, FRAMES)
+    np.testing.assert_array_equal(read.position, [0.0, 0.0])
+
+
+def sane(command):
+    twist = command.twist
+    values = [getattr(v, c) for v in (twist.linear, twist.angular) for c in 'xyz']
+    return all(map(math.isfinite, values)) and 0.0 <= twist.linear.x <= 1.0
+
+
+def test_a_live_planner_survives_500_hostile_messages(launch, observer):
+    bench = Bench(launch, observer, QUICK)
+    paths = observer.node.create_publisher(Path, 'goal_path', 1)
+    observer.until(paths.get_subscription_count, 'the planner listening')
+    bench.fly_now()
+    draw = random.Random(6)
+    hostile = [
+        (bench.odometry, odometry), (bench.odometry, odometry), (bench.goal, goal), (paths, path),
+    ]  # fmt: skip
+    for _ in range(500):
+        publisher, make = draw.choice(hostile)
+        publisher.publish(make(draw, observer.node.get_clock().now().nanoseconds))
+        observer._executor.spin_once(timeout_sec=0.002)
+    assert bench.counts('callbacks failed') == 0
+    assert all(map(sane, bench.commands))
+    assert observer.call(Trigger, '/planner/reset', Trigger.Request()).success
+    bench.fly_now()  # it still flies
+    assert not bench.planner.ended
