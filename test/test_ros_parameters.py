@@ -1,6 +1,7 @@
 """Parameters: the table is the documented one, and every nonsense is refused by name."""
 
 import math
+import random
 import re
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 pytest.importorskip('rclpy')
 
 import yaml
+from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import (
     DescribeParameters,
@@ -121,6 +123,44 @@ def test_nonsense_is_refused_with_what_is_allowed(table, change, culprit):
     assert '\n' not in str(refusal.value)
 
 
+def nonsense(draw, row):
+    """A value that may be fine, or out of range, or of another kind than any sense."""
+    if row.choices:
+        return draw.choice([*row.choices, '', 'none of these', 'x' * 1000])
+    if isinstance(row.default, (bool, str)):
+        return draw.choice([row.default, not row.default if row.default in (0, 1) else 'map'])
+    ends = [row.default, row.low, row.high, row.low - 1, row.high + 1, 0, -1]
+    if isinstance(row.default, int):
+        return draw.choice([each for each in ends if abs(each) < 2**62])
+    if isinstance(row.default, tuple):
+        many = [draw.uniform(-5.0, 5.0) for _ in range(draw.choice([0, 1, 3, 4, 6, 8]))]
+        return (*many, *draw.choice([(), (math.nan,), (math.inf,), (2e6,)]))
+    tiny = [row.low / 2, math.nan, math.inf, -math.inf, 1e308]
+    return float(draw.choice([*ends, *tiny, draw.uniform(0.0, 3.0)]))
+
+
+@pytest.mark.parametrize(
+    ('table', 'settings_of'), [(PLANNER, planner_settings), (SIM, sim_settings)]
+)
+def test_random_sets_are_settings_or_refused_by_name(table, settings_of):
+    draw, good = random.Random(3), 0
+    for _ in range(200):
+        rows = draw.sample(table, draw.randint(1, 4))
+        changes = {row.name: nonsense(draw, row) for row in rows}
+        try:
+            settings_of(defaults(table) | changes)
+        except BadInput as refusal:
+            told = str(refusal)
+            assert '\n' not in told
+            assert 'allowed: ' in told
+            assert len(told) < 400
+            assert any(name.split('.')[0] in told for name in changes), (told, changes)
+        else:
+            good += 1
+            assert all(math.isfinite(v) for v in changes.values() if isinstance(v, float))
+    assert 20 < good < 150
+
+
 def test_timeouts_are_at_least_a_step_and_a_half():
     given = {**defaults(PLANNER), 'step': 1.0, 'odom_timeout': 0.3}
     assert planner_settings(given).odom_timeout == 1.5
@@ -206,6 +246,26 @@ def test_live_changes_are_made_whole(running):
         assert culprit in reason
         assert held(running, values) == before
     assert change(running, {'floor.shape': 'none'})[0]  # it still lives
+
+
+def test_random_changes_are_made_whole_or_not_at_all(running):
+    draw = random.Random(4)
+    rows = [row for row in PLANNER if row.live and row.default != ()]
+    names = [row.name for row in rows]
+    for _ in range(25):
+        changes = {row.name: nonsense(draw, row) for row in draw.sample(rows, 3)}
+        before = held(running, names)
+        done, reason = change(running, changes)
+        after = dict(zip(names, held(running, names), strict=True))
+        if done:
+            assert all(value_of(after[name]) == pytest.approx(v) for name, v in changes.items())
+        else:
+            assert any(name.split('.')[0] in reason for name in changes), (reason, changes)
+            assert list(after.values()) == before
+
+
+def value_of(message):
+    return Parameter.from_parameter_msg(ParameterMessage(value=message)).value
 
 
 def test_descriptors_are_there_for_all_to_see(running):
