@@ -13,8 +13,9 @@ from orbimpc_ros.mpc.rotations import log
 from orbimpc_ros.world.disturbed import Ears, fly_disturbed
 from orbimpc_ros.world.faults import Faults, View
 from orbimpc_ros.world.flight import departure, fly
+from orbimpc_ros.world.rope import Rope
 from orbimpc_ros.world.scenario import retrieval, retrieval3d, retrieval_problem
-from orbimpc_ros.world.vehicle import between, measured
+from orbimpc_ros.world.vehicle import between, launched, measured
 
 TURN = np.array([0.3])
 
@@ -214,3 +215,32 @@ def test_all_faults_at_once_do_not_stop_the_retrieval():
         view = View(faults, seed, scenario.model.step)
         caught += fly_disturbed(controller, scenario, forecast_named('harmonic'), view).captured
     assert caught >= 18
+
+
+def quick(seed):
+    """Return a retrieval of five steps a second at 5 m/s, its rope swinging at random."""
+    rng = np.random.default_rng(seed)
+    swing = (rng.uniform(0.3, 0.7, 2), rng.uniform(0.25, 1.0), rng.uniform(0.0, 2.0 * np.pi, 2))
+    model = replace(retrieval().model, step=0.2, forward=5.0)
+    start, rope = launched(model, np.zeros(2), np.eye(2)), Rope(np.array([5.0, 0.0]), *swing)
+    return replace(retrieval(), model=model, start=start, rope=rope, capture_radius=0.15)
+
+
+@pytest.mark.parametrize('delay', [0.2, 0.3])
+def test_delay_compensation_catches_what_is_missed_without(delay):
+    weights = replace(retrieval_problem().weights, input=0.002)
+    controller = Controller(replace(retrieval_problem(), step=0.2, forward=5.0, weights=weights))
+    caught = {True: 0, False: 0}
+    for seed in range(25):
+        for compensated in caught:
+            controller.reset()
+            view = View(Faults(delay=delay, position_noise=0.01), seed, 0.2)
+            caught[compensated] += fly_disturbed(
+                controller,
+                quick(seed),
+                forecast_named('harmonic'),
+                view,
+                compensated=compensated,
+            ).captured
+    assert caught[True] >= 24
+    assert caught[False] <= 15

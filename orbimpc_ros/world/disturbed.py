@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from orbimpc_ros.mpc.command import Command
+from orbimpc_ros.mpc.delay import Sent as Commands
+from orbimpc_ros.mpc.delay import advanced
 from orbimpc_ros.mpc.forecast import Forecast
 from orbimpc_ros.mpc.odometry import Odometry
 from orbimpc_ros.world.faults import Sent, View
@@ -49,20 +51,36 @@ class Ears:
 
 
 def fly_disturbed(
-    controller: Controller, scenario: Scenario, forecast: Forecast, view: View
+    controller: Controller,
+    scenario: Scenario,
+    forecast: Forecast,
+    view: View,
+    *,
+    compensated: bool = True,
 ) -> Flight:
     """Return the end of a flight whose controller sees it only through faults.
 
     A tick without odometry has no command; the last one is then in force for 1.5 steps from when
     it came, and after that the vehicle is safe, just as in the simulator.
+
+    Args:
+        controller: plans.
+        scenario: what is flown.
+        forecast: of the goal.
+        view: with the faults.
+        compensated: whether to plan from late odometry as it would be by now, as the planner does.
     """
-    flight, ears = departure(scenario), Ears(forecast)
+    flight, ears, sent = departure(scenario), Ears(forecast), Commands()
     command, heard = None, -np.inf
     while not flight.over:
         now = flight.vehicle.time
         odometry = ears.hear(view.of(flight))
         if odometry is not None:
+            if compensated:
+                legs = sent.legs(odometry.time, now)
+                odometry = advanced(controller.problem, odometry, legs)
             answer = _answer(controller, odometry, forecast)
+            sent.add(answer, now)
             if not view.command_lost(flight.ticks):
                 command, heard = answer, now
         flight = _flown(flight, command, heard + HELD * scenario.model.step - now)
