@@ -16,7 +16,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.files import opened
 
 MAX_BYTES = 1 << 20
-MAX_NODES = 50_000  # of YAML, which is slow to take apart
+MAX_NODES = 30_000  # of YAML, which is slow to take apart
 LONGEST = 4096  # characters of an unquoted word; converting numbers takes their length squared
 MAX_NUMBER = 1e12  # beyond it arithmetic on squares loses what a plan is about
 ALLOWED = 'a JSON or YAML mapping'

@@ -1,0 +1,191 @@
+"""Hostile YAML and JSON: 100 damaged files and shapes that blow up parsers; one line, no hang."""
+
+import json
+import random
+import subprocess
+import sys
+
+import pytest
+import yaml
+from bags import GOLDEN
+
+from orbimpc_ros.mpc.case import case_of
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.tool import bag, cli, document, settings
+from orbimpc_ros.tool.bag.folder import folder_of
+from orbimpc_ros.tool.share import config
+
+SNIPPETS = (
+    '[', ']', '{', '}', ':', ': ', '- ', '\t', '\n', '"', "'", '&a ', '*a', '!!python/name:os',
+    '? ', '.nan', '.inf', '-.inf', '1e400', '9' * 400, '0x' + 'f' * 300, '1:59:59', '<<: ',
+    '\x00', '\x85', '\ufeff', '%YAML 9.9\n', '---\n', '...\n', '#', '|\n', '>\n', '~', 'yes', '0o9',
+    '2020-01-01', '-', '!', '@', '`', '!!binary x',
+)  # fmt: skip
+
+
+def read_parameters(file):
+    settings.resolve(file)
+
+
+def read_case(file):
+    case_of(document.read(str(file)))
+
+
+def read_metadata(file):
+    folder_of(file.parent)
+
+
+def parameters():
+    return config('retrieval.yaml').read_text()
+
+
+def case():
+    cases = json.loads((GOLDEN.parent / 'reference' / 'cases.json').read_text())
+    return yaml.safe_dump(cases['uav_square_0'])
+
+
+def metadata():
+    return (GOLDEN / 'retrieval' / 'metadata.yaml').read_text()
+
+
+SORTS = {
+    'parameters': ('mine.yaml', parameters, read_parameters),
+    'a case': ('problem', case, read_case),
+    'metadata': ('metadata.yaml', metadata, read_metadata),
+}
+
+
+def damaged(text, draw):
+    """Return a text with a few things put in, left out, doubled or moved."""
+    for _ in range(draw.choice((1, 1, 2, 5))):
+        a, b = sorted(draw.randrange(len(text)) for _ in range(2))
+        b = min(b, a + draw.choice((1, 5, 200)))
+        kind = draw.randrange(5)
+        if kind == 0:
+            text = text[:a] + draw.choice(SNIPPETS) + text[a:]
+        elif kind == 1:
+            text = text[:a] + draw.choice(SNIPPETS) + text[b:]
+        elif kind == 2:
+            text = text[:a] + text[b:] or ' '
+        elif kind == 3:
+            text = text[:b] + text[a:]
+        else:
+            text = text[: max(1, a)]
+    return text
+
+
+def refusal(read, file):
+    """Return the line in which a file is refused; None if it is not."""
+    try:
+        read(file)
+    except BadInput as error:
+        return str(error)
+    return None
+
+
+@pytest.mark.parametrize('sort', SORTS)
+def test_damaged_yaml_is_read_or_refused_in_one_line(tmp_path, sort):
+    """34 of each sort, 102 in all; nothing but BadInput ever comes out."""
+    name, text_of, read = SORTS[sort]
+    (tmp_path / 'retrieval.mcap').write_bytes(b'')
+    file, draw, lines = tmp_path / name, random.Random(sort), []
+    file.write_text(text_of())
+    assert refusal(read, file) is None
+    for _ in range(34):
+        file.write_text(damaged(text_of(), draw), errors='surrogatepass')
+        lines.append(refusal(read, file))
+    refused = [line for line in lines if line is not None]
+    assert len(refused) > 10
+    assert not any('\n' in line for line in refused)
+
+
+def test_a_few_through_the_tool(tmp_path):
+    file, draw = tmp_path / 'problem', random.Random(8)
+    done = []
+    for sort, words in (
+        ('a case', ('solve', file)),
+        ('parameters', ('replay', GOLDEN / 'retrieval', '--params', file)),
+        ('parameters', ('replay', GOLDEN / 'retrieval', '--params', file)),
+    ):
+        text = SORTS[sort][1]()
+        while refusal(SORTS[sort][2], file) is None if file.exists() else True:
+            file.write_text(damaged(text, draw))
+        command = [sys.executable, '-m', 'orbimpc_ros.tool.cli', *map(str, words)]
+        done.append(subprocess.run(command, capture_output=True, text=True, check=False))
+        file.unlink()
+    assert [each.returncode for each in done] == [cli.BAD_INPUT] * 3
+    for each in done:
+        assert each.stdout == ''
+        assert each.stderr.count('\n') == 1
+
+
+HALF = document.MAX_BYTES // 2
+SHAPES = {
+    'many keys': ('\n'.join(f'k{i}: 1' for i in range(60_000)), f'more than {document.MAX_NODES}'),
+    'many keys in JSON': (json.dumps(dict.fromkeys(map(str, range(70_000)))), ''),
+    'the same key, often': ('{' + '"a":1,' * 100_000 + '"a":1}', 'twice'),
+    'many values': ('[' + '1,' * (HALF // 2) + '1]', f'more than {document.MAX_NODES}'),
+    'many lists': ('- []\n' * 60_000, f'more than {document.MAX_NODES}'),
+    'a number in base 60': ('a: 1' + ':1' * (HALF // 2), 'a word longer than'),
+    'a number of many digits': ('a: ' + '7' * HALF, 'a word longer than'),
+    'a hexadecimal number': ('a: 0x' + 'f' * HALF, 'a word longer than'),
+    'a long word': ('a' * HALF, 'a word longer than'),
+    'a long text': ('"' + 'a' * HALF + '"', ''),
+    'deep lists': ('[' * HALF, 'malformed'),
+    'deep blocks': ('- ' * HALF, 'malformed'),
+    'deep mappings': ('{a: ' * (HALF // 4), 'malformed'),
+    'deep JSON': ('{"a":' * (HALF // 5), 'malformed'),
+    'questions': ('? ' * HALF, 'malformed'),
+    'comments': ('#\n' * (HALF - 9) + 'a: 1', ''),
+    'laughs': ('a: &a [x]\n' + '\n'.join(f'b{i}: [*a, *a]' for i in range(9)), 'aliases'),
+    'itself': ('&a [*a]', 'aliases'),
+    'merged': ('<<: ' * 1000 + '{}', 'malformed'),
+    'too large': ('#' * (document.MAX_BYTES + 1), f'at most {document.MAX_BYTES} bytes'),
+}
+
+
+@pytest.mark.parametrize(('text', 'culprit'), SHAPES.values(), ids=SHAPES)
+def test_shapes_that_blow_up_parsers_end(tmp_path, text, culprit):
+    """No assertion on time: a parser that takes the square of this never ends."""
+    file = tmp_path / 'file'
+    file.write_text(text)
+    line = refusal(lambda path: document.read(str(path)), file)
+    assert (line is None) == (culprit == '')
+    assert culprit in (line or '')
+
+
+BAD_PARAMETERS = {
+    'a word for a number': ({'step': 'fast'}, 'step is fast'),
+    'a number for a word': ({'terminal': 3}, 'terminal is 3'),
+    'a list for a number': ({'step': [1.0]}, 'step'),
+    'a mapping for a number': ({'step': {'a': 1}}, 'step.a'),
+    'nothing for a number': ({'step': None}, 'step is None'),
+    'true for a number': ({'forward': True}, 'forward is True'),
+    'words in a list': ({'obstacles': ['a']}, 'obstacles'),
+    'a list in a list': ({'obstacles': [[1.0]]}, 'obstacles'),
+    'an unknown name': ({'weights.inputs': 1.0}, 'weights.input'),
+    'out of range': ({'horizon': 0}, 'horizon is 0'),
+    'NaN': ({'step': float('nan')}, 'step is nan'),
+}
+
+
+@pytest.mark.parametrize(('changes', 'said'), BAD_PARAMETERS.values(), ids=BAD_PARAMETERS)
+def test_bad_parameters_of_a_file_are_named(tmp_path, changes, said):
+    file = tmp_path / 'mine.yaml'
+    file.write_text(yaml.safe_dump({'/**': {'ros__parameters': changes}}))
+    line = refusal(read_parameters, file)
+    assert line is not None
+    assert said in line
+    assert 'allowed' in line
+
+
+def test_notes_of_another_version_are_told(tmp_path):
+    from orbimpc_ros.tool.bag_writer import BagWriter
+
+    notes = {'parameters': yaml.safe_dump({'/**': {'ros__parameters': {'warp': 9.0}}})}
+    with BagWriter(tmp_path / 'bag', [], notes):
+        pass
+    assert bag.notes(tmp_path / 'bag') == notes
+    line = refusal(settings.of_bag, tmp_path / 'bag')
+    assert line is not None
+    assert f'{tmp_path / "bag"}: parameters: warp' in line
