@@ -52,7 +52,7 @@ class Sim(Guarded):
         live = Live(self, SIM, sim_settings, lambda settings: settings)
         self.settings = live.prepared
         self._create_publishers()
-        self._told = 0.0  # when a refusal was, on the steady clock [s]
+        self._told = -np.inf  # when a refusal was, on the steady clock [s]
         self.flight = departure(self.settings.scenario, self.settings.begin)
         self.view = self._new_view()
         self.orders = Orders(self.settings.scenario.model)
@@ -104,7 +104,7 @@ class Sim(Guarded):
     def _refuse(self, topic: str, error: BadInput) -> None:
         self.refused[f'refused {topic}: {error.culprit}'] += 1
         self.get_logger().warning(f'{topic} refused: {error}', throttle_duration_sec=1.0)
-        if sum(self.refused.values()) == 1 or self.steady_now() - self._told > REFUSALS_TOLD:
+        if self.steady_now() - self._told > REFUSALS_TOLD:
             self._told = self.steady_now()
             self.warn(self._pace.now, f'{topic} refused: {error}')
 
