@@ -65,8 +65,13 @@ def test_a_dark_retrieval_with_its_animation(capsys, tmp_path):
         for number in (0, image.n_frames // 2, image.n_frames - 1):
             image.seek(number)
             frames.append(np.asarray(image.convert('L'), dtype=int))
+        image.seek(image.n_frames // 2)
+        shown = np.asarray(image.convert('RGB'), dtype=int)
     assert (np.abs(frames[1] - frames[0]) > 50).sum() > 500
     assert (np.abs(frames[2] - frames[1]) > 50).sum() > 500
+    for color in (style.DARK[1], style.DARK[3], style.DARK[4]):  # vehicle, rope, plan
+        apart = np.abs(shown - np.array([round(255 * part) for part in to_rgb(color)])).max(axis=2)
+        assert (apart <= 6).sum() > 50, color
 
 
 def test_only_what_was_made_here_is_replaced(capsys, tmp_path):

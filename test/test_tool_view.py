@@ -21,7 +21,7 @@ from orbimpc_ros.tool import cli, view
 from orbimpc_ros.tool.view import shapes
 
 GOLDEN = Path(__file__).parent / 'golden'
-INSTALL = "pip install 'orbimpc_ros[view]' (numpy 1: pip install --no-deps rerun-sdk attrs pyarrow)"
+INSTALL = "pip install 'orbimpc_ros[view]', or with numpy 1 as docs/look.md says"
 needs_rerun = pytest.mark.skipif(not view.installed(), reason=f'needs rerun-sdk: {INSTALL}')
 needs_chromium = pytest.mark.skipif(
     browser.find() is None, reason='needs a Chromium: apt install chromium, or CHROMIUM=its path'

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 ANIMATION = 'animation.gif'
 FRAME, LAST = 80, 2500  # [ms] that frames are shown
-COLORS = 64  # of an animation
+COLORS = 128  # of an animation
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -107,9 +107,10 @@ def write_gif(frames: Sequence[Array], file: Path) -> None:
 
     from orbimpc_ros.tool.style import MAKER
 
-    # One palette for all frames, from the busiest: colours must not flicker.
-    busy = Image.fromarray(np.concatenate([frames[0], frames[len(frames) // 2], frames[-1]]))
-    palette = busy.quantize(COLORS)
+    # One palette for all frames: colours must not flicker.
+    palette = Image.new('P', (1, 1))
+    some = np.concatenate([frames[0], frames[len(frames) // 2], frames[-1]])
+    palette.putpalette(frequent(some, COLORS).astype(np.uint8).tobytes())
     images = [
         Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
         for frame in frames
@@ -123,3 +124,16 @@ def write_gif(frames: Sequence[Array], file: Path) -> None:
         loop=0,
         comment=MAKER.encode(),
     )
+
+
+def frequent(picture: Array, count: int) -> Array:
+    """Return the most frequent colours, shape (count or less, 3), of a picture, shape (m, n, 3).
+
+    In a drawing these are its very colours; those that are mixed at edges are few of a kind.
+    """
+    import numpy as np
+
+    packed = picture.reshape(-1, 3).astype(np.int64) @ [1 << 16, 1 << 8, 1]
+    found, counts = np.unique(packed, return_counts=True)
+    chosen = found[np.argsort(counts)[::-1][:count]]
+    return np.stack([chosen >> 16, chosen >> 8 & 255, chosen & 255], axis=1)
