@@ -92,20 +92,20 @@ def _charged(slacks: Sequence[Slack], multipliers: Array, nothing: float) -> tup
 
 
 def _multipliers(columns: Array, pull: Array, signed: Sequence[bool], nothing: float) -> Array:
-    """Return the multipliers that come nearest to ``pull``, non-negative unless signed."""
-    if not columns.size:
-        return np.zeros(columns.shape[1])
-    free = np.array(signed)
-    found = np.linalg.lstsq(columns, pull, rcond=None)[0]
-    if found[~free].min(initial=0.0) >= -nothing:
-        return found
-    from scipy.optimize import nnls  # slow to import, and seldom needed
+    """Return the multipliers that come nearest to ``pull``, non-negative unless signed.
 
-    across = np.eye(len(pull)) - columns[:, free] @ np.linalg.pinv(columns[:, free])
-    found[~free] = nnls(across @ columns[:, ~free], across @ pull)[0]
-    rest = pull - columns[:, ~free] @ found[~free]
-    found[free] = np.linalg.lstsq(columns[:, free], rest, rcond=None)[0]
-    return found
+    Whose multiplier comes out negative does not hold the plan back: it is left out, the worst
+    first. That is exact wherever constraints do not stand in for each other.
+    """
+    kept = np.ones(len(signed), dtype=bool)
+    while kept.any():
+        found = np.zeros(len(signed))
+        found[kept] = np.linalg.lstsq(columns[:, kept], pull, rcond=None)[0]
+        worst = int(np.argmin(np.where(signed, np.inf, found)))
+        if signed[worst] or found[worst] >= -nothing:
+            return found
+        kept[worst] = False
+    return np.zeros(len(signed))
 
 
 def _movable(problem: Problem, state: State, plan: Plan, gradients: Array) -> Array:
