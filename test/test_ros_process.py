@@ -49,6 +49,37 @@ def broken(tmp_path, launch, observer):
     return start
 
 
+SLOW = """
+    import sys, time
+    from orbimpc_ros.ros import planner
+    from orbimpc_ros.ros.process import run
+
+    class Slow(planner.Planner):
+        def __init__(self):
+            super().__init__()
+            self.quick, self.ticks = self._ticker.planned, 0
+            self._ticker.planned = self.planned
+
+        def planned(self, *now):
+            self.ticks += 1
+            answer = self.quick(*now)
+            time.sleep(1.0 if self.ticks == 2 else 0.0)
+            return answer
+
+    sys.exit(run(Slow, sys.argv))
+"""
+
+
+def test_what_a_tick_made_in_too_long_a_time_is_not_flown(tmp_path, launch, observer):
+    script = tmp_path / 'slow.py'
+    script.write_text(textwrap.dedent(SLOW))
+    bench = Bench(launch, observer, QUICK, script)
+    assert moving(bench.fly(1.0))
+    assert not moving(bench.fly(2.0))
+    bench.until(lambda: any('odometry is' in told(m)['reason'] for m in bench.ticks), 'why')
+    assert moving(bench.fly(3.0))
+
+
 def driven(bench, done):
     """Send odometry and goals until something has happened; return what was commanded."""
     seconds, sent = 1.0, 0.0
@@ -61,7 +92,11 @@ def driven(bench, done):
             bench.odometry.publish(odometry(seconds))
         return done()
 
-    bench.until(step, 'the end')
+    try:
+        bench.until(step, 'the end')
+    except AssertionError:
+        print(bench.planner.output)
+        raise
     return bench.commands
 
 

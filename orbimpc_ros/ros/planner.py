@@ -28,6 +28,7 @@ from orbimpc_ros.ros.reports import AFRESH, prices
 from orbimpc_ros.ros.ticker import Answer, Ticker, prepared
 
 GOAL_PATIENCE = 0.1  # [s] to wait for the goal that belongs to an odometry message
+REPEAT = 0.1  # [s] until who asks again is answered again: not for messages that come twice
 WATCH = 0.05  # [s] how often the inputs' age is looked at, at least
 REFUSED = 1.0  # [s] for which a refused message is a reason to warn
 
@@ -123,7 +124,8 @@ class Planner(Guarded):
     def _repeat_answer(self, message: OdometryMessage) -> None:
         """Answer again who asks again: the first answer may have been lost in discovery."""
         stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
-        if stamp == self._answered and not self._unsafe():
+        waited = self.steady_now() - self._outlet.at > REPEAT
+        if stamp == self._answered and waited and not self._unsafe():
             self._outlet.repeat()
 
     def _tick_or_wait(self) -> None:
