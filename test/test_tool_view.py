@@ -15,10 +15,7 @@ import browser
 import numpy as np
 import pytest
 
-from orbimpc_ros.mpc.floors.faces import normals
-from orbimpc_ros.mpc.problem import Floor
 from orbimpc_ros.tool import cli, view
-from orbimpc_ros.tool.view import shapes
 
 GOLDEN = Path(__file__).parent / 'golden'
 INSTALL = "pip install 'orbimpc_ros[view]', or with numpy 1 as docs/look.md says"
@@ -26,36 +23,6 @@ needs_rerun = pytest.mark.skipif(not view.installed(), reason=f'needs rerun-sdk:
 needs_chromium = pytest.mark.skipif(
     browser.find() is None, reason='needs a Chromium: apt install chromium, or CHROMIUM=its path'
 )
-
-
-# --- shapes
-
-
-@pytest.mark.parametrize('faces', [4, 6, 7])
-def test_a_polygon_has_its_corners_and_edges(faces):
-    lines = np.array(shapes.floor(2, Floor('polygon', faces, 0.5)))
-    assert lines.shape == (faces, 2, 3)
-    assert np.allclose(np.linalg.norm(lines, axis=2), 0.5 / np.cos(np.pi / faces))
-    reached = (lines[:, :, :2] @ normals(2, faces).T).max(axis=2)
-    assert np.allclose(reached, 0.5)
-
-
-@pytest.mark.parametrize(('faces', 'edges'), [(6, 12), (12, 30), (20, 30)])
-def test_a_solid_has_its_edges(faces, edges):
-    lines = np.array(shapes.floor(3, Floor('polygon', faces, 0.5)))
-    assert lines.shape == (edges, 2, 3)
-    on = np.isclose(lines @ normals(3, faces).T, 0.5).all(axis=1)
-    assert (on.sum(axis=1) == 2).all()  # every edge belongs to two faces
-
-
-@pytest.mark.parametrize('dimension', [2, 3])
-def test_round_floors_and_hulls_are_round(dimension):
-    for lines, radius in (
-        (shapes.hull(dimension), 1.0),
-        (shapes.floor(dimension, Floor('circle', fraction=0.7)), 0.7),
-    ):
-        assert np.allclose(np.linalg.norm(np.concatenate(lines), axis=1), radius)
-    assert shapes.floor(dimension, Floor()) == []
 
 
 @needs_rerun
@@ -366,6 +333,18 @@ def test_it_ends_in_order_and_leaves_nothing(served):
     code, _, err = served.stop()
     assert (code, err) == (0, '')
     assert not any(reachable('127.0.0.1', port) for port in served.ports)
+
+
+@needs_rerun
+def test_it_leaves_nothing_when_it_is_killed():
+    serving = Served(GOLDEN / 'dubins')
+    assert all(reachable('127.0.0.1', port) for port in serving.ports)
+    serving.process.kill()
+    serving.process.communicate()
+    end = time.monotonic() + 20.0
+    while any(reachable('127.0.0.1', port) for port in serving.ports):
+        assert time.monotonic() < end
+        time.sleep(0.1)
 
 
 # --- live

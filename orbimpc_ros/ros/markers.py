@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
 from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import Pose, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.floors.outline import outline
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.messages import Stamp, header, point, pose
@@ -35,6 +33,7 @@ def plan_markers(stamp: Stamp, problem: Problem, plan: Plan) -> MarkerArray:
     path.points = [point(each) for each in plan.positions]
     return MarkerArray(
         markers=[
+            _nothing(stamp),
             path,
             *_arrows(stamp, plan, unit, problem.step),
             *_boxes(stamp, problem),
@@ -83,26 +82,20 @@ def _boxes(stamp: Stamp, problem: Problem) -> list[Marker]:
 
 def _floor(stamp: Stamp, problem: Problem, center: Array, unit: float) -> list[Marker]:
     """Return what a step at less than the minimum speed would reach, around the vehicle."""
-    if problem.floor.shape == 'none':
+    lines = outline(problem.dimension, problem.floor)
+    if not lines:
         return []
-    if problem.dimension == 3:
-        ball = _marker(stamp, 'floor', 0, Marker.SPHERE, GREY, problem.step)
-        ball.scale = _cube(2.0 * unit * problem.floor.fraction)
-        ball.pose.position = point(center)
-        return [ball]
-    outline = _marker(stamp, 'floor', 0, Marker.LINE_STRIP, GREY, problem.step)
-    outline.scale.x = LINE * unit
-    outline.points = [point(center + unit * corner) for corner in _corners(problem)]
-    return [outline]
+    drawn = _marker(stamp, 'floor', 0, Marker.LINE_LIST, GREY, problem.step)
+    drawn.scale.x = LINE * unit
+    drawn.pose.position = point(center)
+    pieces = [line[k : k + 2] for line in lines for k in range(len(line) - 1)]
+    drawn.points = [point(unit * end) for piece in pieces for end in piece]
+    return [drawn]
 
 
-def _corners(problem: Problem) -> Array:
-    """Return the floor's outline, closed: the polygon's corners, or a circle's points."""
-    floor = problem.floor
-    faces = floor.faces if floor.shape == 'polygon' else 48
-    angles = 2.0 * np.pi * (np.arange(faces + 1) + 0.5) / faces
-    reach = floor.fraction / math.cos(math.pi / faces)
-    return reach * np.column_stack([np.cos(angles), np.sin(angles)])
+def _nothing(stamp: Stamp) -> Marker:
+    """Return what removes all that was shown before: a shorter plan has fewer arrows."""
+    return Marker(header=header(stamp.nanoseconds, stamp.frames.world), action=Marker.DELETEALL)
 
 
 def _arrow(stamp: Stamp, name: str, number: int, color: tuple[float, ...], step: float) -> Marker:

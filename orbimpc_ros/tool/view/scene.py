@@ -12,6 +12,7 @@ import rerun as rr
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.floors.outline import outline, sphere
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.messages import (
     SECOND,
@@ -90,8 +91,8 @@ class Scene:
         self._radius = float(values['capture_radius'])
         self._done = 'caught' if values['finish'] == 'capture' else 'arrived'
         n, floor = self._problem.dimension, self._problem.floor
-        self._to.log(f'{THRUST}/hull', _lines(shapes.hull(n), GREY, 0.008), static=True)
-        self._to.log(f'{THRUST}/floor', _lines(shapes.floor(n, floor), RED, 0.014), static=True)
+        self._to.log(f'{THRUST}/hull', _lines(sphere(n, 1.0), GREY, 0.008), static=True)
+        self._to.log(f'{THRUST}/floor', _lines(outline(n, floor), RED, 0.014), static=True)
         self._to.log(f'{WORLD}/obstacles', _boxes(self._problem), static=True)
 
     def take(self, topic: str, message: Any) -> None:
@@ -221,8 +222,8 @@ def _series(color: str, width: float, manner: rr.components.InterpolationMode) -
     return rr.SeriesLines(colors=[rgb(color)], widths=[width], interpolation_mode=manner)
 
 
-def _lines(strips: list[Array], color: str, radius: float) -> rr.LineStrips3D:
-    return rr.LineStrips3D(strips, colors=[rgb(color)], radii=[radius])
+def _lines(strips: Sequence[Array], color: str, radius: float) -> rr.LineStrips3D:
+    return rr.LineStrips3D(list(strips), colors=[rgb(color)], radii=[radius])
 
 
 def _arrows(places: Sequence[Array], along: Array, color: str, radius: float) -> rr.Arrows3D:

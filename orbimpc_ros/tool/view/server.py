@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -61,7 +63,7 @@ def _any() -> int:
 
 
 class Server:
-    """A page and its data in a process of its own; entered, they can be reached.
+    """A page and its data in a process that ends with this one; entered, they can be reached.
 
     Args:
         ports: to serve at.
@@ -77,8 +79,9 @@ class Server:
         program = Path(rerun_cli.__file__).parent / 'rerun'
         words = ('--serve-web', '--bind', HOST, '--hide-welcome-screen')
         numbers = ('--port', str(ports.data), '--web-viewer-port', str(ports.page))
+        tethered = ('-m', 'orbimpc_ros.tool.tethered', str(os.getpid()))
         self._child = subprocess.Popen(
-            [str(program), *words, *numbers],
+            [sys.executable, *tethered, 'orbimpc_ros.tool.view.host', program, *words, *numbers],
             stdin=subprocess.DEVNULL,
             stdout=self._log,
             stderr=subprocess.STDOUT,
