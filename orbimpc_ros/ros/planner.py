@@ -30,6 +30,7 @@ from orbimpc_ros.ros.ticker import Answer, Ticker, prepared
 GOAL_PATIENCE = 0.1  # [s] to wait for the goal that belongs to an odometry message
 REPEAT = 0.1  # [s] until who asks again is answered again: not for messages that come twice
 WATCH = 0.05  # [s] how often the inputs' age is looked at, at least
+CLOCK_SET = 0.1  # [s] by which the system's clock may be set without a fresh start
 REFUSED = 1.0  # [s] for which a refused message is a reason to warn
 
 
@@ -230,11 +231,11 @@ class Planner(Guarded):
         Simulated time moves in steps. A step forward makes what is known as much older, which its
         age tells; a jump is what makes all of it stale.
         """
-        settings = self._settings
-        largest = settings.future_tolerance
-        if self._time.simulated and by > 0.0:
-            largest = max(settings.odom_timeout, settings.goal_timeout) + settings.problem.step
-        if abs(by) > largest or (self._time.simulated and by < 0.0):
+        settings, back, forth = self._settings, CLOCK_SET, CLOCK_SET
+        if self._time.simulated:
+            back = 0.0
+            forth = max(settings.odom_timeout, settings.goal_timeout) + settings.problem.step
+        if not -back <= by <= forth:
             self._start_afresh(f'the clock jumped by {by:.3g} s')
 
     def _start_afresh(self, why: str) -> None:
