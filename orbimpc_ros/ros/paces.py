@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from orbimpc_ros.ros.sim import Sim
 
 LOOK = 0.02  # [s] how often to look whether anybody is there, or has gone
+SETTLED = 0.1  # [s] lock-step: a planner that is asked nothing still has to take in the goal
 RESEND = 0.5  # [s] lock-step: ask again without an answer; first messages may be lost
 PATIENCE = 20.0  # [s] lock-step: give up without an answer
 
@@ -24,7 +25,9 @@ class LockStep:
 
     The last odometry is answered too, though that command is not flown: so every run has the
     same messages. Where faults leave nothing to answer, or lose the answer, the step is flown
-    on the last command, as long as that is in force, and without speed after that.
+    on the last command, as long as that is in force, and without speed after that. Odometry then
+    follows the clock and the goals at a distance: stamps no longer tell the planner what belongs
+    together, and DDS keeps no order among topics.
     """
 
     def __init__(self, sim: Sim) -> None:
@@ -34,9 +37,9 @@ class LockStep:
 
     def restart(self) -> None:
         """Ask anew as soon as everybody is there."""
-        self._asked: int | None = None  # when the step begins that waits for a command [ns]
+        self._asking = False  # whether a step waits for a command
         self._awaited: int | None = None  # stamp of the odometry to be answered [ns]
-        self._newest = -1  # stamp of the last odometry sent [ns]
+        self._newest = -np.inf  # true time of the last odometry sent [s]
         self._goal_sent = False
         self._order: Order | None = None
         self._heard = -np.inf  # when the last command came, in simulated time [s]
@@ -57,15 +60,16 @@ class LockStep:
             return
         now = self._sim.steady_now()
         absent = self._absent()
-        if self._asked is None and not absent:
+        if not self._asking and not absent:
             self._ask()
         elif self._held_back:
             self._follow_up()
-        elif self._asked is not None and self._awaited is None:
-            self._fly_on()
+        elif self._asking and self._awaited is None:
+            if now - self._asked_at > SETTLED:
+                self._fly_on()
         elif now - self._progress > PATIENCE:
             self._give_up(absent or 'an answer to the odometry on cmd_vel')
-        elif self._asked is not None and now - self._asked_at > RESEND:
+        elif self._asking and now - self._asked_at > RESEND:
             self._send()
 
     def _absent(self) -> str:
@@ -79,7 +83,7 @@ class LockStep:
         self._sim.exit_code = FAILED
 
     def _ask(self) -> None:
-        self._asked = self.now
+        self._asking = True
         self._progress = self._sim.steady_now()
         self._sent = self._sim.view.of(self._sim.flight)
         self._awaited = self._to_be_answered()
@@ -90,9 +94,9 @@ class LockStep:
         fresh = None
         for sent in self._sent:
             self._goal_sent |= sent.finite and not sent.is_odometry
-            stamp = self._sim.stamp_of(sent, self.now)
-            if sent.is_odometry and sent.finite and stamp > self._newest:
-                fresh = self._newest = stamp
+            if sent.is_odometry and sent.finite and sent.content.time > self._newest:
+                self._newest = sent.content.time
+                fresh = self._sim.stamp_of(sent, self.now)
         return fresh if self._goal_sent else None
 
     def _send(self) -> None:
