@@ -118,8 +118,10 @@ def _check_ticks(heard):
         assert set(told) == {
             'status', 'reason', 'objective', 'lower_bound', 'gap', 'nodes', 'solve_time_ms',
             'speed_fraction', 'projection_distance', 'fallback', 'binding', 'advanced',
+            'goal_stamps',
         }  # fmt: skip
         assert told['status'] == 'optimal'
+        assert json.loads(told['goal_stamps']) == {'goal': stamp(message)}
         assert told['fallback'] == ''
         assert float(told['lower_bound']) <= float(told['objective'])
         assert float(told['gap']) <= 1e-4

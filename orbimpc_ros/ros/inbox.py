@@ -196,6 +196,11 @@ class Inbox:
         return ' and '.join(absent)
 
     @property
+    def goal_stamps(self) -> dict[str, int]:
+        """Return the stamps of the goals known, by topic [ns]."""
+        return {topic: each.stamp.nanoseconds for topic, each in self._goal_sources().items()}
+
+    @property
     def untimed(self) -> str:
         """Return which sources' stamps are of another clock than this node's, in words."""
         heard = {'odom': self.odometry, **self._goal_sources()}

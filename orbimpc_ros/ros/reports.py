@@ -42,6 +42,7 @@ class Report:
         binding: price of each constraint that keeps the plan from being better, dearest first, by
             its name and step, such as ``floor@3``; empty if none does or the plan is no optimum.
         advanced: by how much the measured state was moved on before planning [s].
+        goal_stamps: of the goals known, by topic: the messages that the plan is made of [ns].
     """
 
     status: str
@@ -56,6 +57,7 @@ class Report:
     fallback: str = ''
     binding: Mapping[str, float] = field(default_factory=dict)
     advanced: float = 0.0
+    goal_stamps: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def level(self) -> bytes:

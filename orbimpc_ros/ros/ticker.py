@@ -103,7 +103,11 @@ class Ticker:
         took = time.perf_counter() - begun
         self.timing.took(took, settings.deadline, settings.problem.step)
         report = report_of(tick, 0.0 if lost else 1e3 * took)
-        report = replace(report, advanced=odometry.time - arrival.value.time)
+        report = replace(
+            report,
+            advanced=odometry.time - arrival.value.time,
+            goal_stamps=self.inbox.goal_stamps,
+        )
         command = self._safe_command() if tick.fallback == SAFE else tick.command
         return self._checked(Answer(command, report, tick))
 

@@ -30,6 +30,7 @@ class Answer:
         thrust: share of full speed or thrust along the plan, shape (N + 1,); empty without one.
         objective: of the plan; NaN without one.
         gap: of the plan; NaN without one.
+        goal_stamps: of the goals that it was planned for, by topic [ns]; None if not told.
         advanced: how far the measurement was advanced to plan from [s].
         solve_time_ms: what the tick took; 0 if no solver was asked [ms].
     """
@@ -44,6 +45,7 @@ class Answer:
     thrust: tuple[float, ...] = ()
     objective: float | None = None
     gap: float | None = None
+    goal_stamps: Mapping[str, int] | None = None
     advanced: float | None = None
     solve_time_ms: float | None = None
 
@@ -69,6 +71,7 @@ def answer_of(messages: Messages) -> Answer:
         found |= {name: _text(told.get(name)) for name in ('status', 'reason', 'fallback')}
         numbers = ('objective', 'gap', 'advanced', 'solve_time_ms')
         found |= {name: _number(told.get(name)) for name in numbers}
+        found['goal_stamps'] = _stamps(told.get('goal_stamps'))
         found['thrust'] = _numbers(told.get('speed_fraction'))
     return Answer(**found)
 
@@ -85,3 +88,8 @@ def _number(value: Any) -> float | None:
 def _numbers(value: Any) -> tuple[float, ...]:
     found = [_number(each) for each in value] if isinstance(value, list) else []
     return tuple(math.nan if each is None else each for each in found)
+
+
+def _stamps(value: Any) -> dict[str, int] | None:
+    good = isinstance(value, dict) and all(isinstance(stamp, int) for stamp in value.values())
+    return value if good else None

@@ -7,9 +7,10 @@ really commanded on the tick before: one difference does not cause all that foll
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 
 from orbimpc_ros.ros.arrival import RosTime
 from orbimpc_ros.ros.planner_parameters import PlannerSettings
@@ -74,31 +75,21 @@ class Listener:
     """
 
     def __init__(self, pilot: Pilot, recording: Recording, simulated: bool, step: float) -> None:
-        self._pilot, self._inputs = pilot, deque(recording.inputs)
-        self._measured = {each.stamp for each in recording.inputs if each.topic == 'odom'}
+        self._pilot, self._inputs = pilot, list(recording.inputs)
         self._simulated, self._step = simulated, step
         self._clock: int | None = None
 
     def heard(self, recorded: Recorded) -> Iterator[str]:
-        """Take in what had come when the answer was begun; yield refusals.
-
-        Sent times tell that up to what a message takes on its way. For odometry the answer's own
-        stamp tells it exactly.
-        """
-        begun = recorded.sent - round(1e6 * _solve_time_ms(recorded))
-        latest = recorded.sent if recorded.stamp in self._measured else begun
-        found = False
-        while self._inputs and self._inputs[0].sent <= latest:
-            if found and self._inputs[0].topic == 'odom':
-                return
-            each = self._inputs.popleft()
-            refusal = self._take(each)
+        """Take in what had come when the answer was begun; yield refusals."""
+        sent = list(takewhile(lambda each: each.sent <= recorded.sent, self._inputs))
+        latest = _latest(sent, recorded)
+        known = [k for k, each in enumerate(sent) if k <= latest[each.topic]]
+        for k in known:
+            refusal = self._take(sent[k])
             if refusal:
                 yield refusal
-            elif each.topic == 'odom' and each.stamp == recorded.stamp:
-                found = True
-                # By a clock of stamps no time passes: what carries the same stamp came in time.
-                latest = max(begun, each.sent)
+        rest = set(range(len(sent))).difference(known)
+        self._inputs[: len(sent)] = [sent[k] for k in sorted(rest)]
 
     def _take(self, each: Input) -> str:
         if each.topic == CLOCK:
@@ -106,6 +97,33 @@ class Listener:
             return ''
         shown = RosTime(self._clock, self._step) if self._simulated else RosTime(each.sent)
         return self._pilot.hear(each.topic, each.message, each.sent / SECOND, shown)
+
+
+def _latest(sent: Sequence[Input], recorded: Recorded) -> dict[str, int]:
+    """Return the index of the last input that was known, by topic; -1 for none.
+
+    An answer tells by its stamps which messages it was made of. Where it does not, when they were
+    sent tells it, up to what a message takes on its way.
+    """
+    begun = recorded.sent - round(1e6 * _solve_time_ms(recorded))
+    last = {each.topic: k for k, each in enumerate(sent) if each.sent <= begun}
+    latest = defaultdict(lambda: -1, last)
+    measured = [k for k, each in enumerate(sent) if _is(each, 'odom', recorded.stamp)]
+    if measured:
+        latest['odom'] = measured[-1]
+        # By a clock of stamps no time passes: what was sent before odometry came in time.
+        known = max(begun, sent[measured[-1]].sent)
+        latest |= {each.topic: k for k, each in enumerate(sent)
+                   if each.sent <= known and each.topic != 'odom'}  # fmt: skip
+    for topic, stamp in (recorded.answer.goal_stamps or {}).items():
+        latest[topic] = max(
+            (k for k, each in enumerate(sent) if _is(each, topic, stamp)), default=-1
+        )
+    return latest
+
+
+def _is(each: Input, topic: str, stamp: int) -> bool:
+    return each.topic == topic and each.stamp == stamp
 
 
 def _answer(pilot: Pilot, recorded: Recorded) -> Told:
