@@ -224,6 +224,21 @@ def test_bad_words_are_refused_in_one_line(words, culprit):
     assert culprit in done.stderr
 
 
+def test_without_ros_it_says_what_to_install():
+    script = (
+        'import importlib.util as util, sys\n'
+        'find = util.find_spec\n'
+        'util.find_spec = lambda name, *rest: None if name == "rclpy" else find(name, *rest)\n'
+        'from orbimpc_ros.tool import cli; sys.exit(cli.main(["faults"]))'
+    )
+    done = subprocess.run(
+        [sys.executable, '-c', script], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr.count('\n') == 1
+    assert 'orbimpc_ros[ros]' in done.stderr
+
+
 def test_rows_are_listed():
     done = subprocess.run(command('--list'), capture_output=True, text=True, check=True)
     assert [line.split()[0] for line in done.stdout.splitlines()] == [t.name for t in MATRIX]

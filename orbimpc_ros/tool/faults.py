@@ -9,6 +9,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,6 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Try every row, print the table; 1 if a command was unsafe or a reaction late."""
     _require_folder(args.json)
+    if find_spec('rclpy') is None:
+        wanted = "ROS 2 Jazzy, or pip install 'orbimpc_ros[ros]'"
+        raise BadInput('orbimpc faults', 'without rclpy', wanted)
     if args.soak is not None:
         from orbimpc_ros.tool.trials.soak import soaked
 

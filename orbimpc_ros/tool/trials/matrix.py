@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
-from orbimpc_ros.tool.trials import clocks, endings, files, inputs, network, parameters, plans
+from orbimpc_ros.tool.trials import (
+    clocks,
+    commands,
+    endings,
+    files,
+    inputs,
+    network,
+    parameters,
+    plans,
+)
 
-GROUPS = (inputs, clocks, plans, network, endings, parameters, files)
+GROUPS = (inputs, clocks, plans, network, commands, endings, parameters, files)
 MATRIX = tuple(trial for group in GROUPS for trial in group.TRIALS)

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 
 import numpy as np
 from geometry_msgs.msg import TwistStamped
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy
 
 from orbimpc_ros.ros.process import qos
@@ -34,8 +35,9 @@ def _mismatch(lab: Lab, long: bool) -> Iterator[Outcome]:
         stand.spin(stand.draw.uniform(0.0, STEP))
         begin = time.monotonic()
         latched = qos(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        quiet = SubscriptionEventCallbacks(incompatible_qos=lambda _event: None)
         wrong = stand.node.create_subscription(
-            TwistStamped, 'cmd_vel', lambda _message: None, latched
+            TwistStamped, 'cmd_vel', lambda _message: None, latched, event_callbacks=quiet
         )
         stand.spin(TOLD + MEET)
         told = stand.watch.first_error(begin) - begin
