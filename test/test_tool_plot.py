@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 from PIL import Image
 
 from orbimpc_ros.tool import cli, figures, history, plot, style
@@ -74,7 +75,9 @@ def test_a_dark_retrieval_with_its_animation(capsys, tmp_path):
         assert (apart <= 6).sum() > 50, color
 
 
-def test_only_what_was_made_here_is_replaced(capsys, tmp_path):
+def test_only_what_was_made_here_is_replaced(capsys, tmp_path, monkeypatch):
+    small = {'trajectory.png': Figure((1, 1)), 'solver.png': Figure((1, 1))}
+    monkeypatch.setattr(figures, 'of_flight', lambda *_: small)
     words = (GOLDEN / 'dubins', '-o', tmp_path, '--no-animation')
     ours, foreign = tmp_path / 'trajectory.png', tmp_path / 'solver.png'
     assert run(capsys, *words)[0] == 0
@@ -120,6 +123,29 @@ def test_another_vehicle_is_not_drawn(capsys, tmp_path):
     assert (code, len(complaint)) == (2, 1)
     assert 'without /uav7/odom' in complaint[0]
     assert not (tmp_path / 'out').exists()
+
+
+def first(run, count):
+    """Return the beginning of a run."""
+    parts = ('times', 'positions', 'attitudes', 'velocities', 'rates', 'ropes', 'plans', 'ticks')
+    return replace(run, **{part: getattr(run, part)[:count] for part in parts})
+
+
+def test_a_single_sighting_is_no_flight(capsys, tmp_path, monkeypatch, caught):
+    monkeypatch.setattr(history, 'of_bag', lambda *_: first(caught, 1))
+    code, _, complaint = run(capsys, 'short', '-o', tmp_path / 'out')
+    assert (code, len(complaint)) == (2, 1)
+    assert 'single odometry' in complaint[0]
+    assert not (tmp_path / 'out').exists()
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('name', ['retrieval', 'spacecraft'])
+def test_short_flights_and_those_without_plans_are_drawn(name):
+    flown = replace(history.of_bag(GOLDEN / name), captured=False)
+    for each in (first(flown, 2), replace(flown, plans=(), ticks=(), forces=())):
+        assert set(figures.of_flight(each)) >= STILL
+        assert next(animation.animation(each)).shape[2] == 3
 
 
 def luminance(color):

@@ -36,6 +36,8 @@ def run(args: argparse.Namespace) -> int:
     from orbimpc_ros.tool import history
 
     flight = history.of_bag(Path(args.bag), args.namespace)
+    if len(flight.times) < 2:
+        raise BadInput(args.bag, 'with a single odometry message', 'a flight of two or more')
     pictures = _pictures(flight, args.dark, not args.no_animation)
     folder = _folder(Path(args.out).resolve(), pictures)
     for name, write in pictures.items():

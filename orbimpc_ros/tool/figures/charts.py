@@ -70,4 +70,5 @@ def draw_speed(axes: Axes, history: History) -> None:
     title = f'{what.capitalize()} fraction |R e₁|'
     axes.set(title=title, xlabel='time [s]', ylabel=f'share of full {what}')
     axes.set_ylim(0.0, 1.08)
-    axes.legend(loc='lower right', ncols=2)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc='lower right', ncols=2)

@@ -30,7 +30,7 @@ def add_axes(figure: Figure, place: Any, points: Array, *, view: tuple[float, fl
     """
     axes: Axes3D = figure.add_subplot(place, projection='3d')
     low, high = points.min(axis=0), points.max(axis=0)
-    margin = 0.06 * float((high - low).max())
+    margin = max(0.01, 0.06 * float((high - low).max()))  # also of what stands still
     low, high = low - margin, high + margin
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     axes.set_box_aspect(high - low, zoom=0.9)
