@@ -49,7 +49,8 @@ setup(
         'bench': ['casadi', 'gurobipy', 'pyscipopt', 'qoco'],
         'fast': ['numba>=0.59'],
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
-        'study': ['casadi', 'distributed>=2024.1', 'pyarrow>=14'],
+        # Newer Arrows want NumPy 2, which not every ROS workspace has.
+        'study': ['casadi', 'distributed>=2024.1', 'pyarrow>=14,<25'],
         'test': [
             'colcon-core',
             'colcon-package-selection',

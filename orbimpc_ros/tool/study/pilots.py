@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import lru_cache
 from importlib import import_module
-from importlib.util import find_spec
 from typing import Any
 
 from orbimpc_ros.mpc.errors import BadInput
@@ -38,8 +37,16 @@ def pilot_named(name: str, problem: Problem, purpose: str = '') -> Any:
 def require_installed(controllers: Sequence[str]) -> None:
     """Raise BadInput, saying what to install, unless a study with these controllers can run."""
     needed = (*NEEDED, 'casadi') if NONLINEAR in controllers else NEEDED
-    missing = [module for module in needed if find_spec(module) is None]
+    missing = [module for module in needed if not _imports(module)]
     if missing:
         raise BadInput(
             'orbimpc study', f'without {", ".join(missing)}', "pip install 'orbimpc_ros[study]'"
         )
+
+
+def _imports(module: str) -> bool:
+    try:
+        import_module(module)
+    except ImportError:  # not there, or not for the NumPy that is
+        return False
+    return True
