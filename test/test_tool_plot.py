@@ -139,6 +139,12 @@ def test_a_single_sighting_is_no_flight(capsys, tmp_path, monkeypatch, caught):
     assert not (tmp_path / 'out').exists()
 
 
+def test_frames_leave_no_look_behind(caught):
+    before = style.paper()
+    for _ in zip(range(3), animation.animation(caught, dark=True), strict=False):
+        assert style.paper() == before != style.PAGE
+
+
 @pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize('name', ['retrieval', 'spacecraft'])
 def test_short_flights_and_those_without_plans_are_drawn(name):

@@ -50,8 +50,10 @@ def animation(history: History, dark: bool = False) -> Iterator[Array]:
     """Yield the frames of a flight, shape (height, width, 3), as bytes of red, green and blue."""
     with look(dark):
         stage = Stage(history)
-        for instant in instants(history):
-            yield stage.show(instant)
+    for instant in instants(history):
+        with look(dark):  # left before whoever takes the frame goes on
+            frame = stage.show(instant)
+        yield frame
 
 
 def instants(history: History) -> Iterator[Instant]:

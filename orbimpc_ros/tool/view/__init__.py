@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import os
+import sys
 import time
 import webbrowser
 from collections.abc import Callable
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     Recordings = Callable[[], rr.RecordingStream]  # each call begins a new one, if it can
     Going = Callable[[], bool]  # until nobody wants to see more
 
+SCREENS = ('DISPLAY', 'WAYLAND_DISPLAY', 'BROWSER')
 PAUSE = 0.1  # [s] between looks at the server
 
 
@@ -77,7 +80,7 @@ def _serve(args: argparse.Namespace, going: Going) -> None:
     draw = _drawing(args)
     with Server(choose(args.port)) as server, ExitStack() as connections:
         print(f'page          {server.page} (Ctrl-C ends it)', flush=True)
-        if not args.no_browser:
+        if not args.no_browser and _has_screen():
             webbrowser.open(server.page)
 
         def connected() -> rr.RecordingStream:
@@ -93,6 +96,11 @@ def _serve(args: argparse.Namespace, going: Going) -> None:
         draw(connected, alive)
         while alive():
             time.sleep(PAUSE)
+
+
+def _has_screen() -> bool:
+    """Return whether a browser can show itself; else one in the terminal would take its place."""
+    return sys.platform == 'darwin' or any(os.environ.get(name) for name in SCREENS)
 
 
 def _recording() -> rr.RecordingStream:
