@@ -75,22 +75,29 @@ def _wanted(only: Sequence[str] | None) -> list[Trial]:
 
 def tried(trials: Sequence[Trial], long: bool) -> list[Row]:
     """Return the rows of trials and print them; all processes are gone at the end."""
-    from orbimpc_ros.tool.progress import Progress
     from orbimpc_ros.tool.trials.lab import Lab
     from orbimpc_ros.tool.trials.outcome import Row, table
 
     rows = [Row(trial) for trial in trials]
-    progress = Progress(len(rows))
-    with tempfile.TemporaryDirectory() as folder, Lab(Path(folder)) as lab, _terminated():
-        for number, row in enumerate(rows):
-            begin = time.monotonic()
-            for outcome in _outcomes(row.trial, lab, long):
-                row.outcomes.append(outcome)
-                row.seconds = time.monotonic() - begin
-                progress.show(number, f'{row.trial.title}: {len(row.outcomes)} cases')
-    progress.close()
-    print(table(rows))
+    try:
+        with tempfile.TemporaryDirectory() as folder, Lab(Path(folder)) as lab, _terminated():
+            _try_all(rows, lab, long)
+    finally:
+        print(table([row for row in rows if row.outcomes]))
     return rows
+
+
+def _try_all(rows: Sequence[Row], lab: Lab, long: bool) -> None:
+    from orbimpc_ros.tool.progress import Progress
+
+    progress = Progress(len(rows))
+    for number, row in enumerate(rows):
+        begin = time.monotonic()
+        for outcome in _outcomes(row.trial, lab, long):
+            row.outcomes.append(outcome)
+            row.seconds = time.monotonic() - begin
+            progress.show(number, f'{row.trial.title}: {len(row.outcomes)} cases')
+    progress.close()
 
 
 def _outcomes(trial: Trial, lab: Lab, long: bool) -> Iterator[Outcome]:

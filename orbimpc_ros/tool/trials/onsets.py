@@ -17,12 +17,15 @@ ONSETS = (START, MIDWAY, SOLVING)
 SEEDS = (1, 2, 3)
 AFTER = 3  # ticks that a fault lasts beyond the latest reaction
 INTO = 0.03  # [s] of a solve
-# A search that lasts until its deadline: true minimum speed, limited turns and boxes to avoid.
+# A search that lasts until its deadline, with a plan at hand: constant speed, limited turns, and a
+# gap that it cannot close.
 SLOW = {
     'floor.shape': 'circle',
-    'max_rate': 1.0,
-    'horizon': 8,
-    'obstacles': [0.3, 2.0, 0.9, 2.6, -0.9, 3.2, -0.3, 3.9],
+    'floor.fraction': 1.0,
+    'horizon': 12,
+    'weights.input': 0.0,
+    'weights.length': 0.1,
+    'gap_tolerance': 1e-9,
 }
 HEALTHY = Spoiled('nothing')
 

@@ -22,7 +22,7 @@ from orbimpc_ros.tool.trials.outcome import Outcome, Trial
 from orbimpc_ros.tool.trials.stand import RATE, STEP, Stand
 
 WALLED_IN = [-50.0, -50.0, 50.0, 50.0]  # everywhere is inside of this box
-FAR = 10.0  # [m] off the circle: free
+ELSEWHERE = [10.0, 10.0, 11.0, 11.0]  # a box off the circle
 LADDER = 2.0  # ticks that a shifted plan may stand in, and none more
 HALF = 0.5  # of a step is what a solve may take
 BUSY = 0.25  # of a step on top: a machine that is busy with other things
@@ -57,7 +57,6 @@ def _infeasible(lab: Lab, long: bool) -> Iterator[Outcome]:
     for onset, seed in _repeat(long):
         stand = onsets.stand_for(lab, onset)
         stand.draw.seed(seed)
-        free = SLOW['obstacles'] if onset == onsets.SOLVING else [FAR, FAR, FAR + 1, FAR + 1]
         begin = onsets.set_in(stand, onset, partial(set_live, stand, obstacles=WALLED_IN))
         stand.spin((LADDER + 1 + AFTER) * STEP)
         again = stand.watch.moving_again(begin, begin + (LADDER + 1) * STEP)
@@ -66,7 +65,7 @@ def _infeasible(lab: Lab, long: bool) -> Iterator[Outcome]:
         told = any(tick.at >= begin and SAFE in tick.values['fallback']
                    for tick in stand.watch.ticks)  # fmt: skip
         failure = '' if told else 'no reason on tick'
-        set_live(stand, obstacles=free)
+        set_live(stand, obstacles=ELSEWHERE)
         outcome = Outcome(f'walled in, {onset}', unsafe, reaction, failure)
         yield onsets.recovered(stand, outcome)
 
