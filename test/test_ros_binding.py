@@ -1,16 +1,16 @@
 """What binds, as the planner tells it on ``tick``."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from orbimpc_ros.mpc.controller import Controller
-from orbimpc_ros.mpc.odometry import Odometry
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.reports import prices, report_of, tick_message
-from orbimpc_ros.world.flight import departure, planned
-from orbimpc_ros.world.scenario import retrieval, retrieval_problem
+from orbimpc_ros.world.flight import departure
+from orbimpc_ros.world.scenario import retrieval
 from orbimpc_ros.world.vehicle import measured
 
 pytest.importorskip('rclpy')
@@ -41,9 +41,15 @@ def test_a_plan_that_only_stands_in_has_no_prices():
     assert prices(tick) == {}
 
 
-def test_a_tick_message_carries_the_prices_as_json():
-    from dataclasses import replace
+def test_a_shrinking_horizon_is_priced_as_what_is_left_of_it():
+    controller = Controller(Problem(), shrinking=True)
+    odometry = measured(departure(retrieval()).vehicle)
+    for left in (5, 4, 3):
+        tick = controller.tick(odometry, np.tile([99.0, 0.0], (left, 1)))
+        assert list(prices(tick)) == [f'hull@{k}' for k in range(1, left)]
 
+
+def test_a_tick_message_carries_the_prices_as_json():
     tick = far_away(Problem())
     report = replace(report_of(tick, 1.0), binding=prices(tick))
     told = {pair.key: pair.value for pair in tick_message(0, 'planner', report).status[0].values}
