@@ -346,7 +346,7 @@ def test_a_goal_within_reach_is_left_alone():
 
 
 def test_a_soft_arrival_has_no_more_time_than_any_other_plan():
-    problem = Problem(horizon=6, terminal='constraint', max_rate=1.0, floor=floor('circle', 0.5))
+    problem = Problem(horizon=6, terminal='constraint', max_rate=1.0, floor=floor('polygon', 0.5))
     controller = Controller(problem, shrinking=True)
     assert controller.tick(odometry(), np.tile([3.0, 2.0], (6, 1))).plan is not None
     polled = []

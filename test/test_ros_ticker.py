@@ -34,8 +34,8 @@ class Told:
         message = messages.odometry_message(Stamp(stamp(at), FRAMES), vehicle)
         assert self.ticker.inbox.take_odometry(message, now, RosTime(stamp(now))) == ''
 
-    def goal(self, at, now):
-        message = messages.goal_message(Stamp(stamp(at), FRAMES), np.array([5.0, 1.0]))
+    def goal(self, at, now, x=5.0):
+        message = messages.goal_message(Stamp(stamp(at), FRAMES), np.array([x, 1.0]))
         assert self.ticker.inbox.take_goal(message, now, RosTime(stamp(now))) == ''
 
     def tick(self, now):
@@ -83,6 +83,16 @@ def test_the_state_is_advanced_by_the_age_of_odometry():
     )
     begun = path.poses[0].header.stamp
     assert begun.sec * SECOND + begun.nanosec >= stamp(0.18) - 1000
+
+
+def test_the_goal_is_where_it_will_be_when_the_advanced_plan_gets_there():
+    told = Told(goal_prediction='velocity')
+    for at in (0.0, 0.1):
+        told.odometry(at, at + 0.05)
+        told.goal(at, at + 0.05, x=5.0 + at)
+        answer = told.tick(at + 0.05)
+    ahead = 0.1 + answer.report.advanced + 0.1 * np.arange(1, 6)
+    np.testing.assert_allclose(answer.tick.goals[:, 0], 5.0 + ahead, atol=1e-4)
 
 
 def test_without_delay_compensation_changes_no_bit():
