@@ -14,6 +14,7 @@ from orbimpc_ros.tool.figures import animation, scene, space
 from orbimpc_ros.tool.figures.data import COMPONENTS
 from orbimpc_ros.tool.figures.solver import series
 from orbimpc_ros.tool.figures.stories import story
+from orbimpc_ros.tool.topics import absent
 
 GOLDEN = Path(__file__).parent / 'golden'
 STILL = {'trajectory.png', 'data.png', 'solver.png'}
@@ -115,6 +116,13 @@ def test_bad_words_are_refused_in_one_line(capsys, tmp_path, bag, out, culprit):
     assert (code, len(complaint)) == (2, 1)
     assert culprit in complaint[0]
     assert [file.name for file in tmp_path.iterdir()] == ['file']
+
+
+def test_the_vehicles_of_a_bag_are_named():
+    complaint = str(absent(Path('bag'), '/odom', ['/uav1/odom', '/uav2/odom', '/uav2/goal']))
+    assert 'without /odom' in complaint
+    assert '--namespace /uav1 or /uav2' in complaint
+    assert 'namespace' not in str(absent(Path('bag'), '/goal', ['/odom', '/tick']))
 
 
 def test_another_vehicle_is_not_drawn(capsys, tmp_path):

@@ -17,6 +17,7 @@ from orbimpc_ros.mpc.sighting import Sighting
 from orbimpc_ros.ros.messages import Frames, read_odometry, read_sighting
 from orbimpc_ros.tool import bag, settings
 from orbimpc_ros.tool.content import fields, point, seconds
+from orbimpc_ros.tool.topics import absent
 from orbimpc_ros.world.capture import closest_approach
 
 T = TypeVar('T')
@@ -157,7 +158,9 @@ def of_bag(path: Path, namespace: str = '') -> History:
     """
     values = settings.of_bag(path, namespace) or settings.read('{}')
     found: dict[str, list[Any]] = defaultdict(list)
+    heard: set[str] = set()
     for message in bag.read(path, WANTED):
+        heard.add(message.topic)
         before, _, name = message.topic.rpartition('/')
         if before == namespace:
             found[name].append(message.content)
@@ -166,7 +169,7 @@ def of_bag(path: Path, namespace: str = '') -> History:
     seen = {sighting.time: sighting for _, sighting in _valid(read_sighting, found['goal'])}
     for topic, valid in (('odom', measured), ('goal', seen)):
         if not valid:
-            raise BadInput(str(path), f'without {namespace}/{topic}', 'a bag with odom and goal')
+            raise absent(path, f'{namespace}/{topic}', heard)
     times = np.array(sorted(measured))
     odometry = [measured[time] for time in times]
     attitudes = np.array([o.attitude for o in odometry])

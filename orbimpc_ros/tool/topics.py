@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import NamedTuple
+
+from orbimpc_ros.mpc.errors import BadInput
 
 
 class Topic(NamedTuple):
@@ -48,3 +51,16 @@ def topics_of(namespaces: Sequence[str] = ('',)) -> tuple[Topic, ...]:
 def known(name: str, kind: str) -> bool:
     """Return whether a topic, in whatever namespace, is one of a run's and of the right type."""
     return TYPES.get(name.rpartition('/')[2]) == kind
+
+
+def absent(path: Path, topic: str, heard: Iterable[str]) -> BadInput:
+    """Return the complaint that a topic is not in a bag, and which vehicles are.
+
+    Args:
+        path: of the bag.
+        topic: wanted, with its namespace.
+        heard: the topics that are there.
+    """
+    places = {name.rpartition('/')[0] for name in heard if name.endswith('/odom')} - {''}
+    hint = f' (in this one: --namespace {" or ".join(sorted(places))})' if places else ''
+    return BadInput(str(path), f'without {topic}', f'a bag with odom and goal{hint}')

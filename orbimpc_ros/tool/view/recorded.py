@@ -8,8 +8,8 @@ from typing import Any
 
 import rerun as rr
 
-from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool import bag, settings
+from orbimpc_ros.tool.topics import absent
 from orbimpc_ros.tool.view.scene import Scene
 
 NEEDED = ('odom', 'goal')
@@ -42,13 +42,13 @@ def read(path: Path, namespace: str) -> Recorded:
         BadInput: no bag, or one without odometry and goal of this vehicle.
     """
     values = settings.of_bag(path, namespace) or settings.read('{}')
-    found = tuple(
-        (name, message.content)
-        for message in bag.read(path)
-        for before, _, name in [message.topic.rpartition('/')]
-        if before == namespace
-    )
+    found, heard = [], set()
+    for message in bag.read(path):
+        heard.add(message.topic)
+        before, _, name = message.topic.rpartition('/')
+        if before == namespace:
+            found.append((name, message.content))
     for topic in NEEDED:
-        if topic not in {name for name, _ in found}:
-            raise BadInput(str(path), f'without {namespace}/{topic}', 'a bag with odom and goal')
-    return Recorded(found, values)
+        if f'{namespace}/{topic}' not in heard:
+            raise absent(path, f'{namespace}/{topic}', heard)
+    return Recorded(tuple(found), values)

@@ -31,7 +31,8 @@ from orbimpc_ros.tool.view.layout import THRUST, TICK, TIMELINE, WORLD, blueprin
 
 WALL_CLOCK = 1e8  # [s]: later stamps are dates, earlier ones count from a simulation's start
 REMEMBERED = 500  # places on the flown path
-SWING = 20  # sightings of the goal
+SWING = 50  # sightings of the goal
+APART = 1.5  # headings on the way, in lengths of a vehicle
 SIZE = 0.06  # of a vehicle, as a share of the scene
 LEAST_GAP = 1e-12  # drawn for a gap without a logarithm
 LINE, STEPS = (
@@ -58,7 +59,7 @@ class Scene:
     def __init__(self, recording: rr.RecordingStream, values: settings.Values) -> None:
         self._to = recording
         self._way: deque[Array] = deque(maxlen=REMEMBERED)
-        self._headings: deque[Array] = deque(maxlen=REMEMBERED)
+        self._noses: deque[tuple[Array, Array]] = deque(maxlen=REMEMBERED)
         self._swing: deque[Array] = deque(maxlen=SWING)
         self._measured, self._sighted, self._paired = -1.0, -2.0, False  # [s], [s], alike?
         self._unit = 0.0  # length of a vehicle [m]; 0 until the scene is known
@@ -113,14 +114,20 @@ class Scene:
         _, odometry = read_odometry(message, 3, Frames())
         place, turned = odometry.position, odometry.attitude
         self._way.append(place)
-        self._headings.append(turned[:, 0])
+        self._point(place, turned[:, 0])
         self._begin()
         self._to.log(f'{WORLD}/vehicle', rr.Transform3D(translation=place, mat3x3=turned))
-        noses = _arrows(self._way, self._unit * np.array(self._headings), BLUE, 0.07 * self._unit)
+        places, along = np.array(self._noses).transpose(1, 0, 2)
+        noses = _arrows(places, self._unit * along, BLUE, 0.07 * self._unit)
         way = _lines([np.array(self._way)], SKY, 0.05 * self._unit)
         self._to.log(f'{WORLD}/flown', way, noses)
         self._measured = seconds(message)
         self._draw_distance()
+
+    def _point(self, place: Array, heading: Array) -> None:
+        """Remember a heading to draw, unless it would cover the last one."""
+        if not self._noses or np.linalg.norm(place - self._noses[-1][0]) > APART * self._unit:
+            self._noses.append((place, heading))
 
     def _take_goal(self, message: Any) -> None:
         self._swing.append(read_sighting(message, 3, Frames())[1].position)
@@ -226,8 +233,8 @@ def _lines(strips: Sequence[Array], color: str, radius: float) -> rr.LineStrips3
     return rr.LineStrips3D(list(strips), colors=[rgb(color)], radii=[radius])
 
 
-def _arrows(places: Sequence[Array], along: Array, color: str, radius: float) -> rr.Arrows3D:
-    return rr.Arrows3D(origins=list(places), vectors=along, colors=[rgb(color)], radii=[radius])
+def _arrows(places: Array, along: Array, color: str, radius: float) -> rr.Arrows3D:
+    return rr.Arrows3D(origins=places, vectors=along, colors=[rgb(color)], radii=[radius])
 
 
 def _boxes(problem: Problem) -> rr.Boxes3D:
