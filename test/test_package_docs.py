@@ -47,8 +47,8 @@ def anchors(page):
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
 def test_commands_of_the_tool_exist(page):
-    found = [line for text in blocks(page, 'sh') for line in text.splitlines()]
-    for line in found:
+    joined = (text.replace('\\\n', ' ') for text in blocks(page, 'sh'))
+    for line in (line for text in joined for line in text.splitlines()):
         words = line.partition('#')[0].removeprefix('ros2 run orbimpc_ros ').split()
         if words[:1] == ['orbimpc']:
             assert words[1] in cli.COMMANDS
