@@ -41,6 +41,7 @@ class Inbox:
         path: the latest forecast from outside, if any.
         forecast: predicts the goal from its sightings.
         refused: messages refused so far, by topic and field.
+        goal_counts: goals taken in so far, by topic.
         synchronised: topics whose stamps have been seen to equal the odometry's, and how many
             turns in a row each has missed since.
         timed: topics whose stamps have been seen to be of the node's own clock.
@@ -52,6 +53,7 @@ class Inbox:
     path: Arrival[Itinerary] | None = None
     forecast: Forecast = field(init=False)
     refused: Counter[str] = field(default_factory=Counter)
+    goal_counts: Counter[str] = field(default_factory=Counter)
     synchronised: dict[str, int] = field(default_factory=dict)
     timed: set[str] = field(default_factory=set)
 
@@ -109,6 +111,8 @@ class Inbox:
         if abs(ros.since(stamp.nanoseconds)) <= COMPARABLE:
             self.timed.add(topic)
         setattr(self, attribute, Arrival(stamp, value, now, topic in self.timed))
+        if topic != 'odom':
+            self.goal_counts[topic] += 1
         self._note_synchronised()
         return ''
 

@@ -43,6 +43,8 @@ class Report:
             its name and step, such as ``floor@3``; empty if none does or the plan is no optimum.
         advanced: by how much the measured state was moved on before planning [s].
         goal_stamps: of the goals known, by topic: the messages that the plan is made of [ns].
+        goal_counts: goals taken in so far, by topic: some may be lost on the way, and a replay
+            has to know.
     """
 
     status: str
@@ -58,6 +60,7 @@ class Report:
     binding: Mapping[str, float] = field(default_factory=dict)
     advanced: float = 0.0
     goal_stamps: Mapping[str, int] = field(default_factory=dict)
+    goal_counts: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def level(self) -> bytes:

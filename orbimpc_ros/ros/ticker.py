@@ -107,6 +107,7 @@ class Ticker:
             report,
             advanced=odometry.time - arrival.value.time,
             goal_stamps=self.inbox.goal_stamps,
+            goal_counts=dict(self.inbox.goal_counts),
         )
         command = self._safe_command() if tick.fallback == SAFE else tick.command
         return self._checked(Answer(command, report, tick))
