@@ -161,6 +161,11 @@ def test_hold_rate_zero_goes_straight_on():
     np.testing.assert_array_equal(command.rotation, ATTITUDE)
 
 
+def test_to_hold_the_speed_without_drag_is_to_coast():
+    command = safe_command('hold_rate_zero', Problem(translation_order=2), ATTITUDE, 0.7)
+    assert (command.speed_fraction, command.body_rate.tolist()) == (0.0, [0.0])
+
+
 @pytest.mark.parametrize('n', [2, 3])
 def test_loiter_closes_a_level_circle_at_the_least_speed(n):
     problem = Problem(n, step=0.5, floor=Floor('circle', fraction=0.6))

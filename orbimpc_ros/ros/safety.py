@@ -18,17 +18,19 @@ def safe_command(kind: str, problem: Problem, attitude: Array, fraction: float) 
     """Return a safe command.
 
     Args:
-        kind: ``stop``: no speed, no turning; ``hold_rate_zero``: the present speed, no turning;
+        kind: ``stop``: no speed or thrust, no turning; ``hold_rate_zero``: the present speed, no
+            turning (with thrust, at translation order 2, that is to coast);
             ``loiter``: a level circle at the minimum speed, or at full speed without a floor.
         problem: gives floor and limits.
         attitude: the present one, shape (n, n).
-        fraction: share of full speed or thrust now applied, in [0, 1].
+        fraction: share of full speed commanded last, in [0, 1].
     """
     if kind == 'stop':
         return stop(attitude)
     rate = np.zeros(1 if problem.dimension == 2 else 3)
     if kind == 'hold_rate_zero':
-        return Command(fraction, rate, np.array(attitude))
+        kept = fraction if problem.translation_order == 1 else 0.0
+        return Command(kept, rate, np.array(attitude))
     circling = 2.0 * math.pi / (CIRCLE_STEPS * problem.step)
     rate[-1] = min(circling, problem.max_rate) if problem.max_rate > 0.0 else circling
     speed = 1.0 if problem.floor.shape == 'none' else problem.floor.fraction
