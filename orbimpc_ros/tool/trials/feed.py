@@ -109,10 +109,18 @@ def repeated() -> Spoiler:
     return spoil
 
 
-def interleaved(message: Any, draw: random.Random) -> list[Any]:
-    """Send older messages and doubles after each one."""
-    old = shifted(-2.0, -0.05)(copy.deepcopy(message), draw)
-    return [message, *old, message]
+def interleaved() -> Spoiler:
+    """Return what sends good messages, older ones, and the last good one again, in turns."""
+    sent: list[Any] = []
+
+    def spoil(message: Any, draw: random.Random) -> list[Any]:
+        sent.append(message)
+        turn = len(sent) % 4
+        if turn == 0:
+            return shifted(-2.0, -0.2)(message, draw)
+        return [copy.deepcopy(sent[-2])] if turn == 2 else [message]
+
+    return spoil
 
 
 def scaled_quaternion(path: str) -> Spoiler:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
 
 from orbimpc_ros.tool.trials import feed, onsets
 from orbimpc_ros.tool.trials.feed import HUGE, Spoiled, shifted, with_field
 from orbimpc_ros.tool.trials.lab import Lab
 from orbimpc_ros.tool.trials.onsets import MIDWAY, SOLVING, START, Expected
 from orbimpc_ros.tool.trials.outcome import Outcome, Trial
+from orbimpc_ros.tool.trials.stand import Stand
 
 ODOMETRY = Expected(wait=0.3, allowed=1.0)  # odom_timeout: 1.5 steps
 GOAL = Expected(wait=0.4, allowed=1.0)  # goal_timeout of the stand
+HEALTH = 1.2  # [s] in which counts are told
 NAN, INF = math.nan, math.inf
 BEYOND = (NAN, INF, -INF, 1e300)
 
@@ -65,21 +67,27 @@ def _trial(name: str, title: str, variants: Callable[[], Sequence[Spoiled]], *sh
 
 def _mixed(lab: Lab, long: bool) -> Iterator[Outcome]:
     """Old messages and doubles among good ones: refused and counted, planned on all the same."""
-    spoiled = Spoiled('old among new', feed.interleaved, feed.interleaved)
+    spoiled = Spoiled('old among new', feed.interleaved(), feed.interleaved())
     for seed in onsets.SEEDS if long else onsets.SEEDS[:1]:
         stand = onsets.stand_for(lab, MIDWAY)
         stand.draw.seed(seed)
         expected = Expected(0.0, 5.0, strict=False)
         outcome = onsets.spoiling(stand, spoiled, MIDWAY, expected)
+        stand.spin(HEALTH)
         yield Outcome(outcome.case, outcome.unsafe, math.nan, _uncounted(stand))
 
 
-def _uncounted(stand: Any) -> str:
+def _uncounted(stand: Stand) -> str:
     told: dict[str, str] = {}
     for each in stand.watch.health:
         told |= each.values
-    counted = [name for name in told if 'duplicate' in name or 'reordered' in name]
-    return '' if len(counted) >= 2 else f'counted only {counted}'
+    wanted = itertools.product(('odom', 'goal'), ('duplicate', 'reordered'))
+    lacking = [
+        f'{topic}: {what}'
+        for topic, what in wanted
+        if not any(topic in name and what in name for name in told)
+    ]
+    return f'not counted: {", ".join(lacking)}' if lacking else ''
 
 
 def _garbage() -> list[Spoiled]:

@@ -74,6 +74,7 @@ def _no_time(lab: Lab, long: bool) -> Iterator[Outcome]:
     """Searches that cannot end: every tick has its command all the same."""
     for deadline in (0.001, 0.02, 0.05, 0.1) if long else (0.001, 0.1):
         stand = lab.shared('slow', SLOW)
+        set_live(stand, deadline=0.0)
         stand.until_planned()
         set_live(stand, deadline=deadline)
         begin = time.monotonic()
