@@ -11,8 +11,9 @@ from orbimpc_ros.mpc.condensed import Condensed
 from orbimpc_ros.mpc.floors.annulus import Annulus
 from orbimpc_ros.mpc.floors.circle import Circle
 from orbimpc_ros.mpc.floors.lift import Lift
+from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.plan import violations
-from orbimpc_ros.mpc.problem import Problem, Weights
+from orbimpc_ros.mpc.problem import Problem, State, Weights
 from orbimpc_ros.mpc.solver import Solver
 
 
@@ -157,3 +158,42 @@ def test_a_sphere_is_certified_where_the_cost_sees_the_thrust_axis_alone(seed, f
     assert plan.status == 'optimal'
     lifted = Lift(problem).solve(start, targets)
     assert plan.objective == pytest.approx(lifted.lower_bound, rel=1e-4, abs=1e-6)
+
+
+@pytest.mark.skipif(not COMPILED, reason='searched by machine code only: pip install numba')
+@pytest.mark.parametrize(
+    ('position', 'heading', 'targets', 'known'),
+    [
+        (
+            [2.38028833, -0.54582049],
+            [0.98153921, 0.19126104],
+            [
+                [3.71374836, 0.04473868],
+                [3.5959582, -0.05858627],
+                [3.58673334, -0.2540099],
+                [3.65740896, -0.49784341],
+                [3.78678497, -0.75824361],
+            ],
+            0.8476808,
+        ),
+        (
+            [4.84911772, -0.39878528],
+            [0.30919549, 0.45210414],
+            [
+                [5.16370425, -0.18621886],
+                [5.40701176, -0.13395184],
+                [5.55477072, -0.16355349],
+                [5.57321975, -0.26826013],
+                [5.45814346, -0.4241474],
+            ],
+            0.7352761,
+        ),
+    ],
+)
+def test_an_optimum_that_no_local_search_reaches_is_found(position, heading, targets, known):
+    """Two ticks of a study in which IPOPT, from its previous plan, once came out cheaper."""
+    (a, b) = heading
+    found = Solver(Problem(floor=floor('circle', np.sqrt(0.3)))).solve(
+        State.at(position, [[a, -b], [b, a]]), np.array(targets)
+    )
+    assert found.objective == pytest.approx(known, rel=1e-6)
