@@ -98,10 +98,14 @@ GOLDEN = Path(__file__).parent / 'golden'
 def rewritten(source, target, change=lambda each: each, notes=None):
     """Copy a bag of ours, each message as ``change`` returns it, or left out for None."""
     kept = [new for new in map(change, bag.raw(source)) if new is not None]
-    listed = {each.topic: Topic(each.topic, each.type) for each in kept}
-    notes = bag.notes(source) if notes is None else notes
+    return write(target, kept, bag.notes(source) if notes is None else notes)
+
+
+def write(target, messages, notes):
+    """Write messages as they are into a bag of ours."""
+    listed = {each.topic: Topic(each.topic, each.type) for each in messages}
     with BagWriter(target, list(listed.values()), notes) as writer:
-        for each in kept:
+        for each in messages:
             writer.write(each.topic, each.stamp, each.data, each.sent)
     return target
 

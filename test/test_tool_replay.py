@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from bags import GOLDEN, rewritten, ros2_bag
+from bags import GOLDEN, rewritten, ros2_bag, write
 
 pytest.importorskip('rclpy')
 
@@ -207,6 +207,45 @@ def test_one_difference_does_not_cause_all_that_follow(replay, tmp_path):
     assert code == 1
     ticks = {int(line.split()[1]) for line in out.splitlines() if line.startswith('tick')}
     assert ticks <= {4, 5}  # its own, and the one that starts from another thrust
+
+
+def test_a_goal_that_the_planner_never_saw_is_left_out(replay, tmp_path):
+    """Its queues hold one message: it tells how many it took, and the last one's stamp."""
+    from geometry_msgs.msg import PoseStamped
+
+    source, path = GOLDEN / 'faulty', tmp_path / 'bag'
+    raw = bag.raw(source)
+    answered = {each.stamp for each in recording_of(source).answers if each.answer.solved}
+    late = [each for each in raw if each.topic == '/goal' and each.stamp > 10_000_000_000]
+    goal = next(each for each in late if each.stamp in answered)
+    message = deserialize_message(goal.data, PoseStamped)
+    message.header.stamp.sec, message.header.stamp.nanosec = goal.stamp // 10**9 - 1, 999_999_999
+    message.pose.position.x += 2.0
+    lost = goal._replace(data=serialize_message(message), sent=goal.sent - 1)
+    write(path, [lost, *raw], bag.notes(source))
+    assert replay(path)[0] == 0
+
+
+def test_a_goal_is_known_by_its_stamp_however_early_it_was_sent(replay, tmp_path):
+    """Each comes before the answer before: by when it was sent it would have been known."""
+
+    def shifted(each):
+        if each.topic == '/goal':
+            return each._replace(sent=max(1, each.sent - 500_000_000))
+        told = each.topic in ('/cmd_vel', '/tick', '/rotation')
+        return each._replace(sent=each.sent + 700_000_000) if told else each
+
+    assert replay(rewritten(RETRIEVAL, tmp_path / 'bag', shifted))[0] == 0
+
+
+def test_an_answer_that_is_repeated_counts_once(replay, tmp_path):
+    raw, path = bag.raw(RETRIEVAL), tmp_path / 'bag'
+    answers = [each for each in raw if each.topic in ('/cmd_vel', '/tick', '/rotation')]
+    again = [each._replace(sent=each.sent + 10_000_000) for each in answers]
+    write(path, [*raw, *again], bag.notes(RETRIEVAL))
+    code, out, _ = replay(path)
+    assert code == 0
+    assert 'replayed      26 ticks' in out
 
 
 def distances(recorded, replayed, **tolerances):

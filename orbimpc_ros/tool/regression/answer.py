@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,8 @@ class Answer:
         thrust: share of full speed or thrust along the plan, shape (N + 1,); empty without one.
         objective: of the plan; NaN without one.
         gap: of the plan; NaN without one.
-        goal_stamps: of the goals that it was planned for, by topic [ns]; None if not told.
+        goal_stamps: of the goals that it was planned for, by topic [ns].
+        goal_counts: goals that had been taken in by then, by topic.
         advanced: how far the measurement was advanced to plan from [s].
         solve_time_ms: what the tick took; 0 if no solver was asked [ms].
     """
@@ -45,7 +46,8 @@ class Answer:
     thrust: tuple[float, ...] = ()
     objective: float | None = None
     gap: float | None = None
-    goal_stamps: Mapping[str, int] | None = None
+    goal_stamps: Mapping[str, int] = field(default_factory=dict)
+    goal_counts: Mapping[str, int] = field(default_factory=dict)
     advanced: float | None = None
     solve_time_ms: float | None = None
 
@@ -71,7 +73,7 @@ def answer_of(messages: Messages) -> Answer:
         found |= {name: _text(told.get(name)) for name in ('status', 'reason', 'fallback')}
         numbers = ('objective', 'gap', 'advanced', 'solve_time_ms')
         found |= {name: _number(told.get(name)) for name in numbers}
-        found['goal_stamps'] = _stamps(told.get('goal_stamps'))
+        found |= {name: _integers(told.get(name)) for name in ('goal_stamps', 'goal_counts')}
         found['thrust'] = _numbers(told.get('speed_fraction'))
     return Answer(**found)
 
@@ -90,6 +92,6 @@ def _numbers(value: Any) -> tuple[float, ...]:
     return tuple(math.nan if each is None else each for each in found)
 
 
-def _stamps(value: Any) -> dict[str, int] | None:
-    good = isinstance(value, dict) and all(isinstance(stamp, int) for stamp in value.values())
-    return value if good else None
+def _integers(value: Any) -> Mapping[str, int]:
+    good = isinstance(value, dict) and all(isinstance(each, int) for each in value.values())
+    return value if good else {}

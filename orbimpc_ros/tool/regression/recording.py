@@ -53,6 +53,11 @@ class Recorded:
     messages: Messages
     answer: Answer
 
+    @property
+    def solve_time_ms(self) -> float:
+        """Return what the tick took, as far as is known [ms]."""
+        return self.answer.solve_time_ms or 0.0
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -134,12 +139,27 @@ def _input(topic: str, message: Message) -> Input:
 
 
 def _answers(outputs: dict[str, list[Message]]) -> Iterable[Recorded]:
-    """Yield one answer a stamp; an answer that was repeated counts once."""
-    told: dict[int, dict[str, Message]] = defaultdict(dict)
+    """Yield every answer; one that was merely repeated counts once."""
+    told: dict[int, list[tuple[int, str, Any]]] = defaultdict(list)
     for topic, messages in outputs.items():
-        for message in messages:
-            told[stamp_of(message.content)].setdefault(topic, message)
-    for stamp, by_topic in told.items():
-        contents = {topic: message.content for topic, message in by_topic.items()}
-        sent = min(message.sent for message in by_topic.values())
-        yield Recorded(stamp, sent, contents, answer_of(contents))
+        for each in messages:
+            told[stamp_of(each.content)].append((each.sent, topic, each.content))
+    for stamp, said in told.items():
+        said.sort(key=lambda each: each[0])
+        before: Messages = {}
+        for sent, contents in _grouped(said):
+            if any(repr(before.get(topic)) != repr(each) for topic, each in contents.items()):
+                yield Recorded(stamp, sent, contents, answer_of(contents))
+            before = contents
+
+
+def _grouped(said: Iterable[tuple[int, str, Any]]) -> Iterable[tuple[int, dict[str, Any]]]:
+    """Yield messages by topic, and when the first of them was sent: each topic once an answer."""
+    begun, contents = 0, dict[str, Any]()
+    for sent, topic, content in said:
+        if topic in contents:
+            yield begun, contents
+            contents = {}
+        begun = begun if contents else sent
+        contents[topic] = content
+    yield begun, contents
