@@ -94,6 +94,7 @@ def test_ropes_are_drawn_from_the_seed_alone():
         assert np.array_equal(one.rope.phase, other.rope.phase)
     frequencies = {member.rope.frequency for member in many}
     assert len(frequencies) == 8
+    assert vehicles(2, 2**31 - 1)['/uav1']['seed'] == 0  # the largest there is, and on
     assert all(0.02 <= frequency <= 0.3 for frequency in frequencies)
 
 
@@ -125,4 +126,4 @@ def test_an_answer_after_the_next_question_is_late(tmp_path):
             if answered is not None:
                 writer.write('/uav1/cmd_vel', stamp, bytes(20), answered)
     # Numbers 2 and 4. Not the first, asked before there was any answer, nor the last.
-    assert fleet.late(tmp_path / 'bag', '/uav1') == 2
+    assert fleet.late(tmp_path / 'bag') == {'/uav1': 2}

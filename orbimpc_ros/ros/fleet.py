@@ -28,7 +28,7 @@ def _parameters(member: Member, seed: int) -> dict[str, Any]:
         'rope.phase': _triple(member.rope.phase),
         'start.position': _triple(member.position),
         'start.orientation': (0.0, 0.0, math.sin(half), math.cos(half)),
-        'seed': seed,
+        'seed': seed % 2**31,
     }
 
 

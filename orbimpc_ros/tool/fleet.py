@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import math
+from collections import defaultdict
 from pathlib import Path
 
 from orbimpc_ros.mpc.errors import BadInput
@@ -56,7 +57,7 @@ def report(folder: Path, namespaces: tuple[str, ...]) -> int:
 
     path, picture = folder / 'bag', folder / figures.TRAJECTORY
     flown = {name: history.of_bag(path, name) for name in namespaces}
-    print(summary.of_fleet(flown, {name: late(path, name) for name in namespaces}))
+    print(summary.of_fleet(flown, late(path)))
     print(f'bag           {path}')
     with look():
         figures.save(fleet(flown), picture)
@@ -64,20 +65,27 @@ def report(folder: Path, namespaces: tuple[str, ...]) -> int:
     return 0 if all(each.captured for each in flown.values()) else 1
 
 
-def late(path: Path, namespace: str) -> int:
-    """Return how many odometry messages were not answered before the next one was sent.
+def late(path: Path) -> dict[str, int]:
+    """Return how many odometry messages were not answered before the next one, by namespace.
+
+    What comes before a vehicle's first command does not count.
 
     Args:
         path: of the bag.
-        namespace: of the vehicle; what comes before its first command does not count.
     """
-    asked: dict[int, int] = {}
-    answered: dict[int, int] = {}
+    asked: defaultdict[str, dict[int, int]] = defaultdict(dict)
+    answered: defaultdict[str, dict[int, int]] = defaultdict(dict)
     for message in bag.raw(path):
-        if message.topic == f'{namespace}/odom':
-            asked[message.stamp] = message.sent
-        elif message.topic == f'{namespace}/cmd_vel':
-            answered.setdefault(message.stamp, message.sent)
+        namespace, _, topic = message.topic.rpartition('/')
+        if topic == 'odom':
+            asked[namespace][message.stamp] = message.sent
+        elif topic == 'cmd_vel':
+            answered[namespace].setdefault(message.stamp, message.sent)
+    return {name: _late(each, answered[name]) for name, each in asked.items()}
+
+
+def _late(asked: dict[int, int], answered: dict[int, int]) -> int:
+    """Count questions not answered before the next, given when each stamp's was sent [ns]."""
     begun = min(answered, default=math.inf)
     flown = [stamp for stamp in sorted(asked) if stamp >= begun]
     return sum(
