@@ -32,8 +32,9 @@ PLANNER: dict[str, Any] = {
     'step': STEP,
     'floor.shape': 'polygon',
     'goal_timeout': 0.4,
+    'goal_jump_limit': 5.0,
     'max_rate': 3.0,
-}  # [s], [rad/s]
+}  # [s], [m], [rad/s]
 
 
 class Stand:
