@@ -17,7 +17,7 @@ EXTRAS_DEMO = [fast]
 EXTRAS_TEST = [fast,study,test]
 else
 EXTRAS_DEMO = [ros,fast]
-EXTRAS_TEST = [ros,fast,study,test]
+EXTRAS_TEST = [ros,fast,study,test,view]
 endif
 
 .PHONY: demo test docs clean help
