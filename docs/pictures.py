@@ -223,7 +223,7 @@ def price() -> Figure:
 
 def draw_slope(axes: Axes) -> None:
     """Draw the optimal cost over the fraction of the floor, and what the prices say of it."""
-    fractions = np.linspace(0.3, 0.8, 41)
+    fractions = np.linspace(0.3, 0.8, 21)
     of = [solved(Problem(floor=Floor('circle', fraction=float(f)))).objective for f in fractions]
     problem = Problem(floor=Floor('circle', fraction=float(FRACTION)))
     plan = solved(problem)

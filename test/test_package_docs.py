@@ -1,5 +1,6 @@
 """The documentation is true: tables, links, commands, and the tutorial's own vehicle over DDS."""
 
+import importlib.util
 import os
 import re
 import subprocess
@@ -53,6 +54,19 @@ def test_commands_of_the_tool_exist(page):
         if words[:1] == ['orbimpc']:
             assert words[1] in cli.COMMANDS
             _parser(words[1:]).parse_args(words[1:])
+
+
+def test_the_pictures_can_still_be_drawn():
+    from orbimpc_ros.tool.style import look
+
+    spec = importlib.util.spec_from_file_location('pictures', DOCS / 'pictures.py')
+    pictures = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(pictures)
+    for name, draw in pictures.PICTURES.items():
+        with look():
+            assert draw().axes, name
+        for look_of in (name, f'{name}-dark'):
+            assert f'pictures/{look_of}.png' in (DOCS / 'explanation.md').read_text()
 
 
 def test_the_tutorials_problem_is_solved(tmp_path):
