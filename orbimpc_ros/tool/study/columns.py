@@ -56,14 +56,7 @@ RESULTS = (
         "on them, by how much of IPOPT's cost a plan cost more at most; negative: always less",
     ),
     Column('cheaper', 'int32', 'ticks of these that IPOPT solved at a cost higher by over 1e-6'),
-    Column(
-        'tick_ms', 'list<item: float>', "each tick's processor time, without the forecast", 'ms'
-    ),
-    Column(
-        'forecast_ms',
-        'list<item: float>',
-        "each tick's forecast, made once for all: processor time",
-        'ms',
-    ),
+    Column('tick_ms', 'list<item: float>', 'processor time of each tick but its forecast', 'ms'),
+    Column('forecast_ms', 'list<item: float>', "of each tick's forecast, made once for all", 'ms'),
 )
 COLUMNS = (*KEYS, *(_of_setting(setting) for setting in SETTINGS), *RESULTS)

@@ -87,7 +87,7 @@ def _draw_costs(axes: Axes, found: Scores) -> None:
             color=INK,
             fontsize=8.0,
         )
-    axes.set(title='Cost of a tick, the forecast apart', xlabel='time [ms]', xscale='log')
+    axes.set(title='Cost of a tick, the forecast apart', xlabel='processor time [ms]', xscale='log')
     axes.xaxis.set_major_formatter('{x:g}')
     axes.set_xmargin(0.25)
     axes.set_yticks(range(len(found)), list(found)[::-1])

@@ -65,7 +65,7 @@ def _table(found: dict[str, Score]) -> Table:
         ('ticks within which 90 % are caught', *(_ticks(score.within(0.9)) for score in each)),
         ('worst run: closest approach [m]', *(f'{score.closest.max():.2f}' for score in each)),
         ('turned per run, median [rad]', *(f'{np.median(score.turned):.1f}' for score in each)),
-        ('tick, p50 / p99 [ms]', *(_quantiles(score.tick_ms) for score in each)),
+        ('tick, p50 / p99 [ms of processor time]', *(_quantiles(score.tick_ms) for score in each)),
         ('forecast, p50 / p99 [ms]', *(_quantiles(score.forecast_ms) for score in each)),
         ('ticks proved optimal', *(_certified(score) for score in each)),
         ('ticks without a plan', *(f'{score.fallbacks / score.flown:.2%}' for score in each)),
