@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from orbimpc_ros.tool.discovery import free
+
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 ROOT = Path(__file__).resolve().parents[1]
 PATIENCE = 20.0  # [s] for anything awaited; far beyond what it takes
@@ -21,8 +23,9 @@ _numbers = itertools.count()
 
 
 def new_domain() -> int:
-    """Return a DDS domain that no other test uses, nor another worker's."""
-    return 1 + (13 * os.getpid() + next(_numbers)) % 100
+    """Return a DDS domain that no other test uses, nor anybody else on this machine just now."""
+    drawn = (1 + (13 * os.getpid() + next(_numbers)) % 100 for _ in range(100))
+    return next(filter(free, drawn))
 
 
 @pytest.fixture

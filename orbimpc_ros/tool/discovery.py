@@ -29,7 +29,7 @@ def isolate(folder: Path) -> int:
         folder: takes the DDS profile.
     """
     candidates = random.sample(DOMAINS, len(DOMAINS))
-    domain = next((d for d in candidates if _free(d)), candidates[0])
+    domain = next((d for d in candidates if free(d)), candidates[0])
     os.environ['ROS_DOMAIN_ID'] = str(domain)
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     profile = folder / 'fastdds.xml'
@@ -39,7 +39,7 @@ def isolate(folder: Path) -> int:
     return domain
 
 
-def _free(domain: int) -> bool:
+def free(domain: int) -> bool:
     """Return whether no participant of a domain lives here (RTPS 9.6.2.3: its discovery ports)."""
     for offset in (0, 10):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
