@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise, takewhile
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.arrival import RosTime
-from orbimpc_ros.ros.messages import Frames, read_itinerary, read_sighting
+from orbimpc_ros.ros.messages import read_itinerary, read_sighting
+from orbimpc_ros.ros.planner_parameters import PlannerSettings
 from orbimpc_ros.tool.regression.pilot import Pilot
 from orbimpc_ros.tool.regression.recording import CLOCK, Input, Recorded, Recording
 from orbimpc_ros.tool.stamps import SECOND
@@ -23,12 +24,14 @@ class Listener:
         pilot: to tell.
         recording: what there is to tell.
         simulated: whether the ROS clock is ``/clock``, or the one by which messages were sent.
-        step: by which simulated time moves [s].
+        settings: of the planner.
     """
 
-    def __init__(self, pilot: Pilot, recording: Recording, simulated: bool, step: float) -> None:
+    def __init__(
+        self, pilot: Pilot, recording: Recording, simulated: bool, settings: PlannerSettings
+    ) -> None:
         self._pilot, self._inputs = pilot, list(recording.inputs)
-        self._simulated, self._step = simulated, step
+        self._simulated, self._settings = simulated, settings
         self._clock: int | None = None
         self._counts: Counter[str] = Counter()
 
@@ -49,18 +52,36 @@ class Listener:
         """Return which goals the planner has never seen, as it tells by how many it took."""
         lost: set[int] = set()
         for topic, count in recorded.answer.goal_counts.items():
-            good = _increasing([each for each in came if each.topic == topic])
+            good = self._increasing(each for each in came if each.topic == topic)
             surplus = max(0, len(good) - (count - self._counts[topic]))
             order = _by_risk(good) if self._counts[topic] else good
             lost |= {id(each) for each in order[:surplus]}
             self._counts[topic] = count
         return lost
 
+    def _increasing(self, goals: Iterable[Input]) -> list[Input]:
+        """Return the valid goals, without those that come behind a later stamp or repeat one."""
+        good: list[Input] = []
+        for each in goals:
+            newer = not good or each.stamp > good[-1].stamp
+            if newer and self._valid(each):
+                good.append(each)
+        return good
+
+    def _valid(self, each: Input) -> bool:
+        settings = self._settings
+        try:
+            GOALS[each.topic](each.message, settings.problem.dimension, settings.frames)
+        except BadInput:
+            return False
+        return True
+
     def _take(self, each: Input) -> str:
         if each.topic == CLOCK:
             self._clock = each.stamp
             return ''
-        shown = RosTime(self._clock, self._step) if self._simulated else RosTime(each.sent)
+        step = self._settings.problem.step
+        shown = RosTime(self._clock, step) if self._simulated else RosTime(each.sent)
         return self._pilot.hear(each.topic, each.message, each.sent / SECOND, shown)
 
 
@@ -96,21 +117,3 @@ def _last(sent: Sequence[Input], topic: str, stamp: int) -> int:
     """Return the last index under which a topic has a stamp; -1 for none."""
     found = (k for k, each in enumerate(sent) if each.topic == topic and each.stamp == stamp)
     return max(found, default=-1)
-
-
-def _increasing(goals: Sequence[Input]) -> list[Input]:
-    """Return the valid goals, without those that come behind a later stamp or repeat one."""
-    good: list[Input] = []
-    for each in goals:
-        newer = not good or each.stamp > good[-1].stamp
-        if newer and _valid(each):
-            good.append(each)
-    return good
-
-
-def _valid(each: Input) -> bool:
-    try:
-        GOALS[each.topic](each.message, 3, Frames())
-    except BadInput:
-        return False
-    return True

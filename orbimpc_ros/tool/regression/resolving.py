@@ -46,7 +46,7 @@ def replayed(
         simulated: whether its time came from ``/clock``.
     """
     pilot = Pilot(settings, f'{recording.namespace}/planner')
-    listener = Listener(pilot, recording, simulated, settings.problem.step)
+    listener = Listener(pilot, recording, simulated, settings)
     for recorded in recording.answers:
         refusals = tuple(listener.heard(recorded))
         told = _answer(pilot, recorded)
