@@ -474,3 +474,16 @@ def test_replay_as_a_process():
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.endswith('differences   none\n')
+
+
+def test_without_ros_the_tool_says_what_to_install():
+    script = (
+        "import sys; sys.modules['rcl_interfaces'] = None; from orbimpc_ros.tool.cli import main;"
+        f"sys.exit(main(['replay', {str(RETRIEVAL)!r}]))"
+    )
+    done = subprocess.run(
+        [sys.executable, '-c', script], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (2, '')
+    assert done.stderr.startswith('orbimpc: rcl_interfaces is missing: install ROS 2, or pip')
+    assert done.stderr.count('\n') == 1

@@ -13,6 +13,11 @@ from typing import NoReturn
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError
 
 DONE, FAILED, BAD_INPUT, INFEASIBLE = 0, 1, 2, 3
+# What comes with ROS, or from PyPI with the extra of that name.
+ROS = (
+    *('builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs', 'nav_msgs', 'rcl_interfaces'),
+    *('rclpy', 'rosgraph_msgs', 'std_msgs', 'std_srvs', 'visualization_msgs'),
+)
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 # A command is a module of this package with add_arguments(parser) and run(args) -> exit code.
@@ -48,6 +53,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OrbimpcError as error:
         _complain(str(error))
         return _code(error)
+    except ModuleNotFoundError as error:
+        package = (error.name or '').partition('.')[0]
+        if package not in ROS:
+            raise
+        _complain(f"{package} is missing: install ROS 2, or pip install 'orbimpc_ros[ros]'")
+        return BAD_INPUT
     except KeyboardInterrupt:
         _complain('interrupted')
         return INTERRUPTED
