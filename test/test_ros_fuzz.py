@@ -9,8 +9,8 @@ import pytest
 pytest.importorskip('rclpy')
 
 from nav_msgs.msg import Path
+from planners import QUICK, Bench
 from std_srvs.srv import Trigger
-from test_ros_planner import QUICK, Bench
 
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.arrival import RosTime

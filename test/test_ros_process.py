@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip('rclpy')
 
 from geometry_msgs.msg import TwistStamped
-from test_ros_planner import QUICK, Bench, goal, moving, odometry, told
+from planners import QUICK, Bench, goal, moving, odometry, told
 
 from orbimpc_ros.ros.process import FAILURES_IN_A_ROW, FAREWELLS
 

@@ -1,0 +1,98 @@
+"""A live planner whose inputs are in a test's hands, and what it says."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from nav_msgs.msg import Odometry
+
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.messages import Frames, Stamp
+from orbimpc_ros.ros.process import qos
+from orbimpc_ros.world.vehicle import Model, launched
+
+FRAMES = Frames('odom', 'base_link')
+QUICK = {'trigger': 'odom', 'step': 0.1, 'odom_timeout': 0.8}
+
+
+def odometry(seconds, model=None):
+    model = model or Model()
+    vehicle = launched(model, np.zeros(2), np.eye(2))
+    return messages.odometry_message(Stamp(round(seconds * 1e9), FRAMES), vehicle)
+
+
+def goal(seconds):
+    return messages.goal_message(Stamp(round(seconds * 1e9), FRAMES), np.array([5.0, 0.0]))
+
+
+def told(message):
+    return {pair.key: pair.value for pair in message.status[0].values}
+
+
+def moving(message):
+    twist = message.twist
+    return twist.linear.x != 0.0 or twist.angular.z != 0.0
+
+
+class Bench:
+    """A planner with its inputs in this test's hands."""
+
+    def __init__(self, launch, observer, parameters, planner='planner'):
+        self.observer = observer
+        self.commands = observer.listen(TwistStamped, 'cmd_vel')
+        self.ticks = observer.listen(DiagnosticArray, 'tick')
+        self.health = observer.listen(DiagnosticArray, '/diagnostics')
+        node = observer.node
+        self.odometry = node.create_publisher(Odometry, 'odom', qos())
+        self.goal = node.create_publisher(PoseStamped, 'goal', qos())
+        self.planner = launch(planner, parameters)
+        observer.until_connected('cmd_vel', 'tick', '/diagnostics')
+        for publisher in (self.odometry, self.goal):
+            observer.until(publisher.get_subscription_count, 'the planner listening')
+
+    def until(self, *arguments):
+        self.observer.until(*arguments)
+
+    def says(self, words):
+        """Wait until the planner's diagnostics say something."""
+        self.until(lambda: any(words in m.status[0].message for m in self.health), words)
+
+    def counts(self, what):
+        """Wait until the planner's diagnostics count something."""
+        self.until(lambda: self.health and what in told(self.health[-1]), what)
+        return int(told(self.health[-1])[what])
+
+    def fly(self, seconds):
+        """Return the command for odometry of that stamp, sent again until it is answered."""
+        sent = [odometry(seconds), goal(seconds)]
+        before, again = len(self.commands), -math.inf
+
+        def answer():
+            nonlocal again
+            if time.monotonic() > again:  # best effort: lost while they were connecting
+                again = time.monotonic() + 0.3
+                self.goal.publish(sent[1])
+                self.odometry.publish(sent[0])
+            later = self.commands[before:]
+            return [c for c in later if c.header.stamp == sent[0].header.stamp]
+
+        self.until(answer, 'a command')
+        return answer()[0]
+
+    def fly_now(self):
+        """Send what is measured now until that moves the vehicle."""
+        before, sent = len(self.commands), -math.inf
+
+        def moved():
+            nonlocal sent
+            if time.time() - sent > 0.1:
+                sent = time.time()
+                self.goal.publish(goal(sent))
+                self.odometry.publish(odometry(sent))
+            return any(map(moving, self.commands[before:]))
+
+        self.until(moved, 'a command')

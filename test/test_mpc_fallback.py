@@ -1,0 +1,105 @@
+"""What a controller does without a plan or a goal, and with a goal beyond all reach."""
+
+import numpy as np
+import pytest
+from problems import ORDERS, floor
+from problems import state as random_state
+from test_mpc_controller import flown, odometry
+
+from orbimpc_ros.mpc.controller import Controller
+from orbimpc_ros.mpc.errors import SolverFailure
+from orbimpc_ros.mpc.plan import violations
+from orbimpc_ros.mpc.problem import Box, Problem, State
+from orbimpc_ros.mpc.reach import pulled_in, reach
+from orbimpc_ros.mpc.solver import Solver
+
+
+def failing(monkeypatch):
+    def fail(*_args, **_kwargs):
+        raise SolverFailure('no')
+
+    monkeypatch.setattr(Solver, 'solve', fail)
+
+
+@pytest.mark.parametrize(('horizon', 'stand_ins'), [(1, 0), (2, 1), (3, 2), (5, 2)])
+def test_a_plan_is_never_followed_past_its_horizon(monkeypatch, horizon, stand_ins):
+    controller = Controller(Problem(horizon=horizon))
+    goals = np.tile([9.0, 3.0], (horizon, 1))
+    controller.tick(odometry(), goals)
+    failing(monkeypatch)
+    fallbacks = [controller.tick(odometry(), goals).fallback for _ in range(4)]
+    assert fallbacks == ['shifted plan'] * stand_ins + ['safe command'] * (4 - stand_ins)
+
+
+def test_without_a_goal_the_last_plan_is_held_and_then_the_vehicle_stops():
+    controller = Controller(Problem())
+    measured = flown(controller, 3)
+    ticks = [controller.hold(measured, 'the goal is 1.2 s old') for _ in range(4)]
+    assert [t.fallback for t in ticks] == ['shifted plan'] * 2 + ['safe command'] * 2
+    assert all((t.status, t.reason) == ('failed', 'the goal is 1.2 s old') for t in ticks)
+    held = ticks[0]
+    assert violations(controller.problem, held.state, held.goals, held.plan) == []
+    again = controller.tick(measured, np.tile([9.0, 3.0], (5, 1)))
+    assert (again.status, again.fallback) == ('optimal', '')
+
+
+def test_without_a_goal_ever_the_vehicle_stops():
+    tick = Controller(Problem()).hold(odometry(), 'no goal')
+    assert (tick.fallback, tick.command.speed_fraction) == ('safe command', 0.0)
+
+
+def test_a_held_plan_is_checked_from_the_new_state():
+    wall = Box([0.5, -9.0], [60.0, 9.0])
+    controller = Controller(Problem(obstacles=(wall,)))
+    controller.tick(odometry(speed=0.1), np.tile([0.0, 3.0], (5, 1)))
+    inside = controller.hold(odometry((30.0, 0.0), speed=0.1), 'no goal')
+    assert inside.fallback == 'safe command'
+
+
+def test_a_shrinking_horizon_without_a_goal_ends_in_time():
+    controller = Controller(Problem(horizon=3), shrinking=True)
+    controller.tick(odometry(), np.tile([3.0, 2.0], (3, 1)))
+    fallbacks = [controller.hold(odometry(), 'no goal').fallback for _ in range(3)]
+    assert fallbacks == ['shifted plan', 'shifted plan', 'safe command']
+
+
+@pytest.mark.parametrize('orders', ORDERS)
+def test_no_flight_leaves_the_reach(orders):
+    rng = np.random.default_rng(8)
+    problem = Problem(**orders, horizon=6, step=0.5, forward=2.0)
+    for _ in range(5):
+        start = random_state(rng, problem)
+        goals = np.tile(start.position + 1e3 * rng.normal(size=problem.dimension), (6, 1))
+        plan = Solver(problem, coasting=True).solve(start, goals)
+        away = np.linalg.norm(plan.positions - start.position, axis=1)
+        assert away.max() <= reach(problem, start) + 1e-9
+
+
+def test_a_goal_beyond_all_reach_is_pulled_in_and_told():
+    start = State.at([1.0, 2.0], np.eye(2))
+    goals = np.tile([1.0 + 3e6, 2.0 + 4e6], (5, 1))
+    near, told = pulled_in(Problem(), start, goals)
+    np.testing.assert_allclose(near, np.tile([301.0, 402.0], (5, 1)))
+    assert told == 'the goal is 5e+06 m away: aimed 500 m towards it'
+    tick = Controller(Problem()).tick(odometry((1.0, 2.0)), goals)
+    assert (tick.status, tick.fallback, tick.reason) == ('optimal', '', told)
+    heading = tick.plan.positions[-1] - tick.plan.positions[1]
+    np.testing.assert_allclose(heading / np.linalg.norm(heading), [0.6, 0.8], atol=1e-2)
+
+
+def test_a_goal_within_reach_is_left_alone():
+    start, goals = State.at([0.0, 0.0], np.eye(2)), np.tile([300.0, 400.0], (5, 1))
+    assert pulled_in(Problem(), start, goals) == (goals, '')
+    far = 10.0 * goals
+    assert pulled_in(Problem(terminal='constraint'), start, far) == (far, '')  # proved infeasible
+
+
+def test_a_soft_arrival_has_no_more_time_than_any_other_plan():
+    problem = Problem(horizon=6, terminal='constraint', max_rate=1.0, floor=floor('polygon', 0.5))
+    controller = Controller(problem, shrinking=True)
+    assert controller.tick(odometry(), np.tile([3.0, 2.0], (6, 1))).plan is not None
+    polled = []
+    aside = odometry((1.0, 0.3), time=1.0)
+    tick = controller.tick(aside, np.tile([-3.0, 0.0], (5, 1)), lambda: polled.append(1) or True)
+    assert tick.status == 'infeasible'
+    assert polled
