@@ -128,13 +128,18 @@ def test_a_damaged_bag_is_read_right_or_refused(small, tmp_path, block):
     assert content(path) == before
 
 
-def test_damaged_bags_end_the_command_in_one_line(small, tmp_path):
+def test_damaged_bags_end_the_command_in_one_line(small, tmp_path, capsys):
     for k, (name, damage) in enumerate(DAMAGES.items()):
         path = tmp_path / name
         shutil.copytree(small, path)
         file = path / 'bag.mcap'
         file.write_bytes(damage(file.read_bytes(), random.Random(k)))
-        assert str(path) in refused(path)
+        capsys.readouterr()
+        assert cli.main(['replay', str(path)]) == cli.BAD_INPUT
+        out, err = capsys.readouterr()
+        assert (out, err.count('\n')) == ('', 1)
+        assert str(path) in err
+    assert str(path) in refused(path)  # once more as a process
 
 
 def test_a_damaged_sqlite_bag_never_escapes(small, tmp_path):
