@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 LOOK = 0.02  # [s] how often to look whether anybody is there, or has gone
 SETTLED = 0.1  # [s] lock-step: a planner that is asked nothing still has to take in the goal
 RESEND = 0.5  # [s] lock-step: ask again without an answer; first messages may be lost
+MEETING = 120.0  # [s] lock-step: give up if nobody comes; a first start may compile for a minute
 PATIENCE = 20.0  # [s] lock-step: give up without an answer
 
 
@@ -67,8 +68,8 @@ class LockStep:
         elif self._asking and self._awaited is None:
             if now - self._asked_at > SETTLED:
                 self._fly_on()
-        elif now - self._progress > PATIENCE:
-            self._give_up(absent or 'an answer to the odometry on cmd_vel')
+        elif now - self._progress > (PATIENCE if self._asking else MEETING):
+            self._give_up(absent or 'an answer to the odometry on cmd_vel', now - self._progress)
         elif self._asking and now - self._asked_at > RESEND:
             self._send()
 
@@ -78,8 +79,8 @@ class LockStep:
             return f'{wanted} subscribers on odom and goal (there are {listeners})'
         return '' if self._sim.commanded else 'a planner on cmd_vel'
 
-    def _give_up(self, awaited: str) -> None:
-        self._sim.get_logger().fatal(f'waited {PATIENCE:g} s in vain for {awaited}: giving up')
+    def _give_up(self, awaited: str, waited: float) -> None:
+        self._sim.get_logger().fatal(f'waited {waited:.0f} s in vain for {awaited}: giving up')
         self._sim.exit_code = FAILED
 
     def _ask(self) -> None:
