@@ -214,10 +214,12 @@ def test_a_chunk_that_swells_is_refused_before_it_does(tmp_path, compression):
     assert_refused(path, 'bytes in a chunk')
 
 
-@pytest.mark.parametrize('claimed', [8, limits.MAX_CHUNK])
-def test_a_chunk_that_lies_about_its_size_is_refused(tmp_path, claimed):
-    """Its records say little, the compressed data hold 256 MiB."""
-    bomb = zstandard.ZstdCompressor().compress(bytes(1 << 28))
+@pytest.mark.parametrize(
+    ('claimed', 'held'), [(8, 100), (100, 8), (8, 1 << 28), (limits.MAX_CHUNK, 1 << 28)]
+)
+def test_a_chunk_that_lies_about_its_size_is_refused(tmp_path, claimed, held):
+    """Its records say little, the compressed data hold up to 256 MiB."""
+    bomb = zstandard.ZstdCompressor().compress(bytes(held))
     body = struct.pack('<QQQI', 0, 0, claimed, 0) + struct.pack('<I', 4) + b'zstd'
     body += struct.pack('<Q', len(bomb)) + bomb
     record = b'\x06' + struct.pack('<Q', len(body)) + body
@@ -422,6 +424,19 @@ def test_a_type_of_another_version_is_refused(tmp_path):
             writer.add_message(channel, 1, b'\x00\x01\x00\x00\x01', 1)
             writer.finish()
         assert_refused(path, f'another version of {BOOL}')
+
+
+def test_another_encoding_is_refused(tmp_path):
+    path = tmp_path / 'bag'
+    path.mkdir()
+    with (path / 'bag.mcap').open('wb') as stream:
+        writer = McapWriter(stream)
+        writer.start(profile='ros2', library='test')
+        schema = writer.register_schema(BOOL, 'ros2msg', b'bool data')
+        channel = writer.register_channel('/captured', 'json', schema)
+        writer.add_message(channel, 1, b'\x00\x01\x00\x00\x01', 1)
+        writer.finish()
+    assert_refused(path, 'allowed: cdr')
 
 
 def test_definitions_as_ros_writes_them_are_the_same():
