@@ -19,7 +19,7 @@ from orbimpc_ros.tool.trials.outcome import Outcome, Trial
 from orbimpc_ros.tool.trials.stand import PATIENCE, RATE, STEP, Stand
 
 FAREWELLS = 3  # safe commands at the end
-LEAVE = 3.0  # [s] in which a process must have ended
+LEAVE = 5.0  # [s] in which a process must have ended
 
 
 def _told(number: int) -> Any:

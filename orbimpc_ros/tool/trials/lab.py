@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -14,6 +15,8 @@ from orbimpc_ros.tool.trials.stand import Stand
 class Lab:
     """Hands out stands; those that rows share live until the lab is closed.
 
+    Machine code is compiled first: a planner that has to do so itself answers nothing for so long.
+
     Args:
         folder: takes what processes need and print.
     """
@@ -22,6 +25,7 @@ class Lab:
         self._folder, self._count = folder, 0
         self._shared: dict[str, Stand] = {}
         self._stack = ExitStack()
+        runpy.run_module('orbimpc_ros.mpc.kernels', run_name='__main__')
 
     def place(self) -> tuple[Path, int]:
         """Return a new folder and a DDS domain of its own."""
