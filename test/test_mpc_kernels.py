@@ -168,3 +168,18 @@ def test_a_bound_on_the_hull_holds_for_any_multipliers():
     for scale in (0.0, 0.1, 1.0, 10.0, 100.0):
         held = scale * rng.normal(size=(6, 2))
         assert chain._dual(along, first, turning, weights_, seen, held, *room) <= optimum + 1e-9
+
+
+def test_who_has_a_deadline_gets_the_best_so_far_with_its_bound(monkeypatch):
+    rng = np.random.default_rng(3)
+    problem = Problem(horizon=6, floor=floor('polygon', 0.6, 6))
+    start = state(rng, problem)
+    targets = np.tile(start.position, (6, 1))
+    proved = Planar(problem, 1e-6).solve(start, targets)
+    room = proved.nodes - 5
+    monkeypatch.setattr('orbimpc_ros.mpc.planar.NODES', (room,))
+    planar = Planar(problem, 1e-6)
+    hasty = planar.solve(start, targets, None, lambda: False)
+    assert hasty.lower_bound <= proved.cost <= hasty.cost < np.inf
+    assert hasty.nodes == room
+    assert planar.solve(start, targets).cost == pytest.approx(proved.cost, rel=1e-6)
