@@ -9,6 +9,8 @@ H is the same for every coordinate, so one N x N matrix says it all.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from orbimpc_ros.mpc import dynamics
@@ -93,4 +95,5 @@ def suits_dense_code(problem: Problem) -> bool:
 def first_length(problem: Problem, state: State) -> float:
     """Return the length cost of the first step, which the state alone decides."""
     spent = problem.weights.length * problem.step * problem.forward
-    return float(spent * np.linalg.norm(state.rotation[:, 0]))
+    heading = state.rotation[:, 0]
+    return spent * math.sqrt(heading @ heading)

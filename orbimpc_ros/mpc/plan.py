@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -49,10 +49,10 @@ class Plan:
     held: np.ndarray
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            value = getattr(self, each.name)
-            if isinstance(value, np.ndarray):
-                sealed(value)
+        for array in (self.positions, self.velocities, self.rotations, self.inputs):
+            sealed(array)
+        sealed(self.projected)
+        sealed(self.held)
 
     @property
     def horizon(self) -> int:

@@ -71,8 +71,8 @@ def nearest(matrix: Array) -> Array:
     return u @ vt
 
 
-def _all_thrust_aligned(matrices: Array) -> Array:
-    """Return the thrust-aligned rotations of matrices with headings, shape (K, 3, 3).
+def _all_thrust_aligned(matrices: Array, sizes: Array) -> Array:
+    """Return the thrust-aligned rotations of matrices, shape (K, 3, 3), with headings of sizes.
 
     Their first axes are R e1 / |R e1|, so that thrust |R e1| along them moves a vehicle just as the
     relaxed R does; their rolls fit R best. With first axis a, the best second one maximises
@@ -80,17 +80,17 @@ def _all_thrust_aligned(matrices: Array) -> Array:
     along c2 - (a.c2) a + c3 x a.
     """
     headings, second, third = matrices[:, :, 0], matrices[:, :, 1], matrices[:, :, 2]
-    axes = headings / _lengths(headings)
+    axes = headings / sizes
     around = _wide(axes)
     rolled = second - np.einsum('kc,kc->k', axes, second)[:, None] * axes
     rolled += _cross(_wide(third), around)
-    sizes = _lengths(rolled)
-    weak = sizes[:, 0] < ROLL_UNDEFINED
+    spans = _lengths(rolled)
+    weak = spans[:, 0] < ROLL_UNDEFINED
     if weak.any():  # every roll fits as well: across the axis that a is farthest from
         other = np.eye(3)[np.argmin(np.abs(axes[weak]), axis=1)]
         rolled[weak] = _cross(around[weak], _wide(other))
-        sizes = _lengths(rolled)
-    rolled /= sizes
+        spans = _lengths(rolled)
+    rolled /= spans
     rotations = np.empty_like(matrices)
     rotations[:, :, 0], rotations[:, :, 1] = axes, rolled
     rotations[:, :, 2] = _cross(around, _wide(rolled))
@@ -120,21 +120,21 @@ def project_all(matrices: Array, first: Array, how: str) -> tuple[Array, np.ndar
         first: the rotation before them, to hold where a heading is undefined, shape (n, n).
         how: ``'nearest'`` or ``'thrust_aligned'``.
     """
-    headings = matrices[:, :, 0]
-    held = _lengths(headings)[:, 0] < HEADING_UNDEFINED
+    sizes = _lengths(matrices[:, :, 0])
+    held = sizes[:, 0] < HEADING_UNDEFINED
     if not held.any():
-        return _projected(matrices, how), held
+        return _projected(matrices, sizes, how), held
     defined = np.flatnonzero(~held)
-    choices = np.concatenate([first[None], _projected(matrices[defined], how)])
+    choices = np.concatenate([first[None], _projected(matrices[defined], sizes[defined], how)])
     return choices[np.searchsorted(defined, np.arange(len(matrices)), side='right')], held
 
 
-def _projected(matrices: Array, how: str) -> Array:
-    """Return the rotations of matrices with headings, shape (K, n, n)."""
+def _projected(matrices: Array, sizes: Array, how: str) -> Array:
+    """Return the rotations of matrices, shape (K, n, n), with headings of sizes, shape (K, 1)."""
     if matrices.shape[-1] == 2:  # nearest and thrust-aligned are the same
-        return matrices / _lengths(matrices[:, :, 0])[:, :, None]
+        return matrices / sizes[:, :, None]
     if how == 'thrust_aligned':
-        return _all_thrust_aligned(matrices)
+        return _all_thrust_aligned(matrices, sizes)
     return np.array([nearest(matrix) for matrix in matrices]).reshape(matrices.shape)
 
 

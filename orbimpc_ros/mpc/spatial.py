@@ -7,6 +7,7 @@ it leaves to the general program, such as the proof that there is no solution.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 
@@ -70,6 +71,10 @@ class Spatial:
         self._axes = np.zeros((self.problem.horizon + 3, 3))
         self._rest = np.zeros((2, 6))
         self._work, self._held = scratch(n), multipliers(n)
+        rows, offsets = np.zeros((n, 3)), np.full(n, INERT)
+        self._unbound = Terms(
+            self._inverse, self._slide, self._lengths, rows, offsets, self._coasting
+        )
 
     @staticmethod
     def solves(problem: Problem, slots: Sequence[Slot] = ()) -> bool:
@@ -98,7 +103,7 @@ class Spatial:
         elif self._given:
             self._first = coordinates(state.rotation + self.problem.step * state.rotation_rate)
             axes[-1], rest[-1] = self._first[:3], self._first[3:]
-            self._least += self._length * float(np.linalg.norm(axes[-1]))
+            self._least += self._length * math.sqrt(axes[-1] @ axes[-1])
         self._start[self._coasting :, :3] = (self._thrust.minimiser @ axes)[self._given :]
         self._start[self._coasting :, 3:] = (self._others.minimiser @ rest)[self._given :]
         self._least += _quadratic(self._thrust.least, axes) + _quadratic(self._others.least, rest)
@@ -163,7 +168,9 @@ class Spatial:
         self._general.bind(*self._bound_to)
         return self._general.solve(imposed)
 
-    def _terms(self, imposed: Iterable[Halfspace]) -> Terms:
+    def _terms(self, imposed: Sequence[Halfspace]) -> Terms:
+        if not imposed:
+            return self._unbound
         rows, offsets = np.zeros((self._places, 3)), np.full(self._places, INERT)
         for slot, normal, offset in imposed:
             step = self._slots[slot].step
@@ -174,7 +181,7 @@ class Spatial:
                 rows[0, 0], offsets[0] = normal @ self._first[:3], offset
             elif normal @ self._first[:3] < offset - PRECISION:
                 raise Infeasible('R_1 is given, and on the wrong side of a half-space')
-        return Terms(self._inverse, self._slide, self._lengths, rows, offsets, self._coasting)
+        return self._unbound._replace(rows=rows, offsets=offsets)
 
 
 def _quadratic(form: Array, known: Array) -> float:
