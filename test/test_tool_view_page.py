@@ -170,8 +170,10 @@ def test_live_nodes_are_drawn_with_their_parameters(launch, domain, monkeypatch)
         square = (4, 2, 3)
         spin_until(
             watcher,
-            lambda: found['thrust/floor']
-            and drawing.numbers('thrust/floor', -1, 'strips').shape == square,
+            lambda: (
+                found['thrust/floor']
+                and drawing.numbers('thrust/floor', -1, 'strips').shape == square
+            ),
         )
     finally:
         watcher.close()
