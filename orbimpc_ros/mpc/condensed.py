@@ -56,13 +56,13 @@ class Condensed:
         weights, turning = position_weights(problem), input_weight(problem)
         miss = np.hstack([reach[:, :1], dynamics.drift_map(problem), -np.eye(problem.horizon)])
         pull = 2.0 * reach[:, 1:].T * weights
-        self.turning = 2.0 * turning * turn[:, 1:].T @ turn[:, 1:]
-        self.turned = 2.0 * turning * turn[:, 1:].T @ turn[:, :1]
-        self.turned_squared = turning * turn[:, :1].T @ turn[:, :1]
-        self.hessian = pull @ reach[:, 1:] + self.turning
-        self.pulled = pull @ miss
+        self.turning: Array = 2.0 * turning * turn[:, 1:].T @ turn[:, 1:]
+        self.turned: Array = 2.0 * turning * turn[:, 1:].T @ turn[:, :1]
+        self.turned_squared: Array = turning * turn[:, :1].T @ turn[:, :1]
+        self.hessian: Array = pull @ reach[:, 1:] + self.turning
+        self.pulled: Array = pull @ miss
         self.pulled[:, :1] += self.turned
-        self.squared = miss.T * weights @ miss
+        self.squared: Array = miss.T * weights @ miss
         self.squared[:1, :1] += self.turned_squared
 
     def affine(self, state: State, goals: Array) -> tuple[Array, float]:
