@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from orbimpc_ros.tool.columns import aligned
 from orbimpc_ros.tool.measure.rows import Row
 
 HEAD = (
@@ -16,14 +17,7 @@ NUMBERS = range(2, 9)
 
 def text(rows: Sequence[Row]) -> str:
     """Return the table; ``x`` are multiples of our time on the same instances."""
-    lines = [HEAD, *(_cells(row) for row in rows)]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(HEAD))]
-    shown = []
-    for line in lines:
-        padded = (c.rjust(w) if i in NUMBERS else c.ljust(w)
-                  for i, (c, w) in enumerate(zip(line, widths, strict=True)))  # fmt: skip
-        shown.append('  '.join(padded).rstrip())
-    return '\n'.join(shown)
+    return aligned([HEAD, *(_cells(row) for row in rows)], NUMBERS)
 
 
 def _cells(row: Row) -> tuple[str, ...]:

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
+from orbimpc_ros.tool.columns import aligned
+
 if TYPE_CHECKING:
     from orbimpc_ros.tool.trials.lab import Lab
 
@@ -121,14 +123,7 @@ def _plain(values: dict[str, Any]) -> dict[str, Any]:
 
 def table(rows: Sequence[Row]) -> str:
     """Return the rows as a plain table."""
-    lines = [HEAD, *(_cells(row) for row in rows)]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(HEAD))]
-    shown = []
-    for line in lines:
-        padded = (c.rjust(w) if i in NUMBERS else c.ljust(w)
-                  for i, (c, w) in enumerate(zip(line, widths, strict=True)))  # fmt: skip
-        shown.append('  '.join(padded).rstrip())
-    return '\n'.join(shown)
+    return aligned([HEAD, *(_cells(row) for row in rows)], NUMBERS)
 
 
 def _cells(row: Row) -> tuple[str, ...]:
