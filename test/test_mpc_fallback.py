@@ -1,5 +1,7 @@
 """What a controller does without a plan or a goal, and with a goal beyond all reach."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from problems import ORDERS, floor
@@ -7,10 +9,13 @@ from problems import state as random_state
 from test_mpc_controller import flown, odometry
 
 from orbimpc_ros.mpc.controller import Controller
-from orbimpc_ros.mpc.errors import SolverFailure
+from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
+from orbimpc_ros.mpc.feasibility import too_slow
+from orbimpc_ros.mpc.odometry import Odometry
 from orbimpc_ros.mpc.plan import violations
-from orbimpc_ros.mpc.problem import Box, Problem, State
+from orbimpc_ros.mpc.problem import Box, Floor, Problem, State
 from orbimpc_ros.mpc.reach import pulled_in, reach
+from orbimpc_ros.mpc.rotations import exp
 from orbimpc_ros.mpc.solver import Solver
 
 
@@ -103,3 +108,87 @@ def test_a_soft_arrival_has_no_more_time_than_any_other_plan():
     tick = controller.tick(aside, np.tile([-3.0, 0.0], (5, 1)), lambda: polled.append(1) or True)
     assert tick.status == 'infeasible'
     assert polled
+
+
+def pushed(problem, controller, goals, ticks, odometry_after):
+    """Fly a vehicle that does as it is told, from rest; return the ticks."""
+    position, attitude, speed = np.zeros(problem.dimension), np.eye(problem.dimension), 0.0
+    velocity, flown = np.zeros(problem.dimension), []
+    for _ in range(ticks):
+        tick = controller.tick(odometry_after(position, attitude, speed, velocity), goals)
+        flown.append(tick)
+        if problem.translation_order == 1:
+            position = position + problem.step * speed * attitude[:, 0]
+        else:
+            position, velocity = (
+                position + problem.step * velocity,
+                velocity + problem.step * speed * attitude[:, 0],
+            )
+        attitude = attitude @ exp(problem.step * tick.command.body_rate)
+        speed = problem.forward * tick.command.speed_fraction
+    return flown
+
+
+@pytest.mark.parametrize('translation', [1, 2])
+@pytest.mark.parametrize(('dimension', 'shape'), [(2, 'polygon'), (2, 'circle'), (3, 'polygon')])
+def test_a_vehicle_at_rest_runs_up_to_its_floor(dimension, shape, translation):
+    faces = 6 if dimension == 3 else 4
+    problem = Problem(
+        dimension=dimension,
+        translation_order=translation,
+        step=0.1,
+        floor=Floor(shape, faces, 0.5),
+        max_rate=1.5,
+    )
+
+    def measured(position, attitude, speed, velocity):
+        forward = np.eye(dimension)[0] * speed
+        body = forward if translation == 1 else attitude.T @ velocity
+        return Odometry(0.0, position, attitude, body, np.zeros(1 if dimension == 2 else 3))
+
+    goals = np.tile(np.arange(1.0, dimension + 1.0), (5, 1))
+    ticks = pushed(problem, Controller(problem), goals, 8, measured)
+    ups = [tick for tick in ticks if tick.fallback == 'run-up']
+    assert ups == ticks[:3]  # 0.15, 0.30, 0.45: and from there 0.5 is within a step
+    assert [tick.fallback for tick in ticks[3:]] == [''] * 5
+    for k, tick in enumerate(ups):
+        assert tick.status == 'infeasible'
+        assert 'max_rate 1.5 allows no step to the floor of 0.5' in tick.reason
+        assert tick.command.speed_fraction == pytest.approx((k + 1) * problem.chord)
+        np.testing.assert_allclose(tick.command.body_rate, 0.0, atol=1e-9)
+        assert violations(tick.problem, tick.state, tick.goals, tick.plan) == []
+    for tick in ticks[3:]:
+        assert violations(problem, tick.state, tick.goals, tick.plan) == []
+
+
+def test_no_vehicle_runs_up_into_an_obstacle():
+    wall = Box([0.3, -9.0], [9.0, 9.0])
+    problem = Problem(step=0.2, floor=floor('polygon', 0.5), max_rate=1.0, obstacles=(wall,))
+    tick = Controller(problem).tick(odometry(speed=0.0), np.tile([9.0, 0.0], (5, 1)))
+    assert (tick.status, tick.fallback) == ('infeasible', 'safe command')
+    assert 'no run-up: obstacle violated' in tick.reason
+
+
+def test_a_vehicle_that_can_be_at_its_floor_does_not_run_up():
+    """Infeasible for another reason, at a speed from which the floor is within a step."""
+    box = Box([-0.5, -0.5], [5.0, 5.0])
+    problem = Problem(step=0.2, floor=floor('polygon', 0.5), max_rate=1.0, obstacles=(box,))
+    tick = Controller(problem).tick(odometry(speed=0.4), np.tile([9.0, 0.0], (5, 1)))
+    assert (tick.status, tick.fallback) == ('infeasible', 'safe command')
+    assert 'run-up' not in tick.reason
+
+
+@pytest.mark.parametrize(('speed', 'slow'), [(0.0, True), (0.29, True), (0.31, False)])
+@pytest.mark.parametrize('shape', ['polygon', 'circle'])
+def test_too_slow_is_farther_from_the_floor_than_a_step(shape, speed, slow):
+    problem = Problem(floor=floor(shape, 0.5), max_rate=2.0 * np.arcsin(0.1))
+    start = State.at([0.0, 0.0], speed * np.eye(2), attitude=np.eye(2))
+    assert too_slow(problem, start) is slow
+    assert not too_slow(replace(problem, max_rate=0.0), start)
+    assert not too_slow(replace(problem, floor=floor('none', 0.5)), start)
+    assert not too_slow(replace(problem, rotation_order=2), start)
+    if slow:
+        with pytest.raises(Infeasible):
+            Solver(problem).solve(start, np.tile([9.0, 0.0], (5, 1)))
+    else:
+        Solver(problem).solve(start, np.tile([9.0, 0.0], (5, 1)))

@@ -10,9 +10,19 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command, command_of, stop
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
+from orbimpc_ros.mpc.feasibility import too_slow
 from orbimpc_ros.mpc.odometry import Odometry, state_of
-from orbimpc_ros.mpc.plan import FAILED, FEASIBLE, INFEASIBLE, OPTIMAL, Plan, shifted, violations
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.plan import (
+    FAILED,
+    FEASIBLE,
+    INFEASIBLE,
+    OPTIMAL,
+    Plan,
+    run_up,
+    shifted,
+    violations,
+)
+from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.reach import pulled_in
 from orbimpc_ros.mpc.solver import Solver
 
@@ -31,7 +41,7 @@ class Tick:
         state: the state that the plan starts from.
         plan: the checked plan behind the command; None if the command is the safe one.
         command: what to do next.
-        fallback: empty, ``shifted plan``, ``soft arrival`` or ``safe command``.
+        fallback: empty, ``shifted plan``, ``run-up``, ``soft arrival`` or ``safe command``.
         problem: what the plan solves; None without a plan, as is the next.
         goals: g_1..g_N that it was made for, shape (N, n) [m].
     """
@@ -69,6 +79,8 @@ class Controller:
 
     - the shifted previous plan, if it still holds from the new state, for two ticks at most and
       never past its horizon;
+    - a *run-up*, where the vehicle is slower than the floor and ``max_rate`` keeps it from being
+      there a step later: straight ahead, faster at every step;
     - a *soft arrival*, where a terminal constraint that could be met before no longer can be,
       because of disturbances: the plan that comes nearest, if that is within a step's reach;
     - the safe command.
@@ -175,9 +187,20 @@ class Controller:
             found = violations(asked.problem, asked.state, asked.goals, guess)
             if not found:
                 return _following(asked, guess, status, reason, 'shifted plan')
+        if status == INFEASIBLE and too_slow(asked.problem, asked.state):
+            return self._run_up(asked, reason)
         if self._arriving and asked.problem.terminal == 'constraint' and status == INFEASIBLE:
             return self._arrive_softly(asked, reason)
         return _safe(asked.state, status, reason)
+
+    def _run_up(self, asked: _Asked, reason: str) -> Tick:
+        eased = replace(asked.problem, floor=Floor(), terminal='penalty')
+        plan = run_up(eased, asked.state, asked.goals, projection=self._projection)
+        found = violations(eased, asked.state, asked.goals, plan)
+        if found:
+            told = f'{reason}; no run-up: {", ".join(found)}'
+            return _safe(asked.state, INFEASIBLE, told)
+        return replace(_following(asked, plan, INFEASIBLE, reason, 'run-up'), problem=eased)
 
     def _arrive_softly(self, asked: _Asked, reason: str) -> Tick:
         eased = replace(asked, solver=self._solver(self.remaining, soft=True), guess=None)

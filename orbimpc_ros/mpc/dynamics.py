@@ -39,16 +39,10 @@ def rotation_rollout(problem: Problem, state: State, first_rate: Array, inputs: 
         first_rate: W_0, shape (n, n); used at rotation order 2 only.
         inputs: u_0..u_{N-1}, shape (N, n, n).
     """
-    rotations = np.empty((len(inputs) + 1, *inputs.shape[1:]))
-    rotations[0] = state.rotation
-    rate = first_rate
-    for k, u in enumerate(inputs):
-        if problem.rotation_order == 1:
-            rotations[k + 1] = rotations[k] + problem.step * u
-        else:
-            rotations[k + 1] = rotations[k] + problem.step * rate
-            rate = rate + problem.step * u
-    return rotations
+    changes = problem.step * inputs
+    if problem.rotation_order == 2:
+        changes = problem.step * _accumulated(first_rate, changes[:-1])
+    return _accumulated(state.rotation, changes)
 
 
 def translation_rollout(problem: Problem, state: State, headings: Array) -> tuple[Array, Array]:
@@ -63,16 +57,14 @@ def translation_rollout(problem: Problem, state: State, headings: Array) -> tupl
     """
     pushed = problem.forward * headings
     if problem.translation_order == 1:
-        return state.position + _sums(problem.step * pushed), pushed
-    velocities = state.velocity + _sums(problem.step * pushed)
-    return state.position + _sums(problem.step * velocities), velocities
+        return _accumulated(state.position, problem.step * pushed[:-1]), pushed
+    velocities = _accumulated(state.velocity, problem.step * pushed[:-1])
+    return _accumulated(state.position, problem.step * velocities[:-1]), velocities
 
 
-def _sums(increments: Array) -> Array:
-    """Return 0 and the partial sums of all but the last increment, one row each."""
-    sums = np.zeros(increments.shape)
-    np.add.accumulate(increments[:-1], out=sums[1:])
-    return sums
+def _accumulated(first: Array, changes: Array) -> Array:
+    """Return where each change leads from ``first``, which comes first; one entry more."""
+    return np.add.accumulate(np.concatenate([first[None], changes]))
 
 
 def position_map(problem: Problem) -> Array:

@@ -206,10 +206,7 @@ def floor_margin(problem: Problem, headings: Array) -> Array:
 
 def rate_margin(problem: Problem, headings: Array) -> Array:
     """Return how far below the rate limit headings R_0 e1..R_N e1 turn, shape (N,)."""
-    if problem.max_rate <= 0.0:
-        return np.full(len(headings) - 1, np.inf)
-    chord = 2.0 * np.sin(0.5 * problem.step * problem.max_rate)
-    return chord - np.linalg.norm(np.diff(headings, axis=0), axis=1)
+    return problem.chord - np.linalg.norm(np.diff(headings, axis=0), axis=1)
 
 
 def obstacle_margin(problem: Problem, positions: Array) -> float:
@@ -256,6 +253,29 @@ def shifted(
         state,
         goals,
         moved,
+        status=FEASIBLE,
+        lower_bound=-np.inf,
+        nodes=0,
+        projection=projection,
+    )
+
+
+def run_up(problem: Problem, state: State, goals: Array, *, projection: str) -> Plan:
+    """Return the plan to go straight ahead, and faster by as much in each step as is allowed.
+
+    Args:
+        problem: what is to be solved, of rotation order 1 and with a rate limit.
+        state: from where.
+        goals: g_1..g_N, shape (N, n) [m].
+        projection: ``nearest`` or ``thrust_aligned``.
+    """
+    start = np.linalg.norm(state.rotation[:, 0])
+    fractions = start + problem.chord * np.arange(1, problem.horizon + 1)
+    return assemble(
+        problem,
+        state,
+        goals,
+        np.minimum(fractions, 1.0)[:, None] * coordinates(state.attitude),
         status=FEASIBLE,
         lower_bound=-np.inf,
         nodes=0,

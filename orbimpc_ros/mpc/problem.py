@@ -150,6 +150,11 @@ class Problem:
             if box.minimum.shape != (self.dimension,):
                 raise BadInput('obstacles.min', box.minimum.tolist(), f'{self.dimension} numbers')
 
+    @property
+    def chord(self) -> float:
+        """Return how far R e1 may move in a step: 2 sin(h max_rate / 2), infinity without one."""
+        return 2.0 * math.sin(0.5 * self.step * self.max_rate) if self.max_rate else math.inf
+
     def _check_floor(self) -> None:
         floor = self.floor
         if floor.shape != 'polygon':

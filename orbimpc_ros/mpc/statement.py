@@ -126,9 +126,8 @@ class Statement:
         problem = self.problem
         if problem.max_rate <= 0.0:
             return []
-        chord = 2.0 * np.sin(0.5 * problem.step * problem.max_rate)
         turned = self._headings[1:] - self._headings[:-1]
-        return [cp.SOC(np.full(problem.horizon, chord), turned.T)]
+        return [cp.SOC(np.full(problem.horizon, problem.chord), turned.T)]
 
     def _slot_rows(self) -> list[cp.Constraint]:
         if self._offsets is None:

@@ -38,7 +38,7 @@ class Report:
         solve_time_ms: of the whole tick, check included [ms].
         speed_fraction: |R_k e1| along the plan, k = 0..N.
         projection_distance: largest Frobenius distance from R_k to its rotation, k = 1..N.
-        fallback: empty, ``shifted plan`` or ``safe command``.
+        fallback: empty, ``shifted plan``, ``run-up``, ``soft arrival`` or ``safe command``.
         binding: price of each constraint that keeps the plan from being better, dearest first, by
             its name and step, such as ``floor@3``; empty if none does or the plan is no optimum.
         advanced: by how much the measured state was moved on before planning [s].

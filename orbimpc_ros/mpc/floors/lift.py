@@ -131,9 +131,8 @@ class Lift:
         for square in self._squared_headings():
             rows += [cp.trace(square) >= problem.floor.fraction**2, cp.trace(square) <= 1.0]
         if problem.max_rate > 0.0:
-            chord = (2.0 * np.sin(0.5 * problem.step * problem.max_rate)) ** 2
             rows += [
-                cp.trace(link.zz_next + link.zz - 2.0 * link.z_z_next) <= chord
+                cp.trace(link.zz_next + link.zz - 2.0 * link.z_z_next) <= problem.chord**2
                 for link in self._links
             ]
         return rows

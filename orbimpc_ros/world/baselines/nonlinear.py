@@ -67,8 +67,7 @@ class _Program:
             limits += [(beyond, problem.floor.fraction, np.inf), (ca.sum2(shares), 1.0, 1.0)]
         if problem.max_rate > 0.0:
             turns = z - ca.vertcat(first, z[:-1, :])
-            chord = 2.0 * np.sin(0.5 * problem.step * problem.max_rate)
-            limits.append((ca.sum2(turns * turns), -np.inf, chord**2))
+            limits.append((ca.sum2(turns * turns), -np.inf, problem.chord**2))
         self._low = np.repeat([low for _, low, _ in limits], steps)
         self._high = np.repeat([high for *_, high in limits], steps)
         self._solver = ca.nlpsol(
