@@ -20,6 +20,7 @@ from geometry_msgs.msg import TwistStamped
 
 from orbimpc_ros.ros.parameters import PLANNER, SIM
 from orbimpc_ros.tool.trials import feed
+from orbimpc_ros.tool.trials.flood import Pause, pauses
 from orbimpc_ros.tool.trials.matrix import MATRIX
 from orbimpc_ros.tool.trials.outcome import Outcome, Row, Trial, table
 from orbimpc_ros.tool.trials.parameters import nonsense
@@ -130,8 +131,27 @@ def test_a_soak_is_judged_by_memory_gaps_and_stops():
     assert not Soak((100.0, 102.5, 100.5), ticks, 0, ()).ok
     assert not Soak((100.0,), (*ticks, ticks[-1] + 0.11), 0, ()).ok
     assert not Soak((100.0,), ticks, 1, ()).ok
-    assert not Soak((100.0,), ticks, 0, ('odometry is old',)).ok
+    stopped = ((1.3, 'odometry is old'),)
+    assert not Soak((100.0,), ticks, 0, stopped).ok
+    assert not Soak((100.0,), ticks, 0, stopped, (Pause(0.7, 1.1), Pause(1.4, 1.8))).ok
+    assert Soak((100.0,), ticks, 0, stopped, (Pause(1.0, 1.25),)).ok
     assert '1.00 MiB' in str(Soak((100.0, 101.0), ticks, 0, ()))
+
+
+def test_a_source_of_odometry_tells_when_it_was_held_up(tmp_path):
+    log = tmp_path / 'flood.log'
+    words = [sys.executable, '-m', 'orbimpc_ros.tool.trials.flood', '500']
+    with log.open('wb') as stream, subprocess.Popen(words, stdout=stream) as source:
+        try:
+            end = time.monotonic() + 60.0
+            while not any(told.end - told.begin >= 0.4 for told in pauses(log)):
+                assert time.monotonic() < end
+                source.send_signal(signal.SIGSTOP)
+                time.sleep(0.4)
+                source.send_signal(signal.SIGCONT)
+                time.sleep(0.3)
+        finally:
+            source.kill()
 
 
 # --- what is done to messages and parameters

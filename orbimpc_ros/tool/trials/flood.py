@@ -1,10 +1,15 @@
-"""A process that publishes odometry as fast as it is told to, until it is killed."""
+"""A process that publishes odometry as fast as it is told to, until it is killed.
+
+It prints its own pauses: a planner that stops since none came is right to.
+"""
 
 from __future__ import annotations
 
 import os
 import sys
 import time
+from pathlib import Path
+from typing import NamedTuple
 
 import rclpy
 from nav_msgs.msg import Odometry
@@ -15,6 +20,19 @@ from orbimpc_ros.tool.tethered import tether
 from orbimpc_ros.tool.trials import feed
 
 AT_ONCE = 0.1  # [s] to catch up with, at most
+HELD_UP = 0.15  # [s] without a message worth telling
+
+
+class Pause(NamedTuple):
+    """A time without odometry, from and to [s], on the monotonic clock."""
+
+    begin: float
+    end: float
+
+
+def pauses(log: Path) -> list[Pause]:
+    """Return the pauses that have been printed."""
+    return [Pause(*map(float, line.split())) for line in log.read_text().splitlines()]
 
 
 def main() -> None:
@@ -25,9 +43,12 @@ def main() -> None:
     node = rclpy.create_node('flood', enable_rosout=False, start_parameter_services=False)
     publisher = node.create_publisher(Odometry, 'odom', qos())
     message = feed.odometry_at(0.0, 0)
-    begun = due = time.monotonic()
+    begun = due = last = time.monotonic()
     while True:
         now = time.monotonic()
+        if now - last > HELD_UP:
+            print(last, now, flush=True)
+        last = now
         due = max(due + 1.0 / rate, now - AT_ONCE)
         if now - begun > 0.01:  # another pose a hundred times a second
             message, begun = feed.odometry_at(now, 0), now

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 from geometry_msgs.msg import TwistStamped
@@ -61,13 +62,17 @@ def _two_sources(lab: Lab, long: bool) -> Iterator[Outcome]:
 
 
 @contextmanager
-def flooded(stand: Stand, rate: float) -> Iterator[None]:
-    """Have another process take over a stand's odometry, at a rate [Hz]."""
+def flooded(stand: Stand, rate: float) -> Iterator[Path]:
+    """Have another process take over a stand's odometry, at a rate [Hz]; gives its log."""
     stand.mute()
+    log = stand.folder / 'flood.log'
     words = [sys.executable, '-m', 'orbimpc_ros.tool.trials.flood', str(rate)]
-    child = subprocess.Popen(words, env=stand.environment, stdin=subprocess.DEVNULL)
+    with log.open('wb') as stream:
+        child = subprocess.Popen(
+            words, env=stand.environment, stdin=subprocess.DEVNULL, stdout=stream
+        )
     try:
-        yield
+        yield log
     finally:
         child.kill()
         child.wait()

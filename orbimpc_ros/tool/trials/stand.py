@@ -49,6 +49,7 @@ class Stand:
         module: of the planner.
 
     Attributes:
+        folder: the same.
         watch: on the planner.
         planner: its process.
         spoiled: what is wrong with the feed.
@@ -68,7 +69,7 @@ class Stand:
         seed: int = 0,
         module: str = 'orbimpc_ros.ros.planner',
     ) -> None:
-        self._folder, self._domain, self._simulated = folder, domain, simulated
+        self.folder, self._domain, self._simulated = folder, domain, simulated
         self._values = PLANNER | dict(parameters or {}) | {'use_sim_time': simulated}
         self._module = module
         self.draw = random.Random(seed)
@@ -94,7 +95,7 @@ class Stand:
     def start(self) -> None:
         """Start a planner."""
         self._count += 1
-        file = self._folder / f'planner-{self._count}.yaml'
+        file = self.folder / f'planner-{self._count}.yaml'
         settings.write(file, {}, **self._values)
         log = file.with_suffix('.log')
         self.planner = Process(self._module, file, log, self._domain)
