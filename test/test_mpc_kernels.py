@@ -7,14 +7,16 @@ import pytest
 from problems import floor, goals, state, weights
 
 from orbimpc_ros.mpc.condensed import Condensed, position_weights
+from orbimpc_ros.mpc.floors import fast
+from orbimpc_ros.mpc.floors.cells import arcs, faces
 from orbimpc_ros.mpc.floors.circle import Circle
 from orbimpc_ros.mpc.floors.fast import Fast
 from orbimpc_ros.mpc.hull import Hull
-from orbimpc_ros.mpc.kernels import COMPILED, chain, faces
+from orbimpc_ros.mpc.kernels import COMPILED, cells, chain
 from orbimpc_ros.mpc.kernels.annulus import certified
 from orbimpc_ros.mpc.orbitopes import margin, matrix
 from orbimpc_ros.mpc.planar import Planar
-from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.problem import Problem, Weights
 from orbimpc_ros.mpc.search import Search
 from orbimpc_ros.mpc.trajectory import trajectory_of
 
@@ -59,10 +61,12 @@ def test_a_search_that_runs_out_of_room_is_finished_by_the_next():
     targets = np.tile(start.position, (6, 1))
     condensed = Condensed(problem)
     q, c = condensed.affine(start, targets)
-    inverse, directions = np.linalg.inv(condensed.hessian), Planar(problem, 1e-6)._faces
+    inverse, hexagon = np.linalg.inv(condensed.hessian), faces(6, 0.6)
 
     def run(room):
-        return faces.branch_and_bound(condensed.hessian, inverse, q, c, directions, 0.6, 1e-6, room)
+        return cells.branch_and_bound(
+            condensed.hessian, inverse, q, c, *hexagon, np.inf, 1e-6, room
+        )
 
     _, _, bound, nodes, complete = run(3)
     assert not complete
@@ -96,6 +100,104 @@ def test_fast_and_general_circle_agree(seed, order):
         proved = point.cost - point.lower_bound < 1e-7 * abs(point.cost)
         if proved:  # the two certificates do not depend on each other's code
             assert found.cost - found.lower_bound <= 1e-6 * abs(found.cost)
+
+
+def passing(rng, problem):
+    """Return a start, and a goal that passes by: plans on either side cost nearly the same."""
+    start = state(rng, problem)
+    along = np.outer(np.arange(1, problem.horizon + 1), rng.uniform(-0.8, 0.8, 2))
+    return start, start.position + rng.uniform(-1.0, 1.0, 2) + along
+
+
+@pytest.mark.parametrize('fraction', [np.sqrt(0.3), 1.0])
+def test_arcs_prove_what_multipliers_do_not(monkeypatch, fraction):
+    rng = np.random.default_rng(5)
+    problem = Problem(floor=floor('circle', fraction))
+    solver, condensed = Fast(problem, 1e-6), Condensed(problem)
+    doubtful = 0
+    for _ in range(150):
+        start, targets = passing(rng, problem)
+        with monkeypatch.context() as patched:
+            patched.setattr(fast, 'ROOMS', ())
+            doubtful += not solver.settles(solver.solve(start, targets))
+        found = solver.solve(start, targets)
+        assert solver.settles(found)
+        assert found.cost - found.lower_bound <= 5.1e-5 * found.cost
+        q, c = condensed.affine(start, targets)
+        far = rng.normal(size=(1, 5, 2))
+        _, cost, _, _ = certified(condensed.hessian, q, c, np.zeros(5), fraction, 0.0, far, 100)
+        assert found.lower_bound <= (cost + c) * (1 + 1e-9)
+        assert found.cost <= (cost + c) * (1 + 1e-6)
+    assert doubtful > 5
+
+
+def doubtful_case(problem, solver):
+    rng = np.random.default_rng(5)
+    while True:
+        start, targets = passing(rng, problem)
+        q, c = solver._condensed.affine(start, targets)
+        found = solver._search(q, c, [])
+        if not solver.settles(found):
+            return start, targets, q, c, found
+
+
+def test_a_search_over_arcs_leads_from_a_poor_plan_to_a_better_one():
+    problem = Problem(floor=floor('circle', 1.0))
+    solver = Fast(problem, 1e-6)
+    _, _, q, c, best = doubtful_case(problem, solver)
+    x = np.tile([1.0, 0.0], (5, 1))
+    cost = float(np.sum(x * (0.5 * solver._condensed.hessian @ x + q))) + c
+    assert cost > best.cost * 1.01
+    found = replace(best, x=x, cost=cost, lower_bound=-np.inf)
+    for room in fast.ROOMS:
+        found = solver._searched_by_arcs(q, c, found, room)
+    assert solver.settles(found)
+    assert found.cost <= best.cost * (1 + 1e-6)
+
+
+def test_the_bound_of_a_search_over_arcs_holds_with_path_length():
+    rng = np.random.default_rng(6)
+    problem = Problem(floor=floor('circle', 0.6), weights=Weights(length=1.0))
+    solver = Fast(problem, 1e-6)
+    for _ in range(40):
+        start, targets = passing(rng, problem)
+        q, c = solver._condensed.affine(start, targets)
+        best = solver._search(q, c, [])
+        bound = solver._searched_by_arcs(q, c, replace(best, lower_bound=-np.inf), 2000).lower_bound
+        assert 0.0 < bound <= best.cost * (1 + 1e-9)
+        without_length = best.cost - float(solver._length @ np.linalg.norm(best.x, axis=1))
+        assert bound > without_length - 0.4 * solver._length.sum()
+
+
+def test_a_search_over_arcs_ends_in_time(monkeypatch):
+    problem = Problem(floor=floor('circle', 1.0))
+    solver = Fast(problem, 1e-6)
+    start, targets, _, _, doubtful = doubtful_case(problem, solver)
+    monkeypatch.setattr(fast, 'ROOMS', (10, 10, 25_000))
+    polled = []
+    found = solver.solve(start, targets, None, lambda: polled.append(1) or len(polled) == 2)
+    assert len(polled) == 2
+    assert not solver.settles(found)
+    assert doubtful.lower_bound <= found.lower_bound <= found.cost <= doubtful.cost
+
+
+def test_arcs_and_their_halves_cover_the_floor():
+    rng = np.random.default_rng(2)
+    table = arcs(0.6)
+    points = rng.normal(size=(500, 2))
+    points *= (rng.uniform(0.6, 1.0, 500) / np.linalg.norm(points, axis=1))[:, None]
+    beyond = points @ table.normals.T >= table.bounds - 1e-12
+    assert beyond[:, : table.roots].any(axis=1).all()
+    angles = np.arctan2(points[:, 1], points[:, 0])
+    middles = np.arctan2(table.normals[:, 1], table.normals[:, 0])
+    off = np.abs((angles[:, None] - middles + np.pi) % (2 * np.pi) - np.pi)
+    over = off <= np.arccos(table.bounds / 0.6) + 1e-12  # the arcs whose sector a point is in
+    assert (beyond | ~over).all()
+    whole = table.halves > 0
+    first = table.halves[whole]
+    assert (over[:, whole] == (over[:, first] | over[:, first + 1])).all()
+    assert (table.bounds[first] > table.bounds[whole]).all()
+    assert sorted({*range(len(first) * 2 + 4)} - {*range(4)}) == sorted([*first, *(first + 1)])
 
 
 def test_bounds_hold_whatever_the_number_of_starts():

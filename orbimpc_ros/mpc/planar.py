@@ -8,10 +8,10 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.condensed import Condensed, suits_dense_code
-from orbimpc_ros.mpc.floors.faces import normals
+from orbimpc_ros.mpc.floors.cells import faces
 from orbimpc_ros.mpc.general import General
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.kernels.faces import branch_and_bound
+from orbimpc_ros.mpc.kernels.cells import branch_and_bound
 from orbimpc_ros.mpc.method import Found, Guess
 from orbimpc_ros.mpc.problem import Problem, State
 
@@ -36,7 +36,7 @@ class Planar:
         self._condensed = Condensed(problem)
         self._inverse = np.linalg.inv(self._condensed.hessian)
         count = problem.floor.faces if problem.floor.shape == 'polygon' else 0
-        self._faces: Array = normals(2, count)
+        self._cells = faces(count, problem.floor.fraction)
         self._general = General(problem, tolerance)
         # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
         self._run(np.zeros((problem.horizon, 2)), 0.0, 1)
@@ -83,8 +83,8 @@ class Planar:
             self._inverse,
             q,
             constant,
-            self._faces,
-            self._problem.floor.fraction,
+            *self._cells,
+            np.inf,
             self._tolerance,
             room,
         )

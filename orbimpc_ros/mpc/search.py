@@ -227,7 +227,8 @@ class _Run:
             self._closed = min(self._closed, bound)
             return
         gains = {j: self._gain(j, cells, missed[j][1]) for j, cells in options.items()}
-        chosen = max(options, key=lambda j: (gains[j].min(), missed[j][0]))
+        promises = {j: (self._promise(j, gains[j], missed[j][0]), missed[j][0]) for j in options}
+        chosen = max(options, key=promises.__getitem__)
         for cell, gain in zip(options[chosen], gains[chosen], strict=True):
             self._push((*choice[:chosen], cell, *choice[chosen + 1 :]), bound + float(gain))
 
@@ -253,6 +254,16 @@ class _Run:
             return
         self._made += 1
         heapq.heappush(self._open, _Node(bound, -self._made, choice))
+
+    def _promise(self, j: int, gains: Array, by: float) -> float:
+        """Return by how much the children of a disjunction missed by ``by`` may raise the bound.
+
+        Of the parts of a round floor's patch the nearer one often holds already, and tells
+        nothing: what is missed of the floor is what finer patches will ask for.
+        """
+        if self._search.disjunctions[j].radius:
+            return float(by * by / (2.0 * self._search.curvature[j].min()))
+        return float(gains.min())
 
     def _gain(self, j: int, cells: Sequence[Cell], values: Array) -> Array:
         """Return by how much each cell raises the bound at least, shape (cells,)."""

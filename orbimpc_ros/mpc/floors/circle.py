@@ -4,8 +4,9 @@ That is all of R for n = 2. For n = 3 it takes an input weight of zero; the othe
 free, and are carried along by the shortest turns from one thrust axis to the next.
 
 A local optimum is sought from the shifted previous plan, then from the relaxed plan. Its own
-multipliers nearly always prove it global (:mod:`annulus`). Where they do not, the lifted
-relaxation (:mod:`lift`) gives another start, and a bound that holds in any case.
+multipliers nearly always prove it global (:mod:`annulus`). Where they do not, a search over arcs
+does, in machine code (:mod:`fast`); where that does not apply, the lifted relaxation (:mod:`lift`)
+gives another start, and a bound that holds in any case.
 """
 
 from __future__ import annotations
@@ -77,8 +78,8 @@ class Circle:
         """
         best = Found(None, np.inf, -np.inf, 0)
         if self._fast is not None:
-            best = self._fast.solve(state, goals, guess)
-            if self._is_proved(best):
+            best = self._fast.solve(state, goals, guess, out_of_time)
+            if self._fast.settles(best):
                 return best
         self._annulus.bind(state, goals)
         for start, bound in self._starts(state, goals, guess):

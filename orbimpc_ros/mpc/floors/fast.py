@@ -1,27 +1,35 @@
-"""The circular floor without an arrival, in machine code."""
+"""The circular floor without an arrival, in machine code.
+
+Local optima first, and the proof by their own multipliers. What those leave open, typically a goal
+about to pass the vehicle, so that two ways round cost nearly the same, is settled by branch and
+bound: the floor is cut into arcs, and beyond the chord of an arc the problem is convex.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.condensed import Condensed, suits_dense_code
-from orbimpc_ros.mpc.floors.faces import normals
+from orbimpc_ros.mpc.floors.cells import Table, arcs, faces
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.annulus import certified
-from orbimpc_ros.mpc.kernels.faces import branch_and_bound
+from orbimpc_ros.mpc.kernels.cells import branch_and_bound
 from orbimpc_ros.mpc.method import Found, Guess
 from orbimpc_ros.mpc.problem import Problem, State
 
 FURTHER_STARTS = 30
 FACES, NODES = 16, 500  # of the polygon that is searched where those prove nothing
+ROOMS = (1000, 5000, 25000)  # nodes for the searches over arcs that prove the rest
+SETTLED = 50.0  # tolerances at which that search may stop
 
 
 class Fast:
-    """Local optima from the guess, from the hull and from all around, until one is proved global.
+    """Local optima from the guess, from the hull and from all around, and what proves one global.
 
     Args:
         problem: what to solve.
@@ -47,17 +55,45 @@ class Fast:
             and suits_dense_code(problem)
         )
 
-    def solve(self, state: State, goals: Array, guess: Guess | None) -> Found:
-        """Return the best trajectory found, with the best bound proved."""
+    def solve(
+        self,
+        state: State,
+        goals: Array,
+        guess: Guess | None = None,
+        out_of_time: Callable[[], bool] | None = None,
+    ) -> Found:
+        """Return the best trajectory found, with the best bound proved.
+
+        Args:
+            state: where the plan starts.
+            goals: g_1..g_N, shape (N, n) [m].
+            guess: a trajectory to start from.
+            out_of_time: polled between searches; True returns what is known so far.
+        """
         q, constant = self._condensed.affine(state, goals)
         starts = [] if guess is None else [guess.x]
         found = self._search(q, constant, starts)
-        if found.cost - found.lower_bound <= self._tolerance * max(abs(found.cost), 1e-9):
+        if self._missing(found) <= 1.0:
             return found
-        return self._searched_from_outside(q, constant, found)
+        found = self._searched_from_outside(q, constant, found)
+        if self._missing(found) <= 1.0:
+            return found
+        for room in ROOMS:
+            found = self._searched_by_arcs(q, constant, found, room)
+            if self.settles(found) or (out_of_time is not None and out_of_time()):
+                break
+        return found
+
+    def settles(self, found: Found) -> bool:
+        """Return whether what was found is proved as well as the search over arcs does."""
+        return self._missing(found) <= SETTLED
+
+    def _missing(self, found: Found) -> float:
+        """Return the relative gap, in tolerances."""
+        return (found.cost - found.lower_bound) / (self._tolerance * max(abs(found.cost), 1e-9))
 
     def _search(self, q: Array, constant: float, starts: list[Array]) -> Found:
-        hull = self._within(np.zeros((0, 2)), 0.0, q, constant, 1)[0]
+        hull = self._within(faces(0, 0.0), q, constant, 1)[0]
         return self._certified(q, constant, [*starts, hull], FURTHER_STARTS)
 
     def _searched_from_outside(self, q: Array, constant: float, found: Found) -> Found:
@@ -67,18 +103,45 @@ class Fast:
         near the circle's even where no local search from elsewhere leads there.
         """
         apothem = self._problem.floor.fraction * math.cos(math.pi / FACES)
-        outside, reached = self._within(normals(2, FACES), apothem, q, constant, NODES)[:2]
-        if reached == np.inf:
-            return found
-        other = self._certified(q, constant, [outside], 0)
+        outside, reached = self._within(faces(FACES, apothem), q, constant, NODES)[:2]
+        return found if reached == np.inf else self._better(found, q, constant, outside)
+
+    def _better(self, found: Found, q: Array, constant: float, start: Array) -> Found:
+        """Return the better of what was found and the local optimum near a start."""
+        other = self._certified(q, constant, [start], 0)
         best = min(found, other, key=lambda each: each.cost)
         bound = max(found.lower_bound, other.lower_bound)
         return replace(best, lower_bound=bound, nodes=found.nodes + other.nodes)
 
-    def _within(self, faces: Array, floor: float, q: Array, constant: float, room: int) -> tuple:
-        """Return the best x in the disk and beyond a polygon's faces, its cost, and more."""
-        hessian, inverse = self._condensed.hessian, self._inverse
-        return branch_and_bound(hessian, inverse, q, constant, faces, floor, 1e-6, room)
+    def _searched_by_arcs(self, q: Array, constant: float, found: Found, room: int) -> Found:
+        """Return the better of what was found and where a search over arcs leads, with its bound.
+
+        It does not see path length, of which there is at least the floor's.
+        """
+        floor = self._problem.floor.fraction
+        least = constant + floor * float(self._length.sum())
+        x, _, bound, nodes, _ = branch_and_bound(
+            self._condensed.hessian,
+            self._inverse,
+            q,
+            least,
+            *arcs(floor),
+            found.cost - least,
+            SETTLED * self._tolerance,
+            room,
+        )
+        found = replace(
+            found,
+            lower_bound=max(found.lower_bound, bound + least),
+            nodes=found.nodes + nodes,
+        )
+        return found if self.settles(found) else self._better(found, q, constant, x)
+
+    def _within(self, cells: Table, q: Array, constant: float, room: int) -> tuple:
+        """Return the best x in the disk and within one of the cells, its cost, and more."""
+        return branch_and_bound(
+            self._condensed.hessian, self._inverse, q, constant, *cells, np.inf, 1e-6, room
+        )
 
     def _certified(self, q: Array, constant: float, starts: list[Array], more: int) -> Found:
         x, cost, bound, tried = certified(

@@ -1,15 +1,20 @@
-"""Branch and bound over the faces of a planar floor, and over none: the hull.
+"""Branch and bound over the cells of a planar floor, and over none: the hull.
 
-For n = 2, orders (1, any), no length weight and no constraint but orbitope and polygonal floor, the
-problem is a strictly convex quadratic in z_1..z_N with the same N x N Hessian H for both
-coordinates. At a node, disks are kept as tangents, added where the iterate leaves its disk, and the
-quadratic program over tangents and chosen faces is solved by a dual active-set method (Goldfarb and
-Idnani). Each of its iterates minimises the Lagrangian for multipliers u >= 0, so its value is a
-lower bound at any time: a node is given up as soon as the bound says so. A child starts from its
-parent's active set.
+For n = 2, orders (1, any), no length weight and no constraint but orbitope and floor, the problem
+is a strictly convex quadratic in z_1..z_N with the same N x N Hessian H for both coordinates. At a
+node, disks are kept as tangents, added where the iterate leaves its disk, and the quadratic program
+over tangents and chosen cells is solved by a dual active-set method (Goldfarb and Idnani). Each of
+its iterates minimises the Lagrangian for multipliers u >= 0, so its value is a lower bound at any
+time: a node is given up as soon as the bound says so. A child starts from its parent's active set.
+
+A cell is a half-space n . z >= b: a face of a polygonal floor, or what lies beyond the chord of an
+arc of a round one (:mod:`orbimpc_ros.mpc.floors.cells`). Arcs have halves, and a step that slips
+below the circle is branched on the halves of its arc.
 """
 
 from __future__ import annotations
+
+import heapq
 
 import numpy as np
 
@@ -56,7 +61,7 @@ def _lagrangian(hessian, q, rows, normals, offsets, u, count, x):
 
 
 @compiled
-def _most_violated(x, choice, faces, floor):
+def _most_violated(x, choice, cells, bounds):
     """Return step, normal and offset of the row n . x_k >= b violated most; step -1 if none is."""
     worst, step = OUTSIDE, -1
     a = b = offset = 0.0
@@ -66,11 +71,11 @@ def _most_violated(x, choice, faces, floor):
             worst, step, offset = size - 1.0, k, -1.0
             a, b = -x[k, 0] / size, -x[k, 1] / size
         if choice[k] >= 0:
-            face = faces[choice[k]]
-            short = floor - face[0] * x[k, 0] - face[1] * x[k, 1]
+            cell, bound = cells[choice[k]], bounds[choice[k]]
+            short = bound - cell[0] * x[k, 0] - cell[1] * x[k, 1]
             if short > worst:
-                worst, step, offset = short, k, floor
-                a, b = face[0], face[1]
+                worst, step, offset = short, k, bound
+                a, b = cell[0], cell[1]
     return step, a, b, offset
 
 
@@ -133,12 +138,12 @@ def _add_row(inverse, rows, normals, offsets, u, count, x, step, a, b, offset):
 
 
 @compiled
-def _relax(hessian, inverse, q, faces, floor, choice, cutoff, rows, normals, offsets, u, count, x):
+def _relax(hessian, inverse, q, cells, bounds, choice, cutoff, rows, normals, offsets, u, count, x):
     """Solve a node from its parent's active set; return status, bound and the active count."""
     _minimiser(inverse, q, rows, normals, u, count, x)
     bound = _lagrangian(hessian, q, rows, normals, offsets, u, count, x)
     for _ in range(ITERATIONS):
-        step, a, b, offset = _most_violated(x, choice, faces, floor)
+        step, a, b, offset = _most_violated(x, choice, cells, bounds)
         if step < 0:
             return SOLVED, bound, count
         added = _add_row(inverse, rows, normals, offsets, u, count, x, step, a, b, offset)
@@ -155,68 +160,119 @@ def _relax(hessian, inverse, q, faces, floor, choice, cutoff, rows, normals, off
 
 
 @compiled
-def branch_and_bound(hessian, inverse, q, constant, faces, floor, tolerance, max_nodes):
+def _options(chosen, roots, halves):
+    """Return the first of the cells that a step can be branched on, and their number."""
+    if chosen < 0:
+        return 0, roots
+    return halves[chosen], 2 if halves[chosen] > 0 else 0
+
+
+@compiled
+def _miss(cells, bounds, cell, point):
+    """Return by how much a point misses a cell; 0 inside."""
+    return max(0.0, bounds[cell] - cells[cell, 0] * point[0] - cells[cell, 1] * point[1])
+
+
+@compiled
+def _shortfall(cells, bounds, roots, radius, point):
+    """Return by how much a point misses the floor."""
+    if radius > 0.0:
+        return radius - np.sqrt(point[0] ** 2 + point[1] ** 2)
+    least = np.inf
+    for cell in range(roots):
+        least = min(least, _miss(cells, bounds, cell, point))
+    return least
+
+
+@compiled
+def _branching(x, choice, cells, bounds, halves, roots, radius, inverse):
+    """Return the step to branch on, -1 if there is none, and whether one misses its finest arc."""
+    chosen, gain, stuck = -1, -1.0, False
+    for k in range(len(x)):
+        _, count = _options(choice[k], roots, halves)
+        if count == 0 and radius == 0.0:
+            continue
+        short = _shortfall(cells, bounds, roots, radius, x[k])
+        if short <= SATISFIED:
+            continue
+        if count == 0:
+            stuck = True
+            continue
+        # Of an arc's halves the nearer one often holds already, and tells nothing: what the step
+        # misses of the floor is what finer arcs will ask of it.
+        raised = short * short / (2.0 * inverse[k, k])
+        if raised > gain:
+            chosen, gain = k, raised
+    return chosen, stuck
+
+
+@compiled
+def branch_and_bound(
+    hessian, inverse, q, constant, cells, bounds, halves, roots, radius, known, tolerance, max_nodes
+):
     """Search best first; return x, f(x), the least bound, nodes, and whether that is complete.
 
-    ``constant`` only scales the tolerance; values are those of f, without it.
+    A search that is not complete and found nothing better than what is known returns the last
+    relaxation's x, with f of what is known: x is a start for a local search.
+
+    Args:
+        hessian: H, shape (N, N).
+        inverse: of H.
+        q: shape (N, 2).
+        constant: what values lack; it only scales the tolerance.
+        cells: unit normals n, shape (M, 2); those of the whole floor come first.
+        bounds: b of n . z >= b, shape (M,).
+        halves: the first of the two halves of each cell, 0 where it has none, shape (M,).
+        roots: how many cells are those of the whole floor.
+        radius: of a round floor, 0 for a polygon.
+        known: value of a trajectory that is known; only better ones are looked for.
+        tolerance: relative gap at which to stop.
+        max_nodes: relaxations to solve at most.
     """
-    n_steps, m = len(q), len(faces)
+    n_steps, most = len(q), max(roots, 2)
     size = 2 * n_steps + 2
+    # State 0 is empty, for the root; that of a node is its number, copied from its parent's.
     rows = np.zeros((max_nodes + 1, size), np.int64)
     normals = np.zeros((max_nodes + 1, size, 2))
     offsets, u = np.zeros((max_nodes + 1, size)), np.zeros((max_nodes + 1, size))
     counts = np.zeros(max_nodes + 1, np.int64)
-    capacity = 1 + max_nodes * max(m, 1)
+    capacity = 1 + max_nodes * most
     choice = np.empty((capacity, n_steps), np.int64)
     choice[0] = -1
-    bounds, parent = np.empty(capacity), np.zeros(capacity, np.int64)
-    open_nodes, opened = np.zeros(capacity, np.int64), 1
-    bounds[0], made = -np.inf, 1
-    best, value, closed = np.zeros((n_steps, 2)), np.inf, np.inf
-    x, gains = np.zeros((n_steps, 2)), np.empty(m)
+    parent, made = np.zeros(capacity, np.int64), 1
+    open_nodes = [(-np.inf, 0)]  # a heap; of equals the latest, the deepest, comes first
+    best, value, closed = np.zeros((n_steps, 2)), known, np.inf
+    x, gains = np.zeros((n_steps, 2)), np.empty(most)
     solved, complete = 0, True
-    while opened > 0:
-        at = 0
-        for i in range(1, opened):
-            if bounds[open_nodes[i]] <= bounds[open_nodes[at]]:
-                at = i
-        node = open_nodes[at]
+    while open_nodes:
+        least, node = open_nodes[0][0], -open_nodes[0][1]
         cutoff = value - tolerance * max(abs(value + constant), 1e-9)
-        if bounds[node] >= cutoff:
+        if least >= cutoff:
             break
         if solved == max_nodes:
             complete = False
             break
-        opened -= 1
-        open_nodes[at] = open_nodes[opened]
+        heapq.heappop(open_nodes)
         solved += 1
-        # State 0 is empty, for the root; a node's own is its number, copied from its parent's.
         own, from_ = solved, parent[node]
         rows[own], normals[own] = rows[from_], normals[from_]
         offsets[own], u[own] = offsets[from_], u[from_]
         status, bound, count = _relax(
-            hessian, inverse, q, faces, floor, choice[node], cutoff,
+            hessian, inverse, q, cells, bounds, choice[node], cutoff,
             rows[own], normals[own], offsets[own], u[own], counts[from_], x,
         )  # fmt: skip
         counts[own] = count
-        bound = max(bound, bounds[node])
+        bound = max(bound, least)
         if status == REFUTED:
             continue
         if status != SOLVED:
             closed = min(closed, bound)
             complete = complete and status == PRUNED
             continue
-        chosen, gain, missed = -1, -1.0, 0.0
-        for k in range(n_steps):
-            if choice[node, k] >= 0 or m == 0:
-                continue
-            short, least = np.inf, np.inf
-            for i in range(m):
-                miss = max(0.0, floor - faces[i, 0] * x[k, 0] - faces[i, 1] * x[k, 1])
-                short = min(short, miss)
-                least = min(least, miss * miss / (2.0 * inverse[k, k]))
-            if short > SATISFIED and (least > gain or (least == gain and short > missed)):
-                chosen, gain, missed = k, least, short
+        chosen, stuck = _branching(x, choice[node], cells, bounds, halves, roots, radius, inverse)
+        if chosen < 0 and stuck:  # below the circle by less than the finest arcs see
+            closed, complete = min(closed, bound), False
+            break
         if chosen < 0:
             reached = _lagrangian(hessian, q, rows[0], normals[0], offsets[0], u[0], 0, x)
             closed = min(closed, bound)
@@ -224,19 +280,21 @@ def branch_and_bound(hessian, inverse, q, constant, faces, floor, tolerance, max
                 best[:], value = x, reached
             continue
         k = chosen
-        for i in range(m):
-            miss = max(0.0, floor - faces[i, 0] * x[k, 0] - faces[i, 1] * x[k, 1])
+        first, count = _options(choice[node, k], roots, halves)
+        for i in range(count):
+            miss = _miss(cells, bounds, first + i, x[k])
             gains[i] = bound + miss * miss / (2.0 * inverse[k, k])
-        for i in np.argsort(-gains):
+        for i in np.argsort(-gains[:count]):
             if gains[i] >= cutoff:
                 closed = min(closed, gains[i])
                 continue
             choice[made] = choice[node]
-            choice[made, k] = i
-            bounds[made], parent[made] = gains[i], own
-            open_nodes[opened] = made
-            opened += 1
+            choice[made, k] = first + i
+            parent[made] = own
+            heapq.heappush(open_nodes, (gains[i], -made))
             made += 1
-    for i in range(opened):
-        closed = min(closed, bounds[open_nodes[i]])
+    if not complete and value == known:
+        best[:] = x
+    if open_nodes:
+        closed = min(closed, open_nodes[0][0])
     return best, value, min(closed, value), solved, complete
