@@ -16,6 +16,7 @@ from orbimpc_ros.mpc.plan import violations
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State
 from orbimpc_ros.mpc.reach import pulled_in, reach
 from orbimpc_ros.mpc.rotations import exp
+from orbimpc_ros.mpc.search import Search
 from orbimpc_ros.mpc.solver import Solver
 
 
@@ -187,8 +188,12 @@ def test_too_slow_is_farther_from_the_floor_than_a_step(shape, speed, slow):
     assert not too_slow(replace(problem, max_rate=0.0), start)
     assert not too_slow(replace(problem, floor=floor('none', 0.5)), start)
     assert not too_slow(replace(problem, rotation_order=2), start)
+    search, goals = Search(problem, 1e-6), np.tile([9.0, 0.0], (5, 1))
     if slow:
         with pytest.raises(Infeasible):
-            Solver(problem).solve(start, np.tile([9.0, 0.0], (5, 1)))
+            search.solve(start, goals)
+        with pytest.raises(Infeasible, match='allows no step to the floor'):
+            Solver(problem).solve(start, goals)
     else:
-        Solver(problem).solve(start, np.tile([9.0, 0.0], (5, 1)))
+        search.solve(start, goals)
+        Solver(problem).solve(start, goals)

@@ -2,6 +2,8 @@
 
 import re
 import signal
+import subprocess
+import sys
 import textwrap
 import time
 
@@ -35,6 +37,35 @@ BROKEN = """
 
     sys.exit(run(Broken, sys.argv))
 """
+
+
+COLLECTING = """
+    import gc, sys
+    from orbimpc_ros.ros import planner
+    from orbimpc_ros.ros.process import run
+
+    class Counting(planner.Planner):
+        def __init__(self):
+            super().__init__()
+            self.made = len(gc.get_objects())
+            self.every(0.01, self.count)
+
+        def count(self):
+            print(self.made, gc.get_freeze_count())
+            self.exit_code = 0
+
+    sys.exit(run(Counting, sys.argv))
+"""
+
+
+def test_no_collection_looks_through_what_the_start_has_made(tmp_path):
+    script = tmp_path / 'counting.py'
+    script.write_text(textwrap.dedent(COLLECTING))
+    done = subprocess.run(
+        [sys.executable, str(script)], capture_output=True, text=True, timeout=60, check=True
+    )
+    made, frozen = map(int, done.stdout.split())
+    assert frozen > 0.9 * made > 50_000
 
 
 @pytest.fixture

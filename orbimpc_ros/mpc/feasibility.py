@@ -45,7 +45,7 @@ def constraints_in_force(problem: Problem) -> list[str]:
 
 def too_slow(problem: Problem, state: State) -> bool:
     """Return whether ``max_rate`` alone keeps the vehicle from being at its floor a step later."""
-    if problem.rotation_order == 2:  # its thrust is free at once, its heading is given
+    if problem.max_rate == 0.0 or problem.rotation_order == 2:  # there thrust is free at once
         return False
     # A face's normal is a unit vector: no step of R e1 gains more than its length.
     return bool(floor_margin(problem, state.rotation[None, :, 0])[0] < -problem.chord)

@@ -8,7 +8,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
-from orbimpc_ros.mpc.feasibility import reason
+from orbimpc_ros.mpc.feasibility import reason, too_slow
 from orbimpc_ros.mpc.hull import Hull
 from orbimpc_ros.mpc.method import Found, Guess, Method
 from orbimpc_ros.mpc.orbitopes import coordinates
@@ -65,6 +65,8 @@ class Solver:
         wanted = (self.problem.horizon, self.problem.dimension)
         if np.shape(goals) != wanted:
             raise BadInput('goals', np.shape(goals), f'an array of shape {wanted}')
+        if too_slow(self.problem, state):  # a search might look into every branch before it knows
+            raise Infeasible(reason(self.problem, state, goals))
         usable = self._usable(state, goals, guess)
         try:
             found = self._method.solve(state, goals, usable, out_of_time)

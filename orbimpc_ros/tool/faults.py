@@ -25,7 +25,7 @@ DEFAULT_SOAK = 30.0  # [min]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
-    parser.add_argument('--long', action='store_true', help='every case: about forty minutes')
+    parser.add_argument('--long', action='store_true', help='every case: about 25 minutes')
     parser.add_argument('--only', nargs='+', metavar='ROW', help='rows by name; see --list')
     parser.add_argument('--list', action='store_true', help='list the rows and do nothing')
     parser.add_argument('--json', metavar='FILE', help='write the rows and cases there')
