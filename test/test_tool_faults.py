@@ -1,5 +1,6 @@
 """The fault matrix: what the watch notices, how rows are judged, and the short form itself."""
 
+import gc
 import json
 import math
 import os
@@ -19,6 +20,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import TwistStamped
 
 from orbimpc_ros.ros.parameters import PLANNER, SIM
+from orbimpc_ros.tool import collector
 from orbimpc_ros.tool.trials import feed
 from orbimpc_ros.tool.trials.flood import Pause, pauses
 from orbimpc_ros.tool.trials.matrix import MATRIX
@@ -136,6 +138,17 @@ def test_a_soak_is_judged_by_memory_gaps_and_stops():
     assert not Soak((100.0,), ticks, 0, stopped, (Pause(0.7, 1.1), Pause(1.4, 1.8))).ok
     assert Soak((100.0,), ticks, 0, stopped, (Pause(1.0, 1.25),)).ok
     assert '1.00 MiB' in str(Soak((100.0, 101.0), ticks, 0, ()))
+
+
+def test_collections_wait_until_a_measurement_is_over():
+    def measured():
+        with collector.paused():
+            assert not gc.isenabled()
+            raise OSError('over')
+
+    with pytest.raises(OSError, match='over'):
+        measured()
+    assert gc.isenabled()
 
 
 def test_a_source_of_odometry_tells_when_it_was_held_up(tmp_path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.tool import collector
 from orbimpc_ros.tool.contenders.contender import Answer, Contender, Refused
 from orbimpc_ros.tool.measure.instances import Instance
 
@@ -53,16 +53,12 @@ def duel(
     samples = {name: Samples() for name in contenders}
     for name, contender in contenders.items():
         _warm(contender, instances[0], samples[name], warm_up)
-    gc.collect()
-    gc.disable()  # its pauses would fall on whoever is running
-    try:
+    with collector.paused():
         for i, instance in enumerate(instances):
             for name in list(contenders)[:: 1 if i % 2 else -1]:
                 if not samples[name].refused and samples[name].spent < budget:
                     _run(contenders[name], instance, samples[name], i)
             show(i + 1)
-    finally:
-        gc.enable()
     return samples
 
 

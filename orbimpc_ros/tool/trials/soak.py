@@ -12,6 +12,7 @@ from pathlib import Path
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.reports import SAFE
+from orbimpc_ros.tool import collector
 from orbimpc_ros.tool.progress import Progress
 from orbimpc_ros.tool.trials.flood import Pause, pauses
 from orbimpc_ros.tool.trials.lab import Lab
@@ -99,6 +100,7 @@ def soaked(minutes: float) -> int:
         tempfile.TemporaryDirectory() as folder,
         Lab(Path(folder)) as lab,
         lab.stand({'step': STEP}) as stand,
+        collector.paused(),
     ):
         result = _soak(stand, 60.0 * minutes)
     print(result)
