@@ -24,6 +24,7 @@ from orbimpc_ros.tool.trials.stand import STEP, Stand
 TOLD = 1.0  # [s] in which a mismatch must be told
 MEET = 0.6  # [s] that discovery may take
 FLOOD = 5000.0  # [Hz]
+SETTLED = 1.0  # [s] after which a flood has been discovered
 LATE = 5.0  # [ms] beyond a period
 
 
@@ -72,6 +73,9 @@ def flooded(stand: Stand, rate: float) -> Iterator[Path]:
             words, env=stand.environment, stdin=subprocess.DEVNULL, stdout=stream
         )
     try:
+        # Until it has started there is no odometry at all, and stops are right.
+        stand.until(lambda: stand.node.count_publishers('odom') > 0, 'the flood')
+        stand.spin(SETTLED)
         yield log
     finally:
         child.kill()
