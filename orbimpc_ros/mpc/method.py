@@ -42,6 +42,11 @@ class Found:
     nodes: int
     flown: Trajectory | None = None
 
+    @property
+    def gap(self) -> float:
+        """Return (cost - lower bound) / max(1e-9, |cost|)."""
+        return (self.cost - self.lower_bound) / max(1e-9, abs(self.cost))
+
 
 class Method(Protocol):
     """Solves one problem for any state and goals.

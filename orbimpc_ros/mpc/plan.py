@@ -248,16 +248,7 @@ def shifted(
     moved = np.concatenate([x[2:], x[-1:]])[: problem.horizon]
     if len(moved) < problem.horizon:
         return None
-    return assemble(
-        problem,
-        state,
-        goals,
-        moved,
-        status=FEASIBLE,
-        lower_bound=-np.inf,
-        nodes=0,
-        projection=projection,
-    )
+    return _unproved(problem, state, goals, moved, projection)
 
 
 def run_up(problem: Problem, state: State, goals: Array, *, projection: str) -> Plan:
@@ -271,11 +262,17 @@ def run_up(problem: Problem, state: State, goals: Array, *, projection: str) -> 
     """
     start = np.linalg.norm(state.rotation[:, 0])
     fractions = start + problem.chord * np.arange(1, problem.horizon + 1)
+    x = np.minimum(fractions, 1.0)[:, None] * coordinates(state.attitude)
+    return _unproved(problem, state, goals, x, projection)
+
+
+def _unproved(problem: Problem, state: State, goals: Array, x: Array, projection: str) -> Plan:
+    """Return the plan of coordinates that no solver found, and that nothing is proved of."""
     return assemble(
         problem,
         state,
         goals,
-        np.minimum(fractions, 1.0)[:, None] * coordinates(state.attitude),
+        x,
         status=FEASIBLE,
         lower_bound=-np.inf,
         nodes=0,

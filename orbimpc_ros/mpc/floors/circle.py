@@ -84,7 +84,7 @@ class Circle:
         self._annulus.bind(state, goals)
         for start, bound in self._starts(state, goals, guess):
             best = self._improved(best, start, bound)
-            if best.x is not None and self._is_proved(best):
+            if best.x is not None and best.gap <= self._tolerance:
                 break
             if best.x is not None and out_of_time is not None and out_of_time():
                 break
@@ -118,9 +118,6 @@ class Circle:
         if point.cost < best.cost:
             return Found(point.headings, point.cost, lower, best.nodes + 1)
         return Found(best.x, best.cost, lower, best.nodes + 1)
-
-    def _is_proved(self, best: Found) -> bool:
-        return best.cost - best.lower_bound <= self._tolerance * max(abs(best.cost), 1e-9)
 
 
 def _carried(attitude: Array, headings: Array) -> Array:

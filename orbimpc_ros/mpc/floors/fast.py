@@ -43,6 +43,7 @@ class Fast:
         spent = problem.weights.length * problem.step * problem.forward
         self._length = np.full(problem.horizon, spent)
         self._length[-1] = 0.0
+        self._arcs = arcs(problem.floor.fraction)
         self._search(np.ones((problem.horizon, 2)), 0.0, [])  # compiles, or loads compiled code
 
     @staticmethod
@@ -73,10 +74,10 @@ class Fast:
         q, constant = self._condensed.affine(state, goals)
         starts = [] if guess is None else [guess.x]
         found = self._search(q, constant, starts)
-        if self._missing(found) <= 1.0:
+        if found.gap <= self._tolerance:
             return found
         found = self._searched_from_outside(q, constant, found)
-        if self._missing(found) <= 1.0:
+        if found.gap <= self._tolerance:
             return found
         for room in ROOMS:
             found = self._searched_by_arcs(q, constant, found, room)
@@ -86,11 +87,7 @@ class Fast:
 
     def settles(self, found: Found) -> bool:
         """Return whether what was found is proved as well as the search over arcs does."""
-        return self._missing(found) <= SETTLED
-
-    def _missing(self, found: Found) -> float:
-        """Return the relative gap, in tolerances."""
-        return (found.cost - found.lower_bound) / (self._tolerance * max(abs(found.cost), 1e-9))
+        return found.gap <= SETTLED * self._tolerance
 
     def _search(self, q: Array, constant: float, starts: list[Array]) -> Found:
         hull = self._within(faces(0, 0.0), q, constant, 1)[0]
@@ -118,14 +115,13 @@ class Fast:
 
         It does not see path length, of which there is at least the floor's.
         """
-        floor = self._problem.floor.fraction
-        least = constant + floor * float(self._length.sum())
+        least = constant + self._problem.floor.fraction * float(self._length.sum())
         x, _, bound, nodes, _ = branch_and_bound(
             self._condensed.hessian,
             self._inverse,
             q,
             least,
-            *arcs(floor),
+            *self._arcs,
             found.cost - least,
             SETTLED * self._tolerance,
             room,

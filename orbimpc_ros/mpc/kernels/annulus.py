@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.linear import solve_spd
+from orbimpc_ros.mpc.kernels.linear import quadratic, solve_spd
 
 ITERATIONS = 80
 HALVINGS = 20
@@ -23,13 +23,8 @@ GOLDEN_ANGLE = 2.399963229728653
 
 @compiled
 def _cost(hessian, q, length, z):
-    total = 0.0
+    total = quadratic(hessian, q, z)
     for j in range(len(q)):
-        a, b = q[j, 0], q[j, 1]
-        for k in range(len(q)):
-            a += 0.5 * hessian[j, k] * z[k, 0]
-            b += 0.5 * hessian[j, k] * z[k, 1]
-        total += z[j, 0] * a + z[j, 1] * b
         if length[j] > 0.0:
             total += length[j] * np.sqrt(z[j, 0] ** 2 + z[j, 1] ** 2)
     return total

@@ -19,7 +19,7 @@ import heapq
 import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.linear import SINGULAR, solve_spd
+from orbimpc_ros.mpc.kernels.linear import SINGULAR, quadratic, solve_spd
 
 SOLVED, PRUNED, REFUTED, STALLED = 0, 1, 2, 3
 ITERATIONS = 300
@@ -46,13 +46,7 @@ def _minimiser(inverse, q, rows, normals, u, count, x):
 @compiled
 def _lagrangian(hessian, q, rows, normals, offsets, u, count, x):
     """Return f(x) + sum_i u_i (b_i - n_i . x)."""
-    value = 0.0
-    for j in range(len(q)):
-        a, b = q[j, 0], q[j, 1]
-        for k in range(len(q)):
-            a += 0.5 * hessian[j, k] * x[k, 0]
-            b += 0.5 * hessian[j, k] * x[k, 1]
-        value += x[j, 0] * a + x[j, 1] * b
+    value = quadratic(hessian, q, x)
     for i in range(count):
         k = rows[i]
         held = normals[i, 0] * x[k, 0] + normals[i, 1] * x[k, 1]
@@ -274,7 +268,7 @@ def branch_and_bound(
             closed, complete = min(closed, bound), False
             break
         if chosen < 0:
-            reached = _lagrangian(hessian, q, rows[0], normals[0], offsets[0], u[0], 0, x)
+            reached = quadratic(hessian, q, x)
             closed = min(closed, bound)
             if reached < value:
                 best[:], value = x, reached

@@ -11,6 +11,19 @@ DIAGONAL = 1e-32  # squared share of what is off the diagonal
 SWEEPS = 12
 
 
+@compiled
+def quadratic(hessian, q, x):
+    """Return sum_j x_j . (sum_k H_jk x_k / 2 + q_j) of points x of the plane, shape (N, 2)."""
+    value = 0.0
+    for j in range(len(q)):
+        a, b = q[j, 0], q[j, 1]
+        for k in range(len(q)):
+            a += 0.5 * hessian[j, k] * x[k, 0]
+            b += 0.5 * hessian[j, k] * x[k, 1]
+        value += x[j, 0] * a + x[j, 1] * b
+    return value
+
+
 @vectorised
 def _factorise(matrix, count):
     """Set the lower triangle to Cholesky's factor, its diagonal inverted; False if singular.

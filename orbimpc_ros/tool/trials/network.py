@@ -89,7 +89,6 @@ def _flood(lab: Lab, long: bool) -> Iterator[Outcome]:
         with flooded(stand, FLOOD):
             begin = time.monotonic()
             stand.until_planned()
-            stand.spin(1.0)  # it has found its feet
             settled = time.monotonic()
             stand.spin(30.0 if long else 4.0)
             times = [tick.at for tick in stand.watch.ticks if tick.at >= settled]
