@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from problems import ORDERS, floor
 
+from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import command_of, stop
 from orbimpc_ros.mpc.controller import FALLBACK_TICKS, Controller
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.forecast import Hold, Itinerary, Sighting, forecast_named
 from orbimpc_ros.mpc.odometry import Odometry, state_of
-from orbimpc_ros.mpc.plan import violations
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.rotations import exp
 from orbimpc_ros.mpc.solver import Solver

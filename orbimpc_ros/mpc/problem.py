@@ -1,4 +1,4 @@
-r"""What to solve: the planning problem, its weights, floor and obstacles, and the state.
+r"""The planning problem: its weights, floor and obstacles, and the state it starts from.
 
 The problem (Huang, Horowitz, Burdick, *Convex Model Predictive Control for Vehicular Systems*):
 
@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from orbimpc_ros.mpc.arrays import Array, frozen, number, whole
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.floors.faces import normals
 from orbimpc_ros.mpc.orbitopes import MEMBERSHIP_TOLERANCE, margin
 from orbimpc_ros.mpc.rotations import nearest
 
@@ -27,6 +28,7 @@ TERMINALS = ('penalty', 'constraint')
 SOLID_FACES = (6, 12, 20)  # cube, dodecahedron, icosahedron
 MAX_HORIZON = 500
 MAX_OBSTACLES = 64
+WIDEST_CONE = 1.4  # [rad] beyond it the cone of a turn is nearly a half-space, and ill-conditioned
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,14 @@ class Floor:
         whole(self.faces, 'floor.faces', 3, 64)
         number(self.fraction, 'floor.fraction', 0.0, 1.0, above=True)
 
+    def least(self, axis: Array) -> float:
+        """Return the least speed fraction along a unit vector, shape (n,); 0 without a floor."""
+        if self.shape == 'none':
+            return 0.0
+        if self.shape == 'circle':
+            return self.fraction
+        return self.fraction / float((normals(len(axis), self.faces) @ axis).max())
+
 
 @dataclass(frozen=True)
 class Box:
@@ -110,11 +120,13 @@ class Problem:
         weights: of the objective.
         terminal: ``penalty``, or ``constraint``: s_N = g_N (and p_N = 0 at order 2).
         floor: minimum speed fraction.
-        max_rate: limit on the body rate [rad/s], 0 for none.
+        max_rate: limit on the body rate [rad/s], 0 for none. Without a floor it bounds the chord
+            |R_{k+1} e1 - R_k e1|. With one it turns the vehicle and never brakes it: see
+            :attr:`first_turn_is_an_angle`.
         obstacles: boxes to stay outside of.
         no_corner_cutting: whether consecutive points must share a free face of every box.
-        arrival_weight: adds this times |s_N - g_N|^2 (and |p_N|^2 at translation order 2) to the
-            objective: what stands in for an arrival that has become impossible.
+        arrival_weight: adds this times |s_N - g_N|^2 (and h^2 |p_N|^2 at translation order 2) to
+            the objective: what stands in for an arrival that has become impossible [1/m^2].
     """
 
     dimension: int = 2
@@ -154,6 +166,34 @@ class Problem:
     def chord(self) -> float:
         """Return how far R e1 may move in a step: 2 sin(h max_rate / 2), infinity without one."""
         return 2.0 * math.sin(0.5 * self.step * self.max_rate) if self.max_rate else math.inf
+
+    @property
+    def first_turn_is_decided(self) -> bool:
+        """Return whether ``max_rate`` has no say in the first step.
+
+        At rotation order 2 the body rate it starts with carries the vehicle through it, and what
+        the limit could still do is to brake, which nothing with a floor may be asked to.
+        """
+        return self.rotation_order == 2 and self.floor.shape != 'none'
+
+    @property
+    def first_turn_is_an_angle(self) -> bool:
+        """Return whether ``max_rate`` bounds the angle from Q_0 e1 to R_1 e1, whatever the speed.
+
+        With a floor it must: against the measured R_0 e1 a chord would limit the change of speed
+        too, and a vehicle measured to be slow would be told to fly slowly. A cone is convex up to
+        a quarter turn; a wider turn than that is bounded by the chord from R_0 e1.
+        """
+        return (
+            self.rotation_order == 1
+            and self.floor.shape != 'none'
+            and 0.0 < self.step * self.max_rate < WIDEST_CONE
+        )
+
+    @property
+    def length_unit(self) -> float:
+        """Return h z, at translation order 2 h^2 z: what a step moves a vehicle at most [m]."""
+        return self.forward * self.step**self.translation_order
 
     def _check_floor(self) -> None:
         floor = self.floor
