@@ -162,5 +162,5 @@ def test_where_the_rotation_can_be_held_there_is_a_plan_at_once(orders, shape):
         plan = solver.solve(start, targets, out_of_time=lambda: True)
         assert 0.0 <= plan.lower_bound <= plan.objective * (1.0 + 1e-6)
         polls = itertools.count()
-        better = solver.solve(start, targets, out_of_time=lambda: next(polls) > 300)
+        better = solver.solve(start, targets, out_of_time=lambda p=polls: next(p) > 300)
         assert plan.lower_bound <= better.objective * (1.0 + 1e-6)
