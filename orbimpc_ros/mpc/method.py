@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -44,7 +45,9 @@ class Found:
 
     @property
     def gap(self) -> float:
-        """Return (cost - lower bound) / max(1e-9, |cost|)."""
+        """Return (cost - lower bound) / max(1e-9, |cost|); inf where either is none."""
+        if not (math.isfinite(self.cost) and math.isfinite(self.lower_bound)):
+            return math.inf
         return (self.cost - self.lower_bound) / max(1e-9, abs(self.cost))
 
 

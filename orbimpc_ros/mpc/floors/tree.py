@@ -13,13 +13,13 @@ from orbimpc_ros.mpc.kernels.annulus import SLICE
 from orbimpc_ros.mpc.kernels.cells import (
     DONE,
     FULL,
+    LEAST,
     NODES,
     STALLS,
     VALUE,
     Quadratic,
     begin,
     dive,
-    least_bound,
     search,
     tree,
 )
@@ -89,7 +89,7 @@ class CellSearch:
     @property
     def bound(self) -> float:
         """Return what no trajectory costs less than, without the constant."""
-        return float(least_bound(self._tree)) - self._excess
+        return float(self._tree.numbers[LEAST]) - self._excess
 
     @property
     def value(self) -> float:
@@ -108,7 +108,8 @@ class CellSearch:
 
     def beat(self, cost: float) -> None:
         """Look for nothing from now on but what costs less, without the constant."""
-        self._tree.numbers[VALUE] = min(self.value, cost)
+        numbers = self._tree.numbers
+        numbers[VALUE], numbers[LEAST] = min(self.value, cost), min(self._tree.numbers[LEAST], cost)
 
     def dived(self) -> Array:
         """Return headings that satisfy the floor, shape (N, 2), near the last relaxation's."""

@@ -140,14 +140,21 @@ def _place(z, side, floor):
 
 
 @compiled
-def _set_gradient(annulus, q, z, gradient):
-    """Set the derivative of the cost, shape (N, n)."""
+def _set_forces(annulus, q, z, force):
+    """Set H z + q, shape (N, n)."""
     for k in range(len(q)):
         for c in range(q.shape[1]):
             total = q[k, c]
             for j in range(len(q)):
                 total += annulus.hessian[k, j] * z[j, c]
-            gradient[k, c] = total
+            force[k, c] = total
+
+
+@compiled
+def _set_gradient(annulus, q, z, gradient):
+    """Set the derivative of the cost, shape (N, n)."""
+    _set_forces(annulus, q, z, gradient)
+    for k in range(len(q)):
         if annulus.length[k] > 0.0:
             slope = annulus.length[k] / _size(z, k)
             for c in range(q.shape[1]):
@@ -459,7 +466,7 @@ def _least_eigenvalue(matrix, arrival, met):
 
 
 @compiled
-def _bound(annulus, q, left, z, side, mu, nu):
+def bound_at(annulus, q, left, z, theta, shares, nu):
     r"""Return a lower bound on the cost of all headings of the annulus that meet the arrival.
 
     For any theta, nu, alpha in [0, 1] and unit vectors d, cost(z') is at least
@@ -467,42 +474,61 @@ def _bound(annulus, q, left, z, side, mu, nu):
         1/2 z'.(H + diag(theta))z' + (q + (1 - alpha) l d + a nu).z' - nu.b
         + sum_k min_t (alpha_k l_k t - theta_k t^2 / 2),   floor <= t <= 1,
 
-    whose last part is attained at an end. Here that quadratic is expanded about z, in whose
-    neighbourhood |z_k' - z_k| <= 1 + |z_k| all other headings are: what is left of its gradient,
-    and of its convexity, counts against the bound, and so does rounding.
+    whose last part is attained at an end. Here that quadratic is expanded about z, d = z/|z|: all
+    other headings are within |z_k' - z_k| <= 1 + |z_k|. What is left of its gradient, and of its
+    convexity, counts against the bound, and so does rounding.
+
+    Args:
+        annulus: what is minimised over.
+        q: linear terms, shape (N, n).
+        left: b, shape (n,) or (0,).
+        z: where the Lagrangian is least, or nearly, shape (N, n).
+        theta: multipliers of the moduli, shape (N,).
+        shares: alpha, shape (N,).
+        nu: multipliers of the arrival, shape of ``left``.
     """
-    n_steps, n, floor = len(z), z.shape[1], annulus.floor
-    matrix, gradient = annulus.hessian.copy(), np.empty_like(z)
-    _set_gradient(annulus, q, z, gradient)
-    missed = np.empty(len(nu))
+    n, floor, arrives = z.shape[1], annulus.floor, len(nu) > 0
+    matrix, force, missed = annulus.hessian.copy(), np.empty_like(z), np.empty(len(nu))
+    _set_forces(annulus, q, z, force)
     off = _set_missed(annulus, left, z, missed)
-    value = cost_of(annulus, q, z)
+    value = quadratic(annulus.hessian, q, z)
     magnitude, stray, reach = abs(value), 0.0, 0.0
     for c in range(len(nu)):
         value += nu[c] * missed[c]
-    for k in range(n_steps):
-        size, length = _size(z, k), annulus.length[k]
-        theta, share = _curvature(length, floor, side[k], mu[k], size)
-        matrix[k, k] += theta
-        slope = length / size if length > 0.0 else 0.0
-        at_rim = theta > 0.0 and 0.5 * theta * (1.0 + floor) >= share * length
-        end = 1.0 if at_rim else floor
-        value += 0.5 * theta * (size - end) * (size + end) + share * length * (end - size)
+    for k in range(len(z)):
+        size, bent = _size(z, k), theta[k]
+        held = shares[k] * annulus.length[k]
+        straight = annulus.length[k] - held
+        matrix[k, k] += bent
+        end = 1.0 if 0.5 * bent * (1.0 + floor) >= held else floor
+        value += 0.5 * bent * (size - end) * (size + end) + held * end + straight * size
+        magnitude += abs(bent) * max(size, end) ** 2 + annulus.length[k]
         left_over = 0.0
         for c in range(n):
-            force = gradient[k, c] + (theta - share * slope) * z[k, c]
-            if len(nu) > 0:
-                force += annulus.arrival[k] * nu[c]
-            left_over += force * force
-            magnitude += abs(gradient[k, c] * z[k, c])
+            total = force[k, c] + bent * z[k, c]
+            if straight > 0.0:
+                total += straight / size * z[k, c]
+            if arrives:
+                total += annulus.arrival[k] * nu[c]
+            left_over += total * total
+            magnitude += abs(force[k, c] * z[k, c])
         stray += np.sqrt(left_over) * (1.0 + size)
         reach += (1.0 + size) ** 2
-    arrives = len(nu) > 0
-    if arrives:
+    if arrives:  # the way to another point leads out of the null space by what is missed
         astray = off * np.sqrt(n) / max(np.sqrt((annulus.arrival**2).sum()), 1e-300)
         value -= np.sqrt((matrix**2).sum()) * astray * (np.sqrt(reach) + astray)
     least = _least_eigenvalue(matrix, annulus.arrival, arrives)
-    return value - stray + 0.5 * min(0.0, least) * reach - ROUNDING * n_steps * magnitude
+    return value - stray + 0.5 * min(0.0, least) * reach - ROUNDING * magnitude
+
+
+@compiled
+def _bound(annulus, q, left, z, side, mu, nu):
+    """Return the bound that the multipliers of a point prove."""
+    theta, shares = np.empty(len(z)), np.empty(len(z))
+    for k in range(len(z)):
+        size = _size(z, k)
+        theta[k], shares[k] = _curvature(annulus.length[k], annulus.floor, side[k], mu[k], size)
+    return bound_at(annulus, q, left, z, theta, shares, nu)
 
 
 @compiled

@@ -37,7 +37,7 @@ FLAT = 1e-13  # share of a curvature that is taken for none
 ROUNDING = 1e-15  # of numbers that cancel
 NODE = 300.0  # multiplications that a node costs besides those of its rows
 OPEN, MADE, NODES, CURRENT, ROWS_ADDED, STALLS, ACTIVE = range(7)  # in Tree.counts
-VALUE, CLOSED, BOUND = range(3)  # in Tree.numbers
+VALUE, CLOSED, BOUND, LEAST = range(4)  # in Tree.numbers
 
 
 class Quadratic(NamedTuple):
@@ -71,7 +71,8 @@ class Tree(NamedTuple):
         best: the best point found, shape (N, 2).
         counts: open nodes; nodes made; nodes solved; the node at work, -1 for none; rows added to
             it; nodes that could not be settled; rows active in it, shape (7,).
-        numbers: the value to beat; the least bound given up; the bound of the node at work, (3,).
+        numbers: the value to beat; the least bound given up; the bound of the node at work; that
+            of the whole search, shape (4,).
     """
 
     rows: np.ndarray
@@ -118,8 +119,18 @@ def tree(steps: int, nodes: int, most: int) -> Tree:
         np.zeros((steps, 2)),
         np.zeros((steps, 2)),
         np.zeros(7, np.int64),
-        np.zeros(3),
+        np.zeros(4),
     )
+
+
+def begin(tree: Tree, known: float) -> None:
+    """Begin a search for what has a lower value than what is known, inf for nothing."""
+    counts, numbers = tree.counts, tree.numbers
+    counts[:] = 0
+    counts[OPEN], counts[MADE], counts[CURRENT] = 1, 1, -1
+    numbers[:] = known, np.inf, -np.inf, -np.inf
+    tree.choice[0], tree.parent[0] = -1, 0
+    tree.keys[0], tree.heap[0] = -np.inf, 0
 
 
 @compiled
@@ -349,17 +360,6 @@ def _pop(keys, heap, count):
 
 
 @compiled
-def begin(tree, known):
-    """Begin a search for what has a lower value than what is known, inf for nothing."""
-    counts, numbers = tree.counts, tree.numbers
-    counts[:] = 0
-    counts[OPEN], counts[MADE], counts[CURRENT] = 1, 1, -1
-    numbers[VALUE], numbers[CLOSED], numbers[BOUND] = known, np.inf, -np.inf
-    tree.choice[0], tree.parent[0] = -1, 0
-    tree.keys[0], tree.heap[0] = -np.inf, 0
-
-
-@compiled
 def _open(quad, tree, node):
     """Begin to work on a node, from its parent's active set."""
     counts = tree.counts
@@ -411,21 +411,7 @@ def _branch(quad, table, tree, node, cutoff):
 
 
 @compiled
-def search(quad, table, constant, tolerance, tree, work):
-    """Search best first, on from where the tree is.
-
-    Args:
-        quad: what to minimise.
-        table: the cells of the floor, :class:`orbimpc_ros.mpc.floors.cells.Table`.
-        constant: what values lack; it only scales the tolerance.
-        tolerance: relative gap at which to stop.
-        tree: begun by :func:`begin`; updated in place.
-        work: multiplications to do at most.
-
-    Returns:
-        ``DONE``; ``FULL``, where the tree has no room for another node; ``PAUSED``, where the work
-        has run out.
-    """
+def _search(quad, table, constant, tolerance, tree, work):
     counts, numbers = tree.counts, tree.numbers
     while counts[CURRENT] >= 0 or counts[OPEN] > 0:
         cutoff = numbers[VALUE] - tolerance * max(abs(numbers[VALUE] + constant), 1e-9)
@@ -463,13 +449,33 @@ def search(quad, table, constant, tolerance, tree, work):
 
 
 @compiled
-def least_bound(tree):
-    """Return the bound that a search has proved by now."""
+def _least_bound(tree):
     counts, numbers = tree.counts, tree.numbers
     least = min(numbers[CLOSED], numbers[VALUE])
     if counts[CURRENT] >= 0:
         least = min(least, numbers[BOUND])
     return min(least, tree.keys[0]) if counts[OPEN] > 0 else least
+
+
+@compiled
+def search(quad, table, constant, tolerance, tree, work):
+    """Search best first, on from where the tree is.
+
+    Args:
+        quad: what to minimise.
+        table: the cells of the floor, :class:`orbimpc_ros.mpc.floors.cells.Table`.
+        constant: what values lack; it only scales the tolerance.
+        tolerance: relative gap at which to stop.
+        tree: begun by :func:`begin`; updated in place.
+        work: multiplications to do at most.
+
+    Returns:
+        ``DONE``; ``FULL``, where the tree has no room for another node; ``PAUSED``, where the work
+        has run out.
+    """
+    status = _search(quad, table, constant, tolerance, tree, work)
+    tree.numbers[LEAST] = _least_bound(tree)
+    return status
 
 
 @compiled
