@@ -13,17 +13,18 @@ the chord of an arc the problem is convex. With an arrival, and in space, the ge
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orbimpc_ros.mpc import dynamics
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.condensed import Condensed
+from orbimpc_ros.mpc.condensed import LONGEST, Condensed, first_length
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.floors.cells import arcs
 from orbimpc_ros.mpc.floors.tree import CellSearch
 from orbimpc_ros.mpc.general import General
+from orbimpc_ros.mpc.hull import Hull
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.annulus import (
     BOUND,
@@ -39,7 +40,7 @@ from orbimpc_ros.mpc.kernels.annulus import (
 from orbimpc_ros.mpc.kernels.dual import SMALLEST, climb
 from orbimpc_ros.mpc.method import Found, Guess
 from orbimpc_ros.mpc.orbitopes import coordinates
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.rotations import turned_onto
 
 FURTHER_STARTS = 30
@@ -49,6 +50,32 @@ BRANCHES = 400  # of the general search, where nobody waits for it
 CLIMBS = 60  # Newton steps up the dual function
 TINY = 1e-300
 OUT_OF_REACH = 1e-9  # share of the way to an arrival
+NOTHING = Found(None, np.inf, -np.inf, 0)
+
+
+@dataclass(frozen=True)
+class _Tick:
+    """What one solve is about.
+
+    Attributes:
+        state: where the plan starts.
+        goals: g_1..g_N, shape (N, n) [m].
+        q: linear terms of the cost in the headings, shape (N, n).
+        constant: the cost of headings of zero.
+        left: what sum_k a_k z_k must come to, shape (n,) [m], or (0,) without an arrival.
+        out_of_time: as the caller gave it.
+    """
+
+    state: State
+    goals: Array
+    q: Array
+    constant: float
+    left: Array
+    out_of_time: Callable[[], bool] | None
+
+    @property
+    def late(self) -> bool:
+        return self.out_of_time is not None and self.out_of_time()
 
 
 class Circle:
@@ -64,20 +91,21 @@ class Circle:
     def __init__(self, problem: Problem, tolerance: float) -> None:
         self._problem, self._tolerance = problem, tolerance
         self._condensed = Condensed(problem)
-        spent = problem.weights.length * problem.step * problem.forward
-        length = np.full(problem.horizon, spent)
-        length[-1] = 0.0
         self._arrives = problem.terminal == 'constraint'
-        arrival = np.zeros(problem.horizon)
+        spent = problem.weights.length * problem.step * problem.forward
+        length, arrival = np.full(problem.horizon, spent), np.zeros(problem.horizon)
+        length[-1] = 0.0
         if self._arrives:
             arrival = dynamics.position_map(problem)[-1, 1:].copy()
         hessian, floor = self._condensed.hessian, float(problem.floor.fraction)
         self._annulus = Annulus(hessian, length, arrival, floor)
-        self._hull = Annulus(hessian, np.zeros(problem.horizon), arrival, 0.0)
+        self._disks = Annulus(hessian, np.zeros(problem.horizon), arrival, 0.0)
+        self._least_length = floor * float(length.sum())
         self._arcs: CellSearch | None = None
         if problem.dimension == 2 and not self._arrives:
             self._arcs = CellSearch(hessian, arcs(floor), SETTLED * tolerance, NODES)
         self._general = General(problem, SETTLED * tolerance)
+        self._hull = _long_hull(problem, tolerance)
         self._compile()
 
     def _compile(self) -> None:
@@ -85,12 +113,12 @@ class Circle:
         if not COMPILED:
             return
         q = np.ones((self._problem.horizon, self._problem.dimension))
-        self._locally(q, 0.0, np.zeros(q.shape[1] * self._arrives), None, lambda: True)
-        nothing = Found(None, np.inf, -np.inf, 0)
-        self._from_dual(q, 0.0, np.zeros(q.shape[1] * self._arrives), nothing, lambda: True)
+        start = State.at(np.zeros(q.shape[1]), np.eye(q.shape[1]))
+        left = np.zeros(q.shape[1] * self._arrives)
+        tick = _Tick(start, np.zeros(q.shape), q, 0.0, left, lambda: True)
+        self._from_dual(tick, self._from_hull(tick, NOTHING))
         if self._arcs is not None:
-            self._arcs.begin(q, 0.0)
-            self._arcs.run(lambda: True)
+            self._by_arcs(tick, NOTHING)
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -128,159 +156,134 @@ class Circle:
             Infeasible: no trajectory satisfies the constraints.
         """
         q, constant = self._condensed.affine(state, goals)
-        left = self._left(state, goals)
-        start = None if guess is None else guess.x[:, : self._problem.dimension]
-        found = self._locally(q, constant, left, start, out_of_time)
-        late = out_of_time is not None and out_of_time()
-        if self.settles(found) or late:
-            return self._whole(state, found)
-        if self._arcs is not None:
-            return self._by_arcs(q, constant, found, out_of_time)
-        whole = self._whole(state, found)
+        tick = _Tick(state, goals, q, constant, self._left(state, goals), out_of_time)
+        found = self._headings(tick, guess)
+        if found.x is not None and self._problem.dimension == 3:
+            found = replace(found, x=_carried(state.attitude, found.x))
         # To set the general search up takes longer than those with a deadline can wait.
-        return whole if out_of_time is not None else self._by_branches(state, goals, whole)
-
-    def _whole(self, state: State, found: Found) -> Found:
-        if found.x is None or self._problem.dimension == 2:
+        if self.settles(found) or self._arcs is not None or out_of_time is not None:
             return found
-        return replace(found, x=_carried(state.attitude, found.x))
+        return self._by_branches(tick, found)
+
+    def _headings(self, tick: _Tick, guess: Guess | None) -> Found:
+        """Return the best headings found, with the best bound proved."""
+        found = NOTHING
+        if guess is not None:
+            start = guess.x[None, :, : self._problem.dimension]
+            found = self._from(tick, found, start)
+            if found.gap <= self._tolerance:
+                return found
+        for stage in (self._from_hull, self._from_dual, self._from_around):
+            found = stage(tick, found)
+            if self.settles(found) or tick.late:
+                return found
+        return found if self._arcs is None else self._by_arcs(tick, found)
 
     def _left(self, state: State, goals: Array) -> Array:
-        """Return b, what sum_k a_k z_k must come to, shape (n,) [m], or (0,) without an arrival."""
         problem = self._problem
         if not self._arrives:
             return np.zeros(0)
         reached = state.position + problem.step * problem.forward * state.rotation[:, 0]
         left = np.asarray(goals[-1] - reached)
         reach = float(self._annulus.arrival.sum())
-        if np.linalg.norm(left) > reach * (1.0 + OUT_OF_REACH) + OUT_OF_REACH:
+        if np.linalg.norm(left) > reach + OUT_OF_REACH * (reach or 1.0):
             raise Infeasible('the goal is out of reach')
         return left
 
-    def _locally(
-        self,
-        q: Array,
-        constant: float,
-        left: Array,
-        start: Array | None,
-        out_of_time: Callable[[], bool] | None,
-    ) -> Found:
-        """Return the best local optimum, and the bound of multipliers."""
-        lower = -np.inf
-        if start is not None:
-            found, lower = self._from(q, constant, left, start[None], 0, lower, out_of_time)
-            if found.gap <= self._tolerance:
-                return found
-        relaxed = begun(*q.shape)
-        while not relax(self._hull, q, left, relaxed, SLICE):
-            if out_of_time is not None and out_of_time():
+    def _from(self, tick: _Tick, found: Found, starts: Array, more: int = 0) -> Found:
+        """Return the better of what was found and where starts lead, shape (S, N, n), and more."""
+        progress = begun(*tick.q.shape)
+        progress.numbers[BOUND] = found.lower_bound - tick.constant
+        tolerance = (SETTLED if more else 1.0) * self._tolerance
+        while not improve(
+            self._annulus, tick.q, tick.left, tick.constant, starts, more, tolerance, progress, SLICE
+        ):
+            if tick.late:
                 break
-        least = self._annulus.floor * float(self._annulus.length.sum())
-        lower = max(lower, float(relaxed.numbers[BOUND]) + least)
-        other, lower = self._from(q, constant, left, relaxed.best[None], 0, lower, out_of_time)
-        found = _better(found, other) if start is not None else other
-        if self.settles(found) or (out_of_time is not None and out_of_time()):
-            return found
-        found, centre = self._from_dual(q, constant, left, found, out_of_time)
-        if self.settles(found) or (out_of_time is not None and out_of_time()):
-            return found
-        lower = found.lower_bound - constant
-        other, _ = self._from(
-            q, constant, left, centre[None], FURTHER_STARTS, lower, out_of_time
-        )
-        return _better(found, other)
+        return _better(found, progress, tick.constant)
 
-    def _from_dual(
-        self,
-        q: Array,
-        constant: float,
-        left: Array,
-        found: Found,
-        out_of_time: Callable[[], bool] | None,
-    ) -> tuple[Found, Array]:
-        """Return what was found with the best bound of multipliers, and headings to start from."""
+    def _from_hull(self, tick: _Tick, found: Found) -> Found:
+        """Start from the optimum over the disks without lengths, of which a floor's are certain."""
+        if self._hull is not None:
+            relaxed, _ = self._hull.relaxed(tick.state, tick.goals, tick.out_of_time)
+            assert relaxed.x is not None
+            start, bound = relaxed.x, relaxed.lower_bound
+            bound += first_length(self._problem, tick.state)
+        else:
+            progress = begun(*tick.q.shape)
+            while not relax(self._disks, tick.q, tick.left, progress, SLICE):
+                if tick.late:
+                    break
+            start, bound = progress.best, float(progress.numbers[BOUND]) + tick.constant
+        bound = max(found.lower_bound, bound + self._least_length)
+        return self._from(tick, replace(found, lower_bound=bound), start[None])
+
+    def _from_dual(self, tick: _Tick, found: Found) -> Found:
+        """Raise the bound by the best multipliers, and start from where their Lagrangian is least."""
+        q = tick.q
         scale = float(np.abs(q).max() + np.abs(self._annulus.hessian).max()) + TINY
         theta, z, numbers = np.full(len(q), scale), np.zeros(q.shape), np.array([scale])
         for _ in range(CLIMBS):
-            bound = climb(self._annulus, q, left, theta, z, numbers) + constant
+            bound = climb(self._annulus, q, tick.left, theta, z, numbers) + tick.constant
             found = replace(found, lower_bound=max(found.lower_bound, float(bound)))
-            if self.settles(found) or numbers[0] < SMALLEST * scale:
+            if self.settles(found) or numbers[0] < SMALLEST * scale or tick.late:
                 break
-            if out_of_time is not None and out_of_time():
-                break
-        return found, z
+        return found if self.settles(found) else self._from(tick, found, z[None])
 
-    def _from(
-        self,
-        q: Array,
-        constant: float,
-        left: Array,
-        starts: Array,
-        more: int,
-        lower: float,
-        out_of_time: Callable[[], bool] | None,
-    ) -> tuple[Found, float]:
-        """Return where starts lead, shape (S, N, n), and so many more, and the bound by then."""
-        progress = begun(*q.shape)
-        progress.numbers[BOUND] = lower
-        tolerance = (SETTLED if more else 1.0) * self._tolerance
-        while not improve(
-            self._annulus, q, left, constant, starts, more, tolerance, progress, SLICE
-        ):
-            if out_of_time is not None and out_of_time():
-                break
-        return _found(progress, constant), float(progress.numbers[BOUND])
+    def _from_around(self, tick: _Tick, found: Found) -> Found:
+        return self._from(tick, found, tick.q[None][:0], FURTHER_STARTS)
 
-    def _by_arcs(
-        self, q: Array, constant: float, found: Found, out_of_time: Callable[[], bool] | None
-    ) -> Found:
+    def _by_arcs(self, tick: _Tick, found: Found) -> Found:
         """Return the better of what was found and where a search over arcs leads, with its bound.
 
         It does not see path length, of which there is at least the floor's.
         """
-        search = self._arcs
+        search, before = self._arcs, 0
         assert search is not None
-        least = constant + self._annulus.floor * float(self._annulus.length.sum())
-        search.begin(q, least, found.cost - least)
-        before = 0
+        least = tick.constant + self._least_length
+        search.begin(tick.q, least, found.cost - least)
         while True:
-            ended = search.run(out_of_time)
+            ended = search.run(tick.out_of_time)
             bound = max(found.lower_bound, search.bound + least)
             found = replace(found, lower_bound=bound, nodes=found.nodes + search.nodes - before)
-            before = search.nodes
             if self.settles(found):
                 return found
-            late = out_of_time is not None and out_of_time()
+            before = search.nodes
             x = search.best if search.value < found.cost - least else search.last
-            low = bound - constant
-            other, _ = self._from(q, constant, np.zeros(0), x[None], 0, low, lambda: late)
-            found = _better(found, other)
+            found = self._from(tick, found, x[None])
             search.beat(found.cost - least)
-            if ended or late or self.settles(found):
+            if ended or self.settles(found) or tick.late:
                 return found
 
-    def _by_branches(self, state: State, goals: Array, found: Found) -> Found:
+    def _by_branches(self, tick: _Tick, found: Found) -> Found:
         """Return the better of what was found and where the general search leads."""
         guess = None if found.x is None else Guess(found.x, found.cost)
         asked = iter(range(BRANCHES))
         try:
-            other = self._general.solve(state, goals, guess, lambda: next(asked, None) is None)
+            other = self._general.solve(
+                tick.state, tick.goals, guess, lambda: next(asked, None) is None
+            )
         except SolverFailure:
             return found
-        return _better(found, other)
+        best = other if other.cost < found.cost else found
+        bound = max(found.lower_bound, other.lower_bound)
+        return replace(best, lower_bound=bound, nodes=found.nodes + other.nodes)
 
 
-def _found(progress: Progress, constant: float) -> Found:
+def _long_hull(problem: Problem, tolerance: float) -> Hull | None:
+    """Return the method for a hull over a horizon too long for dense code, where there is one."""
+    free = replace(problem, floor=Floor(), weights=replace(problem.weights, length=0.0))
+    return Hull(free, tolerance) if problem.horizon > LONGEST and Hull.solves(free) else None
+
+
+def _better(found: Found, progress: Progress, constant: float) -> Found:
+    """Return the cheaper of what was found and what a local search came to, with its bound."""
     cost, bound = progress.numbers[COST] + constant, progress.numbers[BOUND] + constant
-    x = progress.best.copy() if cost < np.inf else None
-    return Found(x, float(cost), float(bound), int(progress.counts[TRIED]))
-
-
-def _better(one: Found, other: Found) -> Found:
-    """Return the cheaper of two, with the greater bound of both."""
-    best = other if other.cost < one.cost else one
-    bound = max(one.lower_bound, other.lower_bound)
-    return replace(best, lower_bound=bound, nodes=one.nodes + other.nodes)
+    x = found.x
+    if cost < found.cost:
+        x = progress.best
+    bound = max(found.lower_bound, float(bound))
+    return Found(x, min(float(cost), found.cost), bound, found.nodes + int(progress.counts[TRIED]))
 
 
 def _carried(attitude: Array, headings: Array) -> Array:

@@ -355,7 +355,7 @@ def _set_move(annulus, z, side, gradient, mu, nu, missed, damping, longest, move
             _mirror(reduced, count, reflectors[c])
             _mirror(reduced.T, count, reflectors[c])
         _set_particular(rows, missed[:first], small)
-        pull += reduced[:, :first] @ np.ascontiguousarray(small[:first])
+        pull += np.ascontiguousarray(reduced[:, :first]) @ small[:first]
     damping = _set_damped(reduced, pull[:, 0], first, count, scale, damping, longest, small)
     for c in range(first - 1, -1, -1):
         _mirror(small, count, reflectors[c])
