@@ -38,7 +38,7 @@ def solver_for(data: dict[str, Any], tolerance: float) -> clarabel.DefaultSolver
         tolerance: on feasibility and on the gap.
     """
     return clarabel.DefaultSolver(
-        sparse.csc_matrix(sparse.triu(data["P"])) if "P" in data else sparse.csc_matrix((len(data["c"]),)*2),
+        sparse.csc_matrix(sparse.triu(data['P'])),
         data['c'],
         data['A'],
         data['b'],
@@ -174,12 +174,3 @@ def _settings(tolerance: float) -> clarabel.DefaultSettings:
     settings.reduced_tol_gap_rel = REDUCED
     return settings
 
-
-def solved(solver):  # TEMPORARY until floors/lift.py is gone
-    from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
-    answer = solver.solve()
-    if str(answer.status) == 'PrimalInfeasible':
-        raise Infeasible('x')
-    if str(answer.status) not in SOLVED:
-        raise SolverFailure(str(answer.status))
-    return answer

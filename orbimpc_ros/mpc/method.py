@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
-
-import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import State
@@ -46,8 +45,9 @@ class Found:
     @property
     def gap(self) -> float:
         """Return (cost - lower bound) / max(1e-9, |cost|); infinite where either is missing."""
-        gap = (self.cost - self.lower_bound) / max(1e-9, abs(self.cost))
-        return gap if gap < np.inf else np.inf  # without a cost it is not a number
+        if not (math.isfinite(self.cost) and math.isfinite(self.lower_bound)):
+            return math.inf
+        return (self.cost - self.lower_bound) / max(1e-9, abs(self.cost))
 
 
 class Method(Protocol):
