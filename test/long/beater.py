@@ -6,6 +6,7 @@ and IPOPT finds the best trajectory within. What comes back is rolled out and ju
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -361,10 +362,10 @@ class Beater:
         return cost
 
     def _changes(self, matrices: list[ca.SX]) -> list[ca.SX]:
-        once = [b - a for a, b in zip(matrices, matrices[1:], strict=False)]
+        once = [b - a for a, b in itertools.pairwise(matrices)]
         if self.case.rotation_order == 1:
             return once
-        return [b - a for a, b in zip(once, once[1:], strict=False)]
+        return [b - a for a, b in itertools.pairwise(once)]
 
     # --- a start, and what IPOPT makes of it
 

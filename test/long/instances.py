@@ -138,7 +138,7 @@ def state(rng: np.random.Generator, mapping: dict[str, Any], *, file: bool) -> d
         'position': (away * unit * rng.normal(size=n)).tolist(),
         'rotation': (speed * attitude).tolist(),
     }
-    if not file:
+    if speed == 0.0:  # else the rotation says it
         known['attitude'] = attitude.tolist()
     if mapping['translation_order'] == 2:
         known['velocity'] = (rng.uniform(0.0, 2.0) * h * z * rng.normal(size=n)).tolist()

@@ -4,8 +4,9 @@
     python test/long/proofs.py --count 300 --seed 2 --through file
     python test/long/proofs.py --case finding.json
 
-Every problem follows from the seed and its index. Each answer goes to a file as it comes, one line of
-JSON; what is wrong with it is printed with the problem, in the form that ``orbimpc solve`` takes.
+Every problem follows from the seed and its index. Each answer goes to a file as it comes, one line
+of JSON; what is wrong with it is printed with the problem, in the form that ``orbimpc solve`` takes
+(only ``state.coasted``, and the ``state.attitude`` of a vehicle at rest, are beyond that form).
 Exit code 1 if anything was found.
 """
 
