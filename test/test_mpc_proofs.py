@@ -47,6 +47,8 @@ def test_the_judge_knows_the_reference_optima(proofs, name):
     plan = proofs.by_api(case.mapping, 10.0).rotations
     rng = np.random.default_rng(SEED)
     costs = [legal.cost for legal in proofs.beater.trajectories(case, plan, rng, 1.0)]
+    assert proofs.judge.worst(case, plan) < proofs.EXACT
+    costs.append(proofs.judge.cost(case, plan))
     assert min(costs) > expected - 1e-4 * abs(expected)
     assert min(costs) < expected + 1e-3 * abs(expected)
 

@@ -166,6 +166,17 @@ def _faults(rng: np.random.Generator, duration: float) -> dict[str, tuple[float,
 # --- flying it
 
 
+def odometry_message(stamp: Any, motion: Motion, velocity: np.ndarray) -> Any:
+    """What odometry says of a motion, given its velocity in the body's axes [m/s]."""
+    from orbimpc_ros.mpc.odometry import Odometry
+    from orbimpc_ros.ros.messages import measurement_message
+
+    c, s = math.cos(motion.heading), math.sin(motion.heading)
+    place, turned = np.array([motion.x, motion.y]), np.array([[c, -s], [s, c]])
+    measured = Odometry(0.0, place, turned, np.array(velocity), np.array([motion.rate]))
+    return measurement_message(stamp, measured)
+
+
 class Planner:
     """The planner's path from messages to commands, with its clock in the test's hands."""
 
@@ -183,17 +194,7 @@ class Planner:
         self._ticker.inbox.take_goal(message, now, self._ros(now))
 
     def odometry(self, now: float, motion: Motion, velocity: np.ndarray) -> None:
-        from orbimpc_ros.mpc.odometry import Odometry
-
-        c, s = math.cos(motion.heading), math.sin(motion.heading)
-        measured = Odometry(
-            now,
-            np.array([motion.x, motion.y]),
-            np.array([[c, -s], [s, c]]),
-            np.array(velocity),
-            np.array([motion.rate]),
-        )
-        message = self._messages.measurement_message(self._stamp(now), measured)
+        message = odometry_message(self._stamp(now), motion, velocity)
         self._ticker.inbox.take_odometry(message, now, self._ros(now))
 
     def command(self, now: float) -> tuple[str, float, float]:
