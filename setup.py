@@ -24,7 +24,7 @@ def executables():
     """Return the console scripts.
 
     colcon puts them into lib/orbimpc_ros, where ``ros2 run`` looks for ``planner`` and ``sim``. pip
-    puts them into a ``bin`` that is shared with everything else: there they bear the package's name.
+    puts them into a ``bin`` that is shared with everything else: there their names are longer.
     """
     prefix = 'orbimpc-' if FOR_PIP & set(sys.argv) else ''
     return {

@@ -94,7 +94,7 @@ def test_every_third_party_import_is_declared_in_setup():
 
 
 def test_what_rosdep_would_install_by_pip_comes_from_the_requirements():
-    """pip may not touch Ubuntu 24.04's own Python: the environment's gets what rosdep leaves out."""
+    """pip may not touch Ubuntu 24.04's own Python: what it would bring is for an environment."""
     lines = (ROOT / 'requirements-jazzy.txt').read_text().splitlines()
     given = {re.split(r'[<>=]', line)[0] for line in lines if not line.startswith('#')}
     (skipped,) = re.findall(r"--skip-keys '([^']+)'", (ROOT / 'README.md').read_text())
@@ -123,7 +123,7 @@ def test_make_keeps_the_numpy_that_ros_is_compiled_for(tmp_path, numpy, kept):
 def test_executables_exist():
     tree = ast.parse((ROOT / 'setup.py').read_text())
     texts = [ast.unparse(n) for n in ast.walk(tree) if isinstance(n, ast.JoinedStr)]
-    targets = re.findall(r"\{NAME\}\.([\w.]+):(\w+)", ' '.join(texts))
+    targets = re.findall(r'\{NAME\}\.([\w.]+):(\w+)', ' '.join(texts))
     assert len(targets) == 3
     for module, function in targets:
         module = f'orbimpc_ros.{module}'

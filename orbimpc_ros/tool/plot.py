@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     pictures = _pictures(flight, args.dark, not args.no_animation)
     folder = _folder(Path(args.out).resolve(), pictures)
     for name, write in pictures.items():
-        _replace(folder / name, write)
+        _write(folder / name, write)
     print(f'written: {", ".join(pictures)} in {folder}')
     return 0
 
@@ -90,16 +90,13 @@ def made_here(file: Path) -> bool:
     return MAKER in notes or MAKER.encode() in notes
 
 
-def _replace(file: Path, write: Callable[[Path], None]) -> None:
-    """Write a file whole or not at all."""
-    new = file.with_name(f'.{file.name}.new')
+def _write(file: Path, write: Callable[[Path], None]) -> None:
+    from orbimpc_ros.tool.files import write_whole
+
     try:
-        write(new)
-        new.replace(file)
+        write_whole(file, write)
     except OSError as error:
         raise BadInput('--out', f'{file} ({error.strerror})', 'a folder to write to') from None
-    finally:
-        new.unlink(missing_ok=True)
 
 
 def write_gif(frames: Sequence[Array], file: Path) -> None:
