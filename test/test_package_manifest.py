@@ -144,3 +144,18 @@ def test_configuration_is_found():
         assert share.config(file.name).read_bytes() == file.read_bytes()
     with pytest.raises(BadInput, match=r'nothing\.yaml'):
         share.config('nothing.yaml')
+
+
+@pytest.mark.parametrize('node', ['planner', 'sim'])
+def test_a_node_says_in_one_line_that_ros_is_missing(node):
+    script = (
+        'import sys; from orbimpc_ros.ros import start;'
+        'sys.modules.update(dict.fromkeys(start.ROS));'
+        f'sys.exit(start.{node}())'
+    )
+    words = [sys.executable, '-c', script]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, '')
+    assert done.stderr.count('\n') == 1
+    assert done.stderr.startswith(f'{node}: ')
+    assert "is missing: install ROS 2, or pip install 'orbimpc_ros[ros]'" in done.stderr

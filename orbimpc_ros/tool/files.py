@@ -11,7 +11,7 @@ from itertools import islice
 from pathlib import Path
 from typing import BinaryIO
 
-from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 
 MAX_ENTRIES = 10_000  # of a folder
 REGULAR = 'a regular file'
@@ -114,6 +114,19 @@ def require_writable(culprit: str, file: Path) -> None:
     except OSError as error:
         why = error.strerror or str(error)
         raise BadInput(culprit, f'{file} ({why})', 'a file in a folder to write to') from None
+
+
+@contextmanager
+def writing_to(folder: Path) -> Iterator[None]:
+    """Report a disk that takes no more as the failure of the job that writes into a folder.
+
+    Raises:
+        OrbimpcError: in one line; what was written before stays.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise OrbimpcError(f'{folder}: {error.strerror or error}') from None
 
 
 def write_whole(file: Path, write: Callable[[Path], object]) -> None:

@@ -39,4 +39,4 @@ class Result:
         if self._picture is not None and self.rows:
             from orbimpc_ros.tool.measure.picture import draw
 
-            write_whole(self._picture, lambda new: draw(self.rows, new))
+            draw(self.rows, self._picture)
