@@ -71,6 +71,23 @@ def test_manifests_agree(field):
     assert setup_keyword(field) == PACKAGE.find(field).text
 
 
+def test_the_version_is_stated_once_more_for_python():
+    import orbimpc_ros
+
+    assert orbimpc_ros.__version__ == PACKAGE.find('version').text
+
+
+def test_the_interface_is_there_and_costs_nothing_until_it_is_used():
+    script = (
+        'import sys, orbimpc_ros as o; print("numpy" in sys.modules);'
+        'print(all(getattr(o, name) is not None for name in o.__all__));'
+        'print(set(dir(o)) >= set(o.__all__))'
+    )
+    words = [sys.executable, '-c', script]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ['False', 'True', 'True']
+
+
 def optional():
     """Return the modules of commands that ask for an extra when they are used."""
     extras = setup_keyword('extras_require')

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import NoReturn
 
+from orbimpc_ros import __version__
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError
 from orbimpc_ros.ros.start import missing
 
@@ -82,22 +83,13 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
         description='Convex model predictive control on rotation orbitopes.',
         epilog='exit codes: 0 done, 1 failed or different, 2 bad input, 3 infeasible',
     )
-    parser.add_argument('--version', action='version', version=f'orbimpc_ros {_version()}')
+    parser.add_argument('--version', action='version', version=f'orbimpc_ros {__version__}')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
     for name, summary in COMMANDS.items():
         sub = commands.add_parser(name, help=summary, description=summary)
         if words[:1] == [name]:
             import_module(f'orbimpc_ros.tool.{name}').add_arguments(sub)
     return parser
-
-
-def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version  # slow to import
-
-    try:
-        return version('orbimpc_ros')
-    except PackageNotFoundError:
-        return '(not installed)'
 
 
 def _code(error: OrbimpcError) -> int:
