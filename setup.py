@@ -68,8 +68,8 @@ setup(
     },
     entry_points={
         'console_scripts': [
-            'planner = orbimpc_ros.ros.planner:main',
-            'sim = orbimpc_ros.ros.sim:main',
+            'planner = orbimpc_ros.ros.entry:planner',
+            'sim = orbimpc_ros.ros.entry:sim',
             'orbimpc = orbimpc_ros.tool.cli:main',
         ],
     },
