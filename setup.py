@@ -29,8 +29,8 @@ def executables():
     prefix = 'orbimpc-' if FOR_PIP & set(sys.argv) else ''
     return {
         'orbimpc': f'{NAME}.tool.cli:main',
-        f'{prefix}planner': f'{NAME}.ros.start:planner',
-        f'{prefix}sim': f'{NAME}.ros.start:sim',
+        f'{prefix}planner': f'{NAME}.ros.entry:planner',
+        f'{prefix}sim': f'{NAME}.ros.entry:sim',
     }
 
 

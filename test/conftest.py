@@ -16,6 +16,9 @@ import pytest
 from orbimpc_ros.tool.discovery import free
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    # A shell has its background jobs ignore SIGINT, and these all that they start; tests send it.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 ROOT = Path(__file__).resolve().parents[1]
 PATIENCE = 20.0  # [s] for anything awaited; far beyond what it takes
 
@@ -96,14 +99,20 @@ class Process:
 def launching(domain: int, folder: Path):
     """Start nodes: ``launch('planner', {'step': 0.1}, 'retrieval')``; all are stopped at the end.
 
-    The last arguments name files in ``config/``.
+    The last arguments are parameter files: the names of those in ``config/``, or paths.
     """
     with contextlib.ExitStack() as stack:
 
         def start(
-            module: str | Path, parameters: dict | None = None, *names: str, domain: int = domain
+            module: str | Path,
+            parameters: dict | None = None,
+            *names: str | Path,
+            domain: int = domain,
         ) -> Process:
-            files = [ROOT / 'config' / f'{name}.yaml' for name in names]
+            files = [
+                name if isinstance(name, Path) else ROOT / 'config' / f'{name}.yaml'
+                for name in names
+            ]
             log = folder / f'{Path(module).stem}-{next(_numbers)}.log'
             process = Process(module, domain, log, parameters or {}, files)
             stack.callback(process.stop)

@@ -166,9 +166,9 @@ def test_configuration_is_found():
 @pytest.mark.parametrize('node', ['planner', 'sim'])
 def test_a_node_says_in_one_line_that_ros_is_missing(node):
     script = (
-        'import sys; from orbimpc_ros.ros import start;'
-        'sys.modules.update(dict.fromkeys(start.ROS));'
-        f'sys.exit(start.{node}())'
+        'import sys; from orbimpc_ros.ros import entry;'
+        'sys.modules.update(dict.fromkeys(entry.ROS));'
+        f'sys.exit(entry.{node}())'
     )
     words = [sys.executable, '-c', script]
     done = subprocess.run(words, capture_output=True, text=True, check=False)

@@ -14,6 +14,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.rotations import exp, log
 
 RATE_TOLERANCE = 1e-6  # relative
+FLOOR_TOLERANCE = 1e-6  # relative
 ROTATION_TOLERANCE = 1e-9
 
 
@@ -41,11 +42,16 @@ def stop(rotation: Array) -> Command:
     return Command(0.0, np.zeros(1 if len(rotation) == 2 else 3), np.array(rotation))
 
 
-def flaw(problem: Problem, command: Command) -> str:
+def flaw(problem: Problem, command: Command, *, stopping: bool = False) -> str:
     """Return why a command must not be sent, whatever it came from; empty if it may be.
 
     The last look before a vehicle gets it: finite, a share of full speed, a rate below the limit
     (without one, below half a turn in a step), and a rotation. In plain floats, for speed.
+
+    Args:
+        problem: gives the limits.
+        command: to be looked at.
+        stopping: whether it is a stop that was asked for, which the floor does not forbid.
     """
     fraction = command.speed_fraction
     rate, rotation = command.body_rate.tolist(), command.rotation.tolist()
@@ -53,6 +59,9 @@ def flaw(problem: Problem, command: Command) -> str:
         return 'the command is not finite'
     if not 0.0 <= fraction <= 1.0:
         return f'a speed fraction of {fraction:.6g} is not in [0, 1]'
+    least = 0.0 if stopping or problem.floor.shape == 'none' else problem.floor.fraction
+    if fraction < least * (1.0 - FLOOR_TOLERANCE):
+        return f'a speed fraction of {fraction:.6g} is below the floor, {least:.6g}'
     largest = problem.max_rate or math.pi / problem.step
     if math.hypot(*rate) > largest * (1.0 + RATE_TOLERANCE):
         return f'a body rate of {math.hypot(*rate):.6g} rad/s is beyond {largest:.6g}'

@@ -11,7 +11,7 @@ from typing import NoReturn
 
 from orbimpc_ros import __version__
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError
-from orbimpc_ros.ros.start import missing
+from orbimpc_ros.ros.entry import without_ros
 
 DONE, FAILED, BAD_INPUT, INFEASIBLE = 0, 1, 2, 3
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
@@ -50,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _complain(str(error))
         return _code(error)
     except ModuleNotFoundError as error:
-        line = missing(error)
+        line = without_ros(error)
         if not line:
             raise
         _complain(line)
