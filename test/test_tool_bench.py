@@ -276,6 +276,14 @@ def test_bad_words_are_refused_in_one_line(capsys, words, culprit):
     assert culprit in err
 
 
+def test_the_price_of_a_missing_numba_is_told(capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, 'numba', None)
+    assert cli.main(['bench', '--only', 'chess']) == 2
+    notice, complaint = capsys.readouterr().err.splitlines()
+    assert 'numba is not installed: plans take 6 to 60 times as long' in notice
+    assert 'chess' in complaint
+
+
 def test_two_planners_answer_in_time():
     pytest.importorskip('rclpy')
     from orbimpc_ros.tool.measure import live

@@ -1,7 +1,7 @@
 """The entry points of the installed executables: they obey signals before a node is imported.
 
-Importing a node takes the better part of a second, in which a signal would end in a traceback; and it
-takes ROS.
+Importing a node takes the better part of a second, in which a signal would end in a traceback. And
+it takes ROS, which may be missing.
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from importlib.util import find_spec
 from typing import NoReturn
 
 from orbimpc_ros import __version__
@@ -14,6 +15,7 @@ from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError
 from orbimpc_ros.ros.entry import without_ros
 
 DONE, FAILED, BAD_INPUT, INFEASIBLE = 0, 1, 2, 3
+PLANNING = ('bench', 'demo', 'study')  # commands that plan for long: slow ones are worth a word
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 # A command is a module of this package with add_arguments(parser) and run(args) -> exit code.
@@ -43,6 +45,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     try:
         args = _parser(words).parse_args(words)
+        if args.command in PLANNING and find_spec('numba') is None:
+            _complain(import_module('orbimpc_ros.ros.compiling').MISSING)
         code = import_module(f'orbimpc_ros.tool.{args.command}').run(args)
         sys.stdout.flush()
         return code
