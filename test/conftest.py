@@ -16,10 +16,29 @@ import pytest
 from orbimpc_ros.tool.discovery import free
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    # A shell has its background jobs ignore SIGINT, and these all that they start; tests send it.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 ROOT = Path(__file__).resolve().parents[1]
 PATIENCE = 20.0  # [s] for anything awaited; far beyond what it takes
 
 _numbers = itertools.count()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> pytest.Module:
+    """Leave importing a module to pytest, which takes a skip there as this module's alone.
+
+    The pytest plugin of ROS's launch_testing imports every module in this very hook, where a
+    module-level ``importorskip`` skips the collection of everything.
+    """
+    return pytest.Module.from_parent(parent, path=module_path)
+
+
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    """Fail where no test has run: colcon takes pytest's own exit code for that as success."""
+    if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
 def new_domain() -> int:
@@ -80,14 +99,20 @@ class Process:
 def launching(domain: int, folder: Path):
     """Start nodes: ``launch('planner', {'step': 0.1}, 'retrieval')``; all are stopped at the end.
 
-    The last arguments name files in ``config/``.
+    The last arguments are parameter files: the names of those in ``config/``, or paths.
     """
     with contextlib.ExitStack() as stack:
 
         def start(
-            module: str | Path, parameters: dict | None = None, *names: str, domain: int = domain
+            module: str | Path,
+            parameters: dict | None = None,
+            *names: str | Path,
+            domain: int = domain,
         ) -> Process:
-            files = [ROOT / 'config' / f'{name}.yaml' for name in names]
+            files = [
+                name if isinstance(name, Path) else ROOT / 'config' / f'{name}.yaml'
+                for name in names
+            ]
             log = folder / f'{Path(module).stem}-{next(_numbers)}.log'
             process = Process(module, domain, log, parameters or {}, files)
             stack.callback(process.stop)

@@ -4,6 +4,7 @@ import math
 import random
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -17,10 +18,11 @@ from rcl_interfaces.srv import (
     GetParameters,
     SetParametersAtomically,
 )
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, parameter_dict_from_yaml_file
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters import PLANNER, SIM, planner_settings, sim_settings
+from orbimpc_ros.ros.sections import unused_sections
 from orbimpc_ros.world.scenario import retrieval, retrieval_problem
 
 CONFIG = Path(__file__).resolve().parents[1] / 'config' / 'retrieval.yaml'
@@ -51,7 +53,7 @@ DOCUMENTED = {
     'future_tolerance': 0.1,
     'goal_jump_limit': 0.0,
     'delay_compensation': True,
-    'safe_command': 'stop',
+    'safe_command': 'auto',
     'deadline': 0.0,
     'gap_tolerance': 1e-4,
     'frame_id': 'odom',
@@ -112,6 +114,23 @@ REFUSED = [
     (SIM, {'start.orientation': (0.0, 0.0, 1.0)}, 'start.orientation'),
     (SIM, {'capture_radius': 0.0}, 'capture_radius'),
     (SIM, {'clock': 'lamport'}, 'clock'),
+    (SIM, {'failsafe.rate': 3.2}, 'failsafe.rate'),
+    *(
+        (SIM, {'wait_for': text}, 'wait_for')
+        for text in (
+            'tick 0',
+            'tick two',
+            'tick 1 2',
+            'tick, tick',
+            'tick tock',
+            '/a//b',
+            'tick 101',
+            'no-dash',
+            'tick -1',
+            'tick 1.5',
+            '2 tick',
+        )
+    ),
 ]
 
 
@@ -161,6 +180,13 @@ def test_random_sets_are_settings_or_refused_by_name(table, settings_of):
     assert 20 < good < 150
 
 
+def test_readers_are_listed_with_their_number():
+    values = defaults(SIM)
+    assert sim_settings(values).wait_for == {}
+    listed = sim_settings(values | {'wait_for': 'tick, /uav1/odom  2,,/clock 12,'}).wait_for
+    assert listed == {'tick': 1, '/uav1/odom': 2, '/clock': 12}
+
+
 def test_timeouts_are_at_least_a_step_and_a_half():
     given = {**defaults(PLANNER), 'step': 1.0, 'odom_timeout': 0.3}
     assert planner_settings(given).odom_timeout == 1.5
@@ -191,6 +217,9 @@ BAD_STARTS = [
     ('planner', {'floor.shape': 'polygon', 'floor.fraction': 0.9}, 'floor.fraction'),
     ('sim', {'rope.center': '[5, 0]'}, 'rope.center'),
     ('sim', {'capture_radius': -1.0}, 'capture_radius'),
+    ('planner', {'use_sim_time': 1}, 'use_sim_time'),
+    ('sim', {'start_type_description_service': 1}, 'start_type_description_service'),
+    ('planner', {'qos_overrides./cmd_vel.publisher.depth': 5}, 'qos_overrides'),
 ]
 
 
@@ -201,6 +230,45 @@ def test_bad_parameters_end_a_node_with_one_line_and_code_2(launch):
         lines = process.output.strip().splitlines()
         assert len(lines) == 1, process.output
         assert re.search(rf'{re.escape(culprit)}.* is .*allowed: ', lines[0]), lines
+
+
+SECTIONS = """
+/**: {ros__parameters: {step: 1.0}}
+/**/planner: {ros__parameters: {horizon: 5}}
+/**/sim: {ros__parameters: {seed: 1}}
+/**/plannr: {ros__parameters: {horizon: 9}}
+/uav1: {planner: {ros__parameters: {horizon: 7}}, sim: {ros__parameters: {seed: 7}}}
+/uav1/**: {ros__parameters: {mass: 2.0}}
+/uav2/**: {ros__parameters: {mass: 3.0}}
+"""
+FLEET = ['/uav1/planner', '/uav1/**', '/uav2/**']
+
+
+@pytest.mark.parametrize(
+    ('name', 'unused'),
+    [
+        ('/planner', ['/**/plannr', *FLEET]),
+        ('/uav1/planner', ['/**/plannr']),  # /uav2/** is for another vehicle of its fleet
+        ('/uav3/planner', ['/**/plannr', *FLEET]),
+        ('/pilot', ['/**/planner', '/**/plannr', *FLEET]),
+    ],
+)
+def test_sections_that_no_node_takes_are_told(tmp_path, name, unused):
+    """As rcl matches them, so that a misspelt name does not mean the defaults."""
+    file = tmp_path / 'params.yaml'
+    file.write_text(SECTIONS)
+    node = SimpleNamespace(kind='planner', get_fully_qualified_name=lambda: name)
+    words = ['planner', '--ros-args', '--params-file', str(file), '-p', 'step:=1.0']
+    assert unused_sections(node, words) == [f'{section} in {file}' for section in unused]
+    assert unused_sections(node, ['planner']) == []
+
+
+def test_a_simulator_says_which_sections_it_does_not_use(launch, observer, tmp_path):
+    file = tmp_path / 'wrong.yaml'
+    file.write_text('/**/simulator: {ros__parameters: {step: 2.0}}')
+    sim = launch('sim', {}, file)
+    observer.until(lambda: f'section /**/simulator in {file} is not for /sim' in sim.output)
+    assert sim.stop() == 0
 
 
 @pytest.fixture(scope='module')
@@ -246,6 +314,45 @@ def test_live_changes_are_made_whole(running):
         assert culprit in reason
         assert held(running, values) == before
     assert change(running, {'floor.shape': 'none'})[0]  # it still lives
+
+
+BOX = [1.0, 1.0, 2.0, 2.0]
+
+
+@pytest.mark.parametrize('kind', ['BOOL', 'BYTE', 'INTEGER', 'STRING', 'DOUBLE'])
+def test_an_empty_list_clears_the_boxes_whatever_type_it_comes_as(running, kind):
+    """YAML's [] has no type: ros2 param set sends it as booleans."""
+    assert change(running, {'obstacles': BOX})[0]
+    empty = Parameter('obstacles', Parameter.Type[f'{kind}_ARRAY'], []).to_parameter_msg()
+    answer = running(SetParametersAtomically, 'set_parameters_atomically', parameters=[empty])
+    assert answer.result.successful, answer.result.reason
+    (boxes,) = held(running, ['obstacles'])
+    assert boxes.type == ParameterType.PARAMETER_DOUBLE_ARRAY
+    assert list(boxes.double_array_value) == []
+
+
+def test_boxes_are_not_cleared_by_what_is_no_list(running):
+    assert change(running, {'obstacles': BOX})[0]
+    deleted = Parameter('obstacles', Parameter.Type.NOT_SET).to_parameter_msg()
+    answer = running(SetParametersAtomically, 'set_parameters_atomically', parameters=[deleted])
+    assert not answer.result.successful
+    assert not change(running, {'obstacles': ''})[0]
+    assert list(held(running, ['obstacles'])[0].double_array_value) == BOX
+
+
+@pytest.mark.parametrize('boxes', [[], BOX])
+def test_what_a_node_holds_can_be_given_back_to_it(running, tmp_path, boxes):
+    """As ros2 param dump and ros2 param load have it: everything that may change, at once."""
+    assert change(running, {'obstacles': boxes})[0] or not boxes
+    names = [*(row.name for row in PLANNER if row.live), 'use_sim_time']
+    values = {name: value_of(each) for name, each in zip(names, held(running, names), strict=True)}
+    values['obstacles'] = boxes
+    file = tmp_path / 'dump.yaml'
+    file.write_text(yaml.safe_dump({'/planner': {'ros__parameters': values}}))
+    loaded = list(parameter_dict_from_yaml_file(str(file)).values())
+    answer = running(SetParametersAtomically, 'set_parameters_atomically', parameters=loaded)
+    assert answer.result.successful, answer.result.reason
+    assert list(held(running, ['obstacles'])[0].double_array_value) == boxes
 
 
 def test_random_changes_are_made_whole_or_not_at_all(running):

@@ -172,6 +172,45 @@ def test_a_bad_start_says_one_line_and_no_command(launch, observer):
     process = launch('planner', {'safe_command': 'panic', 'trigger': 'odom'})
     observer.until(lambda: process.ended, 'the end')
     assert process.wait() == 2
-    wanted = r'safe_command is panic; allowed: stop \| hold_rate_zero \| loiter'
+    wanted = r'safe_command is panic; allowed: auto \| stop \| hold_rate_zero \| loiter'
     assert re.fullmatch(wanted, process.output.strip())
     assert heard == []
+
+
+@pytest.mark.parametrize(
+    ('words', 'said'),
+    [
+        (['--params-file', 'x.yaml'], '--ros-args --params-file x.yaml'),
+        (['--help'], 'ROS arguments'),
+        (['--ros-args', '-p', 'step:=0.1', '--', 'boat.yaml'], 'boat.yaml'),
+        (['--ros-args', '--params', 'x.yaml'], '--params x.yaml; allowed: .* --params-file FILE'),
+    ],
+)
+@pytest.mark.parametrize('node', ['planner', 'sim'])
+def test_words_that_nobody_would_look_at_are_refused_in_one_line(node, words, said):
+    command = [sys.executable, '-m', f'orbimpc_ros.ros.{node}', *words]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert done.stderr.count('\n') == 1, done.stderr
+    assert re.search(f'command line is .*{said}', done.stderr), done.stderr
+
+
+# A shell's background jobs and all that these start have SIGINT ignored.
+BACKGROUND = ('sh', '-c', 'trap "" INT; exec "$@"', 'sh')
+
+
+@pytest.mark.parametrize('imported', ['numpy', 'rclpy.node', 'orbimpc_ros.ros.sim_parameters'])
+@pytest.mark.parametrize('node', ['planner', 'sim'])
+def test_a_signal_during_the_start_ends_it_without_a_word(node, imported):
+    """Told by what Python says it has imported; the last is followed by the node's own start."""
+    script = f'import sys; from orbimpc_ros.ros.entry import {node}; sys.exit({node}())'
+    words = [*BACKGROUND, sys.executable, '-X', 'importtime', '-c', script]
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as starting:
+        said = []
+        for line in starting.stderr:
+            said.append(line)
+            if line.rpartition('|')[2].strip() == imported:
+                starting.send_signal(signal.SIGINT)
+        assert starting.wait() == 0
+    others = [line for line in said if not line.startswith('import time:')]
+    assert others == []

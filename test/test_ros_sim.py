@@ -1,18 +1,21 @@
 """The simulator as a process: faults on purpose, commands refused, and a stop in time."""
 
+import contextlib
 import math
+import re
 import signal
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import new_domain
+from conftest import Observer, new_domain
 
 pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import TwistStamped
-from nav_msgs.msg import Odometry
+from geometry_msgs.msg import PoseStamped, QuaternionStamped, TwistStamped
+from nav_msgs.msg import Odometry, Path
+from rosgraph_msgs.msg import Clock
 
 from orbimpc_ros.mpc.controller import Controller
 from orbimpc_ros.mpc.forecast import forecast_named
@@ -164,3 +167,107 @@ def test_impossible_faults_end_the_simulator_with_one_line(launch):
     assert sim.wait() == 2
     assert sim.output.strip().count('\n') == 0
     assert 'faults.occlusion_length' in sim.output
+
+
+def test_a_vehicle_with_a_failsafe_is_not_stopped(launch, observer):
+    odometry = observer.listen(Odometry, 'odom')
+    diagnostics = observer.listen(DiagnosticArray, '/diagnostics')
+    publisher = observer.node.create_publisher(TwistStamped, 'cmd_vel', qos())
+    kept = {'failsafe.fraction': 0.7, 'failsafe.rate': 1.0}
+    launch('sim', {**WALL, 'step': 0.1, **kept})
+    observer.until(publisher.get_subscription_count, 'the simulator')
+    at = Stamp(0, Frames('odom', 'base_link'))
+
+    def flies():
+        publisher.publish(messages.twist_message(at, 1.0, np.zeros(1)))
+        return moved(odometry)
+
+    observer.until(flies, 'a vehicle that flies')
+    observer.until(lambda: complaints(diagnostics, 'failsafe at 0.7'), 'a complaint')
+    odometry.clear()
+    observer.until(lambda: len(odometry) > 5, 'odometry')
+    speeds = [each.twist.twist.linear.x for each in odometry[1:]]
+    turns = [each.twist.twist.angular.z for each in odometry[1:]]
+    assert speeds == pytest.approx([0.7] * len(speeds))
+    assert turns == pytest.approx([1.0] * len(turns))
+
+
+# --- who a flight waits for
+
+WHOLE = {
+    'odom': Odometry,
+    'goal': PoseStamped,
+    'cmd_vel': TwistStamped,
+    'rotation': QuaternionStamped,
+    'plan': Path,
+    'tick': DiagnosticArray,
+    '/clock': Clock,
+}
+STEPS = 12
+LONG = LOCKSTEP | {'goal_prediction': 'hold'}  # the paper's, which catches nothing so soon
+
+
+def stamp_of(message):
+    stamp = message.clock if hasattr(message, 'clock') else message.header.stamp
+    return messages.nanoseconds(stamp, 'stamp')
+
+
+def test_whoever_is_waited_for_hears_a_flight_whole(launch, domain):
+    """As somebody who comes late to record a flight that takes a tenth of a second."""
+    launch('planner', LONG)
+    asked = {'wait_for': ', '.join(WHOLE), 'max_ticks': STEPS, 'wait_timeout': 60.0}
+    sim = launch('sim', asked)
+    with contextlib.closing(Observer(domain)) as late:
+        late.until(lambda: 'waits for readers: 1 of odom (there are 0)' in sim.output, 'waiting')
+        heard = {topic: late.listen(kind, topic) for topic, kind in WHOLE.items()}
+        stamps = [10**9 * k for k in range(STEPS + 1)]
+        for topic, said in heard.items():
+            late.until(lambda m=said: m and stamp_of(m[-1]) >= stamps[-1], topic)
+            assert sorted({*map(stamp_of, said)})[: len(stamps)] == stamps, topic
+
+
+def test_a_simulator_says_for_whom_it_has_waited_in_vain(launch):
+    alone = launch('sim', {'wait_timeout': 0.5})
+    unheard = launch('sim', {'wait_timeout': 0.5, 'wait_subscribers': 3})
+    for sim, said in ((alone, 'subscribers of odom: 1 '), (unheard, 'subscribers of odom: 3 ')):
+        assert sim.wait() == 1, sim.output
+        assert re.search(rf'waited \d+ s in vain for {said}\(there are 0\)', sim.output)
+
+
+def test_lock_step_with_a_planner_on_a_timer_ends_and_says_why(launch):
+    launch('planner', LOCKSTEP | {'trigger': 'timer'})
+    sim = launch('sim', {'wait_timeout': 8.0})
+    assert sim.wait() == 1, sim.output
+    assert 'in vain for an answer to the odometry on cmd_vel' in sim.output
+    assert 'trigger: odom' in sim.output
+
+
+def flown_at(launch, domain, rate):
+    """Return when each odometry of a flight was sent [ns], and where the vehicle was."""
+    sent, places = [], []
+
+    def heard(message, about):
+        if not places or place(message) != places[-1]:
+            sent.append(about['source_timestamp'])
+            places.append(place(message))
+
+    with contextlib.closing(Observer(domain)) as observer:
+        observer.node.create_subscription(Odometry, 'odom', heard, qos(1000))
+        launch('planner', LONG, domain=domain)
+        paced = {'rate': rate, 'max_ticks': STEPS, 'wait_subscribers': 2, 'exit_when_done': True}
+        sim = launch('sim', paced, domain=domain)
+        observer.until(lambda: sim.ended and len(places) == STEPS + 1, 'the flight')
+    return sent, places
+
+
+def test_a_rate_slows_lock_step_and_changes_nothing_else(launch):
+    sent, places = flown_at(launch, new_domain(), 5.0)
+    _, quick = flown_at(launch, new_domain(), 0.0)
+    assert places == quick
+    # The first step may come late, and then the next one earlier; no step comes before its time.
+    assert sent[-1] - sent[0] > (STEPS - 2) * 0.2e9
+
+
+def test_a_rate_too_slow_for_a_planners_timeouts_is_told(launch, observer):
+    sim = launch('sim', {'rate': 0.1})
+    observer.until(lambda: 'odom_timeout and goal_timeout to more than 10 s' in sim.output)

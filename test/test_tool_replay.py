@@ -1,5 +1,6 @@
 """Golden bags as regression tests, and what the replay must notice, tell and accept."""
 
+import importlib
 import math
 import os
 import subprocess
@@ -249,6 +250,69 @@ def test_an_answer_that_is_repeated_counts_once(replay, tmp_path):
     code, out, _ = replay(path)
     assert code == 0
     assert 'replayed      26 ticks' in out
+
+
+# --- what is not there
+
+ANSWERS = ('/cmd_vel', '/tick', '/rotation', '/plan')
+
+
+def only_first(each):
+    """Leave the answer to the first odometry alone, as somebody who came too early or too late."""
+    return None if each.topic in ANSWERS and each.stamp > 0 else each
+
+
+def test_inputs_without_an_answer_are_counted_and_in_lock_step_too_many(replay, tmp_path):
+    path = rewritten(RETRIEVAL, tmp_path / 'bag', only_first)
+    code, out, _ = replay(path)
+    assert code == 1
+    assert 'unanswered    25 of 26 odometry messages; 0 answers without their odometry' in out
+    assert out.endswith('differences   none\n')
+    assert replay(path, '--unanswered', 25)[0] == 0
+    assert replay(path, '--unanswered', 24)[0] == 1
+
+
+def test_a_timer_may_leave_inputs_without_an_answer(replay, tmp_path):
+    notes = bag.notes(RETRIEVAL)
+    notes['parameters'] = notes['parameters'].replace('trigger: odom', 'trigger: timer')
+    path = rewritten(RETRIEVAL, tmp_path / 'bag', only_first, notes)
+    code, out, _ = replay(path)
+    assert code == 0
+    assert 'unanswered    25 of 26' in out
+    assert replay(path, '--unanswered', 3)[0] == 1
+
+
+def test_an_answer_without_its_odometry_is_counted(replay, tmp_path):
+    def lost(each):
+        return None if each.topic == '/odom' and each.stamp == 5 * 10**9 else each
+
+    code, out, _ = replay(rewritten(RETRIEVAL, tmp_path / 'bag', lost))
+    assert code == 1
+    assert 'unanswered    0 of 25 odometry messages; 1 answers without their odometry' in out
+
+
+def test_a_lost_goal_is_known_by_what_the_tick_says_not_by_its_words(replay, tmp_path, monkeypatch):
+    """A plan that is held without a solver is told from what is safe, whatever the reason reads."""
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    monkeypatch.syspath_prepend(str(GOLDEN))
+    make = importlib.import_module('make')
+    hidden = ('faults.occlusion_length=4.0', 'goal_timeout=1.5', 'max_ticks=12')
+    monkeypatch.setitem(make.FLIGHTS, 'hidden', ('retrieval', hidden))
+    make.make('hidden', tmp_path / 'hidden')
+    held = []
+
+    def reworded(message):
+        values = {pair.key: pair for pair in message.status[0].values}
+        if values['reason'].value.startswith('the goal is'):
+            held.append(values['fallback'].value)
+            values['reason'].value = 'nobody has seen it for a while'
+
+    change = changed('/tick', DiagnosticArray, reworded)
+    path = rewritten(tmp_path / 'hidden', tmp_path / 'bag', change)
+    assert 'shifted plan' in held
+    code, out, _ = replay(path)
+    assert code == 0, out
 
 
 def distances(recorded, replayed, **tolerances):

@@ -8,11 +8,12 @@ import pytest
 from orbimpc_ros.mpc.controller import Controller
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.forecast import forecast_named
+from orbimpc_ros.mpc.rotations import log
 from orbimpc_ros.world.capture import closest_approach
 from orbimpc_ros.world.flight import departure, fly
 from orbimpc_ros.world.rope import Rope, fixed
 from orbimpc_ros.world.scenario import retrieval, retrieval_problem
-from orbimpc_ros.world.vehicle import launched
+from orbimpc_ros.world.vehicle import Model, launched
 
 
 @pytest.mark.parametrize('n', [2, 3])
@@ -117,3 +118,24 @@ def test_a_rope_caught_before_the_vehicle_stops_is_caught():
     assert caught.captured
     assert caught.missed_at == pytest.approx(0.2)
     assert not departure(near).after(1.0, np.zeros(1), 0.05).captured
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_a_vehicle_that_cannot_stand_circles_without_a_command(n):
+    rate = 2.0 * np.pi / (16 * 0.5)  # a circle in 16 steps
+    model = Model(n, forward=15.0, step=0.5, failsafe_fraction=0.7, failsafe_rate=rate)
+    start = launched(model, np.zeros(n), np.eye(n), fraction=0.7)
+    flight = departure(replace(retrieval(), model=model, start=start, rope=fixed(np.full(n, 1e3))))
+    for _ in range(16):
+        flight = flight.after(0.0, np.zeros(model.rates), 0.0)
+        assert flight.speed == pytest.approx(0.7 * 15.0)
+    np.testing.assert_allclose(flight.vehicle.position, np.zeros(n), atol=1e-9)
+    np.testing.assert_allclose(flight.vehicle.attitude, np.eye(n), atol=1e-9)
+
+
+def test_the_failsafe_begins_where_the_command_ends():
+    model = Model(failsafe_fraction=0.5, failsafe_rate=0.4)
+    flight = departure(replace(retrieval(), model=model)).after(1.0, np.zeros(1), 0.25)
+    np.testing.assert_allclose(flight.vehicle.position, [0.25 + 0.75 * 0.5, 0.0])
+    np.testing.assert_allclose(log(flight.vehicle.attitude), [0.75 * 0.4])
+    assert flight.vehicle.fraction == 0.5

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -82,8 +83,25 @@ class Floor:
         return self.fraction / float((normals(len(axis), self.faces) @ axis).max())
 
 
-@dataclass(frozen=True)
-class Box:
+class ByContent:
+    """Equality and hash of a frozen dataclass with arrays, which have neither: by their numbers."""
+
+    def _content(self) -> tuple[object, ...]:
+        values = (getattr(self, each.name) for each in fields(self))  # type: ignore[arg-type]
+        # Adding zero makes -0.0 the 0.0 that it equals.
+        return tuple((v + 0.0).tobytes() if isinstance(v, np.ndarray) else v for v in values)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, ByContent) or type(self) is not type(other):
+            return NotImplemented
+        return self._content() == other._content()
+
+    def __hash__(self) -> int:
+        return hash((type(self), self._content()))
+
+
+@dataclass(frozen=True, eq=False)
+class Box(ByContent):
     """An axis-aligned obstacle that every s_k, k = 1..N, stays outside of.
 
     Attributes:
@@ -144,6 +162,10 @@ class Problem:
     arrival_weight: float = 0.0
 
     def __post_init__(self) -> None:
+        _instance(self.weights, Weights, 'weights')
+        _instance(self.floor, Floor, 'floor')
+        for box in _instance(self.obstacles, tuple, 'obstacles'):
+            _instance(box, Box, 'obstacles')
         whole(self.dimension, 'dimension', 2, 3)
         whole(self.rotation_order, 'rotation_order', 1, 2)
         whole(self.translation_order, 'translation_order', 1, 2)
@@ -209,6 +231,12 @@ class Problem:
             )
 
 
+def _instance(value: Any, kind: type, culprit: str) -> Any:
+    if not isinstance(value, kind):
+        raise BadInput(culprit, f'a {type(value).__name__}', f'a {kind.__name__}')
+    return value
+
+
 def largest_fraction(dimension: int, faces: int) -> float:
     """Return the largest fraction whose polygon or solid still lies inside the unit ball.
 
@@ -220,8 +248,8 @@ def largest_fraction(dimension: int, faces: int) -> float:
     return 1.0 / math.sqrt(3.0) if faces == 6 else math.sqrt((5.0 + 2.0 * math.sqrt(5.0)) / 15.0)
 
 
-@dataclass(frozen=True)
-class State:
+@dataclass(frozen=True, eq=False)
+class State(ByContent):
     """Where the vehicle is when the plan starts.
 
     Attributes:

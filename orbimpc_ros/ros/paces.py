@@ -17,8 +17,36 @@ if TYPE_CHECKING:
 LOOK = 0.02  # [s] how often to look whether anybody is there, or has gone
 SETTLED = 0.1  # [s] lock-step: a planner that is asked nothing still has to take in the goal
 RESEND = 0.5  # [s] lock-step: ask again without an answer; first messages may be lost
-MEETING = 120.0  # [s] lock-step: give up if nobody comes; a first start may compile for a minute
 PATIENCE = 20.0  # [s] lock-step: give up without an answer
+SILENT = 2.0  # [s] of waiting are not worth a word
+SHORTEST_TIMEOUT = 1.5  # steps: the shortest timeouts of a planner
+NO_ANSWER = (
+    'an answer to the odometry on cmd_vel, which takes a planner with trigger: odom '
+    '(a timer waits for time to go on, and time for the answer); its /diagnostics may say more'
+)
+
+
+class Waiting:
+    """The wait before a flight: says what for, as soon as it lasts and whenever that changes."""
+
+    def __init__(self, sim: Sim) -> None:
+        self._sim = sim
+        self.restart()
+
+    def restart(self) -> None:
+        """Wait anew."""
+        self._since, self._said = self._sim.steady_now(), ''
+
+    @property
+    def lasted(self) -> float:
+        """Return for how long it has lasted [s]."""
+        return self._sim.steady_now() - self._since
+
+    def say(self, awaited: str) -> None:
+        """Say what is waited for, if that is news."""
+        if self.lasted > SILENT and awaited != self._said:
+            self._said = awaited
+            self._sim.get_logger().info(f'waits for {awaited}')
 
 
 class LockStep:
@@ -26,18 +54,31 @@ class LockStep:
 
     The last odometry is answered too, though that command is not flown: so every run has the
     same messages. Where faults leave nothing to answer, or lose the answer, the step is flown
-    on the last command, as long as that is in force, and without speed after that. Odometry then
+    on the last command, as long as that is in force, and without one after that. Odometry then
     follows the clock and the goals at a distance: stamps no longer tell the planner what belongs
     together, and DDS keeps no order among topics.
+
+    At a ``rate`` the next step is not shown before its time, in which nothing else changes.
     """
 
     def __init__(self, sim: Sim) -> None:
-        self._sim = sim
+        self._sim, self._waiting = sim, Waiting(sim)
+        self._paced = sim.settings.rate > 0.0
         self.restart()
         sim.every(LOOK, self.look)
+        if self._paced:
+            self._warn_of_slowness(1.0 / sim.settings.rate)
+            sim.every(sim.settings.scenario.model.step / sim.settings.rate, self._on_due)
+
+    def _warn_of_slowness(self, steps: float) -> None:
+        if steps >= SHORTEST_TIMEOUT:
+            took = steps * self._sim.settings.scenario.model.step
+            wanted = f"set the planner's odom_timeout and goal_timeout to more than {took:g} s"
+            self._sim.get_logger().warning(f'a step takes {took:g} s at this rate: {wanted}')
 
     def restart(self) -> None:
         """Ask anew as soon as everybody is there."""
+        self._begun = False
         self._asking = False  # whether a step waits for a command
         self._awaited: int | None = None  # stamp of the odometry to be answered [ns]
         self._newest = -np.inf  # true time of the last odometry sent [s]
@@ -47,6 +88,7 @@ class LockStep:
         self._sent: list[Sent] = []
         self._held_back: list[Sent] = []  # odometry that follows
         self._progress = self._asked_at = self._sim.steady_now()
+        self._waiting.restart()
 
     @property
     def now(self) -> int:
@@ -59,29 +101,40 @@ class LockStep:
         """Start when everybody is there; ask again or give up when no answer comes."""
         if self._sim.finished:
             return
-        now = self._sim.steady_now()
-        absent = self._absent()
-        if not self._asking and not absent:
-            self._ask()
+        if not self._begun:
+            self._begin_or_wait()
         elif self._held_back:
             self._follow_up()
-        elif self._asking and self._awaited is None:
+        elif self._asking:
+            self._keep_asking()
+
+    def _begin_or_wait(self) -> None:
+        absent = self._sim.audience_lacks or self._sim.planner_lacks
+        if not absent:
+            self._begun = True
+            self._ask()
+        elif self._waiting.lasted > self._sim.settings.wait_timeout:
+            self._give_up(absent, self._waiting.lasted)
+        else:
+            self._waiting.say(absent)
+
+    def _keep_asking(self) -> None:
+        now = self._sim.steady_now()
+        if self._awaited is None:
             if now - self._asked_at > SETTLED:
                 self._fly_on()
-        elif now - self._progress > (PATIENCE if self._asking else MEETING):
-            self._give_up(absent or 'an answer to the odometry on cmd_vel', now - self._progress)
-        elif self._asking and now - self._asked_at > RESEND:
+        elif now - self._progress > min(PATIENCE, self._sim.settings.wait_timeout):
+            self._give_up(self._sim.planner_lacks or NO_ANSWER, now - self._progress)
+        elif now - self._asked_at > RESEND:
             self._send()
-
-    def _absent(self) -> str:
-        listeners, wanted = self._sim.listeners, self._sim.settings.wait_subscribers
-        if listeners < wanted:
-            return f'{wanted} subscribers on odom and goal (there are {listeners})'
-        return '' if self._sim.commanded else 'a planner on cmd_vel'
 
     def _give_up(self, awaited: str, waited: float) -> None:
         self._sim.get_logger().fatal(f'waited {waited:.0f} s in vain for {awaited}: giving up')
         self._sim.exit_code = FAILED
+
+    def _on_due(self) -> None:
+        if self._begun and not self._asking and not self._sim.finished:
+            self._ask()
 
     def _ask(self) -> None:
         self._asking = True
@@ -126,7 +179,9 @@ class LockStep:
             return
         held = self._heard + self._sim.settings.command_timeout - self._sim.flight.vehicle.time
         self._sim.fly(self._order, held)
-        self._ask()
+        self._asking, self._awaited = False, None
+        if not self._paced:
+            self._ask()
 
 
 class RealTime:
@@ -139,7 +194,7 @@ class RealTime:
     """
 
     def __init__(self, sim: Sim) -> None:
-        self._sim = sim
+        self._sim, self._waiting = sim, Waiting(sim)
         self.restart()
         sim.watch_life(self._on_life)
         sim.every(LOOK, self.look)
@@ -152,6 +207,7 @@ class RealTime:
         self._until = -np.inf  # when the command in force ends, on the steady clock [s]
         self._begun = self._sim.steady_now()  # this step
         self._latched = False
+        self._waiting.restart()
 
     @property
     def now(self) -> int:
@@ -179,12 +235,23 @@ class RealTime:
         if self._order is None or self._latched or self._sim.finished:
             return
         self._latched, self._until = True, min(self._until, self._sim.steady_now())
-        self._sim.warn(self.now, f'{reason}: stopped')
+        model = self._sim.settings.scenario.model
+        share, turn = model.failsafe_fraction, model.failsafe_rate
+        kept = f'failsafe at {share:g} of full speed or thrust, {turn:g} rad/s'
+        self._sim.warn(self.now, f'{reason}: {kept if share or turn else "stopped"}')
+
+    @property
+    def _ready(self) -> bool:
+        """Return whether every reader is there, or was."""
+        absent = '' if self._begins else self._sim.audience_lacks
+        if absent:
+            self._waiting.say(absent)
+        self._begins = not absent
+        return self._begins
 
     def on_time(self) -> None:
         """Fly a step, unless nobody has commanded yet, and show where it led."""
-        self._begins = self._begins or self._sim.watchers >= self._sim.settings.wait_subscribers
-        if self._sim.finished or not self._begins:
+        if self._sim.finished or not self._ready:
             return
         if self._order is not None:
             self._sim.fly(self._order, self._until - self._begun)

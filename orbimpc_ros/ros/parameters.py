@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Sized
 from typing import Any, Generic, TypeVar
 
 from rcl_interfaces.msg import SetParametersResult
@@ -67,11 +67,22 @@ class Live(Generic[S, W]):
         """From now on check changes, and install what was prepared once a change is certain."""
         self._install = install
         self._pending: W | None = None
+        self._node.add_pre_set_parameters_callback(self._typed)
         self._node.add_on_set_parameters_callback(self._on_set)
         self._node.add_post_set_parameters_callback(self._on_changed)
 
     def _values(self) -> dict[str, Any]:
         return {row.name: self._node.get_parameter(row.name).value for row in self._rows}
+
+    def _typed(self, changes: list[Parameter]) -> list[Parameter]:
+        """Return changes with empty lists as what the parameters are: YAML cannot tell of what."""
+        arrays = {row.name: row.kind for row in self._rows if isinstance(row.default, tuple)}
+        return [
+            Parameter(each.name, arrays[each.name], [])
+            if each.name in arrays and _empty(each)
+            else each
+            for each in changes
+        ]
 
     def _on_set(self, changes: list[Parameter]) -> SetParametersResult:
         try:
@@ -86,6 +97,8 @@ class Live(Generic[S, W]):
         values = self._values()
         for change in changes:
             if change.name == 'use_sim_time':
+                if change.value == self._node.get_parameter('use_sim_time').value:
+                    continue
                 raise BadInput('use_sim_time', change.value, 'set at the start only')
             if change.name in values:
                 values[change.name] = change.value
@@ -97,11 +110,17 @@ class Live(Generic[S, W]):
         self._pending = None
 
 
+def _empty(given: Parameter) -> bool:
+    return isinstance(given.value, Sized) and not isinstance(given.value, str) and not given.value
+
+
 def _refuse_unknown(node: Node) -> None:
     # One file may serve both nodes, so a name is unknown only if neither has it.
     known = {row.name for row in (*PLANNER, *SIM)}.union(OF_ROS)
     for name, given in node._parameter_overrides.items():
-        if name not in known and not name.startswith('qos_overrides.'):
+        if name.startswith('qos_overrides.'):
+            raise BadInput(f'parameter {name}', given.value, 'none: qualities of service are fixed')
+        if name not in known:
             raise BadInput(f'parameter {name}', given.value, 'a parameter of the planner or sim')
 
 

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import ast
 import functools
 import gc
 import os
+import shlex
 import signal
 import sys
 import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import rclpy
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
+from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
@@ -29,6 +33,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from orbimpc_ros.mpc.errors import BadInput
 
@@ -41,6 +46,7 @@ SPIN = 0.05  # [s] a signal waits at most this long
 RANGE, PEERS = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS'
 CLOSED = ('LOCALHOST', 'OFF')  # ranges that keep other machines out
 SECURITY = 'ROS_SECURITY_ENABLE'
+KNOWN_WORDS = 'arguments of ROS, such as --params-file FILE, -p NAME:=VALUE, -r FROM:=TO'
 
 
 def qos(
@@ -67,13 +73,20 @@ class Guarded(Node):
     """A node none of whose callbacks can end it, and that ends well.
 
     Attributes:
+        kind: what it is called unless it is renamed.
         exit_code: the process ends with it as soon as it is not None.
         steady: a clock that neither jumps nor stops, for everything that watches.
         failures: callbacks that have failed so far.
     """
 
     def __init__(self, name: str, parameters: Sequence[Parameter] = ()) -> None:
-        super().__init__(name, parameter_overrides=list(parameters))
+        try:
+            super().__init__(name, parameter_overrides=list(parameters))
+        except InvalidParameterTypeException as error:  # of a parameter that every node has
+            wrong = next(each for each in self._parameter_overrides if each in str(error))
+            given = self._parameter_overrides[wrong].value
+            raise BadInput(wrong, given, 'true | false') from None
+        self.kind = name
         self.exit_code: int | None = None
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.failures = 0
@@ -140,17 +153,14 @@ def run(make: Callable[[], Guarded], argv: Sequence[str] | None = None) -> int:
         argv: the command line; by default this process's.
     """
     os.environ.setdefault(RANGE, 'LOCALHOST')
+    words = list(sys.argv if argv is None else argv)
     try:
-        rclpy.init(
-            args=list(sys.argv if argv is None else argv),
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
-    except RuntimeError as error:  # the command line or a parameter file
-        return _refused(error)
-    try:
-        return _live(make)
-    except BadInput as error:
-        return _refused(error)
+        return _live(make, words, _Signals())
+    except _Stopped:
+        return DONE
+    except (BadInput, _Unreadable) as error:
+        print(_line(error), file=sys.stderr)
+        return BAD_INPUT
     except _Stillborn as error:
         print(_line(error), file=sys.stderr)
         return FAILED
@@ -158,13 +168,39 @@ def run(make: Callable[[], Guarded], argv: Sequence[str] | None = None) -> int:
         rclpy.try_shutdown()
 
 
+class _Stopped(BaseException):
+    """A signal during the start, when nothing has been commanded yet."""
+
+
+class _Signals:
+    """SIGINT and SIGTERM: they break off a start, and from then on are remembered.
+
+    The handlers are installed even where SIGINT is ignored, as by a shell's background jobs: who
+    stops a node has to reach it.
+
+    Attributes:
+        received: numbers of the signals so far.
+        starting: whether one breaks off what is being done.
+    """
+
+    def __init__(self) -> None:
+        self.received: list[int] = []
+        self.starting = True
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._take)
+
+    def _take(self, number: int, _frame: Any) -> None:
+        self.received.append(number)
+        if self.starting and len(self.received) == 1:
+            raise _Stopped
+
+
 class _Stillborn(Exception):
     """The middleware does not let the node be, as where security is asked for and missing."""
 
 
-def _refused(error: Exception) -> int:
-    print(_line(error), file=sys.stderr)
-    return BAD_INPUT
+class _Unreadable(Exception):
+    """rclpy cannot read the command line, or a parameter file on it."""
 
 
 def _line(error: Exception) -> str:
@@ -175,20 +211,39 @@ def _line(error: Exception) -> str:
     return f'{line} ({SECURITY}=true needs ROS_SECURITY_KEYSTORE and a middleware with security)'
 
 
-def _live(make: Callable[[], Guarded]) -> int:
-    signals: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda received, _frame: signals.append(received))
+def _initialise(words: Sequence[str]) -> None:
+    """Start rclpy with the command line.
+
+    Raises:
+        BadInput: there are words on it that nobody would look at.
+    """
+    try:
+        rclpy.init(args=list(words), signal_handler_options=SignalHandlerOptions.NO)
+    except rclpy_implementation.UnknownROSArgsError as error:
+        unknown = ' '.join(ast.literal_eval(str(error)))
+        raise BadInput('command line', unknown, KNOWN_WORDS) from None
+    except RuntimeError as error:  # a malformed rule or parameter file
+        raise _Unreadable(str(error)) from None
+    program, *plain = remove_ros_args(args=list(words))
+    if plain:
+        meant = f'{Path(program).name} --ros-args {shlex.join(plain)}'
+        allowed = f'ROS arguments alone, behind --ros-args: {meant}'
+        raise BadInput('command line', shlex.join(plain), allowed)
+
+
+def _live(make: Callable[[], Guarded], words: Sequence[str], signals: _Signals) -> int:
+    _initialise(words)
     node = _born(make)
+    signals.starting = False
     _warn_of_range(node)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     # What the start has made stays: a full collection would look through all of it, for 60 ms.
     gc.collect()
     gc.freeze()
-    while not signals and node.exit_code is None:
+    while not signals.received and node.exit_code is None:
         _spin(node, executor)
-    return _part(node, executor, bool(signals))
+    return _part(node, executor, signals.received)
 
 
 def _born(make: Callable[[], Guarded]) -> Guarded:
@@ -208,9 +263,9 @@ def _spin(node: Guarded, executor: SingleThreadedExecutor) -> None:
         node.failed('spinning', error)
 
 
-def _part(node: Guarded, executor: SingleThreadedExecutor, told: bool) -> int:
-    if told:
-        node.get_logger().info('told to stop')
+def _part(node: Guarded, executor: SingleThreadedExecutor, signals: Sequence[int]) -> int:
+    if signals:
+        node.get_logger().info(f'received {signal.Signals(signals[0]).name}, stopping')
     farewell = node.guard(node.safe)
     for _ in range(FAREWELLS):
         farewell('shutting down')

@@ -29,7 +29,9 @@ from orbimpc_ros.ros.orders import Order, Orders
 from orbimpc_ros.ros.paces import LockStep, RealTime
 from orbimpc_ros.ros.parameters import SIM, Live, sim_settings
 from orbimpc_ros.ros.process import DONE, FAILED, Guarded, qos, run
+from orbimpc_ros.ros.readers import Readers
 from orbimpc_ros.ros.reports import ERROR, OK, WARN, diagnostics
+from orbimpc_ros.ros.sections import unused_sections
 from orbimpc_ros.world.faults import Sent, View
 from orbimpc_ros.world.flight import Flight, departure
 
@@ -57,9 +59,13 @@ class Sim(Guarded):
         self.view = self._new_view()
         self.orders = Orders(self.settings.scenario.model)
         self.finished = False
+        self._readers = Readers(self, self.settings.wait_for, 'cmd_vel')
         self._pace = LockStep(self) if self.settings.lockstep else RealTime(self)
         self._create_subscriptions()
         live.keep(lambda _unchanged: None)  # nothing is live, yet use_sim_time must be refused
+        for section in unused_sections(self):
+            name = self.get_fully_qualified_name()
+            self.get_logger().warning(f'section {section} is not for {name}: not used')
 
     def _new_view(self) -> View:
         settings = self.settings
@@ -111,19 +117,19 @@ class Sim(Guarded):
     # --- what the paces do with it
 
     @property
-    def watchers(self) -> int:
-        """Return how many subscribers of odom are connected."""
-        return self._odometry.get_subscription_count()
+    def audience_lacks(self) -> str:
+        """Return which readers of the flight are not there yet, in words; empty if all are."""
+        count, wanted = self._odometry.get_subscription_count(), self.settings.wait_subscribers
+        if count < wanted:
+            return f'subscribers of odom: {wanted} (there are {count})'
+        return self._readers.lacking(self.steady_now())
 
     @property
-    def listeners(self) -> int:
-        """Return the same, if the goal has a subscriber as well."""
-        return self.watchers if self._goal.get_subscription_count() else 0
-
-    @property
-    def commanded(self) -> bool:
-        """Return whether a planner is connected."""
-        return self._commands[0].get_publisher_count() > 0
+    def planner_lacks(self) -> str:
+        """Return what of a planner is not there yet, in words; empty if all of it is."""
+        if not self._goal.get_subscription_count():
+            return 'a subscriber of goal'
+        return '' if self._commands[0].get_publisher_count() else 'a planner on cmd_vel'
 
     def watch_life(self, heard: Callable[[Any], None]) -> None:
         """Call back when DDS hears, or misses, signs of life from who promises them on cmd_vel."""

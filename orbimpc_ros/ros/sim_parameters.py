@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from orbimpc_ros.mpc.rotations import from_quaternion
 from orbimpc_ros.ros.messages import QUATERNION_TOLERANCE, Frames
 from orbimpc_ros.ros.parameter import FAR, SOON, TINY, Row, Values, vehicle_rows
 from orbimpc_ros.ros.process import LIFE
+from orbimpc_ros.ros.readers import wanted_readers
 from orbimpc_ros.world.faults import LONGEST, Faults
 from orbimpc_ros.world.rope import Rope
 from orbimpc_ros.world.scenario import FINISHES, MAX_TICKS, Scenario, retrieval
@@ -66,8 +67,19 @@ def _sim_rows() -> tuple[Row, ...]:
         Row('goal_path_steps', 0, 'Steps of the true future to publish on goal_path; 0 for none',
             low=0, high=10_000),
         Row('exit_when_done', False, 'Whether to exit once the goal is caught or ticks run out'),
-        Row('wait_subscribers', 1, 'Subscribers of odom that a flight waits for',
-            low=1, high=100),
+        Row('failsafe.fraction', 0.0, 'Share of full speed or thrust while no command is in force; '
+            '0: the vehicle stops', '', 0.0, 1.0),
+        Row('failsafe.rate', 0.0, 'Turn about the body z axis meanwhile, at most pi/step',
+            'rad/s', -1e4, 1e4),
+        Row('rate', 0.0, 'Lock-step at so many times real time; 0 for as fast as it goes',
+            '', 0.0, 1e6),
+        Row('wait_subscribers', 1, 'Subscribers of odom, the planner among them, that a flight '
+            'waits for', low=1, high=100),
+        Row('wait_for', '', 'Readers that a flight waits for beside planner and simulator: '
+            'topics, each with a count if there are more: tick, odom 2'),
+        Row('wait_timeout', 120.0, 'Lock-step gives up after waiting so long for planner and '
+            'readers, and for an answer, for which it waits 20 s at most; 0 for never',
+            's', 0.0, SOON),
     )  # fmt: skip
 
 
@@ -116,7 +128,10 @@ class SimSettings:
         faults: what goes wrong between the vehicle and its planner.
         goal_path_steps: how much of the goal's future to publish.
         exit_when_done: whether to exit at the end.
+        rate: of lock-step, in times of real time; 0 for as fast as it goes.
         wait_subscribers: subscribers of odometry to wait for.
+        wait_for: readers to wait for, by topic, beside those of planner and simulator.
+        wait_timeout: for all of them, in lock-step; infinite if it waits for ever [s].
         seed: of everything random.
         frames: to publish in.
     """
@@ -128,7 +143,10 @@ class SimSettings:
     faults: Faults
     goal_path_steps: int
     exit_when_done: bool
+    rate: float
     wait_subscribers: int
+    wait_for: Mapping[str, int]
+    wait_timeout: float
     seed: int
     frames: Frames
 
@@ -154,7 +172,10 @@ def sim_settings(values: Values) -> SimSettings:
         faults=_faults(values),
         goal_path_steps=values['goal_path_steps'],
         exit_when_done=values['exit_when_done'],
+        rate=values['rate'],
         wait_subscribers=values['wait_subscribers'],
+        wait_for=wanted_readers(values['wait_for']),
+        wait_timeout=values['wait_timeout'] or math.inf,
         seed=values['seed'],
         frames=Frames(values['frame_id'], values['child_frame_id']),
     )
@@ -174,6 +195,8 @@ def _scenario(values: Values) -> Scenario:
         values['step'],
         values['forward'],
         values['mass'],
+        values['failsafe.fraction'],
+        values['failsafe.rate'],
     )
     start = launched(
         model,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ from orbimpc_ros.mpc.errors import BadInput
 
 if TYPE_CHECKING:
     from orbimpc_ros.ros.parameters import PlannerSettings
+    from orbimpc_ros.tool.regression.coverage import Coverage
     from orbimpc_ros.tool.regression.difference import Comparison, Tolerances
     from orbimpc_ros.tool.regression.recording import Recording
     from orbimpc_ros.tool.regression.resolving import Replayed
@@ -42,6 +44,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--namespace', default='', metavar='NS', help='of the vehicle, such as /uav1'
     )
     parser.add_argument(
+        '--unanswered',
+        type=int,
+        metavar='N',
+        help='so many odometry messages may be without an answer; by default none in lock-step, '
+        'and any number elsewhere',
+    )
+    parser.add_argument(
         '--update', action='store_true', help="accept: replace the bag's outputs by the new ones"
     )
 
@@ -50,6 +59,7 @@ def run(args: argparse.Namespace) -> int:
     """Solve a bag's inputs again, compare, tell; 0 if nothing differs beyond the tolerances."""
     from orbimpc_ros.ros.parameters import planner_settings
     from orbimpc_ros.tool.regression.accept import accept
+    from orbimpc_ros.tool.regression.coverage import coverage
     from orbimpc_ros.tool.regression.recording import recording_of
     from orbimpc_ros.tool.regression.resolving import before, replayed
 
@@ -66,12 +76,26 @@ def run(args: argparse.Namespace) -> int:
     if args.tick is not None:
         _show(answers[-1], [each for each in found if each.tick == args.tick])
         return DIFFERENT if any(c.differs for c in found if c.tick == args.tick) else SAME
-    _tell(recording, found, answers, time.perf_counter() - begun)
+    whole = coverage(recording, settings)
+    _tell(recording, found, answers, whole, time.perf_counter() - begun)
     if args.update:
         accept(recording, answers, values)
         print(f'accepted      {path}')
         return SAME
-    return DIFFERENT if any(each.differs for each in found) else SAME
+    lacking = whole.unanswered > _may_be_unanswered(args.unanswered, recording, settings)
+    differs = any(each.differs for each in found)
+    return DIFFERENT if differs or lacking or whole.orphans else SAME
+
+
+def _may_be_unanswered(given: int | None, recording: Recording, settings: PlannerSettings) -> float:
+    """Return how many odometry messages may be without an answer.
+
+    In lock-step each is waited for. Elsewhere a busy planner passes over some, and a timer's
+    answers only the last before each tick.
+    """
+    if given is not None:
+        return given
+    return 0 if recording.simulated and settings.on_odometry else math.inf
 
 
 def _namespace(given: str) -> str:
@@ -140,6 +164,7 @@ def _tell(
     recording: Recording,
     found: Sequence[Comparison],
     replayed: Sequence[Replayed],
+    whole: Coverage,
     elapsed: float,
 ) -> None:
     differences = [each for each in found if each.differs]
@@ -150,6 +175,7 @@ def _tell(
     print(f'replayed      {len(replayed)} ticks of {recording.path} in {elapsed:.2f} s')
     refused = sum(len(each.refusals) for each in replayed)
     print(f'inputs        {recording.told}, {refused} refused')
+    print(f'unanswered    {whole}')
     counts = Counter(each.quantity for each in found)
     print(f'compared      {", ".join(f"{n} {quantity}" for quantity, n in counts.items())}')
     print(f'differences   {_summary(differences)}')

@@ -8,14 +8,20 @@ import runpy
 import signal
 import sys
 
+from orbimpc_ros.ros.entry import leave_at_signals
+
 PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
 
 
 def tether(parent: int) -> None:
-    """Have this process told to stop (SIGINT) as soon as its parent is gone, even if killed."""
+    """Have this process told to stop as soon as its parent is gone, even if that was killed.
+
+    By SIGTERM: a shell has its background jobs ignore SIGINT, and all that these start.
+    """
+    leave_at_signals()
     if not sys.platform.startswith('linux'):
         return
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGINT)
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent:  # it went before we asked
         sys.exit(1)
 

@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.odometry import Odometry
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.world.capture import closest_approach
 from orbimpc_ros.world.scenario import Scenario
-from orbimpc_ros.world.vehicle import Vehicle, advance, measured, stopped
+from orbimpc_ros.world.vehicle import Vehicle, advance, failsafe, measured
 
 if TYPE_CHECKING:  # the simulator flies without a solver, and starts sooner for it
     from orbimpc_ros.mpc.controller import Tick
@@ -86,8 +86,8 @@ class Flight:
         Args:
             fraction: commanded share of full speed or thrust.
             body_rate: commanded, shape (1,) or (3,) [rad/s].
-            held: how long into the step the command is in force [s]; after that the vehicle is
-                safe: no speed or thrust, no turning.
+            held: how long into the step the command is in force [s]; after that the vehicle
+                does as its model has it without one: by default it stops.
         """
         step = self.scenario.model.step
         if held >= step:
@@ -99,8 +99,8 @@ class Flight:
     def _cut_short(self, held: float, body_rate: Array) -> Flight:
         model = self.scenario.model
         obeyed = self._flown(held, 0.0, body_rate) if held > 0.0 else self
-        safe = replace(obeyed, vehicle=stopped(model, obeyed.vehicle))
-        rest = safe._flown(model.step - held, 0.0, np.zeros(model.rates))
+        safe = replace(obeyed, vehicle=failsafe(model, obeyed.vehicle))
+        rest = safe._flown(model.step - held, model.failsafe_fraction, model.failsafe_turn)
         nearest = min((obeyed, rest) if held > 0.0 else (rest,), key=lambda flight: flight.miss)
         return replace(rest, miss=nearest.miss, missed_at=nearest.missed_at)
 

@@ -24,6 +24,9 @@ class Model:
         step: h [s].
         forward: z, full speed [m/s] (translation order 1) or thrust acceleration [m/s^2] (2).
         mass: turns a thrust acceleration into a force [kg].
+        failsafe_fraction: share of full speed or thrust while no command is in force; a vehicle
+            that cannot stand still has one.
+        failsafe_rate: turn about the body's z axis meanwhile [rad/s].
     """
 
     dimension: int = 2
@@ -32,6 +35,8 @@ class Model:
     step: float = 1.0
     forward: float = 1.0
     mass: float = 1.0
+    failsafe_fraction: float = 0.0
+    failsafe_rate: float = 0.0
 
     def __post_init__(self) -> None:
         whole(self.dimension, 'dimension', 2, 3)
@@ -40,6 +45,14 @@ class Model:
         number(self.step, 'step', 0.0, 1e3, above=True)
         number(self.forward, 'forward', 0.0, 1e3, above=True)
         number(self.mass, 'mass', 0.0, 1e6, above=True)
+        number(self.failsafe_fraction, 'failsafe.fraction', 0.0, 1.0)
+        fastest = np.pi / self.step
+        number(self.failsafe_rate, 'failsafe.rate', -fastest, fastest)
+
+    @property
+    def failsafe_turn(self) -> Array:
+        """Return the body rate while no command is in force, shape (1,) or (3,) [rad/s]."""
+        return np.array([0.0, 0.0, self.failsafe_rate])[-self.rates :]
 
     @property
     def rates(self) -> int:
@@ -151,10 +164,20 @@ def advance(model: Model, vehicle: Vehicle, fraction: float, body_rate: Array) -
     )
 
 
-def stopped(model: Model, vehicle: Vehicle) -> Vehicle:
-    """Return the vehicle just told to be safe: no speed or thrust, no turning."""
-    still = np.zeros(model.dimension) if model.translation_order == 1 else vehicle.velocity
-    return replace(vehicle, velocity=still, body_rate=np.zeros(model.rates), fraction=0.0)
+def failsafe(model: Model, vehicle: Vehicle) -> Vehicle:
+    """Return the vehicle as no command is in force any more: by default it stops, there and then.
+
+    At translation order 2 that is to coast: no command takes the velocity away.
+    """
+    velocity = vehicle.velocity
+    if model.translation_order == 1:
+        velocity = model.forward * model.failsafe_fraction * vehicle.attitude[:, 0]
+    return replace(
+        vehicle,
+        velocity=velocity,
+        body_rate=model.failsafe_turn,
+        fraction=model.failsafe_fraction,
+    )
 
 
 def between(earlier: Vehicle, later: Vehicle, time: float) -> Vehicle:

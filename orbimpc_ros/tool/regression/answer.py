@@ -56,6 +56,15 @@ class Answer:
         """Return whether a solver was asked, as far as is known."""
         return self.solve_time_ms != 0.0
 
+    @property
+    def planned(self) -> bool:
+        """Return whether it came of odometry and goals, be it without a solver, as far as is known.
+
+        Without one it goes on with the plan before, since every goal is old; what is safe for any
+        other reason names no goal.
+        """
+        return self.solved or bool(self.goal_stamps)
+
 
 def answer_of(messages: Messages) -> Answer:
     """Return the answer that messages by topic tell."""

@@ -17,8 +17,6 @@ from orbimpc_ros.tool.regression.pilot import Pilot, Told
 from orbimpc_ros.tool.regression.recording import Recorded, Recording
 from orbimpc_ros.tool.stamps import SECOND
 
-LOST = 'the goal is'  # how the planner begins to say that it goes on without one
-
 
 @dataclass(frozen=True)
 class Replayed:
@@ -66,7 +64,7 @@ def _answer(pilot: Pilot, recorded: Recorded) -> Told:
     answer, reason = recorded.answer, recorded.answer.reason or ''
     if reason == AFRESH:
         pilot.forget()
-    if not answer.solved and not reason.startswith(LOST):
+    if not answer.planned:
         return pilot.be_safe(recorded.stamp, reason)
     if pilot.stamp != recorded.stamp:
         return pilot.be_safe(recorded.stamp, 'its odometry was refused, or a goal is missing')

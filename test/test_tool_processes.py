@@ -1,0 +1,74 @@
+"""Processes that the tool has started end with it, whatever it ignores and however it ends."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+
+import pytest
+from conftest import PATIENCE
+from test_tool_faults import alive, wait_for
+
+pytest.importorskip('rclpy')
+
+STARTER = """
+    import sys, time
+    from pathlib import Path
+    from orbimpc_ros.tool.processes import Process
+
+    folder = Path(sys.argv[1])
+    (folder / 'none.yaml').write_text('/**: {ros__parameters: {}}')
+    node = Process(sys.argv[2], folder / 'none.yaml', folder / 'node.log', int(sys.argv[3]))
+    print(node.pid, flush=True)
+    time.sleep(600)
+"""
+RUNS = {'planner': 'waits for odometry', 'sim': 'waits for'}  # what it says once it is up
+
+
+@pytest.fixture
+def started(tmp_path, domain):
+    """Return a function that starts who starts a node, in a shell that ignores SIGINT."""
+    script = tmp_path / 'starter.py'
+    script.write_text(textwrap.dedent(STARTER))
+    starters = []
+
+    def start(node):
+        words = [sys.executable, str(script), str(tmp_path), f'orbimpc_ros.ros.{node}', str(domain)]
+        starter = subprocess.Popen(
+            ['sh', '-c', 'trap "" INT; exec "$@"', 'sh', *words], stdout=subprocess.PIPE, text=True
+        )
+        starters.append(starter)
+        return starter, int(starter.stdout.readline()), tmp_path / 'node.log'
+
+    yield start
+    for starter in starters:
+        starter.kill()
+        starter.wait(PATIENCE)
+        starter.stdout.close()
+
+
+@pytest.mark.parametrize('node', RUNS)
+def test_a_node_ends_when_who_started_it_is_killed(started, node):
+    starter, pid, log = started(node)
+    wait_for(lambda: RUNS[node] in log.read_text())
+    starter.kill()
+    wait_for(lambda: not alive(pid))
+    assert 'received SIGTERM, stopping' in log.read_text()
+
+
+@pytest.mark.parametrize('node', RUNS)
+def test_a_node_that_has_hardly_begun_ends_too(started, node):
+    starter, pid, log = started(node)
+    starter.kill()
+    wait_for(lambda: not alive(pid))
+    assert 'Traceback' not in log.read_text()
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_node_obeys_whatever_was_ignored_when_it_was_started(started, number):
+    _, pid, log = started('sim')
+    wait_for(lambda: RUNS['sim'] in log.read_text())
+    os.kill(pid, number)
+    wait_for(lambda: not alive(pid))
+    assert f'received {number.name}, stopping' in log.read_text()
