@@ -2,6 +2,8 @@
 
 import math
 import signal
+import subprocess
+import sys
 import textwrap
 import time
 
@@ -138,6 +140,50 @@ def test_without_numba_it_says_what_that_costs_and_flies(launch, observer, scrip
     bench = Bench(launch, observer, QUICK, script(WITHOUT_NUMBA))
     assert said(bench, 'numba is not installed: plans take 6 to 60 times as long') == 1
     assert moving(bench.fly(1.0))
+
+
+def test_a_first_start_says_that_it_compiles_and_ends_at_a_signal(
+    launch, observer, tmp_path, monkeypatch
+):
+    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'empty'))
+    planner = launch('planner', {'floor.shape': 'circle'})
+    words = 'compiling machine code, which takes up to a minute'
+    observer.until(lambda: words in planner.output, words)
+    planner.tell(signal.SIGINT)
+    assert planner.wait() == 0
+    assert 'Traceback' not in planner.output
+
+
+IN_A_CALLBACK = """
+    import ctypes, os, signal, sys
+    from orbimpc_ros.ros.compiling import leaving_at_signals
+
+    def kill():
+        os.kill(os.getpid(), signal.{signal})
+
+    handler = signal.getsignal(signal.{signal})
+    with leaving_at_signals():
+        pass
+    assert signal.getsignal(signal.{signal}) is handler
+    with leaving_at_signals():
+        ctypes.CFUNCTYPE(None)(kill)()  # as LLVM calls back: exceptions are dropped there
+    sys.exit('it went on')
+"""
+
+
+@pytest.mark.parametrize('name', ['SIGINT', 'SIGTERM'])
+def test_a_signal_in_a_callback_of_native_code_ends_a_start(script, name):
+    file = script(IN_A_CALLBACK.format(signal=name))
+    done = subprocess.run([sys.executable, file], capture_output=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, b'', b'')
+
+
+def test_the_planner_says_which_sections_it_does_not_use(launch, observer, tmp_path):
+    file = tmp_path / 'wrong.yaml'
+    file.write_text('/plannr: {ros__parameters: {horizon: 9}}')
+    planner = launch('planner', {}, file)
+    words = f'section /plannr in {file} is not for /planner: not used'
+    observer.until(lambda: words in planner.output, words)
 
 
 def test_who_has_commanded_nothing_leaves_without_a_command(launch, observer):

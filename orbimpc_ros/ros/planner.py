@@ -19,7 +19,7 @@ from orbimpc_ros.mpc.controller import Controller
 from orbimpc_ros.ros import messages, outputs
 from orbimpc_ros.ros.announcer import Announcer
 from orbimpc_ros.ros.clock import NodeClock
-from orbimpc_ros.ros.compiling import report_compilation
+from orbimpc_ros.ros.compiling import leaving_at_signals, report_compilation
 from orbimpc_ros.ros.health import Condition, Health, condition
 from orbimpc_ros.ros.inbox import TOPICS
 from orbimpc_ros.ros.messages import SECOND, Stamp
@@ -28,6 +28,7 @@ from orbimpc_ros.ros.outlet import Outlet
 from orbimpc_ros.ros.parameters import PLANNER, Live, PlannerSettings, planner_settings
 from orbimpc_ros.ros.process import Guarded, qos, run
 from orbimpc_ros.ros.reports import AFRESH, SAFE, Report, prices
+from orbimpc_ros.ros.sections import unused_sections
 from orbimpc_ros.ros.summary import doubts, summary
 from orbimpc_ros.ros.ticker import Answer, Ticker, prepared
 
@@ -50,7 +51,8 @@ class Planner(Guarded):
         self._planning = self._begun = False
         self._console = Announcer(self.get_logger(), self.steady_now)
         report_compilation(self._console.warn)
-        live = Live(self, PLANNER, planner_settings, prepared)
+        with leaving_at_signals():
+            live = Live(self, PLANNER, planner_settings, prepared)
         self._settings, controller = live.prepared
         self._time = NodeClock(self, self._settings.problem.step, self._on_jump)
         names = {topic: self.resolve_topic_name(topic) for topic in TOPICS}
@@ -69,7 +71,9 @@ class Planner(Guarded):
         self._introduced = summary(self._settings, self._time.simulated)
         self.get_logger().info(self._introduced)
         given = {name: each.value for name, each in self._parameter_overrides.items()}
-        for doubt in doubts(self._settings, given):
+        name = self.get_fully_qualified_name()
+        unused = [f'section {each} is not for {name}: not used' for each in unused_sections(self)]
+        for doubt in unused + doubts(self._settings, given):
             self.get_logger().warning(doubt)
 
     def _install(self, prepared: tuple[PlannerSettings, Controller]) -> None:

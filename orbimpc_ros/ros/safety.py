@@ -29,24 +29,24 @@ def safe_command(kind: str, problem: Problem, attitude: Array, fraction: float) 
         return stop(attitude)
     rate = np.zeros(1 if problem.dimension == 2 else 3)
     if kind == 'hold_rate_zero':
-        kept = max(fraction, least_fraction(problem)) if problem.translation_order == 1 else 0.0
+        least = 0.0 if problem.floor.shape == 'none' else problem.floor.fraction
+        kept = max(fraction, least) if problem.translation_order == 1 else 0.0
         return Command(kept, rate, np.array(attitude))
     circling = 2.0 * math.pi / (CIRCLE_STEPS * problem.step)
     rate[-1] = min(circling, problem.max_rate) if problem.max_rate > 0.0 else circling
-    speed = 1.0 if problem.floor.shape == 'none' else least_fraction(problem)
-    return Command(speed, rate, attitude @ exp(problem.step * rate))
+    return Command(_circling_fraction(problem), rate, attitude @ exp(problem.step * rate))
 
 
-def least_fraction(problem: Problem) -> float:
+def _circling_fraction(problem: Problem) -> float:
     """Return the least share of full speed that keeps to the floor in every heading.
 
     A polygon (or solid) demands that R e1 lies beyond one of its faces. Half-way between two of
-    them that takes fraction / cos(pi / m), the radius of its corners: who circles passes through
-    every heading, and whoever holds a heading may be turned by a gust.
+    them that takes fraction / cos(pi / m), the radius of its corners, and a circle leads through
+    every heading.
     """
     floor = problem.floor
     if floor.shape == 'none':
-        return 0.0
+        return 1.0
     if floor.shape == 'circle':
         return floor.fraction
     return min(1.0, floor.fraction / largest_fraction(problem.dimension, floor.faces))
