@@ -41,7 +41,7 @@ def _mismatch(lab: Lab, long: bool) -> Iterator[Outcome]:
         wrong = stand.node.create_subscription(
             TwistStamped, 'cmd_vel', lambda _message: None, latched, event_callbacks=quiet
         )
-        stand.spin_until_complaint(begin)
+        stand.spin_until_error(begin)
         told = stand.watch.first_error(begin) - begin
         stand.node.destroy_subscription(wrong)
         yield onsets.recovered(stand, Outcome('latched cmd_vel', stand.watch.broken(begin), told))

@@ -154,8 +154,12 @@ class Stand:
         """Feed a planner until it has sent a safe command since a time [s], or in vain."""
         self.spin(PATIENCE, lambda: self.watch.first_safe(since) < math.inf)
 
-    def spin_until_complaint(self, since: float, word: str = '') -> None:
-        """Feed a planner until it has complained of something since a time [s], or in vain."""
+    def spin_until_error(self, since: float) -> None:
+        """Feed a planner until it has told of an error since a time [s], or in vain."""
+        self.spin(PATIENCE, lambda: self.watch.first_error(since) < math.inf)
+
+    def spin_until_complaint(self, since: float, word: str) -> None:
+        """Feed a planner until it has complained of a word since a time [s], or in vain."""
         self.spin(PATIENCE, lambda: self.watch.first_complaint(since, word) < math.inf)
 
     def spin_until_gone(self, seconds: float) -> None:
