@@ -66,6 +66,9 @@ class Bench:
         self.until(lambda: self.health and what in told(self.health[-1]), what)
         return int(told(self.health[-1])[what])
 
+    def tell(self, seconds):
+        """Tell the time, where it is this test's to tell."""
+
     def fly(self, seconds):
         """Return the command for odometry of that stamp, sent again until it is answered."""
         sent = [odometry(seconds), goal(seconds)]
@@ -75,6 +78,7 @@ class Bench:
             nonlocal again
             if time.monotonic() > again:  # best effort: lost while they were connecting
                 again = time.monotonic() + 0.3
+                self.tell(seconds)
                 self.goal.publish(sent[1])
                 self.odometry.publish(sent[0])
             later = self.commands[before:]

@@ -116,6 +116,15 @@ def test_installed_nodes_fly_with_the_shared_configuration(workspace, domain, mo
         assert planner.wait(PATIENCE) == 0
 
 
+def test_the_tool_runs_in_a_sourced_workspace_as_its_pages_say(workspace):
+    """It is in lib/, not on the path: ros2 run finds it there."""
+    tool = prefix(workspace) / 'lib' / NAME / 'orbimpc'
+    done = run(*sourced(workspace, tool, '--version'), cwd=workspace)
+    assert done.stdout == 'orbimpc_ros 0.1.0\n', done.stderr
+    for page in ('look.md', 'replay.md'):
+        assert f'ros2 run {NAME} orbimpc' in (ROOT / 'docs' / page).read_text()
+
+
 @pytest.mark.usefixtures('uncompiled')
 def test_the_installed_tool_flies_a_demo(workspace, tmp_path):
     pytest.importorskip('rclpy')

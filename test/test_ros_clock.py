@@ -26,10 +26,6 @@ class Simulated(Bench):
         super().__init__(launch, observer, QUICK | {'use_sim_time': True})
         observer.until(self.clock.get_subscription_count, 'the planner listening to time')
 
-    def fly(self, seconds):
-        self.tell(seconds)
-        return super().fly(seconds)
-
     def tell(self, seconds):
         self.clock.publish(Clock(clock=messages.time_message(round(seconds * 1e9))))
 

@@ -1,6 +1,7 @@
 """The launch files, where ROS's launch is installed (PyPI has none of it)."""
 
 import importlib.util
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -74,9 +75,60 @@ def test_a_fleet_is_as_large_as_asked_for(launched):
     assert arguments == EVERYWHERE | {'vehicles', 'seed'}
     context = LaunchContext()
     context.launch_configurations.update(vehicles='3', seed='0', namespace='team')
-    late = next(e for e in description.entities if isinstance(e, OpaqueFunction))
+    *_, late = (e for e in description.entities if isinstance(e, OpaqueFunction))
     nodes = nodes_in(late.execute(context))
     assert [node.node_executable for node in nodes] == ['planner'] * 3 + ['sim'] * 3
+
+
+def launched_with(name, words, domain, monkeypatch):
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    file = FILES[0].parent / f'{name}.launch.py'
+    return subprocess.run(
+        [sys.executable, '-c', LAUNCH, str(file), *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+
+
+@pytest.mark.usefixtures('launched')
+@pytest.mark.parametrize(
+    ('name', 'parameters', 'words', 'said'),
+    [
+        ('retrieval', None, [], 'params_file is .*wanted.yaml; allowed: a file'),
+        ('fleet', None, [], 'params_file is .*wanted.yaml; allowed: a file'),
+        ('retrieval', '/**/planner: {ros__parameters: {trigger: timer}}', [],
+         'trigger of /planner in .* is timer; allowed: odom'),
+        ('retrieval', '/car/planner: {ros__parameters: {trigger: odom}}', [],
+         'trigger of /planner in .* is timer; allowed: odom'),  # it is another node's
+        ('retrieval', '/**/sim: {ros__parameters: {step: 0.1, max_ticks: 2}}', ['clock:=wall'],
+         'sim-2 ended with code 1'),
+        ('retrieval', '/**/planner: {ros__parameters: {trigger: odom, horizon: 0}}', [],
+         'planner-1 ended with code 2'),
+    ],
+)  # fmt: skip
+def test_a_launch_that_fails_says_why_and_does_not_end_with_code_0(
+    name, parameters, words, said, domain, monkeypatch, tmp_path
+):
+    file = tmp_path / 'wanted.yaml'
+    if parameters is not None:
+        file.write_text(parameters)
+    done = launched_with(name, [f'params_file:={file}', *words], domain, monkeypatch)
+    assert done.returncode == 1, done.stdout + done.stderr
+    said_in_all = (done.stdout + done.stderr).splitlines()
+    complaints = [line for line in said_in_all if 'Caught exception' in line]
+    assert len(complaints) == 1
+    assert re.search(said, complaints[0])
+
+
+@pytest.mark.parametrize('file', FILES, ids=lambda file: file.name)
+def test_defaults_of_arguments_can_be_read(file, launched):
+    """As ros2 launch --show-args prints them."""
+    for argument in launched(file).get_launch_arguments():
+        shown = ''.join(each.describe() for each in argument.default_value)
+        assert re.fullmatch(r"'[^<>]*'", shown), shown
+        assert argument.description
 
 
 @pytest.mark.parametrize(
@@ -87,14 +139,6 @@ def test_a_fleet_is_as_large_as_asked_for(launched):
     ],
 )
 def test_a_launch_ends_with_its_flight(name, words, said, launched, domain, monkeypatch):
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
-    file = FILES[0].parent / f'{name}.launch.py'
-    done = subprocess.run(
-        [sys.executable, '-c', LAUNCH, str(file), *words],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
+    done = launched_with(name, words, domain, monkeypatch)
     assert done.returncode == 0, done.stdout + done.stderr
     assert said in done.stdout + done.stderr

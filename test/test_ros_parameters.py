@@ -22,7 +22,7 @@ from rclpy.parameter import Parameter, parameter_dict_from_yaml_file
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters import PLANNER, SIM, planner_settings, sim_settings
-from orbimpc_ros.ros.sections import unused_sections
+from orbimpc_ros.ros.sections import given, unused_sections
 from orbimpc_ros.world.scenario import retrieval, retrieval_problem
 
 CONFIG = Path(__file__).resolve().parents[1] / 'config' / 'retrieval.yaml'
@@ -261,6 +261,24 @@ def test_sections_that_no_node_takes_are_told(tmp_path, name, unused):
     words = ['planner', '--ros-args', '--params-file', str(file), '-p', 'step:=1.0']
     assert unused_sections(node, words) == [f'{section} in {file}' for section in unused]
     assert unused_sections(node, ['planner']) == []
+
+
+@pytest.mark.parametrize(
+    ('node', 'parameter', 'value'),
+    [
+        ('/planner', 'horizon', 5),
+        ('/planner', 'step', 1.0),
+        ('/planner', 'mass', None),
+        ('/uav1/planner', 'horizon', 7),
+        ('/uav1/planner', 'mass', 2.0),
+        ('/uav2/sim', 'mass', 3.0),
+        ('/uav3/sim', 'seed', 1),
+    ],
+)
+def test_of_several_sections_the_last_one_counts(tmp_path, node, parameter, value):
+    file = tmp_path / 'params.yaml'
+    file.write_text(SECTIONS)
+    assert given(str(file), node, parameter) == value
 
 
 def test_a_simulator_says_which_sections_it_does_not_use(launch, observer, tmp_path):

@@ -218,8 +218,9 @@ def test_a_flight_without_capture_ends_with_code_1(launch):
 def test_the_simulator_flies_again_after_a_reset(launch, observer):
     captured = observer.listen(Bool, 'captured')
     seen = observer.listen(Odometry, 'odom')
-    launch('planner', {'trigger': 'odom'})
-    launch('sim', {'max_ticks': 3})
+    # However long a busy machine takes: what is too old would be flown differently.
+    launch('planner', {'trigger': 'odom', 'odom_timeout': 60.0, 'goal_timeout': 60.0})
+    launch('sim', {'max_ticks': 3, 'wait_for': 'odom, captured'})
     observer.until(lambda: captured, 'the end')
     assert observer.call(Trigger, '/sim/reset', Trigger.Request()).success
     observer.until(lambda: len(captured) >= 3, 'the end again')

@@ -21,7 +21,7 @@ from geometry_msgs.msg import TwistStamped
 
 from orbimpc_ros.ros.parameters import PLANNER, SIM
 from orbimpc_ros.tool import collector
-from orbimpc_ros.tool.trials import feed
+from orbimpc_ros.tool.trials import feed, onsets
 from orbimpc_ros.tool.trials.flood import Pause, pauses
 from orbimpc_ros.tool.trials.matrix import MATRIX
 from orbimpc_ros.tool.trials.outcome import Outcome, Row, Trial, table
@@ -74,11 +74,28 @@ def test_what_moves_again_or_never_stops_is_unsafe():
     assert heard((1.0, 0.5, 0.0), (2.0, 0.5, 0.0), (3.0, 0.5, 0.0)).moving_again(0.5, 1.5) == 2
 
 
+def test_what_came_before_a_fault_may_be_flown_until_it_is_out_of_date():
+    """A busy planner may be safe for a while, and then plan from good odometry that lay waiting."""
+    expected = onsets.Expected(wait=0.3, allowed=1.0)
+    due = 1.0 + 0.3
+    busy = [(1.05, 0.0, 0.0), (1.1, 0.5, 0.1), (1.2, 0.5, 0.1)]
+    stopped = [(due + 0.1, 0.0, 0.0), (due + 0.3, 0.0, 0.0)]
+    assert onsets.unsafe_commands(heard(*busy, *stopped), 1.0, expected) == 0
+    again = heard(*busy, *stopped, (due + 0.5, 0.5, 0.1))
+    assert onsets.unsafe_commands(again, 1.0, expected) == 1
+    assert onsets.unsafe_commands(again, 1.0, onsets.Expected(0.3, 1.0, strict=False)) == 0
+    overdue = heard(*busy, (due + 0.1, 0.5, 0.1), (due + 0.3, 0.5, 0.1))
+    assert onsets.unsafe_commands(overdue, 1.0, expected) == 1
+
+
 def test_the_watch_takes_down_what_it_hears():
     watch = Watch(LIMITS)
     twist = TwistStamped()
     twist.twist.linear.x, twist.twist.angular.z = 2.0, 0.5
-    watch.on_command(twist)
+    sent = {'source_timestamp': time.time_ns() - 500_000_000}
+    now = time.monotonic()
+    watch.on_command(twist, sent)
+    assert watch.commands[0].at < now - 0.25  # when it was sent, not when it was heard
     assert watch.commands[0][1:] == (2.0, (0.0, 0.0, 0.5))
     assert watch.broken() == 1
     status = DiagnosticStatus(
@@ -87,8 +104,8 @@ def test_the_watch_takes_down_what_it_hears():
         message='the goal leaps',
         values=[KeyValue(key='solve_time_ms', value='12.5')],
     )
-    watch.on_health(DiagnosticArray(status=[status]))
-    watch.on_tick(DiagnosticArray(status=[status]))
+    watch.on_health(DiagnosticArray(status=[status]), sent)
+    watch.on_tick(DiagnosticArray(status=[status]), sent)
     assert watch.first_error(0.0) == watch.first_complaint(0.0, 'goal') < INF
     assert watch.first_complaint(0.0, 'odom') == INF
     assert watch.first_error(time.monotonic()) == INF

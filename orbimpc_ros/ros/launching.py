@@ -23,18 +23,29 @@ from launch.events import Shutdown
 from launch.events.process import ProcessExited
 from launch.launch_context import LaunchContext
 from launch.launch_description import LaunchDescription
-from launch.substitutions import EnvironmentVariable, EqualsSubstitution, LaunchConfiguration
+from launch.substitutions import (
+    EnvironmentVariable,
+    EqualsSubstitution,
+    IfElseSubstitution,
+    LaunchConfiguration,
+)
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.fleet import vehicles
 from orbimpc_ros.ros.process import RANGE
+from orbimpc_ros.ros.sections import given
+
+AUTO = 'auto'
 
 
 def flight(scenario: str) -> LaunchDescription:
     """Return planner and simulator of a scenario; the launch ends when the flight does."""
-    clock = LaunchConfiguration('clock')
-    planner = _node('planner', {'use_sim_time': _flag('use_sim_time')})
+    clock, asked = LaunchConfiguration('clock'), LaunchConfiguration('use_sim_time')
+    in_lockstep = EqualsSubstitution(clock, 'lockstep')
+    simulated = IfElseSubstitution(EqualsSubstitution(asked, AUTO), in_lockstep, asked)
+    planner = _node('planner', {'use_sim_time': ParameterValue(simulated, value_type=bool)})
     sim = _node('sim', {'clock': clock, 'exit_when_done': _flag('exit_when_done')})
     arguments = [
         *_arguments(scenario),
@@ -47,11 +58,14 @@ def flight(scenario: str) -> LaunchDescription:
         ),
         DeclareLaunchArgument(
             'use_sim_time',
-            default_value=EqualsSubstitution(clock, 'lockstep'),
-            description='of the planner; the simulator makes the time',
+            default_value=AUTO,
+            choices=[AUTO, 'true', 'false', 'True', 'False'],
+            description='of the planner; the simulator makes the time, auto: in lock-step alone',
         ),
     ]
-    return LaunchDescription([*arguments, *_surroundings(), planner, sim, *_ending([sim])])
+    check = OpaqueFunction(function=_check_flight)
+    nodes = [planner, sim, *_ending([sim], [planner])]
+    return LaunchDescription([*arguments, check, *_surroundings(), *nodes])
 
 
 def fleet() -> LaunchDescription:
@@ -65,7 +79,26 @@ def fleet() -> LaunchDescription:
         DeclareLaunchArgument('seed', default_value='0', description='of the ropes'),
         DeclareLaunchArgument('namespace', default_value='', description='of the whole fleet'),
     ]
-    return LaunchDescription([*arguments, *_surroundings(), OpaqueFunction(function=_members)])
+    check, members = (OpaqueFunction(function=each) for each in (_check_file, _members))
+    return LaunchDescription([*arguments, check, *_surroundings(), members])
+
+
+def _check_file(context: LaunchContext) -> None:
+    """Refuse a parameter file that is not there: launch itself would go on with defaults."""
+    file = context.launch_configurations['params_file']
+    if not Path(file).is_file():
+        raise BadInput('params_file', file, 'a file of parameters')
+
+
+def _check_flight(context: LaunchContext) -> None:
+    """Refuse a planner on a timer in lock-step: that waits for time, which waits for answers."""
+    _check_file(context)
+    asked = context.launch_configurations
+    name = f'/{asked["namespace"].strip("/")}/planner'.replace('//', '/')
+    trigger = given(asked['params_file'], name, 'trigger') or 'timer'
+    if asked['clock'] == 'lockstep' and trigger != 'odom':
+        where = f'trigger of {name} in {asked["params_file"]}'
+        raise BadInput(where, trigger, 'odom, as clock is lockstep (or clock:=wall)')
 
 
 def _members(context: LaunchContext) -> list[Action]:
@@ -80,7 +113,7 @@ def _members(context: LaunchContext) -> list[Action]:
         plain = {name: list(v) if isinstance(v, tuple) else v for name, v in own.items()}
         settings = {'clock': 'wall', 'exit_when_done': _flag('exit_when_done'), **plain}
         sims.append(_node('sim', settings, where))
-    return [*planners, *sims, *_ending(sims)]
+    return [*planners, *sims, *_ending(sims, planners)]
 
 
 def _flag(name: str) -> ParameterValue:
@@ -110,15 +143,23 @@ def _surroundings() -> list[Action]:
     ]
 
 
-def _ending(sims: list[Node]) -> list[Action]:
-    """Shut down when the last of the simulators has ended."""
+def _ending(sims: list[Node], planners: list[Node]) -> list[Action]:
+    """Shut down when the last of the simulators has ended, or anything has failed.
+
+    Raised in a handler, a failure ends the launch with a code that is not 0.
+    """
     flying = set(sims)
 
-    def ended(event: ProcessExited, _context: LaunchContext) -> list[Action]:
+    def ended(event: ProcessExited, context: LaunchContext) -> list[Action]:
+        if event.returncode and not context.is_shutdown:
+            raise RuntimeError(f'{event.process_name} ended with code {event.returncode}')
         flying.discard(event.action)
         return [] if flying else [EmitEvent(event=Shutdown(reason='every flight has ended'))]
 
-    return [RegisterEventHandler(OnProcessExit(target_action=sim, on_exit=ended)) for sim in sims]
+    return [
+        RegisterEventHandler(OnProcessExit(target_action=node, on_exit=ended))
+        for node in (*sims, *planners)
+    ]
 
 
 def _arguments(scenario: str) -> list[DeclareLaunchArgument]:
@@ -126,7 +167,12 @@ def _arguments(scenario: str) -> list[DeclareLaunchArgument]:
     default = str(share / 'config' / f'{scenario}.yaml')
     return [
         DeclareLaunchArgument('params_file', default_value=default, description='of all nodes'),
-        DeclareLaunchArgument('exit_when_done', default_value='true', choices=['true', 'false']),
+        DeclareLaunchArgument(
+            'exit_when_done',
+            default_value='true',
+            choices=['true', 'false'],
+            description='end with the flight, or wait for a reset',
+        ),
         DeclareLaunchArgument(
             'record',
             default_value='false',

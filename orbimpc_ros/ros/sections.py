@@ -11,11 +11,12 @@ import sys
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from orbimpc_ros.ros.process import Guarded
+if TYPE_CHECKING:
+    from orbimpc_ros.ros.process import Guarded
 
 PARAMETERS = 'ros__parameters'
 NODES = ('planner', 'sim')  # one file may serve both
@@ -34,7 +35,7 @@ def unused_sections(node: Guarded, words: Sequence[str] | None = None) -> list[s
     own, others = node.get_fully_qualified_name(), {*NODES} - {node.kind}
     unused = []
     for file in _files(sys.argv if words is None else words):
-        names = list(_sections(yaml.safe_load(Path(file).read_text(errors='replace'))))
+        names = [name for name, _ in _sections(_read(file))]
         used = {_shape(name) for name in names if _matches(name, own) and not _general(name)}
         unused += [
             f'{name} in {file}'
@@ -46,17 +47,37 @@ def unused_sections(node: Guarded, words: Sequence[str] | None = None) -> list[s
     return unused
 
 
+def given(file: str, node: str, parameter: str) -> Any:
+    """Return the value that a parameter file has for a node, of several the last; None without.
+
+    Args:
+        file: its path.
+        node: its name with its namespace.
+        parameter: not nested.
+    """
+    found = (each.get(parameter) for name, each in _sections(_read(file)) if _matches(name, node))
+    return next((value for value in reversed(list(found)) if value is not None), None)
+
+
+def _read(file: str) -> Any:
+    """Return what a parameter file holds; nothing if only rcl can say what is wrong with it."""
+    try:
+        return yaml.safe_load(Path(file).read_text(errors='replace'))
+    except yaml.YAMLError:
+        return None
+
+
 def _files(words: Sequence[str]) -> Iterator[str]:
     for flag, word in pairwise(words):
         if flag == '--params-file':
             yield word
 
 
-def _sections(tree: Any, above: str = '') -> Iterator[str]:
-    """Yield the names of sections, which may be nested by namespace, with a leading slash."""
+def _sections(tree: Any, above: str = '') -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield sections, which may be nested by namespace: names with a leading slash, and values."""
     for name, below in tree.items() if isinstance(tree, dict) else ():
         if name == PARAMETERS:
-            yield above
+            yield above, below if isinstance(below, dict) else {}
         else:
             yield from _sections(below, f'{above}/{str(name).strip("/")}')
 

@@ -34,7 +34,9 @@ def _disturbed(
 ) -> Outcome:
     """Return how soon the planner is safe ``wait`` [s] after the clock is tampered with."""
     at = onsets.set_in(stand, onset, begin)
-    stand.spin(wait + (1 + AFTER) * STEP)
+    stand.spin(wait + STEP)
+    stand.spin_until_safe(at)
+    stand.spin(AFTER * STEP)
     unsafe = stand.watch.broken(at)
     reaction = onsets.reaction(stand.watch.first_safe(at), at + wait)
     return Outcome(f'{case}, {onset}', unsafe, reaction)
@@ -45,7 +47,7 @@ def _frozen(lab: Lab, long: bool) -> Iterator[Outcome]:
         stand = _stand(lab, onset)
         stand.draw.seed(seed)
         outcome = _disturbed(stand, 'frozen', onset, stand.freeze, STALE)
-        moving = stand.watch.moving_again(stand.frozen_at, stand.frozen_at + STALE + STEP)
+        moving = stand.watch.moving_again(stand.frozen_at + STALE, stand.frozen_at + STALE + STEP)
         stand.thaw()
         outcome = replace(outcome, unsafe=outcome.unsafe + moving)
         yield onsets.recovered(stand, outcome)

@@ -39,9 +39,9 @@ class Ears:
         self._executor.add_node(self.node)
 
     def listen(
-        self, kind: Any, topic: str, heard: Callable[[Any], None], profile: QoSProfile | None = None
+        self, kind: Any, topic: str, heard: Callable[..., None], profile: QoSProfile | None = None
     ) -> Any:
-        """Call back with every message of a topic."""
+        """Call back with every message of a topic and, if there is room, what DDS knows of it."""
         return self.node.create_subscription(kind, topic, heard, profile or qos(KEPT))
 
     def hear(self, seconds: float) -> None:

@@ -19,6 +19,7 @@ from orbimpc_ros.tool.trials.outcome import Outcome, Trial
 from orbimpc_ros.tool.trials.stand import PATIENCE, RATE, STEP, Stand
 
 FAREWELLS = 3  # safe commands at the end
+LOOKED_AT = 3  # steps of a vehicle that should stand still
 LEAVE = 5.0  # [s] in which a process must have ended
 
 
@@ -46,13 +47,18 @@ def _ended(stand: Stand, number: int, case: str) -> Outcome:
     stand.spin_until_gone(PATIENCE)
     code = stand.planner.wait(0.0)
     took = time.monotonic() - begin
-    stand.spin(0.2)
-    last = stand.watch.commands[-FAREWELLS:]
-    farewell = len(last) == FAREWELLS and all(each.safe for each in last)
+    stand.spin(PATIENCE, lambda: _farewell(stand))
+    farewell = _farewell(stand)
     failure = '' if code == 0 else f'exit code {code}'
     if not farewell:
         failure = f'{failure} no {FAREWELLS} safe commands at the end'.strip()
     return Outcome(case, stand.watch.broken(), took, failure)
+
+
+def _farewell(stand: Stand) -> bool:
+    """Return whether the last commands that have arrived are safe ones."""
+    last = stand.watch.commands[-FAREWELLS:]
+    return len(last) == FAREWELLS and all(each.safe for each in last)
 
 
 def _exceptions(lab: Lab, long: bool) -> Iterator[Outcome]:
@@ -86,7 +92,8 @@ def _killed(lab: Lab, long: bool) -> Iterator[Outcome]:
             flying.spin(flying.draw.uniform(0.5, 1.5))
             begin = time.monotonic()
             flying.planner.tell(signal.SIGKILL)
-            flying.spin(max(1.0, 2.5 * step))
+            flying.spin(PATIENCE, lambda f=flying, b=begin: f.latched(b) < math.inf)
+            flying.spin_steps(LOOKED_AT)
             told = flying.latched(begin) - begin
             failure = '' if flying.still else 'the vehicle moves on'
             yield Outcome(f'killed {number + 1}', flying.watch.broken(), told, failure)

@@ -88,6 +88,11 @@ class Flying:
         """Listen for a while, or until ``done``."""
         self._ears.hear_until(time.monotonic() + seconds, done)
 
+    def spin_steps(self, count: int) -> None:
+        """Listen until the simulator has shown so many steps more."""
+        enough = len(self._poses) + count
+        self.spin(PATIENCE, lambda: len(self._poses) >= enough)
+
     def until_moving(self) -> None:
         """Listen until the vehicle flies.
 

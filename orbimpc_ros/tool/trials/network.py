@@ -41,7 +41,7 @@ def _mismatch(lab: Lab, long: bool) -> Iterator[Outcome]:
         wrong = stand.node.create_subscription(
             TwistStamped, 'cmd_vel', lambda _message: None, latched, event_callbacks=quiet
         )
-        stand.spin(TOLD + MEET)
+        stand.spin_until_error(begin)
         told = stand.watch.first_error(begin) - begin
         stand.node.destroy_subscription(wrong)
         yield onsets.recovered(stand, Outcome('latched cmd_vel', stand.watch.broken(begin), told))
@@ -54,9 +54,11 @@ def _two_sources(lab: Lab, long: bool) -> Iterator[Outcome]:
             stand = onsets.stand_for(lab, onset)
             stand.draw.seed(seed)
             begin = onsets.set_in(stand, onset, stand.add_source)
-            stand.spin(MEET + (1 + AFTER) * STEP)
+            stand.spin(MEET + STEP)
+            stand.spin_until_safe(begin)
+            stand.spin(AFTER * STEP)
             reaction = onsets.reaction(stand.watch.first_safe(begin), begin)
-            again = stand.watch.moving_again(begin, begin + MEET + STEP)
+            again = stand.watch.moving_again(begin + MEET, begin + MEET + STEP)
             unsafe = stand.watch.broken(begin) + again
             stand.remove_source()
             yield onsets.recovered(stand, Outcome(f'another, {onset}', unsafe, reaction))

@@ -11,6 +11,7 @@ from orbimpc_ros.tool.trials.feed import Spoiled
 from orbimpc_ros.tool.trials.lab import Lab
 from orbimpc_ros.tool.trials.outcome import Outcome
 from orbimpc_ros.tool.trials.stand import STEP, Stand
+from orbimpc_ros.tool.trials.watch import Watch
 
 START, MIDWAY, SOLVING = 'start', 'mid-run', 'during a solve'
 ONSETS = (START, MIDWAY, SOLVING)
@@ -73,15 +74,24 @@ def spoiling(stand: Stand, spoiled: Spoiled, onset: str, expected: Expected) -> 
         return _from_the_start(stand, spoiled, expected)
     begin = set_in(stand, onset, lambda: setattr(stand, 'spoiled', spoiled))
     due = begin + expected.wait
-    end = due + expected.allowed * STEP
-    stand.spin(end + AFTER * STEP - time.monotonic())
-    unsafe = stand.watch.broken(begin)
+    stand.spin(due + expected.allowed * STEP - time.monotonic())
     if expected.strict:
-        unsafe += stand.watch.moving_again(begin, end)
+        stand.spin_until_safe(begin)
+    stand.spin(AFTER * STEP)
+    unsafe = unsafe_commands(stand.watch, begin, expected)
     outcome = Outcome(
         f'{spoiled.name}, {onset}', unsafe, reaction(stand.watch.first_safe(begin), due)
     )
     return recovered(stand, outcome)
+
+
+def unsafe_commands(watch: Watch, begin: float, expected: Expected) -> int:
+    """Return how many commands should not have been sent since a fault began [s]."""
+    unsafe = watch.broken(begin)
+    if expected.strict:
+        due = begin + expected.wait
+        unsafe += watch.moving_again(due, due + expected.allowed * STEP)
+    return unsafe
 
 
 def reaction(safe: float, due: float) -> float:

@@ -19,7 +19,7 @@ from orbimpc_ros.tool.trials.feed import Spoiled
 from orbimpc_ros.tool.trials.lab import Lab
 from orbimpc_ros.tool.trials.onsets import AFTER, SLOW
 from orbimpc_ros.tool.trials.outcome import Outcome, Trial
-from orbimpc_ros.tool.trials.stand import RATE, STEP, Stand
+from orbimpc_ros.tool.trials.stand import STEP, Stand
 
 WALLED_IN = [-50.0, -50.0, 50.0, 50.0]  # everywhere is inside of this box
 ELSEWHERE = [10.0, 10.0, 11.0, 11.0]  # a box off the circle
@@ -59,7 +59,8 @@ def _infeasible(lab: Lab, long: bool) -> Iterator[Outcome]:
         stand.draw.seed(seed)
         begin = onsets.set_in(stand, onset, partial(set_live, stand, obstacles=WALLED_IN))
         stand.spin((LADDER + 1 + AFTER) * STEP)
-        again = stand.watch.moving_again(begin, begin + (LADDER + 1) * STEP)
+        ladder = begin + LADDER * STEP
+        again = stand.watch.moving_again(ladder, ladder + STEP)
         unsafe = stand.watch.broken(begin) + again
         reaction = onsets.reaction(stand.watch.first_safe(begin), begin)
         told = any(tick.at >= begin and SAFE in tick.values['fallback']
@@ -113,7 +114,7 @@ def _leaps(lab: Lab, long: bool) -> Iterator[Outcome]:
             stand.draw.seed(f'{distance} {seed}')
             spoiled = Spoiled(f'goal leaps {distance:g} m', goal=_leaping(distance))
             begin = onsets.set_in(stand, onset, partial(setattr, stand, 'spoiled', spoiled))
-            stand.spin(1.0 + 2.0 / RATE)
+            stand.spin_until_complaint(begin, 'goal')
             told = stand.watch.first_complaint(begin, 'goal')
             reaction = max(0.0, told - begin) / STEP
             outcome = Outcome(f'{spoiled.name}, {onset}', stand.watch.broken(begin), reaction)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import random
 import time
@@ -149,6 +150,18 @@ class Stand:
     def until_heard(self) -> None:
         """Feed a planner until it says anything."""
         self.until(lambda: bool(self.watch.health), 'its diagnostics')
+
+    def spin_until_safe(self, since: float) -> None:
+        """Feed a planner until it has sent a safe command since a time [s], or in vain."""
+        self.spin(PATIENCE, lambda: self.watch.first_safe(since) < math.inf)
+
+    def spin_until_error(self, since: float) -> None:
+        """Feed a planner until it has told of an error since a time [s], or in vain."""
+        self.spin(PATIENCE, lambda: self.watch.first_error(since) < math.inf)
+
+    def spin_until_complaint(self, since: float, word: str) -> None:
+        """Feed a planner until it has complained of a word since a time [s], or in vain."""
+        self.spin(PATIENCE, lambda: self.watch.first_complaint(since, word) < math.inf)
 
     def spin_until_gone(self, seconds: float) -> None:
         """Feed a planner until it has ended, ``seconds`` at most."""

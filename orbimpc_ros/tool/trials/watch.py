@@ -1,11 +1,11 @@
-"""The watch: every command that is heard, judged by what it says and by when it came."""
+"""The watch: every command that is heard, judged by what it says and by when it was sent."""
 
 from __future__ import annotations
 
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -14,12 +14,13 @@ from geometry_msgs.msg import TwistStamped
 
 from orbimpc_ros.ros.reports import ERROR, OK
 
+About = Mapping[str, int]  # what DDS knows of a message: when it was sent, of the system's clock
 SLACK = 1e-6  # relative, on limits
 STILL = 1e-9  # [m/s], [rad/s]: nothing moves
 
 
 class Heard(NamedTuple):
-    """A command: when it came [s], forward speed [m/s], turn rates [rad/s]."""
+    """A command: when it was sent [s], forward speed [m/s], turn rates [rad/s]."""
 
     at: float
     speed: float
@@ -32,7 +33,7 @@ class Heard(NamedTuple):
 
 
 class Told(NamedTuple):
-    """A diagnostic status: when it came [s], of whom, how bad, in words, and its values."""
+    """A diagnostic status: when it was sent [s], of whom, how bad, in words, and its values."""
 
     at: float
     name: str
@@ -67,10 +68,13 @@ class Limits:
 class Watch:
     """Hears everything that a planner says.
 
+    Times are of the monotonic clock, of when a message was sent: how long it lay with a judge who
+    was held up says nothing about the planner.
+
     Attributes:
         limits: of commands.
         commands: heard so far.
-        ticks: reports heard on ``tick``, as when they came and what they say.
+        ticks: reports heard on ``tick``, as when they were sent and what they say.
         health: diagnostics heard.
     """
 
@@ -79,19 +83,19 @@ class Watch:
     ticks: list[Told] = field(default_factory=list)
     health: list[Told] = field(default_factory=list)
 
-    def on_command(self, message: TwistStamped) -> None:
+    def on_command(self, message: TwistStamped, about: About) -> None:
         """Take down a command."""
         turn = message.twist.angular
         rates = (turn.x, turn.y, turn.z)
-        self.commands.append(Heard(time.monotonic(), message.twist.linear.x, rates))
+        self.commands.append(Heard(_sent(about), message.twist.linear.x, rates))
 
-    def on_tick(self, message: DiagnosticArray) -> None:
+    def on_tick(self, message: DiagnosticArray, about: About) -> None:
         """Take down the report of a tick."""
-        self.ticks += _told(message)
+        self.ticks += _told(message, about)
 
-    def on_health(self, message: DiagnosticArray) -> None:
+    def on_health(self, message: DiagnosticArray, about: About) -> None:
         """Take down diagnostics."""
-        self.health += _told(message)
+        self.health += _told(message, about)
 
     def broken(self, since: float = -math.inf) -> int:
         """Return how many commands are not finite or beyond a limit."""
@@ -102,12 +106,18 @@ class Watch:
         return sum(since < each.at <= until and not each.safe for each in self.commands)
 
     def moving_again(self, since: float, due: float) -> int:
-        """Return how many commands are not safe though one was, or, if none was, are overdue."""
+        """Return how many commands are not safe though one was, or, if none was, are overdue.
+
+        Args:
+            since: when what came in before the fault is out of date [s]. Until then a planner that
+                is safe for another reason, as on a busy machine, may go on with it.
+            due: when a safe command must have come [s].
+        """
         safe = self.first_safe(since)
         return self.moving(safe if safe < math.inf else due)
 
     def first_safe(self, since: float) -> float:
-        """Return when the first safe command came [s]; infinite if none has."""
+        """Return when the first safe command was sent [s]; infinite if none has."""
         return _first(self.commands, lambda each: each.at >= since and each.safe)
 
     def planned_since(self, since: float) -> bool:
@@ -134,10 +144,15 @@ class Watch:
         return float(json.loads(said))
 
 
-def _told(message: DiagnosticArray) -> list[Told]:
-    now = time.monotonic()
+def _sent(about: About) -> float:
+    """Return when a message was sent, on the monotonic clock [s]."""
+    return time.monotonic() - 1e-9 * (time.time_ns() - about['source_timestamp'])
+
+
+def _told(message: DiagnosticArray, about: About) -> list[Told]:
+    sent = _sent(about)
     return [
-        Told(now, each.name, each.level, each.message, {v.key: v.value for v in each.values})
+        Told(sent, each.name, each.level, each.message, {v.key: v.value for v in each.values})
         for each in message.status
     ]
 
