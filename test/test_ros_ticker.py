@@ -13,11 +13,11 @@ from orbimpc_ros.mpc.command import flaw
 from orbimpc_ros.mpc.floors.faces import normals
 from orbimpc_ros.mpc.problem import Floor, Problem, largest_fraction
 from orbimpc_ros.mpc.rotations import exp
+from orbimpc_ros.mpc.safety import CIRCLE_STEPS, safe_command
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.arrival import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.planner_parameters import PLANNER, planner_settings
-from orbimpc_ros.ros.safety import CIRCLE_STEPS, safe_command
 from orbimpc_ros.ros.ticker import Ticker, prepared
 from orbimpc_ros.world.vehicle import Model, launched
 
@@ -124,10 +124,11 @@ def test_stamps_of_another_clock_say_nothing_of_the_delay():
 
 
 def poison(monkeypatch, **changes):
-    """Let commands be made with a flaw."""
+    """Let commands be made with a flaw that the controller's own check has missed."""
     honest = controllers.command_of
     made = lambda *arguments: replace(honest(*arguments), **changes)  # noqa: E731
     monkeypatch.setattr(controllers, 'command_of', made)
+    monkeypatch.setattr(controllers, 'command_violations', lambda *_: [])
 
 
 def test_a_command_with_a_flaw_is_not_sent(monkeypatch):

@@ -173,4 +173,3 @@ def _settings(tolerance: float) -> clarabel.DefaultSettings:
     settings.reduced_tol_gap_abs = REDUCED
     settings.reduced_tol_gap_rel = REDUCED
     return settings
-

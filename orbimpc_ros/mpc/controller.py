@@ -9,12 +9,13 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import command_violations, violations
-from orbimpc_ros.mpc.command import Command, command_of, stop
+from orbimpc_ros.mpc.command import Command, command_of
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.odometry import Odometry, odd_speed, state_of
 from orbimpc_ros.mpc.plan import FAILED, FEASIBLE, INFEASIBLE, OPTIMAL, Plan, shifted
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.reach import pulled_in
+from orbimpc_ros.mpc.safety import safe_command
 from orbimpc_ros.mpc.solver import Solver
 
 FALLBACK_TICKS = 2  # how long the shifted previous plan may stand in for a new one
@@ -80,6 +81,7 @@ class Controller:
         shrinking: whether the horizon shrinks by a step at every tick (a fixed arrival time)
             instead of receding.
         gap_tolerance: relative gap within which a plan counts as proved optimal.
+        safe: kind of safe command, see :func:`orbimpc_ros.mpc.safety.safe_command`.
     """
 
     def __init__(
@@ -89,8 +91,9 @@ class Controller:
         projection: str = 'thrust_aligned',
         shrinking: bool = False,
         gap_tolerance: float = 1e-4,
+        safe: str = 'auto',
     ) -> None:
-        self.problem = problem
+        self.problem, self._safe_kind = problem, safe
         self._projection, self._shrinking, self._tolerance = projection, shrinking, gap_tolerance
         self._solvers: dict[tuple[int, bool], Solver] = {}
         self._solver(problem.horizon)
@@ -134,7 +137,7 @@ class Controller:
         """
         state = state_of(self.problem, odometry, self._thrust_fraction)
         if self.remaining == 0:
-            return self._finish(_safe(state, FEASIBLE, 'the horizon has run out'))
+            return self._finish(self._safe(state, FEASIBLE, 'the horizon has run out'))
         goals, told = pulled_in(self.problem, state, goals)
         asked = self._asked(state, goals, out_of_time)
         self._goals = goals
@@ -144,7 +147,7 @@ class Controller:
             return self._finish(self._fall_back(asked, status, reason))
         self._fallbacks, self._planned = 0, plan.horizon
         self._arriving = True
-        return self._finish(_following(asked, plan, status, reason))
+        return self._finish(self._following(asked, plan, status, reason))
 
     def _asked(
         self, state: State, goals: Array, out_of_time: Callable[[], bool] | None = None
@@ -163,7 +166,7 @@ class Controller:
         """
         state = state_of(self.problem, odometry, self._thrust_fraction)
         if self._goals is None or self.remaining == 0:
-            return self._finish(_safe(state, FAILED, reason))
+            return self._finish(self._safe(state, FAILED, reason))
         self._goals = np.concatenate([self._goals[1:], self._goals[-1:]])[: self.remaining]
         asked = self._asked(state, self._goals)
         return self._finish(self._fall_back(asked, FAILED, reason))
@@ -174,23 +177,39 @@ class Controller:
         if self._fallbacks < min(FALLBACK_TICKS + 1, self._planned):
             guess = asked.guess or self._shifted(asked)
             if guess and not violations(asked.problem, asked.state, asked.goals, guess):
-                return _following(asked, guess, status, reason, 'shifted plan')
+                return self._following(asked, guess, status, reason, 'shifted plan')
         if self._arriving and asked.problem.terminal == 'constraint' and status == INFEASIBLE:
             return self._arrive_softly(asked, reason)
-        return _safe(asked.state, status, reason)
+        return self._safe(asked.state, status, reason)
 
     def _arrive_softly(self, asked: _Asked, reason: str) -> Tick:
         eased = replace(asked, solver=self._solver(self.remaining, soft=True), guess=None)
         plan, _, _ = _solved(eased)
         if plan is None:
-            return _safe(asked.state, INFEASIBLE, reason)
+            return self._safe(asked.state, INFEASIBLE, reason)
         miss = float(np.linalg.norm(plan.positions[-1] - asked.goals[-1]))
         problem = asked.problem
         if miss > problem.step**problem.translation_order * problem.forward:
             told = f'{reason}; the nearest plan misses by {miss:.3g} m'
-            return _safe(asked.state, INFEASIBLE, told)
+            return self._safe(asked.state, INFEASIBLE, told)
         told = f'{reason}; the plan misses by {miss:.3g} m'
-        return _following(eased, plan, INFEASIBLE, told, 'soft arrival')
+        return self._following(eased, plan, INFEASIBLE, told, 'soft arrival')
+
+    def _following(
+        self, asked: _Asked, plan: Plan, status: str, reason: str, fallback: str = ''
+    ) -> Tick:
+        """Return the tick that follows a checked plan, if the command made of it is the plan's."""
+        command = command_of(asked.problem, asked.state, plan)
+        wrong = command_violations(asked.problem, plan, command)
+        if wrong:
+            return self._safe(asked.state, FAILED, '; '.join(wrong))
+        known = asked.problem, asked.goals
+        return Tick(status, reason, asked.state, plan, command, fallback, *known)
+
+    def _safe(self, state: State, status: str, reason: str) -> Tick:
+        last = self._thrust_fraction
+        command = safe_command(self._safe_kind, self.problem, state.attitude, last)
+        return Tick(status, reason, state, None, command, 'safe command')
 
     def _finish(self, tick: Tick) -> Tick:
         self._previous = tick.plan
@@ -231,16 +250,3 @@ def _solved(asked: _Asked) -> tuple[Plan | None, str, str]:
         return plan, OPTIMAL, ''
     unproved = f'not proved optimal: gap {plan.gap:.2g}'
     return plan, plan.status, '; '.join(filter(None, (unproved, plan.proof.reason)))
-
-
-def _following(asked: _Asked, plan: Plan, status: str, reason: str, fallback: str = '') -> Tick:
-    """Return the tick that follows a checked plan, if its command turns out to be the plan's."""
-    command = command_of(asked.problem, asked.state, plan)
-    wrong = command_violations(asked.problem, plan, command)
-    if wrong:
-        return _safe(asked.state, FAILED, '; '.join(wrong))
-    return Tick(status, reason, asked.state, plan, command, fallback, asked.problem, asked.goals)
-
-
-def _safe(state: State, status: str, reason: str) -> Tick:
-    return Tick(status, reason, state, None, stop(state.attitude), 'safe command')

@@ -20,10 +20,10 @@ from orbimpc_ros.mpc.problem import (
     Problem,
     Weights,
 )
+from orbimpc_ros.mpc.safety import SAFE_COMMANDS, decided, may_stop
 from orbimpc_ros.ros.messages import Frames
 from orbimpc_ros.ros.parameter import FAR, SOON, TINY, Row, Values, vehicle_rows
 
-SAFE_COMMANDS = ('auto', 'stop', 'hold_rate_zero', 'loiter')
 PROJECTIONS = ('nearest', 'thrust_aligned')
 
 PLANNER: tuple[Row, ...] = (
@@ -131,7 +131,7 @@ class PlannerSettings:
     @property
     def stopping(self) -> bool:
         """Return whether the safe command is meant to go below the floor: to stop, or to coast."""
-        return self.safe_command == 'stop' or self.problem.translation_order == 2
+        return may_stop(self.safe_command, self.problem)
 
 
 def planner_settings(values: Values) -> PlannerSettings:
@@ -147,8 +147,9 @@ def planner_settings(values: Values) -> PlannerSettings:
         raise BadInput('deadline', values['deadline'], f'at most half a step, {0.5 * step:g} s')
     if values['safe_command'] == 'loiter' and values['translation_order'] == 2:
         raise BadInput('safe_command', 'loiter', 'stop | hold_rate_zero at translation_order 2')
+    problem = _problem(values)
     return PlannerSettings(
-        problem=_problem(values),
+        problem=problem,
         mass=values['mass'],
         shrinking=values['horizon_mode'] == 'shrinking',
         projection=values['projection'],
@@ -162,7 +163,7 @@ def planner_settings(values: Values) -> PlannerSettings:
         future_tolerance=values['future_tolerance'],
         goal_jump_limit=values['goal_jump_limit'],
         delay_compensation=values['delay_compensation'],
-        safe_command=_safe_command(values),
+        safe_command=decided(values['safe_command'], problem),
         deadline=values['deadline'] or 0.5 * step,
         gap_tolerance=values['gap_tolerance'],
         frames=Frames(values['frame_id'], values['child_frame_id']),
@@ -174,14 +175,6 @@ def _ageing(timeout: float, prediction: str) -> Ageing:
         return Ageing.ALL if timeout > 0.0 else Ageing.NONE
     # A forecast that moves on from the last goal for ever would lead anywhere.
     return Ageing.STREAMED if prediction == 'hold' else Ageing.ALL
-
-
-def _safe_command(values: Values) -> str:
-    if values['safe_command'] != 'auto':
-        return str(values['safe_command'])
-    # What has a minimum speed, such as a wing, must not be stopped unless that is asked for.
-    floored = values['floor.shape'] != 'none' and values['translation_order'] == 1
-    return 'loiter' if floored else 'stop'
 
 
 def _problem(values: Values) -> Problem:

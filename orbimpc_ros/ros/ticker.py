@@ -14,12 +14,12 @@ from orbimpc_ros.mpc.controller import Controller, Tick
 from orbimpc_ros.mpc.delay import Leg, Sent, advanced
 from orbimpc_ros.mpc.odometry import Odometry
 from orbimpc_ros.mpc.plan import Plan
+from orbimpc_ros.mpc.safety import safe_command
 from orbimpc_ros.ros.arrival import UNKNOWN, Arrival, RosTime
 from orbimpc_ros.ros.inbox import Inbox
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.planner_parameters import PlannerSettings
 from orbimpc_ros.ros.reports import Report, report_of, safe_report
-from orbimpc_ros.ros.safety import safe_command
 from orbimpc_ros.ros.timing import Timing
 
 
@@ -30,6 +30,7 @@ def prepared(settings: PlannerSettings) -> tuple[PlannerSettings, Controller]:
         projection=settings.projection,
         shrinking=settings.shrinking,
         gap_tolerance=settings.gap_tolerance,
+        safe=settings.safe_command,
     )
     return settings, controller
 
@@ -117,8 +118,7 @@ class Ticker:
             goal_stamps=self.inbox.goal_stamps,
             goal_counts=dict(self.inbox.goal_counts),
         )
-        command = self._safe_command() if tick.plan is None else tick.command
-        return self._checked(Answer(command, report, tick))
+        return self._checked(Answer(tick.command, report, tick))
 
     def safe(self, reason: str) -> Answer:
         """Return the safe answer."""

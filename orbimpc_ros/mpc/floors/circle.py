@@ -196,7 +196,15 @@ class Circle:
         progress.numbers[BOUND] = found.lower_bound - tick.constant
         tolerance = (SETTLED if more else 1.0) * self._tolerance
         while not improve(
-            self._annulus, tick.q, tick.left, tick.constant, starts, more, tolerance, progress, SLICE
+            self._annulus,
+            tick.q,
+            tick.left,
+            tick.constant,
+            starts,
+            more,
+            tolerance,
+            progress,
+            SLICE,
         ):
             if tick.late:
                 break

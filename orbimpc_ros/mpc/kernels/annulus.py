@@ -548,7 +548,9 @@ def _descend(annulus, q, left, z, side, counts, numbers, longest, work):
         if met > 0:
             _set_pull(annulus, z, side, gradient, nu)
         residual = _set_multipliers(annulus, z, side, gradient, nu, mu)
-        settled = residual <= RESIDUAL * scale and off <= ARRIVED * (1.0 + np.abs(annulus.arrival).max())
+        settled = residual <= RESIDUAL * scale and off <= ARRIVED * (
+            1.0 + np.abs(annulus.arrival).max()
+        )
         if not stuck or settled:
             if _release(side, mu, annulus.floor, max(RESIDUAL * scale, 10.0 * residual)):
                 settled = False
@@ -583,7 +585,10 @@ def _begin(z, side, starts, start, floor):
             turn = (start + 1.0) * (k + 1.0)
             height = np.cos(OTHER_ANGLE * turn) if z.shape[1] == 3 else 0.0
             flat = np.sqrt(1.0 - height * height)
-            z[k, 0], z[k, 1] = flat * np.cos(GOLDEN_ANGLE * turn), flat * np.sin(GOLDEN_ANGLE * turn)
+            z[k, 0], z[k, 1] = (
+                flat * np.cos(GOLDEN_ANGLE * turn),
+                flat * np.sin(GOLDEN_ANGLE * turn),
+            )
             if z.shape[1] == 3:
                 z[k, 2] = height
     _place(z, side, floor)

@@ -1,4 +1,4 @@
-"""The safe command: what the vehicle is told when there is no plan to follow."""
+"""The safe command, in force while there is no plan to follow."""
 
 from __future__ import annotations
 
@@ -11,20 +11,40 @@ from orbimpc_ros.mpc.command import Command, stop
 from orbimpc_ros.mpc.problem import Problem, largest_fraction
 from orbimpc_ros.mpc.rotations import exp
 
+SAFE_COMMANDS = ('auto', 'stop', 'hold_rate_zero', 'loiter')
 CIRCLE_STEPS = 16  # a loitering vehicle closes its circle in so many steps
+
+
+def decided(kind: str, problem: Problem) -> str:
+    """Return the kind of safe command that ``auto`` stands for, and any other kind as it is.
+
+    A vehicle with a minimum speed circles. A minimum thrust does not make it circle: stopping the
+    engine is then what coasting is.
+    """
+    if kind != 'auto':
+        return kind
+    floored = problem.floor.shape != 'none' and problem.translation_order == 1
+    return 'loiter' if floored else 'stop'
+
+
+def may_stop(kind: str, problem: Problem) -> bool:
+    """Return whether the safe command may be below the floor: as it was asked for, or coasts."""
+    return decided(kind, problem) == 'stop' or problem.translation_order == 2
 
 
 def safe_command(kind: str, problem: Problem, attitude: Array, fraction: float) -> Command:
     """Return a safe command.
 
     Args:
-        kind: ``stop``: no speed or thrust, no turning; ``hold_rate_zero``: the present speed, yet
+        kind: ``auto``: as :func:`decided`; ``stop``: no speed or thrust, no turning;
+            ``hold_rate_zero``: the present speed, yet
             at least the floor, no turning (with thrust, at translation order 2, that is to
             coast); ``loiter``: a level circle at the least speed, or at full speed without a floor.
         problem: gives floor and limits.
         attitude: the present one, shape (n, n).
         fraction: share of full speed commanded last, in [0, 1].
     """
+    kind = decided(kind, problem)
     if kind == 'stop':
         return stop(attitude)
     rate = np.zeros(1 if problem.dimension == 2 else 3)
