@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
-from orbimpc_ros.mpc.orbitopes import coordinates
+from orbimpc_ros.mpc.orbitopes import coordinates, matrix
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.rotations import project_all
+from orbimpc_ros.mpc.rotations import project_all, turned_onto
 from orbimpc_ros.mpc.trajectory import trajectory_of
 
 OPTIMAL, FEASIBLE, INFEASIBLE, FAILED = 'optimal', 'feasible', 'infeasible', 'failed'
@@ -169,8 +169,10 @@ def shifted(
     return assemble(problem, state, goals, moved, projection=projection, proof=UNPROVED)
 
 
-def holding(problem: Problem, state: State, goals: Array, *, projection: str) -> Iterator[Plan]:
-    """Yield the plans to hold the present rotation: at the present speed, and as slow as may be.
+def unsought(problem: Problem, state: State, goals: Array, *, projection: str) -> Iterator[Plan]:
+    """Yield the plans that take no search: to go straight on, and straight to the goal.
+
+    Straight on at the present speed, as slowly as the floor allows, and at full speed.
 
     Args:
         problem: what is to be solved.
@@ -178,19 +180,35 @@ def holding(problem: Problem, state: State, goals: Array, *, projection: str) ->
         goals: g_1..g_N, shape (N, n) [m].
         projection: ``nearest`` or ``thrust_aligned``.
     """
-    for rotation in _held_rotations(problem, state):
-        x = np.tile(coordinates(rotation), (problem.horizon, 1))
+    for rotations in _straight(problem, state, goals):
+        x = coordinates(rotations)
         yield assemble(problem, state, goals, x, projection=projection, proof=UNPROVED)
 
 
-def _held_rotations(problem: Problem, state: State) -> Iterator[Array]:
+def _straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
+    """Yield R_1..R_N, shape (N, n, n)."""
     ahead = state.attitude
-    if problem.rotation_order == 2:
-        if state.coasted is None:
-            yield state.rotation + problem.step * state.rotation_rate
-            return
+    if problem.rotation_order == 2 and state.coasted is not None:
         ahead = state.coasted
-    least = problem.floor.least(ahead[:, 0])
-    present = float(np.linalg.norm(state.rotation[:, 0]))
-    for fraction in dict.fromkeys((max(present, least), least)):
-        yield fraction * ahead
+    if problem.rotation_order == 2 and state.coasted is None:
+        firsts = [state.rotation + problem.step * state.rotation_rate]  # as the state decides
+    else:
+        least = problem.floor.least(ahead[:, 0])
+        present = float(np.linalg.norm(state.rotation[:, 0]))
+        firsts = [share * ahead for share in dict.fromkeys((max(present, least), least, 1.0))]
+    for first in firsts:
+        yield np.tile(first, (problem.horizon, 1, 1))
+    towards = goals[-1] - state.position
+    distance = float(np.linalg.norm(towards))
+    if distance > 0.0:
+        there = np.tile(_heading(ahead, towards / distance), (problem.horizon, 1, 1))
+        if problem.rotation_order == 2:
+            there[0] = firsts[-1]
+        yield there
+
+
+def _heading(attitude: Array, axis: Array) -> Array:
+    """Return the rotation whose first column is a unit axis, shape (n,), turned from another."""
+    if len(axis) == 2:
+        return matrix(axis)
+    return turned_onto(attitude, axis)

@@ -53,6 +53,7 @@ class Program:
         self._tolerance = tolerance
         self._heaviest = float(position_weights(problem).max())
         self._scale = 1.0
+        self._solver: Any = None
         self._compile()
 
     def bind(self, state: State, goals: Array) -> None:
@@ -172,7 +173,7 @@ class Program:
         if scale != self._scale:
             self._solver.update(P=self._p_0 / scale)
             self._scale = scale
-        self._q = self._q_0 / scale
+        self._q: Array = self._q_0 / scale
         self._q[self._moved] += pull.ravel() / scale
 
     def _compile(self) -> None:
@@ -183,10 +184,10 @@ class Program:
         self._data = data
         self._locate(data, slot_rows)
         self._solver = solver_for(data, self._tolerance)
-        self._p = sparse.csc_matrix(data['P'])
-        self._p_0 = sparse.csc_matrix(sparse.triu(data['P'])).data
+        self._p: Any = sparse.csc_matrix(data['P'])
+        self._p_0: Array = sparse.csc_matrix(sparse.triu(data['P'])).data
         self._certifier = Certifier(data)
-        self._q_0 = np.array(data['c'])
+        self._q_0: Array = np.array(data['c'])
 
     def _locate(self, data: dict[str, Any], slot_rows: np.ndarray) -> None:
         """Find where rotations, positions, slots and the coasted rotation sit in the data."""

@@ -15,7 +15,7 @@ from orbimpc_ros.mpc.feasibility import reason
 from orbimpc_ros.mpc.hull import Hull
 from orbimpc_ros.mpc.method import Found, Guess, Method
 from orbimpc_ros.mpc.orbitopes import coordinates
-from orbimpc_ros.mpc.plan import OPTIMAL, UNPROVED, Plan, Proof, assemble, holding
+from orbimpc_ros.mpc.plan import OPTIMAL, UNPROVED, Plan, Proof, assemble, unsought
 from orbimpc_ros.mpc.planar import Planar
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.units import Units
@@ -58,7 +58,7 @@ class Solver:
         """Return the best plan found, checked, with its proof.
 
         Where the method fails, or the plan it proposes does not pass the check, the guess and the
-        plans to hold the present rotation stand in for it, as far as they pass.
+        plans to go straight on or straight to the goal stand in for it, as far as they pass.
 
         Args:
             state: where the plan starts; its dimension is the problem's.
@@ -166,7 +166,7 @@ class Solver:
         self, state: State, goals: Array, guess: Plan | None, proof: Proof
     ) -> Iterator[Plan]:
         """Yield the plans that cost no search and pass the check, held against a proof."""
-        made = holding(self.problem, state, goals, projection=self._projection)
+        made = unsought(self.problem, state, goals, projection=self._projection)
         if guess is not None and guess.horizon == self.problem.horizon:
             x = coordinates(guess.rotations[1:])  # from this state, whatever it was made for
             made = itertools.chain([self._assembled(state, goals, x, UNPROVED)], made)
