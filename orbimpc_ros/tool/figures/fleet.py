@@ -61,7 +61,16 @@ def _draw_name(axes: Axes, name: str, path: np.ndarray, history: History) -> Non
     x, y = (middle - path[0]) / np.linalg.norm(middle - path[0])
     place = middle + reach * np.array([x, y])
     side = 'center' if abs(x) < 0.3 else 'left' if x > 0 else 'right'
-    axes.text(*place, name, ha=side, va='center', zorder=9, fontsize=8.5, path_effects=halo())
+    axes.text(
+        float(place[0]),
+        float(place[1]),
+        name,
+        ha=side,
+        va='center',
+        zorder=9,
+        fontsize=8.5,
+        path_effects=halo(),
+    )
     axes.update_datalim([place, place + np.sign(x) * np.array([BESIDE, 0.0])])  # texts have none
 
 
