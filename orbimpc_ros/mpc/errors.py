@@ -43,13 +43,13 @@ class BadInput(OrbimpcError, ValueError):
             known: names that there are.
             where: the file or option that has it.
         """
-        names = list(known)
+        names, name = list(dict.fromkeys(known)), ' '.join(name.split())[:80]
         close = difflib.get_close_matches(name, names, n=3, cutoff=0.6)
         meant = ' or '.join(repr(each) for each in close)
         hint = f'did you mean {meant}?' if close else f'known: {", ".join(names)}'
         error = cls(name, f'no {kind}', hint)
         before = f'{where}: ' if where else ''
-        error.args = (f'{before}unknown {kind} {name[:80]!r}; {hint}',)
+        error.args = (f'{before}unknown {kind} {name!r}; {hint}',)
         return error
 
 
