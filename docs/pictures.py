@@ -6,6 +6,7 @@ Everything in them is computed by the package, from fixed seeds.
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,6 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from orbimpc_ros.mpc.binding import explained
 from orbimpc_ros.mpc.controller import Controller
-from orbimpc_ros.mpc.floors.annulus import Annulus
 from orbimpc_ros.mpc.floors.faces import normals
 from orbimpc_ros.mpc.forecast import Hold
 from orbimpc_ros.mpc.plan import Plan
@@ -25,22 +25,19 @@ from orbimpc_ros.mpc.solver import Solver
 from orbimpc_ros.tool.style import (
     BLUE,
     FAINT,
-    GREEN,
     INK,
     ORANGE,
     RED,
     SKY,
     halo,
-    look,
+    in_both_looks,
     paper,
-    save,
 )
 from orbimpc_ros.world.flight import departure, planned
 from orbimpc_ros.world.scenario import retrieval, retrieval_problem
 
 FOLDER = Path(__file__).parent / 'pictures'
 FRACTION = np.sqrt(0.3)  # the paper's det R > 0.3
-STARTS = 400
 AROUND = np.linspace(0.0, 2.0 * np.pi, 400)
 
 
@@ -129,12 +126,17 @@ def draw_floor(axes: Axes, shape: str) -> None:
     problem = Problem(floor=Floor(shape, 4, float(FRACTION)))
     plan = solved(problem)
     axes.add_patch(Circle((0.0, 0.0), 1.0, color=SKY, alpha=0.3, lw=0))
-    axes.plot(np.cos(AROUND), np.sin(AROUND), color=BLUE, lw=1.6)
+    rim = np.column_stack([np.cos(AROUND), np.sin(AROUND)])
+    axes.plot(*rim.T, color=BLUE, lw=1.6)
+    drawn = [rim]
     if shape == 'circle':
+        drawn.append(FRACTION * rim)
         axes.add_patch(Circle((0.0, 0.0), FRACTION, fc=paper(), ec=RED, lw=1.6))
     if shape == 'polygon':
         corners = FRACTION * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
         axes.add_patch(Polygon(corners, fc=paper(), ec=RED, lw=1.6))
+        drawn += [along([*corners, corners[0]]), along([[0.75, 0.0], [-0.75, 0.0]])]
+        drawn.append(drawn[-1][:, ::-1])  # the arrows
         for normal in normals(2, 4):
             axes.annotate(
                 '', 1.3 * FRACTION * normal, FRACTION * normal,
@@ -144,69 +146,40 @@ def draw_floor(axes: Axes, shape: str) -> None:
     axes.plot(*headings.T, '-', color=INK, lw=1.0)
     axes.plot(*headings[1:].T, 'o', color=ORANGE, mec=INK, ms=6)
     axes.plot(*headings[0], 'o', color=paper(), mec=INK, ms=6)
-    near = np.linalg.norm(headings[:, None] - headings, axis=2) < 0.08
-    for first in {int(np.argmax(each)) for each in near}:
-        steps = ', '.join(str(k) for k in np.flatnonzero(near[first]))
-        axes.annotate(steps, headings[first], xytext=(5, 5), textcoords='offset points', fontsize=8)
+    number_steps(axes, headings, np.concatenate([*drawn, along(headings)]))
     slowest = plan.speed_fraction[1:].min()
     name = {'none': 'no floor', 'polygon': 'polygon', 'circle': 'circle'}[shape]
     frame(axes, f'{name}: slowest {slowest:.2f}, cost {plan.objective:.2f}', 1.15)
 
 
-# --- the lift
-
-
-def lift() -> Figure:
-    """Return the lifting of a floor on the line, and what it proves about local optima."""
-    figure = Figure(figsize=(9.0, 3.8), layout='constrained')
-    line, optima = figure.subplots(1, 2)
-    draw_parabola(line)
-    draw_local_optima(optima)
-    return figure
-
-
-def draw_parabola(axes: Axes) -> None:
-    """Draw z against Z = |z|^2: the floor is a straight line up there, and the optimum tight."""
-    z = np.linspace(-1.0, 1.0, 400)
-    inside = np.abs(z) <= FRACTION
-    top = np.ones_like(z)
-    axes.fill_between(z, np.maximum(z**2, FRACTION**2), top, color=SKY, alpha=0.3, lw=0)
-    axes.plot(z, z**2, color=FAINT, lw=1.4)
-    for part in (z < -FRACTION, z > FRACTION):
-        axes.plot(z[part], z[part] ** 2, color=BLUE, lw=2.6)
-    axes.plot(z[inside], np.full(inside.sum(), FRACTION**2), color=RED, lw=1.6)
-    best = np.array([FRACTION, FRACTION**2])
-    tilt = 0.55  # between the floor's slope, 0, and the parabola's
-    axes.plot(z, best[1] + tilt * (z - best[0]), color=ORANGE, lw=1.2, ls='--')
-    axes.plot(*best, 'o', color=ORANGE, mec=INK, ms=8)
-    say(
-        axes,
-        'the cost is linear up here;\nits optimum lies on the parabola',
-        (0.0, 0.7),
-        ha='center',
+def along(corners) -> np.ndarray:
+    """Return points along the straight lines from corner to corner."""
+    share = np.linspace(0.0, 1.0, 50)[:, None]
+    return np.concatenate(
+        [(1 - share) * np.array(a) + share * np.array(b) for a, b in pairwise(corners)]
     )
-    say(axes, r'$Z \geq \sigma^2$', (-0.28, FRACTION**2 - 0.07), color=RED)
-    say(axes, r'$Z = |z|^2$', (0.72, 0.36), color=BLUE)
-    axes.set(xlim=(-1.05, 1.05), ylim=(-0.05, 1.1), xlabel='z', ylabel='Z')
-    axes.set_title('A floor on the line, lifted')
 
 
-def draw_local_optima(axes: Axes) -> None:
-    """Draw the costs at which local searches from random starts end, and the proved bound."""
-    problem = Problem(floor=Floor('circle', fraction=1.0))
-    annulus, rng = Annulus(problem), np.random.default_rng(0)
-    annulus.bind(*passing())
-    starts = rng.normal(size=(STARTS, 5, 2))
-    found = [point for point in map(annulus.stationary, starts) if point is not None]
-    costs = np.array([point.cost for point in found])
-    bound = max(point.lower_bound for point in found)
-    axes.hist(costs, bins=40, color=BLUE, alpha=0.7)
-    axes.axvline(bound, color=GREEN, lw=2.0)
-    axes.set(xlabel='cost', ylabel=f'of {len(found)} local searches')
-    share = np.mean(costs < bound + 1e-6)
-    say(axes, f'  proved: nothing is cheaper;\n  {share:.0%} end here', (bound, 0.97),
-        color=GREEN, va='top', transform=axes.get_xaxis_transform())  # fmt: skip
-    axes.set_title('Constant speed: where local searches end')
+def number_steps(axes: Axes, headings: np.ndarray, drawn: np.ndarray) -> None:
+    """Write the number of each step beside it, where least is in the way.
+
+    Args:
+        axes: to write into.
+        headings: of the steps, shape (N + 1, 2).
+        drawn: points on what the numbers must not touch, shape (K, 2).
+    """
+    near = np.linalg.norm(headings[:, None] - headings, axis=2) < 0.08
+    for first in {int(np.argmax(each)) for each in near}:
+        text = ', '.join(map(str, np.flatnonzero(near[first])))
+        half = 0.033 * len(text)
+        round_it = np.column_stack([(0.09 + half) * np.cos(AROUND), 0.13 * np.sin(AROUND)])
+        ends = np.array([[-half, 0.0], [0.0, 0.0], [half, 0.0]])
+        places = headings[first] + round_it[:, None] + ends
+        room = np.linalg.norm(places[:, :, None] - drawn, axis=3).min(axis=(1, 2))
+        room[np.abs(places).max(axis=(1, 2)) > 1.1] = 0.0  # beyond the picture
+        best = places[int(np.argmax(room))]
+        drawn = np.concatenate([drawn, best])
+        say(axes, text, best[1], ha='center', fontsize=8)
 
 
 # --- the price
@@ -253,6 +226,7 @@ def draw_prices(axes: Axes) -> None:
     axes.bar(ticks, slow, bottom=fast, color=RED, label='floor: slower would be better')
     axes.set(xlabel='tick of the retrieval', ylabel='price per unit of speed fraction')
     axes.set_title('What binds on the way to the rope')
+    axes.set_ylim(top=1.1 * (fast + slow).max())
     axes.legend()
 
 
@@ -278,7 +252,6 @@ def frame(axes: Axes, title: str, half: float) -> None:
 PICTURES: dict[str, Callable[[], Figure]] = {
     'hull': hull,
     'floor': floor,
-    'lift': lift,
     'price': price,
 }
 
@@ -287,9 +260,7 @@ def main(folder: Path = FOLDER) -> None:
     """Draw every picture in both looks."""
     folder.mkdir(exist_ok=True)
     for name, draw in PICTURES.items():
-        for dark in (False, True):
-            with look(dark):
-                save(draw(), folder / f'{name}{"-dark" if dark else ""}.png', dark)
+        in_both_looks(lambda _dark, draw=draw: draw(), folder / f'{name}.png')
 
 
 if __name__ == '__main__':

@@ -4,12 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from orbimpc_ros.tool import figures, settings
 from orbimpc_ros.tool.arrivals import column, planned_at_start, table, title
 from orbimpc_ros.tool.figures.dubins import determinant
+from orbimpc_ros.tool.figures.fleet import fleet
 from orbimpc_ros.tool.figures.moments import PANELS, chosen_ticks
+from orbimpc_ros.tool.fleet import resolve
 from orbimpc_ros.tool.history import History, Planned
+from orbimpc_ros.tool.measure.duel import OURS
+from orbimpc_ros.tool.measure.picture import side_by_side
+from orbimpc_ros.tool.measure.rows import LATE, Row
 from orbimpc_ros.tool.share import config
 
 
@@ -125,3 +131,44 @@ def test_errors_at_arrival_are_told_for_every_way_of_flying():
     assert len({len(line.split('   ')) > 1 for line in text}) == 1
     assert text[-1].endswith('-')
     assert planned_at_start(flown.values).horizon == 20
+
+
+def cut(figure):
+    """Return the texts in a picture's panels that are not wholly inside."""
+    FigureCanvasAgg(figure).draw()
+    return [
+        text.get_text()
+        for axes in figure.axes
+        for text in axes.texts
+        if not all(axes.bbox.contains(*at) for at in text.get_window_extent().corners())
+    ]
+
+
+@pytest.mark.parametrize('count', [2, 4, 8])
+def test_every_vehicle_of_a_fleet_has_its_name_in_the_picture(count):
+    values, own = resolve(count, [])
+    flown = {}
+    for name, each in own.items():
+        caught = 0.85 * np.array(each['rope.center'])  # on the near side of the swing
+        way, ropes = np.linspace(each['start.position'], caught, 30), np.tile(caught, (30, 1))
+        flown[name] = replace(run('fleet', way), values=values | each, ropes=ropes)
+    figure = fleet(flown)
+    names = {text.get_text() for text in figure.axes[0].texts}
+    assert {name.strip('/') for name in own} <= names
+    assert not cut(figure)
+
+
+def test_times_side_by_side_say_whose_they_are_and_where_they_were_cut_off():
+    rows = [
+        Row('hull', OURS, 9, p50_ms=0.1, p99_ms=0.2, ratio_p50=1.0),
+        Row('hull', 'SCIP', 9, p50_ms=6e4, p99_ms=6e4, ratio_p50=720.0, capped=9),
+        Row('hull', 'Gurobi', 9, p50_ms=10.0, p99_ms=20.0, ratio_p50=100.0),
+        Row(f'planners: {LATE}', OURS, 9, p50_ms=4.0, p99_ms=9.0, objective=0.0),
+    ]
+    figure = side_by_side(rows)
+    axes = figure.axes[0]
+    assert {text.get_text() for text in axes.texts} == {'> 720 x', '100 x'}
+    names = [text.get_text() for text in axes.get_yticklabels()]
+    assert names == [f'planners: {OURS}', 'hull: Gurobi', 'hull: SCIP', f'hull: {OURS}']
+    assert len(labels(figure)) == 2
+    assert not cut(figure)

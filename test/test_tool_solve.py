@@ -181,7 +181,7 @@ def assert_one_line(result, culprit):
     assert err.count('\n') == 1
     assert err.endswith('\n')
     assert culprit in err
-    assert 'allowed' in err
+    assert '; ' in err  # what to do about it
 
 
 @pytest.mark.parametrize(('changes', 'culprit'), BAD.values(), ids=BAD)
@@ -305,3 +305,25 @@ def test_output_that_the_disk_does_not_take_is_a_failure_in_one_line(tmp_path):
         done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert done.returncode == cli.FAILED
     assert done.stderr == 'orbimpc: output: No space left on device\n'
+
+
+@pytest.mark.parametrize(
+    ('problem', 'complaint'),
+    [
+        (
+            case() | {'horizn': 10},
+            "orbimpc: unknown case field 'horizn'; did you mean 'horizon'?\n",
+        ),
+        (case(step=...), 'orbimpc: case field step: missing; all of dimension, rotation_order,'),
+    ],
+)
+def test_where_nothing_is_a_value_the_message_says_what_to_do(solve, problem, complaint):
+    code, _, err = solve(problem)
+    assert code == 2
+    assert err.startswith(complaint)
+
+
+def test_a_file_that_is_not_there_is_named_with_the_reason(capsys):
+    assert cli.main(['solve', 'nofile.json']) == 2
+    complaint = 'nofile.json: No such file or directory; a readable file is needed'
+    assert capsys.readouterr().err == f'orbimpc: {complaint}\n'

@@ -112,10 +112,11 @@ def _fields(
         raise BadInput(culprit, value, f'a mapping of {", ".join(allowed)}')
     for name in value:
         if name not in allowed:
-            raise BadInput(f'{culprit} field', str(name), f'one of {", ".join(allowed)}')
+            raise BadInput.unknown(f'{culprit} field', str(name), allowed)
     for name in needed:
         if name not in value:
-            raise BadInput(f'{culprit} field {name}', 'missing', f'all of {", ".join(needed)}')
+            needs = f'all of {", ".join(needed)} are needed'
+            raise BadInput.stating(f'{culprit} field {name}', 'missing', needs)
     return value
 
 

@@ -1,5 +1,10 @@
 """What can go wrong, in one family: each error says what, where and what is allowed."""
 
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
 
 class OrbimpcError(Exception):
     """Base class of every error this package raises on purpose."""
@@ -20,6 +25,32 @@ class BadInput(OrbimpcError, ValueError):
         if len(shown) > 80:
             shown = shown[:77] + '...'
         super().__init__(f'{culprit} is {" ".join(shown.split())}; allowed: {allowed}')
+
+    @classmethod
+    def stating(cls, subject: str, problem: str, hint: str) -> BadInput:
+        """Return an error where nothing is a value: ``subject: problem; hint``."""
+        error = cls(subject, problem, hint)
+        error.args = (f'{subject}: {problem}; {hint}',)
+        return error
+
+    @classmethod
+    def unknown(cls, kind: str, name: str, known: Iterable[str], where: str = '') -> BadInput:
+        """Return the error of a name that there is not, with those that it may stand for.
+
+        Args:
+            kind: what it would name, such as ``parameter``.
+            name: as it came.
+            known: names that there are.
+            where: the file or option that has it.
+        """
+        names, name = list(dict.fromkeys(known)), ' '.join(name.split())[:80]
+        close = difflib.get_close_matches(name, names, n=3, cutoff=0.6)
+        meant = ' or '.join(repr(each) for each in close)
+        hint = f'did you mean {meant}?' if close else f'known: {", ".join(names)}'
+        error = cls(name, f'no {kind}', hint)
+        before = f'{where}: ' if where else ''
+        error.args = (f'{before}unknown {kind} {name!r}; {hint}',)
+        return error
 
 
 class Infeasible(OrbimpcError):

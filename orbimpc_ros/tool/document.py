@@ -117,7 +117,8 @@ def _text(source: str) -> str:
                 raw = _capped(stream, source)
         return raw.decode()
     except OSError as error:
-        raise BadInput(source, error.strerror or str(error), 'a readable file') from None
+        problem = error.strerror or str(error)
+        raise BadInput.stating(source, problem, 'a readable file is needed') from None
     except UnicodeDecodeError:
         raise BadInput(source, 'not UTF-8', 'UTF-8 text') from None
 

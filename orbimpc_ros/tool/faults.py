@@ -43,8 +43,8 @@ def run(args: argparse.Namespace) -> int:
     """Try every row, print the table; 1 if a command was unsafe or a reaction late."""
     _require_folder(args.json)
     if find_spec('rclpy') is None:
-        wanted = "ROS 2 Jazzy, or pip install 'orbimpc_ros[ros]'"
-        raise BadInput('orbimpc faults', 'without rclpy', wanted)
+        hint = "install ROS 2, or pip install 'orbimpc_ros[ros]'"
+        raise BadInput.stating('orbimpc faults', 'rclpy is missing', hint)
     if args.soak is not None:
         from orbimpc_ros.tool.trials.soak import soaked
 

@@ -53,7 +53,8 @@ def _told(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise BadInput(str(path), error.strerror or str(error), 'a readable file') from None
+        problem = error.strerror or str(error)
+        raise BadInput.stating(str(path), problem, 'a readable file is needed') from None
     except ValueError as error:  # such as a null byte in its name
         raise BadInput(ascii(str(path)), str(error), REGULAR) from None
 
@@ -90,7 +91,8 @@ def listed(folder: Path) -> list[Path]:
     try:
         found = sorted(islice(folder.iterdir(), MAX_ENTRIES + 1))
     except OSError as error:
-        raise BadInput(str(folder), error.strerror or str(error), 'a readable folder') from None
+        problem = error.strerror or str(error)
+        raise BadInput.stating(str(folder), problem, 'a readable folder is needed') from None
     if len(found) > MAX_ENTRIES:
         raise BadInput(str(folder), 'too full', f'at most {MAX_ENTRIES} files')
     return found

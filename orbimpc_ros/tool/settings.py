@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -122,7 +121,7 @@ def _completed(content: Any, name: str, namespace: str = '') -> Values:
         elif given in OF_ROS:
             values[given] = value
         elif not given.startswith('qos_overrides.'):
-            raise BadInput(f'{name}: {given}', value, f'a parameter, {_like(given)}')
+            raise BadInput.unknown('parameter', given, ROWS, name)
     return values
 
 
@@ -147,14 +146,8 @@ def _change(given: str) -> tuple[str, Any]:
     if not equals:
         raise BadInput('--set', given, 'name=value')
     if name not in ROWS:
-        raise BadInput('--set', name, f'a parameter, {_like(name)}')
+        raise BadInput.unknown('parameter', name, ROWS, '--set')
     return name, _typed(ROWS[name], document.parse(word, f'--set {name}'))
-
-
-def _like(name: str) -> str:
-    """Return in words which parameters have names like this one."""
-    close = difflib.get_close_matches(name, ROWS, n=3, cutoff=0.4) or list(ROWS)
-    return f'such as {", ".join(close)}'
 
 
 def _typed(row: Row, value: Any) -> Any:

@@ -6,6 +6,7 @@ is. So what draws a figure need not know on what it will be seen.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -83,6 +84,19 @@ def save(figure: Figure, file: Path, dark: bool = False) -> None:
     how: Any = {'dpi': DOTS_PER_INCH, 'format': 'png', 'metadata': {'Software': MAKER}}
     with look(dark):  # some ticks are only made now
         write_whole(file, lambda new: figure.savefig(new, **how))
+
+
+def in_both_looks(draw: Callable[[bool], Figure], file: Path) -> None:
+    """Write a picture for print, and beside it, ``name-dark.png``, one for dark pages.
+
+    Args:
+        draw: makes the figure in the look that is set, and is told whether that is dark.
+        file: for print.
+    """
+    for dark in (False, True):
+        with look(dark):
+            figure = draw(dark)
+        save(figure, file.with_stem(f'{file.stem}-dark') if dark else file, dark)
 
 
 def paper() -> str:

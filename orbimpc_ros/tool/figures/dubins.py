@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -82,7 +83,8 @@ def _finish_determinants(axes: Axes, flown: list[History]) -> None:
             floor = history.values['floor.fraction'] ** 2
             axes.axhspan(0.0, floor, color=RED, alpha=0.10, lw=0)
             axes.axhline(floor, color=RED, lw=1.0, ls=':')
-            axes.text(0.2, floor - 0.02, f'minimum {floor:.2g}', color=RED, va='top')
+            where: Any = {'ha': 'right', 'va': 'top', 'transform': axes.get_yaxis_transform()}
+            axes.text(0.99, floor - 0.02, f'minimum {floor:.2g}', color=RED, **where)
     axes.set(xlabel='time [s]', ylabel='det R', title='Determinant det R = (share of full speed)²')
     axes.set_ylim(0.0, 1.05)
     axes.xaxis.set_major_locator(whole_seconds())

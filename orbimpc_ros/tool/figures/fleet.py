@@ -10,9 +10,10 @@ from matplotlib.figure import Figure
 
 from orbimpc_ros.tool.figures.scene import draw_headings, draw_swing, flown_path, star
 from orbimpc_ros.tool.history import History
-from orbimpc_ros.tool.style import GREEN, INK, RED, headline
+from orbimpc_ros.tool.style import GREEN, INK, RED, halo, headline
 
 EVERY = 5  # ticks from one arrow to the next
+BESIDE = 0.6  # [m] from the swing to the name
 
 
 def fleet(flown: Mapping[str, History]) -> Figure:
@@ -47,20 +48,30 @@ def draw_member(axes: Axes, name: str, history: History) -> None:
     path = flown_path(history)[:, :2]
     axes.plot(*path.T, color=INK, lw=1.2, zorder=4, label='flown paths, headings')
     draw_headings(axes, path[:-1:EVERY], history.headings[:-1:EVERY, :2], width=0.003)
-    axes.annotate(
-        name.strip('/'), _beyond(path, history), ha='center', va='center', zorder=9, fontsize=8.5
-    )
+    _draw_name(axes, name.strip('/'), path, history)
     if history.capture is not None:
         x, y, _ = map(float, history.capture.rope)
         star(axes, x, y, 'rope when caught')
 
 
-def _beyond(path: np.ndarray, history: History) -> tuple[float, float]:
-    """Return a place for a name: outwards of the rope's swing."""
+def _draw_name(axes: Axes, name: str, path: np.ndarray, history: History) -> None:
+    """Write a vehicle's name beyond the swing of its rope, as seen from where it started."""
     middle = np.array(history.values['rope.center'][:2])
-    away = middle - path[0]
-    x, y = middle + 1.3 * away / np.linalg.norm(away)
-    return float(x), float(y)
+    reach = np.linalg.norm(history.values['rope.amplitude'][:2]) + BESIDE
+    x, y = (middle - path[0]) / np.linalg.norm(middle - path[0])
+    place = middle + reach * np.array([x, y])
+    side = 'center' if abs(x) < 0.3 else 'left' if x > 0 else 'right'
+    axes.text(
+        float(place[0]),
+        float(place[1]),
+        name,
+        ha=side,
+        va='center',
+        zorder=9,
+        fontsize=8.5,
+        path_effects=halo(),
+    )
+    axes.update_datalim([place, place + np.sign(x) * np.array([BESIDE, 0.0])])  # texts have none
 
 
 def draw_distance(axes: Axes, history: History) -> None:

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.tool.figures.scene import (
     arrival_tick,
     draw_headings,
@@ -32,7 +33,7 @@ def moments(history: History) -> Figure:
         draw_moment(axes, history, tick)
     for axes in panels.flat[len(chosen) :]:
         axes.set_axis_off()
-    low, high = end_box(history)
+    low, high = _box(history, chosen)
     panels[0, 0].set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     for axes in panels[-1]:
         axes.set_xlabel('x [m]')
@@ -41,6 +42,18 @@ def moments(history: History) -> Figure:
     figure.legend(*_legend(panels.flat), loc='outside lower center', ncols=7)
     headline(figure, story(history))
     return figure
+
+
+def _box(history: History, chosen: list[int]) -> tuple[Array, Array]:
+    """Return corners around what is flown at the end and around the plans of the moments."""
+    low, high = end_box(history)
+    planned = {each.time: each.points[:, :2] for each in history.plans}
+    shown = [planned[time] for time in history.times[chosen] if time in planned]
+    points = np.concatenate([[low, high], *shown])
+    beside = 0.03 * (high - low)
+    return np.minimum(low, points.min(axis=0) - beside), np.maximum(
+        high, points.max(axis=0) + beside
+    )
 
 
 def chosen_ticks(history: History) -> list[int]:

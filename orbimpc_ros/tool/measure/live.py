@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from orbimpc_ros.tool.measure.duel import OURS, percentiles
 from orbimpc_ros.tool.measure.fleet import Planner, running
-from orbimpc_ros.tool.measure.rows import Row
+from orbimpc_ros.tool.measure.rows import LATE, Row
 
 if TYPE_CHECKING:
     from orbimpc_ros.tool.measure.driver import Driver
@@ -125,6 +125,6 @@ def fleet(count: int, seconds: float) -> list[Row]:
     times = [1e3 * t.latency for t in ticks]
     late = sum(not latency <= 1e3 / SLOW for latency in times)
     p50, p99 = percentiles([t for t in times if t < float('inf')])
-    title = f'{AT_ONCE}, {count} at once: ticks late by over a period'
+    title = f'{AT_ONCE}, {count} at once: {LATE}'
     required = {'objective': 0.0} if count == PLANNERS[-1] else None
     return [Row(title, OURS, len(times), p50, p99, objective=float(late), required=required)]

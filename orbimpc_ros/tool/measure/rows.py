@@ -11,7 +11,8 @@ import numpy as np
 
 from orbimpc_ros.tool.measure.duel import OURS, Samples, differences, percentiles
 
-OWN = ('note', 'beaten', 'failed')  # fields that the file does not have
+OWN = ('note', 'beaten', 'failed', 'capped')  # fields that the file does not have
+LATE = 'ticks late by over a period'  # what rows of many planners count, besides their times
 HULLS = 'SE(2) hull N='  # how the problems begin whose time is looked at over N
 SAME = 1e-4  # relative: objectives closer than this agree
 
@@ -34,6 +35,7 @@ class Row:
         required: limits by field: ratios at least, everything else at most.
         note: for the table alone.
         beaten: whether it found a trajectory that costs less than ours.
+        capped: solves that ran into their time limit: its times and ratios are at least these.
         failed: whether the measurement itself, or our own solver, broke off.
     """
 
@@ -50,6 +52,7 @@ class Row:
     note: str = ''
     beaten: bool = False
     failed: bool = False
+    capped: int = 0
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields of the file, with None for NaN."""
@@ -61,6 +64,11 @@ class Row:
     def measured(self) -> bool:
         """Return whether there is anything to judge."""
         return self.n > 0
+
+    @property
+    def rival(self) -> bool:
+        """Return whether somebody else was timed on the same problem as we."""
+        return self.contender != OURS and not math.isnan(self.ratio_p50)
 
     @property
     def missed(self) -> list[str]:
@@ -105,6 +113,7 @@ def _row(
         note=_note(theirs, ours),
         beaten=bool((differences(theirs, ours) < -SAME).any()),
         failed=broken,
+        capped=sum(answer.capped for answer in answers),
     )
 
 

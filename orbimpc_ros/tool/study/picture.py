@@ -13,7 +13,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.tool.study.design import Study
 from orbimpc_ros.tool.study.pilots import ORBITOPE
 from orbimpc_ros.tool.study.score import Score, rate_over, versus
-from orbimpc_ros.tool.style import BLUE, FAINT, GREEN, INK, ORANGE, RED, headline, look, save
+from orbimpc_ros.tool.style import BLUE, FAINT, GREEN, INK, ORANGE, RED, headline, in_both_looks
 
 Scores = dict[str, Score]
 # Colour, line and marker, so that print in grey tells them apart as well.
@@ -26,7 +26,7 @@ LOOKS = {
 
 
 def draw(study: Study, found: Scores, frequency: Array, file: Path) -> None:
-    """Draw a study and write a PNG.
+    """Draw a study and write a PNG, and one for dark pages beside it.
 
     Args:
         study: what was studied.
@@ -34,15 +34,19 @@ def draw(study: Study, found: Scores, frequency: Array, file: Path) -> None:
         frequency: of the rope in each run, shape (runs,) [Hz].
         file: to write.
     """
-    with look():
-        figure = Figure(figsize=(10.0, 6.6), layout='constrained')
-        panels = figure.subplots(2, 2)
-        _draw_times(panels[0, 0], found)
-        _draw_rates(panels[0, 1], found, frequency)
-        _draw_costs(panels[1, 0], found)
-        _draw_duels(panels[1, 1], found)
-        headline(figure, f'{study.runs} ropes, forecast {study.forecast}')
-        save(figure, file)
+    in_both_looks(lambda _dark: of_study(study, found, frequency), file)
+
+
+def of_study(study: Study, found: Scores, frequency: Array) -> Figure:
+    """Return the picture of a study; see :func:`draw`."""
+    figure = Figure(figsize=(10.0, 6.6), layout='constrained')
+    panels = figure.subplots(2, 2)
+    _draw_times(panels[0, 0], found)
+    _draw_rates(panels[0, 1], found, frequency)
+    _draw_costs(panels[1, 0], found)
+    _draw_duels(panels[1, 1], found)
+    headline(figure, f'{study.runs} ropes, forecast {study.forecast}')
+    return figure
 
 
 def _draw_times(axes: Axes, found: Scores) -> None:
@@ -79,19 +83,16 @@ def _draw_costs(axes: Axes, found: Scores) -> None:
         half, most = np.quantile(score.tick_ms, [0.5, 0.99])
         axes.plot([half, most], [place, place], color=color, lw=2.0, solid_capstyle='butt')
         axes.plot([half], [place], color=color, marker=marker, ms=7)
-        axes.annotate(
-            f'{half:.2g} ms, 99 % below {most:.2g} ms',
-            (half, place),
-            xytext=(0, 8),
-            textcoords='offset points',
-            color=INK,
-            fontsize=8.0,
-        )
-    axes.set(title='Cost of a tick, the forecast apart', xlabel='processor time [ms]', xscale='log')
+        # Above its line and inside the panel, wherever on the axis the line is.
+        middle = axes.get_yaxis_transform()
+        text = f'{name}: {half:.2g} ms, 99 % below {most:.2g} ms'
+        axes.text(0.02, place + 0.28, text, transform=middle, color=INK, fontsize=8.0)
+    title = 'Time per tick, excluding the forecast'
+    axes.set(title=title, xlabel='processor time [ms]', xscale='log')
     axes.xaxis.set_major_formatter('{x:g}')
-    axes.set_xmargin(0.25)
-    axes.set_yticks(range(len(found)), list(found)[::-1])
-    axes.set_ylim(-0.5, len(found) - 0.3)
+    axes.set_xmargin(0.1)
+    axes.set_yticks([])
+    axes.set_ylim(-0.4, len(found) - 0.4)
     axes.grid(visible=False, axis='y')
 
 
@@ -108,8 +109,8 @@ def _draw_duels(axes: Axes, found: Scores) -> None:
     for share, word, color in zip(shares.T, words, (BLUE, FAINT, ORANGE), strict=True):
         bars = axes.barh(range(len(rivals)), share, left=begin, color=color, label=word)
         labels = [f'{each:.0%}' if each >= 0.06 else '' for each in share]
-        dark = 'white' if color == BLUE else INK
-        axes.bar_label(bars, labels, label_type='center', color=dark, fontsize=8.5)
+        inside = 'white' if color == BLUE else INK
+        axes.bar_label(bars, labels, label_type='center', color=inside, fontsize=8.5)
         begin = begin + share
     axes.set_yticks(range(len(rivals)), [f'than {score.name}' for score in rivals[::-1]])
     axes.set(xlim=(0.0, 1.0), ylim=(-0.6, len(rivals) - 0.1), xlabel='share of ropes')

@@ -39,9 +39,8 @@ def require_installed(controllers: Sequence[str]) -> None:
     needed = (*NEEDED, 'casadi') if NONLINEAR in controllers else NEEDED
     missing = [module for module in needed if not _imports(module)]
     if missing:
-        raise BadInput(
-            'orbimpc study', f'without {", ".join(missing)}', "pip install 'orbimpc_ros[study]'"
-        )
+        problem = f'{", ".join(missing)} {"is" if len(missing) == 1 else "are"} missing'
+        raise BadInput.stating('orbimpc study', problem, "pip install 'orbimpc_ros[study]'")
 
 
 def _imports(module: str) -> bool:

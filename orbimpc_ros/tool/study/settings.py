@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -134,8 +133,7 @@ def setting_named(name: str) -> Setting:
         BadInput: there is none of that name.
     """
     if name not in BY_NAME:
-        close = difflib.get_close_matches(name, BY_NAME, n=3, cutoff=0.4) or list(BY_NAME)
-        raise BadInput('--set', name, f'a setting, such as {", ".join(close)}')
+        raise BadInput.unknown('setting', name, BY_NAME, '--set')
     return BY_NAME[name]
 
 

@@ -47,7 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Show a bag, or what is running, until somebody asks to stop."""
     if not installed():
-        raise BadInput('orbimpc view', 'without rerun-sdk', "pip install 'orbimpc_ros[view]'")
+        hint = "pip install 'orbimpc_ros[view]'"
+        raise BadInput.stating('orbimpc view', 'rerun-sdk is missing', hint)
     from orbimpc_ros.tool.processes import Interruptions
 
     with Interruptions() as interruptions:

@@ -1,0 +1,57 @@
+"""Flies the demos and draws the pictures of their flights, light and dark: python docs/flights.py.
+
+Names of demos as arguments draw only these. The obstacles are flown by a bag of the tests.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from orbimpc_ros.ros.fleet import vehicles
+from orbimpc_ros.tool import cli, figures, history
+from orbimpc_ros.tool.figures.fleet import fleet
+from orbimpc_ros.tool.history import History
+from orbimpc_ros.tool.style import in_both_looks
+
+DOCS = Path(__file__).resolve().parent
+GOLDEN = DOCS.parent / 'test' / 'golden'
+FLEET = 8  # vehicles
+DEMOS = ('retrieval', 'dubins', 'spacecraft', 'fleet')
+
+
+def drawn(flown: Mapping[str, History]) -> Callable[[bool], Figure]:
+    """Return what draws the paper's figure of flights, for dark pages or not."""
+    return lambda dark: figures.of_runs(flown, dark)[figures.TRAJECTORY]
+
+
+def fly(name: str, folder: Path) -> None:
+    """Fly a demo and draw it."""
+    words = ['--vehicles', str(FLEET)] if name == 'fleet' else []
+    if cli.main(['demo', name, '--out', str(folder), *words]):
+        sys.exit(f'{name}: the demo has failed')
+    place = folder / name
+    if name == 'fleet':
+        flown = {each: history.of_bag(place / 'bag', each) for each in vehicles(FLEET, 0)}
+        in_both_looks(lambda _dark: fleet(flown), DOCS / 'pictures' / 'fleet.png')
+        return
+    bags = sorted(place.glob('**/bag'))
+    flown = {bag.parent.name if len(bags) > 1 else '': history.of_bag(bag) for bag in bags}
+    in_both_looks(drawn(flown), DOCS / f'{name}.png')
+
+
+def main(names: list[str]) -> None:
+    """Draw every flight, or those of some demos."""
+    for name in names or DEMOS:
+        with tempfile.TemporaryDirectory() as folder:
+            fly(name, Path(folder))
+    flown = {'': history.of_bag(GOLDEN / 'obstacles')}
+    in_both_looks(drawn(flown), DOCS / 'obstacles.png')
+
+
+if __name__ == '__main__':
+    main(sys.argv[1:])
