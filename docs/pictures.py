@@ -16,7 +16,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from orbimpc_ros.mpc.binding import explained
 from orbimpc_ros.mpc.controller import Controller
-from orbimpc_ros.mpc.floors.annulus import Annulus
+from orbimpc_ros.mpc.floors import circle
 from orbimpc_ros.mpc.floors.faces import normals
 from orbimpc_ros.mpc.forecast import Hold
 from orbimpc_ros.mpc.plan import Plan
@@ -194,10 +194,9 @@ def draw_parabola(axes: Axes) -> None:
 def draw_local_optima(axes: Axes) -> None:
     """Draw the costs at which local searches from random starts end, and the proved bound."""
     problem = Problem(floor=Floor('circle', fraction=1.0))
-    annulus, rng = Annulus(problem), np.random.default_rng(0)
-    annulus.bind(*passing())
+    method, rng = circle.Circle(problem, 1e-6), np.random.default_rng(0)
     starts = rng.normal(size=(STARTS, 5, 2))
-    found = [point for point in map(annulus.stationary, starts) if point is not None]
+    found = [method.local(*passing(), start) for start in starts]
     costs = np.array([point.cost for point in found])
     bound = max(point.lower_bound for point in found)
     axes.hist(costs, bins=40, color=BLUE, alpha=0.7)

@@ -117,9 +117,8 @@ def test_a_certificate_is_a_zero_gap_and_its_absence_is_a_real_one(fraction):
     certified = local = 0
     for _ in range(40):
         start, targets = state(rng, problem), goals(rng, problem, distance=0.5)
-        tick = tick_of(circle, start, targets)
-        starts = [random_start(rng, 5, fraction)[None] for _ in range(6)]
-        points = [circle._from(tick, NOTHING, each) for each in starts]
+        starts = [random_start(rng, 5, fraction) for _ in range(6)]
+        points = [circle.local(start, targets, each) for each in starts]
         best = min(p.cost for p in points)
         bound = max(p.lower_bound for p in points)
         for point in points:
@@ -149,7 +148,7 @@ def test_slow_starts_converge_and_are_proved(change):
     reach = problem.forward * 2.0
     for _ in range(10):
         start = state(rng, problem)
-        targets = np.tile(start.position + [reach, 0.0], (problem.horizon, 1))
+        targets = start.position + np.tile([reach, 0.0], (problem.horizon, 1))
         found = circle.solve(start, targets)
         assert circle.settles(found)
         best = best_descent(rng, problem, start, targets)

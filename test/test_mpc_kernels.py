@@ -250,11 +250,11 @@ def test_a_search_over_arcs_ends_in_time(monkeypatch):
     problem = Problem(floor=floor('circle', 1.0))
     circle = Circle(problem, 1e-6)
     start, targets, _, doubtful = doubtful_case(problem, circle)
-    left = iter(range(20))
+    left = iter(range(2))
     tick = tick_of(circle, start, targets, lambda: next(left, None) is None)
     found = circle._by_arcs(tick, doubtful)
     assert doubtful.lower_bound <= found.lower_bound <= found.cost <= doubtful.cost
-    assert not circle.settles(found)
+    assert circle._arcs.nodes < 5
 
 
 def test_arcs_and_their_halves_cover_the_floor():

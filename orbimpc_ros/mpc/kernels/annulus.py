@@ -13,7 +13,7 @@ a (:func:`_bound`). Points are sought by Newton's method on the manifold of the 
 sit on, its steps damped until the matrix is positive definite and the step short (Levenberg,
 Marquardt), and shortened until an exact penalty function descends.
 
-Where floor and l vanish, the problem is the hull's, and convex: its optimum is a start, and a bound.
+Where floor and l vanish, the problem is the hull's, and convex: its optimum is a start and a bound.
 """
 
 from __future__ import annotations
@@ -533,25 +533,37 @@ def _bound(annulus, q, left, z, side, mu, nu):
 
 @compiled
 def _descend(annulus, q, left, z, side, counts, numbers, longest, work):
-    """Take z towards a stationary point; return whether it got there, a bound, and the work left.
+    """Take z towards a stationary point, on from where it is.
 
-    Where it did not, the work has run out, or the steps: ``counts[STEPS]`` tells.
+    Args:
+        annulus: what to minimise over.
+        q: linear terms, shape (N, n).
+        left: b, shape (n,), or (0,) without an arrival.
+        z: headings, shape (N, n), updated in place.
+        side: the bounds they sit on, shape (N,), updated in place.
+        counts: of Progress; its steps become ``ITERATIONS`` when there is nothing more to do.
+        numbers: of Progress; its damping is updated in place.
+        longest: Euclidean norm of a step.
+        work: multiplications to do at most.
+
+    Returns:
+        By how much z misses the arrival, the bound that its multipliers prove, the work left.
     """
     n_steps, met = len(z), len(left)
     mu, nu, missed = np.zeros(n_steps), np.zeros(met), np.empty(met)
     gradient, move = np.empty_like(z), np.empty_like(z)
     scale = np.abs(q).max() + np.abs(annulus.hessian).max() + annulus.length.max() + 1e-300
-    stuck = False
+    near, stuck = ARRIVED * (1.0 + np.abs(annulus.arrival).max()), False
     while True:
         off = _set_missed(annulus, left, z, missed)
         _set_gradient(annulus, q, z, gradient)
         if met > 0:
             _set_pull(annulus, z, side, gradient, nu)
         residual = _set_multipliers(annulus, z, side, gradient, nu, mu)
-        settled = residual <= RESIDUAL * scale and off <= ARRIVED * (1.0 + np.abs(annulus.arrival).max())
-        if not stuck or settled:
-            if _release(side, mu, annulus.floor, max(RESIDUAL * scale, 10.0 * residual)):
-                settled = False
+        settled = residual <= RESIDUAL * scale and off <= near
+        least = max(RESIDUAL * scale, 10.0 * residual)
+        if (settled or not stuck) and _release(side, mu, annulus.floor, least):
+            settled = False
         if settled or stuck or counts[STEPS] >= ITERATIONS:
             counts[STEPS] = ITERATIONS
             break
@@ -583,7 +595,8 @@ def _begin(z, side, starts, start, floor):
             turn = (start + 1.0) * (k + 1.0)
             height = np.cos(OTHER_ANGLE * turn) if z.shape[1] == 3 else 0.0
             flat = np.sqrt(1.0 - height * height)
-            z[k, 0], z[k, 1] = flat * np.cos(GOLDEN_ANGLE * turn), flat * np.sin(GOLDEN_ANGLE * turn)
+            z[k, 0] = flat * np.cos(GOLDEN_ANGLE * turn)
+            z[k, 1] = flat * np.sin(GOLDEN_ANGLE * turn)
             if z.shape[1] == 3:
                 z[k, 2] = height
     _place(z, side, floor)

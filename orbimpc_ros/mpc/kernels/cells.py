@@ -264,9 +264,7 @@ def _relax(quad, cells, bounds, choice, cutoff, rows, normals, offsets, u, count
             return SOLVED, bound, count, added, work
         if work <= 0.0:
             return GOING, bound, count, added, work
-        following = _add_row(
-            quad.inverse, rows, normals, offsets, u, count, x, step, a, b, offset
-        )
+        following = _add_row(quad.inverse, rows, normals, offsets, u, count, x, step, a, b, offset)
         if following < 0:
             return STALLED, bound, 0, added, work
         count, added = following, added + 1
