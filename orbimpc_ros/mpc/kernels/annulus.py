@@ -261,7 +261,7 @@ def _set_reduced(annulus, z, mu, owner, basis, count, reduced):
 
 
 @compiled
-def _reflect(rows, count, column, reflector):
+def reflect(rows, count, column, reflector):
     """Reflect rows, shape (count, n), so that a column ends in its own place; set the reflector."""
     norm = 0.0
     for i in range(count):
@@ -269,11 +269,11 @@ def _reflect(rows, count, column, reflector):
         norm += reflector[i] * reflector[i]
     norm = np.sqrt(norm)
     reflector[column] += norm if reflector[column] >= 0.0 else -norm
-    _mirror(rows, count, reflector)
+    mirror(rows, count, reflector)
 
 
 @compiled
-def _mirror(matrix, count, reflector):
+def mirror(matrix, count, reflector):
     """Multiply a matrix of ``count`` rows from the left by I - 2 v v'/|v|^2."""
     square = 0.0
     for i in range(count):
@@ -350,15 +350,15 @@ def _set_move(annulus, z, side, gradient, mu, nu, missed, damping, longest, move
     first = min(met, count)
     if met > 0:
         for c in range(first):
-            _reflect(rows, count, c, reflectors[c])
-            _mirror(pull, count, reflectors[c])
-            _mirror(reduced, count, reflectors[c])
-            _mirror(reduced.T, count, reflectors[c])
+            reflect(rows, count, c, reflectors[c])
+            mirror(pull, count, reflectors[c])
+            mirror(reduced, count, reflectors[c])
+            mirror(reduced.T, count, reflectors[c])
         _set_particular(rows, missed[:first], small)
         pull += np.ascontiguousarray(reduced[:, :first]) @ small[:first]
     damping = _set_damped(reduced, pull[:, 0], first, count, scale, damping, longest, small)
     for c in range(first - 1, -1, -1):
-        _mirror(small, count, reflectors[c])
+        mirror(small, count, reflectors[c])
     move[:] = 0.0
     for i in range(count):
         for c in range(n):
@@ -448,9 +448,9 @@ def _least_eigenvalue(matrix, arrival, met):
     first = 1 if met else 0
     if met:
         row, reflector = arrival.copy().reshape((count, 1)), np.empty(count)
-        _reflect(row, count, 0, reflector)
-        _mirror(matrix, count, reflector)
-        _mirror(matrix.T, count, reflector)
+        reflect(row, count, 0, reflector)
+        mirror(matrix, count, reflector)
+        mirror(matrix.T, count, reflector)
     free = np.ascontiguousarray(matrix[first:, first:])
     for k in range(len(free)):
         scale = max(scale, abs(free[k, k]))
