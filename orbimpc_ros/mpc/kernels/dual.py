@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.annulus import mirror, reflect, bound_at
+from orbimpc_ros.mpc.kernels.annulus import bound_at, mirror, reflect
 from orbimpc_ros.mpc.kernels.linear import quadratic, solve_spd
 
 SMALLEST = 1e-8  # mu, of the forces at work
