@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 from problems import floor, goals, reference, state, weights
 
+from orbimpc_ros.mpc.arrays import sealed
 from orbimpc_ros.mpc.condensed import Condensed
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.floors.circle import NOTHING, Circle, _Tick
 from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.kernels.annulus import improve
+from orbimpc_ros.mpc.method import Guess
 from orbimpc_ros.mpc.plan import violations
 from orbimpc_ros.mpc.problem import Problem, State, Weights
 from orbimpc_ros.mpc.solver import Solver
@@ -263,3 +266,17 @@ def test_an_optimum_that_no_local_search_reaches_is_found(position, heading, tar
         State.at(position, [[a, -b], [b, a]]), np.array(targets)
     )
     assert found.objective == pytest.approx(known, rel=1e-6)
+
+
+@pytest.mark.skipif(not COMPILED, reason='nothing is compiled: pip install numba')
+@pytest.mark.parametrize('dimension', [2, 3])
+def test_a_guess_compiles_nothing_in_a_tick(dimension):
+    seen = Weights(input=0.0)
+    problem = Problem(dimension=dimension, weights=seen, floor=floor('circle'))
+    circle = Circle(problem, 1e-6)
+    start, targets = State.at(np.zeros(dimension), np.eye(dimension)), np.ones((5, dimension))
+    found = circle.solve(start, targets)
+    compiled = len(improve.signatures)
+    again = circle.solve(start, targets, Guess(sealed(found.x), found.cost))
+    assert len(improve.signatures) == compiled
+    assert again.cost == pytest.approx(found.cost, rel=1e-9)

@@ -182,7 +182,8 @@ class Circle:
         """Return the best headings found, with the best bound proved."""
         found = NOTHING
         if guess is not None:
-            start = guess.x[None, :, : self._problem.dimension]
+            # A copy: code for arrays that are read-only or strided would be compiled in a tick.
+            start = np.array(guess.x[None, :, : self._problem.dimension], order='C')
             found = self._from(tick, found, start)
             if found.gap <= self._tolerance:
                 return found
