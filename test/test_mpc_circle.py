@@ -1,4 +1,4 @@
-"""The circular floor: its certificate is sound, its bound is the lifted relaxation's."""
+"""The circular floor: its bounds are sound, the best of them is the lifted relaxation's."""
 
 from dataclasses import replace
 
@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from problems import floor, goals, reference, state, weights
 
+from orbimpc_ros.mpc.arrays import sealed
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.condensed import Condensed
-from orbimpc_ros.mpc.floors.annulus import Annulus
-from orbimpc_ros.mpc.floors.circle import Circle
-from orbimpc_ros.mpc.floors.lift import Lift
+from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.floors.circle import NOTHING, Circle, _Tick
 from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.kernels.annulus import improve
+from orbimpc_ros.mpc.method import Guess
 from orbimpc_ros.mpc.problem import Problem, State, Weights
 from orbimpc_ros.mpc.solver import Solver
 
@@ -83,14 +85,20 @@ def test_no_bound_exceeds_the_best_of_many_local_optima(seed):
         assert found.lower_bound <= best + 1e-6 * abs(best)
 
 
+def tick_of(circle, start, targets, out_of_time=None):
+    q, constant = circle._condensed.affine(start, targets)
+    return _Tick(start, targets, q, constant, circle._left(start, targets), out_of_time)
+
+
 @pytest.mark.parametrize('seed', range(10))
-def test_the_chain_of_links_bounds_as_well_as_one_dense_matrix(seed):
+def test_the_best_multipliers_bound_as_well_as_the_lifted_relaxation(seed):
     rng = np.random.default_rng(seed)
     problem = random_problem(rng, length=False)
     start, targets = state(rng, problem), goals(rng, problem)
     dense = dense_bound(problem, start, targets)
-    lifted = Lift(problem).solve(start, targets)
-    assert lifted.lower_bound == pytest.approx(dense, rel=2e-6, abs=1e-6)
+    circle = Circle(problem, 1e-12)
+    found = circle._from_dual(tick_of(circle, start, targets), NOTHING)
+    assert found.lower_bound == pytest.approx(dense, rel=2e-6, abs=1e-6)
 
 
 @pytest.mark.parametrize('seed', range(30))
@@ -108,13 +116,12 @@ def test_solves_to_global_optimality_and_says_so(seed):
 def test_a_certificate_is_a_zero_gap_and_its_absence_is_a_real_one(fraction):
     rng = np.random.default_rng(1)
     problem = Problem(floor=floor('circle', fraction))
-    annulus = Annulus(problem)
+    circle = Circle(problem, 1e-9)
     certified = local = 0
     for _ in range(40):
         start, targets = state(rng, problem), goals(rng, problem, distance=0.5)
-        annulus.bind(start, targets)
-        points = [annulus.stationary(random_start(rng, 5, fraction)) for _ in range(6)]
-        points = [p for p in points if p is not None]
+        starts = [random_start(rng, 5, fraction) for _ in range(6)]
+        points = [circle.local(start, targets, each) for each in starts]
         best = min(p.cost for p in points)
         bound = max(p.lower_bound for p in points)
         for point in points:
@@ -127,6 +134,69 @@ def test_a_certificate_is_a_zero_gap_and_its_absence_is_a_real_one(fraction):
     assert local > 0
 
 
+@pytest.mark.parametrize(
+    'change',
+    [
+        {'horizon': 10, 'forward': 50.0},
+        {'horizon': 10, 'forward': 100.0},
+        {'horizon': 10, 'forward': 200.0},
+        {'horizon': 15, 'translation_order': 2},
+    ],
+)
+def test_slow_starts_converge_and_are_proved(change):
+    """Weights far apart leave directions that hardly matter: a start is slow along them."""
+    rng = np.random.default_rng(4)
+    problem = Problem(floor=floor('circle'), **change)
+    circle = Circle(problem, 1e-6)
+    reach = problem.forward * 2.0
+    for _ in range(10):
+        start = state(rng, problem)
+        targets = start.position + np.tile([reach, 0.0], (problem.horizon, 1))
+        found = circle.solve(start, targets)
+        assert circle.settles(found)
+        best = best_descent(rng, problem, start, targets)
+        assert found.lower_bound <= best * (1 + 1e-9)
+        assert found.cost <= best * (1 + 1e-4)
+
+
+def test_a_start_that_is_cut_short_has_a_cost_and_a_bound(monkeypatch):
+    monkeypatch.setattr('orbimpc_ros.mpc.floors.circle.SLICE', 1.0)  # a Newton step
+    rng = np.random.default_rng(2)
+    problem = Problem(horizon=8, floor=floor('circle'))
+    circle = Circle(problem, 1e-6)
+    for _ in range(5):
+        start, targets = state(rng, problem), goals(rng, problem)
+        whole = circle.solve(start, targets)
+        found = circle.solve(start, targets, None, lambda: True)
+        assert np.linalg.norm(found.x, axis=1).min() >= problem.floor.fraction - 1e-12
+        assert np.linalg.norm(found.x, axis=1).max() <= 1.0 + 1e-12
+        assert -np.inf < found.lower_bound <= whole.cost * (1 + 1e-9)
+        assert whole.lower_bound <= found.cost < np.inf
+
+
+@pytest.mark.parametrize('fraction', [0.5, 1.0])
+@pytest.mark.parametrize('dimension', [2, 3])
+def test_a_heading_that_nothing_weighs_is_no_trouble(dimension, fraction):
+    rng = np.random.default_rng(7)
+    for chosen in (Weights(1.0, 0.0, 0.0, 1.0), Weights(0.0, 0.0, 0.0, 0.0)):
+        problem = Problem(dimension=dimension, weights=chosen, floor=floor('circle', fraction))
+        start, targets = state(rng, problem), goals(rng, problem)
+        found = Circle(problem, 1e-6).solve(start, targets)
+        assert found.cost - found.lower_bound <= max(1e-4 * found.cost, 1e-9)
+
+
+def test_an_arrival_out_of_reach_is_refused_and_one_just_within_is_met():
+    problem = Problem(horizon=6, terminal='constraint', floor=floor('circle', 0.5))
+    circle = Circle(problem, 1e-6)
+    start = State.at(np.zeros(2), np.eye(2))
+    with pytest.raises(Infeasible):
+        circle.solve(start, np.tile([6.001, 0.0], (6, 1)))
+    targets = np.tile([5.999, 0.0], (6, 1))
+    found = circle.solve(start, targets)
+    assert np.allclose(found.x[:-1].sum(axis=0), [4.999, 0.0], atol=1e-9)
+    assert circle.settles(found)
+
+
 def test_arrival_and_length_are_certified_at_the_papers_dubins_problem():
     problem, start, targets = reference('dubins_circle')
     plan = Solver(problem).solve(start, targets)
@@ -135,14 +205,15 @@ def test_arrival_and_length_are_certified_at_the_papers_dubins_problem():
     assert plan.speed_fraction[1:].min() >= np.sqrt(0.5) - 1e-8
 
 
-def test_lift_covers_arrival_and_length():
+def test_multipliers_bound_arrival_and_length():
     problem, start, _ = reference('dubins_circle')
     short = replace(problem, horizon=6)
     near = np.tile([2.0, 3.0], (6, 1))
-    lifted = Lift(short).solve(start, near)
+    circle = Circle(short, 1e-12)
+    bound = circle._from_dual(tick_of(circle, start, near), NOTHING).lower_bound
     plan = Solver(short).solve(start, near)
-    assert lifted.lower_bound <= plan.objective * (1 + 1e-6)
-    assert lifted.lower_bound == pytest.approx(plan.objective, rel=1e-2)
+    assert bound <= plan.objective * (1 + 1e-6)
+    assert bound == pytest.approx(plan.objective, rel=1e-2)
 
 
 @pytest.mark.parametrize('seed', range(20))
@@ -156,8 +227,6 @@ def test_a_sphere_is_certified_where_the_cost_sees_the_thrust_axis_alone(seed, f
     plan = Solver(problem).solve(start, targets)
     assert violations(problem, start, targets, plan) == []
     assert plan.status == 'optimal'
-    lifted = Lift(problem).solve(start, targets)
-    assert plan.objective == pytest.approx(lifted.lower_bound, rel=1e-4, abs=1e-6)
 
 
 @pytest.mark.skipif(not COMPILED, reason='searched by machine code only: pip install numba')
@@ -197,3 +266,17 @@ def test_an_optimum_that_no_local_search_reaches_is_found(position, heading, tar
         State.at(position, [[a, -b], [b, a]]), np.array(targets)
     )
     assert found.objective == pytest.approx(known, rel=1e-6)
+
+
+@pytest.mark.skipif(not COMPILED, reason='nothing is compiled: pip install numba')
+@pytest.mark.parametrize('dimension', [2, 3])
+def test_a_guess_compiles_nothing_in_a_tick(dimension):
+    seen = Weights(input=0.0)
+    problem = Problem(dimension=dimension, weights=seen, floor=floor('circle'))
+    circle = Circle(problem, 1e-6)
+    start, targets = State.at(np.zeros(dimension), np.eye(dimension)), np.ones((5, dimension))
+    found = circle.solve(start, targets)
+    compiled = len(improve.signatures)
+    again = circle.solve(start, targets, Guess(sealed(found.x), found.cost))
+    assert len(improve.signatures) == compiled
+    assert again.cost == pytest.approx(found.cost, rel=1e-9)

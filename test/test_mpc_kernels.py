@@ -1,5 +1,9 @@
 """Machine code and general methods agree; needs numba, as an installation with [fast] has."""
 
+import json
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -7,14 +11,13 @@ import pytest
 from problems import floor, goals, state, weights
 
 from orbimpc_ros.mpc.condensed import Condensed, position_weights
-from orbimpc_ros.mpc.floors import fast
 from orbimpc_ros.mpc.floors.cells import arcs, faces
-from orbimpc_ros.mpc.floors.circle import Circle
-from orbimpc_ros.mpc.floors.fast import Fast
+from orbimpc_ros.mpc.floors.circle import NOTHING, Circle, _Tick
+from orbimpc_ros.mpc.floors.tree import CellSearch
 from orbimpc_ros.mpc.hull import Hull
-from orbimpc_ros.mpc.kernels import COMPILED, cells, chain
-from orbimpc_ros.mpc.kernels.annulus import certified
+from orbimpc_ros.mpc.kernels import COMPILED, chain
 from orbimpc_ros.mpc.orbitopes import margin, matrix
+from orbimpc_ros.mpc.plan import floor_margin
 from orbimpc_ros.mpc.planar import Planar
 from orbimpc_ros.mpc.problem import Problem, Weights
 from orbimpc_ros.mpc.search import Search
@@ -61,45 +64,115 @@ def test_a_search_that_runs_out_of_room_is_finished_by_the_next():
     targets = np.tile(start.position, (6, 1))
     condensed = Condensed(problem)
     q, c = condensed.affine(start, targets)
-    inverse, hexagon = np.linalg.inv(condensed.hessian), faces(6, 0.6)
-
-    def run(room):
-        return cells.branch_and_bound(
-            condensed.hessian, inverse, q, c, *hexagon, np.inf, 1e-6, room
-        )
-
-    _, _, bound, nodes, complete = run(3)
-    assert not complete
-    assert nodes == 3
-    _, value, proved, _, complete = run(4000)
-    assert complete
-    assert bound <= proved <= value
+    search = CellSearch(condensed.hessian, faces(6, 0.6), 1e-6, 3)
+    search.begin(q, c)
+    assert search.run()  # there is no more to be had
+    assert search.nodes == 3
+    early = search.bound
+    search = CellSearch(condensed.hessian, faces(6, 0.6), 1e-6, 6400)
+    search.begin(q, c)
+    while not search.run():
+        assert search.nodes >= 200  # it stops where it needs more room
+    assert search.complete
+    assert early <= search.bound <= search.value
 
 
-@pytest.mark.parametrize('order', [1, 2])
-@pytest.mark.parametrize('seed', range(15))
-def test_fast_and_general_circle_agree(seed, order):
+def test_a_search_in_slices_is_the_same_search():
+    rng = np.random.default_rng(11)
+    problem = Problem(horizon=6, floor=floor('polygon', 0.6, 6))
+    for _ in range(20):
+        start, targets = passing(rng, problem)
+        planar = Planar(problem, 1e-6)
+        whole = planar.solve(start, targets)
+        sliced = planar.solve(start, targets, None, lambda: False)
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr('orbimpc_ros.mpc.floors.tree.SLICE', 1.0)
+            each = planar.solve(start, targets, None, lambda: False)
+        assert whole.cost == sliced.cost == each.cost
+        assert whole.nodes == sliced.nodes == each.nodes
+
+
+@pytest.mark.parametrize('shape', [('polygon', 0.6, 6), ('polygon', 0.5, 4), ('none', 0.5, 4)])
+def test_an_interrupted_search_returns_a_legal_plan_and_its_bound(monkeypatch, shape):
+    monkeypatch.setattr('orbimpc_ros.mpc.floors.tree.SLICE', 1.0)
+    rng = np.random.default_rng(12)
+    problem = Problem(horizon=8, floor=floor(*shape))
+    planar = Planar(problem, 1e-6)
+    for polls in (1, 2, 5, 20):
+        start, targets = passing(rng, problem)
+        left = iter(range(polls))
+        found = planar.solve(start, targets, None, lambda left=left: next(left, None) is None)
+        proved = planar.solve(start, targets)
+        assert -np.inf < found.lower_bound <= proved.cost * (1 + 1e-9)
+        assert proved.lower_bound <= found.cost < np.inf
+        assert floor_margin(problem, found.x).min() >= -1e-9
+        assert np.linalg.norm(found.x, axis=1).max() <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize('seed', range(10))
+def test_weights_far_apart_do_not_stop_a_search(seed):
+    """A polygon of few steps, against every choice of faces by the general program."""
     rng = np.random.default_rng(seed)
-    fraction = [0.3, np.sqrt(0.3), 1.0][seed % 3]
-    problem = Problem(
-        horizon=5,
-        translation_order=order,
-        weights=weights(rng),
-        floor=floor('circle', fraction),
+    chosen = Weights(*10.0 ** rng.uniform(-6, 6, 2), 0.0, 10.0 ** rng.uniform(-6, 6))
+    chosen = replace(chosen, input=[chosen.input, 0.0][seed % 2])
+    problem = Problem(horizon=2, floor=floor('polygon', 0.6, 4), weights=chosen)
+    start, targets = state(rng, problem), goals(rng, problem, distance=1.0)
+    found = Planar(problem, 1e-6).solve(start, targets)
+    best = best_by_grid(problem, start, targets)
+    assert found.lower_bound <= best * (1 + 1e-9) + 1e-9
+    assert found.cost <= best * (1 + 1e-3)
+    assert found.cost - found.lower_bound <= 1e-4 * found.cost + 1e-9
+
+
+def best_by_grid(problem, start, targets, count=120):
+    """The least cost over headings on a polar grid with the floor's faces and the rim on it."""
+    angle = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
+    size = np.linspace(problem.floor.fraction, 1.0, 30)
+    grid = np.stack([np.outer(size, f(angle)).ravel() for f in (np.cos, np.sin)], axis=1)
+    grid = grid[floor_margin(problem, grid) >= 0.0]
+    condensed = Condensed(problem)
+    q, c = condensed.affine(start, targets)
+    h = condensed.hessian
+    own = [0.5 * h[k, k] * np.sum(grid * grid, axis=1) + grid @ q[k] for k in (0, 1)]
+    return float((own[0][:, None] + own[1] + h[0, 1] * grid @ grid.T).min()) + c
+
+
+def test_plain_python_finds_what_machine_code_does(tmp_path):
+    script = tmp_path / 'solve.py'
+    script.write_text(PLAIN)
+    ours, theirs = (
+        json.loads(
+            subprocess.run(
+                [sys.executable, str(script)],
+                env={**os.environ, 'NUMBA_DISABLE_JIT': disabled},
+                capture_output=True,
+                check=True,
+                text=True,
+            ).stdout
+        )
+        for disabled in ('0', '1')
     )
-    assert Fast.solves(problem)
-    circle = Circle(problem, 1e-6)
-    for _ in range(4):
-        start, targets = state(rng, problem), goals(rng, problem, distance=1.0)
-        found = circle.solve(start, targets)
-        circle._annulus.bind(start, targets)
-        point = circle._annulus.stationary(found.x)
-        assert point is not None
-        assert found.cost == pytest.approx(point.cost, rel=1e-7, abs=1e-9)
-        assert found.lower_bound <= found.cost
-        proved = point.cost - point.lower_bound < 1e-7 * abs(point.cost)
-        if proved:  # the two certificates do not depend on each other's code
-            assert found.cost - found.lower_bound <= 1e-6 * abs(found.cost)
+    assert ours == pytest.approx(theirs, rel=1e-9, abs=1e-12)
+
+
+PLAIN = """
+import json, numpy as np
+from orbimpc_ros.mpc.floors.circle import Circle
+from orbimpc_ros.mpc.hull import Hull
+from orbimpc_ros.mpc.plan import floor_margin
+from orbimpc_ros.mpc.planar import Planar
+from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
+start, targets = State.at([0.0, 0.0], np.eye(2)), np.tile([0.4, 0.3], (3, 1))
+high = State.at(np.zeros(3), np.eye(3)), np.tile([0.4, 0.3, 0.2], (3, 1))
+seen = Weights(input=0.0)
+found = [
+    Circle(Problem(horizon=3, floor=Floor('circle', 4, 0.6)), 1e-6).solve(start, targets),
+    Circle(Problem(dimension=3, horizon=3, weights=seen, floor=Floor('circle')), 1e-6).solve(*high),
+    Planar(Problem(horizon=3, floor=Floor('polygon', 4, 0.6)), 1e-6).solve(start, targets),
+    Hull(Problem(horizon=3), 1e-6).solve(start, targets),
+]
+print(json.dumps([number for each in found for number in (each.cost, each.lower_bound)]))
+"""
 
 
 def passing(rng, problem):
@@ -109,76 +182,79 @@ def passing(rng, problem):
     return start, start.position + rng.uniform(-1.0, 1.0, 2) + along
 
 
+def tick_of(circle, start, targets, out_of_time=None):
+    q, constant = circle._condensed.affine(start, targets)
+    return _Tick(start, targets, q, constant, np.zeros(0), out_of_time)
+
+
 @pytest.mark.parametrize('fraction', [np.sqrt(0.3), 1.0])
-def test_arcs_prove_what_multipliers_do_not(monkeypatch, fraction):
+def test_arcs_prove_what_multipliers_do_not(fraction):
     rng = np.random.default_rng(5)
     problem = Problem(floor=floor('circle', fraction))
-    solver, condensed = Fast(problem, 1e-6), Condensed(problem)
+    circle = Circle(problem, 1e-6)
     doubtful = 0
     for _ in range(150):
         start, targets = passing(rng, problem)
-        with monkeypatch.context() as patched:
-            patched.setattr(fast, 'ROOMS', ())
-            doubtful += not solver.settles(solver.solve(start, targets))
-        found = solver.solve(start, targets)
-        assert solver.settles(found)
-        assert found.cost - found.lower_bound <= 5.1e-5 * found.cost
-        q, c = condensed.affine(start, targets)
+        tick = tick_of(circle, start, targets)
+        multipliers = circle._from_dual(tick, circle._from_hull(tick, NOTHING))
+        doubtful += not circle.settles(multipliers)
+        found = circle._by_arcs(tick, circle._from_hull(tick, NOTHING))
+        assert circle.settles(found)
         far = rng.normal(size=(1, 5, 2))
-        _, cost, _, _ = certified(condensed.hessian, q, c, np.zeros(5), fraction, 0.0, far, 100)
-        assert found.lower_bound <= (cost + c) * (1 + 1e-9)
-        assert found.cost <= (cost + c) * (1 + 1e-6)
-    assert doubtful > 5
+        known = circle._from(tick, NOTHING, far, 100)
+        assert found.lower_bound <= known.cost * (1 + 1e-9)
+        assert found.cost <= known.cost * (1 + 5.1e-5)
+        assert multipliers.lower_bound <= known.cost * (1 + 1e-9)
+    assert doubtful > 0
 
 
-def doubtful_case(problem, solver):
+def doubtful_case(problem, circle):
     rng = np.random.default_rng(5)
     while True:
         start, targets = passing(rng, problem)
-        q, c = solver._condensed.affine(start, targets)
-        found = solver._search(q, c, [])
-        if not solver.settles(found):
-            return start, targets, q, c, found
+        tick = tick_of(circle, start, targets)
+        found = circle._from_hull(tick, NOTHING)
+        if not circle.settles(found):
+            return start, targets, tick, found
 
 
 def test_a_search_over_arcs_leads_from_a_poor_plan_to_a_better_one():
     problem = Problem(floor=floor('circle', 1.0))
-    solver = Fast(problem, 1e-6)
-    _, _, q, c, best = doubtful_case(problem, solver)
+    circle = Circle(problem, 1e-6)
+    _, _, tick, best = doubtful_case(problem, circle)
     x = np.tile([1.0, 0.0], (5, 1))
-    cost = float(np.sum(x * (0.5 * solver._condensed.hessian @ x + q))) + c
+    cost = float(np.sum(x * (0.5 * circle._condensed.hessian @ x + tick.q))) + tick.constant
     assert cost > best.cost * 1.01
-    found = replace(best, x=x, cost=cost, lower_bound=-np.inf)
-    for room in fast.ROOMS:
-        found = solver._searched_by_arcs(q, c, found, room)
-    assert solver.settles(found)
-    assert found.cost <= best.cost * (1 + 1e-6)
+    found = circle._by_arcs(tick, replace(best, x=x, cost=cost, lower_bound=-np.inf))
+    assert circle.settles(found)
+    assert found.cost <= best.cost * (1 + 5.1e-5)
 
 
 def test_the_bound_of_a_search_over_arcs_holds_with_path_length():
     rng = np.random.default_rng(6)
     problem = Problem(floor=floor('circle', 0.6), weights=Weights(length=1.0))
-    solver = Fast(problem, 1e-6)
+    circle = Circle(problem, 1e-6)
     for _ in range(40):
         start, targets = passing(rng, problem)
-        q, c = solver._condensed.affine(start, targets)
-        best = solver._search(q, c, [])
-        bound = solver._searched_by_arcs(q, c, replace(best, lower_bound=-np.inf), 2000).lower_bound
+        tick = tick_of(circle, start, targets)
+        best = circle._headings(tick, None)
+        bound = circle._by_arcs(tick, replace(best, lower_bound=-np.inf)).lower_bound
         assert 0.0 < bound <= best.cost * (1 + 1e-9)
-        without_length = best.cost - float(solver._length @ np.linalg.norm(best.x, axis=1))
-        assert bound > without_length - 0.4 * solver._length.sum()
+        length = circle._annulus.length
+        without_length = best.cost - float(length @ np.linalg.norm(best.x, axis=1))
+        assert bound > without_length - 0.4 * length.sum()
 
 
 def test_a_search_over_arcs_ends_in_time(monkeypatch):
+    monkeypatch.setattr('orbimpc_ros.mpc.floors.tree.SLICE', 1.0)
     problem = Problem(floor=floor('circle', 1.0))
-    solver = Fast(problem, 1e-6)
-    start, targets, _, _, doubtful = doubtful_case(problem, solver)
-    monkeypatch.setattr(fast, 'ROOMS', (10, 10, 25_000))
-    polled = []
-    found = solver.solve(start, targets, None, lambda: polled.append(1) or len(polled) == 2)
-    assert len(polled) == 2
-    assert not solver.settles(found)
+    circle = Circle(problem, 1e-6)
+    start, targets, _, doubtful = doubtful_case(problem, circle)
+    left = iter(range(2))
+    tick = tick_of(circle, start, targets, lambda: next(left, None) is None)
+    found = circle._by_arcs(tick, doubtful)
     assert doubtful.lower_bound <= found.lower_bound <= found.cost <= doubtful.cost
+    assert circle._arcs.nodes < 5
 
 
 def test_arcs_and_their_halves_cover_the_floor():
@@ -203,34 +279,14 @@ def test_arcs_and_their_halves_cover_the_floor():
 def test_bounds_hold_whatever_the_number_of_starts():
     rng = np.random.default_rng(0)
     problem = Problem(floor=floor('circle', 0.6))
-    condensed = Condensed(problem)
+    circle = Circle(problem, 0.0)
     for _ in range(50):
         start, targets = state(rng, problem), goals(rng, problem, distance=0.5)
-        q, c = condensed.affine(start, targets)
-        starts = np.ones((1, 5, 2))
-
-        def run(more, q=q, c=c, starts=starts):
-            return certified(condensed.hessian, q, c, np.zeros(5), 0.6, 0.0, starts, more)
-
-        bounds = [run(more)[2] for more in (0, 5, 40)]
-        costs = [run(more)[1] for more in (0, 5, 40)]
-        assert bounds[0] <= bounds[1] <= bounds[2] <= costs[2] + 1e-9
-        assert costs[2] <= costs[1] <= costs[0]
-
-
-def test_without_numba_the_general_methods_take_over(monkeypatch):
-    monkeypatch.setattr('orbimpc_ros.mpc.planar.COMPILED', False)
-    monkeypatch.setattr('orbimpc_ros.mpc.floors.fast.COMPILED', False)
-    assert not Planar.solves(Problem())
-    problem = Problem(floor=floor('circle', 0.5))
-    assert not Fast.solves(problem)
-    circle = Circle(problem, 1e-6)
-    rng = np.random.default_rng(0)
-    start, targets = state(rng, problem), goals(rng, problem)
-    slow = circle.solve(start, targets)
-    monkeypatch.undo()
-    fast = Circle(problem, 1e-6).solve(start, targets)
-    assert slow.cost == pytest.approx(fast.cost, rel=1e-6)
+        tick = tick_of(circle, start, targets)
+        found = [circle._from(tick, NOTHING, np.ones((1, 5, 2)), more) for more in (0, 5, 40)]
+        few, some, many = found
+        assert few.lower_bound <= some.lower_bound <= many.lower_bound <= many.cost * (1 + 1e-9)
+        assert many.cost <= some.cost <= few.cost
 
 
 @pytest.mark.parametrize('seed', range(10))
@@ -272,16 +328,16 @@ def test_a_bound_on_the_hull_holds_for_any_multipliers():
         assert chain._dual(along, first, turning, weights_, seen, held, *room) <= optimum + 1e-9
 
 
-def test_who_has_a_deadline_gets_the_best_so_far_with_its_bound(monkeypatch):
-    rng = np.random.default_rng(3)
-    problem = Problem(horizon=6, floor=floor('polygon', 0.6, 6))
-    start = state(rng, problem)
-    targets = np.tile(start.position, (6, 1))
-    proved = Planar(problem, 1e-6).solve(start, targets)
-    room = proved.nodes - 5
-    monkeypatch.setattr('orbimpc_ros.mpc.planar.NODES', (room,))
-    planar = Planar(problem, 1e-6)
-    hasty = planar.solve(start, targets, None, lambda: False)
-    assert hasty.lower_bound <= proved.cost <= hasty.cost < np.inf
-    assert hasty.nodes == room
-    assert planar.solve(start, targets).cost == pytest.approx(proved.cost, rel=1e-6)
+def test_an_interrupted_hull_stays_in_its_disks_with_its_bound():
+    rng = np.random.default_rng(8)
+    problem = Problem(horizon=40, floor=floor('none'))
+    hull = Hull(problem, 1e-6)
+    hull._slice = 1
+    for polls in range(6):
+        start, targets = state(rng, problem), goals(rng, problem, distance=20.0)
+        left = iter(range(polls))
+        found = hull.solve(start, targets, None, lambda left=left: next(left, None) is None)
+        optimum = hull.solve(start, targets)
+        assert np.linalg.norm(found.x, axis=1).max() <= 1.0 + 1e-12
+        assert found.lower_bound <= optimum.cost * (1 + 1e-9)
+        assert found.cost >= optimum.lower_bound

@@ -186,3 +186,21 @@ def test_obstacles_are_left_to_the_general_program():
     problem = Problem(dimension=3, floor=Floor('none'), obstacles=(box,))
     slots = [slot for d in disjunctions_of(problem) for slot in d.slots]
     assert not Spatial.solves(problem, slots)
+
+
+def test_an_interrupted_solve_keeps_its_bound_and_stays_in_the_orbitopes(monkeypatch):
+    problem = Problem(dimension=3, horizon=12, floor=Floor('none'))
+    fast, general = both(problem)
+    state, goals = random_state(np.random.default_rng(3), False), np.full((12, 3), 5.0)
+    for program in (fast, general):
+        program.bind(state, goals)
+    optimum = general.solve().bound
+    monkeypatch.setattr('orbimpc_ros.mpc.spatial.SLICE', 1.0)  # a Newton step
+    for steps in range(4):
+        left = iter(range(steps))
+        early = fast.solve((), lambda left=left: next(left, None) is None)
+        assert early.bound <= optimum * (1 + 1e-7)
+        assert margin(matrix(early.x)).min() >= -1e-12
+        assert trajectory_of(problem, state, goals, early.x).cost >= optimum * (1 - 1e-7)
+    polled = iter(range(1000))
+    assert fast.solve((), lambda: next(polled) < 0).bound == pytest.approx(optimum, rel=1e-7)

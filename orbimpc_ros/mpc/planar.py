@@ -81,7 +81,8 @@ class Planar:
         # Who has a deadline is better off with this than with a search that is slower.
         if out_of_time is not None:
             return found
-        return self._general.solve(state, goals, Guess(found.x, found.cost), out_of_time)
+        guess = None if found.x is None else Guess(found.x, found.cost)
+        return self._general.solve(state, goals, guess, out_of_time)
 
     def _of(self, x: Array, q: Array, constant: float) -> Found:
         cost = float(quadratic(self._condensed.hessian, q, x)) + constant

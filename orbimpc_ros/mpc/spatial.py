@@ -18,9 +18,17 @@ from orbimpc_ros.mpc.condensed import Condensed, first_length, knowns, suits_den
 from orbimpc_ros.mpc.disjunction import Slot
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.kernels.multipliers import minimise
+from orbimpc_ros.mpc.kernels.annulus import SLICE
+from orbimpc_ros.mpc.kernels.multipliers import (
+    BEST,
+    PAUSED,
+    SETTLED,
+    Progress,
+    begun,
+    minimise,
+)
 from orbimpc_ros.mpc.kernels.terms import Terms, multipliers, scratch
-from orbimpc_ros.mpc.orbitopes import coordinates
+from orbimpc_ros.mpc.orbitopes import coordinates, margin, matrix
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.relaxation import Halfspace, Relaxation, Relaxed
 from orbimpc_ros.mpc.unbounded import other_axes, thrust_axis
@@ -30,6 +38,7 @@ USUAL = 100.0  # forces of problems near their goal
 PRECISION = 1e-8  # on constraints
 GAP = 1e-8  # relative
 ROUNDING = 1e-15  # of the largest numbers that cancel in a cost
+CANCELLED = 1e-13  # what a bound allows for of them
 INERT = -1.0  # offset of a row that is always satisfied
 
 
@@ -136,26 +145,42 @@ class Spatial:
         halfspaces: Iterable[Halfspace] = (),
         out_of_time: Callable[[], bool] | None = None,
     ) -> Relaxation:
-        """See :meth:`orbimpc_ros.mpc.relaxation.Relaxed.solve`."""
+        """See :meth:`orbimpc_ros.mpc.relaxation.Relaxed.solve`.
+
+        Args:
+            halfspaces: what slots are filled with.
+            out_of_time: polled every millisecond or so; True returns the bound proved by then, and
+                rotations in their orbitopes that need not satisfy anything else.
+        """
         imposed = list(halfspaces)
         terms = self._terms(imposed)
+        bound = -np.inf
         for _ in range(2):
-            x, _, bound, _, settled = self._minimise(terms)
-            if settled:
-                return Relaxation(self._rotations(x), self._least + bound)
+            progress, status = self._minimise(terms, out_of_time)
+            bound = max(bound, float(progress.numbers[BEST]))
+            if status == SETTLED:
+                return Relaxation(self._rotations(progress.x), self._proved(bound))
             self._held = multipliers(self._places)  # what was held misled: once more without
+            if out_of_time is not None and out_of_time():
+                return Relaxation(_within(self._rotations(progress.x)), self._proved(bound))
         return self._leave(imposed, out_of_time)
 
-    def _minimise(self, terms: Terms) -> tuple[Array, float, float, int, bool]:
-        first, largest = SIGMA
-        return minimise(
-            terms,
-            self._start,
-            self._held,
-            (self._scale * first, self._scale * largest),
-            (PRECISION, GAP, self._least, self._rounding),
-            self._work,
-        )
+    def _minimise(
+        self, terms: Terms, out_of_time: Callable[[], bool] | None
+    ) -> tuple[Progress, int]:
+        first, largest = (self._scale * sigma for sigma in SIGMA)
+        limits = (PRECISION, GAP, self._least, self._rounding, largest)
+        progress = begun(self._places, first)
+        while True:
+            _, status = minimise(
+                terms, self._start, self._held, limits, self._work, progress, SLICE
+            )
+            if status != PAUSED or (out_of_time is not None and out_of_time()):
+                return progress, status
+
+    def _proved(self, bound: float) -> float:
+        """Return a bound above the unconstrained optimum as one on the cost, safe from rounding."""
+        return self._least + bound - CANCELLED / ROUNDING * self._rounding
 
     def _rotations(self, x: Array) -> Array:
         if self._coasting:
@@ -188,6 +213,11 @@ class Spatial:
             elif normal @ self._first[:3] < offset - PRECISION:
                 raise Infeasible('R_1 is given, and on the wrong side of a half-space')
         return self._unbound._replace(rows=rows, offsets=offsets)
+
+
+def _within(x: Array) -> Array:
+    """Return rotation coordinates, shape (N, 9), pulled towards 0 into their orbitopes."""
+    return x / (1.0 + np.maximum(0.0, -margin(matrix(x))))[:, None]
 
 
 def _quadratic(form: Array, known: Array) -> float:

@@ -4,10 +4,11 @@ That is all of R for n = 2. For n = 3 it takes an input weight of zero; the othe
 free, and are carried along by the shortest turns from one thrust axis to the next.
 
 A local optimum is sought from the shifted previous plan, from the hull's optimum, then from all
-around. Its own multipliers nearly always prove it global (:mod:`orbimpc_ros.mpc.kernels.annulus`).
-What those leave open, typically a goal about to pass the vehicle, so that two ways round cost
-nearly the same, is settled in the plane by branch and bound: the floor is cut into arcs, and beyond
-the chord of an arc the problem is convex. With an arrival, and in space, the general search does.
+around. Its own multipliers nearly always prove it global (:mod:`orbimpc_ros.mpc.kernels.annulus`),
+or the best multipliers do (:mod:`orbimpc_ros.mpc.kernels.dual`). What those leave open, typically a
+goal about to pass the vehicle, so that two ways round cost nearly the same, is settled in the plane
+by branch and bound: the floor is cut into arcs, and beyond the chord of an arc the problem is
+convex. With an arrival, and in space, the general search does.
 """
 
 from __future__ import annotations
@@ -165,11 +166,24 @@ class Circle:
             return found
         return self._by_branches(tick, found)
 
+    def local(self, state: State, goals: Array, start: Array) -> Found:
+        """Return where a local search ends, and the bound that its multipliers prove.
+
+        Args:
+            state: where the plan starts.
+            goals: g_1..g_N, shape (N, n) [m].
+            start: headings, shape (N, n), taken to the annulus first.
+        """
+        q, constant = self._condensed.affine(state, goals)
+        tick = _Tick(state, goals, q, constant, self._left(state, goals), None)
+        return self._from(tick, NOTHING, start[None])
+
     def _headings(self, tick: _Tick, guess: Guess | None) -> Found:
         """Return the best headings found, with the best bound proved."""
         found = NOTHING
         if guess is not None:
-            start = guess.x[None, :, : self._problem.dimension]
+            # A copy: code for arrays that are read-only or strided would be compiled in a tick.
+            start = np.array(guess.x[None, :, : self._problem.dimension], order='C')
             found = self._from(tick, found, start)
             if found.gap <= self._tolerance:
                 return found
@@ -192,19 +206,11 @@ class Circle:
 
     def _from(self, tick: _Tick, found: Found, starts: Array, more: int = 0) -> Found:
         """Return the better of what was found and where starts lead, shape (S, N, n), and more."""
-        progress = begun(*tick.q.shape)
+        progress, annulus = begun(*tick.q.shape), self._annulus
         progress.numbers[BOUND] = found.lower_bound - tick.constant
-        tolerance = (SETTLED if more else 1.0) * self._tolerance
+        limit = (SETTLED if more else 1.0) * self._tolerance
         while not improve(
-            self._annulus,
-            tick.q,
-            tick.left,
-            tick.constant,
-            starts,
-            more,
-            tolerance,
-            progress,
-            SLICE,
+            annulus, tick.q, tick.left, tick.constant, starts, more, limit, progress, SLICE
         ):
             if tick.late:
                 break
@@ -227,7 +233,7 @@ class Circle:
         return self._from(tick, replace(found, lower_bound=bound), start[None])
 
     def _from_dual(self, tick: _Tick, found: Found) -> Found:
-        """Raise the bound by the best multipliers, and start from where their Lagrangian is least."""
+        """Raise the bound by the best multipliers, and start from their Lagrangian's minimum."""
         q = tick.q
         scale = float(np.abs(q).max() + np.abs(self._annulus.hessian).max()) + TINY
         theta, z, numbers = np.full(len(q), scale), np.zeros(q.shape), np.array([scale])

@@ -13,7 +13,7 @@ a (:func:`_bound`). Points are sought by Newton's method on the manifold of the 
 sit on, its steps damped until the matrix is positive definite and the step short (Levenberg,
 Marquardt), and shortened until an exact penalty function descends.
 
-Where floor and l vanish, the problem is the hull's, and convex: its optimum is a start, and a bound.
+Where floor and l vanish, the problem is the hull's, and convex: its optimum is a start and a bound.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ ARRIVED = 1e-11  # of the way that an arrival asks for
 LONGEST_STEP = 0.4  # of a heading, on average
 ON_BOUND = 1e-3  # a start this close to the rim or the floor is taken to sit on it
 SMALLEST = 1e-9
-SOFTEST, DAMPED, EASED = 1e-10, 8.0, 1.0 / 64.0  # damping: the first, its growth, its decay
+SOFTEST, DAMPED, EASED = 1e-7, 8.0, 0.125  # damping: the first, its growth, its decay
 ROUNDING = 1e-13  # of numbers that cancel
 GOLDEN_ANGLE, OTHER_ANGLE = 2.399963229728653, 4.159129
 SLICE = 1_000_000  # multiplications in about a millisecond
@@ -261,7 +261,7 @@ def _set_reduced(annulus, z, mu, owner, basis, count, reduced):
 
 
 @compiled
-def _reflect(rows, count, column, reflector):
+def reflect(rows, count, column, reflector):
     """Reflect rows, shape (count, n), so that a column ends in its own place; set the reflector."""
     norm = 0.0
     for i in range(count):
@@ -269,11 +269,11 @@ def _reflect(rows, count, column, reflector):
         norm += reflector[i] * reflector[i]
     norm = np.sqrt(norm)
     reflector[column] += norm if reflector[column] >= 0.0 else -norm
-    _mirror(rows, count, reflector)
+    mirror(rows, count, reflector)
 
 
 @compiled
-def _mirror(matrix, count, reflector):
+def mirror(matrix, count, reflector):
     """Multiply a matrix of ``count`` rows from the left by I - 2 v v'/|v|^2."""
     square = 0.0
     for i in range(count):
@@ -350,15 +350,15 @@ def _set_move(annulus, z, side, gradient, mu, nu, missed, damping, longest, move
     first = min(met, count)
     if met > 0:
         for c in range(first):
-            _reflect(rows, count, c, reflectors[c])
-            _mirror(pull, count, reflectors[c])
-            _mirror(reduced, count, reflectors[c])
-            _mirror(reduced.T, count, reflectors[c])
+            reflect(rows, count, c, reflectors[c])
+            mirror(pull, count, reflectors[c])
+            mirror(reduced, count, reflectors[c])
+            mirror(reduced.T, count, reflectors[c])
         _set_particular(rows, missed[:first], small)
         pull += np.ascontiguousarray(reduced[:, :first]) @ small[:first]
     damping = _set_damped(reduced, pull[:, 0], first, count, scale, damping, longest, small)
     for c in range(first - 1, -1, -1):
-        _mirror(small, count, reflectors[c])
+        mirror(small, count, reflectors[c])
     move[:] = 0.0
     for i in range(count):
         for c in range(n):
@@ -448,9 +448,9 @@ def _least_eigenvalue(matrix, arrival, met):
     first = 1 if met else 0
     if met:
         row, reflector = arrival.copy().reshape((count, 1)), np.empty(count)
-        _reflect(row, count, 0, reflector)
-        _mirror(matrix, count, reflector)
-        _mirror(matrix.T, count, reflector)
+        reflect(row, count, 0, reflector)
+        mirror(matrix, count, reflector)
+        mirror(matrix.T, count, reflector)
     free = np.ascontiguousarray(matrix[first:, first:])
     for k in range(len(free)):
         scale = max(scale, abs(free[k, k]))
@@ -533,27 +533,37 @@ def _bound(annulus, q, left, z, side, mu, nu):
 
 @compiled
 def _descend(annulus, q, left, z, side, counts, numbers, longest, work):
-    """Take z towards a stationary point; return whether it got there, a bound, and the work left.
+    """Take z towards a stationary point, on from where it is.
 
-    Where it did not, the work has run out, or the steps: ``counts[STEPS]`` tells.
+    Args:
+        annulus: what to minimise over.
+        q: linear terms, shape (N, n).
+        left: b, shape (n,), or (0,) without an arrival.
+        z: headings, shape (N, n), updated in place.
+        side: the bounds they sit on, shape (N,), updated in place.
+        counts: of Progress; its steps become ``ITERATIONS`` when there is nothing more to do.
+        numbers: of Progress; its damping is updated in place.
+        longest: Euclidean norm of a step.
+        work: multiplications to do at most.
+
+    Returns:
+        By how much z misses the arrival, the bound that its multipliers prove, the work left.
     """
     n_steps, met = len(z), len(left)
     mu, nu, missed = np.zeros(n_steps), np.zeros(met), np.empty(met)
     gradient, move = np.empty_like(z), np.empty_like(z)
     scale = np.abs(q).max() + np.abs(annulus.hessian).max() + annulus.length.max() + 1e-300
-    stuck = False
+    near, stuck = ARRIVED * (1.0 + np.abs(annulus.arrival).max()), False
     while True:
         off = _set_missed(annulus, left, z, missed)
         _set_gradient(annulus, q, z, gradient)
         if met > 0:
             _set_pull(annulus, z, side, gradient, nu)
         residual = _set_multipliers(annulus, z, side, gradient, nu, mu)
-        settled = residual <= RESIDUAL * scale and off <= ARRIVED * (
-            1.0 + np.abs(annulus.arrival).max()
-        )
-        if not stuck or settled:
-            if _release(side, mu, annulus.floor, max(RESIDUAL * scale, 10.0 * residual)):
-                settled = False
+        settled = residual <= RESIDUAL * scale and off <= near
+        least = max(RESIDUAL * scale, 10.0 * residual)
+        if (settled or not stuck) and _release(side, mu, annulus.floor, least):
+            settled = False
         if settled or stuck or counts[STEPS] >= ITERATIONS:
             counts[STEPS] = ITERATIONS
             break
@@ -585,10 +595,8 @@ def _begin(z, side, starts, start, floor):
             turn = (start + 1.0) * (k + 1.0)
             height = np.cos(OTHER_ANGLE * turn) if z.shape[1] == 3 else 0.0
             flat = np.sqrt(1.0 - height * height)
-            z[k, 0], z[k, 1] = (
-                flat * np.cos(GOLDEN_ANGLE * turn),
-                flat * np.sin(GOLDEN_ANGLE * turn),
-            )
+            z[k, 0] = flat * np.cos(GOLDEN_ANGLE * turn)
+            z[k, 1] = flat * np.sin(GOLDEN_ANGLE * turn)
             if z.shape[1] == 3:
                 z[k, 2] = height
     _place(z, side, floor)

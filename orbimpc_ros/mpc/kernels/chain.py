@@ -256,10 +256,8 @@ def minimise(chain, limits, progress, work):
         if worst <= precision or near:
             bound = _dual(along, start, turning, weights, goals, new, none, gain, offset, target)
             numbers[BEST] = max(numbers[BEST], bound)
-            if (
-                worst <= precision
-                and quadratic - numbers[BEST] <= proportion * quadratic + rounding
-            ):
+            gap = quadratic - numbers[BEST]
+            if worst <= precision and gap <= proportion * quadratic + rounding:
                 return quadratic, SETTLED
         if near or counts[TAKEN] == STUCK:
             if near:

@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.annulus import _mirror, _reflect, bound_at
+from orbimpc_ros.mpc.kernels.annulus import bound_at, mirror, reflect
 from orbimpc_ros.mpc.kernels.linear import quadratic, solve_spd
 
 SMALLEST = 1e-8  # mu, of the forces at work
@@ -39,17 +39,17 @@ def _inverse(annulus, theta, arrives, inverse):
     reflector = np.zeros(count)
     if arrives:
         row = annulus.arrival.copy().reshape((count, 1))
-        _reflect(row, count, 0, reflector)
-        _mirror(matrix, count, reflector)
-        _mirror(matrix.T, count, reflector)
+        reflect(row, count, 0, reflector)
+        mirror(matrix, count, reflector)
+        mirror(matrix.T, count, reflector)
     free = np.ascontiguousarray(matrix[first:, first:])
     if not solve_spd(free.copy(), np.zeros(count - first), count - first):
         return -np.inf
     inverse[:] = 0.0
     inverse[first:, first:] = np.linalg.inv(free)
     if arrives:
-        _mirror(inverse, count, reflector)
-        _mirror(inverse.T, count, reflector)
+        mirror(inverse, count, reflector)
+        mirror(inverse.T, count, reflector)
     return np.linalg.slogdet(free)[1]
 
 

@@ -24,8 +24,11 @@ Hessian on the directions that a terminal constraint leaves free.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, vectorised
 from orbimpc_ros.mpc.kernels.linear import solve_spd
 from orbimpc_ros.mpc.kernels.penalty import ENOUGH, HALVINGS, STUCK, descends, stiffened
@@ -39,6 +42,9 @@ from orbimpc_ros.mpc.kernels.terms import (
 
 LIMIT = 200  # Newton steps and updates of the multipliers
 NOTHING = 1e-18  # a minimum is near enough where so little is left
+SETTLED, STALLED, PAUSED = range(3)  # what a call ends with
+SIGMA, BEST, PROMISED = range(3)  # in Progress.numbers
+STEPS, TAKEN = range(2)  # in Progress.counts
 WARM = 30.0  # sigma may be larger by this where multipliers are of use from the start
 
 
@@ -148,69 +154,98 @@ def _with_lengths(quadratic, terms, x):
     return cost
 
 
+class Progress(NamedTuple):
+    """A minimisation that can be interrupted.
+
+    Attributes:
+        x: shape (n, 9).
+        held_force: F, that the multipliers held exert: x = x_0 - P F, shape (n, 9).
+        numbers: sigma; the greatest lower bound; what the last Newton step promised, shape (3,).
+        counts: steps and updates made; Newton steps since sigma last changed, shape (2,).
+    """
+
+    x: Array
+    held_force: Array
+    numbers: Array
+    counts: np.ndarray
+
+
+def begun(places: int, sigma: float) -> Progress:
+    """Return the progress of a minimisation that has not begun, with its first sigma."""
+    shape = (places, 9)
+    numbers = np.array([sigma, -np.inf, np.inf])
+    return Progress(np.zeros(shape), np.zeros(shape), numbers, np.zeros(2, np.int64))
+
+
 @compiled
-def minimise(terms, start, held, sigmas, limits, work):
-    """Minimise quadratic and terms, from multipliers that are updated in place.
+def minimise(terms, start, held, limits, work, progress, budget):
+    """Minimise quadratic and terms, on from where the progress is.
 
     Args:
         terms: what comes to the quadratic.
         start: x_0, its minimiser subject to the terminal constraint, shape (n, 9).
-        held: the multipliers to start from.
-        sigmas: the first parameter of the augmented Lagrangian, and its limit.
+        held: the multipliers, updated in place.
         limits: on the violation of a constraint; on the gap, in proportion to the cost; the cost
-            of x_0; what rounding may make of it.
+            of x_0; what rounding may make of it; the largest sigma.
         work: room to work in.
+        progress: updated in place.
+        budget: multiplications to do at most, though no less than a Newton step takes.
 
     Returns:
-        x, its cost and a lower bound (both above that of x_0), the steps taken, and whether the
-        limits are met.
+        The cost of ``progress.x`` above that of x_0, and ``SETTLED``, ``STALLED`` or ``PAUSED``.
     """
-    sigma, largest = sigmas
-    precision, proportion, least, rounding = limits
-    x, trial, direction = np.empty_like(start), np.empty_like(start), np.empty_like(start)
-    # With a force F held, x = x_0 - P F; the gradient left over is force - F.
-    held_force, force = np.empty_like(start), np.empty_like(start)
+    precision, proportion, least, rounding, largest = limits
+    x, held_force, numbers, counts = progress
+    trial, direction, force = np.empty_like(start), np.empty_like(start), np.empty_like(start)
     residual, change = np.empty_like(start), np.empty_like(start)
     new = multipliers(len(start))
-    best = _begin(terms, start, held, held_force, x, work)
-    if best > 0.0:
-        sigma *= WARM
-    value, moved, worst = project(terms, x, held, sigma, new, work)
-    gain, taken = np.inf, 0
-    for iteration in range(LIMIT):
+    if counts[STEPS] == 0:
+        numbers[BEST] = _begin(terms, start, held, held_force, x, work)
+        if numbers[BEST] > 0.0:
+            numbers[SIGMA] *= WARM
+    value, moved, worst = project(terms, x, held, numbers[SIGMA], new, work)
+    while True:
+        # The gradient left over is force - F.
         set_forces(terms, new, force)
         residual[:] = force - held_force
         apply(terms, residual, direction)
         left = inner(residual, direction)
         quadratic = 0.5 * inner(held_force, start - x)
         cost = _with_lengths(quadratic, terms, x)
-        best = max(best, quadratic + value - 0.5 * left)
-        if worst <= precision and abs(cost - best) <= proportion * abs(least + cost) + rounding:
-            return x, cost, best, iteration, True
-        near = min(left, gain) <= max(NOTHING, ENOUGH * moved / sigma)
-        if near or taken == STUCK:
+        numbers[BEST] = max(numbers[BEST], quadratic + value - 0.5 * left)
+        gap = abs(cost - numbers[BEST])
+        if worst <= precision and gap <= proportion * abs(least + cost) + rounding:
+            return cost, SETTLED
+        if counts[STEPS] >= LIMIT:
+            return cost, STALLED
+        if budget <= 0.0:
+            return cost, PAUSED
+        counts[STEPS] += 1
+        near = min(left, numbers[PROMISED]) <= max(NOTHING, ENOUGH * moved / numbers[SIGMA])
+        if near or counts[TAKEN] == STUCK:
             if near:
                 _keep(new, held)
-            sigma = stiffened(sigma, largest, near, taken)
-            gain, taken = np.inf, 0
-            value, moved, worst = project(terms, x, held, sigma, new, work)
+            numbers[SIGMA] = stiffened(numbers[SIGMA], largest, near, counts[TAKEN])
+            numbers[PROMISED], counts[TAKEN] = np.inf, 0
+            value, moved, worst = project(terms, x, held, numbers[SIGMA], new, work)
             continue
-        taken += 1
-        count = set_columns(terms, x, held, sigma, new, work)
+        counts[TAKEN] += 1
+        count = set_columns(terms, x, held, numbers[SIGMA], new, work)
+        budget -= count * count * (count / 6.0 + 9.0) + 40.0 * len(x) ** 2 + 500.0 * len(x)
         if not _newton(terms, residual, direction, count, work, change):
-            break
+            return cost, STALLED
         apply(terms, change, direction)
         bend, pull = inner(change, direction), inner(held_force, direction)
-        gain = inner(residual, direction)
-        merit = quadratic + value - 0.5 * moved / sigma
+        numbers[PROMISED] = inner(residual, direction)
+        merit = quadratic + value - 0.5 * moved / numbers[SIGMA]
         share = 1.0
         for _ in range(HALVINGS):
             trial[:] = x - share * direction
-            value, moved, worst = project(terms, trial, held, sigma, new, work)
-            reached = quadratic + share * (pull + 0.5 * share * bend) + value - 0.5 * moved / sigma
-            if descends(reached, merit, share, gain):
+            value, moved, worst = project(terms, trial, held, numbers[SIGMA], new, work)
+            reached = quadratic + share * (pull + 0.5 * share * bend) + value
+            reached -= 0.5 * moved / numbers[SIGMA]
+            if descends(reached, merit, share, numbers[PROMISED]):
                 break
             share *= 0.5
         x[:] = trial
         held_force += share * change
-    return x, cost, best, LIMIT, False
