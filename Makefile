@@ -2,8 +2,9 @@
 # make test   sets up .venv and runs lint, types and tests
 # make docs   writes the table of parameters and draws the pictures of docs/ anew
 #
-# PYTHON=... picks the interpreter, VENV=... the environment. With ROS 2 installed (ROS_DISTRO is
-# set) its Python packages are used; elsewhere rclpy and the messages come from PyPI.
+# PYTHON=... picks the interpreter, VENV=... the environment, PINS=... what pip is to keep to. With
+# ROS 2 installed (ROS_DISTRO is set) its Python packages are used, and NumPy stays below 2 if
+# theirs is; elsewhere rclpy and the messages come from PyPI.
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -15,6 +16,8 @@ ifdef ROS_DISTRO
 VENV_FLAGS = --system-site-packages
 EXTRAS_DEMO = [fast]
 EXTRAS_TEST = [fast,study,test]
+NUMPY := $(shell $(PYTHON) -c 'import numpy; print(numpy.__version__)' 2>/dev/null)
+PINS = $(if $(filter 1.%,$(NUMPY)),--constraint requirements-jazzy.txt)
 else
 EXTRAS_DEMO = [ros,fast]
 EXTRAS_TEST = [ros,fast,study,test,view]
@@ -45,13 +48,13 @@ docs: $(VENV)/.installed-demo
 	mv docs/parameters.new docs/parameters.md
 	$(BIN)/python docs/pictures.py
 
-$(VENV)/.installed-demo: $(BIN)/python setup.py setup.cfg pyproject.toml
+$(VENV)/.installed-demo: $(BIN)/python setup.py setup.cfg pyproject.toml requirements-jazzy.txt
 	$(SAY) 'Installing orbimpc_ros into $(VENV) (a minute, only once)'
-	@$(BIN)/python -m pip install -qq --disable-pip-version-check --editable '.$(EXTRAS_DEMO)'
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check --editable '.$(EXTRAS_DEMO)' $(PINS)
 	$(COMPILE)
 	@touch $@
 
-$(VENV)/.installed-test: $(BIN)/python setup.py setup.cfg pyproject.toml
+$(VENV)/.installed-test: $(BIN)/python setup.py setup.cfg pyproject.toml requirements-jazzy.txt
 	$(SAY) 'Installing orbimpc_ros and its test tools into $(VENV) (a minute, only once)'
 	@$(BIN)/python -m pip install -qq --disable-pip-version-check --editable '.$(EXTRAS_TEST)' $(PINS)
 	$(COMPILE)

@@ -1,11 +1,13 @@
 """Packaging for pip and for colcon (ament_python)."""
 
+import sys
 from pathlib import Path
 
 from setuptools import find_packages, setup
 
 NAME = 'orbimpc_ros'
 SHARE = f'share/{NAME}'
+FOR_PIP = {'bdist_wheel', 'dist_info', 'editable_wheel'}  # commands that pip builds with
 
 
 def shared_files():
@@ -18,6 +20,20 @@ def shared_files():
     return list(folders.items())
 
 
+def executables():
+    """Return the console scripts.
+
+    colcon puts them into lib/orbimpc_ros, where ``ros2 run`` looks for ``planner`` and ``sim``. pip
+    puts them into a ``bin`` that is shared with everything else: there their names are longer.
+    """
+    prefix = 'orbimpc-' if FOR_PIP & set(sys.argv) else ''
+    return {
+        'orbimpc': f'{NAME}.tool.cli:main',
+        f'{prefix}planner': f'{NAME}.ros.entry:planner',
+        f'{prefix}sim': f'{NAME}.ros.entry:sim',
+    }
+
+
 setup(
     name=NAME,
     version='0.1.0',
@@ -26,6 +42,7 @@ setup(
     maintainer='orbimpc_ros developers',
     maintainer_email='orbimpc-ros@example.org',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
+    package_data={NAME: ['py.typed']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (SHARE, ['package.xml']),
@@ -67,11 +84,7 @@ setup(
         'view': ['rerun-sdk>=0.39,<0.42'],
     },
     entry_points={
-        'console_scripts': [
-            'planner = orbimpc_ros.ros.entry:planner',
-            'sim = orbimpc_ros.ros.entry:sim',
-            'orbimpc = orbimpc_ros.tool.cli:main',
-        ],
+        'console_scripts': [f'{name} = {target}' for name, target in executables().items()],
     },
     zip_safe=True,
 )

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from problems import floor, goals, reference, state, weights
 
+from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.condensed import Condensed
 from orbimpc_ros.mpc.floors.annulus import Annulus
 from orbimpc_ros.mpc.floors.circle import Circle
 from orbimpc_ros.mpc.floors.lift import Lift
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.plan import violations
 from orbimpc_ros.mpc.problem import Problem, State, Weights
 from orbimpc_ros.mpc.solver import Solver
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from problems import box, floor, rotation, weights
 
+from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import flaw
 from orbimpc_ros.mpc.controller import Controller
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.odometry import Odometry
-from orbimpc_ros.mpc.plan import violations
 from orbimpc_ros.mpc.problem import Problem, Weights
 
 PROBLEMS, QUESTIONS = (500, 10) if os.environ.get('ORBIMPC_LONG') else (60, 10)

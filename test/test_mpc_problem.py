@@ -33,6 +33,10 @@ from orbimpc_ros.mpc.solver import Solver
         (lambda: Problem(step=10**400), 'step'),
         (lambda: Box([0.0, 0.0], [1.0, 10**400]), 'obstacles.max'),
         (lambda: Problem(terminal='maybe'), 'terminal'),
+        (lambda: Problem(weights={'position': 1.0}), 'weights'),
+        (lambda: Problem(floor='circle'), 'floor'),
+        (lambda: Problem(obstacles=[Box([0, 0], [1, 1])]), 'obstacles'),
+        (lambda: Problem(obstacles=(([0, 0], [1, 1]),)), 'obstacles'),
         (lambda: Problem(max_rate=4.0), 'max_rate'),
         (lambda: Problem(max_rate=-0.1), 'max_rate'),
         (lambda: Problem(obstacles=(Box([0, 0, 0], [1, 1, 1]),)), 'obstacles.min'),
@@ -102,3 +106,25 @@ def test_states_start_at_rest_and_know_their_attitude():
     assert np.allclose(state.attitude, np.eye(3))
     with pytest.raises(ValueError, match='read-only'):
         state.position[0] = 0.0
+
+
+def test_parts_of_another_type_are_named_with_the_type_that_is_wanted():
+    with pytest.raises(BadInput, match=r'^weights is a dict; allowed: a Weights$'):
+        Problem(weights={'position': 1.0})
+
+
+def same(x=0.0):
+    """Return a new state, box and problem; equal ones for equal numbers."""
+    box = Box([x, 1.0], [2.0, 3.0])
+    state = State.at([x, 1.0], np.eye(2), coasted=np.eye(2))
+    return state, box, Problem(obstacles=(box,))
+
+
+def test_values_are_equal_by_content_and_serve_as_keys():
+    for value, twin, other in zip(same(), same(-0.0), same(0.5), strict=True):
+        assert value == twin
+        assert hash(value) == hash(twin)
+        assert value != other
+        assert value != 'value'
+        assert {value: 1}[twin] == 1
+    assert State.at([0.0, 1.0], np.eye(2)) != same()[0]  # without what it coasts to

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from problems import ORDERS, goals, state, weights
 
+from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.disjunction import Slot
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.orbitopes import matrix
-from orbimpc_ros.mpc.plan import assemble, violations
+from orbimpc_ros.mpc.plan import UNPROVED, assemble
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.program import Program
 from orbimpc_ros.mpc.rotations import nearest
@@ -87,10 +88,8 @@ def test_updating_in_place_is_compiling_anew(orders, terminal):
             start,
             targets,
             relaxed.x,
-            status='optimal',
-            lower_bound=relaxed.bound,
-            nodes=1,
             projection='nearest',
+            proof=UNPROVED,
         )
         assert violations(problem, start, targets, plan) == []
         assert plan.objective == pytest.approx(relaxed.bound, rel=1e-5, abs=1e-6)

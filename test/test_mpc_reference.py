@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from problems import ANSWERS, CASES, reference
 
-from orbimpc_ros.mpc.plan import violations
+from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.solver import Solver
 
 BEST_KNOWN = ('uav_circle', 'uav_unit', 'dubins_circle')  # feasible values, not proved optimal

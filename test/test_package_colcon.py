@@ -135,6 +135,46 @@ def test_the_installed_tool_flies_a_demo(workspace, tmp_path):
     assert 'arrived       yes' in done.stdout
 
 
+LAUNCH_TESTING = """
+import importlib.util
+import pytest
+
+def pytest_pycollect_makemodule(module_path, parent):
+    spec = importlib.util.spec_from_file_location(module_path.stem, module_path)
+    spec.loader.exec_module(importlib.util.module_from_spec(spec))
+    return pytest.Module.from_parent(parent, path=module_path)
+"""  # what the pytest plugin of ROS's launch_testing does
+
+
+@pytest.fixture
+def suite(tmp_path):
+    """Return what runs pytest in a folder with this suite's conftest.py, as in a workspace."""
+    shutil.copy(ROOT / 'test' / 'conftest.py', tmp_path)
+    (tmp_path / 'plugin.py').write_text(LAUNCH_TESTING)
+
+    def go(**modules):
+        for name, text in modules.items():
+            (tmp_path / f'test_{name}.py').write_text(text)
+        words = (sys.executable, '-m', 'pytest', '-p', 'plugin', '-p', 'no:cacheprovider')
+        return run(*words, cwd=tmp_path, PYTHONPATH=f'{tmp_path}{os.pathsep}{ROOT}')
+
+    return go
+
+
+def test_a_module_that_is_skipped_skips_no_other(suite):
+    done = suite(
+        absent='import pytest\npytest.importorskip("not_installed")\ndef test_it(): pass\n',
+        present='def test_it(): pass\n',
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert '1 passed, 1 skipped' in done.stdout
+
+
+def test_a_run_without_any_test_fails(suite):
+    """pytest's own exit code for that, 5, passes for success with colcon."""
+    assert suite(absent='import pytest\npytest.importorskip("not_installed")\n').returncode == 1
+
+
 def test_colcon_test_runs_pytest(workspace):
     one = 'test/test_mpc_orbitopes.py'
     done = colcon(
@@ -167,3 +207,7 @@ def test_a_wheel_carries_configuration_and_launch_files(tmp_path):
     assert path == str(site / 'share' / NAME / 'config' / 'retrieval.yaml')
     assert version == 'orbimpc_ros 0.1.0'
     assert (site / 'share' / NAME / 'launch' / 'fleet.launch.py').is_file()
+    assert (site / NAME / 'py.typed').is_file()
+    # The folder is shared with other packages' executables: nothing there is named planner or sim.
+    scripts = {each.name for each in (site / 'bin').iterdir()}
+    assert scripts == {'orbimpc', 'orbimpc-planner', 'orbimpc-sim'}

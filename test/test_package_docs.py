@@ -78,7 +78,11 @@ def test_the_tutorials_problem_is_solved(tmp_path):
     assert yaml.safe_load(done.stdout)['status'] == 'optimal'
 
 
-@pytest.mark.parametrize('page', [DOCS / 'tutorial.md', ROOT / 'README.md'], ids=lambda p: p.name)
+@pytest.mark.parametrize(
+    'page',
+    [DOCS / 'library.md', DOCS / 'tutorial.md', ROOT / 'README.md'],
+    ids=lambda page: page.name,
+)
 def test_python_that_needs_no_ros_runs(page, tmp_path):
     for text in blocks(page, 'python'):
         if 'rclpy' not in text:

@@ -2,6 +2,7 @@
 
 import ast
 import re
+import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -24,6 +25,7 @@ PROVIDERS = {
     'matplotlib': ('python3-matplotlib', 'matplotlib'),
     'mcap': ('mcap-ros2-support', 'mcap'),
     'mpl_toolkits': ('python3-matplotlib', 'matplotlib'),
+    'numba': ('python3-numba', None),
     'numpy': ('python3-numpy', 'numpy'),
     'rosbags': ('python3-rosbags-pip', 'rosbags'),
     'scipy': ('python3-scipy', 'scipy'),
@@ -69,10 +71,27 @@ def test_manifests_agree(field):
     assert setup_keyword(field) == PACKAGE.find(field).text
 
 
+def test_the_version_is_stated_once_more_for_python():
+    import orbimpc_ros
+
+    assert orbimpc_ros.__version__ == PACKAGE.find('version').text
+
+
+def test_the_interface_is_there_and_costs_nothing_until_it_is_used():
+    script = (
+        'import sys, orbimpc_ros as o; print("numpy" in sys.modules);'
+        'print(all(getattr(o, name) is not None for name in o.__all__));'
+        'print(set(dir(o)) >= set(o.__all__))'
+    )
+    words = [sys.executable, '-c', script]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ['False', 'True', 'True']
+
+
 def optional():
-    """Return the modules that the package does without: those of extras."""
+    """Return the modules of commands that ask for an extra when they are used."""
     extras = setup_keyword('extras_require')
-    wanted = [r for name in ('fast', 'bench', 'study', 'view') for r in extras.get(name, [])]
+    wanted = [r for name in ('bench', 'study', 'view') for r in extras.get(name, [])]
     brought = {re.split(r'[<>=\[]', r)[0] for r in wanted}
     return brought | {module for name in brought for module in MODULES.get(name, ())}
 
@@ -88,13 +107,43 @@ def test_every_import_is_declared_in_package_xml():
 def test_every_third_party_import_is_declared_in_setup():
     declared = {re.split(r'[<>=\[]', r)[0] for r in setup_keyword('install_requires')}
     used = {PROVIDERS[module][1] for module in imported() if module in PROVIDERS}
-    assert declared == used
+    assert declared == used - {None}
+
+
+def test_what_rosdep_would_install_by_pip_comes_from_the_requirements():
+    """pip may not touch Ubuntu 24.04's own Python: what it would bring is for an environment."""
+    lines = (ROOT / 'requirements-jazzy.txt').read_text().splitlines()
+    given = {re.split(r'[<>=]', line)[0] for line in lines if not line.startswith('#')}
+    (skipped,) = re.findall(r"--skip-keys '([^']+)'", (ROOT / 'README.md').read_text())
+    by_pip = {key for key in depends() if key.endswith('-pip') or key == 'mcap-ros2-support'}
+    assert by_pip | {'python3-numba'} == set(skipped.split()) <= depends()
+    for module, (key, _) in PROVIDERS.items():
+        # CVXPY brings Clarabel, MCAP its two compressors.
+        if key in skipped and module not in ('clarabel', 'lz4', 'zstandard'):
+            assert module in given
+    assert given <= set(PROVIDERS)
+
+
+@pytest.mark.parametrize(('numpy', 'kept'), [('1.26.4', True), ('2.3.1', False)])
+def test_make_keeps_the_numpy_that_ros_is_compiled_for(tmp_path, numpy, kept):
+    python = tmp_path / 'python3'
+    python.write_text(f'#!/bin/sh\necho {numpy}\n')
+    python.chmod(0o755)
+    words = ('make', '-n', '-B', 'demo', f'VENV={tmp_path}/venv', f'PYTHON={python}')
+    done = subprocess.run(
+        [*words, 'ROS_DISTRO=jazzy'], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    (install,) = (line for line in done.stdout.splitlines() if 'pip install' in line)
+    assert ('--constraint requirements-jazzy.txt' in install) == kept
 
 
 def test_executables_exist():
-    for line in setup_keyword('entry_points')['console_scripts']:
-        _, target = line.split(' = ')
-        module, function = target.split(':')
+    tree = ast.parse((ROOT / 'setup.py').read_text())
+    texts = [ast.unparse(n) for n in ast.walk(tree) if isinstance(n, ast.JoinedStr)]
+    targets = re.findall(r'\{NAME\}\.([\w.]+):(\w+)', ' '.join(texts))
+    assert len(targets) == 3
+    for module, function in targets:
+        module = f'orbimpc_ros.{module}'
         file = ROOT / (module.replace('.', '/') + '.py')
         names = {n.name for n in ast.parse(file.read_text()).body if isinstance(n, ast.FunctionDef)}
         assert function in names
@@ -112,3 +161,18 @@ def test_configuration_is_found():
         assert share.config(file.name).read_bytes() == file.read_bytes()
     with pytest.raises(BadInput, match=r'nothing\.yaml'):
         share.config('nothing.yaml')
+
+
+@pytest.mark.parametrize('node', ['planner', 'sim'])
+def test_a_node_says_in_one_line_that_ros_is_missing(node):
+    script = (
+        'import sys; from orbimpc_ros.ros import entry;'
+        'sys.modules.update(dict.fromkeys(entry.ROS));'
+        f'sys.exit(entry.{node}())'
+    )
+    words = [sys.executable, '-c', script]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, '')
+    assert done.stderr.count('\n') == 1
+    assert done.stderr.startswith(f'{node}: ')
+    assert "is missing: install ROS 2, or pip install 'orbimpc_ros[ros]'" in done.stderr

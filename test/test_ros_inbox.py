@@ -30,7 +30,8 @@ def goal(seconds, x=5.0):
 @pytest.fixture
 def inbox():
     values = {row.name: row.default for row in PLANNER}
-    return Inbox(planner_settings({**values, 'step': 0.1}))  # timeouts 0.2 s and 1 s
+    given = {'step': 0.1, 'odom_timeout': 0.2, 'goal_timeout': 1.0}
+    return Inbox(planner_settings({**values, **given}))
 
 
 def test_what_is_missing_is_said(inbox):
@@ -86,30 +87,44 @@ def test_a_source_stamped_like_the_odometry_is_waited_for(inbox):
     np.testing.assert_array_equal(inbox.targets(3, 0.1), [[6.0, 0.0]] * 3)
 
 
-def test_a_source_that_misses_three_turns_is_not_waited_for_any_more(inbox):
-    inbox.take_goal(goal(1.0), 0.0)
-    for turn in (1.0, 1.1, 1.2, 1.3):
-        assert inbox.synchronised == ({} if turn == 1.0 else {'goal': 0})
-        inbox.take_odometry(odometry(turn), turn)
-        if turn < 1.3:
-            inbox.take_goal(goal(turn), turn)
-    for turn in (1.4, 1.5, 1.6):
-        assert not inbox.complete
-        inbox.stop_waiting()
-        inbox.take_odometry(odometry(turn), turn)
-    assert inbox.complete
+def accompanied(inbox, turns, shares):
+    """Take in odometry at 50 Hz; return on which turns a goal that has not come is waited for."""
+    waits = []
+    for turn in range(turns):
+        at = 1.0 + 0.02 * turn
+        inbox.take_odometry(odometry(at), at)
+        if not inbox.complete:
+            waits.append(turn)
+        if shares(turn):
+            inbox.take_goal(goal(at), at)
+    return waits
 
 
-def test_a_source_that_speaks_again_has_all_its_turns_again(inbox):
-    inbox.take_odometry(odometry(1.0), 0.0)
-    inbox.take_goal(goal(1.0), 0.0)
-    for turn in (1.1, 1.2, 1.3, 1.4, 1.5, 1.6):
-        inbox.take_odometry(odometry(turn), turn)
-        assert not inbox.complete
-        if turn in (1.3, 1.6):
-            inbox.take_goal(goal(turn), turn)
-        inbox.stop_waiting()
-    assert inbox.synchronised == {'goal': 0}
+def test_a_source_in_lock_step_is_waited_for_from_its_first_message_on(inbox):
+    assert accompanied(inbox, 30, lambda turn: True) == list(range(30))
+    assert inbox.companions == ['goal']
+
+
+@pytest.mark.parametrize('every', [2, 5, 20])
+def test_a_slower_source_of_the_same_clock_is_waited_for_once(inbox, every):
+    assert accompanied(inbox, 200, lambda turn: turn % every == 0) == [0, 1]
+    assert inbox.companions == []
+
+
+def test_a_loss_now_and_then_does_not_end_lock_step(inbox):
+    waits = accompanied(inbox, 60, lambda turn: turn % 15 != 14)
+    assert waits == list(range(60))
+
+
+def test_a_source_that_stops_is_given_up_after_one_turn_in_vain(inbox):
+    waits = accompanied(inbox, 60, lambda turn: turn < 20)
+    assert waits == list(range(22))
+
+
+def test_a_source_that_speaks_again_is_waited_for_once_it_has_proved_itself(inbox):
+    waits = accompanied(inbox, 60, lambda turn: not 20 <= turn < 25)
+    assert waits[-1] == 59
+    assert not set(range(22, 30)) & set(waits)
 
 
 def test_a_forecast_from_outside_is_used_while_it_is_fresh(inbox):
@@ -193,6 +208,74 @@ def test_a_source_once_timed_stays_so(inbox):
     inbox.forget()
     inbox.take_odometry(odometry(1.0), 240.1, clock(240.1))
     assert inbox.untimed == 'odom'
+
+
+@pytest.fixture
+def default():
+    values = {row.name: row.default for row in PLANNER}
+    return Inbox(planner_settings({**values, 'step': 0.1}))
+
+
+def sent(inbox, *times):
+    for at in times:
+        inbox.take_odometry(odometry(at), at)
+        assert inbox.take_goal(goal(at), at) == ''
+
+
+def test_a_goal_sent_by_hand_holds_until_the_next_one(default):
+    sent(default, 1.0)
+    assert default.stale_goal(1e4) == ''
+    sent(default, 60.0, 300.0, 301.5)  # once in a while is no stream
+    assert default.stale_goal(1e4) == ''
+
+
+def test_a_source_that_streams_and_stops_is_missed(default):
+    sent(default, 1.0, 1.5, 2.0)
+    assert default.stale_goal(2.9) == ''
+    assert default.stale_goal(3.1) == 'the goal is 1.10 s old'
+    sent(default, 10.0)  # now by hand
+    assert default.stale_goal(1e4) == ''
+
+
+def test_a_forecast_of_a_goal_that_moves_on_gets_stale_at_once():
+    values = {row.name: row.default for row in PLANNER}
+    moving = Inbox(planner_settings({**values, 'step': 0.1, 'goal_prediction': 'velocity'}))
+    sent(moving, 1.0)
+    assert moving.stale_goal(2.1) == 'the goal is 1.10 s old'
+
+
+def test_a_timeout_that_was_asked_for_holds_for_every_goal(inbox):
+    sent(inbox, 1.0)
+    assert inbox.stale_goal(2.1) == 'the goal is 1.10 s old'
+
+
+def test_a_timeout_below_zero_is_none():
+    values = {row.name: row.default for row in PLANNER}
+    patient = Inbox(planner_settings({**values, 'step': 0.1, 'goal_timeout': -1.0}))
+    sent(patient, 1.0, 1.1, 1.2, 1.3)
+    assert patient.stale_goal(1e4) == ''
+    path = messages.goal_path_message(stamp(1.3), 0.1, [np.array([7.0, 1.0])])
+    assert patient.take_path(path, 1.3) == ''
+    assert patient.stale_goal(1e4) == ''
+    np.testing.assert_array_equal(patient.targets(1, 1e4), [[7.0, 1.0]])
+
+
+def test_stamps_that_nobody_sets_are_told_as_what_they_are(inbox):
+    assert inbox.take_odometry(odometry(0.0), 0.0) == ''  # simulated time may begin at zero
+    refusal = inbox.take_odometry(odometry(0.0), 0.1)
+    assert 'unset stamp is 0 again; allowed: header.stamp set to the time' in refusal
+    assert inbox.refused == {'odom: unset stamp': 1}
+
+
+def test_refusals_and_what_is_missing_name_the_topics_as_they_are_resolved(default):
+    names = {'odom': '/boat/gps', 'goal': '/boat/goal', 'goal_path': '/boat/path'}
+    remapped = Inbox(default.settings, names)
+    assert remapped.missing == 'odometry on /boat/gps and a goal on /boat/goal or /boat/path'
+    assert remapped.take_odometry(odometry(1.0), 0.0) == ''
+    assert remapped.take_odometry(odometry(1.0), 0.1).startswith('/boat/gps refused: duplicate')
+    assert remapped.refused == {'odom: duplicate stamp': 1}  # counts keep their names
+    remapped.take_odometry(odometry(2.0), 0.2, clock(0.2))
+    assert remapped.untimed == '/boat/gps'
 
 
 LIMITED = {'goal_jump_limit': 0.5, 'goal_prediction': 'velocity'}

@@ -42,7 +42,7 @@ def test_two_sources_of_odometry_bring_the_safe_command(flying):
     assert moving(flying.fly(1.0))
     node = flying.observer.node
     other = node.create_publisher(Odometry, 'odom', qos())
-    words = '2 publishers on odom'
+    words = '2 publishers on /odom'
     assert level(flying, words) == DiagnosticStatus.ERROR
     assert not moving(flying.fly(2.0))
     flying.until(lambda: any(words in told(m)['reason'] for m in flying.ticks), words)
@@ -55,7 +55,7 @@ def test_a_rival_on_the_vehicles_topic_is_warned_of(flying):
     flying.fly(1.0)
     node = flying.observer.node
     rival = node.create_publisher(TwistStamped, 'cmd_vel', qos())
-    assert level(flying, '2 publishers on cmd_vel') >= DiagnosticStatus.WARN
+    assert level(flying, '2 publishers on /cmd_vel') >= DiagnosticStatus.WARN
     node.destroy_publisher(rival)
     flying.fly(2.0)
 

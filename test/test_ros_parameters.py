@@ -53,7 +53,7 @@ DOCUMENTED = {
     'future_tolerance': 0.1,
     'goal_jump_limit': 0.0,
     'delay_compensation': True,
-    'safe_command': 'stop',
+    'safe_command': 'auto',
     'deadline': 0.0,
     'gap_tolerance': 1e-4,
     'frame_id': 'odom',

@@ -42,11 +42,11 @@ def flying(veteran):
 
 
 def test_without_odometry_and_goal_nothing_moves_and_it_says_what_it_waits_for(bench):
-    bench.says('waits for odometry on odom and a goal')
+    bench.says('waits for odometry on /odom and a goal on /goal or /goal_path')
     bench.odometry.publish(odometry(1.0))
     bench.says('waits for a goal')
     assert bench.commands == []
-    assert 'waits for odometry on odom' in bench.planner.output
+    assert 'waits for odometry on /odom' in bench.planner.output
     bench.goal.publish(goal(1.0))  # the odometry still waits for it, and is fresh or stale
     bench.until(lambda: 'ready' in bench.health[-1].status[0].message or bench.commands, 'a goal')
 

@@ -115,6 +115,20 @@ def test_the_vehicle_stops_when_its_planner_is_killed(launch, observer):
     assert odometry[-1].twist.twist.linear.x == 0.0
 
 
+def test_a_planner_that_was_missed_in_vain_commands_again(launch, observer):
+    """As on a machine that is too busy to run it for a moment."""
+    odometry = observer.listen(Odometry, 'odom')
+    diagnostics = observer.listen(DiagnosticArray, '/diagnostics')
+    planner = launch('planner', {'trigger': 'odom', 'step': 3.0})
+    sim = launch('sim', WALL | {'step': 3.0})
+    observer.until(lambda: moved(odometry), 'a vehicle that flies')
+    planner.tell(signal.SIGSTOP)
+    observer.until(lambda: complaints(diagnostics, 'no sign of life'), 'a complaint')
+    planner.tell(signal.SIGCONT)
+    words = 'the planner lives: its command is in force again'
+    observer.until(lambda: words in sim.output, words)
+
+
 @pytest.fixture
 def commanded(launch, observer):
     """Return what commands a simulator, its odometry and its diagnostics."""

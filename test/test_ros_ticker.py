@@ -1,5 +1,6 @@
 """Answers without publishing: safe commands, held plans, compensation, the last look."""
 
+import random
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,9 @@ import pytest
 pytest.importorskip('rclpy')
 
 from orbimpc_ros.mpc import controller as controllers
-from orbimpc_ros.mpc.problem import Floor, Problem
+from orbimpc_ros.mpc.command import flaw
+from orbimpc_ros.mpc.floors.faces import normals
+from orbimpc_ros.mpc.problem import Floor, Problem, largest_fraction
 from orbimpc_ros.mpc.rotations import exp
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.arrival import RosTime
@@ -120,16 +123,18 @@ def test_stamps_of_another_clock_say_nothing_of_the_delay():
         assert told.tick(seconds + 0.05).report.advanced == 0.0
 
 
+def poison(monkeypatch, **changes):
+    """Let commands be made with a flaw."""
+    honest = controllers.command_of
+    made = lambda *arguments: replace(honest(*arguments), **changes)  # noqa: E731
+    monkeypatch.setattr(controllers, 'command_of', made)
+
+
 def test_a_command_with_a_flaw_is_not_sent(monkeypatch):
     told = Told()
     told.odometry(0.0, 0.0)
     told.goal(0.0, 0.0)
-    honest = controllers.command_of
-
-    def poisoned(*arguments):
-        return replace(honest(*arguments), body_rate=np.array([np.nan]))
-
-    monkeypatch.setattr(controllers, 'command_of', poisoned)
+    poison(monkeypatch, body_rate=np.array([np.nan]))
     answer = told.tick(0.0)
     assert (answer.report.fallback, answer.report.status) == ('safe command', 'failed')
     assert answer.report.reason == 'not sent: the command is not finite'
@@ -164,6 +169,77 @@ def test_hold_rate_zero_goes_straight_on():
 def test_to_hold_the_speed_without_drag_is_to_coast():
     command = safe_command('hold_rate_zero', Problem(translation_order=2), ATTITUDE, 0.7)
     assert (command.speed_fraction, command.body_rate.tolist()) == (0.0, [0.0])
+
+
+def floored(dimension, shape, draw):
+    """A problem with a floor, and a rate limit on every other."""
+    faces = draw.choice([3, 4, 8]) if dimension == 2 else draw.choice([6, 12, 20])
+    fraction = draw.uniform(0.1, 1.0)
+    if shape == 'polygon':
+        fraction *= largest_fraction(dimension, faces)
+    step = draw.uniform(0.05, 2.0)
+    rate = draw.choice([0.0, draw.uniform(0.01, 1.0) * np.pi / step])
+    floor = Floor(shape, faces, fraction)
+    return Problem(dimension, step=step, max_rate=rate, floor=floor)
+
+
+@pytest.mark.parametrize('kind', ['hold_rate_zero', 'loiter'])
+@pytest.mark.parametrize('shape', ['polygon', 'circle'])
+@pytest.mark.parametrize('n', [2, 3])
+def test_no_safe_command_goes_below_the_floor_or_beyond_a_limit(n, shape, kind):
+    draw = random.Random(f'{n} {shape} {kind}')
+    for _ in range(100):
+        problem = floored(n, shape, draw)
+        attitude = exp(np.array([draw.uniform(-3.0, 3.0) for _ in range(1 if n == 2 else 3)]))
+        command = safe_command(kind, problem, attitude, draw.choice([0.0, draw.random(), 1.0]))
+        assert flaw(problem, command) == ''
+        headings = [attitude[:, 0], command.rotation[:, 0]]
+        for heading in headings if (shape, kind) == ('polygon', 'loiter') else ():
+            beyond = normals(n, problem.floor.faces) @ (command.speed_fraction * heading)
+            assert beyond.max() >= problem.floor.fraction - 1e-9
+
+
+def test_with_a_floor_the_safe_command_circles_unless_a_stop_is_asked_for():
+    for shape, order, given, wanted in (
+        ('none', 1, 'auto', 'stop'),
+        ('circle', 1, 'auto', 'loiter'),
+        ('polygon', 1, 'auto', 'loiter'),
+        ('circle', 2, 'auto', 'stop'),  # without drag a stop is to coast
+        ('circle', 1, 'stop', 'stop'),
+        ('circle', 1, 'hold_rate_zero', 'hold_rate_zero'),
+    ):
+        changes = {'floor.shape': shape, 'translation_order': order, 'safe_command': given}
+        values = {row.name: row.default for row in PLANNER} | changes
+        assert planner_settings(values).safe_command == wanted
+
+
+@pytest.mark.parametrize('kind', ['auto', 'hold_rate_zero', 'stop'])
+def test_every_road_to_a_safe_command_keeps_to_the_floor(kind, monkeypatch):
+    told = Told(**{'floor.shape': 'circle', 'safe_command': kind, 'goal_timeout': 0.5})
+    answers = [told.ticker.safe('before anything is known')]
+    told.goal(0.0, 0.0)
+    for k in range(9):
+        told.odometry(0.1 * k, 0.1 * k, position=(0.1 * k, 0.0))
+        answers.append(told.tick(0.1 * k))  # planned, shifted, then without a plan
+    answers.append(told.ticker.safe('disabled'))
+    told.ticker.forget()
+    answers.append(told.ticker.safe('starting afresh'))
+    told.odometry(2.0, 2.0)
+    told.goal(2.0, 2.0)
+    poison(monkeypatch, speed_fraction=0.1)
+    answers.append(told.tick(2.0))
+    assert answers[-1].report.reason.startswith('not sent: a speed fraction of 0.1 is below')
+    fallbacks = [answer.report.fallback for answer in answers]
+    assert fallbacks.count('safe command') == 5
+    assert fallbacks.count('shifted plan') == 2
+    for answer in answers:
+        below = answer.command.speed_fraction < np.sqrt(0.3) * (1.0 - 1e-9)
+        assert below == (kind == 'stop' and answer.report.fallback == 'safe command')
+
+
+def test_what_is_safe_at_translation_order_2_is_no_thrust_whatever_the_floor():
+    told = Told(**{'floor.shape': 'circle', 'translation_order': 2})
+    assert told.ticker.safe('disabled').command.speed_fraction == 0.0
 
 
 @pytest.mark.parametrize('n', [2, 3])

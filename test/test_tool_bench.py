@@ -206,11 +206,66 @@ def test_growth_is_the_exponent_of_n():
     assert growth(rows[:2]) == []
 
 
+@pytest.fixture
+def second(monkeypatch):
+    """Return a function that has something happen in the place of the second measurement."""
+
+    def replace(happen):
+        measure = bench.contested
+
+        def contested(contest, quick):
+            return measure(contest, quick) if contest.key == 'hull' else happen()
+
+        monkeypatch.setattr(bench, 'contested', contested)
+
+    return replace
+
+
+def test_rows_are_on_disk_before_the_next_measurement_begins(run, second, tmp_path):
+    file, seen = tmp_path / 'result.json', []
+    second(lambda: seen.extend(json.loads(file.read_text())['rows']) or [])
+    run('--only', 'hull', 'square')
+    assert {row['contender'] for row in seen} >= {OURS, CVXPY}
+
+
+def test_a_measurement_that_fails_is_a_row_and_loses_no_other(run, second):
+    def fail():
+        raise OSError('the wind has turned')
+
+    second(fail)
+    code, out, _, result = run('--only', 'hull', 'square')
+    assert code == 1
+    assert 'failed: OSError: the wind has turned' in out
+    solves = {(row['problem'], row['contender']): row['n'] for row in result['rows']}
+    assert solves[contest('hull').title, OURS] > 0
+    assert solves[contest('square').title, OURS] == 0
+
+
+def test_an_interruption_keeps_what_was_measured(run, second, tmp_path):
+    def interrupt():
+        raise KeyboardInterrupt
+
+    second(interrupt)
+    code, out, err, result = run('--only', 'hull', 'square')
+    assert (code, err.splitlines()[-1]) == (cli.INTERRUPTED, 'orbimpc: interrupted')
+    assert {row['problem'] for row in result['rows']} == {contest('hull').title}
+    assert CVXPY in out
+    assert (tmp_path / 'result.png').is_file()
+
+
+def test_our_own_failure_fails_the_run():
+    _, rows = fight({OURS: Fake(error=ZeroDivisionError('x')), 'other': Fake()})
+    assert rows[OURS].failed
+    assert not rows['other'].failed
+
+
 @pytest.mark.parametrize(
     ('words', 'culprit'),
     [
         (('--only', 'chess'), 'chess'),
         (('--json', '/dev/null/x'), '--json'),
+        (('--json', '/proc/x.json'), '--json'),  # a folder that takes no files
+        (('--json', '/tmp'), '--json'),
         (('--picture', '/nowhere/x.png'), '--picture'),
     ],
 )
@@ -219,6 +274,14 @@ def test_bad_words_are_refused_in_one_line(capsys, words, culprit):
     err = capsys.readouterr().err
     assert err.count('\n') == 1
     assert culprit in err
+
+
+def test_the_price_of_a_missing_numba_is_told(capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, 'numba', None)
+    assert cli.main(['bench', '--only', 'chess']) == 2
+    notice, complaint = capsys.readouterr().err.splitlines()
+    assert 'numba is not installed: plans take 6 to 60 times as long' in notice
+    assert 'chess' in complaint
 
 
 def test_two_planners_answer_in_time():

@@ -1,6 +1,7 @@
 """The demo as a newcomer runs it: real processes over DDS."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -146,6 +147,30 @@ def test_a_node_that_fails_is_shown(tmp_path):
     assert 'No module named' in done.stderr
     assert 'orbimpc: ' in done.stderr
     assert 'tool/cli.py' not in done.stderr  # the node's own traceback, not the tool's
+
+
+@pytest.mark.skipif(shutil.which('prlimit') is None, reason='no prlimit: apt install util-linux')
+def test_a_disk_that_is_full_fails_the_job_in_one_line(tmp_path):
+    """A limit on the size of files stands for the disk: the bag is larger than that."""
+    done = subprocess.run(
+        ['prlimit', '--fsize=40000', *command('retrieval', '--out', str(tmp_path))],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1] == f'orbimpc: {tmp_path}/retrieval: File too large'
+    assert 'Traceback' not in done.stderr
+
+
+def test_no_home_folder_is_needed(tmp_path, monkeypatch):
+    monkeypatch.setenv('HOME', '/proc/nobody')
+    for name in ('ROS_LOG_DIR', 'ROS_HOME'):
+        monkeypatch.delenv(name, raising=False)
+    done = run('retrieval', '--set', 'max_ticks=2', '--out', str(tmp_path))
+    assert 'Traceback' not in done.stderr
+    assert 'captured      no' in done.stdout
+    assert list((tmp_path / 'retrieval' / 'log').iterdir())
 
 
 def test_results_are_never_overwritten(tmp_path):

@@ -287,3 +287,21 @@ def test_bad_usage_is_one_line(words):
 def test_help_and_version():
     assert 'solve' in run_process('--help').stdout
     assert run_process('--version').stdout.startswith('orbimpc_ros ')
+
+
+def test_an_interruption_at_any_time_is_one_line(capsys, monkeypatch):
+    def interrupt(words):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, '_parser', interrupt)
+    assert cli.main(['solve', '-']) == cli.INTERRUPTED
+    assert capsys.readouterr().err == 'orbimpc: interrupted\n'
+
+
+def test_output_that_the_disk_does_not_take_is_a_failure_in_one_line(tmp_path):
+    (tmp_path / 'problem').write_text(json.dumps(case()))
+    words = [sys.executable, '-m', 'orbimpc_ros.tool.cli', 'solve', str(tmp_path / 'problem')]
+    with open('/dev/full', 'w') as full:
+        done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == cli.FAILED
+    assert done.stderr == 'orbimpc: output: No space left on device\n'

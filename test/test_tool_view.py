@@ -1,5 +1,6 @@
 """The viewer: what it draws of bags, and what it refuses."""
 
+import resource
 import socket
 
 import numpy as np
@@ -152,6 +153,24 @@ def test_a_recording_is_saved_and_never_over_another(capsys, tmp_path):
     code, complaint = run(capsys, GOLDEN / 'dubins', '--save', file)
     assert (code, len(complaint)) == (2, 1)
     assert file.read_bytes() == written
+
+
+@pytest.fixture
+def full_disk():
+    """Let files grow to 20 kB only, which stands for a disk that is full."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@needs_rerun
+@pytest.mark.usefixtures('full_disk')
+def test_a_recording_that_the_disk_does_not_take_leaves_nothing_behind(capsys, tmp_path):
+    file = tmp_path / 'flight.rrd'
+    complaint = f'orbimpc: --save {file}: File too large'
+    assert run(capsys, GOLDEN / 'dubins', '--save', file) == (1, [complaint])
+    assert list(tmp_path.iterdir()) == []
 
 
 @needs_rerun

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.controller import Controller
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.forecast import forecast_named
-from orbimpc_ros.mpc.plan import violations
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.rotations import exp
 from orbimpc_ros.mpc.solver import Solver

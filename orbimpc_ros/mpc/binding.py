@@ -144,7 +144,7 @@ def _cost_gradients(problem: Problem, goals: Array, plan: Plan) -> list[Array]:
     if problem.weights.length > 0.0:
         terms.append(_length_gradient(problem, plan))
     if problem.translation_order == 2 and problem.arrival_weight > 0.0:
-        last = 2.0 * problem.arrival_weight * plan.velocities[-1]
+        last = 2.0 * problem.arrival_weight * problem.step**2 * plan.velocities[-1]
         terms.append(on_headings(plan, np.outer(velocity_map(problem), last)))
     return terms
 

@@ -41,11 +41,17 @@ def stop(rotation: Array) -> Command:
     return Command(0.0, np.zeros(1 if len(rotation) == 2 else 3), np.array(rotation))
 
 
-def flaw(problem: Problem, command: Command) -> str:
+def flaw(problem: Problem, command: Command, *, stopping: bool = False) -> str:
     """Return why a command must not be sent, whatever it came from; empty if it may be.
 
-    The last look before a vehicle gets it: finite, a share of full speed, a rate below the limit
-    (without one, below half a turn in a step), and a rotation. In plain floats, for speed.
+    The last look before a vehicle gets it: finite, a share of full speed and not below the floor,
+    a rate below the limit (without one, below half a turn in a step), and a rotation. In plain
+    floats, for speed.
+
+    Args:
+        problem: gives the floor, the step and the limit.
+        command: to be sent.
+        stopping: whether it is a stop that was asked for, which no floor forbids.
     """
     fraction = command.speed_fraction
     rate, rotation = command.body_rate.tolist(), command.rotation.tolist()
@@ -53,6 +59,9 @@ def flaw(problem: Problem, command: Command) -> str:
         return 'the command is not finite'
     if not 0.0 <= fraction <= 1.0:
         return f'a speed fraction of {fraction:.6g} is not in [0, 1]'
+    floor = problem.floor
+    if floor.shape != 'none' and not stopping and fraction < floor.fraction:
+        return f'a speed fraction of {fraction:.6g} is below the floor of {floor.fraction:.6g}'
     largest = problem.max_rate or math.pi / problem.step
     if math.hypot(*rate) > largest * (1.0 + RATE_TOLERANCE):
         return f'a body rate of {math.hypot(*rate):.6g} rad/s is beyond {largest:.6g}'
@@ -87,7 +96,9 @@ def command_of(problem: Problem, state: State, plan: Plan, step: int = 0) -> Com
         plan: a checked plan.
         step: k, in 0..N-1.
     """
-    fraction = min(1.0, float(plan.speed_fraction[step + 1]))
+    floor = 0.0 if problem.floor.shape == 'none' else problem.floor.fraction
+    # What rounding leaves a plan short of its floor, no vehicle is told.
+    fraction = min(1.0, max(floor, float(plan.speed_fraction[step + 1])))
     first = step + problem.rotation_order - 1
     start, end = plan.projected[first], plan.projected[min(first + 1, plan.horizon)]
     rate = log(start.T @ end) / problem.step

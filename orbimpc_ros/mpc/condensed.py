@@ -33,6 +33,7 @@ def input_weight(problem: Problem) -> float:
 
 LONGEST = 30  # horizon; beyond it sparse solves are faster than dense ones
 WORST_CONDITION = 1e9
+SLIGHT = 1e-10  # share of its diagonal that a singular Hessian is given on top
 
 
 class Condensed:
@@ -90,6 +91,19 @@ def suits_dense_code(problem: Problem) -> bool:
     decided = slice(problem.rotation_order - 1, None)  # at order 2, R_1 is not free
     hessian = Condensed(problem).hessian[decided, decided]
     return bool(np.linalg.cond(hessian) < WORST_CONDITION)
+
+
+def regular(hessian: Array) -> tuple[Array, Array, float]:
+    """Return H + delta, its inverse, both of shape (N, N), and delta N / 2.
+
+    delta is zero but where H is too close to singular to be inverted, as where nothing weighs the
+    last heading. Within the disks |z_k| <= 1 the larger matrix costs at most delta N / 2 more.
+    """
+    delta, eye = 0.0, np.eye(len(hessian))
+    if not np.linalg.cond(hessian) < WORST_CONDITION:
+        delta = SLIGHT * (float(np.diag(hessian).max()) or 1.0)
+    inverse = np.linalg.inv(hessian + delta * eye)
+    return hessian + delta * eye, 0.5 * (inverse + inverse.T), 0.5 * delta * len(hessian)
 
 
 def first_length(problem: Problem, state: State) -> float:

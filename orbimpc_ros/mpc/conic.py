@@ -1,15 +1,33 @@
-"""Clarabel on data that CVXPY compiled."""
+"""Clarabel on data that CVXPY compiled, and what its multipliers prove.
+
+For the program
+
+    minimise  x.Px/2 + q.x   subject to   Ax + s = b,  s in K,
+
+any y in the dual cone proves bounds, however the solver came by it. With r = Px' + q + A'y at any
+x', convexity gives for every feasible x
+
+    x.Px/2 + q.x  >=  -x'.Px'/2 - b.y + r.x  >=  -x'.Px'/2 - b.y - sum_i |r_i| D_i,
+
+D_i the most that |x_i| can be, which the orbitopes limit for every variable of a plan. And if
+b.y + sum_i |A'y|_i D_i < 0, nothing is feasible (Farkas). What the solver says of itself, its dual
+objective included, is not needed.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import clarabel
+import numpy as np
 from scipy import sparse
 
-from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
+from orbimpc_ros.mpc.arrays import Array
 
 REDUCED = 1e-7
+ROUNDING = 1e-15  # of the terms of a bound
+SOLVED = ('Solved', 'AlmostSolved')
 
 
 def solver_for(data: dict[str, Any], tolerance: float) -> clarabel.DefaultSolver:
@@ -20,7 +38,7 @@ def solver_for(data: dict[str, Any], tolerance: float) -> clarabel.DefaultSolver
         tolerance: on feasibility and on the gap.
     """
     return clarabel.DefaultSolver(
-        sparse.csc_matrix(sparse.triu(data['P'])) if 'P' in data else _no_quadratic(data),
+        sparse.csc_matrix(sparse.triu(data['P'])),
         data['c'],
         data['A'],
         data['b'],
@@ -29,27 +47,104 @@ def solver_for(data: dict[str, Any], tolerance: float) -> clarabel.DefaultSolver
     )
 
 
-def solved(solver: clarabel.DefaultSolver) -> Any:
-    """Run a solver and return its solution.
+def run(solver: clarabel.DefaultSolver, out_of_time: Callable[[], bool] | None) -> Any:
+    """Run a solver and return its answer, whatever its status; None if it panicked.
 
     Clarabel's own idea of an almost solved problem, off by up to 1e-4, is not accepted: with
     :data:`REDUCED` the word means a solution to 1e-7, which plans' checks and gaps allow for.
-
-    Raises:
-        Infeasible: proved to have no solution.
-        SolverFailure: stopped with any other status.
     """
-    answer = solver.solve()
-    status = str(answer.status)
-    if status == 'PrimalInfeasible':
-        raise Infeasible('no trajectory satisfies the constraints')
-    if status not in ('Solved', 'AlmostSolved'):
-        raise SolverFailure(f'Clarabel stopped with {status}')
-    return answer
+    if out_of_time is None:
+        solver.unset_termination_callback()
+    else:
+        solver.set_termination_callback(lambda _: out_of_time())
+    try:
+        return solver.solve()
+    except BaseException as error:  # a panic of Rust code is no Exception
+        if type(error).__name__ != 'PanicException':
+            raise
+        return None
 
 
-def _no_quadratic(data: dict[str, Any]) -> sparse.csc_matrix:
-    return sparse.csc_matrix((len(data['c']),) * 2)
+class Certifier:
+    """Bounds from multipliers, for programs whose data keep their shape.
+
+    Args:
+        data: as compiled; its P is symmetric, and may be scaled later.
+    """
+
+    def __init__(self, data: dict[str, Any]) -> None:
+        dims, self._p = data['dims'], sparse.csc_matrix(data['P'])
+        self._pattern = data['A']
+        self._inequalities = slice(dims.zero, dims.zero + dims.nonneg)
+        sizes = np.array(dims.soc, dtype=int)
+        self._heads = self._inequalities.stop + np.concatenate([[0], np.cumsum(sizes)[:-1]])
+        self._heads = self._heads.astype(int) if len(sizes) else np.zeros(0, int)
+        self._round_end = self._inequalities.stop + int(sizes.sum())
+        self._orders = tuple(dims.psd)
+
+    def lower_bound(
+        self, answer: Any, a: Array, b: Array, q: Array, scale: float, largest: Array
+    ) -> float:
+        """Return what the multipliers of an answer prove about the optimum; -inf if nothing.
+
+        Args:
+            answer: Clarabel's, with any status.
+            a: entries of A, in the order of the compiled matrix.
+            b: right-hand sides.
+            q: linear cost.
+            scale: by which P is divided.
+            largest: D, the most that each variable can be.
+        """
+        x, y = np.asarray(answer.x), self._dual(np.asarray(answer.z))
+        if not (np.isfinite(x).all() and np.isfinite(y).all()):
+            return -np.inf
+        bent = self._p @ x / scale
+        left = np.abs(bent + q + self._transposed(a) @ y)
+        parts = np.array([0.5 * x @ bent, b @ y, left @ largest])
+        return float(-parts.sum() - ROUNDING * (np.abs(parts).sum() + np.abs(b) @ np.abs(y)))
+
+    def refutes(self, answer: Any, a: Array, b: Array, largest: Array) -> bool:
+        """Return whether the multipliers of an answer prove that nothing is feasible."""
+        y = self._dual(np.asarray(answer.z))
+        if not np.isfinite(y).all():
+            return False
+        slack = float(np.abs(self._transposed(a) @ y) @ largest)
+        return float(b @ y) + slack < -ROUNDING * float(np.abs(b) @ np.abs(y))
+
+    def _transposed(self, a: Array) -> sparse.csr_matrix:
+        rows, columns = self._pattern.shape
+        parts = (a, self._pattern.indices, self._pattern.indptr)
+        return sparse.csr_matrix(parts, shape=(columns, rows))
+
+    def _dual(self, z: Array) -> Array:
+        """Return a point of the dual cone next to z."""
+        y = z.copy()
+        np.maximum(y[self._inequalities], 0.0, out=y[self._inequalities])
+        if len(self._heads):
+            squares = y[: self._round_end] ** 2
+            squares[self._heads] = 0.0
+            sizes = np.sqrt(np.add.reduceat(squares, self._heads))
+            y[self._heads] = np.maximum(y[self._heads], sizes)
+        place = self._round_end
+        for order in self._orders:
+            _raise_to_psd(y[place : place + order * (order + 1) // 2], order)
+            place += order * (order + 1) // 2
+        return y
+
+
+def _raise_to_psd(triangle: Array, order: int) -> None:
+    """Add to the diagonal what a matrix lacks to be positive semidefinite.
+
+    Args:
+        triangle: the upper triangle column by column, off the diagonal times sqrt(2).
+        order: of the matrix.
+    """
+    matrix = np.zeros((order, order))
+    rows, columns = np.tril_indices(order)  # of the transpose: column by column
+    matrix[columns, rows] = triangle / np.where(rows == columns, 1.0, np.sqrt(2.0))
+    least = float(np.linalg.eigvalsh(matrix, UPLO='U')[0])
+    if least < 0.0:
+        triangle[rows == columns] += -least * (1.0 + 1e-12)
 
 
 def _cones(dims: Any) -> list:
@@ -78,3 +173,4 @@ def _settings(tolerance: float) -> clarabel.DefaultSettings:
     settings.reduced_tol_gap_abs = REDUCED
     settings.reduced_tol_gap_rel = REDUCED
     return settings
+

@@ -8,21 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.check import command_violations, violations
 from orbimpc_ros.mpc.command import Command, command_of, stop
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
-from orbimpc_ros.mpc.feasibility import too_slow
-from orbimpc_ros.mpc.odometry import Odometry, state_of
-from orbimpc_ros.mpc.plan import (
-    FAILED,
-    FEASIBLE,
-    INFEASIBLE,
-    OPTIMAL,
-    Plan,
-    run_up,
-    shifted,
-    violations,
-)
-from orbimpc_ros.mpc.problem import Floor, Problem, State
+from orbimpc_ros.mpc.odometry import Odometry, odd_speed, state_of
+from orbimpc_ros.mpc.plan import FAILED, FEASIBLE, INFEASIBLE, OPTIMAL, Plan, shifted
+from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.reach import pulled_in
 from orbimpc_ros.mpc.solver import Solver
 
@@ -41,7 +32,7 @@ class Tick:
         state: the state that the plan starts from.
         plan: the checked plan behind the command; None if the command is the safe one.
         command: what to do next.
-        fallback: empty, ``shifted plan``, ``run-up``, ``soft arrival`` or ``safe command``.
+        fallback: empty, ``shifted plan``, ``soft arrival`` or ``safe command``.
         problem: what the plan solves; None without a plan, as is the next.
         goals: g_1..g_N that it was made for, shape (N, n) [m].
     """
@@ -79,8 +70,6 @@ class Controller:
 
     - the shifted previous plan, if it still holds from the new state, for two ticks at most and
       never past its horizon;
-    - a *run-up*, where the vehicle is slower than the floor and ``max_rate`` keeps it from being
-      there a step later: straight ahead, faster at every step;
     - a *soft arrival*, where a terminal constraint that could be met before no longer can be,
       because of disturbances: the plan that comes nearest, if that is within a step's reach;
     - the safe command.
@@ -150,7 +139,7 @@ class Controller:
         asked = self._asked(state, goals, out_of_time)
         self._goals = goals
         plan, status, reason = _solved(asked)
-        reason = '; '.join(filter(None, (reason, told)))
+        reason = '; '.join(filter(None, (reason, told, odd_speed(self.problem, odometry))))
         if plan is None:
             return self._finish(self._fall_back(asked, status, reason))
         self._fallbacks, self._planned = 0, plan.horizon
@@ -181,26 +170,14 @@ class Controller:
 
     def _fall_back(self, asked: _Asked, status: str, reason: str) -> Tick:
         self._fallbacks += 1
-        guess = asked.guess or self._shifted(asked)
         # The n-th tick after a plan was found is its step n: the last is N - 1.
-        if guess is not None and self._fallbacks < min(FALLBACK_TICKS + 1, self._planned):
-            found = violations(asked.problem, asked.state, asked.goals, guess)
-            if not found:
+        if self._fallbacks < min(FALLBACK_TICKS + 1, self._planned):
+            guess = asked.guess or self._shifted(asked)
+            if guess and not violations(asked.problem, asked.state, asked.goals, guess):
                 return _following(asked, guess, status, reason, 'shifted plan')
-        if status == INFEASIBLE and too_slow(asked.problem, asked.state):
-            return self._run_up(asked, reason)
         if self._arriving and asked.problem.terminal == 'constraint' and status == INFEASIBLE:
             return self._arrive_softly(asked, reason)
         return _safe(asked.state, status, reason)
-
-    def _run_up(self, asked: _Asked, reason: str) -> Tick:
-        eased = replace(asked.problem, floor=Floor(), terminal='penalty')
-        plan = run_up(eased, asked.state, asked.goals, projection=self._projection)
-        found = violations(eased, asked.state, asked.goals, plan)
-        if found:
-            told = f'{reason}; no run-up: {", ".join(found)}'
-            return _safe(asked.state, INFEASIBLE, told)
-        return replace(_following(asked, plan, INFEASIBLE, reason, 'run-up'), problem=eased)
 
     def _arrive_softly(self, asked: _Asked, reason: str) -> Tick:
         eased = replace(asked, solver=self._solver(self.remaining, soft=True), guess=None)
@@ -250,15 +227,18 @@ def _solved(asked: _Asked) -> tuple[Plan | None, str, str]:
         return None, INFEASIBLE, str(error)
     except SolverFailure as error:
         return None, FAILED, str(error)
-    found = violations(asked.problem, asked.state, asked.goals, plan)
-    if found:
-        return None, FAILED, '; '.join(found)
-    reason = '' if plan.status == OPTIMAL else f'not proved optimal: gap {plan.gap:.2g}'
-    return plan, plan.status, reason
+    if plan.status == OPTIMAL:
+        return plan, OPTIMAL, ''
+    unproved = f'not proved optimal: gap {plan.gap:.2g}'
+    return plan, plan.status, '; '.join(filter(None, (unproved, plan.proof.reason)))
 
 
 def _following(asked: _Asked, plan: Plan, status: str, reason: str, fallback: str = '') -> Tick:
+    """Return the tick that follows a checked plan, if its command turns out to be the plan's."""
     command = command_of(asked.problem, asked.state, plan)
+    wrong = command_violations(asked.problem, plan, command)
+    if wrong:
+        return _safe(asked.state, FAILED, '; '.join(wrong))
     return Tick(status, reason, asked.state, plan, command, fallback, asked.problem, asked.goals)
 
 

@@ -1,4 +1,4 @@
-"""Why no trajectory exists: the constraint to blame, where that can be told at once."""
+"""The constraint to blame where no trajectory exists, as far as that shows at once."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 
 from orbimpc_ros.mpc import dynamics
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.plan import floor_margin
 from orbimpc_ros.mpc.problem import Problem, State
 
 
@@ -23,7 +22,6 @@ def reason(problem: Problem, state: State, goals: Array) -> str:
     found = [
         *_out_of_reach(problem, state, goals),
         *_boxed_in(problem, state),
-        *_below_the_floor(problem, state),
     ]
     if found:
         return '; '.join(found)
@@ -41,23 +39,6 @@ def constraints_in_force(problem: Problem) -> list[str]:
         f'{len(problem.obstacles)} obstacles': bool(problem.obstacles),
     }
     return [name for name, in_force in named.items() if in_force]
-
-
-def too_slow(problem: Problem, state: State) -> bool:
-    """Return whether ``max_rate`` alone keeps the vehicle from being at its floor a step later."""
-    if problem.max_rate == 0.0 or problem.rotation_order == 2:  # there thrust is free at once
-        return False
-    # A face's normal is a unit vector: no step of R e1 gains more than its length.
-    return bool(floor_margin(problem, state.rotation[None, :, 0])[0] < -problem.chord)
-
-
-def _below_the_floor(problem: Problem, state: State) -> Iterator[str]:
-    if too_slow(problem, state):
-        fraction = np.linalg.norm(state.rotation[:, 0])
-        yield (
-            f'from a speed fraction of {fraction:.3g} max_rate {problem.max_rate:.4g} allows no '
-            f'step to the floor of {problem.floor.fraction:.4g}'
-        )
 
 
 def _out_of_reach(problem: Problem, state: State, goals: Array) -> Iterator[str]:

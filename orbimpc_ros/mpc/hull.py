@@ -11,13 +11,16 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.condensed import first_length, input_weight, position_weights
 from orbimpc_ros.mpc.general import General
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.kernels.chain import minimise
+from orbimpc_ros.mpc.kernels.chain import BEST, PAUSED, SETTLED, Chain, begun, minimise, within
 from orbimpc_ros.mpc.method import Found, Guess
 from orbimpc_ros.mpc.problem import Problem, State
 
 STIFFNESS = 100.0  # first parameter of the penalties, in proportion to the trace of the Hessian
 PRECISION = 1e-9  # on the disks
 GAP = 1e-9  # relative
+CANCELLED = 1e-12  # what a bound allows for of the largest numbers that cancel in it
+LARGEST = 1e7  # sigma, in proportion to the first
+SLICE = 2000  # steps of the horizon times steps of the method, in about a millisecond
 ROUNDING = 1e-15  # of the largest numbers that cancel in a cost
 
 
@@ -41,6 +44,7 @@ class Hull:
         reach = dynamics.position_map(problem)[:, 1:]
         trace = 2.0 * (float(self._weights @ (reach * reach).sum(axis=1)) + self._turning)
         self._stiffness = STIFFNESS * trace
+        self._slice = max(1, SLICE // problem.horizon)
         # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
         start = State.at(np.zeros(2), np.eye(2))
         self.solve(start, np.zeros((problem.horizon, 2)))
@@ -67,14 +71,28 @@ class Hull:
         out_of_time: Callable[[], bool] | None = None,
     ) -> Found:
         """Return the optimum; see :class:`orbimpc_ros.mpc.search.Search` for the rest."""
+        found, settled = self.relaxed(state, goals, out_of_time)
+        if settled or out_of_time is not None:
+            return found
+        return self._general.solve(state, goals, guess, out_of_time)
+
+    def relaxed(
+        self, state: State, goals: Array, out_of_time: Callable[[], bool] | None
+    ) -> tuple[Found, bool]:
+        """Return the best within the disks and its bound, and whether that is the optimum."""
         targets = goals - state.position
-        start = np.array([np.zeros(2), state.rotation[:, 0]])
+        start = np.zeros((len(self._along), 2))
+        start[-1] = state.rotation[:, 0]
+        chain = Chain(self._along, start, self._turning, self._weights, targets)
         constant = float(self._weights @ np.einsum('kc,kc->k', targets, targets))
-        x, cost, bound, settled = minimise(
-            self._along, start, self._turning, self._weights, targets,
-            self._stiffness, PRECISION, GAP, ROUNDING * constant,
-        )  # fmt: skip
-        if not settled:
-            return self._general.solve(state, goals, guess, out_of_time)
+        rounding = ROUNDING * constant
+        limits = (PRECISION, GAP, rounding, LARGEST * self._stiffness)
+        progress = begun(len(goals), self._stiffness)
+        while True:
+            _, status = minimise(chain, limits, progress, self._slice)
+            if status != PAUSED or (out_of_time is not None and out_of_time()):
+                break
+        cost = within(chain, progress.z)
         spent = first_length(self._problem, state)
-        return Found(x, cost + spent, bound + spent, 1)
+        bound = float(progress.numbers[BEST]) - CANCELLED * constant
+        return Found(progress.z, cost + spent, bound + spent, 1), status == SETTLED

@@ -1,14 +1,14 @@
-"""What a solution method takes and gives."""
+"""The interface of a solution method: a guess in, a trajectory and its bound out."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import State
-from orbimpc_ros.mpc.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,7 @@ class Guess:
 
     Attributes:
         x: rotation coordinates of R_1..R_N, shape (N, d).
-        cost: its objective.
+        cost: its objective, evaluated for the present state and goals.
     """
 
     x: Array
@@ -33,18 +33,20 @@ class Found:
         cost: of that trajectory, inf if there is none.
         lower_bound: no trajectory costs less.
         nodes: relaxations or local problems solved.
-        flown: the whole trajectory, where the method has it.
+        reason: why there is no trajectory.
     """
 
     x: Array | None
     cost: float
     lower_bound: float
     nodes: int
-    flown: Trajectory | None = None
+    reason: str = ''
 
     @property
     def gap(self) -> float:
-        """Return (cost - lower bound) / max(1e-9, |cost|)."""
+        """Return (cost - lower bound) / max(1e-9, |cost|); infinite where either is missing."""
+        if not (math.isfinite(self.cost) and math.isfinite(self.lower_bound)):
+            return math.inf
         return (self.cost - self.lower_bound) / max(1e-9, abs(self.cost))
 
 

@@ -1,4 +1,4 @@
-"""What the vehicle measured, and the state of the planning problem that it means."""
+"""Measurements of the vehicle, and the states of the planning problem that they mean."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.rotations import exp
+
+NOISE = 0.05  # of full speed: by so much a speed may be out of range unsaid
 
 
 @dataclass(frozen=True)
@@ -59,3 +61,15 @@ def state_of(problem: Problem, odometry: Odometry, thrust_fraction: float) -> St
         attitude=odometry.attitude,
         coasted=coasted,
     )
+
+
+def odd_speed(problem: Problem, odometry: Odometry) -> str:
+    """Return that the measured speed is not one that the model knows, in words; else empty.
+
+    Such a speed counts as the nearest that it does: none, or full speed.
+    """
+    speed, full = float(odometry.body_velocity[0]), problem.forward
+    if problem.translation_order == 2 or -NOISE * full <= speed <= (1.0 + NOISE) * full:
+        return ''
+    taken = full if speed > 0.0 else 0.0
+    return f'measured a forward speed of {speed:.3g} m/s, taken as {taken:g} m/s'

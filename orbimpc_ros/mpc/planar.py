@@ -7,21 +7,22 @@ from collections.abc import Callable
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.condensed import Condensed, suits_dense_code
+from orbimpc_ros.mpc.condensed import LONGEST, Condensed
 from orbimpc_ros.mpc.floors.cells import faces
+from orbimpc_ros.mpc.floors.tree import CellSearch
 from orbimpc_ros.mpc.general import General
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.kernels.cells import branch_and_bound
+from orbimpc_ros.mpc.kernels.linear import quadratic
 from orbimpc_ros.mpc.method import Found, Guess
 from orbimpc_ros.mpc.problem import Problem, State
 
-NODES = (200, 4000)  # room for the first attempt, and for one more where that was too little
+NODES = 6400
 
 
 class Planar:
     """Solves SE(2) problems with no constraint but the hull and a polygonal floor.
 
-    What the kernel cannot settle, it leaves to the general search.
+    What the kernel cannot settle, it leaves to the general search, unless there is a deadline.
 
     Args:
         problem: what to solve.
@@ -34,12 +35,14 @@ class Planar:
     def __init__(self, problem: Problem, tolerance: float) -> None:
         self._problem, self._tolerance = problem, tolerance
         self._condensed = Condensed(problem)
-        self._inverse = np.linalg.inv(self._condensed.hessian)
         count = problem.floor.faces if problem.floor.shape == 'polygon' else 0
-        self._cells = faces(count, problem.floor.fraction)
+        cells = faces(count, problem.floor.fraction)
+        self._search = CellSearch(self._condensed.hessian, cells, tolerance, NODES)
         self._general = General(problem, tolerance)
         # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
-        self._run(np.zeros((problem.horizon, 2)), 0.0, 1)
+        self._search.begin(np.zeros((problem.horizon, 2)), 0.0)
+        self._search.run()
+        self._found(np.zeros((problem.horizon, 2)), 0.0)
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -47,11 +50,11 @@ class Planar:
         return (
             COMPILED
             and (problem.dimension, problem.rotation_order) == (2, 1)
-            and problem.floor.shape != 'circle'
+            and problem.floor.shape in ('none', 'polygon')
             and problem.terminal == 'penalty'
             and problem.weights.length == problem.max_rate == problem.arrival_weight == 0.0
             and not problem.obstacles
-            and suits_dense_code(problem)
+            and problem.horizon <= LONGEST
         )
 
     def solve(
@@ -66,25 +69,27 @@ class Planar:
         See :class:`orbimpc_ros.mpc.search.Search` for the rest.
         """
         q, constant = self._condensed.affine(state, goals)
-        for room in NODES:
-            x, reached, bound, nodes, complete = self._run(q, constant, room)
-            if complete and reached < np.inf:
-                return Found(x, reached + constant, bound + constant, nodes)
+        search = self._search
+        search.begin(q, constant)
+        while not search.run(out_of_time):
             if out_of_time is not None and out_of_time():
                 break
-        if out_of_time is not None and reached < np.inf:
-            # Who has a deadline is better off with this than with a search that is slower.
-            return Found(x, reached + constant, bound + constant, nodes)
-        return self._general.solve(state, goals, guess, out_of_time)
+        else:
+            if search.complete and search.nodes < NODES:
+                return self._of(search.best, q, constant)
+        found = self._found(q, constant)
+        # Who has a deadline is better off with this than with a search that is slower.
+        if out_of_time is not None:
+            return found
+        return self._general.solve(state, goals, Guess(found.x, found.cost), out_of_time)
 
-    def _run(self, q: Array, constant: float, room: int) -> tuple:
-        return branch_and_bound(
-            self._condensed.hessian,
-            self._inverse,
-            q,
-            constant,
-            *self._cells,
-            np.inf,
-            self._tolerance,
-            room,
-        )
+    def _of(self, x: Array, q: Array, constant: float) -> Found:
+        cost = float(quadratic(self._condensed.hessian, q, x)) + constant
+        return Found(x, cost, self._search.bound + constant, self._search.nodes)
+
+    def _found(self, q: Array, constant: float) -> Found:
+        """Return the best of a search that was not completed, and of where its end leads to."""
+        found = self._of(self._search.dived(), q, constant)
+        if self._search.value == np.inf:
+            return found
+        return min(found, self._of(self._search.best, q, constant), key=lambda each: each.cost)

@@ -1,4 +1,4 @@
-r"""What to solve: the planning problem, its weights, floor and obstacles, and the state.
+r"""The planning problem: its weights, floor and obstacles, and the state it starts from.
 
 The problem (Huang, Horowitz, Burdick, *Convex Model Predictive Control for Vehicular Systems*):
 
@@ -13,12 +13,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from orbimpc_ros.mpc.arrays import Array, frozen, number, whole
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.floors.faces import normals
 from orbimpc_ros.mpc.orbitopes import MEMBERSHIP_TOLERANCE, margin
 from orbimpc_ros.mpc.rotations import nearest
 
@@ -27,6 +29,7 @@ TERMINALS = ('penalty', 'constraint')
 SOLID_FACES = (6, 12, 20)  # cube, dodecahedron, icosahedron
 MAX_HORIZON = 500
 MAX_OBSTACLES = 64
+WIDEST_CONE = 1.4  # [rad] beyond it the cone of a turn is nearly a half-space, and ill-conditioned
 
 
 @dataclass(frozen=True)
@@ -71,9 +74,34 @@ class Floor:
         whole(self.faces, 'floor.faces', 3, 64)
         number(self.fraction, 'floor.fraction', 0.0, 1.0, above=True)
 
+    def least(self, axis: Array) -> float:
+        """Return the least speed fraction along a unit vector, shape (n,); 0 without a floor."""
+        if self.shape == 'none':
+            return 0.0
+        if self.shape == 'circle':
+            return self.fraction
+        return self.fraction / float((normals(len(axis), self.faces) @ axis).max())
 
-@dataclass(frozen=True)
-class Box:
+
+class ByContent:
+    """Equality and hash of a frozen dataclass with arrays, which have neither: by their numbers."""
+
+    def _content(self) -> tuple[object, ...]:
+        values = (getattr(self, each.name) for each in fields(self))  # type: ignore[arg-type]
+        # Adding zero makes -0.0 the 0.0 that it equals.
+        return tuple((v + 0.0).tobytes() if isinstance(v, np.ndarray) else v for v in values)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, ByContent) or type(self) is not type(other):
+            return NotImplemented
+        return self._content() == other._content()
+
+    def __hash__(self) -> int:
+        return hash((type(self), self._content()))
+
+
+@dataclass(frozen=True, eq=False)
+class Box(ByContent):
     """An axis-aligned obstacle that every s_k, k = 1..N, stays outside of.
 
     Attributes:
@@ -110,11 +138,13 @@ class Problem:
         weights: of the objective.
         terminal: ``penalty``, or ``constraint``: s_N = g_N (and p_N = 0 at order 2).
         floor: minimum speed fraction.
-        max_rate: limit on the body rate [rad/s], 0 for none.
+        max_rate: limit on the body rate [rad/s], 0 for none. Without a floor it bounds the chord
+            |R_{k+1} e1 - R_k e1|. With one it turns the vehicle and never brakes it: see
+            :attr:`first_turn_is_an_angle`.
         obstacles: boxes to stay outside of.
         no_corner_cutting: whether consecutive points must share a free face of every box.
-        arrival_weight: adds this times |s_N - g_N|^2 (and |p_N|^2 at translation order 2) to the
-            objective: what stands in for an arrival that has become impossible.
+        arrival_weight: adds this times |s_N - g_N|^2 (and h^2 |p_N|^2 at translation order 2) to
+            the objective: what stands in for an arrival that has become impossible [1/m^2].
     """
 
     dimension: int = 2
@@ -132,6 +162,10 @@ class Problem:
     arrival_weight: float = 0.0
 
     def __post_init__(self) -> None:
+        _instance(self.weights, Weights, 'weights')
+        _instance(self.floor, Floor, 'floor')
+        for box in _instance(self.obstacles, tuple, 'obstacles'):
+            _instance(box, Box, 'obstacles')
         whole(self.dimension, 'dimension', 2, 3)
         whole(self.rotation_order, 'rotation_order', 1, 2)
         whole(self.translation_order, 'translation_order', 1, 2)
@@ -155,6 +189,34 @@ class Problem:
         """Return how far R e1 may move in a step: 2 sin(h max_rate / 2), infinity without one."""
         return 2.0 * math.sin(0.5 * self.step * self.max_rate) if self.max_rate else math.inf
 
+    @property
+    def first_turn_is_decided(self) -> bool:
+        """Return whether ``max_rate`` has no say in the first step.
+
+        At rotation order 2 the body rate it starts with carries the vehicle through it, and what
+        the limit could still do is to brake, which nothing with a floor may be asked to.
+        """
+        return self.rotation_order == 2 and self.floor.shape != 'none'
+
+    @property
+    def first_turn_is_an_angle(self) -> bool:
+        """Return whether ``max_rate`` bounds the angle from Q_0 e1 to R_1 e1, whatever the speed.
+
+        With a floor it must: against the measured R_0 e1 a chord would limit the change of speed
+        too, and a vehicle measured to be slow would be told to fly slowly. A cone is convex up to
+        a quarter turn; a wider turn than that is bounded by the chord from R_0 e1.
+        """
+        return (
+            self.rotation_order == 1
+            and self.floor.shape != 'none'
+            and 0.0 < self.step * self.max_rate < WIDEST_CONE
+        )
+
+    @property
+    def length_unit(self) -> float:
+        """Return h z, at translation order 2 h^2 z: what a step moves a vehicle at most [m]."""
+        return self.forward * self.step**self.translation_order
+
     def _check_floor(self) -> None:
         floor = self.floor
         if floor.shape != 'polygon':
@@ -169,6 +231,12 @@ class Problem:
             )
 
 
+def _instance(value: Any, kind: type, culprit: str) -> Any:
+    if not isinstance(value, kind):
+        raise BadInput(culprit, f'a {type(value).__name__}', f'a {kind.__name__}')
+    return value
+
+
 def largest_fraction(dimension: int, faces: int) -> float:
     """Return the largest fraction whose polygon or solid still lies inside the unit ball.
 
@@ -180,8 +248,8 @@ def largest_fraction(dimension: int, faces: int) -> float:
     return 1.0 / math.sqrt(3.0) if faces == 6 else math.sqrt((5.0 + 2.0 * math.sqrt(5.0)) / 15.0)
 
 
-@dataclass(frozen=True)
-class State:
+@dataclass(frozen=True, eq=False)
+class State(ByContent):
     """Where the vehicle is when the plan starts.
 
     Attributes:

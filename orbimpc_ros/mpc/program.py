@@ -7,7 +7,7 @@ matrix-vector product, an update and a solve; CVXPY is not touched again.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,9 +15,9 @@ from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.condensed import first_length, position_weights
-from orbimpc_ros.mpc.conic import solved, solver_for
+from orbimpc_ros.mpc.conic import SOLVED, Certifier, run, solver_for
 from orbimpc_ros.mpc.disjunction import Slot
-from orbimpc_ros.mpc.errors import SolverFailure
+from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.orbitopes import coordinate_count, coordinates
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.relaxation import Halfspace, Relaxation
@@ -68,13 +68,19 @@ class Program:
         if self._statement.coasting:
             assert state.coasted is not None
             self._a_0[self._coasted] = -coordinates(state.coasted)
+        if self.problem.first_turn_is_an_angle:
+            self._a_0[self._ahead] = state.attitude[:, 0]
+        self._largest = self._limits_of(state)
 
-    def solve(self, halfspaces: Iterable[Halfspace] = ()) -> Relaxation:
-        """Solve with some slots filled, the others inert.
+    def solve(
+        self,
+        halfspaces: Iterable[Halfspace] = (),
+        out_of_time: Callable[[], bool] | None = None,
+    ) -> Relaxation:
+        """Solve with some slots filled, the others inert, until time is up.
 
         Raises:
-            Infeasible: no trajectory satisfies the constraints.
-            SolverFailure: Clarabel stopped without an answer to trust.
+            Infeasible: proved that no trajectory satisfies the constraints.
         """
         a, b = self._a_0.copy(), self._b.copy()
         for slot, normal, offset in halfspaces:
@@ -83,46 +89,76 @@ class Program:
                 offset -= float(normal @ self._bound_to[0].position)
             a[entries] = -normal
             b[row] = -offset
-        self._solver.update(q=self._q, A=a, b=b)
-        try:
-            relaxed = self._relaxation(solved(self._solver), self._scale)
-        except SolverFailure:
-            return self._solve_anew(a, b, self._scale)
+        relaxed = self._solve_in_place(a, b, out_of_time)
+        if relaxed.x is None:
+            anew = self._solve_anew(a, b, self._scale, out_of_time)
+            return Relaxation(anew.x, max(relaxed.bound, anew.bound))
         if relaxed.bound < SMALL * self._scale:
-            return self._bound_anew(relaxed, a, b)
+            return self._bound_anew(relaxed, a, b, out_of_time)
         return relaxed
 
-    def _bound_anew(self, relaxed: Relaxation, a: Array, b: Array) -> Relaxation:
+    def _solve_in_place(
+        self, a: Array, b: Array, out_of_time: Callable[[], bool] | None
+    ) -> Relaxation:
+        self._solver.update(q=self._q, A=a, b=b)
+        answer = run(self._solver, out_of_time)
+        if answer is None:  # nobody knows in which state a panic leaves a solver
+            self._solver = solver_for({**self._data, 'P': self._p / self._scale}, self._tolerance)
+        return self._relaxation(answer, a, b, self._q, self._scale)
+
+    def _bound_anew(
+        self, relaxed: Relaxation, a: Array, b: Array, out_of_time: Callable[[], bool] | None
+    ) -> Relaxation:
         """Return a relaxation as accurate in proportion as where the cost is large.
 
         Near the goal the cost all but vanishes, and a gap that is small against one is not small
         against the cost. Solved once more with the cost scaled up, it is.
         """
-        try:
-            scaled = self._solve_anew(a, b, max(relaxed.bound, TINY))
-        except SolverFailure:
-            return relaxed
-        best = min((relaxed, scaled), key=lambda r: self._cost(r.x))
-        return Relaxation(best.x, max(relaxed.bound, scaled.bound))
+        scaled = self._solve_anew(a, b, max(relaxed.bound, TINY), out_of_time)
+        found = [each.x for each in (relaxed, scaled) if each.x is not None]
+        return Relaxation(min(found, key=self._cost), max(relaxed.bound, scaled.bound))
 
     def _cost(self, x: Array) -> float:
         return trajectory_of(self.problem, *self._bound_to, x).cost
 
-    def _solve_anew(self, a: Array, b: Array, scale: float) -> Relaxation:
+    def _solve_anew(
+        self, a: Array, b: Array, scale: float, out_of_time: Callable[[], bool] | None
+    ) -> Relaxation:
         """Solve with Clarabel set up for these very numbers, the cost divided by ``scale``.
 
         That settles nearly all that an update in place could not solve.
         """
         matrix = self._data['A'].copy()
         matrix.data = a
-        cost = self._data['P'] / scale
         q = self._q * (self._scale / scale)
-        data = {**self._data, 'P': cost, 'c': q, 'A': matrix, 'b': b}
-        return self._relaxation(solved(solver_for(data, self._tolerance)), scale)
+        data = {**self._data, 'P': self._p / scale, 'c': q, 'A': matrix, 'b': b}
+        answer = run(solver_for(data, self._tolerance), out_of_time)
+        return self._relaxation(answer, a, b, q, scale)
 
-    def _relaxation(self, answer: Any, scale: float) -> Relaxation:
+    def _relaxation(self, answer: Any, a: Array, b: Array, q: Array, scale: float) -> Relaxation:
+        """Return what an answer comes to, with the bound that its multipliers prove.
+
+        Raises:
+            Infeasible: its multipliers prove that nothing is feasible.
+        """
+        if answer is None:
+            return Relaxation(None, -np.inf)
+        status = str(answer.status)
+        if 'PrimalInfeasible' in status:
+            if self._certifier.refutes(answer, a, b, self._largest):
+                raise Infeasible('no trajectory satisfies the constraints')
+            return Relaxation(None, -np.inf)
+        proved = self._certifier.lower_bound(answer, a, b, q, scale, self._largest)
+        bound = scale * proved + self._constant
         x = np.asarray(answer.x)[self._columns]
-        return Relaxation(x, scale * answer.obj_val_dual + self._constant)
+        return Relaxation(x if status in SOLVED else None, bound)
+
+    def _limits_of(self, state: State) -> Array:
+        """Return the most that each column's variable can be."""
+        largest = np.zeros(len(self._q_0))
+        for first, sizes in zip(self._firsts, self._statement.largest(state).values(), strict=True):
+            largest[first : first + len(sizes)] = sizes
+        return largest
 
     def _bind_cost(self, pull: Array) -> None:
         """Put the pull of the goals into q; goals far away are scaled down with the whole cost.
@@ -147,7 +183,9 @@ class Program:
         self._data = data
         self._locate(data, slot_rows)
         self._solver = solver_for(data, self._tolerance)
+        self._p = sparse.csc_matrix(data['P'])
         self._p_0 = sparse.csc_matrix(sparse.triu(data['P'])).data
+        self._certifier = Certifier(data)
         self._q_0 = np.array(data['c'])
 
     def _locate(self, data: dict[str, Any], slot_rows: np.ndarray) -> None:
@@ -168,7 +206,13 @@ class Program:
             self._slots.append((row, entries))
         if statement.coasting:
             column = column_of[statement.fraction.id]
-            self._coasted = _coasting_entries(data['A'], column, first + d + np.arange(d))
+            self._coasted = _shared_entries(data['A'], column, first + d + np.arange(d))
+        if self.problem.first_turn_is_an_angle:
+            column = column_of[statement.along.id]
+            across = column_of[statement.across.id] + np.arange(self.problem.dimension)
+            self._ahead = _shared_entries(data['A'], column, across)
+        rest = State.at(np.zeros(self.problem.dimension), np.eye(self.problem.dimension))
+        self._firsts = [column_of[variable.id] for variable in statement.largest(rest)]
 
     def _numbered_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the row and sign of each right-hand side, and the row of each slot.
@@ -192,10 +236,10 @@ def _entry(a: sparse.csc_matrix, row: int, column: int) -> int:
     return int(start + np.flatnonzero(a.indices[start:end] == row)[0])
 
 
-def _coasting_entries(a: sparse.csc_matrix, fraction: int, columns: np.ndarray) -> np.ndarray:
-    """Return the entries of the rows x_1 = fraction * coasted in the fraction's column."""
-    held = set(a.indices[a.indptr[fraction] : a.indptr[fraction + 1]])
+def _shared_entries(a: sparse.csc_matrix, scalar: int, columns: np.ndarray) -> np.ndarray:
+    """Return the entries of a scalar's column in the first row that it shares with each column."""
+    held = set(a.indices[a.indptr[scalar] : a.indptr[scalar + 1]])
     shared = [
         next(r for r in a.indices[a.indptr[c] : a.indptr[c + 1]] if r in held) for c in columns
     ]
-    return np.array([_entry(a, int(row), fraction) for row in shared])
+    return np.array([_entry(a, int(row), scalar) for row in shared])

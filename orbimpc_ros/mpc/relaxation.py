@@ -1,8 +1,8 @@
-"""What a convex program of the problem is asked, and what it answers."""
+"""The interface of a convex program of the problem: half-spaces in, a relaxation out."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -14,14 +14,14 @@ Halfspace = tuple[int, Array, float]  # slot, unit normal, offset: normal . v >=
 
 @dataclass(frozen=True)
 class Relaxation:
-    """The optimum of a convex program with some half-spaces in force.
+    """The optimum of a convex program with some half-spaces in force, as far as it was found.
 
     Attributes:
-        x: rotation coordinates of R_1..R_N, shape (N, d).
-        bound: dual objective: no trajectory of this relaxation costs less.
+        x: rotation coordinates of R_1..R_N, shape (N, d); None if the program was not solved.
+        bound: no trajectory of this relaxation costs less; -inf if nothing was proved.
     """
 
-    x: Array
+    x: Array | None
     bound: float
 
 
@@ -31,10 +31,13 @@ class Relaxed(Protocol):
     def bind(self, state: State, goals: Array) -> None:
         """Put a state and goals g_1..g_N, shape (N, n), into the data of the solves to come."""
 
-    def solve(self, halfspaces: Iterable[Halfspace] = ()) -> Relaxation:
-        """Solve with some slots filled, the others inert.
+    def solve(
+        self,
+        halfspaces: Iterable[Halfspace] = (),
+        out_of_time: Callable[[], bool] | None = None,
+    ) -> Relaxation:
+        """Solve with some slots filled, the others inert, until time is up.
 
         Raises:
-            Infeasible: no trajectory satisfies the constraints.
-            SolverFailure: there is no answer to trust.
+            Infeasible: proved that no trajectory satisfies the constraints.
         """

@@ -27,11 +27,11 @@ from orbimpc_ros.mpc import dynamics
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.condensed import Condensed
 from orbimpc_ros.mpc.disjunction import Disjunction, Slot, disjunctions_of, shortfall
-from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
+from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.floors.cells import Cell
 from orbimpc_ros.mpc.method import Found, Guess
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.relaxation import Halfspace, Relaxed
+from orbimpc_ros.mpc.relaxation import Halfspace, Relaxation, Relaxed
 from orbimpc_ros.mpc.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.spatial import Spatial
 from orbimpc_ros.mpc.trajectory import Trajectory, trajectory_of
@@ -75,14 +75,15 @@ class Search:
 
         Raises:
             Infeasible: no trajectory satisfies the constraints: every branch was refuted.
-            SolverFailure: the relaxation without any choice could not be solved.
         """
         self.program.bind(state, goals)
         if not self.disjunctions:
-            relaxed = self.program.solve()
-            flown = trajectory_of(self.problem, state, goals, relaxed.x)
-            return Found(relaxed.x, flown.cost, relaxed.bound, 1, flown)
-        return _Run(self, state, goals, guess).run(out_of_time)
+            relaxed = self.program.solve((), out_of_time)
+            if relaxed.x is None:
+                return Found(None, np.inf, relaxed.bound, 1)
+            cost = trajectory_of(self.problem, state, goals, relaxed.x).cost
+            return Found(relaxed.x, cost, relaxed.bound, 1)
+        return _Run(self, state, goals, guess, out_of_time).run()
 
 
 def _program(problem: Problem, slots: Sequence[Slot], coasting: bool) -> Relaxed:
@@ -104,24 +105,35 @@ class _Node:
 class _Run:
     """One search: the open nodes, the best trajectory, the least bound given up."""
 
-    def __init__(self, search: Search, state: State, goals: Array, guess: Guess | None) -> None:
+    def __init__(
+        self,
+        search: Search,
+        state: State,
+        goals: Array,
+        guess: Guess | None,
+        out_of_time: Callable[[], bool] | None,
+    ) -> None:
         self._search, self._state, self._goals = search, state, goals
+        self._out_of_time = out_of_time
         self._best = None if guess is None else guess.x
-        self._flown: Trajectory | None = None
         self._cost = np.inf if guess is None else guess.cost
         self._closed = np.inf
         self._open = [_Node(-np.inf, 0, (None,) * len(search.disjunctions))]
         self._nodes = self._made = 0
 
-    def run(self, out_of_time: Callable[[], bool] | None) -> Found:
+    def run(self) -> Found:
         while self._open and self._open[0].bound < self._cutoff:
-            if self._nodes >= MAX_NODES or (self._nodes and out_of_time and out_of_time()):
+            if self._nodes >= MAX_NODES or (self._nodes and self._is_late):
                 break
             self._expand(heapq.heappop(self._open))
         lower = min([self._closed, self._cost, *(node.bound for node in self._open)])
         if lower == np.inf:
             raise Infeasible('no trajectory satisfies the constraints: every branch is infeasible')
-        return Found(self._best, self._cost, lower, self._nodes, self._flown)
+        return Found(self._best, self._cost, lower, self._nodes)
+
+    @property
+    def _is_late(self) -> bool:
+        return self._out_of_time is not None and self._out_of_time()
 
     @property
     def _cutoff(self) -> float:
@@ -131,37 +143,44 @@ class _Run:
         return self._cost - self._search.tolerance * max(abs(self._cost), 1e-9)
 
     def _expand(self, node: _Node) -> None:
-        first = self._nodes == 0
         try:
-            trajectory, x, bound = self._relaxed(self._halfspaces(node.choice))
+            relaxed = self._relaxed(node.choice)
         except Infeasible:
-            if first:
+            if self._nodes == 1:
                 raise
             return
-        except SolverFailure:
-            if first:
-                raise
-            self._closed = min(self._closed, node.bound)  # neither refuted nor solved
+        bound = max(node.bound, relaxed.bound)
+        if relaxed.x is None:  # neither refuted nor solved
+            self._give_up(node.choice, bound)
             return
-        bound = max(node.bound, bound)
+        trajectory = self._flown(relaxed.x)
         missed = self._missed(trajectory)
         if not missed:
             self._closed = min(self._closed, bound)
-            self._accept(x, trajectory)
+            self._accept(relaxed.x, trajectory)
             return
         if self._best is None or self._is_nearly_round(missed):
             self._dive(node.choice, trajectory, missed)
         self._branch(node.choice, missed, bound)
 
-    def _relaxed(self, halfspaces: Iterator[Halfspace]) -> tuple[Trajectory, Array, float]:
+    def _give_up(self, choice: Choice, bound: float) -> None:
+        """Close a node that was not solved, unless it is the root, whose children may be."""
+        if self._nodes > 1 or self._is_late:
+            self._closed = min(self._closed, bound)
+            return
+        for cell in self._search.disjunctions[0].cells:
+            self._push((cell, *choice[1:]), bound)
+
+    def _relaxed(self, choice: Choice) -> Relaxation:
         self._nodes += 1
-        relaxed = self._search.program.solve(halfspaces)
-        trajectory = trajectory_of(self._search.problem, self._state, self._goals, relaxed.x)
-        return trajectory, relaxed.x, relaxed.bound
+        return self._search.program.solve(self._halfspaces(choice), self._out_of_time)
+
+    def _flown(self, x: Array) -> Trajectory:
+        return trajectory_of(self._search.problem, self._state, self._goals, x)
 
     def _accept(self, x: Array, trajectory: Trajectory) -> None:
         if trajectory.cost < self._cost:
-            self._best, self._cost, self._flown = x, trajectory.cost, trajectory
+            self._best, self._cost = x, trajectory.cost
 
     def _halfspaces(self, choice: Choice) -> Iterator[Halfspace]:
         slot = 0
@@ -194,10 +213,15 @@ class _Run:
         for _ in range(DIVE_STEPS):
             for j, (_, values) in missed.items():
                 held[j] = _nearest_cell(self._search.disjunctions[j], values, held[j])
-            try:
-                trajectory, x, _ = self._relaxed(self._halfspaces(tuple(held)))
-            except (Infeasible, SolverFailure):
+            if self._is_late:
                 return
+            try:
+                x = self._relaxed(tuple(held)).x
+            except Infeasible:
+                return
+            if x is None:
+                return
+            trajectory = self._flown(x)
             missed = self._missed(trajectory)
             if not missed:
                 self._accept(x, trajectory)
@@ -300,7 +324,7 @@ def inverse_curvatures(problem: Problem, disjunctions: Sequence[Disjunction]) ->
     where H is singular.
     """
     hessian = Condensed(problem).hessian
-    if np.linalg.cond(hessian) > 1e12:
+    if not np.linalg.cond(hessian) <= 1e12:  # of no curvature at all it is not a number
         return [np.full(len(d.steps), np.inf) for d in disjunctions]
     inverse, rows = np.linalg.inv(hessian), dynamics.position_map(problem)[:, 1:]
     along = np.einsum('ki,ij,kj->k', rows, inverse, rows)

@@ -14,9 +14,10 @@ import numpy as np
 
 from orbimpc_ros.mpc import dynamics
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.check import turn_margin
 from orbimpc_ros.mpc.disjunction import Disjunction, disjunctions_of, shortfall
 from orbimpc_ros.mpc.orbitopes import coordinates, lmi, lmi_parts
-from orbimpc_ros.mpc.plan import Plan, rate_margin
+from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
 
 ACTIVE = 1e-5  # slack that counts as none: solvers leave less
@@ -51,7 +52,7 @@ def slacks_of(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
         plan: a plan that meets all constraints.
     """
     yield from _hull(plan)
-    yield from _rates(problem, plan)
+    yield from _rates(problem, state, plan)
     yield from _chosen(problem, plan)
     yield from _arrival(problem, plan)
     if problem.rotation_order == 2 and state.coasted is not None:
@@ -85,15 +86,25 @@ def _face(plan: Plan, k: int, kernel: Array) -> Iterator[Slack]:
             yield Slack('hull', k, _at(plan, k, gradient), float(i == j), signed=count > 1)
 
 
-def _rates(problem: Problem, plan: Plan) -> Iterator[Slack]:
-    """2 sin(h omega / 2) - |(R_k - R_{k-1}) e1|, charged to omega."""
+def _rates(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
+    """2 sin(h omega / 2) - |(R_k - R_{k-1}) e1|, charged to omega; the first turn may be an angle.
+
+    Of an angle the chord is that of unit vectors, which changes across R_1 e1 alone.
+    """
     headings = plan.rotations[:, :, 0]
     wider = problem.step * math.cos(0.5 * problem.step * problem.max_rate)
-    for k in 1 + np.flatnonzero(rate_margin(problem, headings) < ACTIVE):
-        turned = headings[k] - headings[k - 1]
-        gradient = np.zeros((plan.horizon + 1, len(turned)))
-        gradient[k] = -turned / np.linalg.norm(turned)
-        gradient[k - 1] = -gradient[k]
+    for k in 1 + np.flatnonzero(turn_margin(problem, state, plan.rotations) < ACTIVE):
+        gradient = np.zeros((plan.horizon + 1, headings.shape[1]))
+        if k == 1 and problem.first_turn_is_an_angle:
+            size = np.linalg.norm(headings[1])
+            unit = headings[1] / size
+            turned = unit - state.attitude[:, 0]
+            away = turned / np.linalg.norm(turned)
+            gradient[1] = -(away - (away @ unit) * unit) / size
+        else:
+            turned = headings[k] - headings[k - 1]
+            gradient[k] = -turned / np.linalg.norm(turned)
+            gradient[k - 1] = -gradient[k]
         yield Slack('max_rate', int(k), on_headings(plan, gradient[1:]), wider)
 
 

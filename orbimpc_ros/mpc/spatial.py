@@ -8,7 +8,7 @@ it leaves to the general program, such as the proof that there is no solution.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -131,7 +131,11 @@ class Spatial:
         self._slide[1:, 3:] = np.outer(self._others.minimiser[1:, -1], first[3:])
         self._slide /= np.sqrt(curvature)
 
-    def solve(self, halfspaces: Iterable[Halfspace] = ()) -> Relaxation:
+    def solve(
+        self,
+        halfspaces: Iterable[Halfspace] = (),
+        out_of_time: Callable[[], bool] | None = None,
+    ) -> Relaxation:
         """See :meth:`orbimpc_ros.mpc.relaxation.Relaxed.solve`."""
         imposed = list(halfspaces)
         terms = self._terms(imposed)
@@ -140,7 +144,7 @@ class Spatial:
             if settled:
                 return Relaxation(self._rotations(x), self._least + bound)
             self._held = multipliers(self._places)  # what was held misled: once more without
-        return self._leave(imposed)
+        return self._leave(imposed, out_of_time)
 
     def _minimise(self, terms: Terms) -> tuple[Array, float, float, int, bool]:
         first, largest = SIGMA
@@ -159,14 +163,16 @@ class Spatial:
             return np.concatenate([fraction * self._first[None], x[1:]])
         return np.concatenate([self._first[None], x]) if self._given else x
 
-    def _leave(self, imposed: list[Halfspace]) -> Relaxation:
+    def _leave(
+        self, imposed: list[Halfspace], out_of_time: Callable[[], bool] | None
+    ) -> Relaxation:
         """Leave a solve to the general program."""
         if self._general is None:
             from orbimpc_ros.mpc.program import Program  # brings CVXPY, half of a start-up
 
             self._general = Program(self.problem, self._slots, coasting=self._coasting)
         self._general.bind(*self._bound_to)
-        return self._general.solve(imposed)
+        return self._general.solve(imposed, out_of_time)
 
     def _terms(self, imposed: Sequence[Halfspace]) -> Terms:
         if not imposed:

@@ -1,7 +1,8 @@
-"""The relaxed problem as CVXPY states it, term by term as the paper has it, R_k in conv SO(n)."""
+"""The relaxed problem in CVXPY, term by term as the paper has it, R_k in conv SO(n)."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -40,6 +41,7 @@ class Statement:
         self.moved = cp.Variable(steps * n, name='s - s_0')
         self.pull = cp.Parameter(steps * n)
         self.fraction = cp.Variable(name='thrust fraction')
+        self.along, self.across = cp.Variable(name='along Q_0 e1'), cp.Variable(n)
         self._rotations = cp.reshape(self.x, (steps + 1, d), order='C')
         self._displacements = cp.reshape(self.moved, (steps, n), order='C')
         self._headings = self._rotations[:, :n]
@@ -47,6 +49,8 @@ class Statement:
         self._second = cp.Parameter(d)
         self._velocity = cp.Parameter(n)
         self._arrival = cp.Parameter(n)
+        self._velocities: cp.Variable | None = None
+        self._lengths: cp.Variable | None = None
         self.slots = tuple(slots)
         self._offsets = cp.Parameter(len(slots)) if slots else None
         flown = [*self._rotation_constraints(), *self._translation_constraints()]
@@ -106,6 +110,7 @@ class Statement:
             velocity, rows = pushed, []
         else:
             velocity = cp.Variable((problem.horizon + 1, problem.dimension), name='p')
+            self._velocities = velocity
             rows = [
                 velocity[0] == self._velocity,
                 velocity[1:] == velocity[:-1] + problem.step * pushed[:-1],
@@ -122,12 +127,30 @@ class Statement:
         return rows
 
     def _limits(self) -> list[cp.Constraint]:
-        """|(R_{k+1} - R_k) e1| <= 2 sin(h omega / 2)."""
+        """|(R_{k+1} - R_k) e1| <= 2 sin(h omega / 2), and the cone of the first turn, if it is one.
+
+        Around Q_0 e1 that is |R_1 e1 - rho Q_0 e1| <= rho sin(h omega) for some rho >= 0.
+        """
         problem = self.problem
         if problem.max_rate <= 0.0:
             return []
-        turned = self._headings[1:] - self._headings[:-1]
-        return [cp.SOC(np.full(problem.horizon, problem.chord), turned.T)]
+        begin, first = 0, []
+        if problem.first_turn_is_an_angle:
+            placeholder = np.ones(problem.dimension)
+            widest = math.sin(problem.step * problem.max_rate)
+            begin, first = (
+                1,
+                [
+                    self.across == self._headings[1] - self.along * placeholder,
+                    cp.SOC(widest * self.along, self.across),
+                ],
+            )
+        elif problem.first_turn_is_decided:
+            begin = 1
+        if problem.horizon == begin:
+            return first
+        turned = self._headings[begin + 1 :] - self._headings[begin:-1]
+        return [*first, cp.SOC(np.full(problem.horizon - begin, problem.chord), turned.T)]
 
     def _slot_rows(self) -> list[cp.Constraint]:
         if self._offsets is None:
@@ -145,16 +168,43 @@ class Statement:
             return self.x, range(start, start + n)
         return self.moved, range((wanted.step - 1) * n, wanted.step * n)
 
+    def largest(self, state: State) -> dict[cp.Variable, Array]:
+        """Return the most that each entry of each variable can be in a plan from a state.
+
+        Entries of matrices in conv SO(n) are at most 1; what moves adds that up.
+        """
+        problem, k = self.problem, np.arange(1.0, self.problem.horizon + 1.0)
+        h, z, n = problem.step, problem.forward, problem.dimension
+        speed = float(np.linalg.norm(state.velocity))
+        pushed = h * z * np.arange(problem.horizon + 1.0)
+        moved = h * z * k if problem.translation_order == 1 else h * speed * k + h * h * z * k * k
+        known = 1.0 + h * np.abs(state.rotation_rate).max()
+        angle = h * problem.max_rate if problem.first_turn_is_an_angle else 0.0
+        rho = 1.0 / math.cos(angle)
+        each = {
+            self.x: np.full(self.x.size, max(1.0, known)),
+            self.moved: np.repeat(moved, n),
+            self.fraction: np.ones(1),
+            self.along: np.array([rho]),
+            self.across: np.full(n, 1.0 + rho),
+        }
+        if self._velocities is not None:
+            each[self._velocities] = np.repeat(speed + pushed, n)
+        if self._lengths is not None:
+            each[self._lengths] = np.ones(self._lengths.size)
+        present = {v.id for v in self.program.variables()}
+        return {v: size for v, size in each.items() if v.id in present}
+
     def _cost(self) -> tuple[cp.Expression, Sequence[cp.Constraint]]:
         problem, w, n = self.problem, self.problem.weights, self.problem.dimension
         squares = sparse.diags(np.repeat(position_weights(problem), n)).tocsc()
         cost = cp.quad_form(self.moved, squares, assume_PSD=True) + self.pull @ self.moved
         cost += cp.quad_form(self.x, self._input_form(), assume_PSD=True)
         if problem.translation_order == 2 and problem.arrival_weight > 0.0:
-            cost += problem.arrival_weight * cp.sum_squares(self._last_velocity)
+            cost += problem.arrival_weight * cp.sum_squares(problem.step * self._last_velocity)
         if w.length == 0.0 or problem.horizon == 1:
             return cost, []
-        length = cp.Variable(problem.horizon - 1, name='|R e1|')
+        length = self._lengths = cp.Variable(problem.horizon - 1, name='|R e1|')
         epigraph: list[cp.Constraint] = [cp.SOC(length, self._headings[1:-1].T)]
         if problem.floor.shape != 'none':
             epigraph.append(length >= problem.floor.fraction)  # valid: the floor says the same

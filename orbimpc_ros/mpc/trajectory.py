@@ -50,7 +50,8 @@ def last_velocity_cost(problem: Problem, velocities: Array) -> float:
     """Return what the arrival weight makes of p_N, given p_0..p_N, shape (N + 1, n)."""
     if problem.translation_order == 1:
         return 0.0
-    return problem.arrival_weight * float(velocities[-1] @ velocities[-1])
+    last = problem.step * velocities[-1]
+    return problem.arrival_weight * float(last @ last)
 
 
 def objective(

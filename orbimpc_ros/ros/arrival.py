@@ -44,12 +44,14 @@ class Arrival(Generic[T]):
         value: what it said.
         at: when it came, on the steady clock [s].
         timed: whether its stamp can be compared with the node's clock.
+        run: how many messages of its source, itself the last, came one soon after another.
     """
 
     stamp: Stamp
     value: T
     at: float
     timed: bool = False
+    run: int = 1
 
     def age(self, now: float, ros: RosTime = UNKNOWN) -> float:
         """Return how old it is [s]: by its arrival or its stamp, whichever makes it older."""

@@ -56,11 +56,19 @@ class NodeClock:
         shown = self.nanoseconds
         return RosTime(shown or None, self._step) if self.simulated else RosTime(shown)
 
-    def standstill(self) -> float:
-        """Return for how long simulated time has stood still [s]."""
+    def standstill(self, patience: float) -> str:
+        """Return that simulated time has stood still for longer than ``patience`` [s], in words."""
         if not self.simulated:
-            return 0.0
-        return self._standstill.lasted(self.nanoseconds, time.monotonic())
+            return ''
+        stood = self._standstill.lasted(self.nanoseconds, time.monotonic())
+        if stood <= patience:
+            return ''
+        if self.nanoseconds:
+            return f'the clock has stood still for {stood:.2f} s'
+        return (
+            f'use_sim_time is true, and nothing has come on /clock for {stood:.2f} s: start what '
+            'publishes it (a simulator, ros2 bag play --clock), or set use_sim_time to false'
+        )
 
     def look(self) -> None:
         """Look whether the system's clock was set, which nothing else would tell."""

@@ -1,13 +1,22 @@
 """The entry points of the installed executables: they obey signals before a node is imported.
 
-Importing a node takes the better part of a second, in which a signal would end in a traceback.
+Importing a node takes the better part of a second, in which a signal would end in a traceback. And
+it takes ROS, which may be missing.
 """
 
 from __future__ import annotations
 
 import os
 import signal
+import sys
 from importlib import import_module
+
+# What comes with ROS, or from PyPI with the extra of that name.
+ROS = (
+    *('builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs', 'nav_msgs', 'rcl_interfaces'),
+    *('rclpy', 'rosgraph_msgs', 'std_msgs', 'std_srvs', 'visualization_msgs'),
+)
+BAD_INPUT = 2  # exit code
 
 
 def leave_at_signals() -> None:
@@ -31,4 +40,19 @@ def sim() -> int:
 
 def _run(node: str) -> int:
     leave_at_signals()
-    return int(import_module(f'orbimpc_ros.ros.{node}').main())
+    try:
+        main = import_module(f'orbimpc_ros.ros.{node}').main
+    except ModuleNotFoundError as error:
+        line = without_ros(error)
+        if not line:
+            raise
+        print(f'{node}: {line}', file=sys.stderr)
+        return BAD_INPUT
+    return int(main())
+
+
+def without_ros(error: ModuleNotFoundError) -> str:
+    """Return a line that says how to install what is missing of ROS; empty for anything else."""
+    package = (error.name or '').partition('.')[0]
+    hint = "install ROS 2, or pip install 'orbimpc_ros[ros]'"
+    return f'{package} is missing: {hint}' if package in ROS else ''

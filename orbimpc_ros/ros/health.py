@@ -1,4 +1,4 @@
-"""How the planner is, on /diagnostics: every second, and at once when it gets better or worse."""
+"""The planner's condition on /diagnostics: every second, and at once when its level changes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def condition(
     if any(wrong):
         return ERROR, '; '.join(filter(None, wrong))
     if waiting:
-        return WARN, waiting
+        return WARN, '; '.join(filter(None, (waiting, *notices)))
     level, message = OK, 'ready'
     if report is not None:
         level, message = report.level, report.reason or 'planning'
@@ -68,8 +68,6 @@ class Health:
 
     def _publish(self, shown: Condition) -> None:
         level, message = shown
-        if message != self._shown[1] and message.startswith('waits'):
-            self._node.get_logger().info(message)
         self._shown = shown
         now, name = self._node.get_clock().now().nanoseconds, self._node.get_fully_qualified_name()
         self._publisher.publish(diagnostics(now, name, level, message, self._values()))

@@ -1,8 +1,9 @@
-"""What the planner has been told: the latest of each input, its age, and what was refused."""
+"""The planner's inputs: the latest of each, its age, and what was refused."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,12 +21,16 @@ from orbimpc_ros.ros.messages import (
     read_odometry,
     read_sighting,
 )
-from orbimpc_ros.ros.planner_parameters import PlannerSettings
+from orbimpc_ros.ros.pairing import Pairing
+from orbimpc_ros.ros.planner_parameters import Ageing, PlannerSettings
 
 INCREASING = 'stamps that increase'
-
-
-TURNS = 3  # missed in a row, after which a source is not waited for any more
+NOT_SET = (
+    'header.stamp set to the time of measurement (in code get_clock().now().to_msg(), with '
+    'ros2 topic pub "header: auto")'
+)
+STREAM = 3  # goals one soon after another are a stream, which is missed when it stops
+TOPICS = ('odom', 'goal', 'goal_path')
 
 
 @dataclass
@@ -36,29 +41,32 @@ class Inbox:
 
     Attributes:
         settings: dimension, frames, timeouts and limits.
+        names: of the topics as they are resolved, by their names here.
         odometry: the latest, if any.
         goal: the latest, if any.
         path: the latest forecast from outside, if any.
         forecast: predicts the goal from its sightings.
         refused: messages refused so far, by topic and field.
         goal_counts: goals taken in so far, by topic.
-        synchronised: topics whose stamps have been seen to equal the odometry's, and how many
-            turns in a row each has missed since.
+        pairings: whether each topic of the goal accompanies the odometry.
         timed: topics whose stamps have been seen to be of the node's own clock.
     """
 
     settings: PlannerSettings
+    names: Mapping[str, str] = field(default_factory=lambda: {each: each for each in TOPICS})
     odometry: Arrival[Odometry] | None = None
     goal: Arrival[Sighting] | None = None
     path: Arrival[Itinerary] | None = None
     forecast: Forecast = field(init=False)
     refused: Counter[str] = field(default_factory=Counter)
     goal_counts: Counter[str] = field(default_factory=Counter)
-    synchronised: dict[str, int] = field(default_factory=dict)
+    pairings: dict[str, Pairing] = field(init=False)
     timed: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.forecast = forecast_named(self.settings.goal_prediction)
+        self.pairings = {topic: Pairing() for topic in TOPICS[1:]}
+        self._paired: set[str] = set()  # topics that share the stamp of the latest odometry
 
     def adopt(self, settings: PlannerSettings) -> None:
         """Take over new settings; another kind of forecast starts afresh from the last goal."""
@@ -106,15 +114,22 @@ class Inbox:
                 self._require_near(topic, stamp, value, last, now)
         except BadInput as error:
             self.refused[f'{topic}: {error.culprit}'] += 1
-            return f'{topic} refused: {error}'
+            return f'{self.names[topic]} refused: {error}'
         # Once timed, always timed: what was held up on the way must not pass for fresh.
         if abs(ros.since(stamp.nanoseconds)) <= COMPARABLE:
             self.timed.add(topic)
-        setattr(self, attribute, Arrival(stamp, value, now, topic in self.timed))
-        if topic != 'odom':
+        if topic == 'odom':
+            self._end_pairs()
+        else:
             self.goal_counts[topic] += 1
-        self._note_synchronised()
+        run = self._run(topic, last, now)
+        setattr(self, attribute, Arrival(stamp, value, now, topic in self.timed, run))
+        self._note_pairs()
         return ''
+
+    def _run(self, topic: str, last: Arrival[Any] | None, now: float) -> int:
+        follows = last is not None and now - last.at <= self._timeout(topic)
+        return last.run + 1 if last is not None and follows else 1
 
     def _require_past(self, stamp: Stamp, ros: RosTime) -> None:
         ahead, allowed = -ros.since(stamp.nanoseconds), self.settings.future_tolerance + ros.lag
@@ -128,6 +143,8 @@ class Inbox:
         if last is None or stamp.nanoseconds > last.stamp.nanoseconds:
             return
         if stamp.nanoseconds == last.stamp.nanoseconds:
+            if stamp.nanoseconds == 0:
+                raise BadInput('unset stamp', '0 again', NOT_SET)
             raise BadInput('duplicate stamp', stamp.nanoseconds, INCREASING)
         # Once the last one is stale, an older stamp means that the sender's clock was set back.
         if now - last.at <= self._timeout(topic):
@@ -162,19 +179,22 @@ class Inbox:
         sources = {'goal': self.goal, 'goal_path': self.path}
         return {topic: arrival for topic, arrival in sources.items() if arrival is not None}
 
-    def _note_synchronised(self) -> None:
+    def _note_pairs(self) -> None:
         for topic, arrival in self._goal_sources().items():
-            if self.odometry is not None and arrival.stamp.nanoseconds == self._time:
-                self.synchronised[topic] = 0
+            if arrival.stamp.nanoseconds == self._time:
+                self._paired.add(topic)
 
-    def stop_waiting(self) -> None:
-        """Note which synchronised sources have not spoken; who misses three turns is not one."""
-        for topic, missed in list(self.synchronised.items()):
-            if self._spoken(topic):
-                continue
-            self.synchronised[topic] = missed + 1
-            if missed + 1 == TURNS:
-                del self.synchronised[topic]
+    def _end_pairs(self) -> None:
+        """Learn which goals came with the odometry that is now replaced."""
+        if self.odometry is not None:
+            for topic, pairing in self.pairings.items():
+                pairing.note(topic in self._paired)
+        self._paired.clear()
+
+    @property
+    def companions(self) -> list[str]:
+        """Return the topics of the goal that accompany every odometry message."""
+        return [topic for topic, pairing in self.pairings.items() if pairing.constant]
 
     def _spoken(self, topic: str) -> bool:
         arrival = self._goal_sources().get(topic)
@@ -186,17 +206,17 @@ class Inbox:
 
     @property
     def complete(self) -> bool:
-        """Return whether nothing is missing, nor any synchronised source yet to speak."""
-        return not self.missing and all(map(self._spoken, self.synchronised))
+        """Return whether nothing is missing, nor any companion of odometry yet to speak."""
+        return not self.missing and all(map(self._spoken, self.companions))
 
     @property
     def missing(self) -> str:
         """Return what no plan can be made without, in words; empty if nothing is missing."""
         absent = []
         if self.odometry is None:
-            absent.append('odometry on odom')
+            absent.append(f'odometry on {self.names["odom"]}')
         if not self._goal_sources():
-            absent.append('a goal on goal or goal_path')
+            absent.append(f'a goal on {self.names["goal"]} or {self.names["goal_path"]}')
         return ' and '.join(absent)
 
     @property
@@ -208,7 +228,8 @@ class Inbox:
     def untimed(self) -> str:
         """Return which sources' stamps are of another clock than this node's, in words."""
         heard = {'odom': self.odometry, **self._goal_sources()}
-        return ', '.join(t for t, each in heard.items() if each is not None and not each.timed)
+        untimed = (t for t, each in heard.items() if each is not None and not each.timed)
+        return ', '.join(self.names[topic] for topic in untimed)
 
     def stale_odometry(self, now: float, ros: RosTime = UNKNOWN) -> str:
         """Return that odometry is too old to plan with, in words; empty if it is not."""
@@ -217,8 +238,17 @@ class Inbox:
 
     def stale_goal(self, now: float, ros: RosTime = UNKNOWN) -> str:
         """Return that every source of the goal is too old, in words; empty if one is not."""
-        age = min((each.age(now, ros) for each in self._goal_sources().values()), default=0.0)
+        ages = (self._goal_age(*each, now, ros) for each in self._goal_sources().items())
+        age = min(ages, default=0.0)
         return f'the goal is {age:.2f} s old' if age > self.settings.goal_timeout else ''
+
+    def _goal_age(self, topic: str, arrival: Arrival[Any], now: float, ros: RosTime) -> float:
+        """Return how old a goal is [s]; 0 for one that does not age."""
+        ageing = self.settings.goal_ageing
+        by_hand = topic == 'goal' and arrival.run < STREAM
+        if ageing is Ageing.NONE or (ageing is Ageing.STREAMED and by_hand):
+            return 0.0
+        return arrival.age(now, ros)
 
     def targets(
         self, steps: int, now: float, ros: RosTime = UNKNOWN, start: float | None = None
@@ -231,9 +261,10 @@ class Inbox:
         assert self.odometry is not None
         start = self.odometry.value.time if start is None else start
         times = start + self.settings.problem.step * np.arange(1, steps + 1)
-        if self.path is not None and self.path.age(now, ros) <= self.settings.goal_timeout:
-            return self.path.value.at(times)
-        return self.forecast.at(times)
+        path = self.path
+        if path is None or self._goal_age('goal_path', path, now, ros) > self.settings.goal_timeout:
+            return self.forecast.at(times)
+        return path.value.at(times)
 
 
 def _place(value: Sighting | Itinerary, time: float) -> Array:

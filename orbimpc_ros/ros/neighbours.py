@@ -34,18 +34,20 @@ class Neighbours:
     def sources(self) -> str:
         """Return that more than one publishes odometry, in words; empty if none or one does."""
         count = self._odometry.get_publisher_count()
-        return f'{count} publishers on odom, of which only one can be right' if count > 1 else ''
+        where = self._odometry.topic_name
+        return f'{count} publishers on {where}, of which only one can be right' if count > 1 else ''
 
     @property
     def rivals(self) -> str:
         """Return that somebody else commands the vehicle as well, in words; empty if nobody."""
-        count = self._node.count_publishers(self._velocity.topic_name)
-        return f'{count} publishers on cmd_vel: the vehicle hears them all' if count > 1 else ''
+        where = self._velocity.topic_name
+        count = self._node.count_publishers(where)
+        return f'{count} publishers on {where}: the vehicle hears them all' if count > 1 else ''
 
     @property
-    def mismatches(self) -> str:
+    def mismatches(self) -> list[str]:
         """Return which topics connect to somebody who cannot hear, or be heard, and why."""
-        return '; '.join(self._mismatched[topic] for topic in sorted(self._mismatched))
+        return [self._mismatched[topic] for topic in sorted(self._mismatched)]
 
     def look(self) -> None:
         """Look at the other ends of one more topic."""

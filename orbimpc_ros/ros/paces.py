@@ -190,7 +190,8 @@ class RealTime:
     A vehicle whose planner is gone must be safe. It is stopped when no command has come for
     ``command_timeout``, or as soon as DDS misses signs of life from the last planner that
     promised some, which shows a dead process long before a command is due. The step is then
-    flown in two pieces, so that the vehicle stands from that moment on.
+    flown in two pieces, so that the vehicle stands from that moment on. On a machine that is too
+    busy, living planners miss signs of life, too: the command is in force again with the next one.
     """
 
     def __init__(self, sim: Sim) -> None:
@@ -205,6 +206,7 @@ class RealTime:
         self._begins = False
         self._order: Order | None = None
         self._until = -np.inf  # when the command in force ends, on the steady clock [s]
+        self._ends = -np.inf  # when it would have ended, had the planner not been missed [s]
         self._begun = self._sim.steady_now()  # this step
         self._latched = False
         self._waiting.restart()
@@ -225,6 +227,13 @@ class RealTime:
     def _on_life(self, event: Any) -> None:
         if event.alive_count == 0 and event.alive_count_change < 0:
             self._stop('the planner gives no sign of life')
+        elif event.alive_count_change > 0 > event.not_alive_count_change:
+            self._resume()  # the one that was missed; a new one would not lessen the missed ones
+
+    def _resume(self) -> None:
+        if self._latched and self._sim.steady_now() < self._ends:
+            self._latched, self._until = False, self._ends
+            self._sim.get_logger().info('the planner lives: its command is in force again')
 
     def look(self) -> None:
         """Stop when the command in force has ended."""
@@ -234,6 +243,7 @@ class RealTime:
     def _stop(self, reason: str) -> None:
         if self._order is None or self._latched or self._sim.finished:
             return
+        self._ends = self._until
         self._latched, self._until = True, min(self._until, self._sim.steady_now())
         model = self._sim.settings.scenario.model
         share, turn = model.failsafe_fraction, model.failsafe_rate

@@ -17,14 +17,19 @@ from std_srvs.srv import SetBool, Trigger
 
 from orbimpc_ros.mpc.controller import Controller
 from orbimpc_ros.ros import messages, outputs
+from orbimpc_ros.ros.announcer import Announcer
 from orbimpc_ros.ros.clock import NodeClock
+from orbimpc_ros.ros.compiling import leaving_at_signals, report_compilation
 from orbimpc_ros.ros.health import Condition, Health, condition
+from orbimpc_ros.ros.inbox import TOPICS
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.neighbours import Neighbours
 from orbimpc_ros.ros.outlet import Outlet
 from orbimpc_ros.ros.parameters import PLANNER, Live, PlannerSettings, planner_settings
 from orbimpc_ros.ros.process import Guarded, qos, run
-from orbimpc_ros.ros.reports import AFRESH, prices
+from orbimpc_ros.ros.reports import AFRESH, SAFE, Report, prices
+from orbimpc_ros.ros.sections import unused_sections
+from orbimpc_ros.ros.summary import doubts, summary
 from orbimpc_ros.ros.ticker import Answer, Ticker, prepared
 
 GOAL_PATIENCE = 0.1  # [s] to wait for the goal that belongs to an odometry message
@@ -32,6 +37,7 @@ REPEAT = 0.1  # [s] until who asks again is answered again: not for messages tha
 WATCH = 0.05  # [s] how often the inputs' age is looked at, at least
 CLOCK_SET = 0.1  # [s] by which the system's clock may be set without a fresh start
 REFUSED = 1.0  # [s] for which a refused message is a reason to warn
+SILENCE = 1.5  # [s] without /clock, after which that is a reason to warn
 
 
 class Planner(Guarded):
@@ -42,20 +48,41 @@ class Planner(Guarded):
         self._enabled = True
         self._answered = -1  # stamp of the odometry that was answered last [ns]
         self._refusal, self._refused_at = '', -np.inf
-        live = Live(self, PLANNER, planner_settings, prepared)
+        self._planning = self._begun = False
+        self._console = Announcer(self.get_logger(), self.steady_now)
+        report_compilation(self._console.warn)
+        with leaving_at_signals():
+            live = Live(self, PLANNER, planner_settings, prepared)
         self._settings, controller = live.prepared
         self._time = NodeClock(self, self._settings.problem.step, self._on_jump)
-        self._ticker = Ticker(self._settings, controller, simulated=self._time.simulated)
+        names = {topic: self.resolve_topic_name(topic) for topic in TOPICS}
+        simulated = self._time.simulated
+        self._ticker = Ticker(self._settings, controller, simulated=simulated, names=names)
         self._inbox = self._ticker.inbox
         self._outlet = Outlet(self, thrust=self._settings.problem.translation_order == 2)
         self._health = Health(self, self._condition, self._counts)
         self._create_subscriptions()
         self._create_timers()
         live.keep(self._install)
+        self._introduce()
+
+    def _introduce(self) -> None:
+        """Say once, before anything flies, what vehicle the parameters describe."""
+        self._introduced = summary(self._settings, self._time.simulated)
+        self.get_logger().info(self._introduced)
+        given = {name: each.value for name, each in self._parameter_overrides.items()}
+        name = self.get_fully_qualified_name()
+        unused = [f'section {each} is not for {name}: not used' for each in unused_sections(self)]
+        for doubt in unused + doubts(self._settings, given):
+            self.get_logger().warning(doubt)
 
     def _install(self, prepared: tuple[PlannerSettings, Controller]) -> None:
         self._settings, controller = prepared
         self._ticker.install(self._settings, controller)
+        now = summary(self._settings, self._time.simulated)
+        if now != self._introduced:
+            self._introduced = now
+            self._console.say(f'from now on {now}')
 
     # --- wiring
 
@@ -118,7 +145,7 @@ class Planner(Guarded):
         return odometry.stamp.nanoseconds != self._answered
 
     def _refuse(self, refusal: str) -> None:
-        self.get_logger().warning(refusal, throttle_duration_sec=1.0)
+        self._console.warn(refusal)
         self._refusal, self._refused_at = refusal, self.steady_now()
         self._health.show_changes()
 
@@ -147,7 +174,6 @@ class Planner(Guarded):
         # On the second call only: after a stall, a goal that lies waiting gets its turn first.
         self._waits += 1
         if self._waits == 2:
-            self._inbox.stop_waiting()
             self._plan_now()
 
     def _on_timer(self) -> None:
@@ -192,14 +218,26 @@ class Planner(Guarded):
         if self._inbox.odometry is not None:
             told['rotation'] = messages.rotation_message(stamp, answer.command)
         self._outlet.add(told)
-        if report.reason and report.fallback:
-            said = f'{report.fallback}: {report.reason}'
-            self.get_logger().warning(said, throttle_duration_sec=1.0)
+        self._say(report)
+
+    def _say(self, report: Report) -> None:
+        """Say on the console what is wrong with a tick, and that planning begins or goes on."""
+        if report.reason:
+            self._console.warn(': '.join(filter(None, (report.fallback, report.reason))))
+        if report.fallback == SAFE:
+            self._planning = False
+        elif not report.fallback and not self._planning:
+            self._console.say('plans again' if self._begun else 'begins to plan')
+            self._planning = self._begun = True
 
     # --- watching
 
     def safe(self, reason: str) -> None:
-        """Command what is safe, now."""
+        """Command what is safe, now; a planner that has commanded nothing yet goes on so."""
+        if self._outlet.used:
+            self._be_safe(reason)
+
+    def _be_safe(self, reason: str) -> None:
         # Stamped now: it is no answer to any odometry.
         now, known = max(self._time.nanoseconds, self._answered + 1), self._inbox.odometry
         frames = self._settings.frames if known is None else known.stamp.frames
@@ -213,17 +251,31 @@ class Planner(Guarded):
         due = self.steady_now() - self._outlet.at >= self._settings.problem.step
         unsafe = self._unsafe() or self._stuck()
         if flying and due and unsafe:
-            self.safe(unsafe)
+            self._be_safe(unsafe)
+        self._console.follow(self._troubles())
+        if self._waiting:
+            self._console.say(self._waiting)
         self._health.show_changes()
+
+    @property
+    def _waiting(self) -> str:
+        """Return what is waited for, in words; empty if nothing is."""
+        return f'waits for {self._inbox.missing}' if self._inbox.missing else ''
+
+    def _troubles(self) -> list[str]:
+        """Return what is wrong around the planner, in words; that of its ticks is told by them."""
+        around = self._neighbours
+        still = self._time.standstill(SILENCE)
+        return [around.sources, *around.mismatches, around.rivals, still, self._untimed]
+
+    @property
+    def _untimed(self) -> str:
+        untimed = self._inbox.untimed
+        return f"stamps of {untimed} are not of this node's clock" if untimed else ''
 
     def _stuck(self) -> str:
         """Return why no tick will come, in words; empty if one will."""
-        if self._inbox.missing:
-            return f'waits for {self._inbox.missing}'
-        stood = self._time.standstill()
-        if stood > self._settings.odom_timeout:
-            return f'the clock has stood still for {stood:.2f} s'
-        return ''
+        return self._waiting or self._time.standstill(self._settings.odom_timeout)
 
     def _on_jump(self, by: float) -> None:
         """Start afresh if the clock has jumped [s].
@@ -243,8 +295,7 @@ class Planner(Guarded):
         self._patience.cancel()
         self._ticker.forget()
         self._answered = -1
-        if self._outlet.used:
-            self.safe(AFRESH)
+        self.safe(AFRESH)
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
         self._start_afresh('asked to')
@@ -254,7 +305,7 @@ class Planner(Guarded):
     def _on_enable(self, request: Any, response: Any) -> Any:
         self._enabled = request.data
         if not self._enabled:
-            self.safe('disabled')
+            self._be_safe('disabled')
         response.success = True
         response.message = 'enabled' if self._enabled else 'disabled: safe command'
         self._health.show_changes()
@@ -266,6 +317,7 @@ class Planner(Guarded):
         timing, refused = self._ticker.timing, self._inbox.refused.items()
         return {
             'waits_for': self._inbox.missing,
+            'waits with odometry for': ', '.join(self._inbox.companions),
             'enabled': self._enabled,
             'deadline misses': timing.misses,
             'overruns': timing.overruns,
@@ -275,18 +327,17 @@ class Planner(Guarded):
         }
 
     def _condition(self) -> Condition:
-        missing, untimed = self._inbox.missing, self._inbox.untimed
-        waiting = missing and f'waits for {missing}'
         refused = self.steady_now() - self._refused_at < REFUSED
         latest = self._ticker.latest
         return condition(
-            (self._neighbours.sources, self._neighbours.mismatches),
-            waiting if self._enabled else 'disabled',
+            (self._neighbours.sources, *self._neighbours.mismatches),
+            self._waiting if self._enabled else 'disabled',
             None if latest is None else latest.report,
             (
                 self._neighbours.rivals,
                 self._refusal if refused else '',
-                untimed and f"stamps of {untimed} are not of this node's clock",
+                self._time.standstill(SILENCE),
+                self._untimed,
             ),
         )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from orbimpc_ros.mpc.problem import (
 from orbimpc_ros.ros.messages import Frames
 from orbimpc_ros.ros.parameter import FAR, SOON, TINY, Row, Values, vehicle_rows
 
-SAFE_COMMANDS = ('stop', 'hold_rate_zero', 'loiter')
+SAFE_COMMANDS = ('auto', 'stop', 'hold_rate_zero', 'loiter')
 PROJECTIONS = ('nearest', 'thrust_aligned')
 
 PLANNER: tuple[Row, ...] = (
@@ -60,22 +61,31 @@ PLANNER: tuple[Row, ...] = (
         choices=tuple(FORECASTS), live=True),
     Row('odom_timeout', 0.0, 'Odometry older than this is stale; 0 for 0.2 s; at least 1.5 steps',
         's', 0.0, SOON, live=True),
-    Row('goal_timeout', 0.0, 'A goal older than this is stale; 0 for 1 s; at least 1.5 steps',
-        's', 0.0, SOON, live=True),
+    Row('goal_timeout', 0.0, 'A goal older than this is stale, at least 1.5 steps; 0 for 1 s once '
+        'goals stream, never for one sent by hand; below 0 never', 's', -1.0, SOON, live=True),
     Row('future_tolerance', 0.1, 'A stamp this far ahead of the clock is refused; simulated time '
         'may trail by a step more', 's', 0.0, SOON, live=True),
     Row('goal_jump_limit', 0.0, 'A goal farther than this from the one before is refused until '
         'that is stale; 0 for no limit', 'm', 0.0, FAR, live=True),
     Row('delay_compensation', True, 'Whether to plan from where the vehicle is by the time the '
         'command comes, not from where it was measured', live=True),
-    Row('safe_command', 'stop',
-        'When there is no plan: stop; keep the speed and stop turning; circle',
+    Row('safe_command', 'auto',
+        'When there is no plan: stop; keep the speed and stop turning; circle; auto circles with '
+        'a floor at translation_order 1 and stops otherwise',
         choices=SAFE_COMMANDS, live=True),
     Row('deadline', 0.0, 'Limit of a solve; 0 for half a step, which it must not exceed',
         's', 0.0, SOON, live=True),
     Row('gap_tolerance', 1e-4, 'Relative gap within which a plan counts as proved optimal',
         low=1e-9, high=1.0, live=True),
 )  # fmt: skip
+
+
+class Ageing(Enum):
+    """Which goals get stale: all; those of a source that streams; none."""
+
+    ALL = 'all'
+    STREAMED = 'streamed'
+    NONE = 'none'
 
 
 @dataclass(frozen=True)
@@ -91,10 +101,11 @@ class PlannerSettings:
         goal_prediction: kind of forecast.
         odom_timeout: after which odometry is stale, at least 1.5 steps [s].
         goal_timeout: after which a goal is stale, at least 1.5 steps [s].
+        goal_ageing: which goals get stale.
         future_tolerance: by which a stamp may be ahead of the clock [s].
         goal_jump_limit: distance from one goal to the next; 0 for no limit [m].
         delay_compensation: whether to plan from the state advanced by the odometry's age.
-        safe_command: kind of safe command.
+        safe_command: ``stop``, ``hold_rate_zero`` or ``loiter``; ``auto`` is decided.
         deadline: for a solve, at most half a step [s].
         gap_tolerance: relative gap that counts as proved.
         frames: that messages must be in.
@@ -108,6 +119,7 @@ class PlannerSettings:
     goal_prediction: str
     odom_timeout: float
     goal_timeout: float
+    goal_ageing: Ageing
     future_tolerance: float
     goal_jump_limit: float
     delay_compensation: bool
@@ -115,6 +127,11 @@ class PlannerSettings:
     deadline: float
     gap_tolerance: float
     frames: Frames
+
+    @property
+    def stopping(self) -> bool:
+        """Return whether the safe command is meant to go below the floor: to stop, or to coast."""
+        return self.safe_command == 'stop' or self.problem.translation_order == 2
 
 
 def planner_settings(values: Values) -> PlannerSettings:
@@ -138,15 +155,33 @@ def planner_settings(values: Values) -> PlannerSettings:
         on_odometry=values['trigger'] == 'odom',
         goal_prediction=values['goal_prediction'],
         odom_timeout=max(values['odom_timeout'] or 0.2, 1.5 * step),
-        goal_timeout=max(values['goal_timeout'] or 1.0, 1.5 * step),
+        goal_timeout=max(
+            values['goal_timeout'] if values['goal_timeout'] > 0.0 else 1.0, 1.5 * step
+        ),
+        goal_ageing=_ageing(values['goal_timeout'], values['goal_prediction']),
         future_tolerance=values['future_tolerance'],
         goal_jump_limit=values['goal_jump_limit'],
         delay_compensation=values['delay_compensation'],
-        safe_command=values['safe_command'],
+        safe_command=_safe_command(values),
         deadline=values['deadline'] or 0.5 * step,
         gap_tolerance=values['gap_tolerance'],
         frames=Frames(values['frame_id'], values['child_frame_id']),
     )
+
+
+def _ageing(timeout: float, prediction: str) -> Ageing:
+    if timeout:
+        return Ageing.ALL if timeout > 0.0 else Ageing.NONE
+    # A forecast that moves on from the last goal for ever would lead anywhere.
+    return Ageing.STREAMED if prediction == 'hold' else Ageing.ALL
+
+
+def _safe_command(values: Values) -> str:
+    if values['safe_command'] != 'auto':
+        return str(values['safe_command'])
+    # What has a minimum speed, such as a wing, must not be stopped unless that is asked for.
+    floored = values['floor.shape'] != 'none' and values['translation_order'] == 1
+    return 'loiter' if floored else 'stop'
 
 
 def _problem(values: Values) -> Problem:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # the simulator reports without a solver, and starts sooner f
     from orbimpc_ros.mpc.controller import Tick
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-SAFE = 'safe command'
+SAFE = 'safe command'  # the fallback of a tick that has no plan to follow
 AFRESH = 'starting afresh'  # why: inputs and plan were forgotten
 ANOTHER_PLAN = 0.01  # unexplained share of the gradient beyond which a plan is no optimum
 LONGEST = 60  # steps; prices of longer plans take milliseconds
@@ -73,7 +73,7 @@ class Report:
 def report_of(tick: Tick, solve_time_ms: float) -> Report:
     """Return the report of a controller's tick."""
     if tick.plan is None:
-        return Report(tick.status, tick.reason, solve_time_ms=solve_time_ms, fallback=tick.fallback)
+        return Report(tick.status, tick.reason, solve_time_ms=solve_time_ms, fallback=SAFE)
     plan = tick.plan
     return Report(
         tick.status,

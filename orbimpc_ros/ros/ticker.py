@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.command import Command, flaw, stop
+from orbimpc_ros.mpc.command import Command, flaw
 from orbimpc_ros.mpc.controller import Controller, Tick
 from orbimpc_ros.mpc.delay import Leg, Sent, advanced
 from orbimpc_ros.mpc.odometry import Odometry
@@ -17,7 +18,7 @@ from orbimpc_ros.ros.arrival import UNKNOWN, Arrival, RosTime
 from orbimpc_ros.ros.inbox import Inbox
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.planner_parameters import PlannerSettings
-from orbimpc_ros.ros.reports import SAFE, Report, report_of, safe_report
+from orbimpc_ros.ros.reports import Report, report_of, safe_report
 from orbimpc_ros.ros.safety import safe_command
 from orbimpc_ros.ros.timing import Timing
 
@@ -60,6 +61,7 @@ class Ticker:
         settings: of the planner.
         controller: compiled for them.
         simulated: whether time stands still while a tick is computed.
+        names: of the inbox's topics as they are resolved; by default as they are.
 
     Attributes:
         inbox: what the planner has been told.
@@ -68,11 +70,17 @@ class Ticker:
     """
 
     def __init__(
-        self, settings: PlannerSettings, controller: Controller, *, simulated: bool
+        self,
+        settings: PlannerSettings,
+        controller: Controller,
+        *,
+        simulated: bool,
+        names: Mapping[str, str] | None = None,
     ) -> None:
         self._settings, self._controller, self._simulated = settings, controller, simulated
         self._sent = Sent()
-        self.inbox, self.timing = Inbox(settings), Timing()
+        self.inbox = Inbox(settings) if names is None else Inbox(settings, names)
+        self.timing = Timing()
         self.latest: Answer | None = None
 
     def install(self, settings: PlannerSettings, controller: Controller) -> None:
@@ -109,7 +117,7 @@ class Ticker:
             goal_stamps=self.inbox.goal_stamps,
             goal_counts=dict(self.inbox.goal_counts),
         )
-        command = self._safe_command() if tick.fallback == SAFE else tick.command
+        command = self._safe_command() if tick.plan is None else tick.command
         return self._checked(Answer(command, report, tick))
 
     def safe(self, reason: str) -> Answer:
@@ -141,8 +149,16 @@ class Ticker:
         return np.eye(self._settings.problem.dimension) if known is None else known.value.attitude
 
     def _checked(self, answer: Answer) -> Answer:
-        """Return the answer, or a stop if its command must not be sent, whatever led to it."""
-        wrong = flaw(self._settings.problem, answer.command)
+        """Return the answer, or the safe one if its command must not be sent, whatever led to it.
+
+        Raises:
+            RuntimeError: the safe command itself must not be sent, which its own law excludes.
+        """
+        safe = answer.plan is None
+        stopping = safe and self._settings.stopping
+        wrong = flaw(self._settings.problem, answer.command, stopping=stopping)
         if not wrong:
             return answer
-        return Answer(stop(self._attitude), safe_report(f'not sent: {wrong}'))
+        if safe:
+            raise RuntimeError(f'the safe command is not sent: {wrong}')
+        return self.safe(f'not sent: {wrong}')

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import json
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.contenders.contender import Contender
-from orbimpc_ros.tool.measure import table
+from orbimpc_ros.tool.files import require_writable
 from orbimpc_ros.tool.measure.contests import CAP, CONTESTS, PACKAGES, QUICK_CAP, Contest
 from orbimpc_ros.tool.measure.duel import OURS, duel
-from orbimpc_ros.tool.measure.machine import machine, versions
-from orbimpc_ros.tool.measure.rows import Row, growth, of_duel
+from orbimpc_ros.tool.measure.result import Result
+from orbimpc_ros.tool.measure.rows import HULLS, Row, growth, of_duel
 from orbimpc_ros.tool.progress import Progress
 
 WARM_UP = 3  # instances solved before the clock counts
@@ -36,19 +36,18 @@ def problems() -> list[str]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure, print, write, draw; 1 if somebody found a better trajectory than ours."""
-    wanted, files = _wanted(args.only), _files(args)
-    result: dict[str, Any] = {'machine': machine(), 'versions': versions()}
-    rows = measured(wanted, args.quick)
-    print(table.text(rows))
-    result['rows'] = [row.as_json() for row in rows]
-    if args.json:
-        Path(args.json).write_text(json.dumps(result, indent=1, allow_nan=False) + '\n')
-    if files is not None:
-        from orbimpc_ros.tool.measure.picture import draw
+    """Measure, write as it goes, print, draw; 1 if ours was beaten or a measurement failed.
 
-        draw(rows, files)
-    return int(any(row.beaten for row in rows))
+    Raises:
+        KeyboardInterrupt: somebody asked to stop; what was measured is kept.
+    """
+    wanted, result = _wanted(args.only), Result(*_files(args))
+    try:
+        for rows in measured(wanted, args.quick, result.rows):
+            result.add(rows)
+    finally:
+        result.close()
+    return int(any(row.beaten or row.failed for row in result.rows))
 
 
 def _wanted(only: list[str] | None) -> list[str]:
@@ -58,29 +57,44 @@ def _wanted(only: list[str] | None) -> list[str]:
     return only or problems()
 
 
-def _files(args: argparse.Namespace) -> Path | None:
-    """Return where the picture goes, after a look whether everything can be written."""
-    for name in ('json', 'picture'):
-        value = getattr(args, name)
-        if value and not Path(value).resolve().parent.is_dir():
-            raise BadInput(f'--{name}', value, 'a file in a folder that exists')
-    if args.picture:
-        return Path(args.picture)
-    return Path(args.json).with_suffix('.png') if args.json else None
+def _files(args: argparse.Namespace) -> tuple[Path | None, Path | None]:
+    """Return where rows and picture go, after a look whether they can be written."""
+    file = Path(args.json).resolve() if args.json else None
+    picture = Path(args.picture).resolve() if args.picture else file and file.with_suffix('.png')
+    for name, path in (('--json', file), ('--picture', picture)):
+        if path is not None:
+            require_writable(name, path)
+    return file, picture
 
 
-def measured(wanted: list[str], quick: bool) -> list[Row]:
-    """Return the rows of the problems named in ``wanted``."""
-    rows: list[Row] = []
+def measured(wanted: list[str], quick: bool, before: Sequence[Row]) -> Iterator[list[Row]]:
+    """Yield the rows of each measurement as it is done; of one that fails, a row that says why.
+
+    Args:
+        wanted: names of problems.
+        quick: few instances, low time limits.
+        before: what was measured before each.
+    """
+    for title, measure in _measurements(wanted, quick, before):
+        try:
+            rows = measure()
+        except Exception as error:  # whatever it is, the others are still worth measuring
+            note = f'failed: {type(error).__name__}: {error}'
+            rows = [Row(title, OURS, note=note, failed=True)]
+        yield rows
+
+
+def _measurements(
+    wanted: list[str], quick: bool, before: Sequence[Row]
+) -> Iterator[tuple[str, Callable[[], list[Row]]]]:
     for contest in CONTESTS:
         if contest.key in wanted:
-            rows += contested(contest, quick)
-    rows += growth([row for row in rows if row.problem.startswith('SE(2) hull N=')])
+            yield contest.title, partial(contested, contest, quick)
+    yield f'{HULLS}...: exponent of N', partial(growth, before)
     if set(LIVE) & set(wanted):
         from orbimpc_ros.tool.measure import live
 
-        rows += live.measured(wanted, quick)
-    return rows
+        yield from live.measurements(wanted, quick)
 
 
 def contested(contest: Contest, quick: bool) -> list[Row]:

@@ -7,17 +7,15 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 from typing import NoReturn
 
+from orbimpc_ros import __version__
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError
+from orbimpc_ros.ros.entry import without_ros
 
 DONE, FAILED, BAD_INPUT, INFEASIBLE = 0, 1, 2, 3
-# What comes with ROS, or from PyPI with the extra of that name.
-ROS = (
-    *('builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs', 'nav_msgs', 'rcl_interfaces'),
-    *('rclpy', 'rosgraph_msgs', 'std_msgs', 'std_srvs', 'visualization_msgs'),
-)
+PLANNING = ('bench', 'demo', 'study')  # commands that plan for long: slow ones are worth a word
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 # A command is a module of this package with add_arguments(parser) and run(args) -> exit code.
@@ -45,8 +43,10 @@ class OneLineParser(argparse.ArgumentParser):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
-    args = _parser(words).parse_args(words)
     try:
+        args = _parser(words).parse_args(words)
+        if args.command in PLANNING and find_spec('numba') is None:
+            _complain(import_module('orbimpc_ros.ros.compiling').MISSING)
         code = import_module(f'orbimpc_ros.tool.{args.command}').run(args)
         sys.stdout.flush()
         return code
@@ -54,18 +54,30 @@ def main(argv: Sequence[str] | None = None) -> int:
         _complain(str(error))
         return _code(error)
     except ModuleNotFoundError as error:
-        package = (error.name or '').partition('.')[0]
-        if package not in ROS:
+        line = without_ros(error)
+        if not line:
             raise
-        _complain(f"{package} is missing: install ROS 2, or pip install 'orbimpc_ros[ros]'")
+        _complain(line)
         return BAD_INPUT
     except KeyboardInterrupt:
         _complain('interrupted')
         return INTERRUPTED
     except BrokenPipeError:
         # The reader has left, as in `orbimpc solve x | head`: nothing is left to say to it.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _end_output()
         return FAILED
+    except OSError as error:  # such as a disk that is full
+        _complain(f'{error.filename or "output"}: {error.strerror or error}')
+        _end_output()
+        return FAILED
+
+
+def _end_output() -> None:
+    """Drop what nobody takes: Python would try once more at its end, and complain."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
@@ -75,20 +87,13 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
         description='Convex model predictive control on rotation orbitopes.',
         epilog='exit codes: 0 done, 1 failed or different, 2 bad input, 3 infeasible',
     )
-    parser.add_argument('--version', action='version', version=f'orbimpc_ros {_version()}')
+    parser.add_argument('--version', action='version', version=f'orbimpc_ros {__version__}')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
     for name, summary in COMMANDS.items():
         sub = commands.add_parser(name, help=summary, description=summary)
         if words[:1] == [name]:
             import_module(f'orbimpc_ros.tool.{name}').add_arguments(sub)
     return parser
-
-
-def _version() -> str:
-    try:
-        return version('orbimpc_ros')
-    except PackageNotFoundError:
-        return '(not installed)'
 
 
 def _code(error: OrbimpcError) -> int:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.tool.files import writing_to
 
 if TYPE_CHECKING:
     from orbimpc_ros.tool.history import History
@@ -52,10 +53,11 @@ def _run_alone(args: argparse.Namespace) -> int:
     flights = _flights(args.scenario, args.set)
     folder = new_folder(args.out, args.scenario)
     places = {name: folder / name if name else folder for name in flights}
-    for name, values in flights.items():
-        places[name].mkdir(exist_ok=True)
-        fly(values, places[name])
-    return report(folder, places)
+    with writing_to(folder):
+        for name, values in flights.items():
+            places[name].mkdir(exist_ok=True)
+            fly(values, places[name])
+        return report(folder, places)
 
 
 def _flights(scenario: str, changes: list[str]) -> dict[str, Values]:

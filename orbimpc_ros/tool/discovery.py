@@ -19,6 +19,7 @@ PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
   </participant>
 </profiles>
 """
+LOG_VARIABLES = ('ROS_LOG_DIR', 'ROS_HOME')
 PROFILE_VARIABLES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')  # 2.x, 3.x
 
 
@@ -26,7 +27,8 @@ def isolate(folder: Path) -> int:
     """Give this process and its children a ROS domain of their own and return its number.
 
     Args:
-        folder: takes the DDS profile.
+        folder: takes the DDS profile, and ROS's logs unless they are to go elsewhere: no home
+            folder is needed.
     """
     candidates = random.sample(DOMAINS, len(DOMAINS))
     domain = next((d for d in candidates if free(d)), candidates[0])
@@ -36,6 +38,8 @@ def isolate(folder: Path) -> int:
     profile.write_text(PROFILE)
     for variable in PROFILE_VARIABLES:
         os.environ.setdefault(variable, str(profile))
+    if not any(os.environ.get(variable) for variable in LOG_VARIABLES):
+        os.environ[LOG_VARIABLES[0]] = str(folder / 'log')
     return domain
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from typing import BinaryIO
 
-from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 
 MAX_ENTRIES = 10_000  # of a folder
 REGULAR = 'a regular file'
@@ -94,6 +94,57 @@ def listed(folder: Path) -> list[Path]:
     if len(found) > MAX_ENTRIES:
         raise BadInput(str(folder), 'too full', f'at most {MAX_ENTRIES} files')
     return found
+
+
+def require_writable(culprit: str, file: Path) -> None:
+    """See to it before the work that its result can be written, as far as can be known by then.
+
+    Args:
+        culprit: what names the file, such as an option.
+        file: to write, or to replace.
+
+    Raises:
+        BadInput: it is a folder, or nothing can be written beside it.
+    """
+    if file.is_dir():
+        raise BadInput(culprit, f'{file} (a folder)', 'a file')
+    try:
+        with tempfile.TemporaryFile(dir=file.parent):
+            pass
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise BadInput(culprit, f'{file} ({why})', 'a file in a folder to write to') from None
+
+
+@contextmanager
+def writing_to(folder: Path) -> Iterator[None]:
+    """Report a disk that takes no more as the failure of the job that writes into a folder.
+
+    Raises:
+        OrbimpcError: in one line; what was written before stays.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise OrbimpcError(f'{folder}: {error.strerror or error}') from None
+
+
+def write_whole(file: Path, write: Callable[[Path], object]) -> None:
+    """Write a file whole or not at all.
+
+    Args:
+        file: to write; what is there is replaced at once.
+        write: fills the file whose path it is given.
+
+    Raises:
+        OSError: the disk does not take it; nothing has changed.
+    """
+    new = file.with_name(f'.{file.name}.new')
+    try:
+        write(new)
+        new.replace(file)
+    finally:
+        new.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from pathlib import Path
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.fleet import vehicles
 from orbimpc_ros.tool import bag, demo, settings
+from orbimpc_ros.tool.files import writing_to
 from orbimpc_ros.tool.settings import Values
 from orbimpc_ros.tool.share import config
 
@@ -23,8 +24,9 @@ def run(args: argparse.Namespace) -> int:
 
     values, own = resolve(VEHICLES if args.vehicles is None else args.vehicles, args.set)
     folder = demo.new_folder(args.out, 'fleet')
-    fly(values, folder, own)
-    return report(folder, tuple(own))
+    with writing_to(folder):
+        fly(values, folder, own)
+        return report(folder, tuple(own))
 
 
 def resolve(count: int, changes: list[str]) -> tuple[Values, dict[str, Values]]:

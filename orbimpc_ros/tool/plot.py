@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from orbimpc_ros.mpc.errors import BadInput
 
@@ -34,14 +34,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Draw a flight; nothing is written unless everything can be."""
     from orbimpc_ros.tool import history
+    from orbimpc_ros.tool.files import require_writable, writing_to
 
     flight = history.of_bag(Path(args.bag), args.namespace)
     if len(flight.times) < 2:
         raise BadInput(args.bag, 'with a single odometry message', 'a flight of two or more')
     pictures = _pictures(flight, args.dark, not args.no_animation)
     folder = _folder(Path(args.out).resolve(), pictures)
-    for name, write in pictures.items():
-        _replace(folder / name, write)
+    require_writable('--out', folder / next(iter(pictures)))
+    with writing_to(folder):
+        for name, write in pictures.items():
+            write(folder / name)
     print(f'written: {", ".join(pictures)} in {folder}')
     return 0
 
@@ -90,23 +93,12 @@ def made_here(file: Path) -> bool:
     return MAKER in notes or MAKER.encode() in notes
 
 
-def _replace(file: Path, write: Callable[[Path], None]) -> None:
-    """Write a file whole or not at all."""
-    new = file.with_name(f'.{file.name}.new')
-    try:
-        write(new)
-        new.replace(file)
-    except OSError as error:
-        raise BadInput('--out', f'{file} ({error.strerror})', 'a folder to write to') from None
-    finally:
-        new.unlink(missing_ok=True)
-
-
 def write_gif(frames: Sequence[Array], file: Path) -> None:
     """Write frames, shape (height, width, 3), as an animation that repeats for ever."""
     import numpy as np
     from PIL import Image
 
+    from orbimpc_ros.tool.files import write_whole
     from orbimpc_ros.tool.style import MAKER
 
     # One palette for all frames: colours must not flicker.
@@ -117,15 +109,15 @@ def write_gif(frames: Sequence[Array], file: Path) -> None:
         Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
         for frame in frames
     ]
-    images[0].save(
-        file,
-        format='GIF',
-        save_all=True,
-        append_images=images[1:],
-        duration=[FRAME] * (len(images) - 1) + [LAST],
-        loop=0,
-        comment=MAKER.encode(),
-    )
+    how: Any = {
+        'format': 'GIF',
+        'save_all': True,
+        'append_images': images[1:],
+        'duration': [FRAME] * (len(images) - 1) + [LAST],
+        'loop': 0,
+        'comment': MAKER.encode(),
+    }
+    write_whole(file, lambda new: images[0].save(new, **how))
 
 
 def frequent(picture: Array, count: int) -> Array:

@@ -10,8 +10,7 @@ from typing import Any
 
 from orbimpc_ros.mpc.case import Case, case_of
 from orbimpc_ros.mpc.command import command_of
-from orbimpc_ros.mpc.errors import SolverFailure
-from orbimpc_ros.mpc.plan import Plan, violations
+from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.solver import Solver
 from orbimpc_ros.tool import document
 
@@ -34,9 +33,6 @@ def run(args: argparse.Namespace) -> int:
     begin = time.perf_counter()
     plan = solver.solve(case.state, case.goals)
     elapsed = time.perf_counter() - begin
-    found = violations(case.problem, case.state, case.goals, plan)
-    if found:
-        raise SolverFailure('the plan failed its check: ' + '; '.join(found))
     print(json.dumps(answer(case, plan, 1e3 * elapsed), indent=1, allow_nan=False))
     return 0
 

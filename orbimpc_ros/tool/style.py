@@ -18,6 +18,7 @@ from matplotlib.rcsetup import cycler
 from matplotlib.ticker import MaxNLocator
 
 from orbimpc_ros.tool import palette
+from orbimpc_ros.tool.files import write_whole
 
 INK, BLUE, SKY, ORANGE, GREEN, RED, GREY, FAINT = (f'C{place}' for place in range(8))
 PRINT = (
@@ -73,10 +74,15 @@ def look(dark: bool = False) -> AbstractContextManager:
 
 
 def save(figure: Figure, file: Path, dark: bool = False) -> None:
-    """Write a figure as PNG, in the look in which it was drawn; the file says whose it is."""
+    """Write a figure as PNG, in the look in which it was drawn; the file says whose it is.
+
+    Raises:
+        OSError: the disk does not take it; a picture that was there stays.
+    """
     FigureCanvasAgg(figure)
+    how: Any = {'dpi': DOTS_PER_INCH, 'format': 'png', 'metadata': {'Software': MAKER}}
     with look(dark):  # some ticks are only made now
-        figure.savefig(file, dpi=DOTS_PER_INCH, format='png', metadata={'Software': MAKER})
+        write_whole(file, lambda new: figure.savefig(new, **how))
 
 
 def paper() -> str:

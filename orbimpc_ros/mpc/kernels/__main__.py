@@ -1,6 +1,6 @@
 """``python -m orbimpc_ros.mpc.kernels``: compile the machine code now, so that no start waits."""
 
-from orbimpc_ros.mpc.floors.fast import Fast
+from orbimpc_ros.mpc.floors.circle import Circle
 from orbimpc_ros.mpc.hull import Hull
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.planar import Planar
@@ -10,5 +10,5 @@ from orbimpc_ros.mpc.spatial import Spatial
 if COMPILED:
     Hull(Problem(), 1e-6)
     Planar(Problem(floor=Floor('polygon')), 1e-6)
-    Fast(Problem(floor=Floor('circle')), 1e-6)
+    Circle(Problem(floor=Floor('circle')), 1e-6)
     Spatial(Problem(dimension=3))

@@ -12,14 +12,19 @@ bound.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.kernels.penalty import ENOUGH, HALVINGS, STUCK, descends, stiffened
 
 LIMIT = 150  # Newton steps and updates of the multipliers
 NOTHING = 1e-20  # a minimum is near enough where so little is left
-LARGEST = 1e7  # sigma, in proportion to the first
+SETTLED, STALLED, PAUSED = range(3)  # what a call ends with
+SIGMA, BEST, PROMISED = range(3)  # in Progress.numbers
+STEPS, TAKEN = range(2)  # in Progress.counts
 
 
 @compiled
@@ -175,67 +180,119 @@ def _dual(along, start, turning, weights, goals, held, none, gain, offset, z):
     return value
 
 
-@compiled
-def minimise(along, start, turning, weights, goals, sigma, precision, proportion, rounding):
-    """Minimise the cost over headings in their disks.
+class Chain(NamedTuple):
+    """A linear-quadratic problem in the state (s, R e1), or (s, p, R e1), for each coordinate.
 
-    Args:
-        along: A, shape (m, m): the state one step on, for each coordinate; R e1 is its last part.
+    Attributes:
+        along: A, shape (m, m): the state one step on; R e1 is its last part.
         start: the state at first, shape (m, 2).
         turning: weight on |R_{k+1} e1 - R_k e1|^2.
         weights: on |s_k - g_k|^2, shape (N,).
         goals: g_1..g_N, shape (N, 2).
-        sigma: the first parameter of the augmented Lagrangian.
-        precision: on the disks.
-        proportion: of the cost that the gap may come to.
-        rounding: what it may come to anyway.
+    """
+
+    along: Array
+    start: Array
+    turning: float
+    weights: Array
+    goals: Array
+
+
+class Progress(NamedTuple):
+    """A minimisation that can be interrupted.
+
+    Attributes:
+        z: z_1..z_N, shape (N, 2).
+        held: the multipliers of the disks, shape (N, 2).
+        numbers: sigma; the greatest lower bound; how far the last Newton step promised to bring
+            the merit down, shape (3,).
+        counts: steps and updates made; Newton steps since sigma last changed, shape (2,).
+    """
+
+    z: Array
+    held: Array
+    numbers: Array
+    counts: np.ndarray
+
+
+def begun(steps: int, sigma: float) -> Progress:
+    """Return the progress of a minimisation that has not begun, with its first sigma."""
+    numbers = np.array([sigma, -np.inf, np.inf])
+    return Progress(np.zeros((steps, 2)), np.zeros((steps, 2)), numbers, np.zeros(2, np.int64))
+
+
+@compiled
+def minimise(chain, limits, progress, work):
+    """Minimise the cost over headings in their disks, on from where the progress is.
+
+    Args:
+        chain: what to minimise.
+        limits: on the violation of a disk; on the gap, in proportion to the cost; what rounding
+            may make of the gap; the largest sigma.
+        progress: updated in place.
+        work: Newton steps and updates of the multipliers to make at most.
 
     Returns:
-        z_1..z_N, shape (N, 2), their cost, a lower bound, and whether the limits are met.
+        The cost of ``progress.z``, which may be outside the disks by the limit, and ``SETTLED``,
+        ``STALLED`` or ``PAUSED``.
     """
+    along, start, turning, weights, goals = chain
+    precision, proportion, rounding, largest = limits
+    z, held, numbers, counts = progress
     count, m = len(goals), len(along)
     gain, offset = np.empty((count, 2, m, 2)), np.empty((count, 2))
     none, bent = np.zeros((count, 2, 2)), np.empty((count, 2, 2))
-    held, new, pulled = np.zeros((count, 2)), np.empty((count, 2)), np.empty((count, 2))
-    z, target, trial = np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 2))
-    largest = LARGEST * sigma
-    best = _dual(along, start, turning, weights, goals, held, none, gain, offset, z)
-    quadratic = best
-    value, moved, worst = _project(z, held, sigma, new, bent)
-    decrease, taken = np.inf, 0
-    for _ in range(LIMIT):
-        near = decrease <= max(NOTHING, ENOUGH * moved / sigma)
+    new, pulled = np.empty((count, 2)), np.empty((count, 2))
+    target, trial = np.empty((count, 2)), np.empty((count, 2))
+    if counts[STEPS] == 0:
+        numbers[BEST] = _dual(along, start, turning, weights, goals, held, none, gain, offset, z)
+    quadratic = _cost(along, start, turning, weights, goals, z)
+    value, moved, worst = _project(z, held, numbers[SIGMA], new, bent)
+    for _ in range(work):
+        if counts[STEPS] >= LIMIT:
+            return quadratic, STALLED
+        counts[STEPS] += 1
+        near = numbers[PROMISED] <= max(NOTHING, ENOUGH * moved / numbers[SIGMA])
         if worst <= precision or near:
             bound = _dual(along, start, turning, weights, goals, new, none, gain, offset, target)
-            best = max(best, bound)
-            if worst <= precision and quadratic - best <= proportion * quadratic + rounding:
-                return z, quadratic, best, True
-        if near or taken == STUCK:
+            numbers[BEST] = max(numbers[BEST], bound)
+            if worst <= precision and quadratic - numbers[BEST] <= proportion * quadratic + rounding:
+                return quadratic, SETTLED
+        if near or counts[TAKEN] == STUCK:
             if near:
                 held[:] = new
-            sigma = stiffened(sigma, largest, near, taken)
-            decrease, taken = np.inf, 0
-            value, moved, worst = _project(z, held, sigma, new, bent)
+            numbers[SIGMA] = stiffened(numbers[SIGMA], largest, near, counts[TAKEN])
+            numbers[PROMISED], counts[TAKEN] = np.inf, 0
+            value, moved, worst = _project(z, held, numbers[SIGMA], new, bent)
             continue
-        taken += 1
+        counts[TAKEN] += 1
         for k in range(count):
             for a in range(2):
                 pulled[k, a] = new[k, a] - bent[k, a, 0] * z[k, 0] - bent[k, a, 1] * z[k, 1]
         _back(along, turning, weights, goals, bent, pulled, gain, offset)
         _forth(along, start, gain, offset, target)
-        merit = quadratic + value - 0.5 * moved / sigma
+        merit = quadratic + value - 0.5 * moved / numbers[SIGMA]
         decrease = -_slope(along, start, turning, weights, goals, z, target)
         for k in range(count):
             for a in range(2):
                 decrease -= new[k, a] * (target[k, a] - z[k, a])
+        numbers[PROMISED] = decrease
         share = 1.0
         for _ in range(HALVINGS):
             trial[:] = z + share * (target - z)
             quadratic = _cost(along, start, turning, weights, goals, trial)
-            value, moved, worst = _project(trial, held, sigma, new, bent)
-            reached = quadratic + value - 0.5 * moved / sigma
+            value, moved, worst = _project(trial, held, numbers[SIGMA], new, bent)
+            reached = quadratic + value - 0.5 * moved / numbers[SIGMA]
             if descends(reached, merit, share, decrease):
                 break
             share *= 0.5
         z[:] = trial
-    return z, quadratic, best, False
+    return quadratic, PAUSED
+
+
+@compiled
+def within(chain, z):
+    """Pull headings, shape (N, 2), into their disks; return their cost."""
+    for k in range(len(z)):
+        z[k] /= max(1.0, np.sqrt(z[k, 0] ** 2 + z[k, 1] ** 2))
+    return _cost(chain.along, chain.start, chain.turning, chain.weights, chain.goals, z)

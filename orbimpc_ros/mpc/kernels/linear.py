@@ -6,21 +6,21 @@ import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled, vectorised
 
-SINGULAR = 1e-13  # a pivot no larger is taken for zero
+SINGULAR = 1e-13  # a pivot no larger than this share of its diagonal entry is taken for zero
 DIAGONAL = 1e-32  # squared share of what is off the diagonal
 SWEEPS = 12
 
 
 @compiled
 def quadratic(hessian, q, x):
-    """Return sum_j x_j . (sum_k H_jk x_k / 2 + q_j) of points x of the plane, shape (N, 2)."""
+    """Return sum_j x_j . (sum_k H_jk x_k / 2 + q_j) of points x, shape (N, n)."""
     value = 0.0
     for j in range(len(q)):
-        a, b = q[j, 0], q[j, 1]
-        for k in range(len(q)):
-            a += 0.5 * hessian[j, k] * x[k, 0]
-            b += 0.5 * hessian[j, k] * x[k, 1]
-        value += x[j, 0] * a + x[j, 1] * b
+        for c in range(q.shape[1]):
+            total = q[j, c]
+            for k in range(len(q)):
+                total += 0.5 * hessian[j, k] * x[k, c]
+            value += x[j, c] * total
     return value
 
 
@@ -50,11 +50,11 @@ def _factorise(matrix, count):
             a -= upper * upper
             c -= lower * upper
             d -= lower * lower
-        if a <= SINGULAR:
+        if a <= SINGULAR * matrix[i, i]:
             return False
         matrix[i, i] = 1.0 / np.sqrt(a)
         matrix[i + 1, i] = c = c * matrix[i, i]
-        if d - c * c <= SINGULAR:
+        if d - c * c <= SINGULAR * matrix[i + 1, i + 1]:
             return False
         matrix[i + 1, i + 1] = 1.0 / np.sqrt(d - c * c)
     return count % 2 == 0 or _factorise_last(matrix, count - 1)
@@ -70,7 +70,7 @@ def _factorise_last(matrix, i):
     a = matrix[i, i]
     for k in range(i):
         a -= matrix[i, k] * matrix[i, k]
-    if a <= SINGULAR:
+    if a <= SINGULAR * matrix[i, i]:
         return False
     matrix[i, i] = 1.0 / np.sqrt(a)
     return True

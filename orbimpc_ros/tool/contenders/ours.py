@@ -35,7 +35,7 @@ class Ours:
         guess, end = None, time.perf_counter() + self._cap
         if self._closed_loop and self._solver.takes_guess and self._plan is not None:
             guess = shifted(self._problem, state, goals, self._plan, projection=PROJECTION)
-        self._plan = self._solver.solve(state, goals, guess, lambda: time.perf_counter() > end)
+        self._plan = self._solver.propose(state, goals, guess, lambda: time.perf_counter() > end)
 
     def answer(self) -> Answer:
         """Return the plan's objective and proof."""

@@ -10,8 +10,9 @@ import importlib.util
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,23 +28,27 @@ FAST, SLOW = 50.0, 5.0  # [Hz]
 SETTLED = 50  # answers before the clock counts
 PLANNERS = (1, 5, 20)
 LATENCY, START = 'node: odometry to command, 50 Hz', 'node: start to first command'
-NAMES = {'start': START, 'latency': LATENCY, 'planners': 'planners at 5 Hz'}
+AT_ONCE = 'planners at 5 Hz'
+NAMES = {'start': START, 'latency': LATENCY, 'planners': AT_ONCE}
 
 
-def measured(wanted: Sequence[str], quick: bool) -> list[Row]:
-    """Return the rows of those of ``start``, ``latency`` and ``planners`` that are wanted."""
+def measurements(
+    wanted: Sequence[str], quick: bool
+) -> Iterator[tuple[str, Callable[[], list[Row]]]]:
+    """Yield name and measurement of those of ``start``, ``latency`` and ``planners`` wanted."""
     if importlib.util.find_spec('rclpy') is None:
         note = 'absent: ROS 2 Jazzy, or the extra "ros" of this package'
-        return [Row(name, OURS, note=note) for key, name in NAMES.items() if key in wanted]
-    rows: list[Row] = []
+        for name in (name for key, name in NAMES.items() if key in wanted):
+            yield name, partial(list, [Row(name, OURS, note=note)])
+        return
     if 'start' in wanted:
-        rows += _start(2 if quick else 5)
+        yield START, partial(_start, 2 if quick else 5)
     if 'latency' in wanted:
-        rows += _latency(2.0 if quick else 20.0)
+        yield LATENCY, partial(_latency, 2.0 if quick else 20.0)
     if 'planners' in wanted:
         for count in PLANNERS[-1:] if quick else PLANNERS:
-            rows += fleet(count, 60.0 if count == PLANNERS[-1] and not quick else 10.0)
-    return rows
+            seconds = 60.0 if count == PLANNERS[-1] and not quick else 10.0
+            yield f'{AT_ONCE}, {count} at once', partial(fleet, count, seconds)
 
 
 @contextmanager
@@ -120,6 +125,6 @@ def fleet(count: int, seconds: float) -> list[Row]:
     times = [1e3 * t.latency for t in ticks]
     late = sum(not latency <= 1e3 / SLOW for latency in times)
     p50, p99 = percentiles([t for t in times if t < float('inf')])
-    title = f'planners at 5 Hz, {count} at once: ticks late by over a period'
+    title = f'{AT_ONCE}, {count} at once: ticks late by over a period'
     required = {'objective': 0.0} if count == PLANNERS[-1] else None
     return [Row(title, OURS, len(times), p50, p99, objective=float(late), required=required)]

@@ -11,7 +11,8 @@ import numpy as np
 
 from orbimpc_ros.tool.measure.duel import OURS, Samples, differences, percentiles
 
-OWN = ('note', 'beaten')  # fields that the file does not have
+OWN = ('note', 'beaten', 'failed')  # fields that the file does not have
+HULLS = 'SE(2) hull N='  # how the problems begin whose time is looked at over N
 SAME = 1e-4  # relative: objectives closer than this agree
 
 
@@ -33,6 +34,7 @@ class Row:
         required: limits by field: ratios at least, everything else at most.
         note: for the table alone.
         beaten: whether it found a trajectory that costs less than ours.
+        failed: whether the measurement itself, or our own solver, broke off.
     """
 
     problem: str
@@ -47,6 +49,7 @@ class Row:
     required: Mapping[str, float] | None = None
     note: str = ''
     beaten: bool = False
+    failed: bool = False
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields of the file, with None for NaN."""
@@ -81,8 +84,10 @@ def _row(
     problem: str, name: str, theirs: Samples, ours: Samples, required: Mapping[str, float] | None
 ) -> Row:
     common = sorted(theirs.times.keys() & ours.times.keys())
+    broken = theirs is ours and bool(ours.refused)
     if not common:
-        return Row(problem, name, required=required, note=theirs.refused or 'nothing to compare')
+        note = theirs.refused or 'nothing to compare'
+        return Row(problem, name, required=required, note=note, failed=broken)
     p50, p99 = percentiles([theirs.times[i] for i in common])
     base_50, base_99 = percentiles([ours.times[i] for i in common])
     answers = theirs.answers.values()
@@ -99,6 +104,7 @@ def _row(
         required=required,
         note=_note(theirs, ours),
         beaten=bool((differences(theirs, ours) < -SAME).any()),
+        failed=broken,
     )
 
 
@@ -125,10 +131,11 @@ def _note(theirs: Samples, ours: Samples) -> str:
 
 
 def growth(rows: Sequence[Row]) -> list[Row]:
-    """Return how time grows with N over rows whose problem ends with it: the exponent of N.
+    """Return how time grows with N over the hull's rows, whose problem ends with it: its exponent.
 
     Fitted to the medians, both logarithmic.
     """
+    rows = [row for row in rows if row.problem.startswith(HULLS) and row.measured]
     if len(rows) < 3:
         return []
     sizes = [float(row.problem.rpartition('=')[2]) for row in rows]

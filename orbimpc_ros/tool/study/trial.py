@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.controller import Tick
 from orbimpc_ros.mpc.forecast import Forecast, forecast_named
 from orbimpc_ros.mpc.odometry import Odometry
-from orbimpc_ros.mpc.plan import OPTIMAL, violations
+from orbimpc_ros.mpc.plan import OPTIMAL
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.sighting import Sighting
 from orbimpc_ros.tool.study.design import TRUTH, Run, Study, run_of

@@ -35,6 +35,7 @@ PLANNER: dict[str, Any] = {
     'goal_timeout': 0.4,
     'goal_jump_limit': 5.0,
     'max_rate': 3.0,
+    'safe_command': 'stop',  # with a floor it would be to circle, which is no sign to judge by
 }  # [s], [m], [rad/s]
 
 

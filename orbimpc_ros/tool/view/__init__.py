@@ -11,10 +11,11 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 from uuid import uuid4
 
-from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
+from orbimpc_ros.tool.files import require_writable
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -61,16 +62,38 @@ def installed() -> bool:
 
 
 def _save(args: argparse.Namespace, going: Going) -> None:
-    """Write the recording of a bag, or of what runs for as long as ``going()``."""
+    """Write the recording of a bag, or of what runs for as long as ``going()``.
+
+    Raises:
+        OrbimpcError: the disk is full; what was running is kept up to then, a bag can be read anew.
+    """
+    import rerun as rr
+
     file = Path(args.save).resolve()
     if file.exists() or not file.parent.is_dir():
         raise BadInput('--save', str(file), 'a new file in a folder that exists')
+    require_writable('--save', file)
     draw = _drawing(args)
     recording = _recording()
-    recording.save(file)
-    draw(lambda: recording, going)
-    recording.disconnect()
+    stream = rr.binary_stream(recording)  # rerun's own writer does not report a full disk
+    try:
+        with file.open('xb') as output:
+            draw(lambda: recording, lambda: _wrote(stream, output) and going())
+            _wrote(stream, output)
+    except BaseException as error:
+        if args.bag is not None or not file.stat().st_size:
+            file.unlink()
+        if isinstance(error, OSError):
+            raise OrbimpcError(f'--save {file}: {error.strerror or error}') from None
+        raise
     print(f'recording     {file}')
+
+
+def _wrote(stream: rr.BinaryStream, output: BinaryIO) -> bool:
+    """Write what has been drawn since the last time."""
+    output.write(stream.read() or b'')
+    output.flush()
+    return True
 
 
 def _serve(args: argparse.Namespace, going: Going) -> None:

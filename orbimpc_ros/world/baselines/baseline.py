@@ -12,7 +12,7 @@ from orbimpc_ros.mpc.controller import Tick
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.floors.faces import normals
 from orbimpc_ros.mpc.odometry import Odometry, state_of
-from orbimpc_ros.mpc.plan import FEASIBLE, Plan, assemble
+from orbimpc_ros.mpc.plan import FEASIBLE, UNPROVED, Plan, assemble
 from orbimpc_ros.mpc.problem import Problem, State
 
 
@@ -56,10 +56,8 @@ class Baseline(ABC):
             state,
             goals,
             z,
-            status=FEASIBLE,
-            lower_bound=-np.inf,
-            nodes=1,
             projection='nearest',
+            proof=UNPROVED,
         )
 
     @abstractmethod

@@ -1,0 +1,301 @@
+"""The independent check that every plan and command passes before it leaves.
+
+It takes nothing over from how a plan was found: the inputs are rolled out from the measured state,
+objective and constraints are evaluated anew at every step, the proof is held against the cost, and
+rotations and command are held against the plan. Lengths are checked in proportion to what a step
+moves the vehicle at most, everything else as it is.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.floors.faces import normals
+from orbimpc_ros.mpc.orbitopes import margin
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.rotations import HEADING_UNDEFINED
+
+if TYPE_CHECKING:
+    from orbimpc_ros.mpc.command import Command
+    from orbimpc_ros.mpc.plan import Plan
+
+TOLERANCE = 1e-6  # on what constraints ask, of numbers of the order of one
+ORTHOGONAL = 1e-9
+SUMMING = 1e-9  # relative: two ways to add up the same objective
+ROUNDING = 1e-15  # of the coordinates of places far from the origin
+
+
+def violations(problem: Problem, state: State, goals: Array, plan: Plan) -> list[str]:
+    """Return why a plan must not be published; empty if it may be.
+
+    Args:
+        problem: what was to be solved.
+        state: where the vehicle was measured to be.
+        goals: g_1..g_N, shape (N, n) [m].
+        plan: to be checked.
+    """
+    arrays = (plan.positions, plan.velocities, plan.rotations, plan.inputs, plan.projected)
+    if not all(np.isfinite(a).all() for a in arrays) or not math.isfinite(plan.objective):
+        return ['plan is not finite']
+    return [
+        *_dynamics_violations(problem, state, plan),
+        *_limit_violations(problem, state, plan),
+        *_terminal_violations(problem, goals, plan),
+        *_proof_violations(problem, goals, plan),
+        *_rotation_violations(problem, state, plan),
+    ]
+
+
+# --- dynamics
+
+
+def _dynamics_violations(problem: Problem, state: State, plan: Plan) -> list[str]:
+    found, first_rate = [], state.rotation_rate
+    if problem.rotation_order == 2 and state.coasted is not None:
+        found = _coasting_violations(problem, state.coasted, plan)
+        first_rate = (plan.rotations[1] - state.rotation) / problem.step
+    length = _length_tolerance(problem, state)
+    rolled = _rollout(problem, state, first_rate, plan.inputs)
+    for name, again, planned, allowed in zip(
+        ('rotations', 'positions', 'velocities'),
+        rolled,
+        (plan.rotations, plan.positions, plan.velocities),
+        (TOLERANCE, length, length / problem.step),
+        strict=True,
+    ):
+        error = np.abs(again - planned).max()
+        if error > allowed:
+            found.append(f'{name} differ by {error:.2g} from a rollout of the inputs')
+    return found
+
+
+def _coasting_violations(problem: Problem, coasted: Array, plan: Plan) -> list[str]:
+    found = []
+    fraction = float(np.sum(plan.rotations[1] * coasted)) / problem.dimension
+    stray = np.abs(plan.rotations[1] - fraction * coasted).max()
+    if stray > TOLERANCE:
+        found.append(f'R_1 strays {stray:.2g} from where the body rate carries it')
+    if fraction < -TOLERANCE:
+        found.append(f'R_1 thrusts backwards by {-fraction:.2g}')
+    return found
+
+
+def _rollout(
+    problem: Problem, state: State, first_rate: Array, inputs: Array
+) -> tuple[Array, Array, Array]:
+    """Return rotations, positions and velocities of the paper's explicit Euler steps."""
+    h, changes = problem.step, problem.step * inputs
+    if problem.rotation_order == 2:
+        changes = h * _summed(first_rate, changes[:-1])
+    rotations = _summed(state.rotation, changes)
+    pushed = problem.forward * rotations[:, :, 0]
+    velocities = pushed
+    if problem.translation_order == 2:
+        velocities = _summed(state.velocity, h * pushed[:-1])
+    return rotations, _summed(state.position, h * velocities[:-1]), velocities
+
+
+def _summed(first: Array, changes: Array) -> Array:
+    return np.add.accumulate(np.concatenate([first[None], changes]))
+
+
+def _length_tolerance(problem: Problem, state: State) -> float:
+    """Return by how much positions may be off [m]."""
+    farthest = max(map(abs, state.position.tolist()))
+    return TOLERANCE * problem.length_unit + ROUNDING * farthest
+
+
+# --- limits
+
+
+def _limit_violations(problem: Problem, state: State, plan: Plan) -> list[str]:
+    length = _length_tolerance(problem, state)
+    limits = {
+        'conv SO(n)': (float(margin(plan.rotations[1:]).min()), TOLERANCE),
+        'floor': (float(floor_margin(problem, plan.rotations[1:, :, 0]).min()), TOLERANCE),
+        'max_rate': (float(turn_margin(problem, state, plan.rotations).min()), TOLERANCE),
+        'obstacle': (obstacle_margin(problem, plan.positions), length),
+    }
+    return [f'{name} violated by {-m:.2g}' for name, (m, most) in limits.items() if m < -most]
+
+
+def floor_margin(problem: Problem, headings: Array) -> Array:
+    """Return by how much headings R_k e1, shape (N, n), clear the floor, shape (N,)."""
+    floor = problem.floor
+    if floor.shape == 'none':
+        return np.full(len(headings), np.inf)
+    if floor.shape == 'circle':
+        return np.linalg.norm(headings, axis=1) - floor.fraction
+    if floor.shape == 'polygon':
+        faces = normals(problem.dimension, floor.faces)
+        return (headings @ faces.T).max(axis=1) - floor.fraction
+    raise NotImplementedError(f'no check of a floor of shape {floor.shape}')
+
+
+def turn_margin(problem: Problem, state: State, rotations: Array) -> Array:
+    """Return how far the turns of R_0..R_N, shape (N + 1, n, n), stay below the limit, shape (N,).
+
+    As chords of the unit circle: 2 sin(h omega / 2) less |R_{k+1} e1 - R_k e1|. The first turn of
+    a vehicle with a floor is an angle, the chord that of its unit vectors.
+    """
+    if problem.max_rate == 0.0:
+        return np.full(len(rotations) - 1, np.inf)
+    headings = rotations[:, :, 0]
+    chords = np.linalg.norm(np.diff(headings, axis=0), axis=1)
+    if problem.first_turn_is_decided:
+        chords[0] = 0.0
+    elif problem.first_turn_is_an_angle:
+        size = max(float(np.linalg.norm(headings[1])), HEADING_UNDEFINED)
+        chords[0] = np.linalg.norm(headings[1] / size - state.attitude[:, 0])
+    return problem.chord - chords
+
+
+def obstacle_margin(problem: Problem, positions: Array) -> float:
+    """Return how far s_1..s_N stay outside every box, negative inside [m].
+
+    Args:
+        problem: gives the boxes.
+        positions: s_0..s_N, shape (N + 1, n) [m].
+
+    With ``no_corner_cutting`` also how far consecutive points clear a face that they share.
+    """
+    least = np.inf
+    for box in problem.obstacles:
+        outside = np.concatenate([box.minimum - positions, positions - box.maximum], axis=1)
+        least = min(least, outside[1:].max(axis=1).min())
+        if problem.no_corner_cutting and len(positions) > 2:
+            shared = np.minimum(outside[1:-1], outside[2:]).max(axis=1)
+            least = min(least, shared.min())
+    return float(least)
+
+
+def _terminal_violations(problem: Problem, goals: Array, plan: Plan) -> list[str]:
+    if problem.terminal != 'constraint':
+        return []
+    miss = float(np.abs(plan.positions[-1] - goals[-1]).max())
+    if problem.translation_order == 2:
+        miss = max(miss, problem.step * float(np.abs(plan.velocities[-1]).max()))
+    allowed = TOLERANCE * problem.length_unit + ROUNDING * float(np.abs(goals[-1]).max())
+    return [f'terminal constraint missed by {miss:.2g}'] if miss > allowed else []
+
+
+# --- proof
+
+
+def _proof_violations(problem: Problem, goals: Array, plan: Plan) -> list[str]:
+    cost = _objective(problem, goals, plan)
+    if abs(plan.objective - cost) > SUMMING * cost:
+        return [f'the objective is {cost:.6g}, not {plan.objective:.6g}']
+    # What constraints may be missed by can save as much of the cost.
+    excess = plan.lower_bound - cost
+    if not excess <= TOLERANCE * (cost + plan.proof.cost_unit):  # neither if it is not a number
+        return [f'the lower bound exceeds the cost of {cost:.6g} by {excess:.2g}']
+    return []
+
+
+def _objective(problem: Problem, goals: Array, plan: Plan) -> float:
+    """Return the cost of a plan, equation by equation: every term is >= 0, so nothing cancels."""
+    w, h = problem.weights, problem.step
+    misses = np.sum((plan.positions[1:] - goals) ** 2, axis=1)
+    cost = w.position * misses.sum() + w.input * np.sum(plan.inputs**2)
+    cost += (w.terminal + problem.arrival_weight) * misses[-1]
+    if w.length > 0.0:
+        flown = np.sqrt(np.sum(plan.rotations[:-1, :, 0] ** 2, axis=1)).sum()
+        cost += w.length * h * problem.forward * flown
+    if problem.arrival_weight > 0.0 and problem.translation_order == 2:
+        cost += problem.arrival_weight * h * h * np.sum(plan.velocities[-1] ** 2)
+    return float(cost)
+
+
+# --- rotations and command
+
+
+def _rotation_violations(problem: Problem, state: State, plan: Plan) -> list[str]:
+    q = plan.projected
+    if np.abs(np.swapaxes(q, -1, -2) @ q - np.eye(q.shape[-1])).max() > ORTHOGONAL:
+        return ['a projected rotation is not orthogonal']
+    if (np.linalg.det(q) < 0.0).any():
+        return ['a projected rotation has not determinant +1']
+    found, known = [], 1
+    if np.abs(q[0] - state.attitude).max() > ORTHOGONAL:
+        found.append('the first rotation is not the measured attitude')
+    if problem.rotation_order == 2 and state.coasted is not None:
+        known = 2
+        if np.abs(q[1] - state.coasted).max() > ORTHOGONAL:
+            found.append('the second rotation is not where the body rate carries the first')
+    stray = _strays(plan, known)
+    if stray > TOLERANCE:
+        found.append(f'a projected rotation strays {stray:.2g} from its projection')
+    return found
+
+
+def _strays(plan: Plan, known: int) -> float:
+    """Return how far rotations Q_k, k >= known, are from the projections that they claim to be.
+
+    Where R_k e1 vanishes, Q_k is the rotation before it. Else a thrust-aligned Q has its first
+    axis on R e1, and M = Q'R is what no roll about it improves: M_23 = M_32, and M_22 + M_33 >= 0.
+    The nearest Q makes M symmetric, with no two eigenvalues that add up to less than 0 (the
+    optimality conditions of Wahba's problem). For n = 2 both say that Q e1 is on R e1.
+    """
+    r, q = plan.rotations[known:], plan.projected[known:]
+    sizes = np.sqrt(np.einsum('kc,kc->k', r[:, :, 0], r[:, :, 0]))
+    held = sizes < HEADING_UNDEFINED
+    stray = 0.0
+    if held.any():
+        stray = float(np.abs(q - plan.projected[known - 1 : -1])[held].max())
+        r, q, sizes = r[~held], q[~held], sizes[~held]
+    if not len(r):
+        return stray
+    if q.shape[-1] == 2 or plan.projection == 'thrust_aligned':
+        stray = max(stray, float(np.abs(r[:, :, 0] - sizes[:, None] * q[:, :, 0]).max()))
+    if q.shape[-1] == 2:
+        return stray
+    m = np.swapaxes(q, -1, -2) @ r
+    if plan.projection == 'thrust_aligned':
+        twist, gain = m[:, 1, 2] - m[:, 2, 1], m[:, 1, 1] + m[:, 2, 2]
+        return max(stray, float(np.abs(twist).max()), float(-gain.min()))
+    skewed = np.abs(m - np.swapaxes(m, -1, -2)).max()
+    pairs = np.linalg.eigvalsh(0.5 * (m + np.swapaxes(m, -1, -2)))[:, :2].sum(axis=1)
+    return max(stray, float(skewed), float(-pairs.min()))
+
+
+def command_violations(problem: Problem, plan: Plan, command: Command) -> list[str]:
+    """Return why a command is not that of a plan's first step; empty if it is.
+
+    The speed must be that of R_1. The rotation must be where the rate leads in a step, and that
+    must be as far on the way to the planned rotation as ``max_rate`` allows.
+    """
+    found = []
+    if abs(command.speed_fraction - plan.speed_fraction[1]) > TOLERANCE:
+        found.append('the commanded speed is not that of the plan')
+    first = problem.rotation_order - 1
+    start, end = plan.projected[first], plan.projected[min(first + 1, plan.horizon)]
+    turned = start @ _rotation_by(problem.step * command.body_rate)
+    if np.abs(turned - command.rotation).max() > ORTHOGONAL:
+        found.append('the commanded rotation is not where the commanded rate leads')
+    left, whole = _angle_between(command.rotation, end), _angle_between(start, end)
+    allowed = problem.step * (problem.max_rate or math.inf)
+    if abs(left - max(0.0, whole - allowed)) > TOLERANCE:
+        found.append(f'the commanded rotation is {left:.2g} rad from that of the plan')
+    return found
+
+
+def _angle_between(a: Array, b: Array) -> float:
+    """Return the angle of the rotation from one to the other [rad], from |a - b|_F."""
+    return 2.0 * math.asin(min(1.0, float(np.linalg.norm(a - b)) / math.sqrt(8.0)))
+
+
+def _rotation_by(turn: Array) -> Array:
+    """Return the rotation by a vector, shape (1,) or (3,) [rad], after Rodrigues."""
+    if len(turn) == 1:
+        c, s = math.cos(turn[0]), math.sin(turn[0])
+        return np.array([[c, -s], [s, c]])
+    x, y, z = turn
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    angle = math.sqrt(x * x + y * y + z * z)
+    half = np.sinc(0.5 * angle / math.pi)
+    return np.eye(3) + np.sinc(angle / math.pi) * cross + 0.5 * half * half * cross @ cross

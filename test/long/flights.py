@@ -1,0 +1,332 @@
+"""Flights of a continuous vehicle with a floor and a rate limit: no command ever beyond them.
+
+    python test/long/flights.py --count 200 --seed 1
+
+The planner's own path from messages to commands flies a vehicle that is not the one it believes in,
+through wind, with goals and odometry that fail now and then. The law: no command below the floor,
+above full speed or beyond ``max_rate``, on any tick, by any road. Exit code 1 if it was broken.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import airframe
+import numpy as np
+from airframe import Airframe, Motion
+
+ROUNDING = 1e-6  # relative
+STEPS = {0.05: 0.1, 0.1: 0.2, 0.2: 0.25, 0.5: 0.25, 1.0: 0.2}  # [s], and how often
+SECOND = 1_000_000_000  # [ns]
+EPOCH = 1_700_000_000 * SECOND
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What is flown.
+
+    Attributes:
+        parameters: of the planner, by name.
+        frame: the vehicle.
+        start: its motion.
+        goal: where it should go, shape (2,) [m].
+        circling: radius and angular speed of the goal about that [m], [rad/s].
+        duration: [s].
+        faults: by name, the times from which and until which they last [s].
+    """
+
+    parameters: dict[str, Any]
+    frame: Airframe
+    start: Motion
+    goal: np.ndarray
+    circling: tuple[float, float]
+    duration: float
+    faults: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def step(self) -> float:
+        return self.parameters['step']
+
+    @property
+    def least(self) -> float:
+        """The floor [m/s]."""
+        return self.parameters['floor.fraction'] * self.parameters['forward']
+
+
+@dataclass
+class Log:
+    """What came of a flight.
+
+    Attributes:
+        roads: commands by the road that they came.
+        broken: those beyond the limits, by road and limit.
+        slowest: least commanded speed, a share of the floor.
+        fastest: largest commanded rate, a share of ``max_rate``.
+        seconds: the whole flight took.
+    """
+
+    roads: Counter[str] = field(default_factory=Counter)
+    broken: Counter[str] = field(default_factory=Counter)
+    slowest: float = math.inf
+    fastest: float = 0.0
+    seconds: float = 0.0
+
+    def note(self, flight: Flight, road: str, speed: float, rate: float) -> None:
+        limits = flight.parameters
+        self.roads[road] += 1
+        self.slowest = min(self.slowest, speed / flight.least)
+        self.fastest = max(self.fastest, abs(rate) / limits['max_rate'])
+        for limit in beyond(flight, speed, rate):
+            self.broken[f'{road}: {limit}'] += 1
+
+
+def beyond(flight: Flight, speed: float, rate: float) -> Iterator[str]:
+    """Which limits a command breaks."""
+    limits = flight.parameters
+    if not math.isfinite(speed) or not math.isfinite(rate):
+        yield 'not finite'
+    if speed < flight.least * (1.0 - ROUNDING):
+        yield 'below the floor'
+    if speed > limits['forward'] * (1.0 + ROUNDING):
+        yield 'above full speed'
+    if abs(rate) > limits['max_rate'] * (1.0 + ROUNDING):
+        yield 'beyond max_rate'
+
+
+# --- drawing a flight
+
+
+def draw(seed: int, index: int) -> Flight:
+    """A flight from a seed and an index alone; every fourth one has faults."""
+    rng = np.random.default_rng([seed, index])
+    parameters = _parameters(rng)
+    forward, least = parameters['forward'], parameters['forward'] * parameters['floor.fraction']
+    duration = float(np.clip(600.0 * parameters['step'], 30.0, 60.0))
+    blowing, coming = min(5.0, 0.5 * forward) * rng.uniform(0.0, 1.0), rng.uniform(-np.pi, np.pi)
+    frame = Airframe(
+        speed_lag=float(rng.choice([0.0, rng.uniform(0.0, 1.5)])),
+        rate_lag=float(rng.choice([0.0, rng.uniform(0.0, 0.5)])),
+        gain=rng.uniform(0.85, 1.1),
+        wind=blowing * np.array([math.cos(coming), math.sin(coming)]),
+        dead_band=least * rng.uniform(0.0, 0.2),
+        turns=parameters['max_rate'] * rng.uniform(0.7, 1.5),
+    )
+    reach = forward * rng.uniform(2.0, 30.0)
+    return Flight(
+        parameters,
+        frame,
+        Motion(0.0, 0.0, rng.uniform(-np.pi, np.pi), rng.uniform(0.0, 1.0) * forward, 0.0),
+        goal=reach * rng.normal(size=2),
+        circling=(reach * rng.choice([0.0, 0.5]), 0.5 * forward / reach),
+        duration=duration,
+        faults=_faults(rng, duration) if index % 4 == 3 else {},
+    )
+
+
+def _parameters(rng: np.random.Generator) -> dict[str, Any]:
+    step = float(rng.choice(list(STEPS), p=list(STEPS.values())))
+    known: dict[str, Any] = {
+        'trigger': 'odom',
+        'step': step,
+        'horizon': int(rng.integers(5, 13)),
+        'forward': float(rng.choice([rng.uniform(8.0, 25.0), rng.uniform(1.0, 3.0)])),
+        'floor.shape': str(rng.choice(['circle', 'polygon'])),
+        'floor.faces': int(rng.choice([4, 6, 8])),
+        'max_rate': math.radians(rng.uniform(10.0, 60.0)),
+        'deadline': min(0.5 * step, 0.05),
+        'goal_prediction': str(rng.choice(['hold', 'velocity', 'harmonic'])),
+        'projection': str(rng.choice(['nearest', 'thrust_aligned'])),
+    }
+    largest = 0.8
+    if known['floor.shape'] == 'polygon':
+        largest = min(largest, math.cos(math.pi / known['floor.faces']))
+    known['floor.fraction'] = rng.uniform(0.3, largest)
+    safe = rng.choice(['', 'loiter', 'hold_rate_zero'], p=[0.4, 0.4, 0.2])
+    return {**known, 'safe_command': str(safe)} if safe else known
+
+
+def _faults(rng: np.random.Generator, duration: float) -> dict[str, tuple[float, float]]:
+    kinds = ('goal lost', 'odometry lost', 'too fast', 'backwards', 'nonsense')
+    faults = {}
+    for kind in rng.choice(kinds, size=3, replace=False):
+        begin = rng.uniform(0.1, 0.7) * duration
+        faults[str(kind)] = (begin, begin + rng.uniform(0.05, 0.3) * duration)
+    return faults
+
+
+# --- flying it
+
+
+def odometry_message(stamp: Any, motion: Motion, velocity: np.ndarray) -> Any:
+    """What odometry says of a motion, given its velocity in the body's axes [m/s]."""
+    from orbimpc_ros.mpc.odometry import Odometry
+    from orbimpc_ros.ros.messages import measurement_message
+
+    c, s = math.cos(motion.heading), math.sin(motion.heading)
+    place, turned = np.array([motion.x, motion.y]), np.array([[c, -s], [s, c]])
+    measured = Odometry(0.0, place, turned, np.array(velocity), np.array([motion.rate]))
+    return measurement_message(stamp, measured)
+
+
+class Planner:
+    """The planner's path from messages to commands, with its clock in the test's hands."""
+
+    def __init__(self, parameters: dict[str, Any]) -> None:
+        from orbimpc_ros.ros import messages
+        from orbimpc_ros.ros.planner_parameters import PLANNER, planner_settings
+        from orbimpc_ros.ros.ticker import Ticker, prepared
+
+        values = {row.name: row.default for row in PLANNER} | parameters
+        self._messages, self._frames = messages, messages.Frames('odom', 'base_link')
+        self._ticker = Ticker(*prepared(planner_settings(values)), simulated=True)
+
+    def goal(self, now: float, place: np.ndarray) -> None:
+        message = self._messages.goal_message(self._stamp(now), place)
+        self._ticker.inbox.take_goal(message, now, self._ros(now))
+
+    def odometry(self, now: float, motion: Motion, velocity: np.ndarray) -> None:
+        message = odometry_message(self._stamp(now), motion, velocity)
+        self._ticker.inbox.take_odometry(message, now, self._ros(now))
+
+    def command(self, now: float) -> tuple[str, float, float]:
+        """The road that a command came, its speed fraction, its body rate [rad/s]."""
+        ticker, ros = self._ticker, self._ros(now)
+        lost = ticker.inbox.stale_odometry(now, ros)
+        answer = ticker.safe(lost) if lost else ticker.planned(now, ros)
+        ticker.went_out(answer, ros.nanoseconds / SECOND)
+        road = 'odometry lost' if lost else answer.report.fallback or 'plan'
+        return road, answer.command.speed_fraction, float(answer.command.body_rate[-1])
+
+    def _stamp(self, now: float) -> Any:
+        return self._messages.Stamp(self._ros(now).nanoseconds, self._frames)
+
+    def _ros(self, now: float) -> Any:
+        from orbimpc_ros.ros.arrival import RosTime
+
+        return RosTime(EPOCH + round(now * SECOND))
+
+
+def fly(flight: Flight) -> Log:
+    """Fly, and judge every command."""
+    planner, motion, log = Planner(flight.parameters), flight.start, Log()
+    begun = time.perf_counter()
+    for k in range(round(flight.duration / flight.step)):
+        now = k * flight.step
+        tell(planner, flight, now, motion)
+        try:
+            road, fraction, rate = planner.command(now)
+        except Exception as error:
+            log.broken[f'exception: {type(error).__name__}: {error}'] += 1
+            break
+        speed = fraction * flight.parameters['forward']
+        log.note(flight, road, speed, rate)
+        motion = airframe.flown(flight.frame, motion, speed, rate, flight.step)
+    log.seconds = time.perf_counter() - begun
+    return log
+
+
+def tell(planner: Planner, flight: Flight, now: float, motion: Motion) -> None:
+    """Send the planner what it hears at a time [s]."""
+    present = {kind for kind, (begin, end) in flight.faults.items() if begin <= now < end}
+    if now == 0.0 or 'goal lost' not in present:
+        planner.goal(now, goal_at(flight, now))
+    if now == 0.0 or 'odometry lost' not in present:
+        velocity = airframe.over_ground(flight.frame, motion)
+        planner.odometry(now, *shown(flight, present, motion, velocity))
+
+
+def goal_at(flight: Flight, now: float) -> np.ndarray:
+    radius, speed = flight.circling
+    return flight.goal + radius * np.array([math.cos(speed * now), math.sin(speed * now)])
+
+
+def shown(
+    flight: Flight, present: set[str], motion: Motion, velocity: np.ndarray
+) -> tuple[Motion, np.ndarray]:
+    """What odometry says of a motion while faults are present."""
+    forward = flight.parameters['forward']
+    if 'too fast' in present:
+        velocity = np.array([velocity[0] + 1.5 * forward, velocity[1]])
+    if 'backwards' in present:
+        velocity = np.array([-velocity[0], velocity[1]])
+    if 'nonsense' in present:
+        motion = Motion(motion.x + 1e5, motion.y - 1e5, -motion.heading, 0.0, 50.0)
+        velocity = np.array([1e5, -1e5])
+    return motion, velocity
+
+
+# --- many of them
+
+
+def row(seed: int, index: int) -> dict[str, Any]:
+    flight = draw(seed, index)
+    log = fly(flight)
+    shape, limits = flight.parameters['floor.shape'], flight.parameters
+    return {
+        'seed': seed,
+        'index': index,
+        'kind': f'{shape}{" faults" if flight.faults else ""}',
+        'roads': dict(log.roads),
+        'broken': dict(log.broken),
+        'slowest': log.slowest,
+        'fastest': log.fastest,
+        'seconds': log.seconds,
+        'parameters': limits,
+        'vehicle': {**asdict(flight.frame), 'wind': flight.frame.wind.tolist()},
+    }
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    lines = [
+        f'{"kind":<16}{"flights":>8}{"broken":>8}{"ticks":>8}{"bad":>8}{"safe":>8}'
+        f'{"slowest / floor":>17}{"rate / limit":>14}'
+    ]
+    for kind in [*sorted({each['kind'] for each in rows}), 'all']:
+        some = [each for each in rows if kind in (each['kind'], 'all')]
+        ticks = sum(sum(each['roads'].values()) for each in some)
+        safe = sum(each['roads'].get('safe command', 0) for each in some)
+        lines.append(
+            f'{kind:<16}{len(some):>8}{sum(bool(each["broken"]) for each in some):>8}{ticks:>8}'
+            f'{sum(sum(each["broken"].values()) for each in some):>8}{safe / max(1, ticks):>8.1%}'
+            f'{min(each["slowest"] for each in some):>17.3f}'
+            f'{max(each["fastest"] for each in some):>14.6f}'
+        )
+    for name in ('roads', 'broken'):
+        counts: Counter[str] = sum((Counter(each[name]) for each in rows), Counter())
+        lines += [f'{name}:', *(f'{count:>8}  {what}' for what, count in counts.most_common())]
+    return '\n'.join(lines)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0])
+    parser.add_argument('--count', type=int, default=200)
+    parser.add_argument('--first', type=int, default=0, help='index of the first flight')
+    parser.add_argument('--seed', type=int, default=1)
+    parser.add_argument('--out', type=Path, help='default: out/flights-<seed>.jsonl')
+    args = parser.parse_args()
+    out = args.out or Path('out') / f'flights-{args.seed}.jsonl'
+    out.parent.mkdir(parents=True, exist_ok=True)
+    rows = []
+    with out.open('w') as file:
+        for index in range(args.first, args.first + args.count):
+            rows.append(row(args.seed, index))
+            print(json.dumps(rows[-1]), file=file, flush=True)
+            if rows[-1]['broken']:
+                print(f'flight {index} ({rows[-1]["kind"]}): {rows[-1]["broken"]}', flush=True)
+            if len(rows) % 10 == 0:
+                print(f'{len(rows)} of {args.count}', file=sys.stderr, flush=True)
+    print(table(rows), f'\nall records: {out}')
+    return 1 if any(each['broken'] for each in rows) else 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,263 @@
+"""The planner on the console and on /diagnostics: what it says, once, and what it does then."""
+
+import math
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import Twist, TwistStamped
+from planners import QUICK, Bench, goal, moving, odometry, told
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import SetBool, Trigger
+
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.process import qos
+
+WING = QUICK | {
+    'forward': 15.0, 'floor.shape': 'circle', 'floor.fraction': 0.6666666667,
+    'horizon': 10, 'max_rate': 0.4363323,
+}  # fmt: skip
+
+
+def said(bench, words):
+    """Wait until the console has it; return how often."""
+    bench.until(lambda: words in bench.planner.output, words)
+    return bench.planner.output.count(words)
+
+
+def level(bench, words):
+    """Return the level at which the diagnostics say something, waiting for it."""
+    bench.says(words)
+    return [m.status[0].level for m in bench.health if words in m.status[0].message][-1]
+
+
+def safe_commands(bench, count):
+    flown = len(bench.commands)
+    bench.until(lambda: len(bench.commands) >= flown + count, 'safe commands')
+
+
+def test_a_stop_is_said_once_and_so_is_its_end(launch, observer):
+    bench = Bench(launch, observer, QUICK)
+    assert moving(bench.fly(1.0))
+    assert said(bench, 'begins to plan') == 1
+    safe_commands(bench, 40)  # as after the end of a bag
+    assert said(bench, 'safe command: odometry is') == 1
+    assert moving(bench.fly(2.0))
+    assert said(bench, 'plans again') == 1
+    assert bench.planner.output.count('begins to plan') == 1
+
+
+def test_who_else_is_there_is_said_when_it_comes_and_when_it_goes(launch, observer):
+    bench, node = Bench(launch, observer, QUICK), observer.node
+    rival = node.create_publisher(TwistStamped, 'cmd_vel', qos())
+    assert said(bench, '2 publishers on /cmd_vel: the vehicle hears them all') == 1
+    node.destroy_publisher(rival)
+    assert said(bench, 'over: 2 publishers on /cmd_vel') == 1
+    other = node.create_publisher(Twist, 'goal_path', qos())
+    assert said(bench, '/goal_path of /observer is a geometry_msgs/msg/Twist, not a nav_msgs') == 1
+    node.destroy_publisher(other)
+    assert said(bench, 'over: /goal_path of /observer is a') == 1
+
+
+@pytest.mark.parametrize('trigger', ['odom', 'timer'])
+def test_simulated_time_that_never_starts_is_said(launch, observer, trigger):
+    clock = observer.node.create_publisher(Clock, '/clock', qos())
+    bench = Bench(launch, observer, QUICK | {'trigger': trigger, 'use_sim_time': True})
+    words = 'use_sim_time is true, and nothing has come on /clock for'
+    assert level(bench, words) == DiagnosticStatus.WARN
+    assert said(bench, words) == 1
+    assert 'time of /clock' in bench.planner.output
+
+    def started():
+        clock.publish(Clock(clock=messages.time_message(time.monotonic_ns())))
+        return f'over: {words}' in bench.planner.output
+
+    bench.until(started, 'the end of it')
+
+
+def test_what_a_plan_is_doubtful_about_is_said_everywhere(launch, observer):
+    bench = Bench(launch, observer, QUICK)
+    far = goal(1.0)
+    far.pose.position.x = 1e5
+    bench.goal.publish(far)
+    bench.odometry.publish(odometry(1.0))
+    bench.until(lambda: bench.ticks or bench.odometry.publish(odometry(1.0)), 'a tick')
+    tick = told(bench.ticks[0])
+    assert tick['fallback'] == ''
+    assert 'beyond' in tick['reason'] or 'goal' in tick['reason']
+    assert level(bench, tick['reason']) == DiagnosticStatus.WARN
+    assert said(bench, tick['reason']) == 1
+
+
+def test_the_vehicle_believed_in_is_said_at_the_start(launch, observer):
+    bench = Bench(launch, observer, WING | {'max_rate': 25.0, 'floor.faces': 8})
+    assert said(bench, '15 m/s, at least 10 m/s (circle), at most 1432 deg/s, 0.1 s x 10') == 1
+    assert said(bench, 'max_rate is 25 rad/s, 1432 deg/s: 0.4363 rad/s if 25 deg/s is meant') == 1
+    assert said(bench, 'floor.faces is 8 and floor.shape circle: it has no effect') == 1
+
+
+RENAMED = """
+    import sys
+    from orbimpc_ros.ros.planner import Planner
+    from orbimpc_ros.ros.process import run
+
+    sys.exit(run(Planner, [*sys.argv, '-r', '__ns:=/boat', '-r', 'odom:=/gps']))
+"""
+
+WITHOUT_NUMBA = """
+    import sys
+    sys.modules['numba'] = None
+    from orbimpc_ros.ros.planner import main
+
+    sys.exit(main(sys.argv))
+"""
+
+
+@pytest.fixture
+def script(tmp_path):
+    def write(text):
+        file = tmp_path / 'script.py'
+        file.write_text(textwrap.dedent(text))
+        return file
+
+    return write
+
+
+def test_topics_are_called_what_they_are_called_outside(launch, observer, script):
+    planner = launch(script(RENAMED), QUICK)
+    words = 'waits for odometry on /gps and a goal on /boat/goal or /boat/goal_path'
+    observer.until(lambda: words in planner.output, words)
+
+
+def test_without_numba_it_says_what_that_costs_and_flies(launch, observer, script):
+    bench = Bench(launch, observer, QUICK, script(WITHOUT_NUMBA))
+    assert said(bench, 'numba is not installed: plans take 6 to 60 times as long') == 1
+    assert moving(bench.fly(1.0))
+
+
+def test_a_first_start_says_that_it_compiles_and_ends_at_a_signal(
+    launch, observer, tmp_path, monkeypatch
+):
+    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'empty'))
+    planner = launch('planner', {'floor.shape': 'circle'})
+    words = 'compiling machine code, which takes up to a minute'
+    observer.until(lambda: words in planner.output, words)
+    planner.tell(signal.SIGINT)
+    assert planner.wait() == 0
+    assert 'Traceback' not in planner.output
+
+
+IN_A_CALLBACK = """
+    import ctypes, os, signal, sys
+    from orbimpc_ros.ros.compiling import leaving_at_signals
+
+    def kill():
+        os.kill(os.getpid(), signal.{signal})
+
+    handler = signal.getsignal(signal.{signal})
+    with leaving_at_signals():
+        pass
+    assert signal.getsignal(signal.{signal}) is handler
+    with leaving_at_signals():
+        ctypes.CFUNCTYPE(None)(kill)()  # as LLVM calls back: exceptions are dropped there
+    sys.exit('it went on')
+"""
+
+
+@pytest.mark.parametrize('name', ['SIGINT', 'SIGTERM'])
+def test_a_signal_in_a_callback_of_native_code_ends_a_start(script, name):
+    file = script(IN_A_CALLBACK.format(signal=name))
+    done = subprocess.run([sys.executable, file], capture_output=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, b'', b'')
+
+
+def test_the_planner_says_which_sections_it_does_not_use(launch, observer, tmp_path):
+    file = tmp_path / 'wrong.yaml'
+    file.write_text('/plannr: {ros__parameters: {horizon: 9}}')
+    planner = launch('planner', {}, file)
+    words = f'section /plannr in {file} is not for /planner: not used'
+    observer.until(lambda: words in planner.output, words)
+
+
+def test_who_has_commanded_nothing_leaves_without_a_command(launch, observer):
+    bench = Bench(launch, observer, QUICK)
+    bench.says('waits for')
+    bench.planner.tell(signal.SIGINT)
+    assert bench.planner.wait() == 0
+    bench.until(lambda: observer.node.count_publishers('cmd_vel') == 0, 'its end')
+    assert bench.commands == []
+
+
+def test_a_wing_is_never_told_less_than_its_floor(launch, observer):
+    bench = Bench(launch, observer, WING)
+    assert said(bench, 'safe command loiter') == 1
+    bench.fly(1.0)
+    safe_commands(bench, 3)  # odometry is stale
+    observer.call(SetBool, '/planner/enable', SetBool.Request(data=False))
+    safe_commands(bench, 3)
+    observer.call(SetBool, '/planner/enable', SetBool.Request(data=True))
+    bench.fly(2.0)
+    assert observer.call(Trigger, '/planner/reset', Trigger.Request()).success
+    safe_commands(bench, 3)
+    bench.fly(3.0)
+    flown = len(bench.commands)
+    bench.planner.tell(signal.SIGTERM)
+    assert bench.planner.wait() == 0
+    bench.until(lambda: len(bench.commands) >= flown + 3, 'three safe commands')
+    speeds = [command.twist.linear.x for command in bench.commands]
+    rates = [abs(command.twist.angular.z) for command in bench.commands]
+    assert min(speeds) >= 10.0 - 1e-3
+    assert max(rates) <= WING['max_rate'] * (1.0 + 1e-5)
+    assert bench.commands[-1].twist.angular.z > 0.0  # it circles
+
+
+def test_a_goal_sent_once_is_flown_to_until_there_is_another(launch, observer):
+    bench = Bench(launch, observer, QUICK)
+    begun, sent = time.monotonic(), -math.inf
+    bench.goal.publish(goal(time.time()))
+
+    def later():
+        nonlocal sent
+        if time.time() - sent > 0.05:
+            sent = time.time()
+            bench.odometry.publish(odometry(sent))
+        return bench.commands and time.monotonic() - begun > 2.0
+
+    bench.until(later, 'two seconds of flight')
+    assert moving(bench.commands[-1])
+    assert not any(told(tick)['fallback'] for tick in bench.ticks)
+
+
+def test_each_odometry_is_answered_though_few_share_their_stamp_with_a_goal(launch, observer):
+    bench = Bench(launch, observer, QUICK)
+    bench.fly(1.0)
+    at, begun = 2_000_000_000, 0.0
+    latest, answered = [at], []
+
+    def flown():
+        """Drive at 40 ms or as fast as it answers, with a goal at every fifth odometry."""
+        nonlocal at, begun
+        heard = bool(bench.commands) and ns(bench.commands[-1]) == at
+        if not heard and time.monotonic() - begun < 0.04:
+            return False
+        answered.append(heard)
+        at, begun = at + 20_000_000, time.monotonic()
+        latest.append(at)
+        bench.odometry.publish(odometry(at / 1e9))
+        if len(latest) % 5 == 0:
+            bench.goal.publish(goal(at / 1e9))
+        return len(answered) >= 50 and sum(answered[-50:]) >= 40
+
+    bench.until(flown, 'four of five answered')
+    bench.until(lambda: told(bench.health[-1])['waits with odometry for'] == '', 'no waiting')
+
+
+def ns(message):
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
