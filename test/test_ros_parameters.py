@@ -223,13 +223,13 @@ BAD_STARTS = [
 ]
 
 
-def test_bad_parameters_end_a_node_with_one_line_and_code_2(launch):
-    started = [(launch(node, bad), culprit) for node, bad, culprit in BAD_STARTS]
-    for process, culprit in started:
-        assert process.wait() == 2, process.output
-        lines = process.output.strip().splitlines()
-        assert len(lines) == 1, process.output
-        assert re.search(rf'{re.escape(culprit)}.* is .*allowed: ', lines[0]), lines
+@pytest.mark.parametrize(('node', 'bad', 'culprit'), BAD_STARTS)
+def test_bad_parameters_end_a_node_with_one_line_and_code_2(launch, node, bad, culprit):
+    process = launch(node, bad)
+    assert process.wait() == 2, process.output
+    lines = process.output.strip().splitlines()
+    assert len(lines) == 1, process.output
+    assert re.search(rf'{re.escape(culprit)}.* is .*allowed: ', lines[0]), lines
 
 
 SECTIONS = """

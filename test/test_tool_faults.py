@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
+from conftest import PATIENCE
 
 pytest.importorskip('rclpy')
 
@@ -305,14 +306,14 @@ def test_an_interrupted_matrix_leaves_no_process(number):
     nodes = nodes_of(child.pid)
     time.sleep(1.0)  # into the run
     child.send_signal(number)
-    _, err = child.communicate(timeout=20)
+    _, err = child.communicate(timeout=PATIENCE)
     assert child.returncode == (-number if number == signal.SIGKILL else 130)
     assert b'Traceback' not in err
     wait_for(lambda: not any(alive(node) for node in nodes))
 
 
 def wait_for(condition):
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.05)

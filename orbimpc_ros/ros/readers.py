@@ -27,7 +27,7 @@ def wanted_readers(text: str) -> dict[str, int]:
             validate_topic_name(topic)
         except InvalidTopicNameException:
             raise _malformed(text) from None
-        if topic in wanted or not (count or '1').strip().isdecimal():
+        if '//' in topic or topic in wanted or not (count or '1').strip().isdecimal():
             raise _malformed(text)
         wanted[topic] = int(count or 1)
     if not all(0 < count <= 100 for count in wanted.values()):

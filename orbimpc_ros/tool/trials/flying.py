@@ -23,7 +23,7 @@ from orbimpc_ros.tool.share import config
 from orbimpc_ros.tool.trials.ears import Ears
 from orbimpc_ros.tool.trials.watch import STILL, Limits, Watch
 
-PATIENCE = 20.0  # [s] until it flies
+PATIENCE = 60.0  # [s] until it flies, on a busy machine too
 LATCH = 0.2  # [s] command_timeout
 FLIGHT = 16  # steps until the usual capture
 START = [-10.0, 0.0, 0.0]  # [m]: far enough off for something to happen on the way
