@@ -37,7 +37,8 @@ REPEAT = 0.1  # [s] until who asks again is answered again: not for messages tha
 WATCH = 0.05  # [s] how often the inputs' age is looked at, at least
 CLOCK_SET = 0.1  # [s] by which the system's clock may be set without a fresh start
 REFUSED = 1.0  # [s] for which a refused message is a reason to warn
-SILENCE = 1.5  # [s] without /clock, after which that is a reason to warn
+SILENCE = 1.5  # [s] without any /clock, after which that is a reason to warn
+LULL = 10.0  # [s] the same, once it has come: lock-step waits for whoever is slow
 
 
 class Planner(Guarded):
@@ -265,8 +266,11 @@ class Planner(Guarded):
     def _troubles(self) -> list[str]:
         """Return what is wrong around the planner, in words; that of its ticks is told by them."""
         around = self._neighbours
-        still = self._time.standstill(SILENCE)
-        return [around.sources, *around.mismatches, around.rivals, still, self._untimed]
+        return [around.sources, *around.mismatches, around.rivals, self._still, self._untimed]
+
+    @property
+    def _still(self) -> str:
+        return self._time.standstill(LULL if self._time.nanoseconds else SILENCE)
 
     @property
     def _untimed(self) -> str:
@@ -336,7 +340,7 @@ class Planner(Guarded):
             (
                 self._neighbours.rivals,
                 self._refusal if refused else '',
-                self._time.standstill(SILENCE),
+                self._still,
                 self._untimed,
             ),
         )
