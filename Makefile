@@ -1,5 +1,6 @@
 # make demo   sets up .venv and catches the swinging rope over ROS 2
 # make test   sets up .venv and runs lint, types and tests
+# make long   judges random problems, flights and mutants of the check: hours (docs/testing.md)
 # make docs   writes the table of parameters and draws the pictures of docs/ anew
 #
 # PYTHON=... picks the interpreter, VENV=... the environment, PINS=... what pip is to keep to. With
@@ -23,7 +24,7 @@ EXTRAS_DEMO = [ros,fast]
 EXTRAS_TEST = [ros,fast,study,test,view]
 endif
 
-.PHONY: demo test docs clean help
+.PHONY: demo test long proofs flights mutants docs clean help
 .DELETE_ON_ERROR:
 
 help:
@@ -41,6 +42,19 @@ test: $(VENV)/.installed-test
 	$(BIN)/mypy
 	$(SAY) 'Tests (pytest)'
 	$(BIN)/python -m pytest $(PYTEST_FLAGS)
+
+long: proofs flights mutants
+
+proofs: $(VENV)/.installed-test
+	$(BIN)/python test/long/proofs.py --count 3000
+	$(BIN)/python test/long/proofs.py --count 300 --through file
+
+flights: $(VENV)/.installed-test
+	$(BIN)/python test/long/flights.py --count 200
+
+mutants: $(VENV)/.installed-test
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check --editable '.[mutation]'
+	$(BIN)/python test/long/mutation.py
 
 docs: $(VENV)/.installed-demo
 	$(SAY) 'Parameters and pictures'

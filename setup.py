@@ -65,6 +65,7 @@ setup(
     extras_require={
         'bench': ['casadi', 'gurobipy', 'pyscipopt', 'qoco'],
         'fast': ['numba>=0.59'],
+        'mutation': ['mutmut>=3.8,<4'],
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         # Newer Arrows want NumPy 2, which not every ROS workspace has.
         'study': ['casadi', 'distributed>=2024.1', 'pyarrow>=14,<25'],

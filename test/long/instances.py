@@ -157,8 +157,8 @@ def _turning(
     if not file and rng.random() < 0.7:
         return {'coasted': turned.tolist()}
     least = min(1.0, judge.widest(_bare(n, mapping['floor'])))
-    following = max(speed, least) * turned * (1.0 - 1e-9 * (least < 0.999))
-    return {'rotation_rate': ((following - speed * attitude) / h).tolist()}
+    following = min(1.0, max(speed, least * (1.0 + 1e-6)))  # decided, so no closer than that
+    return {'rotation_rate': ((following * turned - speed * attitude) / h).tolist()}
 
 
 # --- where it should go, and what is in the way

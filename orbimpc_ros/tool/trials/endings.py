@@ -83,6 +83,10 @@ def _spoil(stand: Stand, spoiled: Spoiled) -> None:
     stand.spoiled = spoiled
 
 
+def _latched(flying: Flying, begin: float) -> bool:
+    return flying.latched(begin) < math.inf
+
+
 def _killed(lab: Lab, long: bool) -> Iterator[Outcome]:
     """The planner is killed or hangs in flight: the vehicle stops."""
     for number in range(20 if long else 1):
@@ -92,7 +96,7 @@ def _killed(lab: Lab, long: bool) -> Iterator[Outcome]:
             flying.spin(flying.draw.uniform(0.5, 1.5))
             begin = time.monotonic()
             flying.planner.tell(signal.SIGKILL)
-            flying.spin(PATIENCE, lambda f=flying, b=begin: f.latched(b) < math.inf)
+            flying.spin(PATIENCE, partial(_latched, flying, begin))
             flying.spin_steps(LOOKED_AT)
             told = flying.latched(begin) - begin
             failure = '' if flying.still else 'the vehicle moves on'

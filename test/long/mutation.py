@@ -1,7 +1,7 @@
 """Mutation testing of the check before publishing and of commands.
 
     make mutants
-    python test/long/mutants.py
+    python test/long/mutation.py
 
 mutmut (extra ``mutation``; ``tool.mutmut`` in pyproject.toml names files and tests) changes one
 thing at a time. A change that no test notices is a hole in the tests, unless it changes nothing:
