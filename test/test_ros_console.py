@@ -86,9 +86,13 @@ def test_what_a_plan_is_doubtful_about_is_said_everywhere(launch, observer):
     bench = Bench(launch, observer, QUICK)
     far = goal(1.0)
     far.pose.position.x = 1e5
-    bench.goal.publish(far)
-    bench.odometry.publish(odometry(1.0))
-    bench.until(lambda: bench.ticks or bench.odometry.publish(odometry(1.0)), 'a tick')
+
+    def answered():  # best effort: the first messages may be lost
+        bench.goal.publish(far)
+        bench.odometry.publish(odometry(1.0))
+        return bench.ticks
+
+    bench.until(answered, 'a tick')
     tick = told(bench.ticks[0])
     assert tick['fallback'] == ''
     assert 'beyond' in tick['reason'] or 'goal' in tick['reason']
@@ -223,15 +227,18 @@ def test_a_wing_is_never_told_less_than_its_floor(launch, observer):
 
 def test_a_goal_sent_once_is_flown_to_until_there_is_another(launch, observer):
     bench = Bench(launch, observer, QUICK)
-    begun, sent = time.monotonic(), -math.inf
-    bench.goal.publish(goal(time.time()))
+    once, begun, sent = goal(time.time()), math.inf, -math.inf
 
     def later():
-        nonlocal sent
+        nonlocal begun, sent
         if time.time() - sent > 0.05:
             sent = time.time()
             bench.odometry.publish(odometry(sent))
-        return bench.commands and time.monotonic() - begun > 2.0
+            if not bench.commands:  # best effort: the first message may be lost
+                bench.goal.publish(once)
+        if bench.commands:
+            begun = min(begun, time.monotonic())
+        return time.monotonic() - begun > 2.0
 
     bench.until(later, 'two seconds of flight')
     assert moving(bench.commands[-1])
