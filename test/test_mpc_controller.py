@@ -153,7 +153,8 @@ def test_a_plan_that_fails_its_check_is_not_flown(monkeypatch):
     tick = controller.tick(measured, np.tile([9.0, 3.0], (5, 1)))
     assert tick.status == 'feasible'
     assert 'positions differ' in tick.reason
-    assert tick.command.body_rate == 0.0  # straight on: the plan to hold the rotation stands in
+    heading = tick.plan.rotations[1:, :, 0]  # straight to the goal: what takes no search stands in
+    np.testing.assert_allclose(heading, np.tile([3.0, 1.0], (5, 1)) / np.sqrt(10.0))
     assert violations(controller.problem, tick.state, tick.goals, tick.plan) == []
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from problems import floor, goals, state, weights
 
+from orbimpc_ros.mpc.check import floor_margin
 from orbimpc_ros.mpc.condensed import Condensed, position_weights
 from orbimpc_ros.mpc.floors.cells import arcs, faces
 from orbimpc_ros.mpc.floors.circle import NOTHING, Circle, _Tick
@@ -17,7 +18,6 @@ from orbimpc_ros.mpc.floors.tree import CellSearch
 from orbimpc_ros.mpc.hull import Hull
 from orbimpc_ros.mpc.kernels import COMPILED, chain
 from orbimpc_ros.mpc.orbitopes import margin, matrix
-from orbimpc_ros.mpc.plan import floor_margin
 from orbimpc_ros.mpc.planar import Planar
 from orbimpc_ros.mpc.problem import Problem, Weights
 from orbimpc_ros.mpc.search import Search
@@ -159,7 +159,7 @@ PLAIN = """
 import json, numpy as np
 from orbimpc_ros.mpc.floors.circle import Circle
 from orbimpc_ros.mpc.hull import Hull
-from orbimpc_ros.mpc.plan import floor_margin
+from orbimpc_ros.mpc.check import floor_margin
 from orbimpc_ros.mpc.planar import Planar
 from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
 start, targets = State.at([0.0, 0.0], np.eye(2)), np.tile([0.4, 0.3], (3, 1))

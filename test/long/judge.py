@@ -211,16 +211,17 @@ def rate_margin(case: Case, rotations: Array) -> float:
 
     With a floor the limit turns and does not brake: the first step may change the speed as it
     likes, and only the angle from the attitude's own axis counts; at rotation order 2 the body's
-    rate has decided that angle already.
+    rate has decided that angle already. A limit of 1.4 rad a step and more is on the chord.
     """
     if not case.max_rate:
         return np.inf
     angle = case.step * case.max_rate
     headings = rotations[:, :, 0]
     margins = list(2.0 * np.sin(angle / 2.0) - np.linalg.norm(np.diff(headings, axis=0), axis=1))
-    if case.has_floor:
-        turned = angle_between(case.attitude[:, 0], headings[1])
-        margins[0] = angle - turned if case.rotation_order == 1 else np.inf
+    if case.has_floor and case.rotation_order == 2:
+        margins[0] = np.inf
+    elif case.has_floor and angle < 1.4:
+        margins[0] = angle - angle_between(case.attitude[:, 0], headings[1])
     return float(min(margins))
 
 
