@@ -11,7 +11,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.condensed import first_length, input_weight, position_weights
 from orbimpc_ros.mpc.general import General
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.kernels.chain import BEST, PAUSED, SETTLED, Chain, begun, minimise, within
+from orbimpc_ros.mpc.kernels.chain import BEST, PAUSED, SETTLED, Chain, begun, settle, within
 from orbimpc_ros.mpc.method import Found, Guess
 from orbimpc_ros.mpc.problem import Problem, State
 
@@ -89,10 +89,12 @@ class Hull:
         limits = (PRECISION, GAP, rounding, LARGEST * self._stiffness)
         progress = begun(len(goals), self._stiffness)
         while True:
-            _, status = minimise(chain, limits, progress, self._slice)
-            if status != PAUSED or (out_of_time is not None and out_of_time()):
+            cost, status = settle(chain, limits, progress, self._slice)
+            if status != PAUSED:
                 break
-        cost = within(chain, progress.z)
+            if out_of_time is not None and out_of_time():
+                cost = within(chain, progress.z)
+                break
         spent = first_length(self._problem, state)
         bound = float(progress.numbers[BEST]) - CANCELLED * constant
         return Found(progress.z, cost + spent, bound + spent, 1), status == SETTLED

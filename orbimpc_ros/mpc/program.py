@@ -71,7 +71,9 @@ class Program:
             self._a_0[self._coasted] = -coordinates(state.coasted)
         if self.problem.first_turn_is_an_angle:
             self._a_0[self._ahead] = state.attitude[:, 0]
-        self._largest = self._limits_of(state)
+        at_rest, per_speed, per_spin = self._limits
+        speed = float(np.linalg.norm(state.velocity))
+        self._largest = at_rest + speed * per_speed + np.abs(state.rotation_rate).max() * per_spin
 
     def solve(
         self,
@@ -154,10 +156,11 @@ class Program:
         x = np.asarray(answer.x)[self._columns]
         return Relaxation(x if status in SOLVED else None, bound)
 
-    def _limits_of(self, state: State) -> Array:
-        """Return the most that each column's variable can be."""
+    def _limits_of(self, speed: float, spin: float) -> Array:
+        """Return the most that each column's variable can be, of a state's speed and spin."""
         largest = np.zeros(len(self._q_0))
-        for first, sizes in zip(self._firsts, self._statement.largest(state).values(), strict=True):
+        for variable, sizes in self._statement.largest(speed, spin).items():
+            first = self._data['param_prob'].var_id_to_col[variable.id]
             largest[first : first + len(sizes)] = sizes
         return largest
 
@@ -188,6 +191,10 @@ class Program:
         self._p_0: Array = sparse.csc_matrix(sparse.triu(data['P'])).data
         self._certifier = Certifier(data)
         self._q_0: Array = np.array(data['c'])
+        at_rest = self._limits_of(0.0, 0.0)
+        # They grow in proportion to both.
+        moving = self._limits_of(1.0, 0.0) - at_rest, self._limits_of(0.0, 1.0) - at_rest
+        self._limits = at_rest, *moving
 
     def _locate(self, data: dict[str, Any], slot_rows: np.ndarray) -> None:
         """Find where rotations, positions, slots and the coasted rotation sit in the data."""
@@ -212,8 +219,6 @@ class Program:
             column = column_of[statement.along.id]
             across = column_of[statement.across.id] + np.arange(self.problem.dimension)
             self._ahead = _shared_entries(data['A'], column, across)
-        rest = State.at(np.zeros(self.problem.dimension), np.eye(self.problem.dimension))
-        self._firsts = [column_of[variable.id] for variable in statement.largest(rest)]
 
     def _numbered_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the row and sign of each right-hand side, and the row of each slot.

@@ -128,8 +128,6 @@ class Solver:
             return replace(NOTHING, reason=str(error))
         if found.x is None:
             return replace(found, reason=f'no trajectory found in {found.nodes} relaxations')
-        if not np.isfinite(found.x).all():
-            return replace(NOTHING, reason='the trajectory found is not finite')
         return found
 
     @property

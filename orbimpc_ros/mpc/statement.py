@@ -168,21 +168,23 @@ class Statement:
             return self.x, range(start, start + n)
         return self.moved, range((wanted.step - 1) * n, wanted.step * n)
 
-    def largest(self, state: State) -> dict[cp.Variable, Array]:
+    def largest(self, speed: float, spin: float) -> dict[cp.Variable, Array]:
         """Return the most that each entry of each variable can be in a plan from a state.
 
         Entries of matrices in conv SO(n) are at most 1; what moves adds that up.
+
+        Args:
+            speed: |p_0| at translation order 2 [m/s].
+            spin: the largest entry of W_0 at rotation order 2 [1/s].
         """
         problem, k = self.problem, np.arange(1.0, self.problem.horizon + 1.0)
         h, z, n = problem.step, problem.forward, problem.dimension
-        speed = float(np.linalg.norm(state.velocity))
         pushed = h * z * np.arange(problem.horizon + 1.0)
         moved = h * z * k if problem.translation_order == 1 else h * speed * k + h * h * z * k * k
-        known = 1.0 + h * np.abs(state.rotation_rate).max()
         angle = h * problem.max_rate if problem.first_turn_is_an_angle else 0.0
         rho = 1.0 / math.cos(angle)
         each = {
-            self.x: np.full(self.x.size, max(1.0, known)),
+            self.x: np.full(self.x.size, 1.0 + h * spin),
             self.moved: np.repeat(moved, n),
             self.fraction: np.ones(1),
             self.along: np.array([rho]),

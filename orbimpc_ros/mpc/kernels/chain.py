@@ -297,3 +297,15 @@ def within(chain, z):
     for k in range(len(z)):
         z[k] /= max(1.0, np.sqrt(z[k, 0] ** 2 + z[k, 1] ** 2))
     return _cost(chain.along, chain.start, chain.turning, chain.weights, chain.goals, z)
+
+
+@compiled
+def settle(chain, limits, progress, work):
+    """Do as :func:`minimise`; once that is over, pull the headings into their disks as well.
+
+    In one call, since to pass the arrays takes as long as the minimisation of a short horizon.
+    """
+    cost, status = minimise(chain, limits, progress, work)
+    if status != PAUSED:
+        cost = within(chain, progress.z)
+    return cost, status
