@@ -28,8 +28,8 @@ class Tick:
 
     Attributes:
         status: ``optimal``, ``feasible``, ``infeasible`` or ``failed``: of the solve.
-        reason: why, where it is not ``optimal``, and what was done about a goal too far away;
-            else empty.
+        reason: why, where it is not ``optimal``, and what was done about a goal too far away or a
+            measured speed that the model does not know; else empty.
         state: the state that the plan starts from.
         plan: the checked plan behind the command; None if the command is the safe one.
         command: what to do next.

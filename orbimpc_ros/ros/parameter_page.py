@@ -11,14 +11,14 @@ PAGE = """\
 
 Made from the tables that the nodes declare their parameters from: `make docs` writes it anew.
 
-- *live* parameters of the planner can be changed while it runs, at once or, with a reason, not at
-  all; all others are set at the start, as are all of the simulator's. `ros2 param describe` shows
-  the same.
-- Decimal numbers need a decimal point: ROS tells `1` from `1.0`. Lengths are in metres, angles in
+- *live* parameters of the planner can be changed while it runs; an invalid change is rejected with
+  a reason. All others are set at the start, as are all of the simulator's. `ros2 param describe`
+  shows the same.
+- Decimal numbers need a decimal point: to ROS `1` is not `1.0`. Lengths are in metres, angles in
   radians, times in seconds, in the frames of REP-103 and REP-105.
 - A name that neither node knows is refused, so that no typing error goes unnoticed. One file may
   serve both nodes: names that only the other one knows are passed over.
-- What beats what, files or command line, is told under [troubleshooting](troubleshooting.md).
+- Whether files or the command line win is explained under [troubleshooting](troubleshooting.md).
 - Both nodes have ROS's own `use_sim_time`. The planner's is true where `/clock` sets the pace, as
   in the simulator's lock-step; the simulator makes time and ignores it.
 

@@ -47,8 +47,10 @@ PLANNER: tuple[Row, ...] = (
         low=3, high=64, live=True),
     Row('floor.fraction', math.sqrt(0.3), 'Minimum share of full speed',
         low=TINY, high=1.0, live=True),
-    Row('max_rate', 0.0, 'Limit of the body rate; 0 for none, at most pi/step',
-        'rad/s', 0.0, 1e4, live=True),
+    Row('max_rate', 0.0, 'Limit of the body rate; 0 for none, at most pi/step. Without a floor it '
+        'limits changes of speed as well: R e1 moves by at most 2 sin(step * max_rate / 2) in a '
+        'step. With a floor (and step * max_rate below 1.4) the first step of a plan is limited in '
+        'its angle alone', 'rad/s', 0.0, 1e4, live=True),
     Row('obstacles', (), 'Boxes to stay out of: lower, then upper corner of each',
         'm', -FAR, FAR, live=True),
     Row('no_corner_cutting', False, 'Whether the path between two steps stays out as well',
@@ -70,8 +72,9 @@ PLANNER: tuple[Row, ...] = (
     Row('delay_compensation', True, 'Whether to plan from where the vehicle is by the time the '
         'command comes, not from where it was measured', live=True),
     Row('safe_command', 'auto',
-        'When there is no plan: stop; keep the speed and stop turning; circle; auto circles with '
-        'a floor at translation_order 1 and stops otherwise',
+        'Without a plan: stop; hold_rate_zero keeps the speed, at least that of the floor, and '
+        'does not turn; loiter circles; auto circles with a floor at translation_order 1, else '
+        'stops',
         choices=SAFE_COMMANDS, live=True),
     Row('deadline', 0.0, 'Limit of a solve; 0 for half a step, which it must not exceed',
         's', 0.0, SOON, live=True),

@@ -30,7 +30,8 @@ class Report:
 
     Attributes:
         status: ``optimal``, ``feasible``, ``infeasible`` or ``failed``.
-        reason: why it is not ``optimal``, or what was done about the goal; else empty.
+        reason: why it is not ``optimal``, and what was done about a goal too far away or a measured
+            speed that the model does not know; else empty.
         objective: of the commanded plan; NaN without one, as are the next two.
         lower_bound: proved below any plan's objective.
         gap: (objective - lower bound) / max(1e-9, |objective|).
@@ -38,7 +39,7 @@ class Report:
         solve_time_ms: of the whole tick, check included [ms].
         speed_fraction: |R_k e1| along the plan, k = 0..N.
         projection_distance: largest Frobenius distance from R_k to its rotation, k = 1..N.
-        fallback: empty, ``shifted plan``, ``run-up``, ``soft arrival`` or ``safe command``.
+        fallback: empty, ``shifted plan``, ``soft arrival`` or ``safe command``.
         binding: price of each constraint that keeps the plan from being better, dearest first, by
             its name and step, such as ``floor@3``; empty if none does or the plan is no optimum.
         advanced: by how much the measured state was moved on before planning [s].
