@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from problems import floor, state
 
+from orbimpc_ros.mpc import problem as problems
 from orbimpc_ros.mpc.check import TOLERANCE, command_violations, violations
 from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.orbitopes import coordinates, matrix
@@ -423,3 +424,15 @@ def test_a_command_is_that_of_its_plan(order, max_rate):
         command, body_rate=rate, rotation=plan.projected[order - 1] @ exp(problem.step * rate)
     )
     assert any('rad from' in each for each in command_violations(problem, plan, other))
+
+
+def test_a_floor_that_nothing_knows_is_neither_ignored_nor_taken_for_another(monkeypatch):
+    """A new shape needs its cells and its margin: without them there is no solver and no check."""
+    plan = solved(Problem())
+    monkeypatch.setattr(problems, 'FLOOR_SHAPES', ('none', 'diamond'))
+    problem = Problem(floor=floor('diamond', 0.5))
+    with pytest.raises(NotImplementedError, match='diamond'):
+        violations(problem, START, GOALS, plan)
+    for other in (problem, replace(problem, max_rate=0.5), replace(problem, dimension=3)):
+        with pytest.raises(NotImplementedError, match='diamond'):
+            Solver(other)

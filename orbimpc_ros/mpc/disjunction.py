@@ -80,8 +80,10 @@ def _floor(problem: Problem) -> list[Disjunction]:
         return []
     if floor.shape == 'polygon':
         cells = _flat(normals(problem.dimension, floor.faces), floor.fraction)
-    else:
+    elif floor.shape == 'circle':
         cells, radius = round_cells(problem.dimension, floor.fraction), floor.fraction
+    else:
+        raise NotImplementedError(f'no cells of a floor of shape {floor.shape}')
     return [Disjunction('heading', (k,), cells, radius) for k in range(1, problem.horizon + 1)]
 
 
