@@ -410,7 +410,7 @@ def test_a_tick_as_it_was_is_the_same(replay):
         (('--tick', '-1'), '--tick is -1'),
         (('--tick', '1', '--update'), '--update'),
         (('--set', 'weights.input=-1'), 'weights.input is -1'),
-        (('--set', 'wait=1'), '--set is wait'),
+        (('--set', 'wait=1'), "--set: unknown parameter 'wait'"),
         (('--params', 'nowhere.yaml'), 'nowhere.yaml'),
         (('--namespace', 'uav7'), 'without /uav7/odom'),
     ],

@@ -129,7 +129,7 @@ def test_a_study_is_reported(finished):
     assert '| caught | 100.0% |' in done.stdout
     assert (folder / 'study.png').read_bytes().startswith(b'\x89PNG')
     assert sorted(p.name for p in folder.iterdir()) == [
-        *('report.md', 'runs.parquet', 'study.json', 'study.png')
+        *('report.md', 'runs.parquet', 'study-dark.png', 'study.json', 'study.png')
     ]
 
 

@@ -11,7 +11,7 @@ from rclpy.validate_topic_name import validate_topic_name
 
 from orbimpc_ros.mpc.errors import BadInput
 
-MEETING = 0.5  # [s] that DDS may take to have planner and readers meet, which nobody else can see
+MEETING = 1.5  # [s] that DDS may take to have planner and readers meet, which nobody else can see
 
 
 def wanted_readers(text: str) -> dict[str, int]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
+from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.relaxation import Halfspace, Relaxation
 from orbimpc_ros.mpc.search import Search
@@ -24,13 +25,17 @@ class _Program:
     def bind(self, state: State, goals: Array) -> None:
         self._resolve.bind(state, goals)
 
-    def solve(self, halfspaces: Iterable[Halfspace] = ()) -> Relaxation:
+    def solve(
+        self,
+        halfspaces: Iterable[Halfspace] = (),
+        out_of_time: Callable[[], bool] | None = None,
+    ) -> Relaxation:
         self._resolve.hold(halfspaces)
         value = self._resolve.optimise()
         if value == float('inf'):
             raise Infeasible('no trajectory satisfies the constraints')
         if value != value:
-            raise SolverFailure('CVXPY returned no solution')
+            return Relaxation(None, -math.inf)
         return self._resolve.relaxation()
 
 
