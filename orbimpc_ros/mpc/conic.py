@@ -83,7 +83,7 @@ class Certifier:
         self._heads = self._inequalities.stop + np.concatenate([[0], np.cumsum(sizes)[:-1]])
         self._heads = self._heads.astype(int) if len(sizes) else np.zeros(0, int)
         self._round_end = self._inequalities.stop + int(sizes.sum())
-        self._orders = tuple(dims.psd)
+        self._order = dims.psd[0] if dims.psd else 0  # one for all: the LMI of SO(3)
 
     def lower_bound(
         self, answer: Any, a: Array, b: Array, q: Array, scale: float, largest: Array
@@ -128,26 +128,25 @@ class Certifier:
             squares[self._heads] = 0.0
             sizes = np.sqrt(np.add.reduceat(squares, self._heads))
             y[self._heads] = np.maximum(y[self._heads], sizes)
-        place = self._round_end
-        for order in self._orders:
-            _raise_to_psd(y[place : place + order * (order + 1) // 2], order)
-            place += order * (order + 1) // 2
+        if self._order:
+            count = self._order * (self._order + 1) // 2
+            _raise_to_psd(y[self._round_end :].reshape(-1, count), self._order)
         return y
 
 
-def _raise_to_psd(triangle: Array, order: int) -> None:
-    """Add to the diagonal what a matrix lacks to be positive semidefinite.
+def _raise_to_psd(triangles: Array, order: int) -> None:
+    """Add to diagonals what matrices lack to be positive semidefinite.
 
     Args:
-        triangle: the upper triangle column by column, off the diagonal times sqrt(2).
-        order: of the matrix.
+        triangles: upper triangles column by column, off the diagonal times sqrt(2), shape
+            (K, order (order + 1) / 2).
+        order: of the matrices.
     """
-    matrix = np.zeros((order, order))
-    rows, columns = np.tril_indices(order)  # of the transpose: column by column
-    matrix[columns, rows] = triangle / np.where(rows == columns, 1.0, np.sqrt(2.0))
-    least = float(np.linalg.eigvalsh(matrix, UPLO='U')[0])
-    if least < 0.0:
-        triangle[rows == columns] += -least * (1.0 + 1e-12)
+    rows, columns = np.tril_indices(order)  # of the transposes: column by column
+    matrices = np.zeros((len(triangles), order, order))
+    matrices[:, columns, rows] = triangles / np.where(rows == columns, 1.0, np.sqrt(2.0))
+    least = np.linalg.eigvalsh(matrices, UPLO='U')[:, :1]
+    triangles[:, rows == columns] -= np.minimum(least, 0.0) * (1.0 + 1e-12)
 
 
 def _cones(dims: Any) -> list:

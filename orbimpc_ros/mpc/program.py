@@ -93,6 +93,8 @@ class Program:
             a[entries] = -normal
             b[row] = -offset
         relaxed = self._solve_in_place(a, b, out_of_time)
+        if out_of_time is not None and out_of_time():
+            return relaxed
         if relaxed.x is None:
             anew = self._solve_anew(a, b, self._scale, out_of_time)
             return Relaxation(anew.x, max(relaxed.bound, anew.bound))

@@ -570,7 +570,7 @@ def _descend(annulus, q, left, z, side, counts, numbers, longest, work):
         if work <= 0.0:
             break
         counts[STEPS] += 1
-        work -= n_steps**3 / 3.0 + 30.0 * n_steps * n_steps + 500.0
+        work -= z.size**3 / 3.0 + 30.0 * n_steps * n_steps + 500.0
         numbers[DAMPING] = _set_move(
             annulus, z, side, gradient, mu, nu, missed, numbers[DAMPING], longest, move
         )
