@@ -124,7 +124,8 @@ class Certifier:
         y = z.copy()
         np.maximum(y[self._inequalities], 0.0, out=y[self._inequalities])
         if len(self._heads):
-            squares = y[: self._round_end] ** 2
+            with np.errstate(over='ignore'):  # of a solve that diverged: then nothing is proved
+                squares = y[: self._round_end] ** 2
             squares[self._heads] = 0.0
             sizes = np.sqrt(np.add.reduceat(squares, self._heads))
             y[self._heads] = np.maximum(y[self._heads], sizes)
