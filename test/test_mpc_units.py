@@ -129,7 +129,7 @@ def test_holding_the_rotation_stands_in_for_a_method_that_fails(monkeypatch):
     broken = {
         'fails its check': lambda *a: replace(solve(*a), x=1.1 * solve(*a).x),
         'lower bound exceeds': lambda *a: beaten(solve(*a), 10.0),
-        'not finite': lambda *a: replace(solve(*a), x=np.nan * solve(*a).x),
+        'the trajectory found is not finite': lambda *a: replace(solve(*a), x=np.nan * solve(*a).x),
         'no trajectory': lambda *a: replace(solve(*a), x=None, cost=np.inf, lower_bound=np.inf),
     }
     for said, method in broken.items():

@@ -128,6 +128,8 @@ class Solver:
             return replace(NOTHING, reason=str(error))
         if found.x is None:
             return replace(found, reason=f'no trajectory found in {found.nodes} relaxations')
+        if not np.isfinite(found.x).all():  # or what is made of it would end in errors
+            return replace(NOTHING, reason='the trajectory found is not finite')
         return found
 
     @property
