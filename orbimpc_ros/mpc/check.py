@@ -204,10 +204,9 @@ def _objective(problem: Problem, goals: Array, plan: Plan) -> float:
     misses = np.sum((plan.positions[1:] - goals) ** 2, axis=1)
     cost = w.position * misses.sum() + w.input * np.sum(plan.inputs**2)
     cost += (w.terminal + problem.arrival_weight) * misses[-1]
-    if w.length > 0.0:
-        flown = np.sqrt(np.sum(plan.rotations[:-1, :, 0] ** 2, axis=1)).sum()
-        cost += w.length * h * problem.forward * flown
-    if problem.arrival_weight > 0.0 and problem.translation_order == 2:
+    flown = np.linalg.norm(plan.rotations[:-1, :, 0], axis=1).sum()
+    cost += w.length * h * problem.forward * flown
+    if problem.translation_order == 2:
         cost += problem.arrival_weight * h * h * np.sum(plan.velocities[-1] ** 2)
     return float(cost)
 
