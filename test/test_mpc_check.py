@@ -111,3 +111,14 @@ def test_a_plan_starts_from_the_measured_state_in_all_its_parts(what):
     }
     other = replace(start, **{what: moved[what]})
     assert any('differ' in each for each in violations(problem, other, GOALS, plan))
+
+
+def test_a_rate_is_that_of_the_measured_rotation():
+    """A plan whose own R_0 is off by less than the tolerance departs from there step by step."""
+    problem = Problem(rotation_order=2)
+    start = State.at([0.0, 0.0], 0.5 * np.eye(2), coasted=np.eye(2))
+    near = replace(start, rotation=(0.5 + 0.9e-6) * np.eye(2))
+    plan = assembled(problem, near, GOALS, np.tile([0.5, 0.0], (5, 1)))
+    assert violations(problem, near, GOALS, plan) == []
+    found = violations(problem, start, GOALS, plan)
+    assert 'rotations differ by 3.6e-06 from a rollout of the inputs' in found

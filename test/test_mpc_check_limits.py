@@ -259,6 +259,14 @@ def test_no_speed_has_no_heading_to_turn_to():
     assert found == ['floor violated by 0.5', f'max_rate violated by {1.0 - problem.chord:.2g}']
 
 
+def test_the_corner_before_the_first_step_is_not_the_plans():
+    """R_0 or p_0 has decided s_1: how a vehicle gets there no plan can change."""
+    corner = Box([0.4, -0.1], [0.6, 0.1])
+    problem = Problem(obstacles=(corner,), no_corner_cutting=True)
+    start, goals, plan = straight(problem, np.ones(5))
+    assert violations(problem, start, goals, plan) == []
+
+
 @pytest.mark.parametrize('steps', [1, 2])
 def test_short_plans_have_corners_where_they_have_two_points(steps):
     corner = Box([1.4, -0.1], [1.6, 0.1])

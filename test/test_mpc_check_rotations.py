@@ -7,12 +7,12 @@ import pytest
 from plans import GOALS, START, assembled, changed, only_complaint, solved, straight
 from problems import rotation, state
 
-from orbimpc_ros.mpc.check import TOLERANCE, command_violations, violations
+from orbimpc_ros.mpc.check import command_violations, violations
 from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.orbitopes import coordinates
 from orbimpc_ros.mpc.plan import UNPROVED, assemble
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.rotations import HEADING_UNDEFINED, exp
+from orbimpc_ros.mpc.rotations import exp
 
 STRAYS = 'a projected rotation strays {} from its projection'
 
@@ -136,7 +136,7 @@ def test_the_nearest_rotation_is_no_other_stationary_one(seed, k):
 def test_the_nearest_rotation_is_so_to_the_tolerance(k):
     for share, fine in ((0.9, True), (1.1, False)):
         rotations = np.tile(np.diag([0.5, 0.2, 0.1]), (5, 1, 1))
-        rotations[k] = np.diag([0.5, 0.2, -0.2 - share * TOLERANCE])
+        rotations[k] = np.diag([0.5, 0.2, -0.2 - share * 1e-6])
         found = sheet('nearest', rotations, np.tile(np.eye(3), (5, 1, 1)))
         assert found == ([] if fine else [STRAYS.format('1.1e-06')])
 
@@ -166,7 +166,7 @@ def test_a_thrust_aligned_rotation_has_the_better_roll(k):
 
 def test_a_thrust_aligned_roll_is_the_best_to_the_tolerance():
     for share, fine in ((0.9, True), (1.1, False)):
-        rotations = np.tile(np.diag([0.5, 0.2, -0.2 - share * TOLERANCE]), (5, 1, 1))
+        rotations = np.tile(np.diag([0.5, 0.2, -0.2 - share * 1e-6]), (5, 1, 1))
         found = sheet('thrust_aligned', rotations, np.tile(np.eye(3), (5, 1, 1)))
         assert found == ([] if fine else [STRAYS.format('1.1e-06')])
 
@@ -194,13 +194,15 @@ def test_planar_projections_are_the_same_by_either_name(projection):
 
 
 def test_a_heading_is_defined_from_the_least_speed_that_has_one():
-    x = np.tile([0.0, HEADING_UNDEFINED], (5, 1))
+    x = np.tile([0.0, 1e-9], (5, 1))
     plan = assembled(Problem(), START, GOALS, x)
     assert not plan.held.any()
     assert violations(Problem(), START, GOALS, plan) == []
     still = assembled(Problem(), START, GOALS, np.nextafter(x, 0.0))
     assert still.held[1:].all()
     assert violations(Problem(), START, GOALS, still) == []
+    led = replace(still, projected=np.array([np.eye(2), *plan.projected[1:]]))
+    assert only_complaint(Problem(), led) == STRAYS.format('1')
 
 
 @pytest.mark.parametrize('k', range(2, 6))

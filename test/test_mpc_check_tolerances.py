@@ -11,18 +11,13 @@ import numpy as np
 import pytest
 from plans import assembled, changed
 
-from orbimpc_ros.mpc.check import (
-    ORTHOGONAL,
-    ROUNDING,
-    SUMMING,
-    TOLERANCE,
-    command_violations,
-    violations,
-)
+from orbimpc_ros.mpc.check import command_violations, violations
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.plan import UNPROVED
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
 
+# As documented, not as imported: a check that allows more must not have its tests follow it.
+TOLERANCE, ORTHOGONAL, SUMMING, ROUNDING = 1e-6, 1e-9, 1e-9, 1e-15
 FREE = Problem(weights=Weights(0.0, 0.0, 0.0, 0.0))
 COASTING = replace(FREE, rotation_order=2)
 GOALS = np.zeros((5, 2))
@@ -80,7 +75,7 @@ def beside_the_arrival(error):
 
 def bounded_above_its_cost(error):
     state, plan = resting(FREE)
-    return FREE, state, GOALS, plan.proved(replace(UNPROVED, lower_bound=error, cost_unit=1.0))
+    return FREE, state, GOALS, plan.proved(replace(UNPROVED, lower_bound=error, cost_unit=4.0))
 
 
 def skewed(error):
@@ -113,7 +108,7 @@ def turned_from(problem, k):
         (inside_a_box, TOLERANCE, 'obstacle violated by 1e-06'),
         (across_a_corner, TOLERANCE, 'obstacle violated by 1e-06'),
         (beside_the_arrival, TOLERANCE * (1 + ROUNDING), 'terminal constraint missed by 1e-06'),
-        (bounded_above_its_cost, TOLERANCE, 'the lower bound exceeds the cost of 0 by 1e-06'),
+        (bounded_above_its_cost, 4 * TOLERANCE, 'the lower bound exceeds the cost of 0 by 4e-06'),
         (skewed, ORTHOGONAL, 'a projected rotation is not orthogonal'),
         (turned_from(FREE, 0), ORTHOGONAL, 'the first rotation is not the measured attitude'),
         (turned_from(COASTING, 1), ORTHOGONAL, 'the second rotation is not where the body rate'),
