@@ -1,13 +1,17 @@
-"""The last look at a command: each of its conditions, on a good one broken in one way."""
+"""Commands made of plans, and the last look at them: a good one, broken in one way at a time."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from problems import rotation
+from plans import assembled, straight
+from problems import floor, rotation
 
-from orbimpc_ros.mpc.command import Command, flaw
-from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.command import Command, command_of, flaw, stop
+from orbimpc_ros.mpc.orbitopes import coordinates
+from orbimpc_ros.mpc.problem import Floor, Problem, State
+from orbimpc_ros.mpc.rotations import exp
 
 NAN, INF = np.nan, np.inf
 
@@ -39,6 +43,47 @@ def test_not_finite(n, value):
 @pytest.mark.parametrize('fraction', [-1e-9, 1.0 + 1e-9])
 def test_more_than_all_or_less_than_nothing(fraction):
     assert 'speed fraction' in flaw(Problem(), replace(good(2), speed_fraction=fraction))
+
+
+@pytest.mark.parametrize('fraction', [0.0, 1.0])
+def test_all_and_nothing(fraction):
+    assert flaw(Problem(), replace(good(2), speed_fraction=fraction)) == ''
+
+
+@pytest.mark.parametrize(('n', 'shape'), [(2, 'circle'), (2, 'polygon'), (3, 'circle')])
+def test_no_command_is_below_the_floor_but_a_stop_that_was_asked_for(n, shape):
+    problem = Problem(n, floor=floor(shape, 0.7))
+    assert flaw(problem, good(n)) == ''
+    for fraction in (np.nextafter(0.7, 0.0), 0.3, 0.0):
+        slow = replace(good(n), speed_fraction=fraction)
+        told = f'a speed fraction of {fraction:.6g} is below the floor of 0.7'
+        assert flaw(problem, slow) == told
+        assert flaw(problem, slow, stopping=True) == ''
+        assert flaw(replace(problem, floor=Floor(fraction=0.7)), slow) == ''
+
+
+@pytest.mark.parametrize('step', [0.1, 1.0, 2.0])
+def test_without_a_limit_half_a_turn_in_a_step_is_the_limit(step):
+    half_a_turn = np.array([-np.pi / step])
+    assert flaw(Problem(step=step), replace(good(2), body_rate=half_a_turn)) == ''
+    more = 1.00001 * half_a_turn
+    found = flaw(Problem(step=step), replace(good(2), body_rate=more))
+    assert found == f'a body rate of {-more[0]:.6g} rad/s is beyond {np.pi / step:.6g}'
+
+
+def test_a_rate_may_be_beyond_its_limit_by_exactly_the_tolerance():
+    largest = 0.3 * (1.0 + 1e-6)
+    assert flaw(Problem(max_rate=0.3), replace(good(2), body_rate=np.array([-largest]))) == ''
+    more = np.array([-np.nextafter(largest, 1.0)])
+    assert 'is beyond 0.3' in flaw(Problem(max_rate=0.3), replace(good(2), body_rate=more))
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_a_rotation_may_be_off_by_exactly_the_tolerance(n):
+    told = 'the commanded rotation is not a rotation'
+    for entry, expected in ((1e-9, ''), (np.nextafter(1e-9, 1.0), told)):
+        sheared = changed(np.eye(n), (1, 0), entry)
+        assert flaw(Problem(n), replace(good(n), rotation=sheared)) == expected
 
 
 @pytest.mark.parametrize('n', [2, 3])
@@ -85,3 +130,68 @@ def changed(array, index, value):
     copy = array.copy()
     copy[index] = value
     return copy
+
+
+# --- commands that are made
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_a_stop_keeps_the_attitude(n):
+    attitude = rotation(np.random.default_rng(n), n)
+    command = stop(attitude)
+    assert command.speed_fraction == 0.0
+    np.testing.assert_array_equal(command.body_rate, np.zeros(n * (n - 1) // 2))
+    np.testing.assert_array_equal(command.rotation, attitude)
+    assert attitude.flags.writeable
+    assert flaw(Problem(n), command) == ''
+
+
+@pytest.mark.parametrize('shape', ['none', 'circle', 'polygon'])
+def test_what_rounding_leaves_of_speeds_is_made_up_for(shape):
+    problem = Problem(floor=floor(shape, 0.5))
+    for fraction, told in ((0.5 - 1e-9, 0.5), (0.7, 0.7), (1.0 + 1e-9, 1.0)):
+        start, _, plan = straight(problem, np.full(5, fraction))
+        expected = fraction if shape == 'none' and fraction < 1.0 else told
+        assert command_of(problem, start, plan).speed_fraction == expected
+
+
+@pytest.mark.parametrize('n', [2, 3])
+@pytest.mark.parametrize('step', [0.4, 1.0, 2.5])
+def test_a_rate_is_cut_on_the_shortest_way_to_the_plan(n, step):
+    """The rotation is where the cut rate leads, and only what exceeds the limit is cut."""
+    rng = np.random.default_rng(n)
+    for _ in range(20):
+        turn = rng.normal(size=1 if n == 2 else 3)
+        turn *= rng.uniform(0.1, 3.0) / np.linalg.norm(turn)
+        problem = Problem(n, step=step)
+        start = State.at(np.zeros(n), np.eye(n))
+        points = np.tile(coordinates(exp(turn)), (5, 1))
+        plan = assembled(problem, start, np.zeros((5, n)), points)
+        whole = command_of(problem, start, plan)
+        np.testing.assert_allclose(whole.body_rate, turn / step, atol=1e-9)
+        np.testing.assert_array_equal(whole.rotation, plan.projected[1])
+        for share in (0.25, 0.9):
+            limited = replace(problem, max_rate=float(share * np.linalg.norm(turn) / step))
+            command = command_of(limited, start, plan)
+            np.testing.assert_allclose(command.body_rate, share * turn / step, atol=1e-9)
+            np.testing.assert_allclose(command.rotation, exp(share * turn), atol=1e-9)
+        at_the_limit = replace(problem, max_rate=math.sqrt(whole.body_rate @ whole.body_rate))
+        same = command_of(at_the_limit, start, plan)
+        np.testing.assert_array_equal(same.rotation, plan.projected[1])
+
+
+@pytest.mark.parametrize('order', [1, 2])
+def test_every_step_of_a_plan_has_its_command(order):
+    problem = Problem(rotation_order=order, step=0.5)
+    start = State.at([0.0, 0.0], np.eye(2))
+    angles = np.array([0.1, 0.3, 0.6, 1.0, 1.5])
+    fractions = np.array([0.9, 0.8, 0.7, 0.6, 0.5])
+    x = fractions[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    plan = assembled(problem, start, np.zeros((5, 2)), x)
+    headings = [0.0, *angles, angles[-1]]
+    for k in range(5):
+        command = command_of(problem, start, plan, k)
+        first, then = headings[k + order - 1], headings[k + order]
+        assert command.speed_fraction == pytest.approx(fractions[k])
+        assert command.body_rate == pytest.approx([(then - first) / 0.5])
+        np.testing.assert_allclose(command.rotation, exp(np.array([then])), atol=1e-12)

@@ -188,11 +188,12 @@ def _terminal_violations(problem: Problem, goals: Array, plan: Plan) -> list[str
 
 def _proof_violations(problem: Problem, goals: Array, plan: Plan) -> list[str]:
     cost = _objective(problem, goals, plan)
-    if abs(plan.objective - cost) > SUMMING * cost:
+    # What is allowed must be finite: an overflow would excuse anything.
+    if not abs(plan.objective - cost) <= SUMMING * cost < math.inf:
         return [f'the objective is {cost:.6g}, not {plan.objective:.6g}']
     # What constraints may be missed by can save as much of the cost.
     excess = plan.lower_bound - cost
-    if not excess <= TOLERANCE * (cost + plan.proof.cost_unit):  # neither if it is not a number
+    if not excess <= TOLERANCE * (cost + plan.proof.cost_unit) < math.inf:
         return [f'the lower bound exceeds the cost of {cost:.6g} by {excess:.2g}']
     return []
 
@@ -203,10 +204,9 @@ def _objective(problem: Problem, goals: Array, plan: Plan) -> float:
     misses = np.sum((plan.positions[1:] - goals) ** 2, axis=1)
     cost = w.position * misses.sum() + w.input * np.sum(plan.inputs**2)
     cost += (w.terminal + problem.arrival_weight) * misses[-1]
-    if w.length > 0.0:
-        flown = np.sqrt(np.sum(plan.rotations[:-1, :, 0] ** 2, axis=1)).sum()
-        cost += w.length * h * problem.forward * flown
-    if problem.arrival_weight > 0.0 and problem.translation_order == 2:
+    flown = np.linalg.norm(plan.rotations[:-1, :, 0], axis=1).sum()
+    cost += w.length * h * problem.forward * flown
+    if problem.translation_order == 2:
         cost += problem.arrival_weight * h * h * np.sum(plan.velocities[-1] ** 2)
     return float(cost)
 
@@ -258,8 +258,9 @@ def _strays(plan: Plan, known: int) -> float:
     if plan.projection == 'thrust_aligned':
         twist, gain = m[:, 1, 2] - m[:, 2, 1], m[:, 1, 1] + m[:, 2, 2]
         return max(stray, float(np.abs(twist).max()), float(-gain.min()))
-    skewed = np.abs(m - np.swapaxes(m, -1, -2)).max()
-    pairs = np.linalg.eigvalsh(0.5 * (m + np.swapaxes(m, -1, -2)))[:, :2].sum(axis=1)
+    transposed = np.swapaxes(m, -1, -2)
+    skewed = np.abs(m - transposed).max()
+    pairs = np.linalg.eigvalsh(0.5 * (m + transposed))[:, :2].sum(axis=1)
     return max(stray, float(skewed), float(-pairs.min()))
 
 
@@ -269,6 +270,9 @@ def command_violations(problem: Problem, plan: Plan, command: Command) -> list[s
     The speed must be that of R_1. The rotation must be where the rate leads in a step, and that
     must be as far on the way to the planned rotation as ``max_rate`` allows.
     """
+    parts = (command.speed_fraction, command.body_rate, command.rotation)
+    if not all(np.isfinite(part).all() for part in parts):
+        return ['command is not finite']
     found = []
     if abs(command.speed_fraction - plan.speed_fraction[1]) > TOLERANCE:
         found.append('the commanded speed is not that of the plan')

@@ -1,0 +1,50 @@
+"""Plans to be checked: good ones, and good ones that are then changed at one place."""
+
+import numpy as np
+
+from orbimpc_ros.mpc.check import violations
+from orbimpc_ros.mpc.orbitopes import coordinates
+from orbimpc_ros.mpc.plan import UNPROVED, assemble
+from orbimpc_ros.mpc.problem import State
+from orbimpc_ros.mpc.solver import Solver
+
+GOALS = np.tile([3.0, 1.0], (5, 1))
+START = State.at([0.0, 0.0], np.eye(2))
+
+
+def solved(problem, start=START, goals=GOALS, coasting=False):
+    plan = Solver(problem, coasting=coasting).solve(start, goals)
+    assert violations(problem, start, goals, plan) == []
+    return plan
+
+
+def assembled(problem, start, goals, x):
+    """A consistent plan through any rotations: only the limits can object to it."""
+    return assemble(problem, start, goals, x, projection='nearest', proof=UNPROVED)
+
+
+def straight(problem, fractions):
+    """A consistent plan straight ahead at given speed fractions of R_1..R_N."""
+    x = np.outer(fractions, coordinates(np.eye(problem.dimension)))
+    start = State.at(np.zeros(problem.dimension), np.eye(problem.dimension))
+    goals = np.zeros((problem.horizon, problem.dimension))
+    return start, goals, assembled(problem, start, goals, x)
+
+
+def changed(array, index, value):
+    copy = array.copy()
+    copy[index] = value
+    return copy
+
+
+def only_complaint(problem, plan, start=START, goals=GOALS):
+    found = violations(problem, start, goals, plan)
+    assert len(found) == 1, found
+    return found[0]
+
+
+def only_complaint_but_the_cost(problem, plan, start=START, goals=GOALS):
+    """Return what is wrong beside the cost, which changes with places and goals."""
+    found = [f for f in violations(problem, start, goals, plan) if 'the objective is' not in f]
+    assert len(found) == 1, found
+    return found[0]
