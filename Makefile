@@ -9,6 +9,7 @@
 
 PYTHON ?= python3
 VENV ?= .venv
+JOBS ?= 2
 BIN = $(VENV)/bin
 SAY = @printf '\n== %s\n'
 COMPILE = @$(BIN)/python -m orbimpc_ros.mpc.kernels
@@ -41,7 +42,7 @@ test: $(VENV)/.installed-test
 	$(SAY) 'Types (mypy)'
 	$(BIN)/mypy
 	$(SAY) 'Tests (pytest)'
-	$(BIN)/python -m pytest $(PYTEST_FLAGS)
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile $(PYTEST_FLAGS)
 
 long: proofs flights mutants
 

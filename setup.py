@@ -77,6 +77,7 @@ setup(
             'hypothesis',
             'mypy',
             'pytest',
+            'pytest-xdist',
             'ruff',
             'types-PyYAML',
             'wheel',

@@ -198,6 +198,8 @@ def test_a_vehicle_with_a_failsafe_is_not_stopped(launch, observer):
 
     observer.until(flies, 'a vehicle that flies')
     observer.until(lambda: complaints(diagnostics, 'failsafe at 0.7'), 'a complaint')
+    slower = pytest.approx(0.7)
+    observer.until(lambda: odometry[-1].twist.twist.linear.x == slower, 'another speed')
     odometry.clear()
     observer.until(lambda: len(odometry) > 5, 'odometry')
     speeds = [each.twist.twist.linear.x for each in odometry[1:]]
