@@ -3,9 +3,9 @@
 # make long   judges random problems, flights and mutants of the check: hours (docs/testing.md)
 # make docs   writes the table of parameters and draws the pictures of docs/ anew
 #
-# PYTHON=... picks the interpreter, VENV=... the environment, PINS=... what pip is to keep to. With
-# ROS 2 installed (ROS_DISTRO is set) its Python packages are used, and NumPy stays below 2 if
-# theirs is; elsewhere rclpy and the messages come from PyPI.
+# PYTHON=... picks the interpreter, VENV=... the environment, PINS=... what pip is to keep to,
+# JOBS=... how many test files run at a time. With ROS 2 installed (ROS_DISTRO is set) its Python
+# packages are used, and NumPy stays below 2 if theirs is; elsewhere they come from PyPI.
 
 PYTHON ?= python3
 VENV ?= .venv
