@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from problems import ORDERS, box, floor, goals, state, weights
+from problems import ORDERS, box, floor, goals, rotation, state, weights
 
 from orbimpc_ros.mpc.condensed import Condensed
 from orbimpc_ros.mpc.orbitopes import coordinates
@@ -164,3 +164,16 @@ def test_where_the_rotation_can_be_held_there_is_a_plan_at_once(orders, shape):
         polls = itertools.count()
         better = solver.solve(start, targets, out_of_time=lambda p=polls: next(p) > 300)
         assert plan.lower_bound <= better.objective * (1.0 + 1e-6)
+
+
+def test_a_cost_far_below_the_usual_is_proved_in_proportion_to_itself():
+    """Turning weighs 1e13 times as much as what is flown: still the shorter flight is found."""
+    problem = Problem(
+        horizon=2,
+        weights=Weights(0.0, 0.125, 2.8e-14, 0.0),
+        floor=floor('polygon', 0.728, 5),
+        max_rate=0.42,
+    )
+    start = State.at([0.0, 0.0], rotation(np.random.default_rng(14), 2))
+    plan = Solver(problem).solve(start, np.tile([3.0, 1.0], (2, 1)))
+    assert plan.objective <= 2.0 * 2.8e-14 * (1.0 + 1e-6)

@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.rotations import project_all, turned_onto
 from orbimpc_ros.mpc.trajectory import trajectory_of
 
 OPTIMAL, FEASIBLE, INFEASIBLE, FAILED = 'optimal', 'feasible', 'infeasible', 'failed'
-ROUNDING = 1e-10  # of the cost unit: at the goal the cost vanishes, its rounding does not
+ROUNDING = 1e-12  # of the cost unit: at the goal the cost vanishes, its rounding does not
 
 
 @dataclass(frozen=True)

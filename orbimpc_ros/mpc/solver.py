@@ -15,7 +15,7 @@ from orbimpc_ros.mpc.feasibility import reason
 from orbimpc_ros.mpc.hull import Hull
 from orbimpc_ros.mpc.method import Found, Guess, Method
 from orbimpc_ros.mpc.orbitopes import coordinates
-from orbimpc_ros.mpc.plan import OPTIMAL, UNPROVED, Plan, Proof, assemble, unsought
+from orbimpc_ros.mpc.plan import UNPROVED, Plan, Proof, assemble, unsought
 from orbimpc_ros.mpc.planar import Planar
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.units import Units
@@ -84,7 +84,7 @@ class Solver:
         if flaws:
             found = replace(NOTHING, reason='the plan found fails its check: ' + '; '.join(flaws))
             return self._instead(state, goals, guess, found, SolverFailure(found.reason))
-        if plan.status == OPTIMAL:
+        if plan.gap <= self._tolerance:  # not just as near as rounding allows to tell
             return plan
         sound = [plan, *self._candidates(state, goals, guess, plan.proof)]
         return min(sound, key=lambda each: each.objective)
