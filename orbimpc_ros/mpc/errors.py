@@ -23,7 +23,7 @@ class BadInput(OrbimpcError, ValueError):
         self.culprit, self.value, self.allowed = culprit, value, allowed
         shown = value if isinstance(value, str) else repr(value)
         if len(shown) > 80:
-            shown = shown[:77] + '...'
+            shown = f'{shown[:37]}...{shown[-40:]}'  # of a path the end says which file
         super().__init__(f'{culprit} is {" ".join(shown.split())}; allowed: {allowed}')
 
     @classmethod
