@@ -16,7 +16,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.condensed import Condensed, first_length, knowns, suits_dense_code
 from orbimpc_ros.mpc.disjunction import Slot
-from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
+from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.annulus import SLICE
 from orbimpc_ros.mpc.kernels.multipliers import (
@@ -63,7 +63,7 @@ class Spatial:
         self._general: Relaxed | None = None
         # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
         self.bind(_rest(self._coasting), np.zeros((problem.horizon, 3)))
-        with suppress(Infeasible, SolverFailure):  # as with few steps left to turn round in
+        with suppress(Infeasible):  # as with few steps left to turn round in
             self.solve()
 
     def _make_room(self) -> None:

@@ -127,30 +127,26 @@ class Statement:
         return rows
 
     def _limits(self) -> list[cp.Constraint]:
-        """|(R_{k+1} - R_k) e1| <= 2 sin(h omega / 2), and the cone of the first turn, if it is one.
-
-        Around Q_0 e1 that is |R_1 e1 - rho Q_0 e1| <= rho sin(h omega) for some rho >= 0.
-        """
+        """|(R_{k+1} - R_k) e1| <= 2 sin(h omega / 2), and the cone of a first turn by an angle."""
         problem = self.problem
         if problem.max_rate <= 0.0:
             return []
-        begin, first = 0, []
-        if problem.first_turn_is_an_angle:
-            placeholder = np.ones(problem.dimension)
-            widest = math.sin(problem.step * problem.max_rate)
-            begin, first = (
-                1,
-                [
-                    self.across == self._headings[1] - self.along * placeholder,
-                    cp.SOC(widest * self.along, self.across),
-                ],
-            )
-        elif problem.first_turn_is_decided:
-            begin = 1
+        first = self._first_turn() if problem.first_turn_is_an_angle else []
+        begin = int(problem.first_turn_is_an_angle or problem.first_turn_is_decided)
         if problem.horizon == begin:
             return first
         turned = self._headings[begin + 1 :] - self._headings[begin:-1]
         return [*first, cp.SOC(np.full(problem.horizon - begin, problem.chord), turned.T)]
+
+    def _first_turn(self) -> list[cp.Constraint]:
+        """|R_1 e1 - rho Q_0 e1| <= rho sin(h omega) for some rho >= 0: the cone around Q_0 e1."""
+        problem = self.problem
+        placeholder = np.ones(problem.dimension)
+        widest = math.sin(problem.step * problem.max_rate)
+        return [
+            self.across == self._headings[1] - self.along * placeholder,
+            cp.SOC(widest * self.along, self.across),
+        ]
 
     def _slot_rows(self) -> list[cp.Constraint]:
         if self._offsets is None:
