@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from orbimpc_ros.ros.reports import Report, tick_message
-from orbimpc_ros.tool.topics import TYPES
+from orbimpc_ros.tool.io.topics import TYPES
 
 pytest.importorskip('rclpy')
 CONFIG = Path(__file__).parents[1] / 'config'

@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from orbimpc_ros.ros.health import condition
+from orbimpc_ros.ros.planner.health import condition
 from orbimpc_ros.ros.reports import ERROR, OK, WARN, Report, safe_report
 from orbimpc_ros.ros.timing import Drift, Standstill, Timing
 

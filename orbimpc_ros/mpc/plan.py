@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
-from orbimpc_ros.mpc.orbitopes import coordinates, matrix
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates, matrix
+from orbimpc_ros.mpc.geometry.rotations import project_all, turned_onto
+from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.rotations import project_all, turned_onto
-from orbimpc_ros.mpc.trajectory import trajectory_of
 
 OPTIMAL, FEASIBLE, INFEASIBLE, FAILED = 'optimal', 'feasible', 'infeasible', 'failed'
 ROUNDING = 1e-12  # of the cost unit: at the goal the cost vanishes, its rounding does not

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from orbimpc_ros.mpc.binding import explained
 from orbimpc_ros.mpc.plan import FAILED, OPTIMAL
+from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.ros.messages import header
 
 if TYPE_CHECKING:  # the simulator reports without a solver, and starts sooner for it
-    from orbimpc_ros.mpc.controller import Tick
+    from orbimpc_ros.mpc.loop.controller import Tick
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 SAFE = 'safe command'  # the fallback of a tick that has no plan to follow

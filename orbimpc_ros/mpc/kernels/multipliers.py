@@ -32,7 +32,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, vectorised
 from orbimpc_ros.mpc.kernels.linear import solve_spd
 from orbimpc_ros.mpc.kernels.penalty import ENOUGH, HALVINGS, STUCK, descends, stiffened
-from orbimpc_ros.mpc.kernels.terms import (
+from orbimpc_ros.mpc.kernels.penalty_terms import (
     multipliers,
     project,
     set_columns,
