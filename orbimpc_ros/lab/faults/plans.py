@@ -19,7 +19,7 @@ from orbimpc_ros.lab.faults.injection import AFTER, SLOW
 from orbimpc_ros.lab.faults.outcome import Outcome, Trial
 from orbimpc_ros.lab.faults.stimulus import Spoiled
 from orbimpc_ros.mpc.errors import OrbimpcError
-from orbimpc_ros.ros.reports import SAFE
+from orbimpc_ros.mpc.outcome import Fallback
 
 WALLED_IN = [-50.0, -50.0, 50.0, 50.0]  # everywhere is inside of this box
 ELSEWHERE = [10.0, 10.0, 11.0, 11.0]  # a box off the circle
@@ -63,7 +63,7 @@ def _infeasible(lab: Lab, long: bool) -> Iterator[Outcome]:
         again = stand.watch.moving_again(ladder, ladder + STEP)
         unsafe = stand.watch.broken(begin) + again
         reaction = onsets.reaction(stand.watch.first_safe(begin), begin)
-        told = any(tick.at >= begin and SAFE in tick.values['fallback']
+        told = any(tick.at >= begin and Fallback.SAFE_COMMAND in tick.values['fallback']
                    for tick in stand.watch.ticks)  # fmt: skip
         failure = '' if told else 'no reason on tick'
         set_live(stand, obstacles=ELSEWHERE)

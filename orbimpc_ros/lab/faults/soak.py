@@ -16,7 +16,7 @@ from orbimpc_ros.lab.faults.flood import Pause, pauses
 from orbimpc_ros.lab.faults.harness import Stand
 from orbimpc_ros.lab.faults.network import flooded
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.reports import SAFE
+from orbimpc_ros.mpc.outcome import Fallback
 from orbimpc_ros.tool.run.progress import Progress
 
 STEP = 0.05  # [s]
@@ -126,7 +126,11 @@ def _soak(stand: Stand, seconds: float) -> Soak:
 
 def _result(stand: Stand, begin: float, memory: Sequence[float], paused: Sequence[Pause]) -> Soak:
     ticks = [each for each in stand.watch.ticks if each.at >= begin]
-    stopped = tuple((each.at, each.message) for each in ticks if each.values['fallback'] == SAFE)
+    stopped = tuple(
+        (each.at, each.message)
+        for each in ticks
+        if each.values['fallback'] == Fallback.SAFE_COMMAND
+    )
     times = tuple(each.at for each in ticks)
     return Soak(tuple(memory), times, stand.watch.broken(begin), stopped, tuple(paused))
 

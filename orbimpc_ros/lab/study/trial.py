@@ -16,7 +16,7 @@ from orbimpc_ros.mpc.loop.controller import Tick
 from orbimpc_ros.mpc.loop.forecast import Forecast, forecast_named
 from orbimpc_ros.mpc.loop.observation import Sighting
 from orbimpc_ros.mpc.loop.odometry import Odometry
-from orbimpc_ros.mpc.plan import OPTIMAL
+from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.world.faults import View
 from orbimpc_ros.world.flight import Log, Pilot, Sensor, fly
@@ -76,7 +76,7 @@ def _quality(log: Log) -> Row:
     """Return what was proved of the plans, and what was lost when they became rotations."""
     plans = [tick.plan for tick in log.ticks if tick.plan is not None]
     return {
-        'certified': sum(tick.status == OPTIMAL for tick in log.ticks),
+        'certified': sum(tick.status == Status.OPTIMAL for tick in log.ticks),
         'fallbacks': sum(bool(tick.fallback) for tick in log.ticks),
         'projection_distance': max((float(p.projection_distance[1]) for p in plans), default=None),
         'projection_loss': max(_losses(log), default=None),

@@ -13,7 +13,8 @@ from orbimpc_ros.mpc.command import Command, command_of
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.loop.odometry import Odometry, odd_speed, state_of
 from orbimpc_ros.mpc.loop.safety import safe_command
-from orbimpc_ros.mpc.plan import FAILED, FEASIBLE, INFEASIBLE, OPTIMAL, Plan, shifted
+from orbimpc_ros.mpc.outcome import Fallback, Status
+from orbimpc_ros.mpc.plan import Plan, shifted
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.reach import pulled_in
 from orbimpc_ros.mpc.solve.solver import Solver
@@ -27,23 +28,23 @@ class Tick:
     """What one tick came to.
 
     Attributes:
-        status: ``optimal``, ``feasible``, ``infeasible`` or ``failed``: of the solve.
+        status: of the solve.
         reason: why, where it is not ``optimal``, and what was done about a goal too far away or a
             measured speed that the model does not know; else empty.
         state: the state that the plan starts from.
         plan: the checked plan behind the command; None if the command is the safe one.
         command: what to do next.
-        fallback: empty, ``shifted plan``, ``soft arrival`` or ``safe command``.
+        fallback: what the command follows, if not a new plan.
         problem: what the plan solves; None without a plan, as is the next.
         goals: g_1..g_N that it was made for, shape (N, n) [m].
     """
 
-    status: str
+    status: Status
     reason: str
     state: State
     plan: Plan | None
     command: Command
-    fallback: str = ''
+    fallback: Fallback = Fallback.NONE
     problem: Problem | None = None
     goals: Array | None = None
 
@@ -137,7 +138,7 @@ class Controller:
         """
         state = state_of(self.problem, odometry, self._thrust_fraction)
         if self.remaining == 0:
-            return self._finish(self._safe(state, FEASIBLE, 'the horizon has run out'))
+            return self._finish(self._safe(state, Status.FEASIBLE, 'the horizon has run out'))
         goals, told = pulled_in(self.problem, state, goals)
         asked = self._asked(state, goals, out_of_time)
         self._goals = goals
@@ -166,19 +167,23 @@ class Controller:
         """
         state = state_of(self.problem, odometry, self._thrust_fraction)
         if self._goals is None or self.remaining == 0:
-            return self._finish(self._safe(state, FAILED, reason))
+            return self._finish(self._safe(state, Status.FAILED, reason))
         self._goals = np.concatenate([self._goals[1:], self._goals[-1:]])[: self.remaining]
         asked = self._asked(state, self._goals)
-        return self._finish(self._fall_back(asked, FAILED, reason))
+        return self._finish(self._fall_back(asked, Status.FAILED, reason))
 
-    def _fall_back(self, asked: _Asked, status: str, reason: str) -> Tick:
+    def _fall_back(self, asked: _Asked, status: Status, reason: str) -> Tick:
         self._fallbacks += 1
         # The n-th tick after a plan was found is its step n: the last is N - 1.
         if self._fallbacks < min(FALLBACK_TICKS + 1, self._planned):
             guess = asked.guess or self._shifted(asked)
             if guess and not violations(asked.problem, asked.state, asked.goals, guess):
-                return self._following(asked, guess, status, reason, 'shifted plan')
-        if self._arriving and asked.problem.terminal == 'constraint' and status == INFEASIBLE:
+                return self._following(asked, guess, status, reason, Fallback.SHIFTED_PLAN)
+        if (
+            self._arriving
+            and asked.problem.terminal == 'constraint'
+            and status == Status.INFEASIBLE
+        ):
             return self._arrive_softly(asked, reason)
         return self._safe(asked.state, status, reason)
 
@@ -186,30 +191,35 @@ class Controller:
         eased = replace(asked, solver=self._solver(self.remaining, soft=True), guess=None)
         plan, _, _ = _solved(eased)
         if plan is None:
-            return self._safe(asked.state, INFEASIBLE, reason)
+            return self._safe(asked.state, Status.INFEASIBLE, reason)
         miss = float(np.linalg.norm(plan.positions[-1] - asked.goals[-1]))
         problem = asked.problem
         if miss > problem.step**problem.translation_order * problem.forward:
             told = f'{reason}; the nearest plan misses by {miss:.3g} m'
-            return self._safe(asked.state, INFEASIBLE, told)
+            return self._safe(asked.state, Status.INFEASIBLE, told)
         told = f'{reason}; the plan misses by {miss:.3g} m'
-        return self._following(eased, plan, INFEASIBLE, told, 'soft arrival')
+        return self._following(eased, plan, Status.INFEASIBLE, told, Fallback.SOFT_ARRIVAL)
 
     def _following(
-        self, asked: _Asked, plan: Plan, status: str, reason: str, fallback: str = ''
+        self,
+        asked: _Asked,
+        plan: Plan,
+        status: Status,
+        reason: str,
+        fallback: Fallback = Fallback.NONE,
     ) -> Tick:
         """Return the tick that follows a checked plan, if the command made of it is the plan's."""
         command = command_of(asked.problem, asked.state, plan)
         wrong = command_violations(asked.problem, plan, command)
         if wrong:
-            return self._safe(asked.state, FAILED, '; '.join(wrong))
+            return self._safe(asked.state, Status.FAILED, '; '.join(wrong))
         known = asked.problem, asked.goals
         return Tick(status, reason, asked.state, plan, command, fallback, *known)
 
-    def _safe(self, state: State, status: str, reason: str) -> Tick:
+    def _safe(self, state: State, status: Status, reason: str) -> Tick:
         last = self._thrust_fraction
         command = safe_command(self._safe_kind, self.problem, state.attitude, last)
-        return Tick(status, reason, state, None, command, 'safe command')
+        return Tick(status, reason, state, None, command, Fallback.SAFE_COMMAND)
 
     def _finish(self, tick: Tick) -> Tick:
         self._previous = tick.plan
@@ -238,15 +248,15 @@ class Controller:
         return self._solvers[horizon, soft]
 
 
-def _solved(asked: _Asked) -> tuple[Plan | None, str, str]:
+def _solved(asked: _Asked) -> tuple[Plan | None, Status, str]:
     """Return a checked plan, or None, with status and reason."""
     try:
         plan = asked.solver.solve(asked.state, asked.goals, asked.guess, asked.out_of_time)
     except Infeasible as error:
-        return None, INFEASIBLE, str(error)
+        return None, Status.INFEASIBLE, str(error)
     except SolverFailure as error:
-        return None, FAILED, str(error)
-    if plan.status == OPTIMAL:
-        return plan, OPTIMAL, ''
+        return None, Status.FAILED, str(error)
+    if plan.status == Status.OPTIMAL:
+        return plan, Status.OPTIMAL, ''
     unproved = f'not proved optimal: gap {plan.gap:.2g}'
     return plan, plan.status, '; '.join(filter(None, (unproved, plan.proof.reason)))

@@ -18,7 +18,7 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates, margin, matrix
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.annulus import SLICE
-from orbimpc_ros.mpc.kernels.multipliers import (
+from orbimpc_ros.mpc.kernels.augmented_lagrangian import (
     BEST,
     PAUSED,
     SETTLED,

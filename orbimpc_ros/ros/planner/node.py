@@ -15,6 +15,7 @@ from rclpy.qos import ReliabilityPolicy
 from std_srvs.srv import SetBool, Trigger
 
 from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.outcome import Fallback
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import NodeClock
 from orbimpc_ros.ros.messages import SECOND, Stamp
@@ -30,7 +31,7 @@ from orbimpc_ros.ros.planner.outlet import Outlet
 from orbimpc_ros.ros.planner.summary import doubts, summary
 from orbimpc_ros.ros.planner.ticker import Answer, Ticker, prepared
 from orbimpc_ros.ros.process import Guarded, qos, run
-from orbimpc_ros.ros.reports import AFRESH, SAFE, Report, prices
+from orbimpc_ros.ros.reports import AFRESH, Report, prices
 
 GOAL_PATIENCE = 0.1  # [s] to wait for the goal that belongs to an odometry message
 REPEAT = 0.1  # [s] until who asks again is answered again: not for messages that come twice
@@ -225,7 +226,7 @@ class Planner(Guarded):
         """Say on the console what is wrong with a tick, and that planning begins or goes on."""
         if report.reason:
             self._console.warn(': '.join(filter(None, (report.fallback, report.reason))))
-        if report.fallback == SAFE:
+        if report.fallback is Fallback.SAFE_COMMAND:
             self._planning = False
         elif not report.fallback and not self._planning:
             self._console.say('plans again' if self._begun else 'begins to plan')

@@ -12,7 +12,8 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.loop.controller import Tick
 from orbimpc_ros.mpc.loop.odometry import Odometry, state_of
-from orbimpc_ros.mpc.plan import FEASIBLE, UNPROVED, Plan, assemble
+from orbimpc_ros.mpc.outcome import Status
+from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble
 from orbimpc_ros.mpc.problem import Problem, State
 
 
@@ -45,7 +46,7 @@ class Baseline(ABC):
         state = state_of(self.problem, odometry, 0.0)
         plan = self.plan(state, goals)
         command = command_of(self.problem, state, plan)
-        return Tick(FEASIBLE, '', state, plan, command, problem=self.problem, goals=goals)
+        return Tick(Status.FEASIBLE, '', state, plan, command, problem=self.problem, goals=goals)
 
     def plan(self, state: State, goals: Array) -> Plan:
         """Return the plan from a state towards goals g_1..g_N, shape (N, 2) [m]."""
