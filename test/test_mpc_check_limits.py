@@ -16,12 +16,10 @@ from plans import (
 )
 from problems import floor
 
-from orbimpc_ros.mpc.check import TOLERANCE, floor_margin, turn_margin, violations
+from orbimpc_ros.mpc.check import TOLERANCE, turn_margin, violations
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Box, Problem, State
-from orbimpc_ros.mpc.problem import problem as problems
-from orbimpc_ros.mpc.solve.solver import Solver
 
 
 def stretched(problem, start, goals, scale):
@@ -186,12 +184,6 @@ def test_a_floor_is_under_the_thrust_axis_alone(shape):
     assert violations(problem, start, np.zeros((5, 3)), plan) == []
 
 
-def test_a_floor_that_the_check_does_not_know_is_no_floor_that_holds(monkeypatch):
-    monkeypatch.setattr('orbimpc_ros.mpc.problem.FLOOR_SHAPES', ('ellipse',))
-    with pytest.raises(NotImplementedError, match='ellipse'):
-        floor_margin(Problem(floor=floor('ellipse')), np.zeros((5, 2)))
-
-
 @pytest.mark.parametrize('rate', [0.0, 0.3])
 def test_every_step_has_its_margin(rate):
     start, _, plan = straight(Problem(), np.ones(5))
@@ -276,15 +268,3 @@ def test_short_plans_have_corners_where_they_have_two_points(steps):
     start, goals, plan = straight(problem, np.ones(steps))
     found = violations(problem, start, goals, plan)
     assert found == ([] if steps == 1 else ['obstacle violated by 0.1'])
-
-
-def test_a_floor_that_nothing_knows_is_neither_ignored_nor_taken_for_another(monkeypatch):
-    """A new shape needs its cells and its margin: without them there is no solver and no check."""
-    plan = solved(Problem())
-    monkeypatch.setattr(problems, 'FLOOR_SHAPES', ('none', 'diamond'))
-    problem = Problem(floor=floor('diamond', 0.5))
-    with pytest.raises(NotImplementedError, match='diamond'):
-        violations(problem, START, GOALS, plan)
-    for other in (problem, replace(problem, max_rate=0.5), replace(problem, dimension=3)):
-        with pytest.raises(NotImplementedError, match='diamond'):
-            Solver(other)

@@ -12,8 +12,8 @@ from orbimpc_ros.mpc.problem import (
     Problem,
     State,
     Weights,
-    largest_fraction,
 )
+from orbimpc_ros.mpc.problem.floor import largest_fraction
 from orbimpc_ros.mpc.solve.solver import Solver
 
 

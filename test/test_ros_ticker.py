@@ -13,7 +13,8 @@ from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.loop import controller as controllers
 from orbimpc_ros.mpc.loop.safety import CIRCLE_STEPS, safe_command
-from orbimpc_ros.mpc.problem import Floor, Problem, largest_fraction
+from orbimpc_ros.mpc.problem import Floor, Problem
+from orbimpc_ros.mpc.problem.floor import largest_fraction
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.arrival import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp

@@ -1,7 +1,8 @@
-"""Read-only arrays from untrusted values: one gate for shape, type and finiteness."""
+"""Arrays of frozen types: one gate for untrusted values, and equality by content."""
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -71,3 +72,20 @@ def whole(value: object, culprit: str, low: int, high: int) -> int:
     if not low <= value <= high:
         raise BadInput(culprit, value, f'an integer in [{low}, {high}]')
     return int(value)
+
+
+class ByContent:
+    """Equality and hash of a frozen dataclass with arrays, which have neither: by their numbers."""
+
+    def _content(self) -> tuple[object, ...]:
+        values = (getattr(self, each.name) for each in fields(self))  # type: ignore[arg-type]
+        # Adding zero makes -0.0 the 0.0 that it equals.
+        return tuple((v + 0.0).tobytes() if isinstance(v, np.ndarray) else v for v in values)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, ByContent) or type(self) is not type(other):
+            return NotImplemented
+        return self._content() == other._content()
+
+    def __hash__(self) -> int:
+        return hash((type(self), self._content()))

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.geometry.orbitopes import margin
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.problem import Problem, State
@@ -125,15 +124,7 @@ def _limit_violations(problem: Problem, state: State, plan: Plan) -> list[str]:
 
 def floor_margin(problem: Problem, headings: Array) -> Array:
     """Return by how much headings R_k e1, shape (N, n), clear the floor, shape (N,)."""
-    floor = problem.floor
-    if floor.shape == 'none':
-        return np.full(len(headings), np.inf)
-    if floor.shape == 'circle':
-        return np.linalg.norm(headings, axis=1) - floor.fraction
-    if floor.shape == 'polygon':
-        faces = normals(problem.dimension, floor.faces)
-        return (headings @ faces.T).max(axis=1) - floor.fraction
-    raise NotImplementedError(f'no check of a floor of shape {floor.shape}')
+    return problem.floor.margin(headings)
 
 
 def turn_margin(problem: Problem, state: State, rotations: Array) -> Array:
@@ -165,7 +156,7 @@ def obstacle_margin(problem: Problem, positions: Array) -> float:
     """
     least = np.inf
     for box in problem.obstacles:
-        outside = np.concatenate([box.minimum - positions, positions - box.maximum], axis=1)
+        outside = box.clearances(positions)
         least = min(least, outside[1:].max(axis=1).min())
         if problem.no_corner_cutting and len(positions) > 2:
             shared = np.minimum(outside[1:-1], outside[2:]).max(axis=1)

@@ -59,9 +59,9 @@ def flaw(problem: Problem, command: Command, *, stopping: bool = False) -> str:
         return 'the command is not finite'
     if not 0.0 <= fraction <= 1.0:
         return f'a speed fraction of {fraction:.6g} is not in [0, 1]'
-    floor = problem.floor
-    if floor.shape != 'none' and not stopping and fraction < floor.fraction:
-        return f'a speed fraction of {fraction:.6g} is below the floor of {floor.fraction:.6g}'
+    floor = problem.floor.clearance(problem.dimension)
+    if not stopping and fraction < floor:
+        return f'a speed fraction of {fraction:.6g} is below the floor of {floor:.6g}'
     largest = problem.max_rate or math.pi / problem.step
     if math.hypot(*rate) > largest * (1.0 + RATE_TOLERANCE):
         return f'a body rate of {math.hypot(*rate):.6g} rad/s is beyond {largest:.6g}'
@@ -96,7 +96,7 @@ def command_of(problem: Problem, state: State, plan: Plan, step: int = 0) -> Com
         plan: a checked plan.
         step: k, in 0..N-1.
     """
-    floor = 0.0 if problem.floor.shape == 'none' else problem.floor.fraction
+    floor = problem.floor.clearance(problem.dimension)
     # What rounding leaves a plan short of its floor, no vehicle is told.
     fraction = min(1.0, max(floor, float(plan.speed_fraction[step + 1])))
     first = step + problem.rotation_order - 1

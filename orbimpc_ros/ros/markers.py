@@ -8,7 +8,6 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.outline import outline
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.messages import Stamp, header, point, pose
@@ -82,7 +81,7 @@ def _boxes(stamp: Stamp, problem: Problem) -> list[Marker]:
 
 def _floor(stamp: Stamp, problem: Problem, center: Array, unit: float) -> list[Marker]:
     """Return what a step at less than the minimum speed would reach, around the vehicle."""
-    lines = outline(problem.dimension, problem.floor)
+    lines = problem.floor.outline(problem.dimension)
     if not lines:
         return []
     drawn = _marker(stamp, 'floor', 0, Marker.LINE_LIST, GREY, problem.step)

@@ -9,7 +9,8 @@ from typing import Any
 
 from orbimpc_ros.mpc.arrays import number, whole
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.problem import FLOOR_SHAPES, Floor, Problem, Weights
+from orbimpc_ros.mpc.problem import Floor, Problem, Weights
+from orbimpc_ros.mpc.problem.floor import SHAPES
 from orbimpc_ros.tool.io import document
 
 Number = int | float
@@ -87,7 +88,7 @@ SETTINGS: tuple[Setting, ...] = (
     Setting('weights.position', (1.0, 1.0), 'on squared distance at every step', '1/m^2', 0.0),
     Setting('weights.input', (0.05, 0.05), 'on squared inputs', 's^2', 1e-6),
     Setting('weights.terminal', (10.0, 10.0), 'on squared distance at the end', '1/m^2', 0.0),
-    Setting('floor.shape', 'circle', 'minimum speed', choices=FLOOR_SHAPES),
+    Setting('floor.shape', 'circle', 'minimum speed', choices=tuple(SHAPES)),
     Setting('floor.faces', (4, 4), 'of a polygonal floor', low=3, high=64),
     Setting('floor.fraction', (0.3**0.5, 0.3**0.5), 'least share of full speed', '', 1e-6, 1.0),
     Setting('max_rate', ALWAYS, 'limit of the turn rate; 0 for none', 'rad/s', 0.0),

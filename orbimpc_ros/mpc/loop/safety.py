@@ -9,7 +9,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command, stop
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.problem import Problem, largest_fraction
+from orbimpc_ros.mpc.problem import Problem
 
 SAFE_COMMANDS = ('auto', 'stop', 'hold_rate_zero', 'loiter')
 CIRCLE_STEPS = 16  # a loitering vehicle closes its circle in so many steps
@@ -23,7 +23,7 @@ def decided(kind: str, problem: Problem) -> str:
     """
     if kind != 'auto':
         return kind
-    floored = problem.floor.shape != 'none' and problem.translation_order == 1
+    floored = problem.floor.exists and problem.translation_order == 1
     return 'loiter' if floored else 'stop'
 
 
@@ -49,24 +49,10 @@ def safe_command(kind: str, problem: Problem, attitude: Array, fraction: float) 
         return stop(attitude)
     rate = np.zeros(1 if problem.dimension == 2 else 3)
     if kind == 'hold_rate_zero':
-        least = 0.0 if problem.floor.shape == 'none' else problem.floor.fraction
+        least = problem.floor.clearance(problem.dimension)
         kept = max(fraction, least) if problem.translation_order == 1 else 0.0
         return Command(kept, rate, np.array(attitude))
     circling = 2.0 * math.pi / (CIRCLE_STEPS * problem.step)
     rate[-1] = min(circling, problem.max_rate) if problem.max_rate > 0.0 else circling
-    return Command(_circling_fraction(problem), rate, attitude @ exp(problem.step * rate))
-
-
-def _circling_fraction(problem: Problem) -> float:
-    """Return the least share of full speed that keeps to the floor in every heading.
-
-    A polygon (or solid) demands that R e1 lies beyond one of its faces. Half-way between two of
-    them that takes fraction / cos(pi / m), the radius of its corners, and a circle leads through
-    every heading.
-    """
-    floor = problem.floor
-    if floor.shape == 'none':
-        return 1.0
-    if floor.shape == 'circle':
-        return floor.fraction
-    return min(1.0, floor.fraction / largest_fraction(problem.dimension, floor.faces))
+    fraction = problem.floor.circling(problem.dimension)
+    return Command(fraction, rate, attitude @ exp(problem.step * rate))

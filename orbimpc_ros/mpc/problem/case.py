@@ -10,12 +10,12 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array, frozen
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem.floor import SHAPES
 
 MODEL = ('dimension', 'rotation_order', 'translation_order', 'horizon', 'step', 'forward')
 EXTRAS = ('terminal', 'max_rate', 'no_corner_cutting')
 PARTS = ('weights', 'floor', 'obstacles')
 WEIGHTS = ('position', 'input', 'length', 'terminal')
-FLOOR_NEEDS = {'none': (), 'circle': ('fraction',), 'polygon': ('faces', 'fraction')}
 
 
 class Case(NamedTuple):
@@ -67,9 +67,9 @@ def _problem(known: Mapping[str, Any]) -> Problem:
 def _floor(value: Any) -> Floor:
     known = _fields(value, 'floor', ('shape',), ('faces', 'fraction'))
     shape = known['shape']
-    if not isinstance(shape, str) or shape not in FLOOR_NEEDS:
-        raise BadInput('floor.shape', shape, ' | '.join(FLOOR_NEEDS))
-    return Floor(**_fields(known, 'floor', ('shape', *FLOOR_NEEDS[shape]), tuple(known)))
+    if not isinstance(shape, str) or shape not in SHAPES:
+        raise BadInput('floor.shape', shape, ' | '.join(SHAPES))
+    return Floor(**_fields(known, 'floor', ('shape', *SHAPES[shape].parameters), tuple(known)))
 
 
 def _boxes(value: Any) -> tuple[Box, ...]:

@@ -34,7 +34,7 @@ def constraints_in_force(problem: Problem) -> list[str]:
     floor = problem.floor
     named = {
         'terminal: constraint': problem.terminal == 'constraint',
-        f'the {floor.shape} floor of {floor.fraction:.4g}': floor.shape != 'none',
+        f'the {floor.shape} floor of {floor.fraction:.4g}': floor.exists,
         f'max_rate {problem.max_rate:.4g}': problem.max_rate > 0.0,
         f'{len(problem.obstacles)} obstacles': bool(problem.obstacles),
     }

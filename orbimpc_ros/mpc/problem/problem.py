@@ -1,4 +1,4 @@
-r"""The planning problem: its weights, floor and obstacles, and the state it starts from.
+r"""The planning problem: its model, weights and limits.
 
 The problem (Huang, Horowitz, Burdick, *Convex Model Predictive Control for Vehicular Systems*):
 
@@ -15,18 +15,12 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike
-
-from orbimpc_ros.mpc.arrays import Array, frozen, number, whole
+from orbimpc_ros.mpc.arrays import number, whole
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.faces import normals
-from orbimpc_ros.mpc.geometry.orbitopes import MEMBERSHIP_TOLERANCE, margin
-from orbimpc_ros.mpc.geometry.rotations import nearest
+from orbimpc_ros.mpc.problem.floor import Floor
+from orbimpc_ros.mpc.problem.obstacle import Box
 
-FLOOR_SHAPES = ('none', 'polygon', 'circle')
 TERMINALS = ('penalty', 'constraint')
-SOLID_FACES = (6, 12, 20)  # cube, dodecahedron, icosahedron
 MAX_HORIZON = 500
 MAX_OBSTACLES = 64
 WIDEST_CONE = 1.4  # [rad] beyond it the cone of a turn is nearly a half-space, and ill-conditioned
@@ -51,77 +45,6 @@ class Weights:
     def __post_init__(self) -> None:
         for each in fields(self):
             number(getattr(self, each.name), f'weights.{each.name}', 0.0)
-
-
-@dataclass(frozen=True)
-class Floor:
-    """Minimum speed fraction: |R_k e1| >= fraction, k = 1..N.
-
-    Attributes:
-        shape: ``none``; ``polygon``, the paper's: R e1 beyond one of the faces of a regular
-            polygon or solid; ``circle``, the true floor.
-        faces: of the polygon, >= 3 (n = 2), or of the solid, 6, 12 or 20 (n = 3).
-        fraction: of full speed, in (0, 1]. The paper's det R > 0.3 is sqrt(0.3) for n = 2.
-    """
-
-    shape: str = 'none'
-    faces: int = 4
-    fraction: float = math.sqrt(0.3)
-
-    def __post_init__(self) -> None:
-        if self.shape not in FLOOR_SHAPES:
-            raise BadInput('floor.shape', self.shape, ' | '.join(FLOOR_SHAPES))
-        whole(self.faces, 'floor.faces', 3, 64)
-        number(self.fraction, 'floor.fraction', 0.0, 1.0, above=True)
-
-    def least(self, axis: Array) -> float:
-        """Return the least speed fraction along a unit vector, shape (n,); 0 without a floor."""
-        if self.shape == 'none':
-            return 0.0
-        if self.shape == 'circle':
-            return self.fraction
-        return self.fraction / float((normals(len(axis), self.faces) @ axis).max())
-
-
-class ByContent:
-    """Equality and hash of a frozen dataclass with arrays, which have neither: by their numbers."""
-
-    def _content(self) -> tuple[object, ...]:
-        values = (getattr(self, each.name) for each in fields(self))  # type: ignore[arg-type]
-        # Adding zero makes -0.0 the 0.0 that it equals.
-        return tuple((v + 0.0).tobytes() if isinstance(v, np.ndarray) else v for v in values)
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, ByContent) or type(self) is not type(other):
-            return NotImplemented
-        return self._content() == other._content()
-
-    def __hash__(self) -> int:
-        return hash((type(self), self._content()))
-
-
-@dataclass(frozen=True, eq=False)
-class Box(ByContent):
-    """An axis-aligned obstacle that every s_k, k = 1..N, stays outside of.
-
-    Attributes:
-        minimum: lower corner, shape (n,) [m].
-        maximum: upper corner, shape (n,) [m], above ``minimum`` in every axis.
-    """
-
-    minimum: Array
-    maximum: Array
-
-    def __post_init__(self) -> None:
-        shape = np.shape(self.minimum)
-        object.__setattr__(self, 'minimum', frozen(self.minimum, shape, 'obstacles.min'))
-        object.__setattr__(self, 'maximum', frozen(self.maximum, shape, 'obstacles.max'))
-        if not np.all(self.minimum < self.maximum):
-            raise BadInput('obstacles.max', self.maximum.tolist(), f'above {self.minimum.tolist()}')
-
-    def depth(self, points: Array) -> Array:
-        """Return how deep points, shape (..., n), are inside [m]; <= 0 outside."""
-        return np.minimum(points - self.minimum, self.maximum - points).min(axis=-1)
 
 
 @dataclass(frozen=True)
@@ -177,11 +100,11 @@ class Problem:
         # Beyond half a turn in a step the direction of turning is lost.
         number(self.max_rate, 'max_rate', 0.0, math.pi / self.step)
         number(self.arrival_weight, 'arrival_weight', 0.0)
-        self._check_floor()
+        self.floor.validate(self.dimension)
         if len(self.obstacles) > MAX_OBSTACLES:
             raise BadInput('obstacles', len(self.obstacles), f'at most {MAX_OBSTACLES} boxes')
         for box in self.obstacles:
-            if box.minimum.shape != (self.dimension,):
+            if box.dimension != self.dimension:
                 raise BadInput('obstacles.min', box.minimum.tolist(), f'{self.dimension} numbers')
 
     @property
@@ -196,7 +119,7 @@ class Problem:
         At rotation order 2 the body rate it starts with carries the vehicle through it, and what
         the limit could still do is to brake, which nothing with a floor may be asked to.
         """
-        return self.rotation_order == 2 and self.floor.shape != 'none'
+        return self.rotation_order == 2 and self.floor.exists
 
     @property
     def first_turn_is_an_angle(self) -> bool:
@@ -208,7 +131,7 @@ class Problem:
         """
         return (
             self.rotation_order == 1
-            and self.floor.shape != 'none'
+            and self.floor.exists
             and 0.0 < self.step * self.max_rate < WIDEST_CONE
         )
 
@@ -217,115 +140,8 @@ class Problem:
         """Return h z, at translation order 2 h^2 z: what a step moves a vehicle at most [m]."""
         return self.forward * self.step**self.translation_order
 
-    def _check_floor(self) -> None:
-        floor = self.floor
-        if floor.shape != 'polygon':
-            return
-        if self.dimension == 3 and floor.faces not in SOLID_FACES:
-            raise BadInput('floor.faces', floor.faces, '6, 12 or 20 when dimension is 3')
-        limit = largest_fraction(self.dimension, floor.faces)
-        if floor.fraction > limit:
-            where = 'floor.fraction'
-            raise BadInput(
-                where, floor.fraction, f'at most {limit:.6g} with floor.faces {floor.faces}'
-            )
-
 
 def _instance(value: Any, kind: type, culprit: str) -> Any:
     if not isinstance(value, kind):
         raise BadInput(culprit, f'a {type(value).__name__}', f'a {kind.__name__}')
     return value
-
-
-def largest_fraction(dimension: int, faces: int) -> float:
-    """Return the largest fraction whose polygon or solid still lies inside the unit ball.
-
-    The ratio of inscribed to circumscribed sphere: cos(pi/m) for a polygon of m faces. Above it
-    the faces leave gaps and the union of half-spaces no longer surrounds the forbidden region.
-    """
-    if dimension == 2:
-        return math.cos(math.pi / faces)
-    return 1.0 / math.sqrt(3.0) if faces == 6 else math.sqrt((5.0 + 2.0 * math.sqrt(5.0)) / 15.0)
-
-
-@dataclass(frozen=True, eq=False)
-class State(ByContent):
-    """Where the vehicle is when the plan starts.
-
-    Attributes:
-        position: s_0, shape (n,) [m].
-        rotation: R_0 in conv SO(n), shape (n, n): the attitude scaled by the speed fraction.
-        velocity: p_0, shape (n,) [m/s]; zero unless translation is of order 2.
-        rotation_rate: W_0, shape (n, n) [1/s]; zero unless rotation is of order 2.
-        attitude: Q_0, shape (n, n), the rotation R_0 was scaled from; by default the nearest one.
-        coasted: the rotation, shape (n, n), that the present body rate turns the attitude into
-            during the first step. With it (rotation order 2), R_1 = rho * coasted with the
-            thrust fraction rho in [0, 1] free, instead of R_1 = R_0 + h W_0, which would
-            leave the manifold.
-    """
-
-    position: Array
-    rotation: Array
-    velocity: Array
-    rotation_rate: Array
-    attitude: Array
-    coasted: Array | None = None
-
-    @classmethod
-    def at(
-        cls,
-        position: ArrayLike,
-        rotation: ArrayLike,
-        *,
-        velocity: ArrayLike | None = None,
-        rotation_rate: ArrayLike | None = None,
-        attitude: ArrayLike | None = None,
-        coasted: ArrayLike | None = None,
-    ) -> State:
-        """Return the state at a position and rotation, at rest where nothing else is said.
-
-        Raises:
-            BadInput: an array of the wrong shape, not finite, or outside its set.
-        """
-        n = np.size(position)
-        if n not in (2, 3):
-            raise BadInput('state.position', n, '2 or 3 numbers')
-        placed = frozen(rotation, (n, n), 'state.rotation')
-        return cls(
-            frozen(position, (n,), 'state.position'),
-            placed,
-            frozen(np.zeros(n) if velocity is None else velocity, (n,), 'state.velocity'),
-            frozen(
-                np.zeros((n, n)) if rotation_rate is None else rotation_rate,
-                (n, n),
-                'state.rotation_rate',
-            ),
-            _rotation(nearest(placed) if attitude is None else attitude, n, 'state.attitude'),
-            None if coasted is None else _rotation(coasted, n, 'state.coasted'),
-        )
-
-    def __post_init__(self) -> None:
-        _require_structure(self.rotation, 'state.rotation')
-        _require_structure(self.rotation_rate, 'state.rotation_rate')
-        if margin(self.rotation) < -MEMBERSHIP_TOLERANCE:
-            allowed = f'a matrix in conv SO({self.dimension})'
-            raise BadInput('state.rotation', self.rotation.tolist(), allowed)
-
-    @property
-    def dimension(self) -> int:
-        """Return n."""
-        return len(self.position)
-
-
-def _rotation(value: ArrayLike, n: int, culprit: str) -> Array:
-    matrix = frozen(value, (n, n), culprit)
-    if np.abs(matrix.T @ matrix - np.eye(n)).max() > 1e-9 or np.linalg.det(matrix) < 0.0:
-        raise BadInput(culprit, matrix.tolist(), f'a rotation in SO({n})')
-    return matrix
-
-
-def _require_structure(matrix: Array, culprit: str) -> None:
-    if len(matrix) == 2:
-        (a, b), (c, d) = matrix.tolist()
-        if abs(a - d) > 1e-6 or abs(b + c) > 1e-6:
-            raise BadInput(culprit, matrix.tolist(), '[[a, -b], [b, a]]')

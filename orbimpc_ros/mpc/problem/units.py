@@ -16,7 +16,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.model.condensed import Condensed
-from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Problem, State, Weights
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def _in_units(problem: Problem, length: float, time: float) -> Problem:
         weights=weights,
         arrival_weight=problem.arrival_weight * area,
         max_rate=min(math.pi, problem.max_rate * time),
-        obstacles=tuple(Box(b.minimum / length, b.maximum / length) for b in problem.obstacles),
+        obstacles=tuple(box.scaled(1.0 / length) for box in problem.obstacles),
     )
 
 

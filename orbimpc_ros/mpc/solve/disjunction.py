@@ -13,9 +13,8 @@ from typing import Literal
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.cells import Cell, round_cells
-from orbimpc_ros.mpc.geometry.faces import normals
-from orbimpc_ros.mpc.problem import Box, Problem
+from orbimpc_ros.mpc.geometry.cells import Cell
+from orbimpc_ros.mpc.problem import Problem
 
 
 @dataclass(frozen=True)
@@ -75,16 +74,9 @@ def disjunctions_of(problem: Problem) -> tuple[Disjunction, ...]:
 
 
 def _floor(problem: Problem) -> list[Disjunction]:
-    floor, radius = problem.floor, 0.0
-    if floor.shape == 'none':
-        return []
-    if floor.shape == 'polygon':
-        cells = _flat(normals(problem.dimension, floor.faces), floor.fraction)
-    elif floor.shape == 'circle':
-        cells, radius = round_cells(problem.dimension, floor.fraction), floor.fraction
-    else:
-        raise NotImplementedError(f'no cells of a floor of shape {floor.shape}')
-    return [Disjunction('heading', (k,), cells, radius) for k in range(1, problem.horizon + 1)]
+    cells, radius = problem.floor.cells(problem.dimension), problem.floor.radius
+    steps = range(1, problem.horizon + 1) if cells else ()
+    return [Disjunction('heading', (k,), cells, radius) for k in steps]
 
 
 def _obstacles(problem: Problem) -> list[Disjunction]:
@@ -94,16 +86,5 @@ def _obstacles(problem: Problem) -> list[Disjunction]:
         groups: list[tuple[int, ...]] = [(k, k + 1) for k in range(1, last)]
     else:
         groups = [(k,) for k in range(1, last + 1)]
-    sides = [_sides(box) for box in problem.obstacles]
+    sides = [box.cells() for box in problem.obstacles]
     return [Disjunction('position', steps, cells) for cells in sides for steps in groups]
-
-
-def _sides(box: Box) -> tuple[Cell, ...]:
-    axes = np.eye(len(box.minimum))
-    below = (Cell(-axis, -low) for axis, low in zip(axes, box.minimum, strict=True))
-    above = (Cell(axis, high) for axis, high in zip(axes, box.maximum, strict=True))
-    return (*below, *above)
-
-
-def _flat(directions: Array, offset: float) -> tuple[Cell, ...]:
-    return tuple(Cell(direction, offset) for direction in directions)

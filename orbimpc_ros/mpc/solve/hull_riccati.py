@@ -56,7 +56,7 @@ class Hull:
         return (
             COMPILED
             and orders == (2, 1, 1)
-            and problem.floor.shape == 'none'
+            and not problem.floor.exists
             and problem.terminal == 'penalty'
             and problem.weights.length == problem.max_rate == problem.arrival_weight == 0.0
             and problem.weights.input > 0.0

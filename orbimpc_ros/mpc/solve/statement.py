@@ -204,8 +204,9 @@ class Statement:
             return cost, []
         length = self._lengths = cp.Variable(problem.horizon - 1, name='|R e1|')
         epigraph: list[cp.Constraint] = [cp.SOC(length, self._headings[1:-1].T)]
-        if problem.floor.shape != 'none':
-            epigraph.append(length >= problem.floor.fraction)  # valid: the floor says the same
+        least = problem.floor.clearance(n)
+        if least > 0.0:
+            epigraph.append(length >= least)  # valid: the floor says the same
         return cost + w.length * problem.step * problem.forward * cp.sum(length), epigraph
 
     def _input_form(self) -> sparse.csc_matrix:

@@ -13,7 +13,6 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.loop.forecast import FORECASTS
 from orbimpc_ros.mpc.loop.safety import SAFE_COMMANDS, decided, may_stop
 from orbimpc_ros.mpc.problem import (
-    FLOOR_SHAPES,
     MAX_HORIZON,
     TERMINALS,
     Box,
@@ -21,6 +20,7 @@ from orbimpc_ros.mpc.problem import (
     Problem,
     Weights,
 )
+from orbimpc_ros.mpc.problem.floor import SHAPES
 from orbimpc_ros.ros.messages import Frames
 from orbimpc_ros.ros.parameters.parameter import FAR, SOON, TINY, Row, Values, vehicle_rows
 
@@ -42,7 +42,7 @@ PLANNER: tuple[Row, ...] = (
     Row('horizon_mode', 'receding', 'Whether the horizon moves on or shrinks to its end',
         choices=('receding', 'shrinking')),
     Row('floor.shape', 'none', 'Minimum speed: none, the faces of a polygon, or a circle',
-        choices=FLOOR_SHAPES, live=True),
+        choices=tuple(SHAPES), live=True),
     Row('floor.faces', 4, 'Faces of the polygon, or of the solid (6, 12, 20) in space',
         low=3, high=64, live=True),
     Row('floor.fraction', math.sqrt(0.3), 'Minimum share of full speed',

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from orbimpc_ros.mpc.problem import Floor, Problem
+from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.parameters.parameter import Row
 from orbimpc_ros.ros.parameters.planner import PLANNER, Ageing, PlannerSettings
 
@@ -50,7 +50,7 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
         asked = f'{math.radians(rate):.4g} rad/s if {rate:g} deg/s is meant'
         found.append(f'max_rate is {rate:g} rad/s, {math.degrees(rate):.4g} deg/s: {asked}')
     for name in ('floor.fraction', 'floor.faces'):
-        unused = shape == 'none' or (shape == 'circle' and name == 'floor.faces')
+        unused = name.removeprefix('floor.') not in settings.problem.floor.parameters
         if unused and given.get(name, DEFAULTS[name].default) != DEFAULTS[name].default:
             found.append(f'{name} is {given[name]:g} and floor.shape {shape}: it has no effect')
     return found
@@ -61,16 +61,12 @@ def _vehicle(problem: Problem, mass: float) -> list[str]:
     parts = [f'{problem.forward:g} {unit}']
     if problem.translation_order == 2:
         parts.append(f'{mass:g} kg')
-    if problem.floor.shape != 'none':
-        least = problem.floor.fraction * problem.forward
-        parts.append(f'at least {least:.4g} {unit} ({_shape(problem.floor)})')
+    if problem.floor.exists:
+        least = problem.floor.clearance(problem.dimension) * problem.forward
+        parts.append(f'at least {least:.4g} {unit} ({problem.floor})')
     if problem.max_rate:
         parts.append(f'at most {math.degrees(problem.max_rate):.4g} deg/s')
     return parts
-
-
-def _shape(floor: Floor) -> str:
-    return floor.shape if floor.shape == 'circle' else f'{floor.shape} of {floor.faces} faces'
 
 
 def _ageing(settings: PlannerSettings) -> str:
@@ -81,6 +77,6 @@ def _ageing(settings: PlannerSettings) -> str:
 
 
 def _safe_command(settings: PlannerSettings) -> str:
-    floored = settings.problem.floor.shape != 'none'
+    floored = settings.problem.floor.exists
     below = floored and settings.safe_command == 'stop' and settings.problem.translation_order == 1
     return f'{settings.safe_command}{" although that is below the floor" if below else ""}'

@@ -12,7 +12,7 @@ import rerun as rr
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.outline import outline, sphere
+from orbimpc_ros.mpc.geometry.outline import sphere
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.messages import (
     SECOND,
@@ -93,7 +93,7 @@ class Scene:
         self._done = 'caught' if values['finish'] == 'capture' else 'arrived'
         n, floor = self._problem.dimension, self._problem.floor
         self._to.log(f'{THRUST}/hull', _lines(sphere(n, 1.0), GREY, 0.008), static=True)
-        self._to.log(f'{THRUST}/floor', _lines(outline(n, floor), RED, 0.014), static=True)
+        self._to.log(f'{THRUST}/floor', _lines(floor.outline(n), RED, 0.014), static=True)
         self._to.log(f'{WORLD}/obstacles', _boxes(self._problem), static=True)
 
     def take(self, topic: str, message: Any) -> None:

@@ -9,7 +9,6 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.loop.controller import Tick
 from orbimpc_ros.mpc.loop.odometry import Odometry, state_of
 from orbimpc_ros.mpc.outcome import Status
@@ -74,12 +73,7 @@ class Baseline(ABC):
 
 def least_fraction(problem: Problem, directions: Array) -> Array:
     """Return the least speed fraction that a floor allows in directions, shape (N, 2), as (N,)."""
-    floor = problem.floor
-    if floor.shape == 'none':
-        return np.zeros(len(directions))
-    if floor.shape == 'circle':
-        return np.full(len(directions), floor.fraction)
-    return floor.fraction / (directions @ normals(2, floor.faces).T).max(axis=1)
+    return np.array([problem.floor.least(direction) for direction in directions])
 
 
 def within_speeds(problem: Problem, axes: Array) -> Array:

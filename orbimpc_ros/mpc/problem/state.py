@@ -1,0 +1,96 @@
+"""The state that a plan starts from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from orbimpc_ros.mpc.arrays import Array, ByContent, frozen
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.orbitopes import MEMBERSHIP_TOLERANCE, margin
+from orbimpc_ros.mpc.geometry.rotations import nearest
+
+
+@dataclass(frozen=True, eq=False)
+class State(ByContent):
+    """Where the vehicle is when the plan starts.
+
+    Attributes:
+        position: s_0, shape (n,) [m].
+        rotation: R_0 in conv SO(n), shape (n, n): the attitude scaled by the speed fraction.
+        velocity: p_0, shape (n,) [m/s]; zero unless translation is of order 2.
+        rotation_rate: W_0, shape (n, n) [1/s]; zero unless rotation is of order 2.
+        attitude: Q_0, shape (n, n), the rotation R_0 was scaled from; by default the nearest one.
+        coasted: the rotation, shape (n, n), that the present body rate turns the attitude into
+            during the first step. With it (rotation order 2), R_1 = rho * coasted with the
+            thrust fraction rho in [0, 1] free, instead of R_1 = R_0 + h W_0, which would
+            leave the manifold.
+    """
+
+    position: Array
+    rotation: Array
+    velocity: Array
+    rotation_rate: Array
+    attitude: Array
+    coasted: Array | None = None
+
+    @classmethod
+    def at(
+        cls,
+        position: ArrayLike,
+        rotation: ArrayLike,
+        *,
+        velocity: ArrayLike | None = None,
+        rotation_rate: ArrayLike | None = None,
+        attitude: ArrayLike | None = None,
+        coasted: ArrayLike | None = None,
+    ) -> State:
+        """Return the state at a position and rotation, at rest where nothing else is said.
+
+        Raises:
+            BadInput: an array of the wrong shape, not finite, or outside its set.
+        """
+        n = np.size(position)
+        if n not in (2, 3):
+            raise BadInput('state.position', n, '2 or 3 numbers')
+        placed = frozen(rotation, (n, n), 'state.rotation')
+        return cls(
+            frozen(position, (n,), 'state.position'),
+            placed,
+            frozen(np.zeros(n) if velocity is None else velocity, (n,), 'state.velocity'),
+            frozen(
+                np.zeros((n, n)) if rotation_rate is None else rotation_rate,
+                (n, n),
+                'state.rotation_rate',
+            ),
+            _rotation(nearest(placed) if attitude is None else attitude, n, 'state.attitude'),
+            None if coasted is None else _rotation(coasted, n, 'state.coasted'),
+        )
+
+    def __post_init__(self) -> None:
+        _require_structure(self.rotation, 'state.rotation')
+        _require_structure(self.rotation_rate, 'state.rotation_rate')
+        if margin(self.rotation) < -MEMBERSHIP_TOLERANCE:
+            allowed = f'a matrix in conv SO({self.dimension})'
+            raise BadInput('state.rotation', self.rotation.tolist(), allowed)
+
+    @property
+    def dimension(self) -> int:
+        """Return n."""
+        return len(self.position)
+
+
+def _rotation(value: ArrayLike, n: int, culprit: str) -> Array:
+    matrix = frozen(value, (n, n), culprit)
+    if np.abs(matrix.T @ matrix - np.eye(n)).max() > 1e-9 or np.linalg.det(matrix) < 0.0:
+        raise BadInput(culprit, matrix.tolist(), f'a rotation in SO({n})')
+    return matrix
+
+
+def _require_structure(matrix: Array, culprit: str) -> None:
+    if len(matrix) == 2:
+        (a, b), (c, d) = matrix.tolist()
+        if abs(a - d) > 1e-6 or abs(b + c) > 1e-6:
+            raise BadInput(culprit, matrix.tolist(), '[[a, -b], [b, a]]')
