@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import toy_floor
+import toy_floor  # noqa: F401  registers itself
 from plans import assembled
 from scipy.optimize import minimize
+from toy_model import DRAG, KEPT
 
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import Command, flaw
@@ -104,4 +105,82 @@ def test_plans_made_by_hand_are_judged_by_the_new_floor_alone():
     assert found == ['floor violated by 0.038']
 
 
-assert toy_floor  # imported to be registered
+def flown(problem, start, headings):
+    """Return positions and velocities, step by step as the toy's docstring says."""
+    places, velocities = [start.position], [start.velocity]
+    for heading in headings[:-1]:
+        places.append(places[-1] + problem.step * velocities[-1])
+        pushed = problem.step * problem.forward * heading
+        velocities.append(KEPT * velocities[-1] + pushed)
+    return np.array(places), np.array(velocities)
+
+
+@pytest.mark.parametrize('dimension', [2, 3])
+@pytest.mark.parametrize('rotation_order', [1, 2])
+@pytest.mark.parametrize('speed', [0.05, 1.0, 300.0])
+def test_a_new_model_is_planned_with_checked_and_proved(dimension, rotation_order, speed):
+    model = (dimension, rotation_order, DRAG)
+    problem = Problem(*model, horizon=8, step=0.2, forward=speed, terminal='constraint')
+    moving = 0.2 * speed * np.eye(dimension)[-1]
+    turned = np.eye(dimension)
+    start = State.at(np.ones(dimension), 0.5 * turned, velocity=moving, coasted=turned)
+    reached = np.ones(dimension) + 0.06 * speed
+    goals = np.tile(reached, (8, 1))
+    plan = Solver(problem, coasting=True).solve(start, goals)
+    assert plan.status == 'optimal'
+    places, velocities = flown(problem, start, plan.rotations[:, :, 0])
+    np.testing.assert_allclose(plan.positions, places, rtol=0.0, atol=1e-9 * speed)
+    np.testing.assert_allclose(plan.velocities, velocities, rtol=0.0, atol=1e-9 * speed)
+    np.testing.assert_allclose(places[-1], reached, rtol=0.0, atol=1e-7 * speed)
+    np.testing.assert_allclose(velocities[-1], 0.0, atol=1e-6 * speed)
+
+
+def test_the_optimum_of_a_new_model_is_that_of_an_independent_solver():
+    problem = Problem(2, 1, DRAG, horizon=5, floor=Floor('circle', fraction=0.4))
+    start = State.at(np.zeros(2), 0.6 * np.eye(2), velocity=np.array([0.0, 0.3]))
+    plan = Solver(problem, gap_tolerance=1e-8).solve(start, BEHIND)
+    assert plan.status == 'optimal'
+
+    def cost(x):
+        headings = np.concatenate([[[0.6, 0.0]], x.reshape(5, 2)])
+        missed = ((flown(problem, start, headings)[0][1:] - BEHIND) ** 2).sum(axis=1)
+        turned = 2.0 * (np.diff(headings, axis=0) ** 2).sum()
+        return missed.sum() + 10.0 * missed[-1] + 0.05 * turned
+
+    def sizes(x):
+        return (x.reshape(5, 2) ** 2).sum(axis=1)
+
+    limits = [
+        {'type': 'ineq', 'fun': lambda x: 1.0 - sizes(x)},
+        {'type': 'ineq', 'fun': lambda x: sizes(x) - 0.16},
+    ]
+    ends = []
+    for angle in np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False):
+        begin = np.tile(0.7 * np.array([np.cos(angle), np.sin(angle)]), 5)
+        end = minimize(cost, begin, constraints=limits, method='SLSQP', tol=1e-12)
+        if min(each['fun'](end.x).min() for each in limits) > -1e-9:
+            ends.append(end.fun)
+    assert plan.objective == pytest.approx(min(ends), rel=1e-6)
+
+
+def test_a_plan_for_another_model_does_not_pass_the_check():
+    start = State.at(np.zeros(2), np.eye(2), velocity=np.array([1.0, 0.0]))
+    plan = Solver(Problem(2, 1, 2)).solve(start, BEHIND)
+    found = violations(Problem(2, 1, DRAG), start, BEHIND, plan)
+    assert [each.partition(' ')[0] for each in found] == ['positions', 'velocities']
+
+
+def test_prices_are_those_of_the_new_model():
+    """The price of the hull is what the optimum of a weaker engine costs more, per unit."""
+    start = State.at(np.zeros(2), np.eye(2), velocity=np.array([0.1, 0.0]))
+    problem = Problem(2, 1, DRAG, terminal='constraint')
+    goals = np.tile([1.5, 0.4], (5, 1))
+    plan = Solver(problem, gap_tolerance=1e-9).solve(start, goals)
+    prices = {str(b): b.price for b in explained(problem, start, goals, plan).binding}
+    dearer = Solver(problem, gap_tolerance=1e-9)
+    costs = []
+    for last in (goals[-1] + [1e-4, 0.0], goals[-1] - [1e-4, 0.0]):
+        places = goals.copy()
+        places[-1] = last
+        costs.append(dearer.solve(start, places).objective)
+    assert prices['terminal x@5'] == pytest.approx(abs(costs[0] - costs[1]) / 2e-4, rel=1e-2)

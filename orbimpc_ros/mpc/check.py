@@ -16,6 +16,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.orbitopes import margin
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
+from orbimpc_ros.mpc.model.translation import TRANSLATIONS
 from orbimpc_ros.mpc.problem import Problem, State
 
 if TYPE_CHECKING:
@@ -86,20 +87,29 @@ def _coasting_violations(problem: Problem, coasted: Array, plan: Plan) -> list[s
 def _rollout(
     problem: Problem, state: State, first_rate: Array, inputs: Array
 ) -> tuple[Array, Array, Array]:
-    """Return rotations, positions and velocities of the paper's explicit Euler steps."""
+    """Return rotations by explicit Euler steps, and the positions and velocities they lead to."""
     h, changes = problem.step, problem.step * inputs
     if problem.rotation_order == 2:
         changes = h * _summed(first_rate, changes[:-1])
     rotations = _summed(state.rotation, changes)
-    pushed = problem.forward * rotations[:, :, 0]
-    velocities = pushed
-    if problem.translation_order == 2:
-        velocities = _summed(state.velocity, h * pushed[:-1])
-    return rotations, _summed(state.position, h * velocities[:-1]), velocities
+    thrusts = rotations[:, :, 0]
+    model = TRANSLATIONS[problem.translation_order]
+    a, b = model.transition(h), model.push(h, problem.forward)
+    if not problem.inertial:
+        return rotations, _summed(state.position, b[0] * thrusts[:-1]), problem.forward * thrusts
+    velocities = _summed(state.velocity, b[1] * thrusts[:-1], a[1, 1])
+    moved = a[0, 1] * velocities[:-1] + b[0] * thrusts[:-1]
+    return rotations, _summed(state.position, moved), velocities
 
 
-def _summed(first: Array, changes: Array) -> Array:
-    return np.add.accumulate(np.concatenate([first[None], changes]))
+def _summed(first: Array, changes: Array, kept: float = 1.0) -> Array:
+    """Return y_0 = first, y_{k+1} = kept y_k + changes_k; one entry more than changes."""
+    if kept == 1.0:
+        return np.add.accumulate(np.concatenate([first[None], changes]))
+    values = [first]
+    for change in changes:
+        values.append(kept * values[-1] + change)
+    return np.array(values)
 
 
 def _length_tolerance(problem: Problem, state: State) -> float:
@@ -168,7 +178,7 @@ def _terminal_violations(problem: Problem, goals: Array, plan: Plan) -> list[str
     if problem.terminal != 'constraint':
         return []
     miss = float(np.abs(plan.positions[-1] - goals[-1]).max())
-    if problem.translation_order == 2:
+    if problem.inertial:
         miss = max(miss, problem.step * float(np.abs(plan.velocities[-1]).max()))
     allowed = TOLERANCE * problem.length_unit + ROUNDING * float(np.abs(goals[-1]).max())
     return [f'terminal constraint missed by {miss:.2g}'] if miss > allowed else []
@@ -197,7 +207,7 @@ def _objective(problem: Problem, goals: Array, plan: Plan) -> float:
     cost += (w.terminal + problem.arrival_weight) * misses[-1]
     flown = np.linalg.norm(plan.rotations[:-1, :, 0], axis=1).sum()
     cost += w.length * h * problem.forward * flown
-    if problem.translation_order == 2:
+    if problem.inertial:
         cost += problem.arrival_weight * h * h * np.sum(plan.velocities[-1] ** 2)
     return float(cost)
 

@@ -194,7 +194,7 @@ class Controller:
             return self._safe(asked.state, Status.INFEASIBLE, reason)
         miss = float(np.linalg.norm(plan.positions[-1] - asked.goals[-1]))
         problem = asked.problem
-        if miss > problem.step**problem.translation_order * problem.forward:
+        if miss > problem.length_unit:
             told = f'{reason}; the nearest plan misses by {miss:.3g} m'
             return self._safe(asked.state, Status.INFEASIBLE, told)
         told = f'{reason}; the plan misses by {miss:.3g} m'

@@ -88,7 +88,7 @@ def advanced(problem: Problem, odometry: Odometry, legs: Sequence[Leg]) -> Odome
         if problem.rotation_order == 1 and leg.command is not None:
             turning = leg.command.body_rate
         time, angle = leg.duration, leg.duration * turning
-        if problem.translation_order == 1:
+        if not problem.inertial:
             position = position + time * (attitude @ _turned(angle, body_velocity)[0])
         else:
             push = _forward(problem, 0.0 if leg.before is None else leg.before.speed_fraction)
@@ -96,7 +96,7 @@ def advanced(problem: Problem, odometry: Odometry, legs: Sequence[Leg]) -> Odome
             position = position + time * velocity + time * time * (attitude @ twice)
             velocity = velocity + time * (attitude @ once)
         attitude = attitude @ exp(angle)
-    if problem.translation_order == 2:
+    if problem.inertial:
         body_velocity = attitude.T @ velocity
     later = odometry.time + sum(leg.duration for leg in legs)
     return Odometry(later, position, attitude, np.array(body_velocity), np.array(rate))

@@ -45,7 +45,7 @@ def state_of(problem: Problem, odometry: Odometry, thrust_fraction: float) -> St
         thrust_fraction: the share of thrust now applied, in [0, 1]; at translation order 2 odometry
             does not show it. At order 1 sigma_0 is the measured share of full speed.
     """
-    if problem.translation_order == 1:
+    if not problem.inertial:
         fraction = float(np.clip(odometry.body_velocity[0] / problem.forward, 0.0, 1.0))
         velocity = None
     else:
@@ -69,7 +69,7 @@ def odd_speed(problem: Problem, odometry: Odometry) -> str:
     Such a speed counts as the nearest that it does: none, or full speed.
     """
     speed, full = float(odometry.body_velocity[0]), problem.forward
-    if problem.translation_order == 2 or -NOISE * full <= speed <= (1.0 + NOISE) * full:
+    if problem.inertial or -NOISE * full <= speed <= (1.0 + NOISE) * full:
         return ''
     taken = full if speed > 0.0 else 0.0
     return f'measured a forward speed of {speed:.3g} m/s, taken as {taken:g} m/s'

@@ -23,13 +23,13 @@ def decided(kind: str, problem: Problem) -> str:
     """
     if kind != 'auto':
         return kind
-    floored = problem.floor.exists and problem.translation_order == 1
+    floored = problem.floor.exists and not problem.inertial
     return 'loiter' if floored else 'stop'
 
 
 def may_stop(kind: str, problem: Problem) -> bool:
     """Return whether the safe command may be below the floor: as it was asked for, or coasts."""
-    return decided(kind, problem) == 'stop' or problem.translation_order == 2
+    return decided(kind, problem) == 'stop' or problem.inertial
 
 
 def safe_command(kind: str, problem: Problem, attitude: Array, fraction: float) -> Command:
@@ -50,7 +50,7 @@ def safe_command(kind: str, problem: Problem, attitude: Array, fraction: float) 
     rate = np.zeros(1 if problem.dimension == 2 else 3)
     if kind == 'hold_rate_zero':
         least = problem.floor.clearance(problem.dimension)
-        kept = max(fraction, least) if problem.translation_order == 1 else 0.0
+        kept = max(fraction, least) if not problem.inertial else 0.0
         return Command(kept, rate, np.array(attitude))
     circling = 2.0 * math.pi / (CIRCLE_STEPS * problem.step)
     rate[-1] = min(circling, problem.max_rate) if problem.max_rate > 0.0 else circling

@@ -53,9 +53,10 @@ class Condensed:
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
-        reach, turn = dynamics.position_map(problem), dynamics.input_map(problem)
+        maps, turn = dynamics.maps(problem), dynamics.input_map(problem)
+        reach = maps.reach
         weights, turning = position_weights(problem), input_weight(problem)
-        miss = np.hstack([reach[:, :1], dynamics.drift_map(problem), -np.eye(problem.horizon)])
+        miss = np.hstack([reach[:, :1], maps.drift, -np.eye(problem.horizon)])
         pull = 2.0 * reach[:, 1:].T * weights
         self.turning: Array = 2.0 * turning * turn[:, 1:].T @ turn[:, 1:]
         self.turned: Array = 2.0 * turning * turn[:, 1:].T @ turn[:, :1]

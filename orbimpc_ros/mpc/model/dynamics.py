@@ -1,7 +1,7 @@
-"""The discrete dynamics (explicit Euler, old values on the right), as rollouts and as maps.
+"""The discrete dynamics, as rollouts and as maps over the thrust axes R_0 e1..R_N e1.
 
-R_{k+1} = R_k + h u_k, or W_{k+1} = W_k + h u_k and R_{k+1} = R_k + h W_k;
-s_{k+1} = s_k + h z R_k e1, or p_{k+1} = p_k + h z R_k e1 and s_{k+1} = s_k + h p_k.
+Rotations: R_{k+1} = R_k + h u_k, or W_{k+1} = W_k + h u_k and R_{k+1} = R_k + h W_k (explicit
+Euler, old values on the right). Translations: see :mod:`orbimpc_ros.mpc.model.translation`.
 """
 
 from __future__ import annotations
@@ -9,7 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.model.translation import Maps, maps_of
 from orbimpc_ros.mpc.problem import Problem, State
+
+
+def maps(problem: Problem) -> Maps:
+    """Return the maps of a problem's translation over its horizon."""
+    return maps_of(problem.translation_order, problem.horizon, problem.step, problem.forward)
 
 
 def inputs_of(problem: Problem, state: State, rotations: Array) -> Array:
@@ -49,17 +55,21 @@ def translation_rollout(problem: Problem, state: State, headings: Array) -> tupl
     """Return s_0..s_N and the velocities p_0..p_N, each of shape (N + 1, n).
 
     Args:
-        problem: gives the order, the step and the forward magnitude.
-        state: gives s_0 and, at translation order 2, p_0.
+        problem: gives the model, the step and the forward magnitude.
+        state: gives s_0 and, of an inertial model, p_0.
         headings: R_k e1, k = 0..N, shape (N + 1, n).
 
-    At translation order 1 the velocity is z R_k e1, a function of the rotation alone.
+    Without inertia the velocity is z R_k e1, a function of the rotation alone.
     """
-    pushed = problem.forward * headings
-    if problem.translation_order == 1:
-        return _accumulated(state.position, problem.step * pushed[:-1]), pushed
-    velocities = _accumulated(state.velocity, problem.step * pushed[:-1])
-    return _accumulated(state.position, problem.step * velocities[:-1]), velocities
+    flown = maps(problem)
+    positions, velocities = np.empty(headings.shape), np.empty(headings.shape)
+    positions[0], velocities[0] = state.position, state.velocity
+    positions[1:] = drift(problem, state) + flown.reach @ headings
+    if problem.inertial:
+        velocities[1:] = flown.carried * state.velocity + flown.pushed @ headings
+    else:
+        velocities[:] = problem.forward * headings
+    return positions, velocities
 
 
 def _accumulated(first: Array, changes: Array) -> Array:
@@ -67,35 +77,9 @@ def _accumulated(first: Array, changes: Array) -> Array:
     return np.add.accumulate(np.concatenate([first[None], changes]))
 
 
-def position_map(problem: Problem) -> Array:
-    """Return T, shape (N, N + 1), with s_k = (drift of s_0, p_0) + sum_j T[k-1, j] R_j e1."""
-    n_steps, h = problem.horizon, problem.step
-    lag = np.arange(1, n_steps + 1)[:, None] - np.arange(n_steps + 1)[None, :]
-    if problem.translation_order == 1:
-        return h * problem.forward * (lag >= 1)
-    return np.asarray(h * h * problem.forward * np.maximum(lag - 1, 0), dtype=float)
-
-
-def arrival_map(problem: Problem) -> Array:
-    """Return the rows over R_0 e1..R_N e1 that say what they add to s_N and, at order 2, to p_N."""
-    place = position_map(problem)[-1:]
-    if problem.translation_order == 1:
-        return place
-    pushed = np.full((1, problem.horizon + 1), problem.step * problem.forward)
-    pushed[0, -1] = 0.0  # R_N pushes nothing any more
-    return np.concatenate([place, pushed])
-
-
 def drift(problem: Problem, state: State) -> Array:
     """Return the positions s_1..s_N, shape (N, n), of a vehicle that coasts without thrust."""
-    return state.position + drift_map(problem) * state.velocity
-
-
-def drift_map(problem: Problem) -> Array:
-    """Return what p_0 adds to s_1..s_N, shape (N, 1)."""
-    if problem.translation_order == 1:
-        return np.zeros((problem.horizon, 1))
-    return problem.step * np.arange(1.0, problem.horizon + 1.0)[:, None]
+    return state.position + maps(problem).drift * state.velocity
 
 
 def input_map(problem: Problem) -> Array:

@@ -48,7 +48,7 @@ def trajectory_of(problem: Problem, state: State, goals: Array, x: Array) -> Tra
 
 def last_velocity_cost(problem: Problem, velocities: Array) -> float:
     """Return what the arrival weight makes of p_N, given p_0..p_N, shape (N + 1, n)."""
-    if problem.translation_order == 1:
+    if not problem.inertial:
         return 0.0
     last = problem.step * velocities[-1]
     return problem.arrival_weight * float(last @ last)

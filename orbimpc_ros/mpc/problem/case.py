@@ -84,7 +84,7 @@ def _boxes(value: Any) -> tuple[Box, ...]:
 
 def _state(problem: Problem, value: Any) -> State:
     optional = [
-        *(['velocity'] if problem.translation_order == 2 else []),
+        *(['velocity'] if problem.inertial else []),
         *(['rotation_rate'] if problem.rotation_order == 2 else []),
     ]
     known = _fields(value, 'state', ('position', 'rotation'), optional)

@@ -45,7 +45,7 @@ def _out_of_reach(problem: Problem, state: State, goals: Array) -> Iterator[str]
     """At full thrust all the way, no point is farther from the coasting one than this."""
     if problem.terminal != 'constraint':
         return
-    reach = dynamics.position_map(problem)[-1]
+    reach = dynamics.maps(problem).reach[-1]
     coasted = dynamics.drift(problem, state)[-1] + reach[0] * state.rotation[:, 0]
     beyond = float(np.linalg.norm(goals[-1] - coasted) - reach[1:].sum())
     if beyond > 0.0:
@@ -56,10 +56,11 @@ def _out_of_reach(problem: Problem, state: State, goals: Array) -> Iterator[str]
 
 
 def _boxed_in(problem: Problem, state: State) -> Iterator[str]:
-    """The state alone decides s_1, and s_2 too where translation is of order 2."""
-    decided = dynamics.drift(problem, state)
-    decided = decided + np.outer(dynamics.position_map(problem)[:, 0], state.rotation[:, 0])
+    """The state alone decides s_1, and s_2 too of an inertial vehicle."""
+    reach = dynamics.maps(problem).reach
+    decided = dynamics.drift(problem, state) + np.outer(reach[:, 0], state.rotation[:, 0])
+    known = int((reach[:, 1:] == 0.0).all(axis=1).sum())
     for i, box in enumerate(problem.obstacles):
-        inside = np.flatnonzero(box.depth(decided[: problem.translation_order]) > 0.0)
+        inside = np.flatnonzero(box.depth(decided[:known]) > 0.0)
         if inside.size:
             yield f'obstacle {i} holds s_{inside[0] + 1}, which the state already decides'

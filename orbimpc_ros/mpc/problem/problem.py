@@ -17,6 +17,7 @@ from typing import Any
 
 from orbimpc_ros.mpc.arrays import number, whole
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.model.translation import TRANSLATIONS, maps_of
 from orbimpc_ros.mpc.problem.floor import Floor
 from orbimpc_ros.mpc.problem.obstacle import Box
 
@@ -54,7 +55,8 @@ class Problem:
     Attributes:
         dimension: n, 2 or 3.
         rotation_order: 1, inputs are rates of R; 2, inputs are accelerations of R.
-        translation_order: 1, R e1 is a velocity; 2, an acceleration.
+        translation_order: 1, R e1 is a velocity; 2, an acceleration; or the number of another
+            registered :class:`~orbimpc_ros.mpc.model.translation.Translation`.
         horizon: N, steps.
         step: h [s].
         forward: z, full speed [m/s] (translation order 1) or thrust acceleration [m/s^2] (2).
@@ -91,7 +93,7 @@ class Problem:
             _instance(box, Box, 'obstacles')
         whole(self.dimension, 'dimension', 2, 3)
         whole(self.rotation_order, 'rotation_order', 1, 2)
-        whole(self.translation_order, 'translation_order', 1, 2)
+        whole(self.translation_order, 'translation_order', 1, max(TRANSLATIONS))
         whole(self.horizon, 'horizon', 1, MAX_HORIZON)
         number(self.step, 'step', 0.0, 1e3, above=True)
         number(self.forward, 'forward', 0.0, 1e3, above=True)
@@ -137,8 +139,13 @@ class Problem:
 
     @property
     def length_unit(self) -> float:
-        """Return h z, at translation order 2 h^2 z: what a step moves a vehicle at most [m]."""
-        return self.forward * self.step**self.translation_order
+        """Return what a step moves a vehicle at most, from rest: h z, or with inertia h^2 z [m]."""
+        return maps_of(self.translation_order, self.horizon, self.step, self.forward).unit
+
+    @property
+    def inertial(self) -> bool:
+        """Return whether R e1 is a thrust that changes the velocity, instead of the velocity."""
+        return TRANSLATIONS[self.translation_order].inertial
 
 
 def _instance(value: Any, kind: type, culprit: str) -> Any:

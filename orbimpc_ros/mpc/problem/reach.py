@@ -15,7 +15,7 @@ BEYOND = 100.0  # times the reach: goals farther away are pulled in to there
 def reach(problem: Problem, state: State) -> float:
     """Return a distance that no point within the horizon exceeds [m]."""
     time = problem.horizon * problem.step
-    if problem.translation_order == 1:
+    if not problem.inertial:
         return problem.forward * time
     return math.sqrt(state.velocity @ state.velocity) * time + 0.5 * problem.forward * time**2
 

@@ -23,7 +23,7 @@ from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.condensed import input_weight, position_weights
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.sensitivity.slacks import ACTIVE, Slack, on_headings, slacks_of, velocity_map
+from orbimpc_ros.mpc.sensitivity.slacks import ACTIVE, Slack, on_headings, slacks_of
 
 ROUNDING = 1e-6  # share of the cost's gradient that counts as nothing
 TINY = 1e-12
@@ -134,7 +134,7 @@ def _kinks(problem: Problem, plan: Plan) -> np.ndarray:
 
 def _cost_gradients(problem: Problem, goals: Array, plan: Plan) -> list[Array]:
     """Return the gradient of each term of the cost, shape (N, d): position, input, length."""
-    reach, turn = dynamics.position_map(problem)[:, 1:], dynamics.input_map(problem)[:, 1:]
+    reach, turn = dynamics.maps(problem).reach[:, 1:], dynamics.input_map(problem)[:, 1:]
     missed = position_weights(problem)[:, None] * (plan.positions[1:] - goals)
     turned = coordinates(plan.inputs[: len(turn)])
     terms = [
@@ -143,9 +143,9 @@ def _cost_gradients(problem: Problem, goals: Array, plan: Plan) -> list[Array]:
     ]
     if problem.weights.length > 0.0:
         terms.append(_length_gradient(problem, plan))
-    if problem.translation_order == 2 and problem.arrival_weight > 0.0:
+    if problem.inertial and problem.arrival_weight > 0.0:
         last = 2.0 * problem.arrival_weight * problem.step**2 * plan.velocities[-1]
-        terms.append(on_headings(plan, np.outer(velocity_map(problem), last)))
+        terms.append(on_headings(plan, np.outer(dynamics.maps(problem).pushed[-1, 1:], last)))
     return terms
 
 

@@ -110,7 +110,7 @@ def _rates(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
 
 def _chosen(problem: Problem, plan: Plan) -> Iterator[Slack]:
     """The half-spaces that a floor or an obstacle is kept by."""
-    reach = dynamics.position_map(problem)[:, 1:]
+    reach = dynamics.maps(problem).reach[:, 1:]
     choices = disjunctions_of(problem)
     boxes = [choice for choice in choices if choice.on == 'position']
     for choice in choices:
@@ -141,9 +141,10 @@ def _arrival(problem: Problem, plan: Plan) -> Iterator[Slack]:
     """s_N - g_N and p_N, axis by axis."""
     if problem.terminal != 'constraint':
         return
-    maps = {'terminal': dynamics.position_map(problem)[-1, 1:]}
-    if problem.translation_order == 2:
-        maps['terminal velocity'] = velocity_map(problem)
+    flown = dynamics.maps(problem)
+    maps = {'terminal': flown.reach[-1, 1:]}
+    if problem.inertial:
+        maps['terminal velocity'] = flown.pushed[-1, 1:]
     for name, moved in maps.items():
         for axis, unit in zip(AXES, np.eye(problem.dimension), strict=False):
             gradient = on_headings(plan, np.outer(moved, unit))
@@ -162,13 +163,6 @@ def _at(plan: Plan, k: int, gradient: Array) -> Array:
     full = np.zeros_like(coordinates(plan.rotations[1:]))
     full[k - 1, : len(gradient)] = gradient
     return full
-
-
-def velocity_map(problem: Problem) -> Array:
-    """Return how far p_N moves with R_1 e1..R_N e1 at translation order 2, shape (N,) [m/s]."""
-    pushed = np.full(problem.horizon, problem.step * problem.forward)
-    pushed[-1] = 0.0
-    return pushed
 
 
 def on_headings(plan: Plan, gradient: Array) -> Array:

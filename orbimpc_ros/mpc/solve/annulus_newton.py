@@ -97,7 +97,7 @@ class Circle:
         length, arrival = np.full(problem.horizon, spent), np.zeros(problem.horizon)
         length[-1] = 0.0
         if self._arrives:
-            arrival = dynamics.position_map(problem)[-1, 1:].copy()
+            arrival = dynamics.maps(problem).reach[-1, 1:].copy()
         hessian, floor = self._condensed.hessian, float(problem.floor.fraction)
         self._annulus = Annulus(hessian, length, arrival, floor)
         self._disks = Annulus(hessian, np.zeros(problem.horizon), arrival, 0.0)
@@ -128,7 +128,7 @@ class Circle:
         return (
             problem.floor.shape == 'circle'
             and problem.rotation_order == 1
-            and (problem.translation_order == 1 or not arrives)
+            and not (problem.inertial and arrives)
             and (problem.dimension == 2 or problem.weights.input == 0.0)
             and problem.max_rate == 0.0
             and not problem.obstacles

@@ -326,7 +326,7 @@ def inverse_curvatures(problem: Problem, disjunctions: Sequence[Disjunction]) ->
     hessian = Condensed(problem).hessian
     if not np.linalg.cond(hessian) <= 1e12:  # of no curvature at all it is not a number
         return [np.full(len(d.steps), np.inf) for d in disjunctions]
-    inverse, rows = np.linalg.inv(hessian), dynamics.position_map(problem)[:, 1:]
+    inverse, rows = np.linalg.inv(hessian), dynamics.maps(problem).reach[:, 1:]
     along = np.einsum('ki,ij,kj->k', rows, inverse, rows)
     every = {'heading': np.diag(inverse), 'position': np.where(along > 0.0, along, np.inf)}
     return [every[d.on][np.array(d.steps) - 1] for d in disjunctions]

@@ -41,7 +41,7 @@ class Hull:
         self._along = np.array([[1.0, problem.step * problem.forward], [0.0, 1.0]])
         self._turning = input_weight(problem) / problem.step**2
         self._weights = position_weights(problem)
-        reach = dynamics.position_map(problem)[:, 1:]
+        reach = dynamics.maps(problem).reach[:, 1:]
         trace = 2.0 * (float(self._weights @ (reach * reach).sum(axis=1)) + self._turning)
         self._stiffness = STIFFNESS * trace
         self._slice = max(1, SLICE // problem.horizon)

@@ -13,7 +13,8 @@ from scipy import sparse
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.orbitopes import constraints, coordinate_count, coordinates
 from orbimpc_ros.mpc.model.condensed import input_weight, position_weights
-from orbimpc_ros.mpc.model.dynamics import input_map
+from orbimpc_ros.mpc.model.dynamics import input_map, maps
+from orbimpc_ros.mpc.model.translation import TRANSLATIONS
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.disjunction import Slot
 
@@ -104,26 +105,27 @@ class Statement:
         return given + free
 
     def _translation_constraints(self) -> list[cp.Constraint]:
-        """v_{k+1} = v_k + h p_k, with p_k = z R_k e1 at order 1."""
-        problem, pushed = self.problem, self.problem.forward * self._headings
-        if problem.translation_order == 1:
-            velocity, rows = pushed, []
-        else:
+        """The model's steps y_{k+1} = A y_k + b R_k e1, with the displacements v for positions."""
+        problem, thrusts = self.problem, self._headings[:-1]
+        model = TRANSLATIONS[problem.translation_order]
+        a, b = model.transition(problem.step), model.push(problem.step, problem.forward)
+        flown, rows = b[0] * thrusts, []
+        if problem.inertial:
             velocity = cp.Variable((problem.horizon + 1, problem.dimension), name='p')
             self._velocities = velocity
             rows = [
                 velocity[0] == self._velocity,
-                velocity[1:] == velocity[:-1] + problem.step * pushed[:-1],
+                velocity[1:] == a[1, 1] * velocity[:-1] + b[1] * thrusts,
             ]
-        moved, flown = self._displacements, problem.step * velocity[:-1]
+            flown = a[0, 1] * velocity[:-1] + (flown if b[0] else 0.0)
+        moved = self._displacements
         rows.append(moved[0] == flown[0])
         if problem.horizon > 1:
             rows.append(moved[1:] == moved[:-1] + flown[1:])
         if problem.terminal == 'constraint':
             rows.append(moved[-1] == self._arrival)
-            if problem.translation_order == 2:
-                rows.append(velocity[-1] == 0)
-        self._last_velocity = velocity[-1]
+            if self._velocities is not None:
+                rows.append(self._velocities[-1] == 0)
         return rows
 
     def _limits(self) -> list[cp.Constraint]:
@@ -173,21 +175,20 @@ class Statement:
             speed: |p_0| at translation order 2 [m/s].
             spin: the largest entry of W_0 at rotation order 2 [1/s].
         """
-        problem, k = self.problem, np.arange(1.0, self.problem.horizon + 1.0)
-        h, z, n = problem.step, problem.forward, problem.dimension
-        pushed = h * z * np.arange(problem.horizon + 1.0)
-        moved = h * z * k if problem.translation_order == 1 else h * speed * k + h * h * z * k * k
-        angle = h * problem.max_rate if problem.first_turn_is_an_angle else 0.0
+        problem, n, flown = self.problem, self.problem.dimension, maps(self.problem)
+        moved = flown.drift[:, 0] * speed + flown.reach.sum(axis=1)
+        pushed = flown.carried[:, 0] * speed + flown.pushed.sum(axis=1)
+        angle = problem.step * problem.max_rate if problem.first_turn_is_an_angle else 0.0
         rho = 1.0 / math.cos(angle)
         each = {
-            self.x: np.full(self.x.size, 1.0 + h * spin),
+            self.x: np.full(self.x.size, 1.0 + problem.step * spin),
             self.moved: np.repeat(moved, n),
             self.fraction: np.ones(1),
             self.along: np.array([rho]),
             self.across: np.full(n, 1.0 + rho),
         }
         if self._velocities is not None:
-            each[self._velocities] = np.repeat(speed + pushed, n)
+            each[self._velocities] = np.repeat(np.append(speed, pushed), n)
         if self._lengths is not None:
             each[self._lengths] = np.ones(self._lengths.size)
         present = {v.id for v in self.program.variables()}
@@ -198,8 +199,9 @@ class Statement:
         squares = sparse.diags(np.repeat(position_weights(problem), n)).tocsc()
         cost = cp.quad_form(self.moved, squares, assume_PSD=True) + self.pull @ self.moved
         cost += cp.quad_form(self.x, self._input_form(), assume_PSD=True)
-        if problem.translation_order == 2 and problem.arrival_weight > 0.0:
-            cost += problem.arrival_weight * cp.sum_squares(problem.step * self._last_velocity)
+        if self._velocities is not None and problem.arrival_weight > 0.0:
+            last = self._velocities[-1]
+            cost += problem.arrival_weight * cp.sum_squares(problem.step * last)
         if w.length == 0.0 or problem.horizon == 1:
             return cost, []
         length = self._lengths = cp.Variable(problem.horizon - 1, name='|R e1|')

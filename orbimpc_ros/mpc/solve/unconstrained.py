@@ -57,15 +57,16 @@ def _arrival(problem: Problem) -> tuple[Array, Array]:
 
     s_N = g_N and, at translation order 2, p_N = 0.
     """
-    rows = dynamics.arrival_map(problem)
+    maps = dynamics.maps(problem)
+    rows = maps.arrival
     if problem.terminal != 'constraint':
         rows = rows[:0]
     wanted = np.zeros((len(rows), problem.horizon + 3))
     wanted[:, 0] = -rows[:, 0]
     if len(rows):
-        wanted[0, 1] = -dynamics.drift_map(problem)[-1, 0]
+        wanted[0, 1] = -maps.drift[-1, 0]
         wanted[0, -2] = 1.0
-        wanted[1:, 1] = -1.0
+        wanted[1:, 1] = -maps.carried[-1, 0]
     return rows[:, 1:], wanted
 
 
