@@ -15,7 +15,8 @@ from orbimpc_ros.mpc.geometry.cells import arcs, faces
 from orbimpc_ros.mpc.geometry.orbitopes import margin, matrix
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels import riccati as chain
-from orbimpc_ros.mpc.model.condensed import Condensed, position_weights
+from orbimpc_ros.mpc.model.condensed import Condensed
+from orbimpc_ros.mpc.model.cost import position_weights
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem, Weights
 from orbimpc_ros.mpc.solve.annulus_newton import NOTHING, Circle, _Tick

@@ -9,27 +9,12 @@ H is the same for every coordinate, so one N x N matrix says it all.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.orbitopes import frobenius_factor
 from orbimpc_ros.mpc.model import dynamics
+from orbimpc_ros.mpc.model.cost import first_length, input_weight, position_weights
 from orbimpc_ros.mpc.problem import Problem, State
-
-
-def position_weights(problem: Problem) -> Array:
-    """Return the weight on |s_k - g_k|^2, k = 1..N, the terminal one included, shape (N,)."""
-    weights = np.full(problem.horizon, float(problem.weights.position))
-    weights[-1] += problem.weights.terminal + problem.arrival_weight
-    return weights
-
-
-def input_weight(problem: Problem) -> float:
-    """Return the weight on the squared coordinates of an input."""
-    return problem.weights.input * frobenius_factor(problem.dimension)
-
 
 LONGEST = 30  # horizon; beyond it sparse solves are faster than dense ones
 WORST_CONDITION = 1e9
@@ -105,10 +90,3 @@ def regular(hessian: Array) -> tuple[Array, Array, float]:
         delta = SLIGHT * (float(np.diag(hessian).max()) or 1.0)
     inverse = np.linalg.inv(hessian + delta * eye)
     return hessian + delta * eye, 0.5 * (inverse + inverse.T), 0.5 * delta * len(hessian)
-
-
-def first_length(problem: Problem, state: State) -> float:
-    """Return the length cost of the first step, which the state alone decides."""
-    spent = problem.weights.length * problem.step * problem.forward
-    heading = state.rotation[:, 0]
-    return spent * math.sqrt(heading @ heading)

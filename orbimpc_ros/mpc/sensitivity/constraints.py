@@ -19,11 +19,11 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.model import dynamics
-from orbimpc_ros.mpc.model.condensed import input_weight, position_weights
+from orbimpc_ros.mpc.model.cost import KINK
+from orbimpc_ros.mpc.model.cost import gradients as gradients_of_cost
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.sensitivity.slacks import ACTIVE, Slack, on_headings, slacks_of
+from orbimpc_ros.mpc.sensitivity.slacks import Slack, slacks_of
 
 ROUNDING = 1e-6  # share of the cost's gradient that counts as nothing
 TINY = 1e-12
@@ -73,7 +73,7 @@ def explained(problem: Problem, state: State, goals: Array, plan: Plan) -> Expla
         plan: the optimum.
     """
     slacks = list(slacks_of(problem, state, plan))
-    terms = _cost_gradients(problem, goals, plan)
+    terms = gradients_of_cost(problem, goals, plan)
     scale = max(sum(map(np.linalg.norm, terms)), ROUNDING * plan.objective, TINY)
     gradients = np.array([sum(terms), *(slack.gradient for slack in slacks)])
     gradients = _movable(problem, state, plan, gradients).reshape(len(gradients), -1)
@@ -127,32 +127,6 @@ def _movable(problem: Problem, state: State, plan: Plan, gradients: Array) -> Ar
 
 def _kinks(problem: Problem, plan: Plan) -> np.ndarray:
     """Return for which of R_1..R_N the length term has no gradient, shape (N,)."""
-    kinks = (plan.speed_fraction[1:] < ACTIVE) & (problem.weights.length > 0.0)
+    kinks = (plan.speed_fraction[1:] < KINK) & (problem.weights.length > 0.0)
     kinks[-1] = False  # nothing is flown at R_N
     return kinks
-
-
-def _cost_gradients(problem: Problem, goals: Array, plan: Plan) -> list[Array]:
-    """Return the gradient of each term of the cost, shape (N, d): position, input, length."""
-    reach, turn = dynamics.maps(problem).reach[:, 1:], dynamics.input_map(problem)[:, 1:]
-    missed = position_weights(problem)[:, None] * (plan.positions[1:] - goals)
-    turned = coordinates(plan.inputs[: len(turn)])
-    terms = [
-        on_headings(plan, 2.0 * reach.T @ missed),
-        2.0 * input_weight(problem) * turn.T @ turned,
-    ]
-    if problem.weights.length > 0.0:
-        terms.append(_length_gradient(problem, plan))
-    if problem.inertial and problem.arrival_weight > 0.0:
-        last = 2.0 * problem.arrival_weight * problem.step**2 * plan.velocities[-1]
-        terms.append(on_headings(plan, np.outer(dynamics.maps(problem).pushed[-1, 1:], last)))
-    return terms
-
-
-def _length_gradient(problem: Problem, plan: Plan) -> Array:
-    headings = plan.rotations[1:, :, 0]
-    sizes = np.maximum(plan.speed_fraction[1:, None], ACTIVE)
-    spent = problem.weights.length * problem.step * problem.forward
-    gradient = spent * headings / sizes
-    gradient[-1] = 0.0  # nothing is flown at R_N
-    return on_headings(plan, gradient)

@@ -14,8 +14,9 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import turn_margin
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates, lmi, lmi_parts
+from orbimpc_ros.mpc.geometry.orbitopes import coordinate_count, coordinates, lmi, lmi_parts
 from orbimpc_ros.mpc.model import dynamics
+from orbimpc_ros.mpc.model.cost import on_axes
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.disjunction import Disjunction, disjunctions_of, shortfall
@@ -167,6 +168,4 @@ def _at(plan: Plan, k: int, gradient: Array) -> Array:
 
 def on_headings(plan: Plan, gradient: Array) -> Array:
     """Return a gradient over headings, shape (N, n), as one over rotations, shape (N, d)."""
-    full = np.zeros_like(coordinates(plan.rotations[1:]))
-    full[:, : gradient.shape[1]] = gradient
-    return full
+    return on_axes(gradient, coordinate_count(gradient.shape[1]))

@@ -37,7 +37,8 @@ from orbimpc_ros.mpc.kernels.annulus import (
 )
 from orbimpc_ros.mpc.kernels.dual import SMALLEST, climb
 from orbimpc_ros.mpc.model import dynamics
-from orbimpc_ros.mpc.model.condensed import LONGEST, Condensed, first_length
+from orbimpc_ros.mpc.model.condensed import LONGEST, Condensed
+from orbimpc_ros.mpc.model.cost import first_length, length_weight
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.solve.cell_tree import CellSearch
 from orbimpc_ros.mpc.solve.general import General
@@ -93,8 +94,10 @@ class Circle:
         self._problem, self._tolerance = problem, tolerance
         self._condensed = Condensed(problem)
         self._arrives = problem.terminal == 'constraint'
-        spent = problem.weights.length * problem.step * problem.forward
-        length, arrival = np.full(problem.horizon, spent), np.zeros(problem.horizon)
+        length, arrival = (
+            np.full(problem.horizon, length_weight(problem)),
+            np.zeros(problem.horizon),
+        )
         length[-1] = 0.0
         if self._arrives:
             arrival = dynamics.maps(problem).reach[-1, 1:].copy()

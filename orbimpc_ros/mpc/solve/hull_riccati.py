@@ -10,7 +10,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.riccati import BEST, PAUSED, SETTLED, Chain, begun, settle, within
 from orbimpc_ros.mpc.model import dynamics
-from orbimpc_ros.mpc.model.condensed import first_length, input_weight, position_weights
+from orbimpc_ros.mpc.model.cost import first_length, input_weight, position_weights
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.general import General
 from orbimpc_ros.mpc.solve.request import Found, Guess

@@ -16,7 +16,7 @@ from scipy import sparse
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.geometry.orbitopes import coordinate_count, coordinates
-from orbimpc_ros.mpc.model.condensed import first_length, position_weights
+from orbimpc_ros.mpc.model.cost import first_length, position_weights
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.conic import SOLVED, Certifier, run, solver_for

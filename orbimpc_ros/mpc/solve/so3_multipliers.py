@@ -27,7 +27,8 @@ from orbimpc_ros.mpc.kernels.augmented_lagrangian import (
     minimise,
 )
 from orbimpc_ros.mpc.kernels.penalty_terms import Terms, multipliers, scratch
-from orbimpc_ros.mpc.model.condensed import Condensed, first_length, knowns, suits_dense_code
+from orbimpc_ros.mpc.model.condensed import Condensed, knowns, suits_dense_code
+from orbimpc_ros.mpc.model.cost import first_length, length_weight
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.disjunction import Slot
 from orbimpc_ros.mpc.solve.relaxation import Halfspace, Relaxation, Relaxed
@@ -58,7 +59,7 @@ class Spatial:
         condensed = Condensed(problem)
         self._thrust = thrust_axis(problem, condensed)
         self._others = other_axes(problem, condensed)
-        self._length = problem.weights.length * problem.step * problem.forward
+        self._length = length_weight(problem)
         self._make_room()
         self._general: Relaxed | None = None
         # The first call compiles, or loads what was compiled before: at start-up, not in a tick.

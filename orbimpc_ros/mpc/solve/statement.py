@@ -12,7 +12,12 @@ from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.orbitopes import constraints, coordinate_count, coordinates
-from orbimpc_ros.mpc.model.condensed import input_weight, position_weights
+from orbimpc_ros.mpc.model.cost import (
+    input_weight,
+    length_weight,
+    position_weights,
+    velocity_weight,
+)
 from orbimpc_ros.mpc.model.dynamics import input_map, maps
 from orbimpc_ros.mpc.model.translation import TRANSLATIONS
 from orbimpc_ros.mpc.problem import Problem, State
@@ -200,8 +205,7 @@ class Statement:
         cost = cp.quad_form(self.moved, squares, assume_PSD=True) + self.pull @ self.moved
         cost += cp.quad_form(self.x, self._input_form(), assume_PSD=True)
         if self._velocities is not None and problem.arrival_weight > 0.0:
-            last = self._velocities[-1]
-            cost += problem.arrival_weight * cp.sum_squares(problem.step * last)
+            cost += velocity_weight(problem) * cp.sum_squares(self._velocities[-1])
         if w.length == 0.0 or problem.horizon == 1:
             return cost, []
         length = self._lengths = cp.Variable(problem.horizon - 1, name='|R e1|')
@@ -209,7 +213,7 @@ class Statement:
         least = problem.floor.clearance(n)
         if least > 0.0:
             epigraph.append(length >= least)  # valid: the floor says the same
-        return cost + w.length * problem.step * problem.forward * cp.sum(length), epigraph
+        return cost + length_weight(problem) * cp.sum(length), epigraph
 
     def _input_form(self) -> sparse.csc_matrix:
         n = self.problem.dimension

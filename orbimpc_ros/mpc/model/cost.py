@@ -1,0 +1,109 @@
+r"""The objective, term by term: weights per step, value and gradient.
+
+.. math::
+    q \sum_{k=1}^{N} \|s_k - g_k\|^2 + m \|s_N - g_N\|^2 + r \sum_{k=0}^{N-1} \|u_k\|_F^2
+    + \ell \sum_{k=0}^{N-1} h z \|R_k e_1\| + w (\|s_N - g_N\|^2 + h^2 \|p_N\|^2)
+
+with the arrival weight w. All but the length is quadratic; ``condensed`` has that part as a
+function of the thrust axes alone, ``solve.statement`` the whole in CVXPY. The check evaluates the
+objective by itself.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates, frobenius_factor
+from orbimpc_ros.mpc.model import dynamics
+from orbimpc_ros.mpc.problem import Problem, State
+
+if TYPE_CHECKING:
+    from orbimpc_ros.mpc.plan import Plan
+
+KINK = 1e-5  # below it |R e1| counts as zero, where the length has no gradient
+
+
+def position_weights(problem: Problem) -> Array:
+    """Return the weight on |s_k - g_k|^2, k = 1..N, the terminal one included, shape (N,)."""
+    weights = np.full(problem.horizon, float(problem.weights.position))
+    weights[-1] += problem.weights.terminal + problem.arrival_weight
+    return weights
+
+
+def velocity_weight(problem: Problem) -> float:
+    """Return the weight on |p_N|^2: that of the arrival, of an inertial vehicle."""
+    return problem.arrival_weight * problem.step**2 if problem.inertial else 0.0
+
+
+def input_weight(problem: Problem) -> float:
+    """Return the weight on the squared coordinates of an input."""
+    return problem.weights.input * frobenius_factor(problem.dimension)
+
+
+def length_weight(problem: Problem) -> float:
+    """Return the weight on |R_k e1|, k = 0..N-1."""
+    return problem.weights.length * problem.step * problem.forward
+
+
+def first_length(problem: Problem, state: State) -> float:
+    """Return the length cost of the first step, which the state alone decides."""
+    heading = state.rotation[:, 0]
+    return length_weight(problem) * float(np.sqrt(heading @ heading))
+
+
+def value(
+    problem: Problem,
+    goals: Array,
+    rotations: Array,
+    inputs: Array,
+    flown: tuple[Array, Array],
+) -> float:
+    """Return the cost of a trajectory.
+
+    Args:
+        problem: gives the weights.
+        goals: g_1..g_N, shape (N, n) [m].
+        rotations: R_0..R_N, shape (N + 1, n, n).
+        inputs: u_0..u_{N-1}, shape (N, n, n).
+        flown: s_0..s_N and p_0..p_N, shape (N + 1, n) each.
+    """
+    positions, velocities = flown
+    missed, u, last = positions[1:] - goals, inputs.ravel(), velocities[-1]
+    cost = position_weights(problem) @ np.einsum('kc,kc->k', missed, missed)
+    cost += problem.weights.input * (u @ u) + velocity_weight(problem) * (last @ last)
+    if problem.weights.length > 0.0:
+        axes = rotations[:-1, :, 0]
+        cost += length_weight(problem) * np.sqrt(np.einsum('kc,kc->k', axes, axes)).sum()
+    return float(cost)
+
+
+def gradients(problem: Problem, goals: Array, plan: Plan) -> list[Array]:
+    """Return the gradient of each term over the coordinates of R_1..R_N, shape (N, d) each."""
+    maps, turn = dynamics.maps(problem), dynamics.input_map(problem)[:, 1:]
+    missed = position_weights(problem)[:, None] * (plan.positions[1:] - goals)
+    stopped = velocity_weight(problem) * np.outer(maps.pushed[-1, 1:], plan.velocities[-1])
+    turned = coordinates(plan.inputs[: len(turn)])
+    d = turned.shape[1]
+    return [
+        on_axes(2.0 * maps.reach[:, 1:].T @ missed, d),
+        2.0 * input_weight(problem) * turn.T @ turned,
+        on_axes(2.0 * stopped, d),
+        on_axes(_length_gradient(problem, plan), d),
+    ]
+
+
+def _length_gradient(problem: Problem, plan: Plan) -> Array:
+    sizes = np.maximum(plan.speed_fraction[1:, None], KINK)
+    gradient = length_weight(problem) * plan.rotations[1:, :, 0] / sizes
+    gradient[-1] = 0.0  # nothing is flown at R_N
+    return gradient
+
+
+def on_axes(gradient: Array, d: int) -> Array:
+    """Return a gradient over thrust axes, shape (N, n), as one over rotations, shape (N, d)."""
+    full = np.zeros((len(gradient), d))
+    full[:, : gradient.shape[1]] = gradient
+    return full
