@@ -16,14 +16,14 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Circle, Polygon
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from orbimpc_ros.mpc.binding import explained
-from orbimpc_ros.mpc.controller import Controller
-from orbimpc_ros.mpc.floors.faces import normals
-from orbimpc_ros.mpc.forecast import Hold
+from orbimpc_ros.mpc.geometry.faces import normals
+from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.loop.forecast import Hold
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Floor, Problem, State
-from orbimpc_ros.mpc.solver import Solver
-from orbimpc_ros.tool.style import (
+from orbimpc_ros.mpc.sensitivity.constraints import explained
+from orbimpc_ros.mpc.solve.solver import Solver
+from orbimpc_ros.tool.figures.style import (
     BLUE,
     FAINT,
     INK,

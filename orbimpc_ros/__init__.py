@@ -10,11 +10,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from orbimpc_ros.mpc.controller import Controller
     from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFailure
+    from orbimpc_ros.mpc.loop.controller import Controller
     from orbimpc_ros.mpc.plan import Plan
     from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
-    from orbimpc_ros.mpc.solver import Solver
+    from orbimpc_ros.mpc.solve.solver import Solver
 
 __all__ = [
     'BadInput',
@@ -35,11 +35,11 @@ __all__ = [
 __version__ = '0.1.0'
 
 _HOMES = {
-    'controller': ('Controller',),
+    'loop.controller': ('Controller',),
     'errors': ('BadInput', 'Infeasible', 'OrbimpcError', 'SolverFailure'),
     'plan': ('Plan',),
     'problem': ('Box', 'Floor', 'Problem', 'State', 'Weights'),
-    'solver': ('Solver',),
+    'solve.solver': ('Solver',),
 }
 
 

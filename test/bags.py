@@ -8,11 +8,11 @@ import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from orbimpc_ros.mpc.rotations import exp, from_quaternion
+from orbimpc_ros.mpc.geometry.rotations import exp, from_quaternion
 from orbimpc_ros.ros.parameters import sim_settings
-from orbimpc_ros.tool import bag, settings
-from orbimpc_ros.tool.bag_writer import BagWriter
-from orbimpc_ros.tool.topics import Topic
+from orbimpc_ros.tool.io import bag, settings
+from orbimpc_ros.tool.io.bag.writer import BagWriter
+from orbimpc_ros.tool.io.topics import Topic
 from orbimpc_ros.world.vehicle import advance, launched
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from orbimpc_ros.tool.discovery import free
+from orbimpc_ros.tool.run.discovery import free
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:

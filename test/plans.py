@@ -3,10 +3,10 @@
 import numpy as np
 
 from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.plan import UNPROVED, assemble
 from orbimpc_ros.mpc.problem import State
-from orbimpc_ros.mpc.solver import Solver
+from orbimpc_ros.mpc.solve.solver import Solver
 
 GOALS = np.tile([3.0, 1.0], (5, 1))
 START = State.at([0.0, 0.0], np.eye(2))

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from orbimpc_ros.mpc.case import Case, case_of
+from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
-from orbimpc_ros.mpc.rotations import exp
+from orbimpc_ros.mpc.problem.case import Case, case_of
 
 REFERENCE = Path(__file__).parent / 'reference'
 CASES = json.loads((REFERENCE / 'cases.json').read_text())

@@ -1,9 +1,9 @@
 """Small studies, and how tests run and compare them."""
 
+from orbimpc_ros.lab.study.controllers import PILOTS
+from orbimpc_ros.lab.study.design import Study
+from orbimpc_ros.lab.study.settings import resolved
 from orbimpc_ros.tool import cli
-from orbimpc_ros.tool.study.design import Study
-from orbimpc_ros.tool.study.pilots import PILOTS
-from orbimpc_ros.tool.study.settings import resolved
 
 TIMES = ('tick_ms', 'forecast_ms')
 SMALL = Study(6, 3, tuple(PILOTS), 'harmonic', resolved())

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from problems import ORDERS, floor, goals, state, weights
 
-from orbimpc_ros.mpc.binding import explained
-from orbimpc_ros.mpc.disjunction import disjunctions_of, shortfall
-from orbimpc_ros.mpc.orbitopes import lmi
+from orbimpc_ros.mpc.geometry.orbitopes import lmi
 from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
-from orbimpc_ros.mpc.solver import Solver
+from orbimpc_ros.mpc.sensitivity.constraints import explained
+from orbimpc_ros.mpc.solve.disjunction import disjunctions_of, shortfall
+from orbimpc_ros.mpc.solve.solver import Solver
 
 EPS = 3e-4
 # Clarabel's own doubts are far below what is asked of it here.

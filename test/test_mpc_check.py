@@ -16,10 +16,10 @@ from plans import (
 from problems import floor, state
 
 from orbimpc_ros.mpc.check import TOLERANCE, violations
-from orbimpc_ros.mpc.orbitopes import coordinates, matrix
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates, matrix
+from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.plan import shifted
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.rotations import exp
 
 
 @pytest.mark.parametrize('name', ['positions', 'velocities', 'rotations', 'inputs', 'projected'])

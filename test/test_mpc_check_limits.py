@@ -16,12 +16,12 @@ from plans import (
 )
 from problems import floor
 
-from orbimpc_ros.mpc import problem as problems
 from orbimpc_ros.mpc.check import TOLERANCE, floor_margin, turn_margin, violations
-from orbimpc_ros.mpc.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Box, Problem, State
-from orbimpc_ros.mpc.rotations import exp
-from orbimpc_ros.mpc.solver import Solver
+from orbimpc_ros.mpc.problem import problem as problems
+from orbimpc_ros.mpc.solve.solver import Solver
 
 
 def stretched(problem, start, goals, scale):

@@ -10,7 +10,7 @@ from problems import ORDERS, rotation, state
 from problems import goals as goals_of
 
 from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.plan import UNPROVED
 from orbimpc_ros.mpc.problem import Problem, Weights
 

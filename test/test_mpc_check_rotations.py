@@ -9,10 +9,10 @@ from problems import rotation, state
 
 from orbimpc_ros.mpc.check import command_violations, violations
 from orbimpc_ros.mpc.command import command_of
-from orbimpc_ros.mpc.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.plan import UNPROVED, assemble
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.rotations import exp
 
 STRAYS = 'a projected rotation strays {} from its projection'
 

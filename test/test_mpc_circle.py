@@ -9,14 +9,14 @@ from problems import floor, goals, reference, state, weights
 
 from orbimpc_ros.mpc.arrays import sealed
 from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.condensed import Condensed
 from orbimpc_ros.mpc.errors import Infeasible
-from orbimpc_ros.mpc.floors.circle import NOTHING, Circle, _Tick
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.annulus import improve
-from orbimpc_ros.mpc.method import Guess
+from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.problem import Problem, State, Weights
-from orbimpc_ros.mpc.solver import Solver
+from orbimpc_ros.mpc.solve.annulus_newton import NOTHING, Circle, _Tick
+from orbimpc_ros.mpc.solve.request import Guess
+from orbimpc_ros.mpc.solve.solver import Solver
 
 
 def random_problem(rng, horizon=5, length=True):
@@ -160,7 +160,7 @@ def test_slow_starts_converge_and_are_proved(change):
 
 
 def test_a_start_that_is_cut_short_has_a_cost_and_a_bound(monkeypatch):
-    monkeypatch.setattr('orbimpc_ros.mpc.floors.circle.SLICE', 1.0)  # a Newton step
+    monkeypatch.setattr('orbimpc_ros.mpc.solve.annulus_newton.SLICE', 1.0)  # a Newton step
     rng = np.random.default_rng(2)
     problem = Problem(horizon=8, floor=floor('circle'))
     circle = Circle(problem, 1e-6)

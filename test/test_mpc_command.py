@@ -9,9 +9,9 @@ from plans import assembled, straight
 from problems import floor, rotation
 
 from orbimpc_ros.mpc.command import Command, command_of, flaw, stop
-from orbimpc_ros.mpc.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Floor, Problem, State
-from orbimpc_ros.mpc.rotations import exp
 
 NAN, INF = np.nan, np.inf
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from problems import ORDERS, floor, goals, rotation, state, weights
 
-from orbimpc_ros.mpc import program as programs
-from orbimpc_ros.mpc.conic import SOLVED, run
-from orbimpc_ros.mpc.disjunction import Slot
 from orbimpc_ros.mpc.errors import Infeasible
-from orbimpc_ros.mpc.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.program import Program
-from orbimpc_ros.mpc.trajectory import trajectory_of
+from orbimpc_ros.mpc.solve import program as programs
+from orbimpc_ros.mpc.solve.conic import SOLVED, run
+from orbimpc_ros.mpc.solve.disjunction import Slot
+from orbimpc_ros.mpc.solve.program import Program
 
 PANIC = type('PanicException', (BaseException,), {})
 

@@ -8,13 +8,13 @@ from problems import ORDERS, floor
 
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import command_of, stop
-from orbimpc_ros.mpc.controller import FALLBACK_TICKS, Controller
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
-from orbimpc_ros.mpc.forecast import Hold, Itinerary, Sighting, forecast_named
-from orbimpc_ros.mpc.odometry import Odometry, state_of
+from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.loop.controller import FALLBACK_TICKS, Controller
+from orbimpc_ros.mpc.loop.forecast import Hold, Itinerary, Sighting, forecast_named
+from orbimpc_ros.mpc.loop.odometry import Odometry, state_of
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.rotations import exp
-from orbimpc_ros.mpc.solver import Solver
+from orbimpc_ros.mpc.solve.solver import Solver
 
 
 def odometry(position=(0.0, 0.0), attitude=None, speed=1.0, rate=None, time=0.0):

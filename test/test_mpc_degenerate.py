@@ -12,11 +12,11 @@ from problems import box, floor, rotation, weights
 
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import flaw
-from orbimpc_ros.mpc.controller import Controller
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.odometry import Odometry
+from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.mpc.loop.safety import may_stop
 from orbimpc_ros.mpc.problem import Problem, Weights
-from orbimpc_ros.mpc.safety import may_stop
 
 PROBLEMS, QUESTIONS = (500, 10) if os.environ.get('ORBIMPC_LONG') else (60, 10)
 SIZES = (0.0, 1e-300, 1e-9, 1.0, 1e3, 1e7)

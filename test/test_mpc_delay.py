@@ -5,11 +5,11 @@ import pytest
 from problems import ORDERS, rotation
 
 from orbimpc_ros.mpc.command import Command
-from orbimpc_ros.mpc.controller import Controller
-from orbimpc_ros.mpc.delay import Leg, Sent, advanced
-from orbimpc_ros.mpc.odometry import Odometry
+from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.loop.delay import Leg, Sent, advanced
+from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.problem import Problem, Weights
-from orbimpc_ros.mpc.rotations import exp
 from orbimpc_ros.world.rope import Rope
 
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from problems import ORDERS, goals, state, weights
 
-from orbimpc_ros.mpc import dynamics
-from orbimpc_ros.mpc.condensed import Condensed
-from orbimpc_ros.mpc.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.model import dynamics
+from orbimpc_ros.mpc.model.condensed import Condensed
+from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.trajectory import trajectory_of
 
 
 def step_by_step(problem, start, rotations):

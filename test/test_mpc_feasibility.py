@@ -6,7 +6,7 @@ from problems import floor, reference
 
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.problem import Box, Problem, State
-from orbimpc_ros.mpc.solver import Solver
+from orbimpc_ros.mpc.solve.solver import Solver
 
 START = State.at([0.0, 0.0], np.eye(2))
 

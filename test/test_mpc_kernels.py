@@ -11,17 +11,18 @@ import pytest
 from problems import floor, goals, state, weights
 
 from orbimpc_ros.mpc.check import floor_margin
-from orbimpc_ros.mpc.condensed import Condensed, position_weights
-from orbimpc_ros.mpc.floors.cells import arcs, faces
-from orbimpc_ros.mpc.floors.circle import NOTHING, Circle, _Tick
-from orbimpc_ros.mpc.floors.tree import CellSearch
-from orbimpc_ros.mpc.hull import Hull
-from orbimpc_ros.mpc.kernels import COMPILED, chain
-from orbimpc_ros.mpc.orbitopes import margin, matrix
-from orbimpc_ros.mpc.planar import Planar
+from orbimpc_ros.mpc.geometry.cells import arcs, faces
+from orbimpc_ros.mpc.geometry.orbitopes import margin, matrix
+from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.kernels import riccati as chain
+from orbimpc_ros.mpc.model.condensed import Condensed, position_weights
+from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem, Weights
-from orbimpc_ros.mpc.search import Search
-from orbimpc_ros.mpc.trajectory import trajectory_of
+from orbimpc_ros.mpc.solve.annulus_newton import NOTHING, Circle, _Tick
+from orbimpc_ros.mpc.solve.cell_tree import CellSearch
+from orbimpc_ros.mpc.solve.disjunctive_bnb import Search
+from orbimpc_ros.mpc.solve.hull_riccati import Hull
+from orbimpc_ros.mpc.solve.polygon_bnb import Planar
 
 pytestmark = pytest.mark.skipif(
     not COMPILED, reason="numba is not installed: pip install 'orbimpc_ros[fast]' runs these"
@@ -86,7 +87,7 @@ def test_a_search_in_slices_is_the_same_search():
         whole = planar.solve(start, targets)
         sliced = planar.solve(start, targets, None, lambda: False)
         with pytest.MonkeyPatch.context() as patched:
-            patched.setattr('orbimpc_ros.mpc.floors.tree.SLICE', 1.0)
+            patched.setattr('orbimpc_ros.mpc.solve.cell_tree.SLICE', 1.0)
             each = planar.solve(start, targets, None, lambda: False)
         assert whole.cost == sliced.cost == each.cost
         assert whole.nodes == sliced.nodes == each.nodes
@@ -94,7 +95,7 @@ def test_a_search_in_slices_is_the_same_search():
 
 @pytest.mark.parametrize('shape', [('polygon', 0.6, 6), ('polygon', 0.5, 4), ('none', 0.5, 4)])
 def test_an_interrupted_search_returns_a_legal_plan_and_its_bound(monkeypatch, shape):
-    monkeypatch.setattr('orbimpc_ros.mpc.floors.tree.SLICE', 1.0)
+    monkeypatch.setattr('orbimpc_ros.mpc.solve.cell_tree.SLICE', 1.0)
     rng = np.random.default_rng(12)
     problem = Problem(horizon=8, floor=floor(*shape))
     planar = Planar(problem, 1e-6)
@@ -157,10 +158,10 @@ def test_plain_python_finds_what_machine_code_does(tmp_path):
 
 PLAIN = """
 import json, numpy as np
-from orbimpc_ros.mpc.floors.circle import Circle
-from orbimpc_ros.mpc.hull import Hull
+from orbimpc_ros.mpc.solve.annulus_newton import Circle
+from orbimpc_ros.mpc.solve.hull_riccati import Hull
 from orbimpc_ros.mpc.check import floor_margin
-from orbimpc_ros.mpc.planar import Planar
+from orbimpc_ros.mpc.solve.polygon_bnb import Planar
 from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
 start, targets = State.at([0.0, 0.0], np.eye(2)), np.tile([0.4, 0.3], (3, 1))
 high = State.at(np.zeros(3), np.eye(3)), np.tile([0.4, 0.3, 0.2], (3, 1))
@@ -246,7 +247,7 @@ def test_the_bound_of_a_search_over_arcs_holds_with_path_length():
 
 
 def test_a_search_over_arcs_ends_in_time(monkeypatch):
-    monkeypatch.setattr('orbimpc_ros.mpc.floors.tree.SLICE', 1.0)
+    monkeypatch.setattr('orbimpc_ros.mpc.solve.cell_tree.SLICE', 1.0)
     problem = Problem(floor=floor('circle', 1.0))
     circle = Circle(problem, 1e-6)
     start, targets, _, doubtful = doubtful_case(problem, circle)

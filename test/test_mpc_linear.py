@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from orbimpc_ros.mpc.geometry.orbitopes import lmi
 from orbimpc_ros.mpc.kernels.linear import diagonalise, is_positive, solve_spd
 from orbimpc_ros.mpc.kernels.orbitope import add_adjoint, set_lmi, set_pair
-from orbimpc_ros.mpc.orbitopes import lmi
 
 
 @pytest.mark.parametrize('size', range(1, 18))

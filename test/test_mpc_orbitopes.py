@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from problems import rotation
 
-from orbimpc_ros.mpc import orbitopes
+from orbimpc_ros.mpc.geometry import orbitopes
 
 SEEDS = range(100)
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from orbimpc_ros.mpc.floors.faces import normals
-from orbimpc_ros.mpc.floors.outline import outline, sphere
+from orbimpc_ros.mpc.geometry.faces import normals
+from orbimpc_ros.mpc.geometry.outline import outline, sphere
 from orbimpc_ros.mpc.problem import Floor
 
 

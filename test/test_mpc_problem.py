@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.floors.faces import normals
-from orbimpc_ros.mpc.forecast import Itinerary, forecast_named
+from orbimpc_ros.mpc.geometry.faces import normals
+from orbimpc_ros.mpc.loop.forecast import Itinerary, forecast_named
 from orbimpc_ros.mpc.problem import (
     Box,
     Floor,
@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.problem import (
     Weights,
     largest_fraction,
 )
-from orbimpc_ros.mpc.solver import Solver
+from orbimpc_ros.mpc.solve.solver import Solver
 
 
 @pytest.mark.parametrize(

@@ -7,14 +7,14 @@ import pytest
 from problems import ORDERS, goals, state, weights
 
 from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.disjunction import Slot
 from orbimpc_ros.mpc.errors import Infeasible
-from orbimpc_ros.mpc.orbitopes import matrix
+from orbimpc_ros.mpc.geometry.orbitopes import matrix
+from orbimpc_ros.mpc.geometry.rotations import nearest
+from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.plan import UNPROVED, assemble
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.program import Program
-from orbimpc_ros.mpc.rotations import nearest
-from orbimpc_ros.mpc.trajectory import trajectory_of
+from orbimpc_ros.mpc.solve.disjunction import Slot
+from orbimpc_ros.mpc.solve.program import Program
 
 
 def suboptimality(problem, start, targets, x):

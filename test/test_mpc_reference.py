@@ -5,7 +5,7 @@ import pytest
 from problems import ANSWERS, CASES, reference
 
 from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.solver import Solver
+from orbimpc_ros.mpc.solve.solver import Solver
 
 BEST_KNOWN = ('uav_circle', 'uav_unit', 'dubins_circle')  # feasible values, not proved optimal
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from problems import rotation
 
-from orbimpc_ros.mpc import rotations as so
+from orbimpc_ros.mpc.geometry import rotations as so
 
 SEEDS = range(60)
 

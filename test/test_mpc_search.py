@@ -8,13 +8,13 @@ import pytest
 from problems import box, floor, goals, reference, state, weights
 
 from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.disjunction import disjunctions_of, shortfall
 from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
-from orbimpc_ros.mpc.program import Program
-from orbimpc_ros.mpc.search import Search, inverse_curvatures
-from orbimpc_ros.mpc.solver import Solver
-from orbimpc_ros.mpc.trajectory import trajectory_of
+from orbimpc_ros.mpc.solve.disjunction import disjunctions_of, shortfall
+from orbimpc_ros.mpc.solve.disjunctive_bnb import Search, inverse_curvatures
+from orbimpc_ros.mpc.solve.program import Program
+from orbimpc_ros.mpc.solve.solver import Solver
 
 
 def enumerated(problem, start, targets):

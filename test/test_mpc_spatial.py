@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from problems import weights
 
-from orbimpc_ros.mpc.disjunction import disjunctions_of
 from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.geometry.orbitopes import margin, matrix
+from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.orbitopes import margin, matrix
+from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
-from orbimpc_ros.mpc.program import Program
-from orbimpc_ros.mpc.rotations import exp
-from orbimpc_ros.mpc.spatial import Spatial
-from orbimpc_ros.mpc.trajectory import trajectory_of
+from orbimpc_ros.mpc.solve.disjunction import disjunctions_of
+from orbimpc_ros.mpc.solve.program import Program
+from orbimpc_ros.mpc.solve.so3_multipliers import Spatial
 
 pytestmark = pytest.mark.skipif(
     not COMPILED, reason="numba is not installed: pip install 'orbimpc_ros[fast]' runs these"
@@ -195,7 +195,7 @@ def test_an_interrupted_solve_keeps_its_bound_and_stays_in_the_orbitopes(monkeyp
     for program in (fast, general):
         program.bind(state, goals)
     optimum = general.solve().bound
-    monkeypatch.setattr('orbimpc_ros.mpc.spatial.SLICE', 1.0)  # a Newton step
+    monkeypatch.setattr('orbimpc_ros.mpc.solve.so3_multipliers.SLICE', 1.0)  # a Newton step
     for steps in range(4):
         left = iter(range(steps))
         early = fast.solve((), lambda left=left: next(left, None) is None)

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from problems import ORDERS, box, floor, goals, rotation, state, weights
 
-from orbimpc_ros.mpc.condensed import Condensed
-from orbimpc_ros.mpc.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.model.condensed import Condensed
+from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
-from orbimpc_ros.mpc.solver import Solver
-from orbimpc_ros.mpc.trajectory import trajectory_of
-from orbimpc_ros.mpc.units import Units
+from orbimpc_ros.mpc.problem.units import Units
+from orbimpc_ros.mpc.solve.solver import Solver
 
 SPEEDS = [(0.02, 0.1), (0.7, 3.0), (2.0, 1000.0)]
 

@@ -27,7 +27,7 @@ def blocks(page, language):
 
 def test_the_parameters_are_those_of_the_nodes():
     pytest.importorskip('rclpy')
-    from orbimpc_ros.ros.parameter_page import page
+    from orbimpc_ros.ros.parameters.page import page
 
     assert (DOCS / 'parameters.md').read_text() == page(), 'make docs'
 
@@ -57,7 +57,7 @@ def test_commands_of_the_tool_exist(page):
 
 
 def test_the_pictures_can_still_be_drawn():
-    from orbimpc_ros.tool.style import look
+    from orbimpc_ros.tool.figures.style import look
 
     spec = importlib.util.spec_from_file_location('pictures', DOCS / 'pictures.py')
     pictures = importlib.util.module_from_spec(spec)
@@ -106,7 +106,9 @@ def test_the_tutorials_boat_reaches_its_beacon(tmp_path, domain):
     environment = here() | {'ROS_DOMAIN_ID': str(domain)}
     words = ('--ros-args', '--params-file', 'boat.yaml', '-r', 'goal:=beacon')
     planner = subprocess.Popen(
-        [sys.executable, '-m', 'orbimpc_ros.ros.planner', *words], cwd=tmp_path, env=environment
+        [sys.executable, '-m', 'orbimpc_ros.ros.planner', *words],
+        cwd=tmp_path,
+        env=environment,
     )
     try:
         done = subprocess.run(

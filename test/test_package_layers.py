@@ -1,4 +1,4 @@
-"""Imports run one way, mpc <- world <- ros <- tool, and the mathematics needs no ROS."""
+"""Imports run one way, mpc <- world <- ros <- tool <- lab, and the mathematics needs no ROS."""
 
 import ast
 import subprocess
@@ -8,14 +8,8 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parents[1] / 'orbimpc_ros'
-LAYERS = ('mpc', 'world', 'ros', 'tool')
+LAYERS = ('mpc', 'world', 'ros', 'tool', 'lab')
 ROS = ('rclpy', 'rosidl_runtime_py', 'std_msgs', 'geometry_msgs', 'nav_msgs', 'rosbags')
-
-
-def modules_of(layer):
-    folder = PACKAGE / layer
-    for file in folder.rglob('*.py'):
-        yield '.'.join(file.relative_to(PACKAGE.parent).with_suffix('').parts)
 
 
 def imports_of(file):
@@ -25,6 +19,45 @@ def imports_of(file):
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f'{file}: relative import'
             yield from (f'{node.module}.{alias.name}' for alias in node.names)
+
+
+def all_modules():
+    """Yield every module of the package; a package goes by its own name."""
+    for file in PACKAGE.rglob('*.py'):
+        parts = file.relative_to(PACKAGE.parent).with_suffix('').parts
+        yield '.'.join(parts[:-1] if parts[-1] == '__init__' else parts)
+
+
+def imported_by(module):
+    """Return the modules of the package that a module imports, inside functions too."""
+    place = PACKAGE.parent / module.replace('.', '/')
+    file = place / '__init__.py' if place.is_dir() else place.with_suffix('.py')
+    known = set(all_modules())
+    found = set()
+    for name in imports_of(file):
+        # What is imported from a module may be a module itself, or a name inside it.
+        found |= {name} & known or {name.rpartition('.')[0]} & known
+    return found - {module}
+
+
+def circles(graph):
+    """Yield the circles of a graph, given as node -> neighbours: depth first, by colours."""
+    done, path = set(), []
+
+    def visit(node):
+        if node in path:
+            yield [*path[path.index(node) :], node]
+            return
+        if node in done:
+            return
+        path.append(node)
+        for each in graph[node]:
+            yield from visit(each)
+        path.pop()
+        done.add(node)
+
+    for node in graph:
+        yield from visit(node)
 
 
 @pytest.mark.parametrize('layer', LAYERS)
@@ -38,9 +71,11 @@ def test_a_layer_imports_nothing_above_it(layer):
 
 @pytest.mark.parametrize('layer', ['mpc', 'world'])
 def test_a_pure_layer_imports_without_ros(layer):
+    inside = f'orbimpc_ros.{layer}.'
+    modules = sorted(m for m in all_modules() if m.startswith(inside) and '__main__' not in m)
     script = (
         f'import importlib, sys\n'
-        f'for name in {sorted(modules_of(layer))!r}: importlib.import_module(name)\n'
+        f'for name in {modules!r}: importlib.import_module(name)\n'
         f'print([name for name in {ROS!r} if name in sys.modules])'
     )
     done = subprocess.run(
@@ -51,5 +86,11 @@ def test_a_pure_layer_imports_without_ros(layer):
 
 def test_nodes_do_not_import_each_other():
     for node, other in (('planner', 'sim'), ('sim', 'planner')):
-        names = imports_of(PACKAGE / 'ros' / f'{node}.py')
-        assert not any(name.startswith(f'orbimpc_ros.ros.{other}') for name in names)
+        for file in (PACKAGE / 'ros' / node).rglob('*.py'):
+            for name in imports_of(file):
+                assert not name.startswith(f'orbimpc_ros.ros.{other}.'), f'{file} imports {name}'
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    graph = {name: sorted(imported_by(name)) for name in sorted(all_modules())}
+    assert not list(circles(graph))

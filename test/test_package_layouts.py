@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 import yaml
 
+from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.ros.reports import Report, tick_message
-from orbimpc_ros.tool.topics import TYPES
+from orbimpc_ros.tool.io.topics import TYPES
 
 pytest.importorskip('rclpy')
 CONFIG = Path(__file__).parents[1] / 'config'
@@ -96,7 +97,7 @@ def test_plotjuggler_shows_what_there_is():
         c.get('name') for c in plotjuggler().iter('curve') if '[' not in c.get('name')
     ]
     # It names a number on tick by topic, status and key, as its parser of diagnostics does.
-    status = tick_message(0, '/planner', Report('optimal')).status[0].name
+    status = tick_message(0, '/planner', Report(Status.OPTIMAL)).status[0].name
     for curve in curves:
         if curve.startswith('/tick/'):
             assert curve.startswith(f'/tick/{status}/')
@@ -108,7 +109,7 @@ def test_plotjuggler_shows_what_there_is():
 
 
 def test_values_on_tick_that_are_plotted_are_numbers():
-    report = Report('optimal', objective=1.5, lower_bound=1.0, gap=1e-9, solve_time_ms=0.4)
+    report = Report(Status.OPTIMAL, objective=1.5, lower_bound=1.0, gap=1e-9, solve_time_ms=0.4)
     values = {pair.key: pair.value for pair in tick_message(0, '/planner', report).status[0].values}
     for key in ('objective', 'lower_bound', 'gap', 'solve_time_ms', 'nodes'):
         assert float(values[key]) == getattr(report, key)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool import share
+from orbimpc_ros.tool.io import share
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ElementTree.parse(ROOT / 'package.xml').getroot()

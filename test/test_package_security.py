@@ -112,9 +112,9 @@ def test_only_the_planner_commands_and_only_the_vehicle_says_where_it_is(policy)
 RECORD = """
     import sys
     from pathlib import Path
-    from orbimpc_ros.tool.processes import Interruptions
-    from orbimpc_ros.tool.recorder import Recorder
-    from orbimpc_ros.tool.topics import topics_of
+    from orbimpc_ros.tool.run.processes import Interruptions
+    from orbimpc_ros.tool.io.recorder import Recorder
+    from orbimpc_ros.tool.io.topics import topics_of
 
     with Interruptions() as interruptions:
         recorder = Recorder(Path(sys.argv[1]), topics_of(), {})

@@ -5,9 +5,9 @@ import pytest
 pytest.importorskip('rclpy')
 
 from orbimpc_ros.mpc.problem import Floor
-from orbimpc_ros.ros.announcer import FIRST, KINDS, MANY, Announcer
-from orbimpc_ros.ros.planner_parameters import PLANNER, planner_settings
-from orbimpc_ros.ros.summary import doubts, summary
+from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
+from orbimpc_ros.ros.planner.announcer import FIRST, KINDS, MANY, Announcer
+from orbimpc_ros.ros.planner.summary import doubts, summary
 
 
 class Console:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orbimpc_ros.mpc.controller import Controller
+from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.reports import prices, report_of, tick_message
 from orbimpc_ros.world.flight import departure

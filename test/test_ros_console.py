@@ -117,7 +117,7 @@ def test_the_vehicle_believed_in_is_said_at_the_start(launch, observer):
 
 RENAMED = """
     import sys
-    from orbimpc_ros.ros.planner import Planner
+    from orbimpc_ros.ros.planner.node import Planner
     from orbimpc_ros.ros.process import run
 
     sys.exit(run(Planner, [*sys.argv, '-r', '__ns:=/boat', '-r', 'odom:=/gps']))
@@ -126,7 +126,7 @@ RENAMED = """
 WITHOUT_NUMBA = """
     import sys
     sys.modules['numba'] = None
-    from orbimpc_ros.ros.planner import main
+    from orbimpc_ros.ros.planner.node import main
 
     sys.exit(main(sys.argv))
 """
@@ -168,7 +168,7 @@ def test_a_first_start_says_that_it_compiles_and_ends_at_a_signal(
 
 IN_A_CALLBACK = """
     import ctypes, os, signal, sys
-    from orbimpc_ros.ros.compiling import leaving_at_signals
+    from orbimpc_ros.ros.planner.compiling import leaving_at_signals
 
     def kill():
         os.kill(os.getpid(), signal.{signal})

@@ -7,8 +7,8 @@ pytest.importorskip('rclpy')
 
 from nav_msgs.msg import Odometry, Path
 
-from orbimpc_ros.mpc.controller import Controller
-from orbimpc_ros.mpc.forecast import Itinerary, forecast_named
+from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.loop.forecast import Itinerary, forecast_named
 from orbimpc_ros.world.flight import fly
 from orbimpc_ros.world.scenario import retrieval, retrieval_problem
 

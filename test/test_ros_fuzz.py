@@ -14,9 +14,9 @@ from std_srvs.srv import Trigger
 
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.arrival import RosTime
-from orbimpc_ros.ros.inbox import Inbox
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
-from orbimpc_ros.ros.planner_parameters import PLANNER, planner_settings
+from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
+from orbimpc_ros.ros.planner.inbox import Inbox
 from orbimpc_ros.world.vehicle import Model, launched
 
 FRAMES = Frames('odom', 'base_link')

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State
-from orbimpc_ros.mpc.solver import Solver
+from orbimpc_ros.mpc.solve.solver import Solver
 
 pytest.importorskip('visualization_msgs')
 from visualization_msgs.msg import Marker

@@ -13,7 +13,7 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.rotations import exp
+from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.world.vehicle import Model, launched, measured

@@ -22,7 +22,7 @@ from rclpy.parameter import Parameter, parameter_dict_from_yaml_file
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters import PLANNER, SIM, planner_settings, sim_settings
-from orbimpc_ros.ros.sections import given, unused_sections
+from orbimpc_ros.ros.parameters.sections import given, unused_sections
 from orbimpc_ros.world.scenario import retrieval, retrieval_problem
 
 CONFIG = Path(__file__).resolve().parents[1] / 'config' / 'retrieval.yaml'

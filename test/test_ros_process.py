@@ -199,7 +199,7 @@ def test_words_that_nobody_would_look_at_are_refused_in_one_line(node, words, sa
 BACKGROUND = ('sh', '-c', 'trap "" INT; exec "$@"', 'sh')
 
 
-@pytest.mark.parametrize('imported', ['numpy', 'rclpy.node', 'orbimpc_ros.ros.sim_parameters'])
+@pytest.mark.parametrize('imported', ['numpy', 'rclpy.node', 'orbimpc_ros.ros.parameters.sim'])
 @pytest.mark.parametrize('node', ['planner', 'sim'])
 def test_a_signal_during_the_start_ends_it_without_a_word(node, imported):
     """Told by what Python says it has imported; the last is followed by the node's own start."""

@@ -17,12 +17,12 @@ from geometry_msgs.msg import PoseStamped, QuaternionStamped, TwistStamped
 from nav_msgs.msg import Odometry, Path
 from rosgraph_msgs.msg import Clock
 
-from orbimpc_ros.mpc.controller import Controller
-from orbimpc_ros.mpc.forecast import forecast_named
+from orbimpc_ros.lab.faults.disturbed import fly_disturbed
+from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.loop.forecast import forecast_named
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.world.disturbed import fly_disturbed
 from orbimpc_ros.world.faults import Faults, View
 from orbimpc_ros.world.scenario import retrieval, retrieval_problem
 

@@ -8,17 +8,17 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from orbimpc_ros.mpc import controller as controllers
 from orbimpc_ros.mpc.command import flaw
-from orbimpc_ros.mpc.floors.faces import normals
+from orbimpc_ros.mpc.geometry.faces import normals
+from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.loop import controller as controllers
+from orbimpc_ros.mpc.loop.safety import CIRCLE_STEPS, safe_command
 from orbimpc_ros.mpc.problem import Floor, Problem, largest_fraction
-from orbimpc_ros.mpc.rotations import exp
-from orbimpc_ros.mpc.safety import CIRCLE_STEPS, safe_command
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.arrival import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
-from orbimpc_ros.ros.planner_parameters import PLANNER, planner_settings
-from orbimpc_ros.ros.ticker import Ticker, prepared
+from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
+from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.world.vehicle import Model, launched
 
 FRAMES = Frames('odom', 'base_link')

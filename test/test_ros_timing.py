@@ -4,7 +4,8 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from orbimpc_ros.ros.health import condition
+from orbimpc_ros.mpc.outcome import Status
+from orbimpc_ros.ros.planner.health import condition
 from orbimpc_ros.ros.reports import ERROR, OK, WARN, Report, safe_report
 from orbimpc_ros.ros.timing import Drift, Standstill, Timing
 
@@ -49,7 +50,7 @@ def test_ticks_that_come_late_are_counted():
     assert timing.late == 1
 
 
-PLANNING = Report('optimal')
+PLANNING = Report(Status.OPTIMAL)
 
 
 @pytest.mark.parametrize(
@@ -58,8 +59,8 @@ PLANNING = Report('optimal')
         (('', ''), '', None, ('',), (OK, 'ready')),
         (('', ''), '', PLANNING, ('',), (OK, 'planning')),
         (('', ''), '', PLANNING, ('', 'odom refused'), (WARN, 'planning; odom refused')),
-        (('', ''), '', Report('optimal', 'far away'), (), (WARN, 'far away')),
-        (('', ''), '', Report('feasible', 'gap'), (), (WARN, 'gap')),
+        (('', ''), '', Report(Status.OPTIMAL, 'far away'), (), (WARN, 'far away')),
+        (('', ''), '', Report(Status.FEASIBLE, 'gap'), (), (WARN, 'gap')),
         (('', ''), '', safe_report('old'), ('odom refused',), (ERROR, 'old; odom refused')),
         (('', ''), 'disabled', safe_report('disabled'), (), (WARN, 'disabled')),
         (('two sources', ''), 'disabled', PLANNING, (), (ERROR, 'two sources')),

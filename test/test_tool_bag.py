@@ -8,10 +8,10 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool import bag
-from orbimpc_ros.tool.bag import limits
-from orbimpc_ros.tool.bag_writer import BagWriter
-from orbimpc_ros.tool.topics import Topic
+from orbimpc_ros.tool.io import bag
+from orbimpc_ros.tool.io.bag import limits
+from orbimpc_ros.tool.io.bag.writer import BagWriter
+from orbimpc_ros.tool.io.topics import Topic
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 BOOL, CLOCK = 'std_msgs/msg/Bool', 'rosgraph_msgs/msg/Clock'

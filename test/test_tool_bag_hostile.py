@@ -16,10 +16,11 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool import bag, cli
-from orbimpc_ros.tool.bag import definitions, limits
-from orbimpc_ros.tool.bag_writer import BagWriter
-from orbimpc_ros.tool.topics import Topic
+from orbimpc_ros.tool import cli
+from orbimpc_ros.tool.io import bag
+from orbimpc_ros.tool.io.bag import definitions, limits
+from orbimpc_ros.tool.io.bag.writer import BagWriter
+from orbimpc_ros.tool.io.topics import Topic
 
 CORRUPTIONS = 400
 

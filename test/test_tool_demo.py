@@ -12,7 +12,8 @@ import pytest
 from bags import check_pictures, check_rollout
 from rosbags.rosbag2 import Reader
 
-from orbimpc_ros.tool import bag, demo, history
+from orbimpc_ros.tool import demo
+from orbimpc_ros.tool.io import bag, history
 
 pytest.importorskip('rclpy')
 EVERY_TICK = ('odom', 'goal', 'cmd_vel', 'rotation', 'plan', 'plan_markers', 'tick')
@@ -136,7 +137,7 @@ def alive(pid):
 
 def test_a_node_that_fails_is_shown(tmp_path):
     script = (
-        'import orbimpc_ros.tool.processes as p, sys;'
+        'import orbimpc_ros.tool.run.processes as p, sys;'
         'start = p.Process.__init__;'
         'p.Process.__init__ = lambda self, module, *a, **k: start(self, module + "x", *a, **k);'
         'from orbimpc_ros.tool import cli; sys.exit(cli.main(sys.argv[1:]))'

@@ -8,10 +8,11 @@ import pytest
 from bags import check_pictures
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.fleet import vehicles
-from orbimpc_ros.tool import fleet, history, settings
-from orbimpc_ros.tool.bag_writer import BagWriter
-from orbimpc_ros.tool.topics import topics_of
+from orbimpc_ros.ros.vehicles import vehicles
+from orbimpc_ros.tool.demo import fleet
+from orbimpc_ros.tool.io import history, settings
+from orbimpc_ros.tool.io.bag.writer import BagWriter
+from orbimpc_ros.tool.io.topics import topics_of
 from orbimpc_ros.world.fleet import members
 
 pytest.importorskip('rclpy')

@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from orbimpc_ros.tool import figures, settings
-from orbimpc_ros.tool.arrivals import column, planned_at_start, table, title
+from orbimpc_ros.lab.bench.duel import OURS
+from orbimpc_ros.lab.bench.picture import side_by_side
+from orbimpc_ros.lab.bench.rows import LATE, Row
+from orbimpc_ros.tool import figures
+from orbimpc_ros.tool.demo.arrivals import column, planned_at_start, table, title
+from orbimpc_ros.tool.demo.fleet import resolve
 from orbimpc_ros.tool.figures.dubins import determinant
 from orbimpc_ros.tool.figures.fleet import fleet
-from orbimpc_ros.tool.figures.moments import PANELS, chosen_ticks
-from orbimpc_ros.tool.fleet import resolve
-from orbimpc_ros.tool.history import History, Planned
-from orbimpc_ros.tool.measure.duel import OURS
-from orbimpc_ros.tool.measure.picture import side_by_side
-from orbimpc_ros.tool.measure.rows import LATE, Row
-from orbimpc_ros.tool.share import config
+from orbimpc_ros.tool.figures.snapshots import PANELS, chosen_ticks
+from orbimpc_ros.tool.io import settings
+from orbimpc_ros.tool.io.history import History, Planned
+from orbimpc_ros.tool.io.share import config
 
 
 def run(name, positions, *changes, captured=True, forces=()):

@@ -8,14 +8,14 @@ import textwrap
 
 import pytest
 from conftest import PATIENCE
-from test_tool_faults import alive, wait_for
+from test_lab_faults import alive, wait_for
 
 pytest.importorskip('rclpy')
 
 STARTER = """
     import sys, time
     from pathlib import Path
-    from orbimpc_ros.tool.processes import Process
+    from orbimpc_ros.tool.run.processes import Process
 
     folder = Path(sys.argv[1])
     (folder / 'none.yaml').write_text('/**: {ros__parameters: {}}')

@@ -18,19 +18,19 @@ from nav_msgs.msg import Odometry
 
 from orbimpc_ros.ros.messages import header
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.tool import bag
-from orbimpc_ros.tool.recorder import Recorder
-from orbimpc_ros.tool.stamps import LEAP, SECOND, Stamps, carried
-from orbimpc_ros.tool.topics import topics_of
+from orbimpc_ros.tool.io import bag
+from orbimpc_ros.tool.io.recorder import Recorder
+from orbimpc_ros.tool.io.stamps import LEAP, SECOND, Stamps, carried
+from orbimpc_ros.tool.io.topics import topics_of
 
 PATIENCE = 20.0  # [s]
 KIND = 'nav_msgs/msg/Odometry'
 SCRIPT = """
     import sys
     from pathlib import Path
-    from orbimpc_ros.tool.processes import Interruptions
-    from orbimpc_ros.tool.recorder import Recorder
-    from orbimpc_ros.tool.topics import topics_of
+    from orbimpc_ros.tool.run.processes import Interruptions
+    from orbimpc_ros.tool.io.recorder import Recorder
+    from orbimpc_ros.tool.io.topics import topics_of
 
     with Interruptions() as interruptions:
         recorder = Recorder(Path(sys.argv[1]), topics_of(), {'parameters': '{}'}, planners=())

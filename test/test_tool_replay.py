@@ -14,10 +14,11 @@ pytest.importorskip('rclpy')
 
 from rclpy.serialization import deserialize_message, serialize_message
 
-from orbimpc_ros.tool import bag, cli, settings
-from orbimpc_ros.tool.regression.answer import Answer
-from orbimpc_ros.tool.regression.difference import Tolerances, comparisons
-from orbimpc_ros.tool.regression.recording import recording_of
+from orbimpc_ros.tool import cli
+from orbimpc_ros.tool.io import bag, settings
+from orbimpc_ros.tool.replay.answer import Answer
+from orbimpc_ros.tool.replay.difference import Tolerances, comparisons
+from orbimpc_ros.tool.replay.recording import recording_of
 
 FLIGHTS = ('retrieval', 'dubins', 'spacecraft', 'obstacles', 'disturbed', 'faulty')
 RETRIEVAL = GOLDEN / 'retrieval'

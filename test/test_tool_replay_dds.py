@@ -16,10 +16,10 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.tool import bag, settings
-from orbimpc_ros.tool.regression.answer import answer_of
-from orbimpc_ros.tool.regression.difference import Tolerances, comparisons
-from orbimpc_ros.tool.regression.recording import recording_of, stamp_of
+from orbimpc_ros.tool.io import bag, settings
+from orbimpc_ros.tool.replay.answer import answer_of
+from orbimpc_ros.tool.replay.difference import Tolerances, comparisons
+from orbimpc_ros.tool.replay.recording import recording_of, stamp_of
 
 INPUTS = {'/clock': Clock, '/goal': PoseStamped, '/goal_path': Path, '/odom': Odometry}
 AGAIN, ATTEMPTS = 2.0, 10  # [s] without an answer, after which to ask again
@@ -136,7 +136,7 @@ def test_a_faulty_bag_flies_over_dds_as_it_is_replayed(planner, observer):
 
 
 def test_the_interface_names_the_types():
-    from orbimpc_ros.tool.topics import TYPES
+    from orbimpc_ros.tool.io.topics import TYPES
 
     for topic, kind in {**INPUTS, **OUTPUTS}.items():
         package, _, name = TYPES[topic.strip('/')].split('/')

@@ -9,11 +9,12 @@ import pytest
 import yaml
 from bags import GOLDEN
 
-from orbimpc_ros.mpc.case import case_of
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool import bag, cli, document, settings
-from orbimpc_ros.tool.bag.folder import folder_of
-from orbimpc_ros.tool.share import config
+from orbimpc_ros.mpc.problem.case import case_of
+from orbimpc_ros.tool import cli
+from orbimpc_ros.tool.io import bag, document, settings
+from orbimpc_ros.tool.io.bag.folder import folder_of
+from orbimpc_ros.tool.io.share import config
 
 SNIPPETS = (
     '[', ']', '{', '}', ':', ': ', '- ', '\t', '\n', '"', "'", '&a ', '*a', '!!python/name:os',
@@ -180,7 +181,7 @@ def test_bad_parameters_of_a_file_are_named(tmp_path, changes, said):
 
 
 def test_notes_of_another_version_are_told(tmp_path):
-    from orbimpc_ros.tool.bag_writer import BagWriter
+    from orbimpc_ros.tool.io.bag.writer import BagWriter
 
     notes = {'parameters': yaml.safe_dump({'/**': {'ros__parameters': {'warp': 9.0}}})}
     with BagWriter(tmp_path / 'bag', [], notes):

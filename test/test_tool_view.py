@@ -109,7 +109,7 @@ def test_the_goal_leaves_a_trail(drawn):
 
 
 def test_what_the_planner_would_refuse_is_not_drawn(drawn):
-    from orbimpc_ros.tool import settings
+    from orbimpc_ros.tool.io import settings
     from orbimpc_ros.tool.view.scene import Scene
 
     _, flight = drawn['retrieval']

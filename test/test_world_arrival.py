@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orbimpc_ros.mpc.controller import Controller
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.forecast import forecast_named
+from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.loop.forecast import forecast_named
 from orbimpc_ros.world.arrival import open_loop
 from orbimpc_ros.world.flight import departure, fly
 from orbimpc_ros.world.rope import fixed

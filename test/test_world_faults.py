@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orbimpc_ros.mpc.controller import Controller
+from orbimpc_ros.lab.faults.disturbed import Ears, fly_disturbed
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.forecast import forecast_named
-from orbimpc_ros.mpc.odometry import Odometry
-from orbimpc_ros.mpc.rotations import log
-from orbimpc_ros.world.disturbed import Ears, fly_disturbed
+from orbimpc_ros.mpc.geometry.rotations import log
+from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.loop.forecast import forecast_named
+from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.world.faults import Faults, View
 from orbimpc_ros.world.flight import departure, fly
 from orbimpc_ros.world.rope import Rope

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orbimpc_ros.mpc.controller import Controller
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.forecast import forecast_named
-from orbimpc_ros.mpc.rotations import log
+from orbimpc_ros.mpc.geometry.rotations import log
+from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.loop.forecast import forecast_named
 from orbimpc_ros.world.capture import closest_approach
 from orbimpc_ros.world.flight import departure, fly
 from orbimpc_ros.world.rope import Rope, fixed

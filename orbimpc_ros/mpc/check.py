@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.floors.faces import normals
-from orbimpc_ros.mpc.orbitopes import margin
+from orbimpc_ros.mpc.geometry.faces import normals
+from orbimpc_ros.mpc.geometry.orbitopes import margin
+from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.rotations import HEADING_UNDEFINED
 
 if TYPE_CHECKING:
     from orbimpc_ros.mpc.command import Command

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
+from orbimpc_ros.mpc.geometry.rotations import exp, log
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.rotations import exp, log
 
 RATE_TOLERANCE = 1e-6  # relative
 ROTATION_TOLERANCE = 1e-9

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
-from orbimpc_ros.mpc.orbitopes import coordinates, matrix
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates, matrix
+from orbimpc_ros.mpc.geometry.rotations import project_all, turned_onto
+from orbimpc_ros.mpc.model.trajectory import trajectory_of
+from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.rotations import project_all, turned_onto
-from orbimpc_ros.mpc.trajectory import trajectory_of
 
-OPTIMAL, FEASIBLE, INFEASIBLE, FAILED = 'optimal', 'feasible', 'infeasible', 'failed'
 ROUNDING = 1e-12  # of the cost unit: at the goal the cost vanishes, its rounding does not
 
 
@@ -93,13 +93,13 @@ class Plan:
         return (self.objective - self.lower_bound) / max(1e-9, abs(self.objective))
 
     @property
-    def status(self) -> str:
-        """Return ``optimal`` (proved within the gap tolerance) or ``feasible`` (not proved)."""
+    def status(self) -> Status:
+        """Return whether it is proved optimal, within the gap tolerance, or merely feasible."""
         proof = self.proof
         missing = self.objective - proof.lower_bound
         rounding = ROUNDING * proof.cost_unit
         proved = missing <= max(proof.gap_tolerance * abs(self.objective), rounding) < np.inf
-        return OPTIMAL if proved else FEASIBLE
+        return Status.OPTIMAL if proved else Status.FEASIBLE
 
     @property
     def speed_fraction(self) -> Array:

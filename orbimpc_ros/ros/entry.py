@@ -41,7 +41,7 @@ def sim() -> int:
 def _run(node: str) -> int:
     leave_at_signals()
     try:
-        main = import_module(f'orbimpc_ros.ros.{node}').main
+        main = import_module(f'orbimpc_ros.ros.{node}.node').main
     except ModuleNotFoundError as error:
         line = without_ros(error)
         if not line:

@@ -33,9 +33,9 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.fleet import vehicles
+from orbimpc_ros.ros.parameters.sections import given
 from orbimpc_ros.ros.process import RANGE
-from orbimpc_ros.ros.sections import given
+from orbimpc_ros.ros.vehicles import vehicles
 
 AUTO = 'auto'
 

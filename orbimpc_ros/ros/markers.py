@@ -8,7 +8,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.floors.outline import outline
+from orbimpc_ros.mpc.geometry.outline import outline
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.messages import Stamp, header, point, pose

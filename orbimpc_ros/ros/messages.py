@@ -31,10 +31,10 @@ from std_msgs.msg import Header
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.forecast import Itinerary, Sighting
-from orbimpc_ros.mpc.odometry import Odometry
+from orbimpc_ros.mpc.geometry.rotations import from_quaternion, to_quaternion
+from orbimpc_ros.mpc.loop.forecast import Itinerary, Sighting
+from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.plan import Plan
-from orbimpc_ros.mpc.rotations import from_quaternion, to_quaternion
 from orbimpc_ros.world.vehicle import Vehicle, measured
 
 LARGEST = 1e7  # [m], [m/s], [rad/s], [N]: beyond any vehicle; squares stay far from overflow

@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from orbimpc_ros.mpc.binding import explained
-from orbimpc_ros.mpc.plan import FAILED, OPTIMAL
+from orbimpc_ros.mpc.outcome import Fallback, Status
+from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.ros.messages import header
 
 if TYPE_CHECKING:  # the simulator reports without a solver, and starts sooner for it
-    from orbimpc_ros.mpc.controller import Tick
+    from orbimpc_ros.mpc.loop.controller import Tick
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-SAFE = 'safe command'  # the fallback of a tick that has no plan to follow
 AFRESH = 'starting afresh'  # why: inputs and plan were forgotten
 ANOTHER_PLAN = 0.01  # unexplained share of the gradient beyond which a plan is no optimum
 LONGEST = 60  # steps; prices of longer plans take milliseconds
@@ -48,7 +47,7 @@ class Report:
             has to know.
     """
 
-    status: str
+    status: Status
     reason: str = ''
     objective: float = math.nan
     lower_bound: float = math.nan
@@ -57,7 +56,7 @@ class Report:
     solve_time_ms: float = 0.0
     speed_fraction: tuple[float, ...] = ()
     projection_distance: float = math.nan
-    fallback: str = ''
+    fallback: Fallback = Fallback.NONE
     binding: Mapping[str, float] = field(default_factory=dict)
     advanced: float = 0.0
     goal_stamps: Mapping[str, int] = field(default_factory=dict)
@@ -66,15 +65,17 @@ class Report:
     @property
     def level(self) -> bytes:
         """Return how bad it is, in diagnostics' terms."""
-        if self.fallback == SAFE:
+        if self.fallback is Fallback.SAFE_COMMAND:
             return ERROR
-        return WARN if self.fallback or self.reason or self.status != OPTIMAL else OK
+        return WARN if self.fallback or self.reason or self.status is not Status.OPTIMAL else OK
 
 
 def report_of(tick: Tick, solve_time_ms: float) -> Report:
     """Return the report of a controller's tick."""
     if tick.plan is None:
-        return Report(tick.status, tick.reason, solve_time_ms=solve_time_ms, fallback=SAFE)
+        return Report(
+            tick.status, tick.reason, solve_time_ms=solve_time_ms, fallback=Fallback.SAFE_COMMAND
+        )
     plan = tick.plan
     return Report(
         tick.status,
@@ -103,7 +104,7 @@ def prices(tick: Tick) -> dict[str, float]:
 
 def safe_report(reason: str) -> Report:
     """Return the report of a tick on which nothing was planned."""
-    return Report(FAILED, reason, fallback=SAFE)
+    return Report(Status.FAILED, reason, fallback=Fallback.SAFE_COMMAND)
 
 
 def tick_message(at: int, node: str, report: Report) -> DiagnosticArray:

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
+from types import ModuleType
 from typing import NoReturn
 
 from orbimpc_ros import __version__
@@ -15,6 +16,7 @@ from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError
 from orbimpc_ros.ros.entry import without_ros
 
 DONE, FAILED, BAD_INPUT, INFEASIBLE = 0, 1, 2, 3
+LABORATORY = ('bench', 'faults', 'study')  # commands of the laboratory, above this package
 PLANNING = ('bench', 'demo', 'study')  # commands that plan for long: slow ones are worth a word
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
@@ -46,8 +48,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         args = _parser(words).parse_args(words)
         if args.command in PLANNING and find_spec('numba') is None:
-            _complain(import_module('orbimpc_ros.ros.compiling').MISSING)
-        code = import_module(f'orbimpc_ros.tool.{args.command}').run(args)
+            _complain(import_module('orbimpc_ros.ros.planner.compiling').MISSING)
+        code = _module(args.command).run(args)
         sys.stdout.flush()
         return code
     except OrbimpcError as error:
@@ -92,8 +94,13 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
     for name, summary in COMMANDS.items():
         sub = commands.add_parser(name, help=summary, description=summary)
         if words[:1] == [name]:
-            import_module(f'orbimpc_ros.tool.{name}').add_arguments(sub)
+            _module(name).add_arguments(sub)
     return parser
+
+
+def _module(command: str) -> ModuleType:
+    home = 'lab' if command in LABORATORY else 'tool'
+    return import_module(f'orbimpc_ros.{home}.{command}')
 
 
 def _code(error: OrbimpcError) -> int:

@@ -11,7 +11,7 @@ from orbimpc_ros.mpc.errors import BadInput
 
 if TYPE_CHECKING:
     from orbimpc_ros.mpc.arrays import Array
-    from orbimpc_ros.tool.history import History
+    from orbimpc_ros.tool.io.history import History
 
 ANIMATION = 'animation.gif'
 FRAME, LAST = 80, 2500  # [ms] that frames are shown
@@ -33,8 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Draw a flight; nothing is written unless everything can be."""
-    from orbimpc_ros.tool import history
-    from orbimpc_ros.tool.files import require_writable, writing_to
+    from orbimpc_ros.tool.io import history
+    from orbimpc_ros.tool.io.files import require_writable, writing_to
 
     flight = history.of_bag(Path(args.bag), args.namespace)
     if len(flight.times) < 2:
@@ -83,7 +83,7 @@ def made_here(file: Path) -> bool:
     """Return whether a picture says that orbimpc has made it."""
     from PIL import Image, UnidentifiedImageError
 
-    from orbimpc_ros.tool.style import MAKER
+    from orbimpc_ros.tool.figures.style import MAKER
 
     try:
         with Image.open(file) as image:
@@ -98,8 +98,8 @@ def write_gif(frames: Sequence[Array], file: Path) -> None:
     import numpy as np
     from PIL import Image
 
-    from orbimpc_ros.tool.files import write_whole
-    from orbimpc_ros.tool.style import MAKER
+    from orbimpc_ros.tool.figures.style import MAKER
+    from orbimpc_ros.tool.io.files import write_whole
 
     # One palette for all frames: colours must not flicker.
     palette = Image.new('P', (1, 1))

@@ -8,11 +8,11 @@ import math
 import time
 from typing import Any
 
-from orbimpc_ros.mpc.case import Case, case_of
 from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.plan import Plan
-from orbimpc_ros.mpc.solver import Solver
-from orbimpc_ros.tool import document
+from orbimpc_ros.mpc.problem.case import Case, case_of
+from orbimpc_ros.mpc.solve.solver import Solver
+from orbimpc_ros.tool.io import document
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

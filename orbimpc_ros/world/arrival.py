@@ -8,10 +8,10 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import command_of
-from orbimpc_ros.mpc.odometry import state_of
+from orbimpc_ros.mpc.loop.odometry import state_of
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.solver import Solver
+from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.world.scenario import Scenario
 from orbimpc_ros.world.vehicle import Vehicle, advance, measured, model_of
 

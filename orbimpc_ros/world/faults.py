@@ -15,9 +15,9 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, number, whole
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.odometry import Odometry
-from orbimpc_ros.mpc.rotations import exp
-from orbimpc_ros.mpc.sighting import Sighting
+from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.loop.observation import Sighting
+from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.world.flight import Flight
 from orbimpc_ros.world.vehicle import Vehicle, between, measured
 

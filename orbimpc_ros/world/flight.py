@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.forecast import Forecast, Sighting
-from orbimpc_ros.mpc.odometry import Odometry
+from orbimpc_ros.mpc.loop.forecast import Forecast, Sighting
+from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.world.capture import closest_approach
 from orbimpc_ros.world.scenario import Scenario
 from orbimpc_ros.world.vehicle import Vehicle, advance, failsafe, measured
 
 if TYPE_CHECKING:  # the simulator flies without a solver, and starts sooner for it
-    from orbimpc_ros.mpc.controller import Tick
+    from orbimpc_ros.mpc.loop.controller import Tick
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, frozen, number
-from orbimpc_ros.mpc.sighting import Sighting
+from orbimpc_ros.mpc.loop.observation import Sighting
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, frozen, number, whole
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.odometry import Odometry
+from orbimpc_ros.mpc.geometry.rotations import exp, log, nearest
+from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.rotations import exp, log, nearest
 
 
 @dataclass(frozen=True)

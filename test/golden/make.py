@@ -16,17 +16,17 @@ from pathlib import Path
 import numpy as np
 from rosgraph_msgs.msg import Clock
 
-from orbimpc_ros.mpc.odometry import Odometry
+from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.arrival import RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters import planner_settings, sim_settings
-from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.bag_writer import BagWriter
-from orbimpc_ros.tool.regression.accept import serialised
-from orbimpc_ros.tool.regression.pilot import Pilot
-from orbimpc_ros.tool.share import config
-from orbimpc_ros.tool.topics import TYPES, topics_of
+from orbimpc_ros.tool.io import settings
+from orbimpc_ros.tool.io.bag.writer import BagWriter
+from orbimpc_ros.tool.io.share import config
+from orbimpc_ros.tool.io.topics import TYPES, topics_of
+from orbimpc_ros.tool.replay.accept import serialised
+from orbimpc_ros.tool.replay.pilot import Pilot
 from orbimpc_ros.world.faults import View
 from orbimpc_ros.world.flight import departure
 

@@ -168,7 +168,7 @@ def _faults(rng: np.random.Generator, duration: float) -> dict[str, tuple[float,
 
 def odometry_message(stamp: Any, motion: Motion, velocity: np.ndarray) -> Any:
     """What odometry says of a motion, given its velocity in the body's axes [m/s]."""
-    from orbimpc_ros.mpc.odometry import Odometry
+    from orbimpc_ros.mpc.loop.odometry import Odometry
     from orbimpc_ros.ros.messages import measurement_message
 
     c, s = math.cos(motion.heading), math.sin(motion.heading)
@@ -182,8 +182,8 @@ class Planner:
 
     def __init__(self, parameters: dict[str, Any]) -> None:
         from orbimpc_ros.ros import messages
-        from orbimpc_ros.ros.planner_parameters import PLANNER, planner_settings
-        from orbimpc_ros.ros.ticker import Ticker, prepared
+        from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
+        from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 
         values = {row.name: row.default for row in PLANNER} | parameters
         self._messages, self._frames = messages, messages.Frames('odom', 'base_link')

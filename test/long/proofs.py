@@ -99,9 +99,9 @@ def by_api(mapping: dict[str, Any], deadline: float) -> Answer:
 
 
 def _solved(mapping: dict[str, Any], deadline: float) -> Answer:
-    from orbimpc_ros.mpc.case import case_of
     from orbimpc_ros.mpc.problem import State
-    from orbimpc_ros.mpc.solver import Solver
+    from orbimpc_ros.mpc.problem.case import case_of
+    from orbimpc_ros.mpc.solve.solver import Solver
 
     known = mapping['state']
     plain = {name: known[name] for name in known if name not in ('attitude', 'coasted')}

@@ -1,11 +1,11 @@
 """``python -m orbimpc_ros.mpc.kernels``: compile the machine code now, so that no start waits."""
 
-from orbimpc_ros.mpc.floors.circle import Circle
-from orbimpc_ros.mpc.hull import Hull
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.planar import Planar
 from orbimpc_ros.mpc.problem import Floor, Problem
-from orbimpc_ros.mpc.spatial import Spatial
+from orbimpc_ros.mpc.solve.annulus_newton import Circle
+from orbimpc_ros.mpc.solve.hull_riccati import Hull
+from orbimpc_ros.mpc.solve.polygon_bnb import Planar
+from orbimpc_ros.mpc.solve.so3_multipliers import Spatial
 
 if COMPILED:
     Hull(Problem(), 1e-6)

@@ -13,7 +13,7 @@ from orbimpc_ros.mpc.kernels import compiled
 
 @compiled
 def set_lmi(x, s):
-    """Set ``s`` to S(R), the matrix of :func:`orbimpc_ros.mpc.orbitopes.lmi`."""
+    """Set ``s`` to S(R), the matrix of :func:`orbimpc_ros.mpc.geometry.orbitopes.lmi`."""
     s[0, 0] = 1.0 + x[0] + x[4] + x[8]
     s[1, 1] = 1.0 + x[0] - x[4] - x[8]
     s[2, 2] = 1.0 - x[0] + x[4] - x[8]

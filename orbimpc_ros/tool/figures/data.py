@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.tool.figures.stories import story
-from orbimpc_ros.tool.history import History
-from orbimpc_ros.tool.style import BLUE, GREEN, INK, RED, headline, whole_seconds
+from orbimpc_ros.tool.figures.captions import story
+from orbimpc_ros.tool.figures.style import BLUE, GREEN, INK, RED, headline, whole_seconds
+from orbimpc_ros.tool.io.history import History
 
 TITLES = {
     'positions': 'Position in the world',

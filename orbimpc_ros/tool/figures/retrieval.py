@@ -8,6 +8,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from orbimpc_ros.tool.figures.captions import story
 from orbimpc_ros.tool.figures.charts import draw_over_time
 from orbimpc_ros.tool.figures.scene import (
     cross,
@@ -18,14 +19,13 @@ from orbimpc_ros.tool.figures.scene import (
     end_box,
     mark_capture,
 )
-from orbimpc_ros.tool.figures.stories import story
-from orbimpc_ros.tool.history import History
-from orbimpc_ros.tool.style import (
+from orbimpc_ros.tool.figures.style import (
     INK,
     RED,
     SKY,
     headline,
 )
+from orbimpc_ros.tool.io.history import History
 
 
 def retrieval(history: History) -> Figure:

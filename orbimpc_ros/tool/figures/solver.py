@@ -8,9 +8,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.tool.figures.stories import story
-from orbimpc_ros.tool.history import History
-from orbimpc_ros.tool.style import BLUE, INK, ORANGE, RED, headline, whole_seconds
+from orbimpc_ros.tool.figures.captions import story
+from orbimpc_ros.tool.figures.style import BLUE, INK, ORANGE, RED, headline, whole_seconds
+from orbimpc_ros.tool.io.history import History
 
 LEAST_GAP = 1e-16  # drawn for none, which has no place on a logarithmic axis
 

@@ -10,16 +10,16 @@ from matplotlib.figure import Figure
 
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.tool.figures import space
+from orbimpc_ros.tool.figures.captions import story
 from orbimpc_ros.tool.figures.data import applied, steps
 from orbimpc_ros.tool.figures.scene import boxes
-from orbimpc_ros.tool.figures.stories import story
-from orbimpc_ros.tool.history import History
-from orbimpc_ros.tool.style import (
+from orbimpc_ros.tool.figures.style import (
     BLUE,
     ORANGE,
     headline,
     whole_seconds,
 )
+from orbimpc_ros.tool.io.history import History
 
 VIEW = (18.0, -70.0)
 PLANNED: dict[str, Any] = {'color': ORANGE, 'lw': 3.5, 'alpha': 0.6}

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, BinaryIO
 from uuid import uuid4
 
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
-from orbimpc_ros.tool.files import require_writable
+from orbimpc_ros.tool.io.files import require_writable
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     if not installed():
         hint = "pip install 'orbimpc_ros[view]'"
         raise BadInput.stating('orbimpc view', 'rerun-sdk is missing', hint)
-    from orbimpc_ros.tool.processes import Interruptions
+    from orbimpc_ros.tool.run.processes import Interruptions
 
     with Interruptions() as interruptions:
         show = _save if args.save else _serve

@@ -8,8 +8,8 @@ from typing import Any
 
 import rerun as rr
 
-from orbimpc_ros.tool import bag, settings
-from orbimpc_ros.tool.topics import absent
+from orbimpc_ros.tool.io import bag, settings
+from orbimpc_ros.tool.io.topics import absent
 from orbimpc_ros.tool.view.scene import Scene
 
 NEEDED = ('odom', 'goal')

@@ -12,7 +12,7 @@ import rerun as rr
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.floors.outline import outline, sphere
+from orbimpc_ros.mpc.geometry.outline import outline, sphere
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.messages import (
     SECOND,
@@ -23,9 +23,9 @@ from orbimpc_ros.ros.messages import (
     read_sighting,
 )
 from orbimpc_ros.ros.parameters import planner_settings
-from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.content import attitude, fields, seconds
-from orbimpc_ros.tool.palette import BLUE, GREEN, GREY, ORANGE, RED, SKY, rgb
+from orbimpc_ros.tool.figures.palette import BLUE, GREEN, GREY, ORANGE, RED, SKY, rgb
+from orbimpc_ros.tool.io import settings
+from orbimpc_ros.tool.io.content import attitude, fields, seconds
 from orbimpc_ros.tool.view import shapes
 from orbimpc_ros.tool.view.layout import THRUST, TICK, TIMELINE, WORLD, blueprint, eye
 

@@ -79,7 +79,7 @@ class Server:
         program = Path(rerun_cli.__file__).parent / 'rerun'
         words = ('--serve-web', '--bind', HOST, '--hide-welcome-screen')
         numbers = ('--port', str(ports.data), '--web-viewer-port', str(ports.page))
-        tethered = ('-m', 'orbimpc_ros.tool.tethered', str(os.getpid()))
+        tethered = ('-m', 'orbimpc_ros.tool.run.tethered', str(os.getpid()))
         self._child = subprocess.Popen(
             [sys.executable, *tethered, 'orbimpc_ros.tool.view.host', program, *words, *numbers],
             stdin=subprocess.DEVNULL,

@@ -1,0 +1,1 @@
+"""The laboratory: benchmarks, studies and the fault matrix."""

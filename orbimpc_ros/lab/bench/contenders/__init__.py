@@ -1,0 +1,1 @@
+"""Solvers that ``orbimpc bench`` compares."""

@@ -1,0 +1,183 @@
+"""The problems that are solved side by side, who takes part, and what is required of us.
+
+Everybody gets the same problem, the same instances, the same relative gap and one thread.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from orbimpc_ros.lab.bench.contenders.contender import Contender
+from orbimpc_ros.lab.bench.duel import OURS
+from orbimpc_ros.lab.bench.instances import Instance, arrivals, boxes, circling, scattered
+from orbimpc_ros.mpc.problem import Floor, Problem, Weights
+
+GUROBI, SCIP, IPOPT = 'Gurobi', 'SCIP', 'IPOPT (local)'
+GUROBI_CUT = 'Gurobi + our cut'
+CVXPY, QOCO = 'CVXPY + Clarabel', 'CVXPY + QOCO'
+NODES, LIFTED = 'CVXPY nodes, same tree', 'dense lifted SDP'
+PACKAGES = {
+    GUROBI: 'gurobipy',
+    GUROBI_CUT: 'gurobipy',
+    SCIP: 'pyscipopt',
+    IPOPT: 'casadi',
+    QOCO: 'qoco',
+}
+CAP, QUICK_CAP = 60.0, 5.0  # [s] for one solve
+HORIZONS, BOXES = (5, 10, 20, 50, 100), (1, 2, 4, 8, 16)
+ARRIVAL: dict[str, Any] = {'horizon': 20, 'terminal': 'constraint'}
+DEFAULTS = 'dubins'  # where SCIP's defaults prove more in a minute than its fast settings
+RIM, NO_FLOOR = math.sqrt(0.5), Floor('none')
+
+Entrant = tuple[str, str, Mapping[str, Any]]  # module, class, what its constructor takes
+
+
+@dataclass(frozen=True)
+class Contest:
+    """A problem with its instances and contenders.
+
+    Attributes:
+        key: short name, for ``--only``.
+        title: what it is.
+        problem: what to solve.
+        instances: makes that many.
+        counts: how many to measure, quickly or not.
+        gap: relative gap that everybody has to prove.
+        rivals: names of the contenders beside ours.
+        required: limits by contender.
+        closed_loop: whether instances follow each other.
+    """
+
+    key: str
+    title: str
+    problem: Problem
+    instances: Callable[[Problem, int], list[Instance]]
+    counts: tuple[int, int]
+    gap: float = 1e-4
+    rivals: tuple[str, ...] = ()
+    required: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    closed_loop: bool = False
+
+    def entrant(self, name: str, cap: float) -> Entrant:
+        """Return where a contender is found and how it is set up."""
+        mixed = {'gap': self.gap, 'cap': cap, 'closed_loop': self.closed_loop}
+        known: dict[str, Entrant] = {
+            OURS: ('ours', 'Ours', mixed),
+            GUROBI: ('gurobi', 'Gurobi', mixed),
+            GUROBI_CUT: ('gurobi', 'Gurobi', {**mixed, 'cut': True}),
+            SCIP: ('scip', 'Scip', {**mixed, 'fast': self.key != DEFAULTS}),
+            IPOPT: ('ipopt', 'Ipopt', {'tolerance': self.gap}),
+            CVXPY: ('resolve', 'Resolve', {}),
+            QOCO: ('resolve', 'Resolve', {'solver': 'QOCO'}),
+            NODES: ('nodes', 'Nodes', {'gap': self.gap}),
+            LIFTED: ('lifted', 'Lifted', {'gap': self.gap}),
+        }
+        return known[name]
+
+    def contender(self, name: str, cap: float) -> Contender:
+        """Return a contender set up for the problem.
+
+        Raises:
+            ImportError: it is not installed.
+        """
+        module, kind, options = self.entrant(name, cap)
+        found = import_module(f'orbimpc_ros.lab.bench.contenders.{module}')
+        return getattr(found, kind)(self.problem, **options)
+
+
+def _p50(ratio: float) -> dict[str, float]:
+    return {'ratio_p50': ratio}
+
+
+def _planar() -> list[Contest]:
+    square = Problem(floor=Floor('polygon', 4, math.sqrt(0.3)))
+    contests = [
+        Contest('hull', 'SE(2) N=5 hull', Problem(floor=NO_FLOOR), circling, (20, 200),
+                rivals=(CVXPY, QOCO), required={CVXPY: _p50(8.0)}, closed_loop=True),
+        Contest('square', 'SE(2) N=5 square floor, circling, 1e-4', square, circling, (10, 200),
+                rivals=(GUROBI, SCIP), closed_loop=True,
+                required={GUROBI: {'ratio_p50': 10.0, 'ratio_p99': 5.0}, SCIP: _p50(50.0)}),
+    ]  # fmt: skip
+    for share in (0.3, 1.0):
+        problem = Problem(floor=Floor('circle', fraction=math.sqrt(share)))
+        wanted = {OURS: {'worst_gap': 1e-6}, IPOPT: {'ratio_p50': 15.0, 'ratio_p99': 1.0}}
+        contests.append(
+            Contest(f'circle-{share}', f'SE(2) N=5 circle {share}, circling, 1e-6', problem,
+                    circling, (20, 1000), 1e-6, (IPOPT,), wanted, True)
+        )  # fmt: skip
+    return contests
+
+
+def _dubins() -> list[Contest]:
+    goal = np.array([5.0, 10.0])
+
+    def departures(problem: Problem, count: int) -> list[Instance]:
+        return arrivals(problem, count, goal, 0.3)
+
+    turning = Weights(0.0, 0.05, 1.0, 0.0)
+    length = Weights(0.0, 0.0, 1.0, 0.0)
+    square, circle = Floor('polygon', 4, RIM), Floor('circle', fraction=RIM)
+    one_second = {OURS: {'p50_ms': 1000.0}}
+    return [
+        Contest('dubins', 'Dubins N=20 square r=0.05 l=1, 1e-4',
+                Problem(weights=turning, floor=square, **ARRIVAL), departures, (1, 9),
+                rivals=(GUROBI, GUROBI_CUT, SCIP), required={GUROBI: _p50(4.0), SCIP: _p50(10.0)}),
+        Contest('dubins-length', 'Dubins N=20 square r=0 l=1, 1e-3',
+                Problem(weights=length, floor=square, **ARRIVAL), departures, (1, 3), 1e-3,
+                (GUROBI, GUROBI_CUT, SCIP), one_second),
+        Contest('dubins-circle', 'Dubins N=20 circle, 1e-3',
+                Problem(weights=turning, floor=circle, **ARRIVAL), departures, (2, 20), 1e-3,
+                (LIFTED,), {LIFTED: _p50(3.0)}),
+    ]  # fmt: skip
+
+
+def _space() -> list[Contest]:
+    goal = np.array([5.0, 10.0, 25.0])
+
+    def departures(problem: Problem, count: int) -> list[Instance]:
+        return arrivals(problem, count, goal, 0.3)
+
+    def around(problem: Problem, count: int) -> list[Instance]:
+        return scattered(problem, count, 2.0)
+
+    craft: dict[str, Any] = {'dimension': 3, 'rotation_order': 2, 'translation_order': 2}
+    fuel = Problem(weights=Weights(0.0, 1.0, 0.1, 0.0), floor=NO_FLOOR, **craft, **ARRIVAL)
+    cube = Problem(dimension=3, floor=Floor('polygon', 6, 0.5))
+    return [
+        Contest('spacecraft', 'spacecraft T=20 hull', fuel, departures, (3, 50),
+                rivals=(CVXPY,), required={CVXPY: _p50(20.0)}),
+        Contest('se3', 'SE(3) N=5 hull', Problem(dimension=3, floor=NO_FLOOR), around, (5, 100),
+                rivals=(CVXPY,), required={CVXPY: _p50(2.5)}),
+        Contest('se3-faces', 'SE(3) N=5 six faces 0.5, 1e-4', cube, around, (1, 10),
+                rivals=(NODES,), required={NODES: _p50(10.0)}),
+    ]  # fmt: skip
+
+
+def _sizes() -> list[Contest]:
+    def ahead(problem: Problem, count: int) -> list[Instance]:
+        return scattered(problem, count, 0.5 * problem.horizon)
+
+    def across(problem: Problem, count: int) -> list[Instance]:
+        return arrivals(problem, count, np.array([8.0, 0.0]), 0.3)
+
+    hulls = [
+        Contest('horizons', f'SE(2) hull N={n}', Problem(horizon=n, floor=NO_FLOOR), ahead,
+                (4, 30))
+        for n in HORIZONS
+    ]  # fmt: skip
+    strewn = [
+        Contest('boxes', f'SE(2) N=8 among boxes: {m}',
+                Problem(horizon=8, floor=NO_FLOOR, obstacles=boxes(m)), across, (1, 10),
+                rivals=(GUROBI, SCIP))
+        for m in BOXES
+    ]  # fmt: skip
+    return [*hulls, *strewn]
+
+
+CONTESTS = (*_planar(), *_dubins(), *_space(), *_sizes())

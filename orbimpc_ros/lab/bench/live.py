@@ -1,0 +1,130 @@
+"""Planner processes, live: start, memory, latency over DDS, many at once on one machine.
+
+A driver in this process publishes odometry and hears commands; a command carries the stamp of the
+odometry that it answers, so that each latency is from one publish to one receipt, on one clock.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from orbimpc_ros.lab.bench.duel import OURS, percentiles
+from orbimpc_ros.lab.bench.planners import Planner, running
+from orbimpc_ros.lab.bench.rows import LATE, Row
+
+if TYPE_CHECKING:
+    from orbimpc_ros.lab.bench.driver import Driver
+
+MEETING = 60.0  # [s] until every planner must have answered
+FAST, SLOW = 50.0, 5.0  # [Hz]
+SETTLED = 50  # answers before the clock counts
+PLANNERS = (1, 5, 20)
+LATENCY, START = 'node: odometry to command, 50 Hz', 'node: start to first command'
+AT_ONCE = 'planners at 5 Hz'
+NAMES = {'start': START, 'latency': LATENCY, 'planners': AT_ONCE}
+
+
+def measurements(
+    wanted: Sequence[str], quick: bool
+) -> Iterator[tuple[str, Callable[[], list[Row]]]]:
+    """Yield name and measurement of those of ``start``, ``latency`` and ``planners`` wanted."""
+    if importlib.util.find_spec('rclpy') is None:
+        note = 'absent: ROS 2 Jazzy, or the extra "ros" of this package'
+        for name in (name for key, name in NAMES.items() if key in wanted):
+            yield name, partial(list, [Row(name, OURS, note=note)])
+        return
+    if 'start' in wanted:
+        yield START, partial(_start, 2 if quick else 5)
+    if 'latency' in wanted:
+        yield LATENCY, partial(_latency, 2.0 if quick else 20.0)
+    if 'planners' in wanted:
+        for count in PLANNERS[-1:] if quick else PLANNERS:
+            seconds = 60.0 if count == PLANNERS[-1] and not quick else 10.0
+            yield f'{AT_ONCE}, {count} at once', partial(fleet, count, seconds)
+
+
+@contextmanager
+def _driven(namespaces: Sequence[str]) -> Iterator[tuple[Driver, list[Planner], float]]:
+    """Yield a driver, its planners, and when they were started."""
+    from orbimpc_ros.lab.bench.driver import Driver
+    from orbimpc_ros.tool.run import discovery
+
+    with tempfile.TemporaryDirectory() as name, _environment():
+        discovery.isolate(Path(name))
+        with closing(Driver(namespaces)) as driver:
+            begin = time.perf_counter()
+            with running(namespaces, Path(name)) as planners:
+                yield driver, planners, begin
+
+
+@contextmanager
+def _environment() -> Iterator[None]:
+    """Undo changes to the environment at the end: the folder that they name goes away."""
+    before = dict(os.environ)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+
+
+def _start(count: int) -> list[Row]:
+    times, sizes = [], []
+    for _ in range(count):
+        with _driven(['']) as (driver, planners, begin):
+            driver.until_answered(FAST, MEETING)
+            times.append(1e3 * (time.perf_counter() - begin))
+            driver.drive(FAST, 1.0)
+            sizes.append(planners[0].resident())
+    p50, p99 = percentiles(times)
+    memory = Row(
+        'node: resident memory [MB]', OURS, count, objective=max(sizes),
+        required={'objective': 250.0},
+    )  # fmt: skip
+    return [Row(START, OURS, count, p50, p99, required={'p50_ms': 2500.0}), memory]
+
+
+def _latency(seconds: float) -> list[Row]:
+    with _driven(['']) as (driver, _, _):
+        driver.until_answered(FAST, MEETING)
+        driver.drive(FAST, SETTLED / FAST)
+        driver.forget()
+        driver.drive(FAST, seconds)
+        pairs = [(1e3 * t.latency, t.solve_ms) for t in driver.ticks() if t.complete]
+    whole = [latency for latency, _ in pairs]
+    alone = [solve for _, solve in pairs]
+    beside = [latency - solve for latency, solve in pairs]
+    limits = {'p50_ms': 1.0, 'p99_ms': 3.0}
+    return [
+        Row(LATENCY, OURS, len(pairs), *percentiles(whole)),
+        Row(LATENCY, 'the solve alone', len(pairs), *percentiles(alone)),
+        Row(LATENCY, 'what ROS and DDS add', len(pairs), *percentiles(beside), required=limits),
+    ]
+
+
+def fleet(count: int, seconds: float) -> list[Row]:
+    """Return the row of many planners at once.
+
+    A tick is missed if its command takes longer than a period after the odometry, or never comes.
+    """
+    with _driven([f'/p{i}' for i in range(count)]) as (driver, _, _):
+        driver.until_answered(SLOW, MEETING)
+        driver.drive(SLOW, 2.0)
+        driver.forget()
+        driver.drive(SLOW, seconds)
+        driver.listen(2.0)
+        ticks = driver.ticks()
+    times = [1e3 * t.latency for t in ticks]
+    late = sum(not latency <= 1e3 / SLOW for latency in times)
+    p50, p99 = percentiles([t for t in times if t < float('inf')])
+    title = f'{AT_ONCE}, {count} at once: {LATE}'
+    required = {'objective': 0.0} if count == PLANNERS[-1] else None
+    return [Row(title, OURS, len(times), p50, p99, objective=float(late), required=required)]

@@ -1,0 +1,59 @@
+"""Where trials take place: folders, domains, and stands that several rows share."""
+
+from __future__ import annotations
+
+import runpy
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from orbimpc_ros.lab.faults.harness import Stand
+from orbimpc_ros.tool.run import discovery
+
+
+class Lab:
+    """Hands out stands; those that rows share live until the lab is closed.
+
+    Machine code is compiled first: a planner that has to do so itself answers nothing for so long.
+
+    Args:
+        folder: takes what processes need and print.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._count = folder, 0
+        self._shared: dict[str, Stand] = {}
+        self._stack = ExitStack()
+        runpy.run_module('orbimpc_ros.mpc.kernels', run_name='__main__')
+
+    def place(self) -> tuple[Path, int]:
+        """Return a new folder and a DDS domain of its own."""
+        self._count += 1
+        folder = self._folder / f'{self._count:03}'
+        folder.mkdir()
+        return folder, discovery.isolate(folder)
+
+    def stand(self, parameters: Mapping[str, Any] | None = None, **more: Any) -> Stand:
+        """Return a stand of one's own, to be closed."""
+        return Stand(*self.place(), parameters, **more)
+
+    def shared(self, name: str, parameters: Mapping[str, Any] | None = None, **more: Any) -> Stand:
+        """Return the stand of a name, made when first asked for; its planner runs."""
+        if name not in self._shared:
+            self._shared[name] = self._stack.enter_context(self.stand(parameters, **more))
+        stand = self._shared[name]
+        if not stand.planner.running:
+            stand.start()
+        return stand
+
+    def clear(self) -> None:
+        """Close the shared stands; whoever asks for one gets a new one."""
+        self._shared.clear()
+        self._stack.close()
+
+    def __enter__(self) -> Lab:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.clear()

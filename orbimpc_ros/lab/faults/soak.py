@@ -1,0 +1,142 @@
+"""The soak: one planner for a long time at 20 Hz, on odometry at 1 kHz; does it grow or miss?"""
+
+from __future__ import annotations
+
+import itertools
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from orbimpc_ros.lab import collector
+from orbimpc_ros.lab.faults.fixtures import Lab
+from orbimpc_ros.lab.faults.flood import Pause, pauses
+from orbimpc_ros.lab.faults.harness import Stand
+from orbimpc_ros.lab.faults.network import flooded
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.outcome import Fallback
+from orbimpc_ros.tool.run.progress import Progress
+
+STEP = 0.05  # [s]
+ODOMETRY = 1000.0  # [Hz]
+WARM_UP = 2.0  # [min] until memory counts
+LOOK = 1.0  # [s] between looks at the memory
+MAX_GROWTH = 2.0  # [MiB]
+MAX_GAP = 2.0  # periods between ticks
+AFTER = 2.0 * STEP  # [s] a pause of odometry may be felt
+LONGEST = 24 * 60.0  # [min]
+
+
+@dataclass(frozen=True)
+class Soak:
+    """What a soak came to.
+
+    Attributes:
+        memory: resident, look by look after the warm-up [MiB].
+        ticks: when they were heard [s].
+        unsafe: commands that should never have been sent.
+        stopped: when and why the vehicle was stopped [s], tick by tick.
+        pauses: of odometry at its source.
+    """
+
+    memory: tuple[float, ...]
+    ticks: tuple[float, ...]
+    unsafe: int
+    stopped: tuple[tuple[float, str], ...]
+    pauses: tuple[Pause, ...] = ()
+
+    @property
+    def growth(self) -> float:
+        """Return by how much the memory grew beyond its size after the warm-up [MiB]."""
+        return max(self.memory) - self.memory[0] if self.memory else 0.0
+
+    @property
+    def gaps(self) -> list[float]:
+        """Return the times between ticks, in periods, the longest first."""
+        pairs = itertools.pairwise(self.ticks)
+        return sorted(((b - a) / STEP for a, b in pairs), reverse=True)
+
+    @property
+    def excused(self) -> int:
+        """Return how many of the stops were right: there was no odometry at its very source."""
+        return sum(
+            any(begin <= at <= end + AFTER for begin, end in self.pauses) for at, _ in self.stopped
+        )
+
+    @property
+    def ok(self) -> bool:
+        """Return whether nothing grew, was missed or was unsafe."""
+        calm = not self.unsafe and self.excused == len(self.stopped)
+        return calm and self.growth < MAX_GROWTH and self.gaps[0] <= MAX_GAP
+
+    def __str__(self) -> str:
+        gaps = self.gaps
+        missed = sum(gap > MAX_GAP for gap in gaps)
+        counted = Counter(why for _, why in self.stopped)
+        reasons = ', '.join(f'{n} x {why}' for why, n in counted.items()) or 'never'
+        paused = max((end - begin for begin, end in self.pauses), default=0.0)
+        memory = f'{self.memory[0]:.1f} MiB after the warm-up' if self.memory else 'not settled'
+        return '\n'.join(
+            (
+                f'ticks         {len(self.ticks)}',
+                f'unsafe        {self.unsafe}',
+                f'stopped       {reasons}',
+                f'odometry      {len(self.pauses)} pauses at its source, longest {paused:.2f} s: '
+                f'behind {self.excused} of {len(self.stopped)} stops',
+                f'memory        {memory}, grown by {self.growth:.2f} MiB (< {MAX_GROWTH:g})',
+                f'longest gaps  {", ".join(f"{gap:.2f}" for gap in gaps[:3])} periods '
+                f'(<= {MAX_GAP:g}), {missed} beyond',
+            )
+        )
+
+
+def soaked(minutes: float) -> int:
+    """Soak a planner, print what came of it, and return the exit code."""
+    if not 0.0 < minutes <= LONGEST:
+        raise BadInput('--soak', minutes, f'minutes, above 0 and at most {LONGEST:g}')
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        Lab(Path(folder)) as lab,
+        lab.stand({'step': STEP}) as stand,
+        collector.paused(),
+    ):
+        result = _soak(stand, 60.0 * minutes)
+    print(result)
+    return 0 if result.ok else 1
+
+
+def _soak(stand: Stand, seconds: float) -> Soak:
+    stand.until_planned()
+    with flooded(stand, ODOMETRY) as log:
+        stand.until_planned()
+        begin, memory = time.monotonic(), []
+        warm = begin + min(60.0 * WARM_UP, 0.5 * seconds)
+        progress = Progress(round(seconds))
+        while (elapsed := time.monotonic() - begin) < seconds:
+            stand.spin(LOOK)
+            if time.monotonic() >= warm:
+                memory.append(resident(stand.planner.pid))
+            shown = f', {memory[-1]:.1f} MiB' if memory else ''
+            progress.show(round(elapsed), f'{elapsed / 60.0:.1f} min{shown}')
+        progress.close()
+        return _result(stand, begin, memory, pauses(log))
+
+
+def _result(stand: Stand, begin: float, memory: Sequence[float], paused: Sequence[Pause]) -> Soak:
+    ticks = [each for each in stand.watch.ticks if each.at >= begin]
+    stopped = tuple(
+        (each.at, each.message)
+        for each in ticks
+        if each.values['fallback'] == Fallback.SAFE_COMMAND
+    )
+    times = tuple(each.at for each in ticks)
+    return Soak(tuple(memory), times, stand.watch.broken(begin), stopped, tuple(paused))
+
+
+def resident(pid: int) -> float:
+    """Return the memory that a process holds [MiB]."""
+    status = Path(f'/proc/{pid}/status').read_text()
+    line = next(line for line in status.splitlines() if line.startswith('VmRSS'))
+    return int(line.split()[1]) / 1024.0

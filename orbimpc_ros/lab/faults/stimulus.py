@@ -1,0 +1,153 @@
+"""What a planner is fed: a healthy vehicle and goal, and ways in which messages go wrong."""
+
+from __future__ import annotations
+
+import copy
+import math
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry
+from rclpy.serialization import serialize_message
+
+from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.loop import odometry as measurement
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
+
+FRAMES = Frames('odom', 'base_link')
+RADIUS = 3.0  # [m] of the circle that the vehicle flies
+SPEED = 0.8  # [m/s]
+HUGE = 1_000_000  # characters
+SLIP = 5.0  # [m/s] sideways, which makes the failing planner raise
+
+# What becomes of a message: others in its place, none, or bytes that are no message at all.
+Spoiler = Callable[[Any, random.Random], list[Any]]
+
+
+def odometry_at(seconds: float, stamp: int) -> Odometry:
+    """Return odometry of a vehicle that flies in a circle."""
+    turn = SPEED / RADIUS
+    angle = turn * seconds
+    seen = measurement.Odometry(
+        seconds,
+        RADIUS * np.array([math.sin(angle), 1.0 - math.cos(angle)]),
+        exp(np.array([angle])),
+        np.array([SPEED, 0.0]),
+        np.array([turn]),
+    )
+    return messages.measurement_message(Stamp(stamp, FRAMES), seen)
+
+
+def goal_at(seconds: float, stamp: int) -> PoseStamped:
+    """Return a goal that swings in the middle of the circle."""
+    swing = 0.3 * math.sin(0.5 * seconds)
+    return messages.goal_message(Stamp(stamp, FRAMES), np.array([swing, RADIUS]))
+
+
+@dataclass(frozen=True)
+class Spoiled:
+    """A fault of what comes in.
+
+    Attributes:
+        name: of the fault.
+        odometry: what becomes of odometry; None leaves it as it is.
+        goal: what becomes of goals.
+        strict: whether the planner has to stay safe as long as it lasts.
+    """
+
+    name: str
+    odometry: Spoiler | None = None
+    goal: Spoiler | None = None
+    strict: bool = True
+
+
+def lost(_message: Any, _draw: random.Random) -> list[Any]:
+    """Lose a message."""
+    return []
+
+
+def with_field(path: str, *values: Any) -> Spoiler:
+    """Return what sets a field, such as ``pose.position.x``, to one of some values."""
+
+    def spoil(message: Any, draw: random.Random) -> list[Any]:
+        *parents, name = path.split('.')
+        holder = message
+        for parent in parents:
+            holder = getattr(holder, parent)
+        setattr(holder, name, draw.choice(values))
+        return [message]
+
+    return spoil
+
+
+def shifted(low: float, high: float) -> Spoiler:
+    """Return what moves stamps by a time between two [s]."""
+
+    def spoil(message: Any, draw: random.Random) -> list[Any]:
+        stamp = messages.nanoseconds(message.header.stamp, 'stamp')
+        moved = max(0, stamp + round(draw.uniform(low, high) * SECOND))
+        message.header.stamp = messages.time_message(moved)
+        return [message]
+
+    return spoil
+
+
+def repeated() -> Spoiler:
+    """Return what says the first message again and again."""
+    first: list[Any] = []
+
+    def spoil(message: Any, _draw: random.Random) -> list[Any]:
+        if not first:
+            first.append(copy.deepcopy(message))
+        return [first[0]]
+
+    return spoil
+
+
+def interleaved() -> Spoiler:
+    """Return what sends good messages, older ones, and the last good one again, in turns."""
+    sent: list[Any] = []
+
+    def spoil(message: Any, draw: random.Random) -> list[Any]:
+        sent.append(message)
+        turn = len(sent) % 4
+        if turn == 0:
+            return shifted(-2.0, -0.2)(message, draw)
+        return [copy.deepcopy(sent[-2])] if turn == 2 else [message]
+
+    return spoil
+
+
+def scaled_quaternion(path: str) -> Spoiler:
+    """Return what makes a quaternion zero, or 1 % too long."""
+
+    def spoil(message: Any, draw: random.Random) -> list[Any]:
+        pose = message.pose.pose if path == 'odometry' else message.pose
+        factor = draw.choice((0.0, 1.01, 0.99, 1e200))
+        for name in 'xyzw':
+            setattr(pose.orientation, name, factor * getattr(pose.orientation, name))
+        return [message]
+
+    return spoil
+
+
+def garbled(message: Any, draw: random.Random) -> list[Any]:
+    """Return bytes that are no such message: cut off, with absurd lengths, in another encoding."""
+    whole = bytes(serialize_message(message))
+    length = draw.randrange(len(whole))
+    return [
+        draw.choice(
+            (
+                whole[:length],
+                whole[:12] + b'\xff\xff\xff\x7f' + whole[16:],
+                b'\x00\x09' + whole[2:],
+                whole[:4] + draw.randbytes(len(whole) - 4),
+                whole.replace(FRAMES.world.encode(), b'\xff' * len(FRAMES.world)),
+            )
+        )
+    ]

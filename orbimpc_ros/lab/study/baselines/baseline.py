@@ -1,0 +1,103 @@
+"""What baselines share: the state in, thrust axes chosen somehow, a plan and a command out."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.command import command_of
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.faces import normals
+from orbimpc_ros.mpc.loop.controller import Tick
+from orbimpc_ros.mpc.loop.odometry import Odometry, state_of
+from orbimpc_ros.mpc.outcome import Status
+from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble
+from orbimpc_ros.mpc.problem import Problem, State
+
+
+class Baseline(ABC):
+    """Plans a planar problem of orders (1, 1) at every tick, and proves nothing.
+
+    Args:
+        problem: what to plan.
+
+    Raises:
+        BadInput: a problem that the baselines cannot state.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        _require_stateable(problem)
+        self.problem = problem
+        self._previous: Array | None = None  # thrust axes z_1..z_N of the last plan
+
+    @property
+    def remaining(self) -> int:
+        """Return the steps that are planned ahead."""
+        return self.problem.horizon
+
+    def reset(self) -> None:
+        """Forget the previous plan."""
+        self._previous = None
+
+    def tick(self, odometry: Odometry, goals: Array) -> Tick:
+        """Plan from a measurement towards goals g_1..g_N, shape (N, 2) [m]."""
+        state = state_of(self.problem, odometry, 0.0)
+        plan = self.plan(state, goals)
+        command = command_of(self.problem, state, plan)
+        return Tick(Status.FEASIBLE, '', state, plan, command, problem=self.problem, goals=goals)
+
+    def plan(self, state: State, goals: Array) -> Plan:
+        """Return the plan from a state towards goals g_1..g_N, shape (N, 2) [m]."""
+        z = within_speeds(self.problem, self.axes(state, goals))
+        self._previous = z
+        return assemble(
+            self.problem,
+            state,
+            goals,
+            z,
+            projection='nearest',
+            proof=UNPROVED,
+        )
+
+    @abstractmethod
+    def axes(self, state: State, goals: Array) -> Array:
+        """Return thrust axes z_1..z_N, shape (N, 2), whose lengths are still to be limited."""
+
+    def shifted(self, state: State) -> Array:
+        """Return the previous plan's axes one step on, the last held; at first the heading's."""
+        if self._previous is None:
+            return np.tile(state.attitude[:, 0], (self.problem.horizon, 1))
+        return np.concatenate([self._previous[1:], self._previous[-1:]])
+
+
+def least_fraction(problem: Problem, directions: Array) -> Array:
+    """Return the least speed fraction that a floor allows in directions, shape (N, 2), as (N,)."""
+    floor = problem.floor
+    if floor.shape == 'none':
+        return np.zeros(len(directions))
+    if floor.shape == 'circle':
+        return np.full(len(directions), floor.fraction)
+    return floor.fraction / (directions @ normals(2, floor.faces).T).max(axis=1)
+
+
+def within_speeds(problem: Problem, axes: Array) -> Array:
+    """Return axes, shape (N, 2), made as long as the floor and full speed allow."""
+    lengths = np.maximum(np.linalg.norm(axes, axis=1), 1e-9)[:, None]
+    directions = axes / lengths
+    return directions * np.clip(lengths, least_fraction(problem, directions)[:, None], 1.0)
+
+
+def _require_stateable(problem: Problem) -> None:
+    for name, wanted in (
+        ('dimension', 2),
+        ('rotation_order', 1),
+        ('translation_order', 1),
+        ('terminal', 'penalty'),
+        ('obstacles', ()),
+    ):
+        if getattr(problem, name) != wanted:
+            raise BadInput(name, getattr(problem, name), f'{wanted} for a baseline')
+    if problem.weights.length > 0.0:
+        raise BadInput('weights.length', problem.weights.length, '0 for a baseline')

@@ -1,0 +1,1 @@
+"""Rotations, orbitopes and polyhedra."""

@@ -1,0 +1,132 @@
+"""Cells: the half-spaces that a search chooses from, and how a round floor is cut ever finer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array, sealed
+from orbimpc_ros.mpc.geometry.faces import normals
+
+QUARTERS, LEVELS = 4, 8  # of a circle: arcs to begin with, and how often they are halved
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """A half-space normal . v >= offset.
+
+    Attributes:
+        normal: unit vector, shape (n,).
+        offset: smallest value of normal . v.
+    """
+
+    normal: Array
+    offset: float
+
+    def parts(self) -> tuple[Cell, ...]:
+        """Return smaller cells that together allow all that this one is there to allow."""
+        return ()
+
+
+@dataclass(frozen=True, eq=False)
+class Patch(Cell):
+    """The half-space beyond the chord of a patch of the sphere of radius ``floor``.
+
+    It contains every v with |v| >= floor whose direction lies in the cone of the corners, and
+    little else: what it allows below the floor vanishes with the square of the patch's size.
+
+    Attributes:
+        corners: unit vectors, shape (n, n), one per row; two span an arc, three a triangle.
+        floor: radius of the sphere.
+    """
+
+    corners: Array
+    floor: float
+
+    @classmethod
+    def over(cls, corners: Array, floor: float) -> Patch:
+        """Return the patch over the cone of unit corners, shape (n, n)."""
+        # The direction that is equally near to all corners: M c = 1 for corners in the rows of M.
+        centre = np.linalg.solve(corners, np.ones(len(corners)))
+        centre /= np.linalg.norm(centre)
+        return cls(sealed(centre), floor * float((corners @ centre).min()), corners, floor)
+
+    def parts(self) -> tuple[Cell, ...]:
+        """Return the halves of an arc, or the four triangles between a triangle's midpoints."""
+        middles = self.corners + np.roll(self.corners, -1, axis=0)
+        middles /= np.linalg.norm(middles, axis=1, keepdims=True)
+        if len(self.corners) == 2:
+            a, b = self.corners
+            pieces = [[a, middles[0]], [middles[0], b]]
+        else:
+            a, b, c = self.corners
+            ab, bc, ca = middles
+            pieces = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
+        return tuple(Patch.over(sealed(np.array(piece)), self.floor) for piece in pieces)
+
+
+class Table(NamedTuple):
+    """The cells of a planar floor as machine code takes them, those of the whole floor first.
+
+    Attributes:
+        normals: unit vectors n of half-spaces n . v >= bound, shape (M, 2).
+        bounds: shape (M,).
+        halves: the first of the two halves of each cell, 0 where it has none, shape (M,).
+        roots: how many cells are those of the whole floor.
+        radius: of a round floor, 0 for a polygon.
+    """
+
+    normals: Array
+    bounds: Array
+    halves: np.ndarray
+    roots: int
+    radius: float
+
+
+@lru_cache(maxsize=16)
+def faces(count: int, bound: float) -> Table:
+    """Return the faces of a regular polygon at a distance from the origin; none without faces."""
+    around = normals(2, count)
+    bounds = sealed(np.full(count, bound))
+    return Table(around, bounds, sealed(np.zeros(count, np.int64)), count, 0.0)
+
+
+@lru_cache(maxsize=16)
+def arcs(floor: float) -> Table:
+    """Return the quarters of a circle of radius ``floor`` and their halves, ``LEVELS`` times."""
+    angles, widths, halves = [], [], []
+    for level in range(LEVELS + 1):
+        count = QUARTERS * 2**level
+        width, each = np.pi / count, np.arange(count)
+        angles.append(width * (2 * each + 1))
+        widths.append(np.full(count, width))
+        following = QUARTERS * (2 ** (level + 1) - 1) + 2 * each
+        halves.append(following if level < LEVELS else np.zeros(count, np.int64))
+    middle = np.concatenate(angles)
+    return Table(
+        sealed(np.column_stack([np.cos(middle), np.sin(middle)])),
+        sealed(floor * np.cos(np.concatenate(widths))),
+        sealed(np.concatenate(halves)),
+        QUARTERS,
+        floor,
+    )
+
+
+@lru_cache(maxsize=16)
+def round_cells(dimension: int, floor: float) -> tuple[Cell, ...]:
+    """Return patches that together cover the sphere: four arcs, or the icosahedron's faces."""
+    if dimension == 2:
+        around = normals(2, 4)
+        corners = [np.array([around[i], around[(i + 1) % 4]]) for i in range(4)]
+    else:
+        corners = [_vertices_around(face) for face in normals(3, 20)]
+    return tuple(Patch.over(sealed(c), floor) for c in corners)
+
+
+def _vertices_around(face: Array) -> Array:
+    """Return the three vertices of the icosahedron nearest to the normal of one of its faces."""
+    vertices = normals(3, 12)  # the dodecahedron's normals are the icosahedron's vertices
+    return vertices[np.argsort(-(vertices @ face))[:3]]

@@ -1,0 +1,528 @@
+"""Branch and bound over the cells of a planar floor, and over none: the hull.
+
+For n = 2, orders (1, any), no length weight and no constraint but orbitope and floor, the problem
+is a strictly convex quadratic in z_1..z_N with the same N x N Hessian H for both coordinates. At a
+node, disks are kept as tangents, added where the iterate leaves its disk, and the quadratic program
+over tangents and chosen cells is solved by a dual active-set method (Goldfarb and Idnani). Each of
+its iterates minimises the Lagrangian for multipliers u >= 0, so its value is a lower bound at any
+time: a node is given up as soon as the bound says so. A child starts from its parent's active set.
+
+A cell is a half-space n . z >= b: a face of a polygonal floor, or what lies beyond the chord of an
+arc of a round one (:mod:`orbimpc_ros.mpc.geometry.cells`). Arcs have halves, and a step that slips
+below the circle is branched on the halves of its arc.
+
+The search keeps all that it knows in a :class:`Tree`, so that it can be interrupted after any row
+that is added, and continued. Bounds hold up to rounding: multipliers are kept >= 0, and what is
+left of the Lagrangian's gradient, times the way to any point of the disks, counts against them.
+Every node has a solution (a cell reaches into the disk, and there is one a step): where arithmetic
+finds none, the node stays open at the bound that it has.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.kernels import compiled
+from orbimpc_ros.mpc.kernels.linear import quadratic, solve_spd
+
+DONE, FULL, PAUSED = 0, 1, 2  # what a call ends with
+GOING, SOLVED, PRUNED, STALLED = 0, 1, 2, 3  # what becomes of a node
+ITERATIONS = 300
+OUTSIDE = 1e-10  # a disk or face violated by less holds
+SATISFIED = 1e-8  # a face missed by less need not be branched on
+FLAT = 1e-13  # share of a curvature that is taken for none
+ROUNDING = 1e-15  # of numbers that cancel
+NODE = 300.0  # multiplications that a node costs besides those of its rows
+OPEN, MADE, NODES, CURRENT, ROWS_ADDED, STALLS, ACTIVE = range(7)  # in Tree.counts
+VALUE, CLOSED, BOUND, LEAST = range(4)  # in Tree.numbers
+
+
+class Quadratic(NamedTuple):
+    """The cost 1/2 sum_jk H_jk x_j . x_k + sum_k q_k . x_k of points of the plane.
+
+    Attributes:
+        hessian: H, positive definite, shape (N, N).
+        inverse: of H, shape (N, N).
+        q: shape (N, 2).
+    """
+
+    hessian: Array
+    inverse: Array
+    q: Array
+
+
+class Tree(NamedTuple):
+    """A search: its nodes, each with the active set it ended with, and the best point.
+
+    Attributes:
+        rows: the steps of active rows, shape (S, 2N + 2); S - 1 nodes can be solved.
+        normals: of active rows, shape (S, 2N + 2, 2).
+        offsets: of active rows, shape (S, 2N + 2).
+        u: their multipliers, >= 0, shape (S, 2N + 2).
+        active: how many there are, shape (S,); the first state is empty, for the root.
+        choice: the cell of each step of a node, -1 for none, shape (M, N).
+        parent: whose active set a node begins with, shape (M,).
+        keys: bounds of the open nodes, a heap, shape (M,).
+        heap: their numbers, shape (M,); of equal bounds the latest, the deepest, comes first.
+        x: of the last node, shape (N, 2).
+        best: the best point found, shape (N, 2).
+        counts: open nodes; nodes made; nodes solved; the node at work, -1 for none; rows added to
+            it; nodes that could not be settled; rows active in it, shape (7,).
+        numbers: the value to beat; the least bound given up; the bound of the node at work; that
+            of the whole search, shape (4,).
+    """
+
+    rows: np.ndarray
+    normals: Array
+    offsets: Array
+    u: Array
+    active: np.ndarray
+    choice: np.ndarray
+    parent: np.ndarray
+    keys: Array
+    heap: np.ndarray
+    x: Array
+    best: Array
+    counts: np.ndarray
+    numbers: Array
+
+    def grown(self, nodes: int, most: int) -> Tree:
+        """Return a copy with room for so many nodes, each of at most ``most`` children."""
+        larger = tree(len(self.x), nodes, most)
+        for own, others in zip(self, larger, strict=True):
+            others[: len(own)] = own
+        return larger
+
+
+def tree(steps: int, nodes: int, most: int) -> Tree:
+    """Return room for a search over N = ``steps`` steps.
+
+    Args:
+        steps: N.
+        nodes: that can be solved.
+        most: children that a node can have.
+    """
+    states, made, size = nodes + 1, 1 + nodes * most, 2 * steps + 2
+    return Tree(
+        np.zeros((states, size), np.int64),
+        np.zeros((states, size, 2)),
+        np.zeros((states, size)),
+        np.zeros((states, size)),
+        np.zeros(states, np.int64),
+        np.empty((made, steps), np.int64),
+        np.zeros(made, np.int64),
+        np.zeros(made),
+        np.zeros(made, np.int64),
+        np.zeros((steps, 2)),
+        np.zeros((steps, 2)),
+        np.zeros(7, np.int64),
+        np.zeros(4),
+    )
+
+
+def begin(tree: Tree, known: float) -> None:
+    """Begin a search for what has a lower value than what is known, inf for nothing."""
+    counts, numbers = tree.counts, tree.numbers
+    counts[:] = 0
+    counts[OPEN], counts[MADE], counts[CURRENT] = 1, 1, -1
+    numbers[:] = known, np.inf, -np.inf, -np.inf
+    tree.choice[0], tree.parent[0] = -1, 0
+    tree.keys[0], tree.heap[0] = -np.inf, 0
+
+
+@compiled
+def _minimiser(inverse, q, rows, normals, u, count, x):
+    """Set x to the minimiser of the Lagrangian: H x + q - sum_i u_i n_i = 0."""
+    n_steps = len(q)
+    for j in range(n_steps):
+        a = b = 0.0
+        for k in range(n_steps):
+            a -= inverse[j, k] * q[k, 0]
+            b -= inverse[j, k] * q[k, 1]
+        for i in range(count):
+            weight = inverse[j, rows[i]] * u[i]
+            a += weight * normals[i, 0]
+            b += weight * normals[i, 1]
+        x[j, 0], x[j, 1] = a, b
+
+
+@compiled
+def _lagrangian(quad, rows, normals, offsets, u, count, x):
+    """Return a lower bound on f(z) + sum_i u_i (b_i - n_i . z), |z_k| <= 1, expanded about x."""
+    hessian, q = quad.hessian, quad.q
+    value = magnitude = stray = 0.0
+    for i in range(count):
+        value += u[i] * offsets[i]
+        magnitude += abs(u[i] * offsets[i])
+    for j in range(len(q)):
+        a = b = 0.0
+        for k in range(len(q)):
+            a += hessian[j, k] * x[k, 0]
+            b += hessian[j, k] * x[k, 1]
+        c, d = q[j, 0], q[j, 1]
+        for i in range(count):
+            if rows[i] == j:
+                c -= u[i] * normals[i, 0]
+                d -= u[i] * normals[i, 1]
+        value += x[j, 0] * (0.5 * a + c) + x[j, 1] * (0.5 * b + d)
+        magnitude += abs(x[j, 0] * a) + abs(x[j, 1] * b) + abs(x[j, 0] * c) + abs(x[j, 1] * d)
+        size = np.sqrt(x[j, 0] ** 2 + x[j, 1] ** 2)
+        stray += np.sqrt((a + c) ** 2 + (b + d) ** 2) * (1.0 + size)
+    return value - stray - ROUNDING * magnitude
+
+
+@compiled
+def _most_violated(x, choice, cells, bounds):
+    """Return step, normal and offset of the row n . x_k >= b violated most; step -1 if none is."""
+    worst, step = OUTSIDE, -1
+    a = b = offset = 0.0
+    for k in range(len(x)):
+        size = np.sqrt(x[k, 0] ** 2 + x[k, 1] ** 2)
+        if size - 1.0 > worst:
+            worst, step, offset = size - 1.0, k, -1.0
+            a, b = -x[k, 0] / size, -x[k, 1] / size
+        if choice[k] >= 0:
+            cell, bound = cells[choice[k]], bounds[choice[k]]
+            short = bound - cell[0] * x[k, 0] - cell[1] * x[k, 1]
+            if short > worst:
+                worst, step, offset = short, k, bound
+                a, b = cell[0], cell[1]
+    return step, a, b, offset
+
+
+@compiled
+def _add_row(inverse, rows, normals, offsets, u, count, x, step, a, b, offset):
+    """Add a violated row to the active set, dropping those in its way.
+
+    Returns the new count, or -1 where rounding leaves no row to drop or to add.
+    """
+    size = len(rows)
+    system, r = np.empty((size, size)), np.empty(size)
+    multiplier = 0.0
+    for _ in range(4 * size):
+        for i in range(count):
+            inner = normals[i, 0] * a + normals[i, 1] * b
+            r[i] = inverse[rows[i], step] * inner
+            for j in range(i + 1):
+                inner = normals[i, 0] * normals[j, 0] + normals[i, 1] * normals[j, 1]
+                system[i, j] = inverse[rows[i], rows[j]] * inner
+        curvature = inverse[step, step] * (a * a + b * b)
+        for i in range(count):
+            system[i, i] *= 1.0 + 1e-14
+        held, flat = r[:count].copy(), FLAT * curvature
+        if not solve_spd(system, r, count):
+            return -1
+        for i in range(count):
+            curvature -= held[i] * r[i]
+        gap = offset - a * x[step, 0] - b * x[step, 1]
+        blocking, limit = -1, np.inf
+        for i in range(count):
+            if r[i] > FLAT and u[i] < limit * r[i]:
+                blocking, limit = i, u[i] / r[i]
+        whole = gap / curvature if curvature > flat else np.inf
+        move = min(limit, whole)
+        if move == np.inf:
+            return -1
+        for i in range(count):
+            u[i] = max(0.0, u[i] - move * r[i])
+        multiplier += move
+        if curvature > flat:
+            for j in range(len(x)):
+                along = inverse[j, step] * move
+                x[j, 0] += along * a
+                x[j, 1] += along * b
+                for i in range(count):
+                    back = inverse[j, rows[i]] * move * r[i]
+                    x[j, 0] -= back * normals[i, 0]
+                    x[j, 1] -= back * normals[i, 1]
+        if whole <= limit:
+            if count == size:
+                return -1
+            rows[count], offsets[count], u[count] = step, offset, multiplier
+            normals[count, 0], normals[count, 1] = a, b
+            return count + 1
+        for i in range(blocking, count - 1):
+            rows[i], offsets[i], u[i] = rows[i + 1], offsets[i + 1], u[i + 1]
+            normals[i, 0], normals[i, 1] = normals[i + 1, 0], normals[i + 1, 1]
+        count -= 1
+    return -1
+
+
+@compiled
+def _relax(quad, cells, bounds, choice, cutoff, rows, normals, offsets, u, count, x, added, work):
+    """Solve a node on from an active set and its minimiser x.
+
+    Returns what becomes of it, the bound, the active count, the rows added by now, the work left.
+    """
+    bound = _lagrangian(quad, rows, normals, offsets, u, count, x)
+    while added < ITERATIONS:
+        step, a, b, offset = _most_violated(x, choice, cells, bounds)
+        if step < 0:
+            return SOLVED, bound, count, added, work
+        if work <= 0.0:
+            return GOING, bound, count, added, work
+        following = _add_row(quad.inverse, rows, normals, offsets, u, count, x, step, a, b, offset)
+        if following < 0:
+            return STALLED, bound, 0, added, work
+        count, added = following, added + 1
+        work -= count * (count * (0.2 * count + 4.0) + 8.0 * len(x)) + 4.0 * len(x) ** 2 + NODE
+        _minimiser(quad.inverse, quad.q, rows, normals, u, count, x)
+        bound = max(bound, _lagrangian(quad, rows, normals, offsets, u, count, x))
+        if bound >= cutoff:
+            return PRUNED, bound, count, added, work
+    return STALLED, bound, count, added, work
+
+
+@compiled
+def _options(chosen, roots, halves):
+    """Return the first of the cells that a step can be branched on, and their number."""
+    if chosen < 0:
+        return 0, roots
+    return halves[chosen], 2 if halves[chosen] > 0 else 0
+
+
+@compiled
+def _miss(cells, bounds, cell, point):
+    """Return by how much a point misses a cell; 0 inside."""
+    return max(0.0, bounds[cell] - cells[cell, 0] * point[0] - cells[cell, 1] * point[1])
+
+
+@compiled
+def _shortfall(cells, bounds, roots, radius, point):
+    """Return by how much a point misses the floor."""
+    if radius > 0.0:
+        return radius - np.sqrt(point[0] ** 2 + point[1] ** 2)
+    least = np.inf
+    for cell in range(roots):
+        least = min(least, _miss(cells, bounds, cell, point))
+    return least
+
+
+@compiled
+def _branching(x, choice, cells, bounds, halves, roots, radius, inverse):
+    """Return the step to branch on, -1 if there is none, and whether one misses its finest arc."""
+    chosen, gain, stuck = -1, -1.0, False
+    for k in range(len(x)):
+        _, count = _options(choice[k], roots, halves)
+        if count == 0 and radius == 0.0:
+            continue
+        short = _shortfall(cells, bounds, roots, radius, x[k])
+        if short <= SATISFIED:
+            continue
+        if count == 0:
+            stuck = True
+            continue
+        # Of an arc's halves the nearer one often holds already, and tells nothing: what the step
+        # misses of the floor is what finer arcs will ask of it.
+        raised = short * short / (2.0 * inverse[k, k])
+        if raised > gain:
+            chosen, gain = k, raised
+    return chosen, stuck
+
+
+@compiled
+def _push(keys, heap, count, key, node):
+    """Put a node into a heap of ``count``."""
+    i = count
+    while i > 0:
+        up = (i - 1) // 2
+        if keys[up] < key or (keys[up] == key and heap[up] > node):
+            break
+        keys[i], heap[i] = keys[up], heap[up]
+        i = up
+    keys[i], heap[i] = key, node
+
+
+@compiled
+def _pop(keys, heap, count):
+    """Take the first node out of a heap of ``count``."""
+    count -= 1
+    key, node, i = keys[count], heap[count], 0
+    while True:
+        down = 2 * i + 1
+        if down >= count:
+            break
+        other = down + 1
+        if other < count and (
+            keys[other] < keys[down] or (keys[other] == keys[down] and heap[other] > heap[down])
+        ):
+            down = other
+        if key < keys[down] or (key == keys[down] and node > heap[down]):
+            break
+        keys[i], heap[i] = keys[down], heap[down]
+        i = down
+    keys[i], heap[i] = key, node
+
+
+@compiled
+def _open(quad, tree, node):
+    """Begin to work on a node, from its parent's active set."""
+    counts = tree.counts
+    counts[NODES] += 1
+    own, from_ = counts[NODES], tree.parent[node]
+    count = tree.active[from_]
+    for i in range(count):
+        tree.rows[own, i], tree.u[own, i] = tree.rows[from_, i], tree.u[from_, i]
+        tree.normals[own, i, 0] = tree.normals[from_, i, 0]
+        tree.normals[own, i, 1] = tree.normals[from_, i, 1]
+        tree.offsets[own, i] = tree.offsets[from_, i]
+    _minimiser(quad.inverse, quad.q, tree.rows[own], tree.normals[own], tree.u[own], count, tree.x)
+    counts[CURRENT], counts[ROWS_ADDED], counts[ACTIVE] = node, 0, count
+
+
+@compiled
+def _branch(quad, table, tree, node, cutoff):
+    """Open the children of a node that is solved, or note that it has none."""
+    choice, counts, numbers = tree.choice, tree.counts, tree.numbers
+    bound, gains = numbers[BOUND], np.empty(max(table.roots, 2))
+    k, stuck = _branching(
+        tree.x, choice[node], table.normals, table.bounds, table.halves, table.roots,
+        table.radius, quad.inverse,
+    )  # fmt: skip
+    if k < 0:
+        numbers[CLOSED] = min(numbers[CLOSED], bound)
+        if stuck:  # below the circle by less than the finest arcs see
+            counts[STALLS] += 1
+            return
+        reached = quadratic(quad.hessian, quad.q, tree.x)
+        if reached < numbers[VALUE]:
+            tree.best[:], numbers[VALUE] = tree.x, reached
+        return
+    first, count = _options(choice[node, k], table.roots, table.halves)
+    for i in range(count):
+        miss = _miss(table.normals, table.bounds, first + i, tree.x[k])
+        gains[i] = bound + miss * miss / (2.0 * quad.inverse[k, k])
+    for i in np.argsort(-gains[:count]):
+        if gains[i] >= cutoff:
+            numbers[CLOSED] = min(numbers[CLOSED], gains[i])
+            continue
+        made = counts[MADE]
+        choice[made] = choice[node]
+        choice[made, k] = first + i
+        tree.parent[made] = counts[NODES]
+        _push(tree.keys, tree.heap, counts[OPEN], gains[i], made)
+        counts[OPEN] += 1
+        counts[MADE] += 1
+
+
+@compiled
+def _search(quad, table, constant, tolerance, tree, work):
+    counts, numbers = tree.counts, tree.numbers
+    while counts[CURRENT] >= 0 or counts[OPEN] > 0:
+        cutoff = numbers[VALUE] - tolerance * max(abs(numbers[VALUE] + constant), 1e-9)
+        if counts[CURRENT] < 0:
+            if tree.keys[0] >= cutoff:
+                break
+            room = len(tree.parent) - max(table.roots, 2)
+            if counts[NODES] + 1 >= len(tree.active) or counts[MADE] > room:
+                return FULL
+            if work <= 0.0:
+                return PAUSED
+            numbers[BOUND] = tree.keys[0]
+            node = tree.heap[0]
+            _pop(tree.keys, tree.heap, counts[OPEN])
+            counts[OPEN] -= 1
+            _open(quad, tree, node)
+            work -= NODE + 2.0 * len(tree.x) ** 2
+        node, own = counts[CURRENT], counts[NODES]
+        status, bound, count, counts[ROWS_ADDED], work = _relax(
+            quad, table.normals, table.bounds, tree.choice[node], cutoff, tree.rows[own],
+            tree.normals[own], tree.offsets[own], tree.u[own], counts[ACTIVE], tree.x,
+            counts[ROWS_ADDED], work,
+        )  # fmt: skip
+        counts[ACTIVE] = tree.active[own] = count
+        numbers[BOUND] = max(numbers[BOUND], bound)
+        if status == GOING:
+            return PAUSED
+        counts[CURRENT] = -1
+        if status == SOLVED:
+            _branch(quad, table, tree, node, cutoff)
+        else:
+            numbers[CLOSED] = min(numbers[CLOSED], numbers[BOUND])
+            counts[STALLS] += status == STALLED
+    return DONE
+
+
+@compiled
+def _least_bound(tree):
+    counts, numbers = tree.counts, tree.numbers
+    least = min(numbers[CLOSED], numbers[VALUE])
+    if counts[CURRENT] >= 0:
+        least = min(least, numbers[BOUND])
+    return min(least, tree.keys[0]) if counts[OPEN] > 0 else least
+
+
+@compiled
+def search(quad, table, constant, tolerance, tree, work):
+    """Search best first, on from where the tree is.
+
+    Args:
+        quad: what to minimise.
+        table: the cells of the floor, :class:`orbimpc_ros.mpc.geometry.cells.Table`.
+        constant: what values lack; it only scales the tolerance.
+        tolerance: relative gap at which to stop.
+        tree: begun by :func:`begin`; updated in place.
+        work: multiplications to do at most.
+
+    Returns:
+        ``DONE``; ``FULL``, where the tree has no room for another node; ``PAUSED``, where the work
+        has run out.
+    """
+    status = _search(quad, table, constant, tolerance, tree, work)
+    tree.numbers[LEAST] = _least_bound(tree)
+    return status
+
+
+@compiled
+def dive(quad, table, x):
+    """Take headings x to a floor: the least cost with the cells nearest to x; False if it fails.
+
+    Args:
+        quad: what to minimise.
+        table: the cells of the floor.
+        x: shape (N, 2); set to the point found, which satisfies the floor either way.
+    """
+    steps = len(x)
+    choice, size = np.empty(steps, np.int64), 2 * steps + 2
+    for k in range(steps):
+        least = np.inf
+        choice[k] = -1
+        for cell in range(table.roots):
+            miss = table.bounds[cell] - table.normals[cell, 0] * x[k, 0]
+            miss -= table.normals[cell, 1] * x[k, 1]
+            if miss < least:
+                least, choice[k] = miss, cell
+    held = x.copy()
+    rows, normals = np.zeros(size, np.int64), np.zeros((size, 2))
+    offsets, u = np.zeros(size), np.zeros(size)
+    _minimiser(quad.inverse, quad.q, rows, normals, u, 0, x)
+    status = _relax(
+        quad, table.normals, table.bounds, choice, np.inf, rows, normals, offsets, u, 0, x, 0,
+        np.inf,
+    )[0]  # fmt: skip
+    if status != SOLVED:
+        x[:] = held
+        for k in range(steps):
+            if choice[k] >= 0:
+                _put_on(table.normals[choice[k]], table.bounds[choice[k]], x[k])
+            else:
+                x[k] /= max(1.0, np.sqrt(x[k, 0] ** 2 + x[k, 1] ** 2))
+    return status == SOLVED
+
+
+@compiled
+def _put_on(normal, bound, point):
+    """Take a point to the part of the disk beyond n . z = b, along the normal, then the line."""
+    across = normal[0] * point[1] - normal[1] * point[0]
+    along = max(bound, normal[0] * point[0] + normal[1] * point[1])
+    size = np.sqrt(along * along + across * across)
+    if size > 1.0:
+        if along / size >= bound:
+            along, across = along / size, across / size
+        else:
+            along, across = bound, np.copysign(np.sqrt(1.0 - bound * bound), across)
+    point[0] = along * normal[0] - across * normal[1]
+    point[1] = along * normal[1] + across * normal[0]

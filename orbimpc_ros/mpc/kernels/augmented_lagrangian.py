@@ -1,0 +1,251 @@
+"""The relaxation over SO(3) by the method of multipliers, its steps by Newton's method.
+
+With positions eliminated, the problem is a strictly convex quadratic in R_1..R_N (nine coordinates
+each), whose Hessian is the same N x N matrix for every coordinate of R_k e1, and another one for
+every coordinate of the other two columns. To it come
+
+- R_k in conv SO(3): S(R_k) >= 0, with a multiplier matrix L_k >= 0;
+- c_k |R_k e1|, the length: the maximum of w . R_k e1 over |w| <= c_k;
+- rows a . R_k e1 >= b, with multipliers >= 0;
+- 0 <= rho <= 1, where the body rate decides R_1 up to its thrust fraction rho. That stands in the
+  place of R_1, as the first of its nine coordinates.
+
+The augmented Lagrangian replaces each of them by its Moreau envelope of parameter 1/sigma (see
+:mod:`terms`). It is convex and once differentiable; its generalised Hessian is the quadratic's plus
+a few columns for each constraint that acts, so that a Newton step solves a system as large as what
+acts (Woodbury), and not as the problem. When the minimiser is near enough, the projections become
+the multipliers, and sigma grows (Rockafellar's method of multipliers; Zhao, Sun and Toh, *A
+Newton-CG augmented Lagrangian method for semidefinite programming*).
+
+The multipliers satisfy their constraints at any time, so the dual function at them is a lower bound
+at any time:  L(x, multipliers) - 1/2 r . P r,  where r is the gradient left over and P the inverse
+Hessian on the directions that a terminal constraint leaves free.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.kernels import compiled, vectorised
+from orbimpc_ros.mpc.kernels.linear import solve_spd
+from orbimpc_ros.mpc.kernels.penalty import ENOUGH, HALVINGS, STUCK, descends, stiffened
+from orbimpc_ros.mpc.kernels.penalty_terms import (
+    multipliers,
+    project,
+    set_columns,
+    set_forces,
+    value_of,
+)
+
+LIMIT = 200  # Newton steps and updates of the multipliers
+NOTHING = 1e-18  # a minimum is near enough where so little is left
+SETTLED, STALLED, PAUSED = range(3)  # what a call ends with
+SIGMA, BEST, PROMISED = range(3)  # in Progress.numbers
+STEPS, TAKEN = range(2)  # in Progress.counts
+WARM = 30.0  # sigma may be larger by this where multipliers are of use from the start
+
+
+@compiled
+def inner(a, b):
+    """Return the inner product of two arrays of shape (n, 9)."""
+    total = 0.0
+    for k in range(len(a)):
+        for c in range(9):
+            total += a[k, c] * b[k, c]
+    return total
+
+
+@compiled
+def apply(terms, force, out):
+    """Set ``out`` to P times a force; all of shape (n, 9)."""
+    n, inverse = len(force), terms.inverse
+    slid = inner(terms.slide, force) if terms.coasting else 0.0
+    for k in range(n):
+        for c in range(9):
+            out[k, c] = slid * terms.slide[k, c]
+        for j in range(n):
+            first, others = inverse[0, k, j], inverse[1, k, j]
+            for c in range(3):
+                out[k, c] += first * force[j, c]
+            for c in range(3, 9):
+                out[k, c] += others * force[j, c]
+
+
+@vectorised
+def _set_gram(inverse, slide, step, column, weight, count, slid, matrix):
+    """Set the lower triangle of a Newton system's matrix, C^-1 + U'P U, U the columns."""
+    for i in range(count):
+        k = step[i]
+        along = 0.0
+        for c in range(9):
+            along += column[i, c] * slide[k, c]
+        slid[i] = along
+        for j in range(i + 1):
+            first = others = 0.0
+            for c in range(3):
+                first += column[i, c] * column[j, c]
+            for c in range(3, 9):
+                others += column[i, c] * column[j, c]
+            near = step[j]
+            matrix[i, j] = (
+                first * inverse[0, k, near] + others * inverse[1, k, near] + along * slid[j]
+            )
+        matrix[i, i] += 1.0 / weight[i]
+
+
+@compiled
+def _newton(terms, residual, moved_by, count, work, force):
+    """Set ``force`` to what a Newton step exerts: residual - U (C^-1 + U'P U)^-1 U'P residual."""
+    _set_gram(
+        terms.inverse, terms.slide, work.step, work.column, work.weight, count, work.slid,
+        work.matrix,
+    )  # fmt: skip
+    for i in range(count):
+        total = 0.0
+        for c in range(9):
+            total += work.column[i, c] * moved_by[work.step[i], c]
+        work.solution[i] = total
+    if not solve_spd(work.matrix, work.solution, count):
+        return False
+    force[:] = residual
+    for i in range(count):
+        for c in range(9):
+            force[work.step[i], c] -= work.solution[i] * work.column[i, c]
+    return True
+
+
+@compiled
+def _begin(terms, start, held, force, x, work):
+    """Set x to the minimiser for the multipliers held; drop them if none at all are better.
+
+    Returns the dual function there, above the cost of ``start``: a lower bound.
+    """
+    for k in range(len(x)):
+        for i in range(4):
+            for j in range(4):
+                work.bases[k, i, j] = 1.0 if i == j else 0.0
+    set_forces(terms, held, force)
+    apply(terms, force, x)
+    least = 0.5 * inner(force, x)
+    x[:] = start - x
+    least += value_of(terms, x, held, work.small[0])
+    if least < 0.0:
+        _keep(multipliers(len(x)), held)
+        force[:], x[:], least = 0.0, start, 0.0
+    return least
+
+
+@compiled
+def _keep(new, held):
+    held.orbitopes[:], held.lengths[:] = new.orbitopes, new.lengths
+    held.rows[:], held.fraction[:] = new.rows, new.fraction
+
+
+@compiled
+def _with_lengths(quadratic, terms, x):
+    """Return the cost of x, above that of the start."""
+    cost = quadratic
+    for k in range(len(x)):
+        if terms.lengths[k] > 0.0:
+            cost += terms.lengths[k] * np.sqrt(x[k, 0] ** 2 + x[k, 1] ** 2 + x[k, 2] ** 2)
+    return cost
+
+
+class Progress(NamedTuple):
+    """A minimisation that can be interrupted.
+
+    Attributes:
+        x: shape (n, 9).
+        held_force: F, that the multipliers held exert: x = x_0 - P F, shape (n, 9).
+        numbers: sigma; the greatest lower bound; what the last Newton step promised, shape (3,).
+        counts: steps and updates made; Newton steps since sigma last changed, shape (2,).
+    """
+
+    x: Array
+    held_force: Array
+    numbers: Array
+    counts: np.ndarray
+
+
+def begun(places: int, sigma: float) -> Progress:
+    """Return the progress of a minimisation that has not begun, with its first sigma."""
+    shape = (places, 9)
+    numbers = np.array([sigma, -np.inf, np.inf])
+    return Progress(np.zeros(shape), np.zeros(shape), numbers, np.zeros(2, np.int64))
+
+
+@compiled
+def minimise(terms, start, held, limits, work, progress, budget):
+    """Minimise quadratic and terms, on from where the progress is.
+
+    Args:
+        terms: what comes to the quadratic.
+        start: x_0, its minimiser subject to the terminal constraint, shape (n, 9).
+        held: the multipliers, updated in place.
+        limits: on the violation of a constraint; on the gap, in proportion to the cost; the cost
+            of x_0; what rounding may make of it; the largest sigma.
+        work: room to work in.
+        progress: updated in place.
+        budget: multiplications to do at most, though no less than a Newton step takes.
+
+    Returns:
+        The cost of ``progress.x`` above that of x_0, and ``SETTLED``, ``STALLED`` or ``PAUSED``.
+    """
+    precision, proportion, least, rounding, largest = limits
+    x, held_force, numbers, counts = progress
+    trial, direction, force = np.empty_like(start), np.empty_like(start), np.empty_like(start)
+    residual, change = np.empty_like(start), np.empty_like(start)
+    new = multipliers(len(start))
+    if counts[STEPS] == 0:
+        numbers[BEST] = _begin(terms, start, held, held_force, x, work)
+        if numbers[BEST] > 0.0:
+            numbers[SIGMA] *= WARM
+    value, moved, worst = project(terms, x, held, numbers[SIGMA], new, work)
+    while True:
+        # The gradient left over is force - F.
+        set_forces(terms, new, force)
+        residual[:] = force - held_force
+        apply(terms, residual, direction)
+        left = inner(residual, direction)
+        quadratic = 0.5 * inner(held_force, start - x)
+        cost = _with_lengths(quadratic, terms, x)
+        numbers[BEST] = max(numbers[BEST], quadratic + value - 0.5 * left)
+        gap = abs(cost - numbers[BEST])
+        if worst <= precision and gap <= proportion * abs(least + cost) + rounding:
+            return cost, SETTLED
+        if counts[STEPS] >= LIMIT:
+            return cost, STALLED
+        if budget <= 0.0:
+            return cost, PAUSED
+        counts[STEPS] += 1
+        near = min(left, numbers[PROMISED]) <= max(NOTHING, ENOUGH * moved / numbers[SIGMA])
+        if near or counts[TAKEN] == STUCK:
+            if near:
+                _keep(new, held)
+            numbers[SIGMA] = stiffened(numbers[SIGMA], largest, near, counts[TAKEN])
+            numbers[PROMISED], counts[TAKEN] = np.inf, 0
+            value, moved, worst = project(terms, x, held, numbers[SIGMA], new, work)
+            continue
+        counts[TAKEN] += 1
+        count = set_columns(terms, x, held, numbers[SIGMA], new, work)
+        budget -= count * count * (count / 6.0 + 9.0) + 40.0 * len(x) ** 2 + 500.0 * len(x)
+        if not _newton(terms, residual, direction, count, work, change):
+            return cost, STALLED
+        apply(terms, change, direction)
+        bend, pull = inner(change, direction), inner(held_force, direction)
+        numbers[PROMISED] = inner(residual, direction)
+        merit = quadratic + value - 0.5 * moved / numbers[SIGMA]
+        share = 1.0
+        for _ in range(HALVINGS):
+            trial[:] = x - share * direction
+            value, moved, worst = project(terms, trial, held, numbers[SIGMA], new, work)
+            reached = quadratic + share * (pull + 0.5 * share * bend) + value
+            reached -= 0.5 * moved / numbers[SIGMA]
+            if descends(reached, merit, share, numbers[PROMISED]):
+                break
+            share *= 0.5
+        x[:] = trial
+        held_force += share * change

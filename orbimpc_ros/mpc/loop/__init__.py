@@ -1,0 +1,1 @@
+"""The receding-horizon loop: odometry and forecasts in, checked commands out."""

@@ -1,0 +1,132 @@
+"""Where a vehicle is by the time a command reaches it: its motion since it was measured."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.command import Command
+from orbimpc_ros.mpc.geometry.rotations import exp, skew
+from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.mpc.problem import Problem
+
+MEMORY = 32  # commands; whatever was sent before them is taken as measured
+SMALL = 1e-2  # [rad] below it series are more exact than the closed forms
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A stretch of time with one command in force.
+
+    Attributes:
+        duration: [s].
+        command: in force all the while; None if none is known.
+        before: the command before it, whose speed or thrust was taken over when it ended.
+    """
+
+    duration: float
+    command: Command | None
+    before: Command | None
+
+
+class Sent:
+    """The commands sent of late, and since when each is in force."""
+
+    def __init__(self) -> None:
+        self._sent: deque[tuple[float, Command]] = deque(maxlen=MEMORY)
+
+    def add(self, command: Command, at: float) -> None:
+        """Note a command sent at a time [s]; times do not decrease."""
+        self._sent.append((at, command))
+
+    def forget(self) -> None:
+        """Forget every command, for instance because the clock jumped."""
+        self._sent.clear()
+
+    def legs(self, begin: float, end: float) -> list[Leg]:
+        """Return what was in force from ``begin`` to ``end`` [s]; nothing if that is no time."""
+        legs, before, command, since = [], None, None, begin
+        for at, following in self._sent:
+            if since < at < end:
+                legs.append(Leg(at - since, command, before))
+                since = at
+            if at < end:
+                before, command = command, following
+        if end > since:
+            legs.append(Leg(end - since, command, before))
+        return legs
+
+
+def advanced(problem: Problem, odometry: Odometry, legs: Sequence[Leg]) -> Odometry:
+    """Return the measurement as it would be after the legs; the same one if there are none.
+
+    Within a leg body rate and forward speed (or thrust) are constant, so that the vehicle flies an
+    arc, integrated exactly. As in the discrete model, a commanded rate applies at once at rotation
+    order 1; everything else that a command says is taken over when the next command comes. Until
+    then the vehicle goes on as it was measured.
+
+    Args:
+        problem: gives the orders and the full speed or thrust.
+        odometry: the measurement.
+        legs: in order of time, since the measurement.
+    """
+    if not legs:
+        return odometry
+    position, attitude = odometry.position, odometry.attitude
+    body_velocity, rate = odometry.body_velocity, odometry.body_rate
+    velocity = attitude @ body_velocity
+    for k, leg in enumerate(legs):
+        if k and leg.before is not None:
+            body_velocity = _forward(problem, leg.before.speed_fraction)
+            rate = leg.before.body_rate
+        turning = rate
+        if problem.rotation_order == 1 and leg.command is not None:
+            turning = leg.command.body_rate
+        time, angle = leg.duration, leg.duration * turning
+        if problem.translation_order == 1:
+            position = position + time * (attitude @ _turned(angle, body_velocity)[0])
+        else:
+            push = _forward(problem, 0.0 if leg.before is None else leg.before.speed_fraction)
+            once, twice = _turned(angle, push)
+            position = position + time * velocity + time * time * (attitude @ twice)
+            velocity = velocity + time * (attitude @ once)
+        attitude = attitude @ exp(angle)
+    if problem.translation_order == 2:
+        body_velocity = attitude.T @ velocity
+    later = odometry.time + sum(leg.duration for leg in legs)
+    return Odometry(later, position, attitude, np.array(body_velocity), np.array(rate))
+
+
+def _forward(problem: Problem, fraction: float) -> Array:
+    """Return a share of full speed or thrust along the body's x axis, shape (n,)."""
+    vector = np.zeros(problem.dimension)
+    vector[0] = problem.forward * fraction
+    return vector
+
+
+def _turned(phi: Array, vector: Array) -> tuple[Array, Array]:
+    r"""Return a vector that turns with the body, averaged over a leg, and averaged twice.
+
+    :math:`\int_0^1 e^{s\hat\phi} v\, ds` and :math:`\int_0^1 (1-s) e^{s\hat\phi} v\, ds`.
+
+    Args:
+        phi: tangent vector, shape (1,) or (3,) [rad].
+        vector: v, shape (n,).
+    """
+    hat = skew(phi)
+    across = hat @ vector
+    back = hat @ across
+    angle = math.sqrt(phi @ phi)
+    if angle < SMALL:
+        a = angle * angle
+        first, second, third = 0.5 - a / 24.0, 1.0 / 6.0 - a / 120.0, 1.0 / 24.0 - a / 720.0
+    else:
+        first = (1.0 - math.cos(angle)) / angle**2
+        second = (angle - math.sin(angle)) / angle**3
+        third = (0.5 - first) / angle**2
+    return vector + first * across + second * back, 0.5 * vector + second * across + third * back

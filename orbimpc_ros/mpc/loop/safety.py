@@ -1,0 +1,72 @@
+"""The safe command, in force while there is no plan to follow."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.command import Command, stop
+from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.problem import Problem, largest_fraction
+
+SAFE_COMMANDS = ('auto', 'stop', 'hold_rate_zero', 'loiter')
+CIRCLE_STEPS = 16  # a loitering vehicle closes its circle in so many steps
+
+
+def decided(kind: str, problem: Problem) -> str:
+    """Return the kind of safe command that ``auto`` stands for, and any other kind as it is.
+
+    A vehicle with a minimum speed circles. A minimum thrust does not make it circle: stopping the
+    engine is then what coasting is.
+    """
+    if kind != 'auto':
+        return kind
+    floored = problem.floor.shape != 'none' and problem.translation_order == 1
+    return 'loiter' if floored else 'stop'
+
+
+def may_stop(kind: str, problem: Problem) -> bool:
+    """Return whether the safe command may be below the floor: as it was asked for, or coasts."""
+    return decided(kind, problem) == 'stop' or problem.translation_order == 2
+
+
+def safe_command(kind: str, problem: Problem, attitude: Array, fraction: float) -> Command:
+    """Return a safe command.
+
+    Args:
+        kind: ``auto``: as :func:`decided`; ``stop``: no speed or thrust, no turning;
+            ``hold_rate_zero``: the present speed, yet
+            at least the floor, no turning (with thrust, at translation order 2, that is to
+            coast); ``loiter``: a level circle at the least speed, or at full speed without a floor.
+        problem: gives floor and limits.
+        attitude: the present one, shape (n, n).
+        fraction: share of full speed commanded last, in [0, 1].
+    """
+    kind = decided(kind, problem)
+    if kind == 'stop':
+        return stop(attitude)
+    rate = np.zeros(1 if problem.dimension == 2 else 3)
+    if kind == 'hold_rate_zero':
+        least = 0.0 if problem.floor.shape == 'none' else problem.floor.fraction
+        kept = max(fraction, least) if problem.translation_order == 1 else 0.0
+        return Command(kept, rate, np.array(attitude))
+    circling = 2.0 * math.pi / (CIRCLE_STEPS * problem.step)
+    rate[-1] = min(circling, problem.max_rate) if problem.max_rate > 0.0 else circling
+    return Command(_circling_fraction(problem), rate, attitude @ exp(problem.step * rate))
+
+
+def _circling_fraction(problem: Problem) -> float:
+    """Return the least share of full speed that keeps to the floor in every heading.
+
+    A polygon (or solid) demands that R e1 lies beyond one of its faces. Half-way between two of
+    them that takes fraction / cos(pi / m), the radius of its corners, and a circle leads through
+    every heading.
+    """
+    floor = problem.floor
+    if floor.shape == 'none':
+        return 1.0
+    if floor.shape == 'circle':
+        return floor.fraction
+    return min(1.0, floor.fraction / largest_fraction(problem.dimension, floor.faces))

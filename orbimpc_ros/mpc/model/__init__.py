@@ -1,0 +1,1 @@
+"""The discrete dynamics and the cost, as functions of the planned rotations."""

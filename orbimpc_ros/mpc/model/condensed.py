@@ -1,0 +1,113 @@
+"""The quadratic part of the objective as a function of the thrust axes R_1 e1..R_N e1 alone.
+
+With positions eliminated by the dynamics, and for n = 2 (where R e1 is all of R),
+
+    cost = 1/2 sum_jk H_jk z_j . z_k + sum_k q_k . z_k + c + (length term),   z_k = R_k e1.
+
+H is the same for every coordinate, so one N x N matrix says it all.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.orbitopes import frobenius_factor
+from orbimpc_ros.mpc.model import dynamics
+from orbimpc_ros.mpc.problem import Problem, State
+
+
+def position_weights(problem: Problem) -> Array:
+    """Return the weight on |s_k - g_k|^2, k = 1..N, the terminal one included, shape (N,)."""
+    weights = np.full(problem.horizon, float(problem.weights.position))
+    weights[-1] += problem.weights.terminal + problem.arrival_weight
+    return weights
+
+
+def input_weight(problem: Problem) -> float:
+    """Return the weight on the squared coordinates of an input."""
+    return problem.weights.input * frobenius_factor(problem.dimension)
+
+
+LONGEST = 30  # horizon; beyond it sparse solves are faster than dense ones
+WORST_CONDITION = 1e9
+SLIGHT = 1e-10  # share of its diagonal that a singular Hessian is given on top
+
+
+class Condensed:
+    """The quadratic of one problem; what varies from tick to tick enters linearly.
+
+    What varies are the *knowns*, rows of shape (n,): R_0 e1, p_0, and g_1 - s_0..g_N - s_0.
+
+    Attributes:
+        hessian: H, shape (N, N), without the weight on the last velocity, which only adds to it.
+        turning: its part from the input weight, shape (N, N): all that coordinates of R_k other
+            than those of R_k e1 are subject to.
+        pulled: q of the knowns, shape (N, N + 2).
+        squared: c of the knowns, a quadratic form, shape (N + 2, N + 2).
+        turned: q of the other coordinates of R_0, shape (N, 1).
+        turned_squared: c of them, shape (1, 1).
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        reach, turn = dynamics.position_map(problem), dynamics.input_map(problem)
+        weights, turning = position_weights(problem), input_weight(problem)
+        miss = np.hstack([reach[:, :1], dynamics.drift_map(problem), -np.eye(problem.horizon)])
+        pull = 2.0 * reach[:, 1:].T * weights
+        self.turning: Array = 2.0 * turning * turn[:, 1:].T @ turn[:, 1:]
+        self.turned: Array = 2.0 * turning * turn[:, 1:].T @ turn[:, :1]
+        self.turned_squared: Array = turning * turn[:, :1].T @ turn[:, :1]
+        self.hessian: Array = pull @ reach[:, 1:] + self.turning
+        self.pulled: Array = pull @ miss
+        self.pulled[:, :1] += self.turned
+        self.squared: Array = miss.T * weights @ miss
+        self.squared[:1, :1] += self.turned_squared
+
+    def affine(self, state: State, goals: Array) -> tuple[Array, float]:
+        """Return q, shape (N, n), and c for a state and goals g_1..g_N, shape (N, n).
+
+        c includes the length of the first step, which no decision changes.
+        """
+        known = knowns(state, goals)
+        c = float(np.sum(known * (self.squared @ known)))
+        return self.pulled @ known, c + first_length(self._problem, state)
+
+
+def knowns(state: State, goals: Array) -> Array:
+    """Return what the quadratic depends on, shape (N + 2, n): see :class:`Condensed`."""
+    known = np.empty((len(goals) + 2, goals.shape[1]))
+    known[0], known[1] = state.rotation[:, 0], state.velocity
+    np.subtract(goals, state.position, out=known[2:])
+    return known
+
+
+def suits_dense_code(problem: Problem) -> bool:
+    """Return whether a problem is short and well enough conditioned for dense machine code."""
+    if problem.horizon > LONGEST:
+        return False
+    decided = slice(problem.rotation_order - 1, None)  # at order 2, R_1 is not free
+    hessian = Condensed(problem).hessian[decided, decided]
+    return bool(np.linalg.cond(hessian) < WORST_CONDITION)
+
+
+def regular(hessian: Array) -> tuple[Array, Array, float]:
+    """Return H + delta, its inverse, both of shape (N, N), and delta N / 2.
+
+    delta is zero but where H is too close to singular to be inverted, as where nothing weighs the
+    last heading. Within the disks |z_k| <= 1 the larger matrix costs at most delta N / 2 more.
+    """
+    delta, eye = 0.0, np.eye(len(hessian))
+    if not np.linalg.cond(hessian) < WORST_CONDITION:
+        delta = SLIGHT * (float(np.diag(hessian).max()) or 1.0)
+    inverse = np.linalg.inv(hessian + delta * eye)
+    return hessian + delta * eye, 0.5 * (inverse + inverse.T), 0.5 * delta * len(hessian)
+
+
+def first_length(problem: Problem, state: State) -> float:
+    """Return the length cost of the first step, which the state alone decides."""
+    spent = problem.weights.length * problem.step * problem.forward
+    heading = state.rotation[:, 0]
+    return spent * math.sqrt(heading @ heading)

@@ -1,0 +1,98 @@
+"""Natural units: a problem whose step, full speed and costs are all of the order of one.
+
+Lengths are measured by what a step moves the vehicle at most, times by the step, costs by the
+largest curvature of the objective. Rotations have no unit, so a solution of the scaled problem is
+one of the problem itself; only its cost and bounds are of another size. Solvers with absolute
+tolerances then do as well at 1000 m/s as at 1 m/s.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.model.condensed import Condensed
+from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
+
+
+@dataclass(frozen=True)
+class Units:
+    """The units in which a problem is solved.
+
+    Attributes:
+        problem: the problem in these units.
+        length: [m].
+        time: [s].
+        cost: of the objective.
+    """
+
+    problem: Problem
+    length: float
+    time: float
+    cost: float
+
+    @classmethod
+    def of(cls, problem: Problem) -> Units:
+        """Return the natural units of a problem."""
+        scaled = _in_units(problem, problem.length_unit, problem.step)
+        cost = _curvature(scaled)
+        weights = _times(scaled.weights, 1.0 / cost)
+        scaled = replace(scaled, weights=weights, arrival_weight=scaled.arrival_weight / cost)
+        return cls(scaled, problem.length_unit, problem.step, cost)
+
+    def state(self, state: State) -> State:
+        """Return a state in these units."""
+        if self.length == self.time == 1.0:
+            return state
+        scaled = copy.copy(state)  # checked when it was made: lengths and times say nothing new
+        for name, unit in (
+            ('position', 1.0 / self.length),
+            ('velocity', self.time / self.length),
+            ('rotation_rate', self.time),
+        ):
+            object.__setattr__(scaled, name, getattr(state, name) * unit)
+        return scaled
+
+    def lengths(self, values: Array) -> Array:
+        """Return lengths [m] in these units."""
+        return values if self.length == 1.0 else values / self.length
+
+
+def _in_units(problem: Problem, length: float, time: float) -> Problem:
+    """Return a problem with lengths and times in other units, for costs that stay the same."""
+    w, area = problem.weights, length * length
+    weights = Weights(
+        position=w.position * area,
+        # The inputs are first or second derivatives of numbers without a unit.
+        input=w.input / time ** (2 * problem.rotation_order),
+        length=w.length * problem.step * problem.forward,
+        terminal=w.terminal * area,
+    )
+    return replace(
+        problem,
+        step=1.0,
+        forward=1.0,
+        weights=weights,
+        arrival_weight=problem.arrival_weight * area,
+        max_rate=min(math.pi, problem.max_rate * time),
+        obstacles=tuple(Box(b.minimum / length, b.maximum / length) for b in problem.obstacles),
+    )
+
+
+def _curvature(problem: Problem) -> float:
+    """Return the size of a problem's costs: its largest curvature or slope; 1 if it has none."""
+    curved = float(np.abs(np.diag(Condensed(problem).hessian)).max())
+    return max(curved, problem.weights.length) or 1.0
+
+
+def _times(weights: Weights, factor: float) -> Weights:
+    return Weights(
+        weights.position * factor,
+        weights.input * factor,
+        weights.length * factor,
+        weights.terminal * factor,
+    )

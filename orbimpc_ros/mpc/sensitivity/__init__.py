@@ -1,0 +1,1 @@
+"""Active constraints and their shadow prices."""

@@ -1,0 +1,178 @@
+"""The slacks that have run out at a plan, and how they change with its rotations R_1..R_N.
+
+A slack is a function c >= 0 that vanishes where its constraint is met with nothing to spare.
+Gradients are over the coordinates of R_1..R_N, all else eliminated by the dynamics.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.check import turn_margin
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates, lmi, lmi_parts
+from orbimpc_ros.mpc.model import dynamics
+from orbimpc_ros.mpc.plan import Plan
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.solve.disjunction import Disjunction, disjunctions_of, shortfall
+
+ACTIVE = 1e-5  # slack that counts as none: solvers leave less
+AXES = 'xyz'
+
+
+@dataclass(frozen=True)
+class Slack:
+    """A slack that has run out.
+
+    Attributes:
+        name: of its constraint.
+        step: k in 1..N.
+        gradient: over the coordinates of R_1..R_N, shape (N, d).
+        unit: makes a price of the multiplier: how far the slack moves per unit of relaxation.
+        signed: whether the multiplier may be negative, as an equality's.
+    """
+
+    name: str
+    step: int
+    gradient: Array
+    unit: float = 1.0
+    signed: bool = False
+
+
+def slacks_of(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
+    """Yield every slack that has run out at a plan.
+
+    Args:
+        problem: what was solved.
+        state: from where.
+        plan: a plan that meets all constraints.
+    """
+    yield from _hull(plan)
+    yield from _rates(problem, state, plan)
+    yield from _chosen(problem, plan)
+    yield from _arrival(problem, plan)
+    if problem.rotation_order == 2 and state.coasted is not None:
+        yield from _thrust(state.coasted, plan)
+
+
+def _hull(plan: Plan) -> Iterator[Slack]:
+    """1 - |x_k| for n = 2; for n = 3 the eigenvalues of the LMI that have come down to zero."""
+    for k, x in enumerate(coordinates(plan.rotations[1:]), start=1):
+        if len(x) == 2:
+            size = math.sqrt(x @ x)
+            if size > 1.0 - ACTIVE:
+                yield Slack('hull', k, _at(plan, k, -x / size))
+            continue
+        values, vectors = np.linalg.eigh(lmi(x))
+        yield from _face(plan, k, vectors[:, values < ACTIVE])
+
+
+def _face(plan: Plan, k: int, kernel: Array) -> Iterator[Slack]:
+    """Gradients of <Y, LMI> for a basis of symmetric Y on the LMI's kernel, shape (4, r).
+
+    The multiplier is a positive semidefinite Y; its trace is the price of scaling the hull. More
+    than one dimension leaves Y free here: where multipliers are unique it comes out as it should.
+    """
+    _, linear = lmi_parts()
+    count = kernel.shape[1]
+    for i in range(count):
+        for j in range(i, count):
+            both = np.outer(kernel[:, i], kernel[:, j])
+            gradient = linear.T @ (0.5 * (both + both.T)).ravel()
+            yield Slack('hull', k, _at(plan, k, gradient), float(i == j), signed=count > 1)
+
+
+def _rates(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
+    """2 sin(h omega / 2) - |(R_k - R_{k-1}) e1|, charged to omega; the first turn may be an angle.
+
+    Of an angle the chord is that of unit vectors, which changes across R_1 e1 alone.
+    """
+    headings = plan.rotations[:, :, 0]
+    wider = problem.step * math.cos(0.5 * problem.step * problem.max_rate)
+    for k in 1 + np.flatnonzero(turn_margin(problem, state, plan.rotations) < ACTIVE):
+        gradient = np.zeros((plan.horizon + 1, headings.shape[1]))
+        if k == 1 and problem.first_turn_is_an_angle:
+            size = np.linalg.norm(headings[1])
+            unit = headings[1] / size
+            turned = unit - state.attitude[:, 0]
+            away = turned / np.linalg.norm(turned)
+            gradient[1] = -(away - (away @ unit) * unit) / size
+        else:
+            turned = headings[k] - headings[k - 1]
+            gradient[k] = -turned / np.linalg.norm(turned)
+            gradient[k - 1] = -gradient[k]
+        yield Slack('max_rate', int(k), on_headings(plan, gradient[1:]), wider)
+
+
+def _chosen(problem: Problem, plan: Plan) -> Iterator[Slack]:
+    """The half-spaces that a floor or an obstacle is kept by."""
+    reach = dynamics.position_map(problem)[:, 1:]
+    choices = disjunctions_of(problem)
+    boxes = [choice for choice in choices if choice.on == 'position']
+    for choice in choices:
+        values = choice.values(plan.rotations[:, :, 0], plan.positions)
+        for k, normal in _run_out(choice, values):
+            if choice.on == 'heading':
+                yield Slack('floor', k, _at(plan, k, normal))
+            else:
+                box = boxes.index(choice) * len(problem.obstacles) // len(boxes)
+                gradient = on_headings(plan, np.outer(reach[k - 1], normal))
+                yield Slack(f'obstacle {box}', k, gradient)
+
+
+def _run_out(choice: Disjunction, values: Array) -> Iterator[tuple[int, Array]]:
+    """Yield steps without slack, each with the normal of the cell that is kept by the most."""
+    if choice.radius:
+        sizes = np.linalg.norm(values, axis=1)
+        missed, normals = choice.radius - sizes, values / sizes[:, None]
+    else:
+        by_cell = shortfall(choice.cells, values)
+        best = int(by_cell.max(axis=1).argmin())
+        missed, normals = by_cell[best], np.tile(choice.cells[best].normal, (len(values), 1))
+    for i in np.flatnonzero(missed > -ACTIVE):
+        yield choice.steps[i], normals[i]
+
+
+def _arrival(problem: Problem, plan: Plan) -> Iterator[Slack]:
+    """s_N - g_N and p_N, axis by axis."""
+    if problem.terminal != 'constraint':
+        return
+    maps = {'terminal': dynamics.position_map(problem)[-1, 1:]}
+    if problem.translation_order == 2:
+        maps['terminal velocity'] = velocity_map(problem)
+    for name, moved in maps.items():
+        for axis, unit in zip(AXES, np.eye(problem.dimension), strict=False):
+            gradient = on_headings(plan, np.outer(moved, unit))
+            yield Slack(f'{name} {axis}', plan.horizon, gradient, signed=True)
+
+
+def _thrust(coasted: Array, plan: Plan) -> Iterator[Slack]:
+    """The fraction rho >= 0 in R_1 = rho * (the rotation that the body rate leads to)."""
+    if plan.speed_fraction[1] < ACTIVE:
+        way = coordinates(coasted)
+        yield Slack('thrust', 1, _at(plan, 1, way / (way @ way)))
+
+
+def _at(plan: Plan, k: int, gradient: Array) -> Array:
+    """Return a gradient over R_k alone, its first entries given, as one over R_1..R_N."""
+    full = np.zeros_like(coordinates(plan.rotations[1:]))
+    full[k - 1, : len(gradient)] = gradient
+    return full
+
+
+def velocity_map(problem: Problem) -> Array:
+    """Return how far p_N moves with R_1 e1..R_N e1 at translation order 2, shape (N,) [m/s]."""
+    pushed = np.full(problem.horizon, problem.step * problem.forward)
+    pushed[-1] = 0.0
+    return pushed
+
+
+def on_headings(plan: Plan, gradient: Array) -> Array:
+    """Return a gradient over headings, shape (N, n), as one over rotations, shape (N, d)."""
+    full = np.zeros_like(coordinates(plan.rotations[1:]))
+    full[:, : gradient.shape[1]] = gradient
+    return full

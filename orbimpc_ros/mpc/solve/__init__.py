@@ -1,0 +1,1 @@
+"""Methods that find optimal trajectories with proved bounds."""

@@ -1,0 +1,109 @@
+"""Choices that make a problem mixed-integer: at least one half-space of a list must hold.
+
+The paper writes them with binaries and a big M; here they are kept as what they are, so there is
+no M to leak. A floor is one choice of face per step, an obstacle one choice of side per step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.cells import Cell, round_cells
+from orbimpc_ros.mpc.geometry.faces import normals
+from orbimpc_ros.mpc.problem import Box, Problem
+
+
+@dataclass(frozen=True)
+class Slot:
+    """What a half-space can be put on: R_k e1 (``heading``) or s_k (``position``), k in 1..N."""
+
+    on: Literal['heading', 'position']
+    step: int
+
+
+@dataclass(frozen=True)
+class Disjunction:
+    """One cell must hold for v_k at every k of ``steps``, or, for a round floor, |v_k| >= radius.
+
+    Attributes:
+        on: what v_k is: ``heading``, R_k e1, or ``position``, s_k.
+        steps: the k (1..N) that must agree on a cell.
+        cells: the alternatives; for a round floor they cover it and can be cut finer.
+        radius: of a round floor; zero for one of flat faces.
+    """
+
+    on: Literal['heading', 'position']
+    steps: tuple[int, ...]
+    cells: tuple[Cell, ...]
+    radius: float = 0.0
+
+    @property
+    def slots(self) -> tuple[Slot, ...]:
+        """Return what the cells are half-spaces of, one slot per step."""
+        return tuple(Slot(self.on, k) for k in self.steps)
+
+    def values(self, headings: Array, positions: Array) -> Array:
+        """Return v_k for k in ``steps``, shape (len(steps), n), of a trajectory.
+
+        Args:
+            headings: R_0 e1..R_N e1, shape (N + 1, n).
+            positions: s_0..s_N, shape (N + 1, n).
+        """
+        return (headings if self.on == 'heading' else positions)[list(self.steps)]
+
+    def missed_by(self, values: Array) -> float:
+        """Return how far ``values``, shape (len(steps), n), are from satisfying it; <= 0 if so."""
+        if self.radius:
+            return float(self.radius - np.linalg.norm(values, axis=1).min())
+        return float(shortfall(self.cells, values).max(axis=1).min())
+
+
+def shortfall(cells: Sequence[Cell], values: Array) -> Array:
+    """Return by how much values, shape (K, n), miss each cell, shape (cells, K); <= 0 inside."""
+    offsets = np.array([cell.offset for cell in cells])
+    return offsets[:, None] - np.array([cell.normal for cell in cells]) @ values.T
+
+
+def disjunctions_of(problem: Problem) -> tuple[Disjunction, ...]:
+    """Return every choice of a problem: its floor's and its obstacles'."""
+    return (*_floor(problem), *_obstacles(problem))
+
+
+def _floor(problem: Problem) -> list[Disjunction]:
+    floor, radius = problem.floor, 0.0
+    if floor.shape == 'none':
+        return []
+    if floor.shape == 'polygon':
+        cells = _flat(normals(problem.dimension, floor.faces), floor.fraction)
+    elif floor.shape == 'circle':
+        cells, radius = round_cells(problem.dimension, floor.fraction), floor.fraction
+    else:
+        raise NotImplementedError(f'no cells of a floor of shape {floor.shape}')
+    return [Disjunction('heading', (k,), cells, radius) for k in range(1, problem.horizon + 1)]
+
+
+def _obstacles(problem: Problem) -> list[Disjunction]:
+    last = problem.horizon
+    if problem.no_corner_cutting and last > 1:
+        # A segment whose ends share a free face cannot cut through the box.
+        groups: list[tuple[int, ...]] = [(k, k + 1) for k in range(1, last)]
+    else:
+        groups = [(k,) for k in range(1, last + 1)]
+    sides = [_sides(box) for box in problem.obstacles]
+    return [Disjunction('position', steps, cells) for cells in sides for steps in groups]
+
+
+def _sides(box: Box) -> tuple[Cell, ...]:
+    axes = np.eye(len(box.minimum))
+    below = (Cell(-axis, -low) for axis, low in zip(axes, box.minimum, strict=True))
+    above = (Cell(axis, high) for axis, high in zip(axes, box.maximum, strict=True))
+    return (*below, *above)
+
+
+def _flat(directions: Array, offset: float) -> tuple[Cell, ...]:
+    return tuple(Cell(direction, offset) for direction in directions)

@@ -1,0 +1,332 @@
+"""Branch and bound over disjunctions, with the convex program at its nodes.
+
+Best first: the open node with the least bound is solved next, so that no node is solved whose bound
+already exceeds the optimum. Before a child is solved it inherits its parent's bound raised by one
+exact dual step. With the parent's multipliers held, the dual function along the multiplier t >= 0
+of a new row a.x >= beta is
+
+    D(t) = D(0) + t (beta - a.x) - t^2/2 a.H^-1 a,
+
+a parabola in the parent's solution x and the condensed Hessian H of the rotations, so the child
+costs at least D(0) + max(0, beta - a.x)^2 / (2 a.H^-1 a). That prunes most children unsolved.
+
+A round floor is branched on its cells, and the cells are cut finer where a solution slips below the
+floor. Trajectories come from dives, which hold all that a solution misses at its nearest cell; of a
+round floor, beyond its tangent in the direction of v, where |v| is surely above the floor.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.geometry.cells import Cell
+from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
+from orbimpc_ros.mpc.model import dynamics
+from orbimpc_ros.mpc.model.condensed import Condensed
+from orbimpc_ros.mpc.model.trajectory import Trajectory, trajectory_of
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.solve.disjunction import Disjunction, Slot, disjunctions_of, shortfall
+from orbimpc_ros.mpc.solve.relaxation import Halfspace, Relaxation, Relaxed
+from orbimpc_ros.mpc.solve.request import Found, Guess
+from orbimpc_ros.mpc.solve.so3_multipliers import Spatial
+
+SATISFIED = 1e-7  # a cell missed by less holds; a tenth of what the plan's check allows
+NEAR = 0.05  # a round floor missed by less is worth a dive
+DIVE_STEPS = 4
+MAX_NODES = 20_000
+
+Choice = tuple[Cell | None, ...]
+
+
+class Search:
+    """Solves any problem by branch and bound; without disjunctions, by its one relaxation.
+
+    Args:
+        problem: what to solve.
+        tolerance: relative gap at which a search stops.
+        coasting: whether states come with a ``coasted`` rotation.
+    """
+
+    trusts_guess = True
+
+    def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
+        self.problem, self.tolerance = problem, tolerance
+        self.disjunctions = disjunctions_of(problem)
+        self.takes_guess = bool(self.disjunctions)  # one relaxation needs none
+        self.exchangeable = _steps_are_exchangeable(problem)
+        self.curvature = inverse_curvatures(problem, self.disjunctions)
+        slots = [slot for d in self.disjunctions for slot in d.slots]
+        self.program = _program(problem, slots, coasting)
+
+    def solve(
+        self,
+        state: State,
+        goals: Array,
+        guess: Guess | None = None,
+        out_of_time: Callable[[], bool] | None = None,
+    ) -> Found:
+        """Return the best trajectory and the proof; complete unless time or nodes run out.
+
+        Raises:
+            Infeasible: no trajectory satisfies the constraints: every branch was refuted.
+        """
+        self.program.bind(state, goals)
+        if not self.disjunctions:
+            relaxed = self.program.solve((), out_of_time)
+            if relaxed.x is None:
+                return Found(None, np.inf, relaxed.bound, 1)
+            cost = trajectory_of(self.problem, state, goals, relaxed.x).cost
+            return Found(relaxed.x, cost, relaxed.bound, 1)
+        return _Run(self, state, goals, guess, out_of_time).run()
+
+
+def _program(problem: Problem, slots: Sequence[Slot], coasting: bool) -> Relaxed:
+    """Return the fastest convex program for a problem."""
+    if Spatial.solves(problem, slots):
+        return Spatial(problem, slots, coasting=coasting)
+    from orbimpc_ros.mpc.solve.program import Program  # brings CVXPY, half of a start-up
+
+    return Program(problem, slots, coasting=coasting)
+
+
+@dataclass(order=True)
+class _Node:
+    bound: float
+    order: int  # later nodes first among equals: deeper ones
+    choice: Choice = field(compare=False)
+
+
+class _Run:
+    """One search: the open nodes, the best trajectory, the least bound given up."""
+
+    def __init__(
+        self,
+        search: Search,
+        state: State,
+        goals: Array,
+        guess: Guess | None,
+        out_of_time: Callable[[], bool] | None,
+    ) -> None:
+        self._search, self._state, self._goals = search, state, goals
+        self._out_of_time = out_of_time
+        self._best = None if guess is None else guess.x
+        self._cost = np.inf if guess is None else guess.cost
+        self._closed = np.inf
+        self._open = [_Node(-np.inf, 0, (None,) * len(search.disjunctions))]
+        self._nodes = self._made = 0
+
+    def run(self) -> Found:
+        while self._open and self._open[0].bound < self._cutoff:
+            if self._nodes >= MAX_NODES or (self._nodes and self._is_late):
+                break
+            self._expand(heapq.heappop(self._open))
+        lower = min([self._closed, self._cost, *(node.bound for node in self._open)])
+        if lower == np.inf:
+            raise Infeasible('no trajectory satisfies the constraints: every branch is infeasible')
+        return Found(self._best, self._cost, lower, self._nodes)
+
+    @property
+    def _is_late(self) -> bool:
+        return self._out_of_time is not None and self._out_of_time()
+
+    @property
+    def _cutoff(self) -> float:
+        """Return the bound from which on a node cannot improve on the best by enough."""
+        if self._best is None:
+            return np.inf
+        return self._cost - self._search.tolerance * max(abs(self._cost), 1e-9)
+
+    def _expand(self, node: _Node) -> None:
+        try:
+            relaxed = self._relaxed(node.choice)
+        except Infeasible:
+            if self._nodes == 1:
+                raise
+            return
+        bound = max(node.bound, relaxed.bound)
+        if relaxed.x is None:  # neither refuted nor solved
+            self._give_up(node.choice, bound)
+            return
+        trajectory = self._flown(relaxed.x)
+        missed = self._missed(trajectory)
+        if not missed:
+            self._closed = min(self._closed, bound)
+            self._accept(relaxed.x, trajectory)
+            return
+        if self._best is None or self._is_nearly_round(missed):
+            self._dive(node.choice, trajectory, missed)
+        self._branch(node.choice, missed, bound)
+
+    def _give_up(self, choice: Choice, bound: float) -> None:
+        """Close a node that was not solved, unless it is the root, whose children may be."""
+        if self._nodes > 1 or self._is_late:
+            self._closed = min(self._closed, bound)
+            return
+        for cell in self._search.disjunctions[0].cells:
+            self._push((cell, *choice[1:]), bound)
+
+    def _relaxed(self, choice: Choice) -> Relaxation:
+        self._nodes += 1
+        return self._search.program.solve(self._halfspaces(choice), self._out_of_time)
+
+    def _flown(self, x: Array) -> Trajectory:
+        return trajectory_of(self._search.problem, self._state, self._goals, x)
+
+    def _accept(self, x: Array, trajectory: Trajectory) -> None:
+        if trajectory.cost < self._cost:
+            self._best, self._cost = x, trajectory.cost
+
+    def _halfspaces(self, choice: Choice) -> Iterator[Halfspace]:
+        slot = 0
+        for disjunction, cell in zip(self._search.disjunctions, choice, strict=True):
+            for _ in disjunction.steps:
+                if cell is not None:
+                    yield slot, cell.normal, cell.offset
+                slot += 1
+
+    def _missed(self, trajectory: Trajectory) -> dict[int, tuple[float, Array]]:
+        """Return, by disjunction that is not satisfied, by how much and the values it sees."""
+        missed = {}
+        for j, disjunction in enumerate(self._search.disjunctions):
+            values = disjunction.values(trajectory.headings, trajectory.positions)
+            by = disjunction.missed_by(values)
+            if by > SATISFIED:
+                missed[j] = (by, values)
+        return missed
+
+    def _is_nearly_round(self, missed: dict[int, tuple[float, Array]]) -> bool:
+        """Return whether all that is missed are round floors, and those by little."""
+        disjunctions = self._search.disjunctions
+        return all(disjunctions[j].radius and by < NEAR for j, (by, _) in missed.items())
+
+    def _dive(
+        self, choice: Choice, trajectory: Trajectory, missed: dict[int, tuple[float, Array]]
+    ) -> None:
+        """Look for a trajectory: hold whatever is missed at its nearest cell, and solve again."""
+        held = list(choice)
+        for _ in range(DIVE_STEPS):
+            for j, (_, values) in missed.items():
+                held[j] = _nearest_cell(self._search.disjunctions[j], values, held[j])
+            if self._is_late:
+                return
+            try:
+                x = self._relaxed(tuple(held)).x
+            except Infeasible:
+                return
+            if x is None:
+                return
+            trajectory = self._flown(x)
+            missed = self._missed(trajectory)
+            if not missed:
+                self._accept(x, trajectory)
+                missed = self._round_floors(trajectory)  # tangents there may descend further
+                if not missed:
+                    return
+
+    def _round_floors(self, trajectory: Trajectory) -> dict[int, tuple[float, Array]]:
+        return {
+            j: (0.0, d.values(trajectory.headings, trajectory.positions))
+            for j, d in enumerate(self._search.disjunctions)
+            if d.radius
+        }
+
+    def _branch(self, choice: Choice, missed: dict[int, tuple[float, Array]], bound: float) -> None:
+        """Open a child per cell of the disjunction that raises the bound the most."""
+        if self._search.exchangeable:
+            self._branch_in_order(choice, bound)
+            return
+        options: dict[int, Sequence[Cell]] = {}
+        for j in missed:
+            cell = choice[j]
+            cells = self._search.disjunctions[j].cells if cell is None else cell.parts()
+            if cells:
+                options[j] = cells
+        if not options:  # a chosen face is missed: the solve was not accurate enough
+            self._closed = min(self._closed, bound)
+            return
+        gains = {j: self._gain(j, cells, missed[j][1]) for j, cells in options.items()}
+        promises = {j: (self._promise(j, gains[j], missed[j][0]), missed[j][0]) for j in options}
+        chosen = max(options, key=promises.__getitem__)
+        for cell, gain in zip(options[chosen], gains[chosen], strict=True):
+            self._push((*choice[:chosen], cell, *choice[chosen + 1 :]), bound + float(gain))
+
+    def _branch_in_order(self, choice: Choice, bound: float) -> None:
+        """Branch on the first open step, on faces not before that of the step before it.
+
+        Where steps are exchangeable, every trajectory has the cost of one whose faces are sorted;
+        of the last step, which the cost does not see at all, one face stands for the others.
+        """
+        if None not in choice:
+            self._closed = min(self._closed, bound)
+            return
+        j = choice.index(None)
+        cells = self._search.disjunctions[j].cells
+        least = cells.index(choice[j - 1]) if j else 0
+        last = j == len(choice) - 1
+        for cell in cells[:1] if last else cells[least:]:
+            self._push((*choice[:j], cell, *choice[j + 1 :]), bound)
+
+    def _push(self, choice: Choice, bound: float) -> None:
+        if bound >= self._cutoff:
+            self._closed = min(self._closed, bound)
+            return
+        self._made += 1
+        heapq.heappush(self._open, _Node(bound, -self._made, choice))
+
+    def _promise(self, j: int, gains: Array, by: float) -> float:
+        """Return by how much the children of a disjunction missed by ``by`` may raise the bound.
+
+        Of the parts of a round floor's patch the nearer one often holds already, and tells
+        nothing: what is missed of the floor is what finer patches will ask for.
+        """
+        if self._search.disjunctions[j].radius:
+            return float(by * by / (2.0 * self._search.curvature[j].min()))
+        return float(gains.min())
+
+    def _gain(self, j: int, cells: Sequence[Cell], values: Array) -> Array:
+        """Return by how much each cell raises the bound at least, shape (cells,)."""
+        short = np.maximum(shortfall(cells, values), 0.0)
+        return (short**2 / (2.0 * self._search.curvature[j])).max(axis=1)
+
+
+def _nearest_cell(disjunction: Disjunction, values: Array, held: Cell | None) -> Cell | None:
+    """Return the cell that values, shape (K, n), miss least; of a round floor, the tangent."""
+    if not disjunction.radius:
+        if held is not None:
+            return held
+        short = shortfall(disjunction.cells, values).max(axis=1)
+        return disjunction.cells[int(np.argmin(short))]
+    norm = float(np.linalg.norm(values[0]))
+    return Cell(values[0] / norm, disjunction.radius) if norm > HEADING_UNDEFINED else held
+
+
+def _steps_are_exchangeable(problem: Problem) -> bool:
+    """Return whether cost and constraints see nothing of z_1..z_{N-1} but their sum and lengths."""
+    return (
+        problem.floor.shape == 'polygon'
+        and (problem.rotation_order, problem.translation_order) == (1, 1)
+        and problem.weights.input == problem.weights.position == problem.max_rate == 0.0
+        and not problem.obstacles
+    )
+
+
+def inverse_curvatures(problem: Problem, disjunctions: Sequence[Disjunction]) -> list[Array]:
+    """Return a.H^-1 a of each disjunction's rows, one per step, shapes (len(steps),).
+
+    H is the Hessian of the quadratic part of the objective in R_1..R_N, positions eliminated. It
+    is the same for each coordinate of R_k e1, and the normals have length one. Infinite (no gain)
+    where H is singular.
+    """
+    hessian = Condensed(problem).hessian
+    if not np.linalg.cond(hessian) <= 1e12:  # of no curvature at all it is not a number
+        return [np.full(len(d.steps), np.inf) for d in disjunctions]
+    inverse, rows = np.linalg.inv(hessian), dynamics.position_map(problem)[:, 1:]
+    along = np.einsum('ki,ij,kj->k', rows, inverse, rows)
+    every = {'heading': np.diag(inverse), 'position': np.where(along > 0.0, along, np.inf)}
+    return [every[d.on][np.array(d.steps) - 1] for d in disjunctions]

@@ -1,0 +1,100 @@
+"""The planar hull, however long the horizon: linear in it, in machine code."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.kernels.riccati import BEST, PAUSED, SETTLED, Chain, begun, settle, within
+from orbimpc_ros.mpc.model import dynamics
+from orbimpc_ros.mpc.model.condensed import first_length, input_weight, position_weights
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.solve.general import General
+from orbimpc_ros.mpc.solve.request import Found, Guess
+
+STIFFNESS = 100.0  # first parameter of the penalties, in proportion to the trace of the Hessian
+PRECISION = 1e-9  # on the disks
+GAP = 1e-9  # relative
+CANCELLED = 1e-12  # what a bound allows for of the largest numbers that cancel in it
+LARGEST = 1e7  # sigma, in proportion to the first
+SLICE = 2000  # steps of the horizon times steps of the method, in about a millisecond
+ROUNDING = 1e-15  # of the largest numbers that cancel in a cost
+
+
+class Hull:
+    """Solves SE(2) problems of orders (1, 1) with no constraint but the hull.
+
+    Args:
+        problem: what to solve.
+        tolerance: relative gap at which the general search stops, where this one is at a loss.
+    """
+
+    takes_guess = False  # there is nothing to search
+    trusts_guess = True
+
+    def __init__(self, problem: Problem, tolerance: float) -> None:
+        self._problem = problem
+        self._general = General(problem, tolerance)
+        self._along = np.array([[1.0, problem.step * problem.forward], [0.0, 1.0]])
+        self._turning = input_weight(problem) / problem.step**2
+        self._weights = position_weights(problem)
+        reach = dynamics.position_map(problem)[:, 1:]
+        trace = 2.0 * (float(self._weights @ (reach * reach).sum(axis=1)) + self._turning)
+        self._stiffness = STIFFNESS * trace
+        self._slice = max(1, SLICE // problem.horizon)
+        # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
+        start = State.at(np.zeros(2), np.eye(2))
+        self.solve(start, np.zeros((problem.horizon, 2)))
+
+    @staticmethod
+    def solves(problem: Problem) -> bool:
+        """Return whether this method applies to a problem, and is fast on this machine."""
+        orders = (problem.dimension, problem.rotation_order, problem.translation_order)
+        return (
+            COMPILED
+            and orders == (2, 1, 1)
+            and problem.floor.shape == 'none'
+            and problem.terminal == 'penalty'
+            and problem.weights.length == problem.max_rate == problem.arrival_weight == 0.0
+            and problem.weights.input > 0.0
+            and not problem.obstacles
+        )
+
+    def solve(
+        self,
+        state: State,
+        goals: Array,
+        guess: Guess | None = None,
+        out_of_time: Callable[[], bool] | None = None,
+    ) -> Found:
+        """Return the optimum; the rest as in ``disjunctive_bnb.Search``."""
+        found, settled = self.relaxed(state, goals, out_of_time)
+        if settled or out_of_time is not None:
+            return found
+        return self._general.solve(state, goals, guess, out_of_time)
+
+    def relaxed(
+        self, state: State, goals: Array, out_of_time: Callable[[], bool] | None
+    ) -> tuple[Found, bool]:
+        """Return the best within the disks and its bound, and whether that is the optimum."""
+        targets = goals - state.position
+        start = np.zeros((len(self._along), 2))
+        start[-1] = state.rotation[:, 0]
+        chain = Chain(self._along, start, self._turning, self._weights, targets)
+        constant = float(self._weights @ np.einsum('kc,kc->k', targets, targets))
+        rounding = ROUNDING * constant
+        limits = (PRECISION, GAP, rounding, LARGEST * self._stiffness)
+        progress = begun(len(goals), self._stiffness)
+        while True:
+            cost, status = settle(chain, limits, progress, self._slice)
+            if status != PAUSED:
+                break
+            if out_of_time is not None and out_of_time():
+                cost = within(chain, progress.z)
+                break
+        spent = first_length(self._problem, state)
+        bound = float(progress.numbers[BEST]) - CANCELLED * constant
+        return Found(progress.z, cost + spent, bound + spent, 1), status == SETTLED

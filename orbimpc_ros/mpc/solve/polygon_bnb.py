@@ -1,0 +1,96 @@
+"""The search for the commonest problems of SE(2), in machine code where numba is installed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.cells import faces
+from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.kernels.linear import quadratic
+from orbimpc_ros.mpc.model.condensed import LONGEST, Condensed
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.solve.cell_tree import CellSearch
+from orbimpc_ros.mpc.solve.general import General
+from orbimpc_ros.mpc.solve.request import Found, Guess
+
+NODES = 6400
+
+
+class Planar:
+    """Solves SE(2) problems with no constraint but the hull and a polygonal floor.
+
+    What the kernel cannot settle, it leaves to the general search, unless there is a deadline.
+
+    Args:
+        problem: what to solve.
+        tolerance: relative gap at which a search stops.
+    """
+
+    takes_guess = False  # checking one costs more than it saves
+    trusts_guess = True
+
+    def __init__(self, problem: Problem, tolerance: float) -> None:
+        self._problem, self._tolerance = problem, tolerance
+        self._condensed = Condensed(problem)
+        count = problem.floor.faces if problem.floor.shape == 'polygon' else 0
+        cells = faces(count, problem.floor.fraction)
+        self._search = CellSearch(self._condensed.hessian, cells, tolerance, NODES)
+        self._general = General(problem, tolerance)
+        # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
+        self._search.begin(np.zeros((problem.horizon, 2)), 0.0)
+        self._search.run()
+        self._found(np.zeros((problem.horizon, 2)), 0.0)
+
+    @staticmethod
+    def solves(problem: Problem) -> bool:
+        """Return whether this method applies to a problem, and is fast on this machine."""
+        return (
+            COMPILED
+            and (problem.dimension, problem.rotation_order) == (2, 1)
+            and problem.floor.shape in ('none', 'polygon')
+            and problem.terminal == 'penalty'
+            and problem.weights.length == problem.max_rate == problem.arrival_weight == 0.0
+            and not problem.obstacles
+            and problem.horizon <= LONGEST
+        )
+
+    def solve(
+        self,
+        state: State,
+        goals: Array,
+        guess: Guess | None = None,
+        out_of_time: Callable[[], bool] | None = None,
+    ) -> Found:
+        """Return the best trajectory with the bound proved.
+
+        See :class:`orbimpc_ros.mpc.solve.disjunctive_bnb.Search` for the rest.
+        """
+        q, constant = self._condensed.affine(state, goals)
+        search = self._search
+        search.begin(q, constant)
+        while not search.run(out_of_time):
+            if out_of_time is not None and out_of_time():
+                break
+        else:
+            if search.complete and search.nodes < NODES:
+                return self._of(search.best, q, constant)
+        found = self._found(q, constant)
+        # Who has a deadline is better off with this than with a search that is slower.
+        if out_of_time is not None:
+            return found
+        guess = None if found.x is None else Guess(found.x, found.cost)
+        return self._general.solve(state, goals, guess, out_of_time)
+
+    def _of(self, x: Array, q: Array, constant: float) -> Found:
+        cost = float(quadratic(self._condensed.hessian, q, x)) + constant
+        return Found(x, cost, self._search.bound + constant, self._search.nodes)
+
+    def _found(self, q: Array, constant: float) -> Found:
+        """Return the best of a search that was not completed, and of where its end leads to."""
+        found = self._of(self._search.dived(), q, constant)
+        if self._search.value == np.inf:
+            return found
+        return min(found, self._of(self._search.best, q, constant), key=lambda each: each.cost)

@@ -1,0 +1,253 @@
+"""The convex program behind every plan: compiled once, then only updated in place and solved.
+
+Compiling the statement gives Clarabel's data (P, q, A, b). The state enters b, linearly, and the
+goals q; half-spaces that a search imposes enter a few entries of A and b. A tick is therefore one
+matrix-vector product, an update and a solve; CVXPY is not touched again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
+from orbimpc_ros.mpc.geometry.orbitopes import coordinate_count, coordinates
+from orbimpc_ros.mpc.model.condensed import first_length, position_weights
+from orbimpc_ros.mpc.model.trajectory import trajectory_of
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.solve.conic import SOLVED, Certifier, run, solver_for
+from orbimpc_ros.mpc.solve.disjunction import Slot
+from orbimpc_ros.mpc.solve.relaxation import Halfspace, Relaxation
+from orbimpc_ros.mpc.solve.statement import Statement
+
+SMALL = 1e-2  # a cost below this is solved once more, scaled up
+TINY = 1e-11  # well below the 1e-9 that gaps are measured against at the least
+INERT = 1.0  # an empty slot reads 0 <= 1
+FAR = 1.0  # a goal is far from this many horizons on
+
+
+class Program:
+    """The convex program of a problem, compiled for repeated solves.
+
+    Args:
+        problem: what to solve.
+        slots: what half-spaces may be put on from solve to solve.
+        coasting: whether states come with a ``coasted`` rotation (for rotation order 2).
+        tolerance: Clarabel's, on feasibility and on the gap.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        slots: Sequence[Slot] = (),
+        *,
+        coasting: bool = False,
+        tolerance: float = 1e-9,
+    ) -> None:
+        self.problem = problem
+        self._statement = Statement(problem, slots, coasting and problem.rotation_order == 2)
+        self._tolerance = tolerance
+        self._heaviest = float(position_weights(problem).max())
+        self._scale = 1.0
+        self._solver: Any = None
+        self._compile()
+
+    def bind(self, state: State, goals: Array) -> None:
+        """Put a state and goals g_1..g_N, shape (N, n), into the data of the solves to come."""
+        self._b = self._b_0.copy()
+        self._b[self._rows] += self._signs * self._statement.values(state, goals)
+        self._bound_to = (state, goals)
+        seen = goals - state.position
+        weights = position_weights(self.problem)
+        constant = float(np.sum(weights[:, None] * seen * seen))
+        self._constant = constant + first_length(self.problem, state)
+        self._bind_cost(-2.0 * weights[:, None] * seen)
+        if self._statement.coasting:
+            assert state.coasted is not None
+            self._a_0[self._coasted] = -coordinates(state.coasted)
+        if self.problem.first_turn_is_an_angle:
+            self._a_0[self._ahead] = state.attitude[:, 0]
+        at_rest, per_speed, per_spin = self._limits
+        speed = float(np.linalg.norm(state.velocity))
+        self._largest = at_rest + speed * per_speed + np.abs(state.rotation_rate).max() * per_spin
+
+    def solve(
+        self,
+        halfspaces: Iterable[Halfspace] = (),
+        out_of_time: Callable[[], bool] | None = None,
+    ) -> Relaxation:
+        """Solve with some slots filled, the others inert, until time is up.
+
+        Raises:
+            Infeasible: proved that no trajectory satisfies the constraints.
+        """
+        a, b = self._a_0.copy(), self._b.copy()
+        for slot, normal, offset in halfspaces:
+            row, entries = self._slots[slot]
+            if self._statement.slots[slot].on == 'position':  # the variable is s_k - s_0
+                offset -= float(normal @ self._bound_to[0].position)
+            a[entries] = -normal
+            b[row] = -offset
+        relaxed = self._solve_in_place(a, b, out_of_time)
+        if out_of_time is not None and out_of_time():
+            return relaxed
+        if relaxed.x is None:
+            anew = self._solve_anew(a, b, self._scale, out_of_time)
+            return Relaxation(anew.x, max(relaxed.bound, anew.bound))
+        if relaxed.bound < SMALL * self._scale:
+            return self._bound_anew(relaxed, a, b, out_of_time)
+        return relaxed
+
+    def _solve_in_place(
+        self, a: Array, b: Array, out_of_time: Callable[[], bool] | None
+    ) -> Relaxation:
+        self._solver.update(q=self._q, A=a, b=b)
+        answer = run(self._solver, out_of_time)
+        if answer is None:  # nobody knows in which state a panic leaves a solver
+            self._solver = solver_for({**self._data, 'P': self._p / self._scale}, self._tolerance)
+        return self._relaxation(answer, a, b, self._q, self._scale)
+
+    def _bound_anew(
+        self, relaxed: Relaxation, a: Array, b: Array, out_of_time: Callable[[], bool] | None
+    ) -> Relaxation:
+        """Return a relaxation as accurate in proportion as where the cost is large.
+
+        Near the goal the cost all but vanishes, and a gap that is small against one is not small
+        against the cost. Solved once more with the cost scaled up, it is.
+        """
+        scaled = self._solve_anew(a, b, max(relaxed.bound, TINY), out_of_time)
+        found = [each.x for each in (relaxed, scaled) if each.x is not None]
+        return Relaxation(min(found, key=self._cost), max(relaxed.bound, scaled.bound))
+
+    def _cost(self, x: Array) -> float:
+        return trajectory_of(self.problem, *self._bound_to, x).cost
+
+    def _solve_anew(
+        self, a: Array, b: Array, scale: float, out_of_time: Callable[[], bool] | None
+    ) -> Relaxation:
+        """Solve with Clarabel set up for these very numbers, the cost divided by ``scale``.
+
+        That settles nearly all that an update in place could not solve.
+        """
+        matrix = self._data['A'].copy()
+        matrix.data = a
+        q = self._q * (self._scale / scale)
+        data = {**self._data, 'P': self._p / scale, 'c': q, 'A': matrix, 'b': b}
+        answer = run(solver_for(data, self._tolerance), out_of_time)
+        return self._relaxation(answer, a, b, q, scale)
+
+    def _relaxation(self, answer: Any, a: Array, b: Array, q: Array, scale: float) -> Relaxation:
+        """Return what an answer comes to, with the bound that its multipliers prove.
+
+        Raises:
+            Infeasible: its multipliers prove that nothing is feasible.
+        """
+        if answer is None:
+            return Relaxation(None, -np.inf)
+        status = str(answer.status)
+        if 'PrimalInfeasible' in status:
+            if self._certifier.refutes(answer, a, b, self._largest):
+                raise Infeasible('no trajectory satisfies the constraints')
+            return Relaxation(None, -np.inf)
+        proved = self._certifier.lower_bound(answer, a, b, q, scale, self._largest)
+        bound = scale * proved + self._constant
+        x = np.asarray(answer.x)[self._columns]
+        return Relaxation(x if status in SOLVED else None, bound)
+
+    def _limits_of(self, speed: float, spin: float) -> Array:
+        """Return the most that each column's variable can be, of a state's speed and spin."""
+        largest = np.zeros(len(self._q_0))
+        for variable, sizes in self._statement.largest(speed, spin).items():
+            first = self._data['param_prob'].var_id_to_col[variable.id]
+            largest[first : first + len(sizes)] = sizes
+        return largest
+
+    def _bind_cost(self, pull: Array) -> None:
+        """Put the pull of the goals into q; goals far away are scaled down with the whole cost.
+
+        Otherwise a goal 1e4 full horizons away makes a feasible problem look infeasible to an
+        interior-point method.
+        """
+        reach = self.problem.horizon * self.problem.step * self.problem.forward
+        usual = FAR * (1.0 + 2.0 * self._heaviest * reach)
+        scale = max(1.0, float(np.abs(pull).max()) / usual)
+        if scale != self._scale:
+            self._solver.update(P=self._p_0 / scale)
+            self._scale = scale
+        self._q: Array = self._q_0 / scale
+        self._q[self._moved] += pull.ravel() / scale
+
+    def _compile(self) -> None:
+        statement = self._statement
+        data = statement.compiled()
+        self._b_0 = np.array(data['b'])
+        self._rows, self._signs, slot_rows = self._numbered_rows()
+        self._data = data
+        self._locate(data, slot_rows)
+        self._solver = solver_for(data, self._tolerance)
+        self._p: Any = sparse.csc_matrix(data['P'])
+        self._p_0: Array = sparse.csc_matrix(sparse.triu(data['P'])).data
+        self._certifier = Certifier(data)
+        self._q_0: Array = np.array(data['c'])
+        at_rest = self._limits_of(0.0, 0.0)
+        # They grow in proportion to both.
+        moving = self._limits_of(1.0, 0.0) - at_rest, self._limits_of(0.0, 1.0) - at_rest
+        self._limits = at_rest, *moving
+
+    def _locate(self, data: dict[str, Any], slot_rows: np.ndarray) -> None:
+        """Find where rotations, positions, slots and the coasted rotation sit in the data."""
+        statement, d = self._statement, coordinate_count(self.problem.dimension)
+        column_of = data['param_prob'].var_id_to_col
+        first = column_of[statement.x.id]
+        self._columns = first + np.arange(d, statement.x.size).reshape(-1, d)
+        self._moved = column_of[statement.moved.id] + np.arange(statement.moved.size)
+        self._a_0 = data['A'].data.copy()
+        self._slots = []
+        for slot, row in enumerate(int(row) for row in slot_rows):
+            variable, over = statement.slot_variables(slot)
+            columns = [column_of[variable.id] + i for i in over]
+            entries = np.array([_entry(data['A'], row, c) for c in columns])
+            self._a_0[entries] = 0.0
+            self._b_0[row] = INERT
+            self._slots.append((row, entries))
+        if statement.coasting:
+            column = column_of[statement.fraction.id]
+            self._coasted = _shared_entries(data['A'], column, first + d + np.arange(d))
+        if self.problem.first_turn_is_an_angle:
+            column = column_of[statement.along.id]
+            across = column_of[statement.across.id] + np.arange(self.problem.dimension)
+            self._ahead = _shared_entries(data['A'], column, across)
+
+    def _numbered_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the row and sign of each right-hand side, and the row of each slot.
+
+        Each of them stands alone in a row of b, as itself or with the sign changed: numbers in
+        their place show up there.
+        """
+        size, slots = self._statement.size, len(self._statement.slots)
+        numbers = np.arange(1.0, size + slots + 1.0)
+        numbered = self._statement.compiled(numbers[:size], numbers[size:])['b'] - self._b_0
+        found = np.flatnonzero(np.abs(numbered) > 0.5)
+        order = found[np.argsort(np.abs(numbered[found]))]
+        if not np.allclose(np.abs(numbered[order]), numbers):
+            raise SolverFailure('CVXPY compiled the program in a way that is not understood')
+        return order[:size], np.sign(numbered[order[:size]]), order[size:]
+
+
+def _entry(a: sparse.csc_matrix, row: int, column: int) -> int:
+    """Return where entry (row, column) of a compressed matrix is stored."""
+    start, end = a.indptr[column], a.indptr[column + 1]
+    return int(start + np.flatnonzero(a.indices[start:end] == row)[0])
+
+
+def _shared_entries(a: sparse.csc_matrix, scalar: int, columns: np.ndarray) -> np.ndarray:
+    """Return the entries of a scalar's column in the first row that it shares with each column."""
+    held = set(a.indices[a.indptr[scalar] : a.indptr[scalar + 1]])
+    shared = [
+        next(r for r in a.indices[a.indptr[c] : a.indptr[c + 1]] if r in held) for c in columns
+    ]
+    return np.array([_entry(a, int(row), scalar) for row in shared])

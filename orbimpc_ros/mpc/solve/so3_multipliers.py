@@ -1,0 +1,229 @@
+"""The convex program over SO(3) in machine code, where numba is installed.
+
+Condensed: positions are eliminated, and a terminal constraint is met by every point of the search,
+so that what is left are orbitopes, lengths and half-spaces on thrust axes. What this cannot settle
+it leaves to the general program, such as the proof that there is no solution.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates, margin, matrix
+from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.kernels.annulus import SLICE
+from orbimpc_ros.mpc.kernels.augmented_lagrangian import (
+    BEST,
+    PAUSED,
+    SETTLED,
+    Progress,
+    begun,
+    minimise,
+)
+from orbimpc_ros.mpc.kernels.penalty_terms import Terms, multipliers, scratch
+from orbimpc_ros.mpc.model.condensed import Condensed, first_length, knowns, suits_dense_code
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.solve.disjunction import Slot
+from orbimpc_ros.mpc.solve.relaxation import Halfspace, Relaxation, Relaxed
+from orbimpc_ros.mpc.solve.unconstrained import other_axes, thrust_axis
+
+SIGMA = (1.0, 1e6)  # first and largest; times the scale of the forces at work
+USUAL = 100.0  # forces of problems near their goal
+PRECISION = 1e-8  # on constraints
+GAP = 1e-8  # relative
+ROUNDING = 1e-15  # of the largest numbers that cancel in a cost
+CANCELLED = 1e-13  # what a bound allows for of them
+INERT = -1.0  # offset of a row that is always satisfied
+
+
+class Spatial:
+    """Answers for :class:`orbimpc_ros.mpc.solve.program.Program` on most problems of SE(3).
+
+    Args:
+        problem: what to solve.
+        slots: what half-spaces may be put on: headings only.
+        coasting: whether states come with a ``coasted`` rotation (for rotation order 2).
+    """
+
+    def __init__(self, problem: Problem, slots: Sequence[Slot] = (), *, coasting: bool = False):
+        self.problem, self._slots = problem, tuple(slots)
+        self._given = problem.rotation_order - 1  # at order 2, R_1 is not free
+        self._coasting = coasting and bool(self._given)
+        condensed = Condensed(problem)
+        self._thrust = thrust_axis(problem, condensed)
+        self._others = other_axes(problem, condensed)
+        self._length = problem.weights.length * problem.step * problem.forward
+        self._make_room()
+        self._general: Relaxed | None = None
+        # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
+        self.bind(_rest(self._coasting), np.zeros((problem.horizon, 3)))
+        with suppress(Infeasible):  # as with few steps left to turn round in
+            self.solve()
+
+    def _make_room(self) -> None:
+        """Set up what the kernel works on; rho, if there is one, has the first place."""
+        n = self._places = self.problem.horizon - self._given + self._coasting
+        self._inverse = np.zeros((2, n, n))
+        for own, maps in zip(self._inverse, (self._thrust, self._others), strict=True):
+            own[self._coasting :, self._coasting :] = maps.inverse
+        self._start, self._slide = np.zeros((n, 9)), np.zeros((n, 9))
+        self._lengths = np.full(n, self._length)
+        self._lengths[-1] = 0.0  # R_N pushes nothing any more
+        if self._coasting:
+            self._lengths[0] = 0.0  # linear in rho
+        self._axes = np.zeros((self.problem.horizon + 3, 3))
+        self._rest = np.zeros((2, 6))
+        self._work, self._held = scratch(n), multipliers(n)
+        rows, offsets = np.zeros((n, 3)), np.full(n, INERT)
+        self._unbound = Terms(
+            self._inverse, self._slide, self._lengths, rows, offsets, self._coasting
+        )
+
+    @staticmethod
+    def solves(problem: Problem, slots: Sequence[Slot] = ()) -> bool:
+        """Return whether this applies to a problem, and is fast on this machine."""
+        return (
+            COMPILED
+            and problem.dimension == 3
+            and problem.weights.input > 0.0
+            and problem.max_rate == problem.arrival_weight == 0.0
+            and all(slot.on == 'heading' for slot in slots)
+            and problem.horizon >= 2 * max(problem.rotation_order, problem.translation_order)
+            and suits_dense_code(problem)
+        )
+
+    def bind(self, state: State, goals: Array) -> None:
+        """See :meth:`orbimpc_ros.mpc.solve.relaxation.Relaxed.bind`."""
+        self._bound_to = (state, goals)
+        axes, rest = self._axes, self._rest
+        axes[:-1] = knowns(state, goals)
+        rest[0] = state.rotation[:, 1:].T.ravel()
+        self._least = first_length(self.problem, state)
+        if self._coasting:
+            assert state.coasted is not None
+            self._first = coordinates(state.coasted)
+            self._choose_fraction()
+        elif self._given:
+            self._first = coordinates(state.rotation + self.problem.step * state.rotation_rate)
+            axes[-1], rest[-1] = self._first[:3], self._first[3:]
+            self._least += self._length * math.sqrt(axes[-1] @ axes[-1])
+        self._start[self._coasting :, :3] = (self._thrust.minimiser @ axes)[self._given :]
+        self._start[self._coasting :, 3:] = (self._others.minimiser @ rest)[self._given :]
+        self._least += _quadratic(self._thrust.least, axes) + _quadratic(self._others.least, rest)
+        self._rounding = ROUNDING * _quadratic(self._thrust.constant, axes)
+        bent = float(np.abs(self._thrust.bent @ axes).max())
+        self._scale = max(1.0, bent / USUAL)
+
+    def _choose_fraction(self) -> None:
+        """Let R_1 = rho * coasted, with the rho that is best while no orbitope is in its way.
+
+        Everything else follows rho on a line, along which the cost is a parabola.
+        """
+        axes, rest, first = self._axes, self._rest, self._first
+        axes[-1], rest[-1] = 0.0, 0.0
+        slope = 2.0 * float(first[:3] @ (self._thrust.least[-1] @ axes)) + self._length
+        slope += 2.0 * float(first[3:] @ (self._others.least[-1] @ rest))
+        # The coasted rotation has columns of length one.
+        curvature = 2.0 * (self._thrust.least[-1, -1] + 2.0 * self._others.least[-1, -1])
+        rho = -slope / curvature
+        axes[-1], rest[-1] = rho * first[:3], rho * first[3:]
+        self._least += self._length * rho
+        self._start[0, 0] = rho
+        self._slide[0, 0] = 1.0
+        self._slide[1:, :3] = np.outer(self._thrust.minimiser[1:, -1], first[:3])
+        self._slide[1:, 3:] = np.outer(self._others.minimiser[1:, -1], first[3:])
+        self._slide /= np.sqrt(curvature)
+
+    def solve(
+        self,
+        halfspaces: Iterable[Halfspace] = (),
+        out_of_time: Callable[[], bool] | None = None,
+    ) -> Relaxation:
+        """See :meth:`orbimpc_ros.mpc.solve.relaxation.Relaxed.solve`.
+
+        Args:
+            halfspaces: what slots are filled with.
+            out_of_time: polled every millisecond or so; True returns the bound proved by then, and
+                rotations in their orbitopes that need not satisfy anything else.
+        """
+        imposed = list(halfspaces)
+        terms = self._terms(imposed)
+        bound = -np.inf
+        for _ in range(2):
+            progress, status = self._minimise(terms, out_of_time)
+            bound = max(bound, float(progress.numbers[BEST]))
+            if status == SETTLED:
+                return Relaxation(self._rotations(progress.x), self._proved(bound))
+            self._held = multipliers(self._places)  # what was held misled: once more without
+            if out_of_time is not None and out_of_time():
+                return Relaxation(_within(self._rotations(progress.x)), self._proved(bound))
+        return self._leave(imposed, out_of_time)
+
+    def _minimise(
+        self, terms: Terms, out_of_time: Callable[[], bool] | None
+    ) -> tuple[Progress, int]:
+        first, largest = (self._scale * sigma for sigma in SIGMA)
+        limits = (PRECISION, GAP, self._least, self._rounding, largest)
+        progress = begun(self._places, first)
+        while True:
+            _, status = minimise(
+                terms, self._start, self._held, limits, self._work, progress, SLICE
+            )
+            if status != PAUSED or (out_of_time is not None and out_of_time()):
+                return progress, status
+
+    def _proved(self, bound: float) -> float:
+        """Return a bound above the unconstrained optimum as one on the cost, safe from rounding."""
+        return self._least + bound - CANCELLED / ROUNDING * self._rounding
+
+    def _rotations(self, x: Array) -> Array:
+        if self._coasting:
+            fraction = min(1.0, max(0.0, x[0, 0]))
+            return np.concatenate([fraction * self._first[None], x[1:]])
+        return np.concatenate([self._first[None], x]) if self._given else x
+
+    def _leave(
+        self, imposed: list[Halfspace], out_of_time: Callable[[], bool] | None
+    ) -> Relaxation:
+        """Leave a solve to the general program."""
+        if self._general is None:
+            from orbimpc_ros.mpc.solve.program import Program  # brings CVXPY, half of a start-up
+
+            self._general = Program(self.problem, self._slots, coasting=self._coasting)
+        self._general.bind(*self._bound_to)
+        return self._general.solve(imposed, out_of_time)
+
+    def _terms(self, imposed: Sequence[Halfspace]) -> Terms:
+        if not imposed:
+            return self._unbound
+        rows, offsets = np.zeros((self._places, 3)), np.full(self._places, INERT)
+        for slot, normal, offset in imposed:
+            step = self._slots[slot].step
+            if step > self._given:
+                place = step - 1 - self._given + self._coasting
+                rows[place], offsets[place] = normal, offset
+            elif self._coasting:
+                rows[0, 0], offsets[0] = normal @ self._first[:3], offset
+            elif normal @ self._first[:3] < offset - PRECISION:
+                raise Infeasible('R_1 is given, and on the wrong side of a half-space')
+        return self._unbound._replace(rows=rows, offsets=offsets)
+
+
+def _within(x: Array) -> Array:
+    """Return rotation coordinates, shape (N, 9), pulled towards 0 into their orbitopes."""
+    return x / (1.0 + np.maximum(0.0, -margin(matrix(x))))[:, None]
+
+
+def _quadratic(form: Array, known: Array) -> float:
+    return float(np.vdot(known, form @ known))
+
+
+def _rest(coasting: bool) -> State:
+    still = np.eye(3)
+    return State.at(np.zeros(3), still, coasted=still if coasting else None)

@@ -1,0 +1,216 @@
+"""The relaxed problem in CVXPY, term by term as the paper has it, R_k in conv SO(n)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+from scipy import sparse
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.orbitopes import constraints, coordinate_count, coordinates
+from orbimpc_ros.mpc.model.condensed import input_weight, position_weights
+from orbimpc_ros.mpc.model.dynamics import input_map
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.solve.disjunction import Slot
+
+
+class Statement:
+    """The convex program of a problem in CVXPY, parametrised by state and goals.
+
+    Variables are the rotation coordinates x_k of R_k and the displacements v_k = s_k - s_0. With
+    those, the state stands on right-hand sides only, and the goals in one linear term of the cost:
+    q_k |s_k - g_k|^2 = q_k |v_k|^2 + pull_k . v_k + a constant, pull_k = -2 q_k (g_k - s_0).
+
+    Each slot is one linear row over R_k e1 or v_k that a search may fill with a half-space; here
+    its coefficients are placeholders that keep a place in the compiled matrix.
+
+    Args:
+        problem: what to solve.
+        slots: what half-spaces will be put on.
+        coasting: whether R_1 = rho * (the coasted rotation) with rho in [0, 1] free.
+    """
+
+    def __init__(self, problem: Problem, slots: Sequence[Slot], coasting: bool) -> None:
+        n, steps, d = problem.dimension, problem.horizon, coordinate_count(problem.dimension)
+        self.problem, self.coasting = problem, coasting
+        self.x = cp.Variable((steps + 1) * d, name='R')
+        self.moved = cp.Variable(steps * n, name='s - s_0')
+        self.pull = cp.Parameter(steps * n)
+        self.fraction = cp.Variable(name='thrust fraction')
+        self.along, self.across = cp.Variable(name='along Q_0 e1'), cp.Variable(n)
+        self._rotations = cp.reshape(self.x, (steps + 1, d), order='C')
+        self._displacements = cp.reshape(self.moved, (steps, n), order='C')
+        self._headings = self._rotations[:, :n]
+        self._first = cp.Parameter(d)
+        self._second = cp.Parameter(d)
+        self._velocity = cp.Parameter(n)
+        self._arrival = cp.Parameter(n)
+        self._velocities: cp.Variable | None = None
+        self._lengths: cp.Variable | None = None
+        self.slots = tuple(slots)
+        self._offsets = cp.Parameter(len(slots)) if slots else None
+        flown = [*self._rotation_constraints(), *self._translation_constraints()]
+        cost, epigraph = self._cost()
+        self.program = cp.Problem(
+            cp.Minimize(cost), [*flown, *self._limits(), *epigraph, *self._slot_rows()]
+        )
+
+    def values(self, state: State, goals: Array) -> Array:
+        """Return what a state and goals g_1..g_N, shape (N, n), put on right-hand sides."""
+        known = {
+            self._first: coordinates(state.rotation),
+            self._second: coordinates(state.rotation + self.problem.step * state.rotation_rate),
+            self._velocity: state.velocity,
+            self._arrival: goals[-1] - state.position,
+        }
+        return np.concatenate([known[parameter] for parameter in self._parameters()])
+
+    def compiled(self, values: Array | None = None, offsets: Array | None = None) -> dict[str, Any]:
+        """Return Clarabel's data for :meth:`values` and offsets of slots; both zero by default."""
+        ends = np.cumsum([parameter.size for parameter in self._parameters()])
+        values = np.zeros(ends[-1]) if values is None else values
+        for parameter, value in zip(self._parameters(), np.split(values, ends), strict=False):
+            parameter.value = value
+        self.pull.value = np.zeros(self.pull.size)
+        if self._offsets is not None:
+            self._offsets.value = np.zeros(len(self.slots)) if offsets is None else offsets
+        return self.program.get_problem_data(cp.CLARABEL, enforce_dpp=True)[0]
+
+    @property
+    def size(self) -> int:
+        """Return the length of :meth:`values`."""
+        return sum(parameter.size for parameter in self._parameters())
+
+    def _parameters(self) -> list[cp.Parameter]:
+        known = {p.id for p in self.program.parameters()}
+        candidates = [self._first, self._second, self._velocity, self._arrival]
+        return [p for p in candidates if p.id in known]
+
+    def _rotation_constraints(self) -> list[cp.Constraint]:
+        problem, x = self.problem, self._rotations
+        given: list[cp.Constraint] = [x[0] == self._first]
+        if problem.rotation_order == 1:
+            return given + constraints(x[1:], problem.dimension)
+        if self.coasting:
+            placeholder = np.ones(coordinate_count(problem.dimension))
+            given += [x[1] == self.fraction * placeholder, self.fraction >= 0, self.fraction <= 1]
+        else:
+            given.append(x[1] == self._second)
+        free = constraints(x[2:], problem.dimension) if problem.horizon > 1 else []
+        return given + free
+
+    def _translation_constraints(self) -> list[cp.Constraint]:
+        """v_{k+1} = v_k + h p_k, with p_k = z R_k e1 at order 1."""
+        problem, pushed = self.problem, self.problem.forward * self._headings
+        if problem.translation_order == 1:
+            velocity, rows = pushed, []
+        else:
+            velocity = cp.Variable((problem.horizon + 1, problem.dimension), name='p')
+            self._velocities = velocity
+            rows = [
+                velocity[0] == self._velocity,
+                velocity[1:] == velocity[:-1] + problem.step * pushed[:-1],
+            ]
+        moved, flown = self._displacements, problem.step * velocity[:-1]
+        rows.append(moved[0] == flown[0])
+        if problem.horizon > 1:
+            rows.append(moved[1:] == moved[:-1] + flown[1:])
+        if problem.terminal == 'constraint':
+            rows.append(moved[-1] == self._arrival)
+            if problem.translation_order == 2:
+                rows.append(velocity[-1] == 0)
+        self._last_velocity = velocity[-1]
+        return rows
+
+    def _limits(self) -> list[cp.Constraint]:
+        """|(R_{k+1} - R_k) e1| <= 2 sin(h omega / 2), and the cone of a first turn by an angle."""
+        problem = self.problem
+        if problem.max_rate <= 0.0:
+            return []
+        first = self._first_turn() if problem.first_turn_is_an_angle else []
+        begin = int(problem.first_turn_is_an_angle or problem.first_turn_is_decided)
+        if problem.horizon == begin:
+            return first
+        turned = self._headings[begin + 1 :] - self._headings[begin:-1]
+        return [*first, cp.SOC(np.full(problem.horizon - begin, problem.chord), turned.T)]
+
+    def _first_turn(self) -> list[cp.Constraint]:
+        """|R_1 e1 - rho Q_0 e1| <= rho sin(h omega) for some rho >= 0: the cone around Q_0 e1."""
+        problem = self.problem
+        placeholder = np.ones(problem.dimension)
+        widest = math.sin(problem.step * problem.max_rate)
+        return [
+            self.across == self._headings[1] - self.along * placeholder,
+            cp.SOC(widest * self.along, self.across),
+        ]
+
+    def _slot_rows(self) -> list[cp.Constraint]:
+        if self._offsets is None:
+            return []
+        seen = {'heading': self._headings, 'position': self._displacements}
+        ones = np.ones(self.problem.dimension)
+        picked = [seen[s.on][s.step - (s.on == 'position')] @ ones for s in self.slots]
+        return [cp.hstack(picked) >= self._offsets]
+
+    def slot_variables(self, slot: int) -> tuple[cp.Variable, range]:
+        """Return the variable that a slot is a row over, and which of its entries."""
+        n, wanted = self.problem.dimension, self.slots[slot]
+        if wanted.on == 'heading':
+            start = wanted.step * coordinate_count(n)
+            return self.x, range(start, start + n)
+        return self.moved, range((wanted.step - 1) * n, wanted.step * n)
+
+    def largest(self, speed: float, spin: float) -> dict[cp.Variable, Array]:
+        """Return the most that each entry of each variable can be in a plan from a state.
+
+        Entries of matrices in conv SO(n) are at most 1; what moves adds that up.
+
+        Args:
+            speed: |p_0| at translation order 2 [m/s].
+            spin: the largest entry of W_0 at rotation order 2 [1/s].
+        """
+        problem, k = self.problem, np.arange(1.0, self.problem.horizon + 1.0)
+        h, z, n = problem.step, problem.forward, problem.dimension
+        pushed = h * z * np.arange(problem.horizon + 1.0)
+        moved = h * z * k if problem.translation_order == 1 else h * speed * k + h * h * z * k * k
+        angle = h * problem.max_rate if problem.first_turn_is_an_angle else 0.0
+        rho = 1.0 / math.cos(angle)
+        each = {
+            self.x: np.full(self.x.size, 1.0 + h * spin),
+            self.moved: np.repeat(moved, n),
+            self.fraction: np.ones(1),
+            self.along: np.array([rho]),
+            self.across: np.full(n, 1.0 + rho),
+        }
+        if self._velocities is not None:
+            each[self._velocities] = np.repeat(speed + pushed, n)
+        if self._lengths is not None:
+            each[self._lengths] = np.ones(self._lengths.size)
+        present = {v.id for v in self.program.variables()}
+        return {v: size for v, size in each.items() if v.id in present}
+
+    def _cost(self) -> tuple[cp.Expression, Sequence[cp.Constraint]]:
+        problem, w, n = self.problem, self.problem.weights, self.problem.dimension
+        squares = sparse.diags(np.repeat(position_weights(problem), n)).tocsc()
+        cost = cp.quad_form(self.moved, squares, assume_PSD=True) + self.pull @ self.moved
+        cost += cp.quad_form(self.x, self._input_form(), assume_PSD=True)
+        if problem.translation_order == 2 and problem.arrival_weight > 0.0:
+            cost += problem.arrival_weight * cp.sum_squares(problem.step * self._last_velocity)
+        if w.length == 0.0 or problem.horizon == 1:
+            return cost, []
+        length = self._lengths = cp.Variable(problem.horizon - 1, name='|R e1|')
+        epigraph: list[cp.Constraint] = [cp.SOC(length, self._headings[1:-1].T)]
+        if problem.floor.shape != 'none':
+            epigraph.append(length >= problem.floor.fraction)  # valid: the floor says the same
+        return cost + w.length * problem.step * problem.forward * cp.sum(length), epigraph
+
+    def _input_form(self) -> sparse.csc_matrix:
+        n = self.problem.dimension
+        differences = sparse.csc_matrix(input_map(self.problem))
+        per_coordinate = differences.T @ differences
+        weighted = input_weight(self.problem) * per_coordinate
+        return sparse.kron(weighted, sparse.eye(coordinate_count(n))).tocsc()

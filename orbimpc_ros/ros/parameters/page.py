@@ -1,0 +1,88 @@
+"""``python -m orbimpc_ros.ros.parameters.page``: prints docs/parameters.md from the tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from orbimpc_ros.ros.parameters import PLANNER, SIM, Row
+
+PAGE = """\
+# Parameters
+
+Made from the tables that the nodes declare their parameters from: `make docs` writes it anew.
+
+- *live* parameters of the planner can be changed while it runs; an invalid change is rejected with
+  a reason. All others are set at the start, as are all of the simulator's. `ros2 param describe`
+  shows the same.
+- Decimal numbers need a decimal point: to ROS `1` is not `1.0`. Lengths are in metres, angles in
+  radians, times in seconds, in the frames of REP-103 and REP-105.
+- A name that neither node knows is refused, so that no typing error goes unnoticed. One file may
+  serve both nodes: names that only the other one knows are passed over.
+- Whether files or the command line win is explained under [troubleshooting](troubleshooting.md).
+- Both nodes have ROS's own `use_sim_time`. The planner's is true where `/clock` sets the pace, as
+  in the simulator's lock-step; the simulator makes time and ignores it.
+
+## What planner and simulator must agree on
+
+{both}
+
+## Planner
+
+{planner}
+
+## Simulator
+
+{sim}
+"""
+HEAD = ('parameter', 'default', 'allowed', 'unit', 'live', 'meaning')
+
+
+def page() -> str:
+    """Return the page on parameters, in Markdown."""
+    shared = {row.name for row in PLANNER} & {row.name for row in SIM}
+    return PAGE.format(
+        both=_table(row for row in PLANNER if row.name in shared),
+        planner=_table(row for row in PLANNER if row.name not in shared),
+        sim=_table(row for row in SIM if row.name not in shared),
+    )
+
+
+def _table(rows: Iterable[Row]) -> str:
+    lines = [HEAD, ('---',) * len(HEAD), *map(_cells, rows)]
+    return '\n'.join(f'| {" | ".join(cells)} |' for cells in lines)
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    live = 'yes' if row.live else ''
+    return f'`{row.name}`', _default(row), _allowed(row), row.unit, live, row.description
+
+
+def _default(row: Row) -> str:
+    if row.default == '':
+        return 'empty'
+    if isinstance(row.default, bool):
+        return str(row.default).lower()
+    if isinstance(row.default, tuple):
+        return ', '.join(map(_decimal, row.default)) or 'none'
+    return _decimal(row.default) if isinstance(row.default, float) else str(row.default)
+
+
+def _decimal(number: float) -> str:
+    """Return a number as ROS takes it for a decimal one."""
+    text = f'{number:.6g}'
+    return text if '.' in text or 'e' in text else f'{text}.0'
+
+
+def _allowed(row: Row) -> str:
+    if row.choices:
+        return ', '.join(f'`{choice}`' for choice in row.choices)
+    if isinstance(row.default, (bool, str)):
+        return row.allowed.replace(' | ', ', ')
+    if isinstance(row.default, int):
+        return f'whole, {row.low:.0f} to {row.high:.0f}'
+    span = f'{row.low:g} to {row.high:g}'
+    return f'decimals, {span}' if isinstance(row.default, tuple) else span
+
+
+if __name__ == '__main__':
+    print(page(), end='')

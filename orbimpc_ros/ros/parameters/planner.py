@@ -1,0 +1,207 @@
+"""The planner's parameters, in one table, and the settings that they add up to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.loop.forecast import FORECASTS
+from orbimpc_ros.mpc.loop.safety import SAFE_COMMANDS, decided, may_stop
+from orbimpc_ros.mpc.problem import (
+    FLOOR_SHAPES,
+    MAX_HORIZON,
+    TERMINALS,
+    Box,
+    Floor,
+    Problem,
+    Weights,
+)
+from orbimpc_ros.ros.messages import Frames
+from orbimpc_ros.ros.parameters.parameter import FAR, SOON, TINY, Row, Values, vehicle_rows
+
+PROJECTIONS = ('nearest', 'thrust_aligned')
+
+PLANNER: tuple[Row, ...] = (
+    *vehicle_rows(),
+    Row('horizon', 5, 'Steps planned ahead', low=1, high=MAX_HORIZON),
+    Row('weights.position', 1.0, 'On squared distance to the goal at every step',
+        '1/m^2', 0.0, 1e6, live=True),
+    Row('weights.input', 0.05, 'On squared inputs (turning, braking)',
+        's^2 or s^4', 0.0, 1e6, live=True),
+    Row('weights.length', 0.0, 'On distance flown or thrust spent',
+        '1/m', 0.0, 1e6, live=True),
+    Row('weights.terminal', 10.0, 'On squared distance to the goal at the last step',
+        '1/m^2', 0.0, 1e6, live=True),
+    Row('terminal', 'penalty', 'Whether the last step must reach the goal',
+        choices=TERMINALS, live=True),
+    Row('horizon_mode', 'receding', 'Whether the horizon moves on or shrinks to its end',
+        choices=('receding', 'shrinking')),
+    Row('floor.shape', 'none', 'Minimum speed: none, the faces of a polygon, or a circle',
+        choices=FLOOR_SHAPES, live=True),
+    Row('floor.faces', 4, 'Faces of the polygon, or of the solid (6, 12, 20) in space',
+        low=3, high=64, live=True),
+    Row('floor.fraction', math.sqrt(0.3), 'Minimum share of full speed',
+        low=TINY, high=1.0, live=True),
+    Row('max_rate', 0.0, 'Limit of the body rate; 0 for none, at most pi/step. Without a floor it '
+        'limits changes of speed as well: R e1 moves by at most 2 sin(step * max_rate / 2) in a '
+        'step. With a floor (and step * max_rate below 1.4) the first step of a plan is limited in '
+        'its angle alone', 'rad/s', 0.0, 1e4, live=True),
+    Row('obstacles', (), 'Boxes to stay out of: lower, then upper corner of each',
+        'm', -FAR, FAR, live=True),
+    Row('no_corner_cutting', False, 'Whether the path between two steps stays out as well',
+        live=True),
+    Row('projection', 'thrust_aligned', 'How a point of the hull becomes a rotation',
+        choices=PROJECTIONS, live=True),
+    Row('trigger', 'timer', 'Whether to plan at each odometry or every step',
+        choices=('timer', 'odom')),
+    Row('goal_prediction', 'hold', 'How the goal is expected to move',
+        choices=tuple(FORECASTS), live=True),
+    Row('odom_timeout', 0.0, 'Odometry older than this is stale; 0 for 0.2 s; at least 1.5 steps',
+        's', 0.0, SOON, live=True),
+    Row('goal_timeout', 0.0, 'A goal older than this is stale, at least 1.5 steps; 0 for 1 s once '
+        'goals stream, never for one sent by hand; below 0 never', 's', -1.0, SOON, live=True),
+    Row('future_tolerance', 0.1, 'A stamp this far ahead of the clock is refused; simulated time '
+        'may trail by a step more', 's', 0.0, SOON, live=True),
+    Row('goal_jump_limit', 0.0, 'A goal farther than this from the one before is refused until '
+        'that is stale; 0 for no limit', 'm', 0.0, FAR, live=True),
+    Row('delay_compensation', True, 'Whether to plan from where the vehicle is by the time the '
+        'command comes, not from where it was measured', live=True),
+    Row('safe_command', 'auto',
+        'Without a plan: stop; hold_rate_zero keeps the speed, at least that of the floor, and '
+        'does not turn; loiter circles; auto circles with a floor at translation_order 1, else '
+        'stops',
+        choices=SAFE_COMMANDS, live=True),
+    Row('deadline', 0.0, 'Limit of a solve; 0 for half a step, which it must not exceed',
+        's', 0.0, SOON, live=True),
+    Row('gap_tolerance', 1e-4, 'Relative gap within which a plan counts as proved optimal',
+        low=1e-9, high=1.0, live=True),
+)  # fmt: skip
+
+
+class Ageing(Enum):
+    """Which goals get stale: all; those of a source that streams; none."""
+
+    ALL = 'all'
+    STREAMED = 'streamed'
+    NONE = 'none'
+
+
+@dataclass(frozen=True)
+class PlannerSettings:
+    """All that the planner's parameters say.
+
+    Attributes:
+        problem: what to solve.
+        mass: [kg].
+        shrinking: whether the horizon shrinks.
+        projection: ``nearest`` or ``thrust_aligned``.
+        on_odometry: whether to plan at each odometry instead of every step.
+        goal_prediction: kind of forecast.
+        odom_timeout: after which odometry is stale, at least 1.5 steps [s].
+        goal_timeout: after which a goal is stale, at least 1.5 steps [s].
+        goal_ageing: which goals get stale.
+        future_tolerance: by which a stamp may be ahead of the clock [s].
+        goal_jump_limit: distance from one goal to the next; 0 for no limit [m].
+        delay_compensation: whether to plan from the state advanced by the odometry's age.
+        safe_command: ``stop``, ``hold_rate_zero`` or ``loiter``; ``auto`` is decided.
+        deadline: for a solve, at most half a step [s].
+        gap_tolerance: relative gap that counts as proved.
+        frames: that messages must be in.
+    """
+
+    problem: Problem
+    mass: float
+    shrinking: bool
+    projection: str
+    on_odometry: bool
+    goal_prediction: str
+    odom_timeout: float
+    goal_timeout: float
+    goal_ageing: Ageing
+    future_tolerance: float
+    goal_jump_limit: float
+    delay_compensation: bool
+    safe_command: str
+    deadline: float
+    gap_tolerance: float
+    frames: Frames
+
+    @property
+    def stopping(self) -> bool:
+        """Return whether the safe command is meant to go below the floor: to stop, or to coast."""
+        return may_stop(self.safe_command, self.problem)
+
+
+def planner_settings(values: Values) -> PlannerSettings:
+    """Return the settings of a full set of planner parameters.
+
+    Raises:
+        BadInput: a value, or a combination, is not allowed.
+    """
+    for row in PLANNER:
+        row.check(values[row.name])
+    step = values['step']
+    if values['deadline'] > 0.5 * step:
+        raise BadInput('deadline', values['deadline'], f'at most half a step, {0.5 * step:g} s')
+    if values['safe_command'] == 'loiter' and values['translation_order'] == 2:
+        raise BadInput('safe_command', 'loiter', 'stop | hold_rate_zero at translation_order 2')
+    problem = _problem(values)
+    return PlannerSettings(
+        problem=problem,
+        mass=values['mass'],
+        shrinking=values['horizon_mode'] == 'shrinking',
+        projection=values['projection'],
+        on_odometry=values['trigger'] == 'odom',
+        goal_prediction=values['goal_prediction'],
+        odom_timeout=max(values['odom_timeout'] or 0.2, 1.5 * step),
+        goal_timeout=max(
+            values['goal_timeout'] if values['goal_timeout'] > 0.0 else 1.0, 1.5 * step
+        ),
+        goal_ageing=_ageing(values['goal_timeout'], values['goal_prediction']),
+        future_tolerance=values['future_tolerance'],
+        goal_jump_limit=values['goal_jump_limit'],
+        delay_compensation=values['delay_compensation'],
+        safe_command=decided(values['safe_command'], problem),
+        deadline=values['deadline'] or 0.5 * step,
+        gap_tolerance=values['gap_tolerance'],
+        frames=Frames(values['frame_id'], values['child_frame_id']),
+    )
+
+
+def _ageing(timeout: float, prediction: str) -> Ageing:
+    if timeout:
+        return Ageing.ALL if timeout > 0.0 else Ageing.NONE
+    # A forecast that moves on from the last goal for ever would lead anywhere.
+    return Ageing.STREAMED if prediction == 'hold' else Ageing.ALL
+
+
+def _problem(values: Values) -> Problem:
+    weights = Weights(
+        *(values[f'weights.{name}'] for name in ('position', 'input', 'length', 'terminal'))
+    )
+    return Problem(
+        dimension=values['dimension'],
+        rotation_order=values['rotation_order'],
+        translation_order=values['translation_order'],
+        horizon=values['horizon'],
+        step=values['step'],
+        forward=values['forward'],
+        weights=weights,
+        terminal=values['terminal'],
+        floor=Floor(values['floor.shape'], values['floor.faces'], values['floor.fraction']),
+        max_rate=values['max_rate'],
+        obstacles=_boxes(values['obstacles'], values['dimension']),
+        no_corner_cutting=values['no_corner_cutting'],
+    )
+
+
+def _boxes(numbers: Sequence[float], dimension: int) -> tuple[Box, ...]:
+    if len(numbers) % (2 * dimension):
+        raise BadInput('obstacles', list(numbers), f'{2 * dimension} numbers for each box')
+    corners = np.array(numbers, dtype=float).reshape(-1, 2, dimension)
+    return tuple(Box(low, high) for low, high in corners)

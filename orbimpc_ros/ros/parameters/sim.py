@@ -1,0 +1,232 @@
+"""The simulator's parameters, in one table, and the settings that they add up to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.rotations import from_quaternion
+from orbimpc_ros.ros.messages import QUATERNION_TOLERANCE, Frames
+from orbimpc_ros.ros.parameters.parameter import FAR, SOON, TINY, Row, Values, vehicle_rows
+from orbimpc_ros.ros.process import LIFE
+from orbimpc_ros.ros.sim.readers import wanted_readers
+from orbimpc_ros.world.faults import LONGEST, Faults
+from orbimpc_ros.world.rope import Rope
+from orbimpc_ros.world.scenario import FINISHES, MAX_TICKS, Scenario, retrieval
+from orbimpc_ros.world.vehicle import Model, launched
+
+SHARE = 0.75  # of command_timeout without a sign of life; the rest is for telling
+
+
+def _triple(vector: Array) -> tuple[float, ...]:
+    return tuple([*vector.tolist(), 0.0][:3])
+
+
+def _sim_rows() -> tuple[Row, ...]:
+    """Return the simulator's parameters; their defaults are the paper's retrieval."""
+    flown = retrieval()
+    rope = flown.rope
+    return (
+        *(replace(row, live=False) for row in vehicle_rows()),
+        Row('clock', 'lockstep', 'Whether to wait for each command or run in real time',
+            choices=('lockstep', 'wall')),
+        Row('rope.center', _triple(rope.center), 'Middle of the swing: x, y, z',
+            'm', -FAR, FAR),
+        Row('rope.amplitude', _triple(rope.amplitude), 'Reach of the swing: x, y, z',
+            'm', -FAR, FAR),
+        Row('rope.frequency', rope.frequency, 'Swings in a second', 'Hz', 0.0, 1e3),
+        Row('rope.phase', _triple(rope.phase), 'Phase at the start: x, y, z',
+            'rad', -100.0, 100.0),
+        Row('capture_radius', flown.capture_radius, 'The goal is caught within it',
+            'm', TINY, FAR),
+        Row('finish', flown.finish, 'Whether to end with the capture, or at max_ticks by arriving',
+            choices=FINISHES),
+        Row('arrival_radius', flown.arrival_radius, 'At arrival the goal is within it',
+            'm', TINY, FAR),
+        Row('arrival_speed', flown.arrival_speed, 'At arrival the speed is at most this; 0 for any',
+            'm/s', 0.0, 1e6),
+        Row('start.position', (0.0, 0.0, 0.0), 'Where the vehicle starts: x, y, z',
+            'm', -FAR, FAR),
+        Row('start.orientation', (0.0, 0.0, 0.0, 1.0), 'Unit quaternion x, y, z, w at the start',
+            '', -1.0, 1.0),
+        Row('start.speed_fraction', flown.start.fraction, 'Share of speed or thrust at the start',
+            '', 0.0, 1.0),
+        Row('start.velocity', (0.0, 0.0, 0.0), 'World velocity at the start (translation order 2)',
+            'm/s', -1e6, 1e6),
+        Row('start.body_rate', (0.0, 0.0, 0.0), 'Rates about the body axes at the start',
+            'rad/s', -1e3, 1e3),
+        Row('max_ticks', flown.max_ticks, 'Steps until the flight ends', low=1, high=MAX_TICKS),
+        Row('seed', 0, 'Of everything random', low=0, high=2**31 - 1),
+        Row('command_timeout', 0.2, 'A command is in force for so long, at least 1.5 steps; and '
+            'a planner is given up after so long without a sign of life', 's', 1e-3, SOON),
+        Row('goal_path_steps', 0, 'Steps of the true future to publish on goal_path; 0 for none',
+            low=0, high=10_000),
+        Row('exit_when_done', False, 'Whether to exit once the goal is caught or ticks run out'),
+        Row('failsafe.fraction', 0.0, 'Share of full speed or thrust while no command is in force; '
+            '0: the vehicle stops', '', 0.0, 1.0),
+        Row('failsafe.rate', 0.0, 'Turn about the body z axis meanwhile, at most pi/step',
+            'rad/s', -1e4, 1e4),
+        Row('rate', 0.0, 'Lock-step at so many times real time; 0 for as fast as it goes',
+            '', 0.0, 1e6),
+        Row('wait_subscribers', 1, 'Subscribers of odom, the planner among them, that a flight '
+            'waits for', low=1, high=100),
+        Row('wait_for', '', 'Readers that a flight waits for beside planner and simulator: '
+            'topics, each with a count if there are more: tick, odom 2'),
+        Row('wait_timeout', 120.0, 'Lock-step gives up after waiting so long for planner and '
+            'readers, and for an answer, for which it waits 20 s at most; 0 for never',
+            's', 0.0, SOON),
+    )  # fmt: skip
+
+
+def _fault_rows() -> tuple[Row, ...]:
+    return (
+        Row('position_noise', 0.0, 'Noise of odometry and goal along each axis, deviation',
+            'm', 0.0, 1e3),
+        Row('attitude_noise', 0.0, 'Noise of odometry about each axis, deviation',
+            'rad', 0.0, math.pi),
+        Row('dropout', 0.0, 'Share of odometry, goals and commands that is lost',
+            '', 0.0, 1.0),
+        Row('delay', 0.0, 'Age of odometry when it comes',
+            's', 0.0, LONGEST),
+        Row('reorder', 0.0, 'Share of odometry and goals that comes a step late',
+            '', 0.0, 1.0),
+        Row('duplicate', 0.0, 'Share of odometry and goals that comes twice',
+            '', 0.0, 1.0),
+        Row('nan', 0.0, 'Share of odometry and goals whose position is not a number',
+            '', 0.0, 1.0),
+        Row('occlusion_length', 0.0, 'How long the goal is hidden in each period',
+            's', 0.0, FAR),
+        Row('occlusion_period', 10.0, 'The goal is hidden once in it, at a random time',
+            's', TINY, FAR),
+        Row('clock_jump', 0.0, 'What every stamp is off from clock_jump_tick on',
+            's', -FAR, FAR),
+        Row('clock_jump_tick', 0, 'Steps flown before the clock jumps',
+            low=0, high=MAX_TICKS),
+    )  # fmt: skip
+
+
+SIM: tuple[Row, ...] = (
+    *_sim_rows(),
+    *(replace(row, name=f'faults.{row.name}') for row in _fault_rows()),
+)
+
+
+@dataclass(frozen=True)
+class SimSettings:
+    """All that the simulator's parameters say.
+
+    Attributes:
+        scenario: what to simulate.
+        lockstep: whether to wait for each command instead of running in real time.
+        command_timeout: after which a command is stale, at least 1.5 steps [s].
+        lease: after which a planner that gives no sign of life is given up [s].
+        faults: what goes wrong between the vehicle and its planner.
+        goal_path_steps: how much of the goal's future to publish.
+        exit_when_done: whether to exit at the end.
+        rate: of lock-step, in times of real time; 0 for as fast as it goes.
+        wait_subscribers: subscribers of odometry to wait for.
+        wait_for: readers to wait for, by topic, beside those of planner and simulator.
+        wait_timeout: for all of them, in lock-step; infinite if it waits for ever [s].
+        seed: of everything random.
+        frames: to publish in.
+    """
+
+    scenario: Scenario
+    lockstep: bool
+    command_timeout: float
+    lease: float
+    faults: Faults
+    goal_path_steps: int
+    exit_when_done: bool
+    rate: float
+    wait_subscribers: int
+    wait_for: Mapping[str, int]
+    wait_timeout: float
+    seed: int
+    frames: Frames
+
+    @property
+    def begin(self) -> float:
+        """Return the time at which a flight begins [s]: no stamp is ever negative."""
+        return max(0.0, self.faults.delay, -self.faults.clock_jump)
+
+
+def sim_settings(values: Values) -> SimSettings:
+    """Return the settings of a full set of simulator parameters.
+
+    Raises:
+        BadInput: a value, or a combination, is not allowed.
+    """
+    for row in SIM:
+        row.check(values[row.name])
+    return SimSettings(
+        scenario=_scenario(values),
+        lockstep=values['clock'] == 'lockstep',
+        command_timeout=max(values['command_timeout'], 1.5 * values['step']),
+        lease=max(LIFE, SHARE * values['command_timeout']),
+        faults=_faults(values),
+        goal_path_steps=values['goal_path_steps'],
+        exit_when_done=values['exit_when_done'],
+        rate=values['rate'],
+        wait_subscribers=values['wait_subscribers'],
+        wait_for=wanted_readers(values['wait_for']),
+        wait_timeout=values['wait_timeout'] or math.inf,
+        seed=values['seed'],
+        frames=Frames(values['frame_id'], values['child_frame_id']),
+    )
+
+
+def _faults(values: Values) -> Faults:
+    names = (row.name for row in _fault_rows())
+    return Faults(**{name: values[f'faults.{name}'] for name in names})
+
+
+def _scenario(values: Values) -> Scenario:
+    n = values['dimension']
+    model = Model(
+        n,
+        values['rotation_order'],
+        values['translation_order'],
+        values['step'],
+        values['forward'],
+        values['mass'],
+        values['failsafe.fraction'],
+        values['failsafe.rate'],
+    )
+    start = launched(
+        model,
+        _vector(values, 'start.position', n),
+        _orientation(values['start.orientation'], n),
+        fraction=values['start.speed_fraction'],
+        velocity=_vector(values, 'start.velocity', n),
+        body_rate=_vector(values, 'start.body_rate', 3)[-model.rates :],
+    )
+    rope = Rope(
+        _vector(values, 'rope.center', n),
+        _vector(values, 'rope.amplitude', n),
+        values['rope.frequency'],
+        _vector(values, 'rope.phase', n),
+    )
+    ending = ('capture_radius', 'max_ticks', 'finish', 'arrival_radius', 'arrival_speed')
+    return Scenario(model, start, rope, **{name: values[name] for name in ending})
+
+
+def _vector(values: Values, name: str, dimension: int) -> Array:
+    """Return the first n of x, y, z: in the plane z may be left out."""
+    if not dimension <= len(values[name]) <= 3:
+        wanted = '3 numbers' if dimension == 3 else '2 or 3 numbers'
+        raise BadInput(name, list(values[name]), wanted)
+    return np.array(values[name][:dimension], dtype=float)
+
+
+def _orientation(numbers: Sequence[float], dimension: int) -> Array:
+    x, y, z, w = numbers if len(numbers) == 4 else [math.nan] * 4
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    if not abs(norm - 1.0) <= QUATERNION_TOLERANCE:
+        raise BadInput('start.orientation', list(numbers), 'a unit quaternion x, y, z, w')
+    return from_quaternion(np.array([w, x, y, z]) / norm, dimension)

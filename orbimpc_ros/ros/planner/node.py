@@ -1,0 +1,352 @@
+"""The planner node: odometry and goal in, a checked command out, at each odometry or step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry as OdometryMessage
+from nav_msgs.msg import Path
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import ReliabilityPolicy
+from std_srvs.srv import SetBool, Trigger
+
+from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.outcome import Fallback
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.clock import NodeClock
+from orbimpc_ros.ros.messages import SECOND, Stamp
+from orbimpc_ros.ros.parameters import PLANNER, Live, PlannerSettings, planner_settings
+from orbimpc_ros.ros.parameters.sections import unused_sections
+from orbimpc_ros.ros.planner import outputs
+from orbimpc_ros.ros.planner.announcer import Announcer
+from orbimpc_ros.ros.planner.compiling import leaving_at_signals, report_compilation
+from orbimpc_ros.ros.planner.health import Condition, Health, condition
+from orbimpc_ros.ros.planner.inbox import TOPICS
+from orbimpc_ros.ros.planner.neighbours import Neighbours
+from orbimpc_ros.ros.planner.outlet import Outlet
+from orbimpc_ros.ros.planner.summary import doubts, summary
+from orbimpc_ros.ros.planner.ticker import Answer, Ticker, prepared
+from orbimpc_ros.ros.process import Guarded, qos, run
+from orbimpc_ros.ros.reports import AFRESH, Report, prices
+
+GOAL_PATIENCE = 0.1  # [s] to wait for the goal that belongs to an odometry message
+REPEAT = 0.1  # [s] until who asks again is answered again: not for messages that come twice
+WATCH = 0.05  # [s] how often the inputs' age is looked at, at least
+CLOCK_SET = 0.1  # [s] by which the system's clock may be set without a fresh start
+REFUSED = 1.0  # [s] for which a refused message is a reason to warn
+SILENCE = 1.5  # [s] without any /clock, after which that is a reason to warn
+LULL = 10.0  # [s] the same, once it has come: lock-step waits for whoever is slow
+
+
+class Planner(Guarded):
+    """Messages to types, types to the controller, its ticks to messages; and a watch on all."""
+
+    def __init__(self) -> None:
+        super().__init__('planner')
+        self._enabled = True
+        self._answered = -1  # stamp of the odometry that was answered last [ns]
+        self._refusal, self._refused_at = '', -np.inf
+        self._planning = self._begun = False
+        self._console = Announcer(self.get_logger(), self.steady_now)
+        report_compilation(self._console.warn)
+        with leaving_at_signals():
+            live = Live(self, PLANNER, planner_settings, prepared)
+        self._settings, controller = live.prepared
+        self._time = NodeClock(self, self._settings.problem.step, self._on_jump)
+        names = {topic: self.resolve_topic_name(topic) for topic in TOPICS}
+        simulated = self._time.simulated
+        self._ticker = Ticker(self._settings, controller, simulated=simulated, names=names)
+        self._inbox = self._ticker.inbox
+        self._outlet = Outlet(self, thrust=self._settings.problem.translation_order == 2)
+        self._health = Health(self, self._condition, self._counts)
+        self._create_subscriptions()
+        self._create_timers()
+        live.keep(self._install)
+        self._introduce()
+
+    def _introduce(self) -> None:
+        """Say once, before anything flies, what vehicle the parameters describe."""
+        self._introduced = summary(self._settings, self._time.simulated)
+        self.get_logger().info(self._introduced)
+        given = {name: each.value for name, each in self._parameter_overrides.items()}
+        name = self.get_fully_qualified_name()
+        unused = [f'section {each} is not for {name}: not used' for each in unused_sections(self)]
+        for doubt in unused + doubts(self._settings, given):
+            self.get_logger().warning(doubt)
+
+    def _install(self, prepared: tuple[PlannerSettings, Controller]) -> None:
+        self._settings, controller = prepared
+        self._ticker.install(self._settings, controller)
+        now = summary(self._settings, self._time.simulated)
+        if now != self._introduced:
+            self._introduced = now
+            self._console.say(f'from now on {now}')
+
+    # --- wiring
+
+    def _create_subscriptions(self) -> None:
+        odometry, _, _ = (
+            self.create_subscription(
+                kind,
+                topic,
+                self.guard(callback),
+                qos(1, ReliabilityPolicy.BEST_EFFORT),
+                event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+            )
+            for kind, topic, callback in (
+                (OdometryMessage, 'odom', self._on_odometry),
+                (PoseStamped, 'goal', self._on_goal),
+                (Path, 'goal_path', self._on_path),
+            )
+        )
+        self._neighbours = Neighbours(self, odometry, self._outlet.velocity)
+        self.create_service(Trigger, '~/reset', self.guard(self._on_reset))
+        self.create_service(SetBool, '~/enable', self.guard(self._on_enable))
+
+    def _create_timers(self) -> None:
+        step = self._settings.problem.step
+        if not self._settings.on_odometry:
+            # In ROS time: simulated time sets the pace. Everything that watches is steady.
+            self.create_timer(step, self.guard(self._on_timer))
+        self._patience = self.every(0.5 * GOAL_PATIENCE, self._on_patience)
+        self._patience.cancel()
+        self.every(min(WATCH, 0.5 * step), self._watch)
+
+    # --- inputs
+
+    def _on_odometry(self, message: OdometryMessage) -> None:
+        refusal = self._inbox.take_odometry(message, self.steady_now(), self._time.now)
+        if refusal:
+            self._refuse(refusal)
+            self._repeat_answer(message)
+        elif self._settings.on_odometry:
+            self._tick_or_wait()
+
+    def _on_goal(self, message: PoseStamped) -> None:
+        self._took_goal(self._inbox.take_goal(message, self.steady_now(), self._time.now))
+
+    def _on_path(self, message: Path) -> None:
+        self._took_goal(self._inbox.take_path(message, self.steady_now(), self._time.now))
+
+    def _took_goal(self, refusal: str) -> None:
+        if refusal:
+            self._refuse(refusal)
+        elif self._settings.on_odometry and self._unanswered and self._inbox.complete:
+            self._plan_now()
+
+    @property
+    def _unanswered(self) -> bool:
+        """Return whether an odometry message still waits for its goal."""
+        odometry = self._inbox.odometry
+        if odometry is None or self._inbox.stale_odometry(self.steady_now(), self._time.now):
+            return False
+        return odometry.stamp.nanoseconds != self._answered
+
+    def _refuse(self, refusal: str) -> None:
+        self._console.warn(refusal)
+        self._refusal, self._refused_at = refusal, self.steady_now()
+        self._health.show_changes()
+
+    def _repeat_answer(self, message: OdometryMessage) -> None:
+        """Answer again who asks again: the first answer may have been lost in discovery."""
+        stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
+        waited = self.steady_now() - self._outlet.at > REPEAT
+        if stamp == self._answered and waited and not self._unsafe():
+            self._outlet.repeat()
+
+    def _tick_or_wait(self) -> None:
+        """Plan, once the goal of the odometry's own stamp is there too.
+
+        DDS does not order topics. A source that stamps both alike, such as the simulator in
+        lock-step, means them to be used together; then runs repeat exactly.
+        """
+        if self._inbox.complete:
+            self._plan_now()
+        elif self._inbox.missing:
+            self._health.show_changes()
+        elif self._patience.is_canceled():
+            self._waits = 0
+            self._patience.reset()
+
+    def _on_patience(self) -> None:
+        # On the second call only: after a stall, a goal that lies waiting gets its turn first.
+        self._waits += 1
+        if self._waits == 2:
+            self._plan_now()
+
+    def _on_timer(self) -> None:
+        self._ticker.timing.began(self._time.seconds, self._settings.problem.step)
+        self._plan_now()
+
+    # --- a tick
+
+    def _plan_now(self) -> None:
+        self._patience.cancel()
+        odometry = self._inbox.odometry
+        if odometry is None or self._inbox.missing:
+            self._health.show_changes()
+            return
+        unsafe, answer = self._unsafe(), None
+        if not unsafe:
+            answer = self._ticker.planned(self.steady_now(), self._time.now)
+            unsafe = self._unsafe()  # a tick that takes too long outdates what it started from
+        if unsafe or answer is None:
+            answer = self._ticker.safe(unsafe)
+        self._publish(odometry.stamp, answer)
+        self._answered = odometry.stamp.nanoseconds
+
+    def _unsafe(self) -> str:
+        """Return why no plan may be followed now; empty if one may."""
+        if not self._enabled:
+            return 'disabled'
+        stale = self._inbox.stale_odometry(self.steady_now(), self._time.now)
+        return stale or self._neighbours.sources
+
+    def _publish(self, stamp: Stamp, answer: Answer) -> None:
+        self._outlet.begin(outputs.orders(self._settings, stamp, answer.command))
+        self._ticker.went_out(answer, self._time.seconds)
+        self._tell(stamp, answer)
+        self._health.show_changes()
+
+    def _tell(self, stamp: Stamp, answer: Answer) -> None:
+        report, name = answer.report, self.get_fully_qualified_name()
+        if answer.tick is not None:
+            report = replace(report, binding=prices(answer.tick))
+        told = outputs.reports(self._settings, stamp, report, answer.plan, name)
+        if self._inbox.odometry is not None:
+            told['rotation'] = messages.rotation_message(stamp, answer.command)
+        self._outlet.add(told)
+        self._say(report)
+
+    def _say(self, report: Report) -> None:
+        """Say on the console what is wrong with a tick, and that planning begins or goes on."""
+        if report.reason:
+            self._console.warn(': '.join(filter(None, (report.fallback, report.reason))))
+        if report.fallback is Fallback.SAFE_COMMAND:
+            self._planning = False
+        elif not report.fallback and not self._planning:
+            self._console.say('plans again' if self._begun else 'begins to plan')
+            self._planning = self._begun = True
+
+    # --- watching
+
+    def safe(self, reason: str) -> None:
+        """Command what is safe, now; a planner that has commanded nothing yet goes on so."""
+        if self._outlet.used:
+            self._be_safe(reason)
+
+    def _be_safe(self, reason: str) -> None:
+        # Stamped now: it is no answer to any odometry.
+        now, known = max(self._time.nanoseconds, self._answered + 1), self._inbox.odometry
+        frames = self._settings.frames if known is None else known.stamp.frames
+        self._publish(Stamp(now, frames), self._ticker.safe(reason))
+
+    def _watch(self) -> None:
+        """Repeat the safe command every step while it is not safe to follow a plan."""
+        self._neighbours.look()
+        self._time.look()
+        flying = self._outlet.used or not self._enabled
+        due = self.steady_now() - self._outlet.at >= self._settings.problem.step
+        unsafe = self._unsafe() or self._stuck()
+        if flying and due and unsafe:
+            self._be_safe(unsafe)
+        self._console.follow(self._troubles())
+        if self._waiting:
+            self._console.say(self._waiting)
+        self._health.show_changes()
+
+    @property
+    def _waiting(self) -> str:
+        """Return what is waited for, in words; empty if nothing is."""
+        return f'waits for {self._inbox.missing}' if self._inbox.missing else ''
+
+    def _troubles(self) -> list[str]:
+        """Return what is wrong around the planner, in words; that of its ticks is told by them."""
+        around = self._neighbours
+        return [around.sources, *around.mismatches, around.rivals, self._still, self._untimed]
+
+    @property
+    def _still(self) -> str:
+        return self._time.standstill(LULL if self._time.nanoseconds else SILENCE)
+
+    @property
+    def _untimed(self) -> str:
+        untimed = self._inbox.untimed
+        return f"stamps of {untimed} are not of this node's clock" if untimed else ''
+
+    def _stuck(self) -> str:
+        """Return why no tick will come, in words; empty if one will."""
+        return self._waiting or self._time.standstill(self._settings.odom_timeout)
+
+    def _on_jump(self, by: float) -> None:
+        """Start afresh if the clock has jumped [s].
+
+        Simulated time moves in steps. A step forward makes what is known as much older, which its
+        age tells; a jump is what makes all of it stale.
+        """
+        settings, back, forth = self._settings, CLOCK_SET, CLOCK_SET
+        if self._time.simulated:
+            back = 0.0
+            forth = max(settings.odom_timeout, settings.goal_timeout) + settings.problem.step
+        if not -back <= by <= forth:
+            self._start_afresh(f'the clock jumped by {by:.3g} s')
+
+    def _start_afresh(self, why: str) -> None:
+        self.get_logger().warning(f'{AFRESH}: {why}')
+        self._patience.cancel()
+        self._ticker.forget()
+        self._answered = -1
+        self.safe(AFRESH)
+
+    def _on_reset(self, _request: Any, response: Any) -> Any:
+        self._start_afresh('asked to')
+        response.success, response.message = True, 'inputs and plan forgotten'
+        return response
+
+    def _on_enable(self, request: Any, response: Any) -> Any:
+        self._enabled = request.data
+        if not self._enabled:
+            self._be_safe('disabled')
+        response.success = True
+        response.message = 'enabled' if self._enabled else 'disabled: safe command'
+        self._health.show_changes()
+        return response
+
+    # --- diagnostics
+
+    def _counts(self) -> dict[str, object]:
+        timing, refused = self._ticker.timing, self._inbox.refused.items()
+        return {
+            'waits_for': self._inbox.missing,
+            'waits with odometry for': ', '.join(self._inbox.companions),
+            'enabled': self._enabled,
+            'deadline misses': timing.misses,
+            'overruns': timing.overruns,
+            'late ticks': timing.late,
+            'callbacks failed': self.failures,
+            **{f'refused {what}': count for what, count in refused},
+        }
+
+    def _condition(self) -> Condition:
+        refused = self.steady_now() - self._refused_at < REFUSED
+        latest = self._ticker.latest
+        return condition(
+            (self._neighbours.sources, *self._neighbours.mismatches),
+            self._waiting if self._enabled else 'disabled',
+            None if latest is None else latest.report,
+            (
+                self._neighbours.rivals,
+                self._refusal if refused else '',
+                self._still,
+                self._untimed,
+            ),
+        )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the planner; return the exit code."""
+    return run(Planner, argv)

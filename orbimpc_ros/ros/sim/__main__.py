@@ -1,0 +1,8 @@
+"""``python -m orbimpc_ros.ros.sim``, the same as the installed executable."""
+
+import sys
+
+from orbimpc_ros.ros.entry import sim
+
+if __name__ == '__main__':
+    sys.exit(sim())

@@ -1,1 +1,0 @@
-"""The solvers that `orbimpc bench` runs side by side, one a file, each as its best user would."""

@@ -1,0 +1,136 @@
+"""``orbimpc demo``: planner and simulator as processes over DDS, a bag, a summary, a picture."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.tool.io.files import writing_to
+
+if TYPE_CHECKING:
+    from orbimpc_ros.tool.io.history import History
+    from orbimpc_ros.tool.io.settings import Values
+
+SCENARIOS = ('retrieval', 'retrieval3d', 'dubins', 'spacecraft', 'fleet')
+# The paper shows the Dubins car with and without minimum speed. Flights of a demo, by name.
+VARIANTS = {'dubins': {'none': ('floor.shape=none',), 'polygon': ('floor.shape=polygon',)}}
+OF_A_DEMO = {'exit_when_done': True, 'wait_subscribers': 2}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the command."""
+    parser.add_argument('scenario', nargs='?', default='retrieval', choices=SCENARIOS)
+    parser.add_argument('--vehicles', type=int, metavar='K', help='size of the fleet (default: 4)')
+    parser.add_argument(
+        '--out', default='out', metavar='DIR', help='takes the results (default: %(default)s)'
+    )
+    parser.add_argument(
+        '--set',
+        action='append',
+        default=[],
+        metavar='NAME=VALUE',
+        help='override a parameter of planner or simulator; may be repeated',
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fly, record, sum up, draw; 0 only if the job was done."""
+    if args.scenario == 'fleet':
+        from orbimpc_ros.tool.demo import fleet
+
+        return fleet.run(args)
+    if args.vehicles is not None:
+        raise BadInput('--vehicles', args.vehicles, 'only with the scenario fleet')
+    return _run_alone(args)
+
+
+def _run_alone(args: argparse.Namespace) -> int:
+    from orbimpc_ros.tool.run.flying import fly
+
+    flights = _flights(args.scenario, args.set)
+    folder = new_folder(args.out, args.scenario)
+    places = {name: folder / name if name else folder for name in flights}
+    with writing_to(folder):
+        for name, values in flights.items():
+            places[name].mkdir(exist_ok=True)
+            fly(values, places[name])
+        return report(folder, places)
+
+
+def _flights(scenario: str, changes: list[str]) -> dict[str, Values]:
+    """Return the parameters of each flight of a demo, by name; a single one has none.
+
+    Raises:
+        BadInput: an unknown name, or a value or combination that is not allowed.
+    """
+    from orbimpc_ros.tool.io import settings
+    from orbimpc_ros.tool.io.share import config
+
+    variants = VARIANTS.get(scenario, {'': ()})
+    if any(change.startswith('floor.shape=') for change in changes):
+        variants = {'': ()}
+    file = config(f'{scenario}.yaml')
+    return {
+        name: settings.resolve(file, [*changes, *variant]) | OF_A_DEMO
+        for name, variant in variants.items()
+    }
+
+
+def new_folder(out: str, name: str) -> Path:
+    """Create ``out/name``, or ``out/name-2`` and so on: what is there stays.
+
+    Raises:
+        BadInput: it cannot be created.
+    """
+    for number in range(1, 10_000):
+        folder = Path(out).resolve() / (name if number == 1 else f'{name}-{number}')
+        try:
+            folder.mkdir(parents=True)
+            return folder
+        except FileExistsError:
+            if not folder.is_dir():
+                break
+        except OSError as error:
+            raise BadInput('--out', f'{out} ({error.strerror})', 'a folder to write to') from None
+    raise BadInput('--out', out, 'a folder to write to')
+
+
+def report(folder: Path, places: Mapping[str, Path]) -> int:
+    """Sum up the flights of a demo from their bags, draw pictures, and return the exit code.
+
+    Args:
+        folder: takes the pictures.
+        places: of the flights' bags, by name.
+    """
+    from orbimpc_ros.tool import figures
+    from orbimpc_ros.tool.demo import summary
+    from orbimpc_ros.tool.io import history
+
+    flown = {name: history.of_bag(place / 'bag') for name, place in places.items()}
+    for name, each in flown.items():
+        print(f'{name}:\n{summary.text(each)}' if name else summary.text(each))
+    for place in places.values():
+        print(f'bag           {place / "bag"}')
+    if any(each.values['finish'] == 'arrival' for each in flown.values()):
+        print(_arrivals(flown))
+    for name, figure in figures.of_runs(flown).items():
+        figures.save(figure, folder / name)
+        label = 'picture' if name == figures.TRAJECTORY else Path(name).stem
+        print(f'{label:<14}{folder / name}')
+    return 0 if all(each.captured for each in flown.values()) else 1
+
+
+def _arrivals(flown: Mapping[str, History]) -> str:
+    """Return a table of errors at arrival: of the flights and, unflown, under the true floor."""
+    from orbimpc_ros.tool.demo import arrivals
+
+    columns = {
+        arrivals.title(run.values): arrivals.column(run.values, run) for run in flown.values()
+    }
+    if len(flown) > 1:
+        values = next(iter(flown.values())).values | {'floor.shape': 'circle'}
+        columns[arrivals.title(values)] = arrivals.column(values)
+    return arrivals.table(columns)

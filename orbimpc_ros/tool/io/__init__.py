@@ -1,0 +1,1 @@
+"""Files, bags and messages that the commands read and write."""

@@ -1,0 +1,110 @@
+"""Which files a bag consists of, and what stands in its metadata."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.tool.io import document
+from orbimpc_ros.tool.io.bag import limits
+from orbimpc_ros.tool.io.bag.raw import unpacked
+from orbimpc_ros.tool.io.files import inside, listed, opened
+
+METADATA = 'metadata.yaml'
+NEWEST = 9  # version of rosbag2's metadata
+LATEST = 2**63  # [ns]: stamps in metadata
+SUFFIXES = ('.mcap', '.db3')
+COMPRESSIONS = ('', 'none', 'file', 'message')
+
+
+@dataclass(frozen=True)
+class Folder:
+    """A bag on disk.
+
+    Attributes:
+        path: as it was given.
+        files: that hold its messages.
+        compression: of files or of messages by zstd; or empty.
+        closed: whether its recorder came to finish it.
+        notes: that the recorder has left in the metadata.
+    """
+
+    path: Path
+    files: tuple[Path, ...]
+    compression: str
+    closed: bool
+    notes: dict[str, str]
+
+
+def folder_of(path: Path) -> Folder:
+    """Return the bag at a path: a folder, or one of its files.
+
+    Raises:
+        BadInput: nothing that is a bag.
+    """
+    if not path.is_dir():
+        if path.suffix not in SUFFIXES:
+            raise BadInput(str(path), _nature(path), 'a bag: its folder, a .mcap or a .db3 file')
+        return Folder(path, (path,), '', (path.parent / METADATA).exists(), {})
+    if (path / METADATA).exists() or (path / METADATA).is_symlink():
+        return _described(path, _information(path))
+    files = [inside(path, f.name) for f in listed(path) if f.suffix in SUFFIXES]
+    if not files:
+        raise BadInput(str(path), 'without metadata.yaml and .mcap', 'a folder that holds a bag')
+    return Folder(path, tuple(files), '', False, {})
+
+
+def _nature(path: Path) -> str:
+    return 'no bag' if path.exists() else 'missing'
+
+
+def _information(path: Path) -> dict[str, Any]:
+    file = inside(path, METADATA)
+    content = document.read(str(file), LATEST)
+    found = content.get('rosbag2_bagfile_information') if isinstance(content, dict) else None
+    if not isinstance(found, dict):
+        raise BadInput(str(file), 'not the metadata of a bag', limits.ALLOWED)
+    version = found.get('version')
+    if not isinstance(version, int) or not 1 <= version <= NEWEST:
+        raise BadInput(f'{file}: version', version, f'1 to {NEWEST}')
+    return found
+
+
+def _described(path: Path, found: dict[str, Any]) -> Folder:
+    names = found.get('relative_file_paths')
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise BadInput(f'{path / METADATA}: relative_file_paths', names, 'a list of names')
+    # Up to version 3 the names began with the bag's own.
+    files = tuple(inside(path, PurePath(name).name) for name in names)
+    for file in files:
+        if not file.exists():
+            raise BadInput(str(file), 'missing', 'every file that metadata.yaml names')
+    compression = str(found.get('compression_mode') or '').lower()
+    zipped = str(found.get('compression_format') or 'zstd')
+    if compression not in COMPRESSIONS or zipped != 'zstd':
+        raise BadInput(str(path), f'compressed by {compression} {zipped}', 'zstd, or not at all')
+    notes = found.get('custom_data')
+    return Folder(
+        path,
+        files,
+        '' if compression == 'none' else compression,
+        True,
+        {str(k): str(v) for k, v in notes.items()} if isinstance(notes, dict) else {},
+    )
+
+
+@contextmanager
+def plain(file: Path, compression: str) -> Iterator[Path]:
+    """Give a file's path; of a compressed one a copy that is not, for a while."""
+    if compression != 'file':
+        yield file
+        return
+    with TemporaryDirectory() as place, opened(file, limits.MAX_BYTES) as stream:
+        copy = Path(place) / file.stem
+        copy.write_bytes(unpacked(stream.read(), limits.MAX_KEPT, file))
+        yield copy

@@ -1,0 +1,220 @@
+"""A run as its bag tells it: plain arrays for summaries, pictures and comparisons."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.loop.observation import Sighting
+from orbimpc_ros.ros.messages import Frames, read_odometry, read_sighting
+from orbimpc_ros.tool.io import bag, settings
+from orbimpc_ros.tool.io.content import fields, point, seconds
+from orbimpc_ros.tool.io.topics import absent
+from orbimpc_ros.world.capture import closest_approach
+
+T = TypeVar('T')
+WANTED = ('captured', 'cmd_thrust', 'goal', 'odom', 'plan', 'tick')
+# What a tick has to tell for summaries and pictures.
+TOLD: dict[str, tuple[type, ...]] = {
+    'gap': (int, float),
+    'solve_time_ms': (int, float),
+    'speed_fraction': (list,),
+}
+NEAR = 2.0  # a local minimum of the distance within so many capture radii is a near miss
+
+
+class Approach(NamedTuple):
+    """How close vehicle and rope were.
+
+    Attributes:
+        time: when [s].
+        distance: [m].
+        vehicle: where the vehicle was, shape (3,) [m].
+        rope: where the rope was, shape (3,) [m].
+    """
+
+    time: float
+    distance: float
+    vehicle: Array
+    rope: Array
+
+
+class Planned(NamedTuple):
+    """A plan: when it was made [s] and its points, shape (N + 1, 3) [m]."""
+
+    time: float
+    points: Array
+
+
+@dataclass(frozen=True)
+class History:
+    """A run.
+
+    Attributes:
+        times: of odometry, shape (M,) [s].
+        positions: of the vehicle, shape (M, 3) [m].
+        attitudes: of the body in the world, shape (M, 3, 3).
+        velocities: in the world, shape (M, 3) [m/s].
+        rates: about the body's axes, shape (M, 3) [rad/s].
+        ropes: where the rope was at these times, shape (M, 3) [m].
+        plans: in order of time.
+        forces: times [s] and forces [N] of the topic ``cmd_thrust``.
+        ticks: times [s] and fields of the topic ``tick``.
+        captured: whether the simulator said that the job was done.
+        values: parameters of the run, by name.
+    """
+
+    times: Array
+    positions: Array
+    attitudes: Array
+    velocities: Array
+    rates: Array
+    ropes: Array
+    plans: tuple[Planned, ...]
+    forces: tuple[tuple[float, float], ...]
+    ticks: tuple[tuple[float, dict[str, Any]], ...]
+    captured: bool
+    values: dict[str, Any]
+
+    @property
+    def headings(self) -> Array:
+        """Return the body's x axis in the world, shape (M, 3)."""
+        return self.attitudes[:, :, 0]
+
+    @property
+    def missed(self) -> tuple[float, float]:
+        """Return how far from the goal [m] and how fast [m/s] the vehicle is at the end."""
+        apart = self.positions[-1] - self.ropes[-1]
+        return float(np.linalg.norm(apart)), float(np.linalg.norm(self.velocities[-1]))
+
+    @property
+    def flown_ticks(self) -> list[dict[str, Any]]:
+        """Return the fields of the ticks whose command was flown: all but the last answer."""
+        return [fields for time, fields in self.ticks if time < self.times[-1]]
+
+    @property
+    def approaches(self) -> list[Approach]:
+        """Return the closest approach during each step, M - 1 of them."""
+        return [self._approach(k) for k in range(len(self.times) - 1)]
+
+    def _approach(self, k: int) -> Approach:
+        flown, swung = self.positions[k : k + 2], self.ropes[k : k + 2]
+        distance, share = closest_approach((flown[0], flown[1]), (swung[0], swung[1]))
+        when, vehicle, rope = (
+            a[k] + share * (a[k + 1] - a[k]) for a in (self.times, self.positions, self.ropes)
+        )
+        return Approach(float(when), distance, vehicle, rope)
+
+    @property
+    def moments(self) -> list[Approach]:
+        """Return distances over time, up to the capture: at odometry, and where closest between."""
+        seen = [
+            Approach(float(time), float(np.linalg.norm(vehicle - rope)), vehicle, rope)
+            for time, vehicle, rope in zip(self.times, self.positions, self.ropes, strict=True)
+        ]
+        by_time = {moment.time: moment for moment in (*seen, *self.approaches)}
+        return [by_time[time] for time in sorted(by_time) if time <= self.end]
+
+    @property
+    def near_misses(self) -> list[Approach]:
+        """Return the local minima of the distance that came near and yet caught nothing."""
+        radius, moments = self.values['capture_radius'], self.moments
+        return [
+            now
+            for before, now, after in zip(moments, moments[1:], moments[2:], strict=False)
+            if radius < now.distance <= NEAR * radius
+            and before.distance > now.distance <= after.distance
+        ]
+
+    @property
+    def end(self) -> float:
+        """Return when the rope was caught, or the last time [s]."""
+        return float(self.times[-1]) if self.capture is None else self.capture.time
+
+    @property
+    def capture(self) -> Approach | None:
+        """Return the approach that caught the rope; None too where the job is to arrive."""
+        caught = self.captured and self.values['finish'] == 'capture'
+        return self.approaches[-1] if caught and len(self.times) > 1 else None
+
+
+def of_bag(path: Path, namespace: str = '') -> History:
+    """Return the history in a bag of ours.
+
+    Args:
+        path: of the bag.
+        namespace: of the vehicle, such as ``/uav1``.
+
+    Raises:
+        BadInput: no bag, or one without odometry and goal.
+    """
+    values = settings.of_bag(path, namespace) or settings.read('{}')
+    found: dict[str, list[Any]] = defaultdict(list)
+    heard: set[str] = set()
+    for message in bag.read(path, WANTED):
+        heard.add(message.topic)
+        before, _, name = message.topic.rpartition('/')
+        if before == namespace:
+            found[name].append(message.content)
+    # In lock-step the simulator asks again where an answer is late; it counts once.
+    measured = {o.time: o for _, o in _valid(read_odometry, found['odom'])}
+    seen = {sighting.time: sighting for _, sighting in _valid(read_sighting, found['goal'])}
+    for topic, valid in (('odom', measured), ('goal', seen)):
+        if not valid:
+            raise absent(path, f'{namespace}/{topic}', heard)
+    times = np.array(sorted(measured))
+    odometry = [measured[time] for time in times]
+    attitudes = np.array([o.attitude for o in odometry])
+    return History(
+        times=times,
+        positions=np.array([o.position for o in odometry]),
+        attitudes=attitudes,
+        velocities=np.einsum('kij,kj->ki', attitudes, [o.body_velocity for o in odometry]),
+        rates=np.array([o.body_rate for o in odometry]),
+        ropes=_at(times, [seen[time] for time in sorted(seen)]),
+        plans=tuple(_planned(m) for m in found['plan'] if m.poses),
+        forces=tuple((seconds(m), m.wrench.force.x) for m in found['cmd_thrust']),
+        ticks=tuple((seconds(m), _told(m, path)) for m in found['tick'] if m.status),
+        captured=any(m.data for m in found['captured']),
+        values=values,
+    )
+
+
+def _valid(read: Callable[..., T], found: Iterable[Any]) -> Iterator[T]:
+    """Yield what the planner, too, would take from messages: in a faulty run not from all."""
+    for message in found:
+        with suppress(BadInput):
+            yield read(message, 3, Frames())
+
+
+def _told(message: Any, path: Path) -> dict[str, Any]:
+    """Return what a tick told.
+
+    Raises:
+        BadInput: another version of it.
+    """
+    told = fields(message)
+    for name, kinds in TOLD.items():
+        if not isinstance(told.get(name), kinds):
+            raise BadInput(f'{path}: tick', f'without {name}', f'{name} of this version')
+    return told
+
+
+def _planned(message: Any) -> Planned:
+    points = np.array([point(stamped.pose.position) for stamped in message.poses])
+    return Planned(seconds(message), points)
+
+
+def _at(times: Array, seen: Sequence[Sighting]) -> Array:
+    """Return the goal at given times; between sightings it moves straight."""
+    stamps = np.array([sighting.time for sighting in seen])
+    places = np.array([sighting.position for sighting in seen])
+    return np.column_stack([np.interp(times, stamps, column) for column in places.T])

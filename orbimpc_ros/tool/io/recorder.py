@@ -1,0 +1,132 @@
+"""Records the topics of a run, byte by byte as they come, under the stamps they carry."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rcl_interfaces.srv import GetParameters
+from rclpy.client import Client
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
+
+from orbimpc_ros.tool.io.bag.writer import BagWriter
+from orbimpc_ros.tool.io.stamps import Stamps
+from orbimpc_ros.tool.io.topics import Topic
+
+DEPTH = 1000  # a slow disk must not cost messages
+TRIGGER = 'odom'  # a lock-step simulator starts as soon as it has its subscribers
+
+
+class Recorder:
+    """A node that writes what it hears into a bag.
+
+    A message goes under the stamp it carries, so that the bag plays at the speed of the run
+    however fast that was simulated; one without a stamp goes under the last stamp before it. Beside
+    it stands when the message was sent, for the order in which things happened.
+    Odometry is subscribed to once every planner has answered a call. DDS announces endpoints in
+    the order of their creation: a planner that knows the last one knows every subscription, and
+    a simulator that waits for the subscription to odometry finds the recorder complete.
+
+    Args:
+        folder: of the bag, created.
+        topics: to record.
+        notes: kept in the bag's metadata.
+        planners: nodes that must know the recorder before odometry is asked for.
+
+    Attributes:
+        counts: messages heard, by topic.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        topics: Sequence[Topic],
+        notes: dict[str, str],
+        planners: Sequence[str] = ('/planner',),
+    ) -> None:
+        self.counts = dict.fromkeys((topic.name for topic in topics), 0)
+        self._stamps = Stamps()
+        self._early: list[tuple[str, bytes, int]] = []
+        self._bag = BagWriter(folder, topics, notes)
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = rclpy.create_node(
+            'recorder',
+            context=self._context,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._held = [topic for topic in topics if topic.name.rpartition('/')[2] == TRIGGER]
+        for topic in topics:
+            if topic not in self._held:
+                self._listen(topic)
+        self._unmet = {name: self._client(name) for name in planners}
+
+    def _client(self, planner: str) -> Client:
+        """Return a client of a service that every node has."""
+        return self._node.create_client(GetParameters, f'{planner}/get_parameters')
+
+    def _meet(self) -> None:
+        """Call planners that have not answered yet; when all have, listen to odometry too."""
+        for name, client in self._unmet.items():
+            if client.service_is_ready():
+                answer = client.call_async(GetParameters.Request())
+                answer.add_done_callback(lambda _, name=name: self._unmet.pop(name, None))
+        while self._held and not self._unmet:
+            self._listen(self._held.pop())
+
+    def _listen(self, topic: Topic) -> None:
+        kept = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
+        profile = QoSProfile(depth=DEPTH, durability=kept)
+        heard: Any = self._heard(topic)  # rclpy also gives what is known about the message
+        package, _, kind = topic.type.split('/')
+        message = getattr(import_module(f'{package}.msg'), kind)
+        self._node.create_subscription(message, topic.name, heard, profile, raw=True)
+
+    def _heard(self, topic: Topic) -> Callable[[bytes, dict[str, Any]], None]:
+        def heard(data: bytes, about: dict[str, Any]) -> None:
+            self.counts[topic.name] += 1
+            stamp, sent = self._stamps.of(data, topic.type), about['source_timestamp']
+            if stamp is None:
+                self._early.append((topic.name, data, sent))
+            else:
+                self._flush()
+                self._bag.write(topic.name, stamp, data, sent)
+
+        return heard
+
+    def _flush(self) -> None:
+        """Write what came before the first stamp."""
+        for name, data, sent in self._early:
+            self._bag.write(name, self._stamps.now or 0, data, sent)
+        self._early.clear()
+
+    def spin(self, seconds: float) -> None:
+        """Record for a while, or until something has come."""
+        self._meet()
+        self._executor.spin_once(timeout_sec=seconds)
+
+    def drain(self, quiet: float, limit: float) -> None:
+        """Record on until nothing has come for ``quiet`` seconds, ``limit`` seconds at most."""
+        end = last = time.monotonic()
+        end, heard = end + limit, sum(self.counts.values())
+        while time.monotonic() < min(end, last + quiet):
+            self.spin(quiet / 4)
+            if sum(self.counts.values()) != heard:
+                last, heard = time.monotonic(), sum(self.counts.values())
+
+    def close(self) -> None:
+        """Stop recording and finish the bag."""
+        self._flush()
+        self._bag.close()
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._context.try_shutdown()

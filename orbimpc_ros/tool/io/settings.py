@@ -1,0 +1,168 @@
+"""What a run is configured with: defaults, then the scenario's file, then ``--set``, checked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import yaml
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros.parameters import (
+    OF_ROS,
+    PLANNER,
+    SIM,
+    Row,
+    planner_settings,
+    sim_settings,
+)
+from orbimpc_ros.tool.io import bag, document
+
+ROWS = {row.name: row for row in (*PLANNER, *SIM)}
+Values = dict[str, Any]
+EMPTY: Mapping[str, Values] = MappingProxyType({})
+
+
+def resolve(file: Path, changes: Sequence[str] = ()) -> Values:
+    """Return every parameter's value for a run.
+
+    Args:
+        file: parameters in ROS's form; one file serves both nodes.
+        changes: ``name=value``, as given on the command line.
+
+    Raises:
+        BadInput: an unknown name, or a value or combination that is not allowed.
+    """
+    return changed(_completed(document.read(str(file)), str(file)), changes)
+
+
+def changed(values: Values, changes: Sequence[str]) -> Values:
+    """Return values of which some are changed, checked as a whole.
+
+    Args:
+        values: of every parameter.
+        changes: ``name=value``, as given on the command line.
+
+    Raises:
+        BadInput: an unknown name, or a value or combination that is not allowed.
+    """
+    found = values | dict(_change(each) for each in changes)
+    planner_settings(found)
+    sim_settings(found)
+    return found
+
+
+def write(file: Path, values: Values, **more: Any) -> str:
+    """Write values as a file of ROS parameters for any node and return its text."""
+    written = text(values | more)
+    file.write_text(written)
+    return written
+
+
+def text(values: Values, own: Mapping[str, Values] = EMPTY) -> str:
+    """Return values as a file of ROS parameters for any node.
+
+    Args:
+        values: for all nodes.
+        own: values that differ from one namespace, such as ``/uav1``, to another.
+    """
+    differ = {name for each in own.values() for name in each}
+    sections = {'/**': {name: value for name, value in values.items() if name not in differ}}
+    sections |= {f'{namespace}/**': each for namespace, each in own.items()}
+    plain = {name: {'ros__parameters': _plain(each)} for name, each in sections.items()}
+    return yaml.safe_dump(plain, sort_keys=False)
+
+
+def _plain(values: Values) -> Values:
+    """Return values for YAML, without empty lists: ROS cannot tell their type."""
+    plain = {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
+    return {name: value for name, value in plain.items() if value != []}
+
+
+def of_bag(path: Path, namespace: str = '') -> Values | None:
+    """Return the values that the recorder of a bag has noted in it; None if it has not.
+
+    Args:
+        path: of the bag.
+        namespace: whose values are wanted in the bag of a fleet.
+
+    Raises:
+        BadInput: no bag, or notes that are none.
+    """
+    noted = bag.notes(path).get('parameters')
+    return None if noted is None else read(noted, namespace, f'{path}: parameters')
+
+
+def read(written: str, namespace: str = '', name: str = 'parameters') -> Values:
+    """Return the values of what :func:`text` made, defaults where there are none.
+
+    Args:
+        written: the parameter file.
+        namespace: whose values are wanted in the file of a fleet.
+        name: where it comes from, for the message.
+
+    Raises:
+        BadInput: not parameters, an unknown name, or a value of another type.
+    """
+    return _completed(document.parse(written, name), name, namespace)
+
+
+def _completed(content: Any, name: str, namespace: str = '') -> Values:
+    """Return the values in a parameter file over the defaults."""
+    if namespace and isinstance(content, dict):
+        wanted = ('/**', f'{namespace}/')
+        content = {key: each for key, each in content.items() if str(key).startswith(wanted)}
+    values: Values = {row.name: row.default for row in ROWS.values()}
+    for given, value in _sections(content, name):
+        if given in ROWS:
+            values[given] = _typed(ROWS[given], value)
+        elif given in OF_ROS:
+            values[given] = value
+        elif not given.startswith('qos_overrides.'):
+            raise BadInput.unknown('parameter', given, ROWS, name)
+    return values
+
+
+def _sections(content: Any, name: str) -> Iterator[tuple[str, Any]]:
+    """Yield the parameters of every section of a parameter file, nested names joined by dots."""
+    for section in content.values() if isinstance(content, dict) else (None,):
+        if not isinstance(section, dict) or not isinstance(section.get('ros__parameters'), dict):
+            raise BadInput(name, 'not a parameter file', 'sections that hold ros__parameters')
+        yield from _flat(section['ros__parameters'])
+
+
+def _flat(tree: dict[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
+    for name, value in tree.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f'{prefix}{name}.')
+        else:
+            yield f'{prefix}{name}', value
+
+
+def _change(given: str) -> tuple[str, Any]:
+    name, equals, word = given.partition('=')
+    if not equals:
+        raise BadInput('--set', given, 'name=value')
+    if name not in ROWS:
+        raise BadInput.unknown('parameter', name, ROWS, '--set')
+    return name, _typed(ROWS[name], document.parse(word, f'--set {name}'))
+
+
+def _typed(row: Row, value: Any) -> Any:
+    """Return a value as the parameter's type; a whole number may stand for a float."""
+    kind = type(row.default)
+    if kind is tuple and isinstance(value, list):
+        return tuple(_float(row, each) for each in value)
+    if kind is float:
+        return _float(row, value)
+    if type(value) is not kind:
+        raise BadInput(row.name, value, row.allowed)
+    return value
+
+
+def _float(row: Row, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise BadInput(row.name, value, row.allowed)
+    return float(value)

@@ -1,1 +1,0 @@
-"""Bags as regression tests: what was recorded, solved again, compared."""

@@ -1,0 +1,80 @@
+"""Accepting a replay: the bag anew, with the same inputs and the new outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.tool.io import bag, settings
+from orbimpc_ros.tool.io.bag import definitions
+from orbimpc_ros.tool.io.bag.raw import Raw
+from orbimpc_ros.tool.io.bag.writer import BagWriter
+from orbimpc_ros.tool.io.files import replacing
+from orbimpc_ros.tool.io.settings import Values
+from orbimpc_ros.tool.io.topics import TYPES, Topic, topics_of
+from orbimpc_ros.tool.replay.recording import OUTPUTS, Recording
+from orbimpc_ros.tool.replay.resolving import Replayed
+
+
+def accept(recording: Recording, replayed: Sequence[Replayed], values: Values) -> None:
+    """Replace a bag of our recorder by one with new outputs; until that is whole, nothing changes.
+
+    Args:
+        recording: what the bag held.
+        replayed: the new answers.
+        values: of every parameter; noted in the bag.
+
+    Raises:
+        BadInput: the bag is not one of our recorder's, or cannot be replaced.
+    """
+    path = recording.path
+    if not path.is_dir() or 'parameters' not in bag.notes(path):
+        raise BadInput(str(path), 'not a bag of orbimpc', "the folder of a bag of orbimpc's")
+    held = bag.raw(path)
+    kept = [each for each in held if not _replaced(each, recording)]
+    # What was not recorded, such as markers, stays out.
+    wanted = {each.topic for each in held}
+    fresh = [each for each in _serialised(recording, replayed) if each.topic in wanted]
+    notes = bag.notes(path)
+    if values != settings.of_bag(path, recording.namespace):
+        notes['parameters'] = _text(values, recording)
+    with replacing(path) as folder, BagWriter(folder, _topics(kept, recording), notes) as writer:
+        for each in sorted([*kept, *fresh], key=lambda each: each.stamp):
+            writer.write(each.topic, each.stamp, each.data, each.sent)
+
+
+def _text(values: Values, recording: Recording) -> str:
+    if recording.namespace:
+        raise BadInput('--update', 'given with other parameters', 'those of the fleet as they are')
+    return settings.text(values)
+
+
+def _replaced(each: Raw, recording: Recording) -> bool:
+    before, _, name = each.topic.rpartition('/')
+    return before == recording.namespace and name in OUTPUTS
+
+
+def _topics(kept: Sequence[Raw], recording: Recording) -> list[Topic]:
+    """Return the topics of the bag, as its recorder had them."""
+    shared = {topic.name for topic in topics_of(())}
+    spaces = {each.topic.rpartition('/')[0] for each in kept if each.topic not in shared}
+    return list(topics_of(sorted(spaces | {recording.namespace})))
+
+
+def _serialised(recording: Recording, replayed: Sequence[Replayed]) -> Iterator[Raw]:
+    for each in replayed:
+        for name, message in each.messages.items():
+            topic, then, kind = f'{recording.namespace}/{name}', each.recorded, TYPES[name]
+            yield Raw(topic, kind, then.stamp, then.sent, serialised(message, kind))
+
+
+def serialised(message: Any, kind: str) -> bytes:
+    """Return a ROS message in CDR, the same bytes every time.
+
+    The middleware leaves in the padding whatever was in memory.
+    """
+    from rclpy.serialization import serialize_message
+
+    store = definitions.store()
+    return bytes(store.serialize_cdr(store.deserialize_cdr(serialize_message(message), kind), kind))

@@ -1,0 +1,157 @@
+"""How far two answers may be apart, and in which words that is told."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from orbimpc_ros.mpc.geometry.rotations import exp, to_quaternion
+from orbimpc_ros.tool.replay.answer import Answer
+
+# Solvers of other versions, and numba or not, find the same optimum up to these. An objective is
+# flat there: it agrees better than the command that reaches it.
+SPEED, RATE, ANGLE = 1e-4, 1e-3, 1e-3  # of full speed or thrust; [rad/s]; [rad]
+OBJECTIVE, ROUNDING = 1e-6, 1e-7  # relative, and near zero
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """What two answers may differ by; words must be the same.
+
+    A plan gives attitudes as directions of thrust. The less thrust, the less it matters where it
+    points, and the less exactly that is known: what a turn may differ by is divided by its share.
+
+    Attributes:
+        speed: [m/s].
+        force: [N].
+        body_rate: at full thrust [rad/s].
+        rotation: at full thrust [rad].
+        objective: relative.
+        gap: absolute; what counts as proved.
+        step: for which a body rate is commanded [s].
+        order: of the rotation, 1 or 2: so many steps of the plan decide the command.
+    """
+
+    speed: float = SPEED
+    force: float = SPEED
+    body_rate: float = RATE
+    rotation: float = ANGLE
+    objective: float = OBJECTIVE
+    gap: float = 1e-4
+    step: float = 1.0
+    order: int = 1
+
+    def of(self, quantity: str, *answers: Answer) -> float:
+        """Return what a quantity of some answers may differ by; words by nothing."""
+        allowed = getattr(self, quantity, 0.0)
+        if quantity not in TURNS:
+            return allowed
+        shares = [share for each in answers for share in each.thrust[1 : self.order + 1]]
+        least = min([1.0, *shares])
+        return allowed / least if least > 0.0 else math.inf
+
+
+UNITS = {'speed': 'm/s', 'force': 'N', 'body_rate': 'rad/s', 'rotation': 'rad'}
+WORDS, TURNS = ('status', 'fallback'), ('body_rate', 'rotation')
+QUANTITIES = (*WORDS, 'speed', 'force', *TURNS, 'objective', 'gap')
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One quantity of one tick, recorded and replayed.
+
+    Attributes:
+        tick: its number.
+        time: its stamp [s].
+        quantity: one of :data:`QUANTITIES`.
+        recorded: its value.
+        replayed: its value.
+        apart: how far these are apart; infinite if one is missing or a word differs.
+        allowed: how far they may be.
+    """
+
+    tick: int
+    time: float
+    quantity: str
+    recorded: Any
+    replayed: Any
+    apart: float
+    allowed: float
+
+    @property
+    def differs(self) -> bool:
+        """Return whether the values are further apart than allowed."""
+        return not self.apart <= self.allowed
+
+    def __str__(self) -> str:
+        unit = UNITS.get(self.quantity, '')
+        values = f'{shown(self.recorded)} -> {shown(self.replayed)} {unit}'.rstrip()
+        off = f': off by {self.apart:.2g}, allowed {self.allowed:.2g}'
+        where = f'tick {self.tick} at {self.time:.3f} s: {self.quantity} {values}'
+        return where + (off if math.isfinite(self.apart) else '')
+
+
+def comparisons(
+    tick: int, time: float, recorded: Answer, replayed: Answer, tolerances: Tolerances
+) -> Iterator[Comparison]:
+    """Yield a comparison for every quantity that was recorded.
+
+    Args:
+        tick: its number.
+        time: its stamp [s].
+        recorded: the answer in the bag.
+        replayed: the answer now.
+        tolerances: what they may differ by.
+    """
+    for quantity in QUANTITIES:
+        before, now = getattr(recorded, quantity), getattr(replayed, quantity)
+        if before is not None:
+            allowed = tolerances.of(quantity, recorded, replayed)
+            apart = math.inf if now is None else _apart(quantity, before, now, tolerances.step)
+            yield Comparison(tick, time, quantity, before, now, apart, allowed)
+
+
+def _apart(quantity: str, before: Any, now: Any, step: float) -> float:
+    if quantity in WORDS:
+        return 0.0 if before == now else math.inf
+    if quantity == 'rotation':
+        return _turned(before, now)
+    if quantity == 'body_rate':
+        # As turns: half a turn to the left is one to the right.
+        return _turned(*(to_quaternion(exp(step * rate)) for rate in (before, now))) / step
+    return _relative(before, now) if quantity == 'objective' else _absolute(before, now)
+
+
+def _absolute(before: float, now: float) -> float:
+    """Return the difference; two unknown numbers (NaN) are the same."""
+    if before == now or (math.isnan(before) and math.isnan(now)):
+        return 0.0
+    apart = abs(before - now)
+    return math.inf if math.isnan(apart) else apart
+
+
+def _relative(before: float, now: float) -> float:
+    apart = _absolute(before, now)
+    return apart if apart in (0.0, math.inf) else apart / max(abs(before), ROUNDING / OBJECTIVE)
+
+
+def _turned(before: Any, now: Any) -> float:
+    """Return the angle between two quaternions [rad]; q and -q are the same rotation."""
+    aligned = now if before @ now >= 0.0 else -now
+    half = float(np.linalg.norm(before - aligned)) / 2.0
+    return math.inf if math.isnan(half) else 4.0 * math.asin(min(1.0, half))
+
+
+def shown(value: Any) -> str:
+    """Return a value as text, to compare it by eye."""
+    if value is None:
+        return 'none'
+    if isinstance(value, str):
+        return value or '-'
+    if isinstance(value, float):
+        return f'{value:.9g}'
+    return '(' + ', '.join(f'{each:.6g}' for each in value) + ')'

@@ -1,0 +1,114 @@
+"""The planner without a node: its own ticker and messages, told and asked by whoever flies."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.arrival import RosTime
+from orbimpc_ros.ros.messages import SECOND, Stamp
+from orbimpc_ros.ros.parameters.planner import PlannerSettings
+from orbimpc_ros.ros.planner import outputs
+from orbimpc_ros.ros.planner.ticker import Answer, Ticker, prepared
+from orbimpc_ros.ros.reports import prices
+
+Told = dict[str, Any]  # messages by topic
+
+
+class Pilot:
+    """Takes in messages and answers, when it is told to, with what the planner would publish.
+
+    A solve has no deadline here: what it finds must not depend on the machine.
+
+    Args:
+        settings: of the planner.
+        node: its name.
+    """
+
+    def __init__(self, settings: PlannerSettings, node: str = '/planner') -> None:
+        self._settings, self._node = settings, node
+        timeless = replace(settings, deadline=math.inf)
+        # Simulated: what a tick takes is told, not measured.
+        self._ticker = Ticker(*prepared(timeless), simulated=True)
+        self._answer: Answer | None = None
+
+    def hear(self, topic: str, message: Any, now: float, ros: RosTime) -> str:
+        """Take in an input; return why it was refused, or an empty string.
+
+        Args:
+            topic: without its namespace.
+            message: its content.
+            now: when it came, on the steady clock [s].
+            ros: on the ROS clock.
+        """
+        inbox = self._ticker.inbox
+        take = {
+            'odom': inbox.take_odometry,
+            'goal': inbox.take_goal,
+            'goal_path': inbox.take_path,
+        }[topic]
+        return take(message, now, ros)
+
+    def forget(self) -> None:
+        """Start afresh."""
+        self._ticker.forget()
+
+    @property
+    def stamp(self) -> int | None:
+        """Return the stamp of the odometry that a plan would start from [ns]; None without."""
+        inbox = self._ticker.inbox
+        known = None if inbox.missing else inbox.odometry
+        return None if known is None else known.stamp.nanoseconds
+
+    def plan(self, now: float, advanced: float, solve_time_ms: float) -> Told:
+        """Answer the latest odometry with a plan, or with what stands in for one.
+
+        Args:
+            now: on the steady clock [s].
+            advanced: how far the measurement is advanced, to when the answer takes effect [s].
+            solve_time_ms: to report.
+        """
+        known = self._ticker.inbox.odometry
+        assert known is not None
+        at = RosTime(known.stamp.nanoseconds + round(advanced * SECOND))
+        answer = self._ticker.planned(now, at)
+        report = answer.report
+        if report.solve_time_ms:
+            report = replace(report, solve_time_ms=solve_time_ms)
+        if answer.tick is not None:
+            report = replace(report, binding=prices(answer.tick))
+        return self._told(known.stamp, replace(answer, report=report))
+
+    def be_safe(self, stamp: int, reason: str) -> Told:
+        """Answer with the safe command, for a reason that is no solver's."""
+        known = self._ticker.inbox.odometry
+        frames = self._settings.frames if known is None else known.stamp.frames
+        return self._told(Stamp(stamp, frames), self._ticker.safe(reason))
+
+    def went_out(self, at: float, pushed: float | None = None, rate: Array | None = None) -> None:
+        """Learn what was really commanded; by default the last answer.
+
+        Args:
+            at: when, on the ROS clock [s].
+            pushed: speed [m/s] or, at translation order 2, force [N].
+            rate: body rate, shape (3,) [rad/s].
+        """
+        assert self._answer is not None
+        problem, command = self._settings.problem, self._answer.command
+        if pushed is not None:
+            weight = 1.0 if problem.translation_order == 1 else self._settings.mass
+            command = replace(command, speed_fraction=pushed / (weight * problem.forward))
+        if rate is not None:
+            command = replace(command, body_rate=rate[-len(command.body_rate) :].copy())
+        self._ticker.went_out(replace(self._answer, command=command), at)
+
+    def _told(self, stamp: Stamp, answer: Answer) -> Told:
+        self._answer = answer
+        told = outputs.orders(self._settings, stamp, answer.command)
+        told |= outputs.reports(self._settings, stamp, answer.report, answer.plan, self._node)
+        if self._ticker.inbox.odometry is not None:
+            told['rotation'] = messages.rotation_message(stamp, answer.command)
+        return told

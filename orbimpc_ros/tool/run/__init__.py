@@ -1,0 +1,1 @@
+"""Processes, flights and their progress."""

@@ -1,0 +1,129 @@
+"""A run: vehicles, each two processes in its namespace, and a bag of all that they say over DDS."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from orbimpc_ros.tool.io import settings
+from orbimpc_ros.tool.io.settings import Values
+from orbimpc_ros.tool.run import discovery, processes
+from orbimpc_ros.tool.run.processes import Interruptions, Process
+from orbimpc_ros.tool.run.progress import Progress
+
+if TYPE_CHECKING:
+    from orbimpc_ros.tool.io.recorder import Recorder
+
+SPIN = 0.05  # [s]
+QUIET, LAST_WORDS = 0.1, 1.0  # [s] without a message, and at most, until the bag is complete
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """A vehicle that flies: its namespace and its two processes."""
+
+    namespace: str
+    planner: Process
+    sim: Process
+
+
+def fly(values: Values, folder: Path, own: Mapping[str, Values] = settings.EMPTY) -> None:
+    """Run planners and simulators until these are done, and record what they say.
+
+    Args:
+        values: of every parameter.
+        folder: takes the bag, the parameters and what the processes print.
+        own: of a fleet: values that differ from one namespace, such as ``/uav1``, to another.
+
+    Raises:
+        ProcessFailure: a node has failed.
+        KeyboardInterrupt: somebody asked to stop; the bag is complete up to then.
+    """
+    parameters, namespaces = folder / 'parameters.yaml', tuple(own) or ('',)
+    simulated = values['clock'] == 'lockstep'
+    text = settings.text(values | {'use_sim_time': simulated}, own)
+    parameters.write_text(text)
+    print(f'ROS_DOMAIN_ID={discovery.isolate(folder)}, results in {folder}')
+    with processes.Interruptions() as interruptions:
+        with (
+            _vehicles(namespaces, parameters, folder) as vehicles,
+            _recorder(namespaces, folder, text) as recorder,
+        ):
+            _watch(vehicles, recorder, interruptions, values)
+        if interruptions.requested:
+            raise KeyboardInterrupt
+
+
+@contextmanager
+def _vehicles(
+    namespaces: tuple[str, ...], parameters: Path, folder: Path
+) -> Iterator[tuple[Vehicle, ...]]:
+    started: list[Process] = []
+
+    def start(node: str, namespace: str) -> Process:
+        log = folder / f'{namespace.strip("/")}-{node}.log'.lstrip('-')
+        process = Process(f'orbimpc_ros.ros.{node}', parameters, log, namespace=namespace)
+        started.append(process)
+        return process
+
+    try:
+        yield tuple(
+            Vehicle(namespace, start('planner', namespace), start('sim', namespace))
+            for namespace in namespaces
+        )
+    finally:
+        for process in started:  # all at once: each takes its time
+            if process.running:
+                process.tell(signal.SIGINT)
+        for process in started:
+            process.stop()
+
+
+@contextmanager
+def _recorder(namespaces: tuple[str, ...], folder: Path, parameters: str) -> Iterator[Recorder]:
+    from orbimpc_ros.tool.io.recorder import Recorder
+    from orbimpc_ros.tool.io.topics import topics_of
+
+    planners = [f'{namespace}/planner' for namespace in namespaces]
+    notes = {'parameters': parameters}
+    recorder = Recorder(folder / 'bag', topics_of(namespaces), notes, planners)
+    try:
+        yield recorder
+    finally:
+        recorder.close()
+
+
+def _watch(
+    vehicles: tuple[Vehicle, ...],
+    recorder: Recorder,
+    interruptions: Interruptions,
+    values: Values,
+) -> None:
+    """Record until the simulators are done or somebody asks to stop."""
+    progress = Progress(values['max_ticks'])
+    while any(each.sim.running for each in vehicles) and not interruptions.requested:
+        recorder.spin(SPIN)
+        for each in vehicles:
+            each.planner.require_health()
+        _show(progress, vehicles, recorder, values)
+    progress.close()
+    recorder.drain(QUIET, LAST_WORDS)
+    for each in vehicles:
+        # Whether it caught anything or not, a simulator that has come to its end says so.
+        if not interruptions.requested and not recorder.counts[f'{each.namespace}/captured']:
+            each.sim.require_health()
+
+
+def _show(
+    progress: Progress, vehicles: tuple[Vehicle, ...], recorder: Recorder, values: Values
+) -> None:
+    ticks = max(recorder.counts[f'{each.namespace}/tick'] for each in vehicles)
+    text = f'tick {ticks} of at most {values["max_ticks"]}, t = {ticks * values["step"]:.0f} s'
+    if len(vehicles) > 1:
+        done = sum(not each.sim.running for each in vehicles)
+        text += f', {done} of {len(vehicles)} done'
+    progress.show(ticks, text)

@@ -1,0 +1,128 @@
+"""Nodes as operating-system processes: started, watched, stopped."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Any
+
+from orbimpc_ros.mpc.errors import OrbimpcError
+
+PATIENCE = 3.0  # [s] between asking a process to stop and killing it
+LAST_LINES = 8
+
+
+class ProcessFailure(OrbimpcError):
+    """A process of the run ended when it should not have."""
+
+
+class Process:
+    """A node in a process of its own, which ends with this one, however that ends.
+
+    Args:
+        module: to run, such as ``orbimpc_ros.ros.sim.node``.
+        parameters: file of ROS parameters.
+        log: takes what the process prints.
+        domain: of ROS; this process's by default.
+        namespace: of the node, such as ``/uav1``.
+    """
+
+    def __init__(
+        self,
+        module: str,
+        parameters: Path,
+        log: Path,
+        domain: int | None = None,
+        namespace: str = '',
+    ) -> None:
+        self.name, self._log = module.rpartition('.')[2], log
+        tethered = [sys.executable, '-m', 'orbimpc_ros.tool.run.tethered', str(os.getpid())]
+        command = [*tethered, module, '--ros-args', '--params-file', str(parameters)]
+        if namespace:
+            command += ['-r', f'__ns:={namespace}']
+        own = {} if domain is None else {'ROS_DOMAIN_ID': str(domain)}
+        with log.open('wb') as stream:
+            # A session of its own: Ctrl-C reaches the tool alone, which then stops in order.
+            self._child = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=stream,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                env=os.environ | own,
+            )
+
+    @property
+    def pid(self) -> int:
+        """Return the process's number."""
+        return self._child.pid
+
+    @property
+    def output(self) -> str:
+        """Return what the process has printed."""
+        return self._log.read_text(errors='replace')
+
+    @property
+    def running(self) -> bool:
+        """Return whether the process lives."""
+        return self._child.poll() is None
+
+    def require_health(self) -> None:
+        """Raise unless the process lives or has ended well.
+
+        Raises:
+            ProcessFailure: with the last lines of its log.
+        """
+        if self._child.poll():
+            lines = self.output.splitlines()[-LAST_LINES:]
+            print('\n'.join(lines), file=sys.stderr)
+            raise ProcessFailure(f'{self.name} ended with code {self._child.returncode}')
+
+    def tell(self, number: int) -> None:
+        """Send a signal."""
+        self._child.send_signal(number)
+
+    def wait(self, patience: float) -> int | None:
+        """Return the exit code; None if the process has not ended after ``patience`` [s]."""
+        try:
+            return self._child.wait(patience)
+        except subprocess.TimeoutExpired:
+            return None
+
+    def stop(self) -> None:
+        """Ask the process to end; kill it if it does not."""
+        if not self.running:
+            return
+        self.tell(signal.SIGINT)
+        if self.wait(PATIENCE) is None:
+            self._child.kill()
+            self._child.wait()
+
+
+class Interruptions:
+    """While entered, SIGINT and SIGTERM are remembered instead of breaking in anywhere."""
+
+    def __init__(self) -> None:
+        self.requested = False
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Interruptions:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._before[number] = signal.signal(number, self._remember)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _remember(self, number: int, frame: FrameType | None) -> None:
+        self.requested = True

@@ -1,0 +1,336 @@
+"""The fault matrix: what the watch notices, how rows are judged, and the short form itself."""
+
+import gc
+import json
+import math
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from conftest import PATIENCE
+
+pytest.importorskip('rclpy')
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import TwistStamped
+
+from orbimpc_ros.lab import collector
+from orbimpc_ros.lab.faults import injection as onsets
+from orbimpc_ros.lab.faults import stimulus as feed
+from orbimpc_ros.lab.faults.flood import Pause, pauses
+from orbimpc_ros.lab.faults.matrix import MATRIX
+from orbimpc_ros.lab.faults.monitor import Heard, Limits, Watch
+from orbimpc_ros.lab.faults.outcome import Outcome, Row, Trial, table
+from orbimpc_ros.lab.faults.parameters import nonsense
+from orbimpc_ros.lab.faults.soak import Soak
+from orbimpc_ros.ros.parameters import PLANNER, SIM
+
+LIMITS = Limits(speed=1.0, rate=3.0)
+NAN, INF = math.nan, math.inf
+
+
+def command(*words):
+    return [sys.executable, '-m', 'orbimpc_ros.tool.cli', 'faults', *words]
+
+
+# --- the watch
+
+
+@pytest.mark.parametrize(
+    ('speed', 'rates', 'broken'),
+    [
+        (1.0, (0.0, 0.0, 3.0), False), (0.0, (0.0, 0.0, 0.0), False),
+        (NAN, (0.0, 0.0, 0.0), True), (0.5, (INF, 0.0, 0.0), True), (0.5, (0.0, 0.0, NAN), True),
+        (1.1, (0.0, 0.0, 0.0), True), (-0.1, (0.0, 0.0, 0.0), True),
+        (0.5, (0.0, 0.0, -3.1), True), (0.5, (2.0, 2.0, 2.0), True),
+    ],
+)  # fmt: skip
+def test_the_watch_notices_commands_beyond_limits(speed, rates, broken):
+    assert LIMITS.broken(Heard(0.0, speed, rates)) == broken
+
+
+def heard(*commands):
+    watch = Watch(LIMITS)
+    watch.commands += [Heard(at, speed, (0.0, 0.0, rate)) for at, speed, rate in commands]
+    return watch
+
+
+def test_the_watch_knows_when_it_was_safe():
+    watch = heard((1.0, 0.5, 0.1), (2.0, 0.0, 0.1), (3.0, 0.0, 0.0), (4.0, 0.0, 0.0))
+    assert watch.first_safe(1.0) == 3.0
+    assert watch.first_safe(3.5) == 4.0
+    assert watch.first_safe(5.0) == INF
+    assert watch.planned_since(2.0)
+    assert not watch.planned_since(2.5)
+
+
+def test_what_moves_again_or_never_stops_is_unsafe():
+    assert heard((1.0, 0.5, 0.0), (2.0, 0.0, 0.0), (3.0, 0.0, 0.0)).moving_again(0.5, 1.5) == 0
+    assert heard((1.0, 0.0, 0.0), (2.0, 0.5, 0.0), (3.0, 0.5, 0.0)).moving_again(0.5, 9.0) == 2
+    assert heard((1.0, 0.5, 0.0), (2.0, 0.5, 0.0), (3.0, 0.5, 0.0)).moving_again(0.5, 1.5) == 2
+
+
+def test_what_came_before_a_fault_may_be_flown_until_it_is_out_of_date():
+    """A busy planner may be safe for a while, and then plan from good odometry that lay waiting."""
+    expected = onsets.Expected(wait=0.3, allowed=1.0)
+    due = 1.0 + 0.3
+    busy = [(1.05, 0.0, 0.0), (1.1, 0.5, 0.1), (1.2, 0.5, 0.1)]
+    stopped = [(due + 0.1, 0.0, 0.0), (due + 0.3, 0.0, 0.0)]
+    assert onsets.unsafe_commands(heard(*busy, *stopped), 1.0, expected) == 0
+    again = heard(*busy, *stopped, (due + 0.5, 0.5, 0.1))
+    assert onsets.unsafe_commands(again, 1.0, expected) == 1
+    assert onsets.unsafe_commands(again, 1.0, onsets.Expected(0.3, 1.0, strict=False)) == 0
+    overdue = heard(*busy, (due + 0.1, 0.5, 0.1), (due + 0.3, 0.5, 0.1))
+    assert onsets.unsafe_commands(overdue, 1.0, expected) == 1
+
+
+def test_the_watch_takes_down_what_it_hears():
+    watch = Watch(LIMITS)
+    twist = TwistStamped()
+    twist.twist.linear.x, twist.twist.angular.z = 2.0, 0.5
+    sent = {'source_timestamp': time.time_ns() - 500_000_000}
+    now = time.monotonic()
+    watch.on_command(twist, sent)
+    assert watch.commands[0].at < now - 0.25  # when it was sent, not when it was heard
+    assert watch.commands[0][1:] == (2.0, (0.0, 0.0, 0.5))
+    assert watch.broken() == 1
+    status = DiagnosticStatus(
+        level=DiagnosticStatus.ERROR,
+        name='/planner',
+        message='the goal leaps',
+        values=[KeyValue(key='solve_time_ms', value='12.5')],
+    )
+    watch.on_health(DiagnosticArray(status=[status]), sent)
+    watch.on_tick(DiagnosticArray(status=[status]), sent)
+    assert watch.first_error(0.0) == watch.first_complaint(0.0, 'goal') < INF
+    assert watch.first_complaint(0.0, 'odom') == INF
+    assert watch.first_error(time.monotonic()) == INF
+    assert watch.solve_ms == 12.5
+
+
+# --- rows
+
+
+def row(*outcomes, allowed=1.0):
+    return Row(Trial('row', 'a row', allowed, lambda _lab, _long: iter(())), list(outcomes))
+
+
+@pytest.mark.parametrize(
+    ('outcome', 'ok'),
+    [
+        (Outcome('fine'), True),
+        (Outcome('in time', reaction=1.0), True),
+        (Outcome('late', reaction=1.1), False),
+        (Outcome('never', reaction=INF), False),
+        (Outcome('unsafe', unsafe=1), False),
+        (Outcome('wrong', failure='exit code 3'), False),
+    ],
+)
+def test_a_row_is_as_good_as_its_worst_case(outcome, ok):
+    found = row(Outcome('first', reaction=0.5), outcome, Outcome('last', reaction=0.2))
+    assert found.ok == ok
+    assert bool(found.failures) != ok
+    assert all(outcome.case in text for text in found.failures)
+    text = table([found])
+    assert ('NO' in text) != ok
+    json.dumps(found.as_json(), allow_nan=False)
+
+
+def test_a_row_without_cases_is_not_ok():
+    assert not row().ok
+
+
+def test_a_soak_is_judged_by_memory_gaps_and_stops():
+    ticks = tuple(0.05 * k for k in range(100))
+    assert Soak((100.0, 101.0, 100.5), ticks, 0, ()).ok
+    assert not Soak((100.0, 102.5, 100.5), ticks, 0, ()).ok
+    assert not Soak((100.0,), (*ticks, ticks[-1] + 0.11), 0, ()).ok
+    assert not Soak((100.0,), ticks, 1, ()).ok
+    stopped = ((1.3, 'odometry is old'),)
+    assert not Soak((100.0,), ticks, 0, stopped).ok
+    assert not Soak((100.0,), ticks, 0, stopped, (Pause(0.7, 1.1), Pause(1.4, 1.8))).ok
+    assert Soak((100.0,), ticks, 0, stopped, (Pause(1.0, 1.25),)).ok
+    assert '1.00 MiB' in str(Soak((100.0, 101.0), ticks, 0, ()))
+
+
+def test_collections_wait_until_a_measurement_is_over():
+    def measured():
+        with collector.paused():
+            assert not gc.isenabled()
+            raise OSError('over')
+
+    with pytest.raises(OSError, match='over'):
+        measured()
+    assert gc.isenabled()
+
+
+def test_a_source_of_odometry_tells_when_it_was_held_up(tmp_path):
+    log = tmp_path / 'flood.log'
+    words = [sys.executable, '-m', 'orbimpc_ros.lab.faults.flood', '500']
+    with log.open('wb') as stream, subprocess.Popen(words, stdout=stream) as source:
+        try:
+            end = time.monotonic() + 60.0
+            while not any(told.end - told.begin >= 0.4 for told in pauses(log)):
+                assert time.monotonic() < end
+                source.send_signal(signal.SIGSTOP)
+                time.sleep(0.4)
+                source.send_signal(signal.SIGCONT)
+                time.sleep(0.3)
+        finally:
+            source.kill()
+
+
+# --- what is done to messages and parameters
+
+
+def test_spoilers_do_what_they_say():
+    draw = random.Random(0)
+    now = 1_000 * 10**9
+
+    def fresh():
+        return feed.odometry_at(1.0, now)
+
+    assert feed.lost(fresh(), draw) == []
+    (far,) = feed.shifted(5.0, 6.0)(fresh(), draw)
+    assert 1005 <= far.header.stamp.sec <= 1006
+    (old,) = feed.shifted(-2000.0, -1500.0)(fresh(), draw)
+    assert old.header.stamp == Time()
+    (bad,) = feed.with_field('pose.pose.position.x', NAN)(fresh(), draw)
+    assert math.isnan(bad.pose.pose.position.x)
+    repeat = feed.repeated()
+    first = repeat(fresh(), draw)
+    assert repeat(feed.odometry_at(2.0, 2 * now), draw) == first
+    mix = feed.interleaved()
+    times = [mix(feed.odometry_at(k, now + k * 10**9), draw)[0].header.stamp for k in range(4)]
+    seconds = [stamp.sec - 1000 for stamp in times]
+    assert seconds[:3] == [0, 0, 2]
+    assert seconds[3] < 3
+    norms = set()
+    for _ in range(20):
+        (spun,) = feed.scaled_quaternion('odometry')(fresh(), draw)
+        q = spun.pose.pose.orientation
+        norms.add(round(math.hypot(q.x, q.y, q.z, q.w), 3))
+    assert norms == {0.0, 0.99, 1.01, 1e200}
+    assert all(isinstance(feed.garbled(fresh(), draw)[0], bytes) for _ in range(20))
+
+
+@pytest.mark.parametrize('number', range(30))
+def test_nonsense_is_nonsense(number):
+    from orbimpc_ros.mpc.errors import BadInput
+
+    draw = random.Random(number)
+    for parameter in (*PLANNER, *SIM):
+        value = nonsense(parameter, draw)
+        if type(value) is not type(parameter.default) and not isinstance(value, list):
+            continue  # ROS refuses another type
+        with pytest.raises(BadInput):
+            parameter.check(value)
+
+
+# --- the command
+
+
+@pytest.fixture(scope='module')
+def short(tmp_path_factory):
+    """Return the finished short form and its rows by name."""
+    file = tmp_path_factory.mktemp('faults') / 'rows.json'
+    done = subprocess.run(command('--json', str(file)), capture_output=True, text=True, check=False)
+    return done, {found['name']: found for found in json.loads(file.read_text())['rows']}
+
+
+@pytest.mark.parametrize('name', [trial.name for trial in MATRIX])
+def test_under_every_fault_commands_are_safe(short, name):
+    """Whatever the machine is busy with; whether it was in time, the command itself tells."""
+    done, rows = short
+    found = rows[name]
+    assert found['cases'], done.stderr
+    assert found['unsafe'] == 0, found['failures']
+    assert [case['failure'] for case in found['cases'] if case['failure']] == []
+    assert all(case['reaction'] != 'never' for case in found['cases']), found['failures']
+
+
+def test_the_table_says_what_the_rows_say(short):
+    done, rows = short
+    assert done.returncode == (0 if all(found['ok'] for found in rows.values()) else 1)
+    assert all(trial.title in done.stdout for trial in MATRIX)
+    assert 'Traceback' not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ('words', 'culprit'),
+    [
+        (('--only', 'weather'), '--only'),
+        (('--json', '/nowhere/rows.json'), '--json'),
+        (('--soak', '0'), '--soak'),
+        (('--soak', 'nan'), '--soak'),
+    ],
+)
+def test_bad_words_are_refused_in_one_line(words, culprit):
+    done = subprocess.run(command(*words), capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.count('\n') == 1
+    assert culprit in done.stderr
+
+
+def test_without_ros_it_says_what_to_install():
+    script = (
+        'import importlib.util as util, sys\n'
+        'find = util.find_spec\n'
+        'util.find_spec = lambda name, *rest: None if name == "rclpy" else find(name, *rest)\n'
+        'from orbimpc_ros.tool import cli; sys.exit(cli.main(["faults"]))'
+    )
+    done = subprocess.run(
+        [sys.executable, '-c', script], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr.count('\n') == 1
+    assert 'orbimpc_ros[ros]' in done.stderr
+
+
+def test_rows_are_listed():
+    done = subprocess.run(command('--list'), capture_output=True, text=True, check=True)
+    assert [line.split()[0] for line in done.stdout.splitlines()] == [t.name for t in MATRIX]
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_an_interrupted_matrix_leaves_no_process(number):
+    child = subprocess.Popen(
+        command('--only', 'odometry'), stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    wait_for(lambda: nodes_of(child.pid))
+    nodes = nodes_of(child.pid)
+    time.sleep(1.0)  # into the run
+    child.send_signal(number)
+    _, err = child.communicate(timeout=PATIENCE)
+    assert child.returncode == (-number if number == signal.SIGKILL else 130)
+    assert b'Traceback' not in err
+    wait_for(lambda: not any(alive(node) for node in nodes))
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def nodes_of(parent):
+    words = ['ps', '-o', 'pid=', '--ppid', str(parent)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    return [int(pid) for pid in done.stdout.split()]
+
+
+def alive(pid):
+    """Whether a process runs; one whose parent was killed may stay on as a zombie."""
+    try:
+        os.kill(pid, 0)
+        state = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0]
+    except (ProcessLookupError, FileNotFoundError):
+        return False
+    return state != 'Z'
