@@ -1,7 +1,7 @@
 """Convex model predictive control over rotations, as ROS 2 nodes and as a library.
 
-What is named here is the library's interface; it needs no ROS. Each name is imported when it is
-first used.
+What is named here is the library's interface (docs/library.md); it needs no ROS. Each name is
+imported when it is first used: NumPy and solvers take a while.
 """
 
 from __future__ import annotations
@@ -10,41 +10,53 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from orbimpc_ros.mpc.command import Command
     from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFailure
-    from orbimpc_ros.mpc.loop.controller import Controller
-    from orbimpc_ros.mpc.plan import Plan
+    from orbimpc_ros.mpc.loop.controller import Controller, Tick
+    from orbimpc_ros.mpc.loop.odometry import Odometry
+    from orbimpc_ros.mpc.outcome import Fallback, Status
+    from orbimpc_ros.mpc.plan import Plan, Proof
     from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
     from orbimpc_ros.mpc.solve.solver import Solver
-
-__all__ = [
-    'BadInput',
-    'Box',
-    'Controller',
-    'Floor',
-    'Infeasible',
-    'OrbimpcError',
-    'Plan',
-    'Problem',
-    'SolverFailure',
-    'Solver',
-    'State',
-    'Weights',
-    '__version__',
-]
 
 __version__ = '0.1.0'
 
 _HOMES = {
-    'loop.controller': ('Controller',),
+    'command': ('Command',),
     'errors': ('BadInput', 'Infeasible', 'OrbimpcError', 'SolverFailure'),
-    'plan': ('Plan',),
+    'loop.controller': ('Controller', 'Tick'),
+    'loop.odometry': ('Odometry',),
+    'outcome': ('Fallback', 'Status'),
+    'plan': ('Plan', 'Proof'),
     'problem': ('Box', 'Floor', 'Problem', 'State', 'Weights'),
     'solve.solver': ('Solver',),
 }
 
+__all__ = [
+    'BadInput',
+    'Box',
+    'Command',
+    'Controller',
+    'Fallback',
+    'Floor',
+    'Infeasible',
+    'Odometry',
+    'OrbimpcError',
+    'Plan',
+    'Problem',
+    'Proof',
+    'Solver',
+    'SolverFailure',
+    'State',
+    'Status',
+    'Tick',
+    'Weights',
+    '__version__',
+]
+
 
 def __getattr__(name: str) -> Any:
-    """Return a name of the interface, imported now: NumPy and solvers take a while."""
+    """Return a name of the interface."""
     for home, names in _HOMES.items():
         if name in names:
             return getattr(import_module(f'orbimpc_ros.mpc.{home}'), name)

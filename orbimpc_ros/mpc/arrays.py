@@ -79,8 +79,7 @@ class ByContent:
 
     def _content(self) -> tuple[object, ...]:
         values = (getattr(self, each.name) for each in fields(self))  # type: ignore[arg-type]
-        # Adding zero makes -0.0 the 0.0 that it equals.
-        return tuple((v + 0.0).tobytes() if isinstance(v, np.ndarray) else v for v in values)
+        return tuple(map(_comparable, values))
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, ByContent) or type(self) is not type(other):
@@ -89,3 +88,9 @@ class ByContent:
 
     def __hash__(self) -> int:
         return hash((type(self), self._content()))
+
+
+def _comparable(value: object) -> object:
+    if not isinstance(value, np.ndarray):
+        return value
+    return value.shape, (value + 0.0).tobytes()  # adding zero makes -0.0 the 0.0 that it equals

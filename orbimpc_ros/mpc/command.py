@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, sealed
+from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
 from orbimpc_ros.mpc.geometry.rotations import exp, log
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
@@ -17,8 +17,8 @@ RATE_TOLERANCE = 1e-6  # relative
 ROTATION_TOLERANCE = 1e-9
 
 
-@dataclass(frozen=True)
-class Command:
+@dataclass(frozen=True, eq=False)
+class Command(ByContent):
     """What the vehicle does next: turn at a rate during the step, take over a speed at its end.
 
     Attributes:

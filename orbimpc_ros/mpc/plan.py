@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, sealed
+from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates, matrix
 from orbimpc_ros.mpc.geometry.rotations import project_all, turned_onto
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
@@ -39,8 +39,8 @@ class Proof:
 UNPROVED = Proof(-np.inf, 0, 0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class Plan:
+@dataclass(frozen=True, eq=False)
+class Plan(ByContent):
     """A trajectory over N steps with its certificate. All arrays are read-only.
 
     Attributes:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
 from orbimpc_ros.mpc.check import command_violations, violations
 from orbimpc_ros.mpc.command import Command, command_of
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
@@ -23,8 +23,8 @@ FALLBACK_TICKS = 2  # how long the shifted previous plan may stand in for a new 
 ARRIVAL_WEIGHT = 1e4  # on the miss, when an arrival on the spot has become impossible
 
 
-@dataclass(frozen=True)
-class Tick:
+@dataclass(frozen=True, eq=False)
+class Tick(ByContent):
     """What one tick came to.
 
     Attributes:
@@ -139,7 +139,7 @@ class Controller:
         state = state_of(self.problem, odometry, self._thrust_fraction)
         if self.remaining == 0:
             return self._finish(self._safe(state, Status.FEASIBLE, 'the horizon has run out'))
-        goals, told = pulled_in(self.problem, state, goals)
+        goals, told = pulled_in(self.problem, state, sealed(np.array(goals, dtype=float)))
         asked = self._asked(state, goals, out_of_time)
         self._goals = goals
         plan, status, reason = _solved(asked)
@@ -168,7 +168,8 @@ class Controller:
         state = state_of(self.problem, odometry, self._thrust_fraction)
         if self._goals is None or self.remaining == 0:
             return self._finish(self._safe(state, Status.FAILED, reason))
-        self._goals = np.concatenate([self._goals[1:], self._goals[-1:]])[: self.remaining]
+        moved = np.concatenate([self._goals[1:], self._goals[-1:]])[: self.remaining]
+        self._goals = sealed(moved)
         asked = self._asked(state, self._goals)
         return self._finish(self._fall_back(asked, Status.FAILED, reason))
 

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, sealed
+from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Problem, State
 
 NOISE = 0.05  # of full speed: by so much a speed may be out of range unsaid
 
 
-@dataclass(frozen=True)
-class Odometry:
+@dataclass(frozen=True, eq=False)
+class Odometry(ByContent):
     """A measurement of the vehicle's motion.
 
     Attributes:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.problem import Problem, State
 
 BEYOND = 100.0  # times the reach: goals farther away are pulled in to there
@@ -40,4 +40,4 @@ def pulled_in(problem: Problem, state: State, goals: Array) -> tuple[Array, str]
         return goals, ''
     shares = np.minimum(1.0, largest / np.maximum(distances, largest))
     told = f'the goal is {farthest:.3g} m away: aimed {largest:.3g} m towards it'
-    return state.position + shares[:, None] * away, told
+    return sealed(state.position + shares[:, None] * away), told

@@ -1,0 +1,68 @@
+"""The declared interface of the library: complete, documented, and made of values."""
+
+import dataclasses
+import inspect
+import pickle
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import orbimpc_ros
+from orbimpc_ros import Box, Controller, Floor, Odometry, Problem, Solver, State, Weights
+
+PAGE = (Path(__file__).parents[1] / 'docs' / 'library.md').read_text()
+CLASSES = [n for n in orbimpc_ros.__all__ if not n.startswith('_')]
+
+
+@pytest.mark.parametrize('name', CLASSES)
+def test_every_name_is_documented_where_it_stands_and_on_the_page(name):
+    assert inspect.getdoc(getattr(orbimpc_ros, name))
+    assert f'`{name}' in PAGE
+
+
+@pytest.mark.parametrize('name', ['Solver', 'Controller'])
+def test_signatures_are_those_of_the_page(name):
+    """What a caller may pass, by name and default; changing it takes a deprecation."""
+    signature = inspect.signature(getattr(orbimpc_ros, name))
+    words = [
+        p.name if p.default is p.empty else f'{p.name}={p.default!r}'
+        for p in signature.parameters.values()
+    ]
+    (stated,) = re.findall(rf'^    {name}\((.*)\)$', PAGE, re.MULTILINE)
+    stated = stated.replace('*, ', '').replace('1e-4', '0.0001')
+    assert stated == ', '.join(words)
+
+
+def measured():
+    still = np.zeros(2)
+    return Odometry(1.0, still.copy(), np.eye(2), np.array([1.0, 0.0]), np.zeros(1))
+
+
+def values():
+    problem = Problem(floor=Floor('circle', fraction=0.5), obstacles=(Box([3, 3], [4, 4]),))
+    state = State.at([0.0, 0.0], np.eye(2))
+    plan = Solver(Problem()).solve(state, np.ones((5, 2)))
+    tick = Controller(Problem()).tick(measured(), np.ones((5, 2)))
+    return [problem, Weights(), state, plan, plan.proof, measured(), tick, tick.command]
+
+
+def test_values_compare_hash_and_pickle_by_content():
+    for one, twin in zip(values(), values(), strict=True):
+        assert one is not twin
+        assert one == twin
+        assert hash(one) == hash(twin)
+        assert pickle.loads(pickle.dumps(one)) == one
+        assert one != 'something else'
+
+
+def test_values_of_other_content_differ_and_cannot_be_changed():
+    for one in values():
+        field = dataclasses.fields(one)[0].name
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            setattr(one, field, None)
+        for array in (v for v in vars(one).values() if isinstance(v, np.ndarray) and v.size):
+            assert not array.flags.writeable
+    moved = dataclasses.replace(measured(), position=np.array([1e-9, 0.0]))
+    assert moved != measured()
