@@ -38,7 +38,8 @@ from orbimpc_ros.mpc.kernels.annulus import (
     improve,
     relax,
 )
-from orbimpc_ros.mpc.kernels.dual import SMALLEST, climb
+from orbimpc_ros.mpc.kernels.dual import BOUND as RAISED
+from orbimpc_ros.mpc.kernels.dual import ascent, climb
 from orbimpc_ros.mpc.method import Found, Guess
 from orbimpc_ros.mpc.orbitopes import coordinates
 from orbimpc_ros.mpc.problem import Floor, Problem, State
@@ -48,8 +49,6 @@ FURTHER_STARTS = 30
 SETTLED = 50.0  # tolerances at which starts from all around, and searches, may stop
 NODES = 25_600  # of the search over arcs
 BRANCHES = 8000  # polls of the general search, where nobody waits for it
-CLIMBS = 60  # Newton steps up the dual function
-TINY = 1e-300
 OUT_OF_REACH = 1e-9  # share of the way to an arrival
 NOTHING = Found(None, np.inf, -np.inf, 0)
 
@@ -234,15 +233,14 @@ class Circle:
 
     def _from_dual(self, tick: _Tick, found: Found) -> Found:
         """Raise the bound by the best multipliers, and start from their Lagrangian's minimum."""
-        q = tick.q
-        scale = float(np.abs(q).max() + np.abs(self._annulus.hessian).max()) + TINY
-        theta, z, numbers = np.full(len(q), scale), np.zeros(q.shape), np.array([scale])
-        for _ in range(CLIMBS):
-            bound = climb(self._annulus, q, tick.left, theta, z, numbers) + tick.constant
-            found = replace(found, lower_bound=max(found.lower_bound, float(bound)))
-            if self.settles(found) or numbers[0] < SMALLEST * scale or tick.late:
+        enough = found.cost - SETTLED * self._tolerance * max(1e-9, abs(found.cost))
+        progress = ascent(self._annulus, tick.q, found.lower_bound - tick.constant)
+        while not climb(self._annulus, tick.q, tick.left, enough - tick.constant, progress, SLICE):
+            if tick.late:
                 break
-        return found if self.settles(found) else self._from(tick, found, z[None])
+        bound = float(progress.numbers[RAISED]) + tick.constant
+        found = replace(found, lower_bound=max(found.lower_bound, bound))
+        return found if self.settles(found) else self._from(tick, found, progress.z[None])
 
     def _from_around(self, tick: _Tick, found: Found) -> Found:
         return self._from(tick, found, tick.q[None][:0], FURTHER_STARTS)

@@ -24,11 +24,27 @@ def quadratic(hessian, q, x):
     return value
 
 
+@compiled
+def add_product(matrix, x, share, out):
+    """Add a share of the product of a matrix, shape (N, N), and x to ``out``, shapes (N, n)."""
+    for j in range(len(x)):
+        for c in range(x.shape[1]):
+            total = 0.0
+            for k in range(len(x)):
+                total += matrix[j, k] * x[k, c]
+            out[j, c] += share * total
+
+
 @vectorised
-def _factorise(matrix, count):
+def _factorise(matrix, count, least):
     """Set the lower triangle to Cholesky's factor, its diagonal inverted; False if singular.
 
     Two rows and two columns at a time: every number that is loaded serves two sums.
+
+    Args:
+        matrix: symmetric, its lower triangle given, shape (count, count) at least.
+        count: of the rows that belong to it.
+        least: share of its diagonal entry that a pivot must exceed; what is no number does not.
     """
     for i in range(0, count - 1, 2):
         for j in range(0, i, 2):
@@ -50,18 +66,19 @@ def _factorise(matrix, count):
             a -= upper * upper
             c -= lower * upper
             d -= lower * lower
-        if a <= SINGULAR * matrix[i, i]:
+        if not a > least * matrix[i, i]:
             return False
         matrix[i, i] = 1.0 / np.sqrt(a)
         matrix[i + 1, i] = c = c * matrix[i, i]
-        if d - c * c <= SINGULAR * matrix[i + 1, i + 1]:
+        if not d - c * c > least * matrix[i + 1, i + 1]:
             return False
         matrix[i + 1, i + 1] = 1.0 / np.sqrt(d - c * c)
-    return count % 2 == 0 or _factorise_last(matrix, count - 1)
+    return count % 2 == 0 or _factorise_last(matrix, count - 1, least)
 
 
 @vectorised
-def _factorise_last(matrix, i):
+def _factorise_last(matrix, i, least):
+    """Do as :func:`_factorise` for the last row, i, of an odd number of them."""
     for j in range(i):
         a = matrix[i, j]
         for k in range(j):
@@ -70,7 +87,7 @@ def _factorise_last(matrix, i):
     a = matrix[i, i]
     for k in range(i):
         a -= matrix[i, k] * matrix[i, k]
-    if a <= SINGULAR * matrix[i, i]:
+    if not a > least * matrix[i, i]:
         return False
     matrix[i, i] = 1.0 / np.sqrt(a)
     return True
@@ -78,8 +95,14 @@ def _factorise_last(matrix, i):
 
 @vectorised
 def solve_spd(matrix, right, count):
-    """Solve a positive definite system, its lower triangle given, in place; False if singular."""
-    if not _factorise(matrix, count):
+    """Solve a positive definite system in place; return False if it is singular.
+
+    Args:
+        matrix: its lower triangle given, shape (count, count) at least; destroyed.
+        right: shape (count,) at least; becomes the solution.
+        count: of the rows that belong to the system.
+    """
+    if not _factorise(matrix, count, SINGULAR):
         return False
     for i in range(count):
         total = right[i]
@@ -91,6 +114,89 @@ def solve_spd(matrix, right, count):
         for k in range(i):
             right[k] -= matrix[i, k] * right[i]
     return True
+
+
+@vectorised
+def invert_spd(matrix, inverse):
+    """Set the inverse of a positive definite matrix; return the logarithm of its determinant.
+
+    A linear algebra library shares this among threads, which on a busy machine wait for each
+    other a hundred times as long as the work takes.
+
+    Args:
+        matrix: its lower triangle given, shape (n, n); destroyed.
+        inverse: shape (n, n).
+
+    Returns:
+        -inf where the matrix is not positive definite; the inverse is then not set.
+    """
+    count, size = len(matrix), 0.0
+    if not _factorise(matrix, count, SINGULAR):
+        return -np.inf
+    inverse[:], row = 0.0, np.empty(count)
+    for i in range(count):  # the factor's own inverse, row by row, in the factor's place
+        pivot = matrix[i, i]
+        size -= 2.0 * np.log(pivot)
+        row[:i] = 0.0
+        for k in range(i):
+            share = matrix[i, k]
+            for j in range(k + 1):
+                row[j] -= share * matrix[k, j]
+        for j in range(i):
+            matrix[i, j] = pivot * row[j]
+    for k in range(count):
+        for i in range(k + 1):
+            share = matrix[k, i]
+            for j in range(i + 1):
+                inverse[i, j] += share * matrix[k, j]
+    for i in range(count):
+        for j in range(i):
+            inverse[j, i] = inverse[i, j]
+    return size
+
+
+@vectorised
+def is_semidefinite(matrix, shift, trial):
+    """Return whether a symmetric matrix plus a multiple of one has a Cholesky factor.
+
+    Args:
+        matrix: its lower triangle given, shape (n, n).
+        shift: the multiple.
+        trial: room to work in, shape (n, n).
+    """
+    for i in range(len(matrix)):
+        for j in range(i + 1):
+            trial[i, j] = matrix[i, j]
+        trial[i, i] += shift
+    return _factorise(trial, len(matrix), 0.0)
+
+
+@compiled
+def shift_to_semidefinite(matrix, low, high):
+    """Return a multiple of one, next to the least, that makes a symmetric matrix semidefinite.
+
+    By bisection, with Cholesky's factorisation to judge.
+
+    Args:
+        matrix: its lower triangle given, shape (n, n).
+        low: the least multiple of interest, positive.
+        high: the largest multiple of interest.
+
+    Returns:
+        A multiple from ``low`` on, at most a hundredth beyond the least; inf beyond ``high``.
+    """
+    trial = np.empty_like(matrix)
+    if is_semidefinite(matrix, low, trial):
+        return low
+    if not (high > low and is_semidefinite(matrix, high, trial)):
+        return np.inf
+    while high > 1.01 * low:
+        between = np.sqrt(low * high)
+        if is_semidefinite(matrix, between, trial):
+            high = between
+        else:
+            low = between
+    return high
 
 
 @compiled
