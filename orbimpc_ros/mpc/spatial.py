@@ -34,6 +34,7 @@ from orbimpc_ros.mpc.relaxation import Halfspace, Relaxation, Relaxed
 from orbimpc_ros.mpc.unbounded import other_axes, thrust_axis
 
 SIGMA = (1.0, 1e6)  # first and largest; times the scale of the forces at work
+EASY = 12  # a horizon up to which hardly a solve was seen to stall
 USUAL = 100.0  # forces of problems near their goal
 PRECISION = 1e-8  # on constraints
 GAP = 1e-8  # relative
@@ -61,6 +62,8 @@ class Spatial:
         self._length = problem.weights.length * problem.step * problem.forward
         self._make_room()
         self._general: Relaxed | None = None
+        if self._may_need_general:
+            self._build_general()
         # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
         self.bind(_rest(self._coasting), np.zeros((problem.horizon, 3)))
         with suppress(Infeasible):  # as with few steps left to turn round in
@@ -84,6 +87,22 @@ class Spatial:
         self._unbound = Terms(
             self._inverse, self._slide, self._lengths, rows, offsets, self._coasting
         )
+
+    @property
+    def _may_need_general(self) -> bool:
+        """Return whether solves are likely to end here without an optimum or a refutation.
+
+        A terminal constraint may be out of reach, and so may half-spaces on the R_1 of a coasting
+        body. Over long horizons the method of multipliers stalls now and then.
+        """
+        refutable = self._coasting and bool(self._slots)
+        return refutable or self.problem.terminal == 'constraint' or self.problem.horizon > EASY
+
+    def _build_general(self) -> Relaxed:
+        from orbimpc_ros.mpc.program import Program  # brings CVXPY, half of a start-up
+
+        self._general = Program(self.problem, self._slots, coasting=self._coasting)
+        return self._general
 
     @staticmethod
     def solves(problem: Problem, slots: Sequence[Slot] = ()) -> bool:
@@ -162,7 +181,10 @@ class Spatial:
                 return Relaxation(self._rotations(progress.x), self._proved(bound))
             self._held = multipliers(self._places)  # what was held misled: once more without
             if out_of_time is not None and out_of_time():
-                return Relaxation(_within(self._rotations(progress.x)), self._proved(bound))
+                break
+        hurried = out_of_time is not None and (self._general is None or out_of_time())
+        if hurried:  # to set the general program up takes longer than a deadline can wait
+            return Relaxation(_within(self._rotations(progress.x)), self._proved(bound))
         return self._leave(imposed, out_of_time)
 
     def _minimise(
@@ -192,12 +214,9 @@ class Spatial:
         self, imposed: list[Halfspace], out_of_time: Callable[[], bool] | None
     ) -> Relaxation:
         """Leave a solve to the general program."""
-        if self._general is None:
-            from orbimpc_ros.mpc.program import Program  # brings CVXPY, half of a start-up
-
-            self._general = Program(self.problem, self._slots, coasting=self._coasting)
-        self._general.bind(*self._bound_to)
-        return self._general.solve(imposed, out_of_time)
+        general = self._general or self._build_general()
+        general.bind(*self._bound_to)
+        return general.solve(imposed, out_of_time)
 
     def _terms(self, imposed: Sequence[Halfspace]) -> Terms:
         if not imposed:
