@@ -228,8 +228,7 @@ class Circle:
                 if tick.late:
                     break
             start, bound = progress.best, float(progress.numbers[BOUND]) + tick.constant
-        bound = max(found.lower_bound, bound + self._least_length)
-        return self._from(tick, replace(found, lower_bound=bound), start[None])
+        return self._from(tick, _raised(found, bound + self._least_length), start[None])
 
     def _from_dual(self, tick: _Tick, found: Found) -> Found:
         """Raise the bound by the best multipliers, and start from their Lagrangian's minimum."""
@@ -238,8 +237,7 @@ class Circle:
         while not climb(self._annulus, tick.q, tick.left, enough - tick.constant, progress, SLICE):
             if tick.late:
                 break
-        bound = float(progress.numbers[RAISED]) + tick.constant
-        found = replace(found, lower_bound=max(found.lower_bound, bound))
+        found = _raised(found, float(progress.numbers[RAISED]) + tick.constant)
         return found if self.settles(found) else self._from(tick, found, progress.z[None])
 
     def _from_around(self, tick: _Tick, found: Found) -> Found:
@@ -256,8 +254,7 @@ class Circle:
         search.begin(tick.q, least, found.cost - least)
         while True:
             ended = search.run(tick.out_of_time)
-            bound = max(found.lower_bound, search.bound + least)
-            found = replace(found, lower_bound=bound, nodes=found.nodes + search.nodes - before)
+            found = _raised(found, search.bound + least, search.nodes - before)
             if self.settles(found):
                 return found
             before = search.nodes
@@ -276,13 +273,18 @@ class Circle:
         )
         best = other if other.cost < found.cost else found
         bound = max(found.lower_bound, other.lower_bound)
-        return replace(best, lower_bound=bound, nodes=found.nodes + other.nodes)
+        return Found(best.x, best.cost, bound, found.nodes + other.nodes)
 
 
 def _long_hull(problem: Problem, tolerance: float) -> Hull | None:
     """Return the method for a hull over a horizon too long for dense code, where there is one."""
     free = replace(problem, floor=Floor(), weights=replace(problem.weights, length=0.0))
     return Hull(free, tolerance) if problem.horizon > LONGEST and Hull.solves(free) else None
+
+
+def _raised(found: Found, bound: float, nodes: int = 0) -> Found:
+    """Return what was found with a bound that may be better, after so many more nodes."""
+    return Found(found.x, found.cost, max(found.lower_bound, bound), found.nodes + nodes)
 
 
 def _better(found: Found, progress: Progress, constant: float) -> Found:
