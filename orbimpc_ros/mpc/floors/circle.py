@@ -36,7 +36,7 @@ from orbimpc_ros.mpc.kernels.annulus import (
     Progress,
     begun,
     improve,
-    relax,
+    improve_from_hull,
 )
 from orbimpc_ros.mpc.kernels.dual import BOUND as RAISED
 from orbimpc_ros.mpc.kernels.dual import ascent, climb
@@ -220,15 +220,18 @@ class Circle:
         if self._hull is not None:
             relaxed, _ = self._hull.relaxed(tick.state, tick.goals, tick.out_of_time)
             assert relaxed.x is not None
-            start, bound = relaxed.x, relaxed.lower_bound
-            bound += first_length(self._problem, tick.state)
-        else:
-            progress = begun(*tick.q.shape)
-            while not relax(self._disks, tick.q, tick.left, progress, SLICE):
-                if tick.late:
-                    break
-            start, bound = progress.best, float(progress.numbers[BOUND]) + tick.constant
-        return self._from(tick, _raised(found, bound + self._least_length), start[None])
+            bound = relaxed.lower_bound + first_length(self._problem, tick.state)
+            return self._from(tick, _raised(found, bound + self._least_length), relaxed.x[None])
+        hull, progress = begun(*tick.q.shape), begun(*tick.q.shape)
+        progress.numbers[BOUND] = found.lower_bound - tick.constant
+        floors, asked = (self._disks, self._annulus), (tick.q, tick.left, tick.constant)
+        limits = self._least_length, self._tolerance
+        while not improve_from_hull(*floors, *asked, *limits, hull, progress, SLICE):
+            if tick.late:
+                break
+        found = _better(found, progress, tick.constant)
+        # Where time ran out over the hull, that is still a start.
+        return found if found.x is not None else self._from(tick, found, hull.best[None])
 
     def _from_dual(self, tick: _Tick, found: Found) -> Found:
         """Raise the bound by the best multipliers, and start from their Lagrangian's minimum."""

@@ -687,3 +687,31 @@ def improve(annulus, q, left, constant, starts, more, tolerance, progress, work)
         if work <= 0.0:
             return False
     return True
+
+
+@compiled
+def improve_from_hull(disks, annulus, q, left, constant, least, tolerance, hull, progress, work):
+    """Minimise over the hull, and improve the annulus' best from there; interruptible.
+
+    In one call, since to pass the arrays takes as long as to work through a short horizon.
+
+    Args:
+        disks: of floor 0 and length 0.
+        annulus: what to minimise over.
+        q: linear terms, shape (N, n).
+        left: b, shape (n,), or (0,) where there is no arrival.
+        constant: what costs lack; it only scales the tolerance.
+        least: what the annulus costs more than the disks, at least.
+        tolerance: relative gap at which to stop.
+        hull: the progress over the disks, updated in place.
+        progress: over the annulus, updated in place.
+        work: multiplications to do at most, for each of the two.
+
+    Returns:
+        Whether it has ended.
+    """
+    if hull.counts[STEPS] < ITERATIONS and not relax(disks, q, left, hull, work):
+        return False
+    progress.numbers[BOUND] = max(progress.numbers[BOUND], hull.numbers[BOUND] + least)
+    starts = hull.best.copy().reshape((1, len(q), q.shape[1]))
+    return improve(annulus, q, left, constant, starts, 0, tolerance, progress, work)
