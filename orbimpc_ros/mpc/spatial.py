@@ -19,14 +19,8 @@ from orbimpc_ros.mpc.disjunction import Slot
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.annulus import SLICE
-from orbimpc_ros.mpc.kernels.multipliers import (
-    BEST,
-    PAUSED,
-    SETTLED,
-    Progress,
-    begun,
-    minimise,
-)
+from orbimpc_ros.mpc.kernels.multipliers import minimise
+from orbimpc_ros.mpc.kernels.penalty import BEST, PAUSED, SETTLED, Progress, begun
 from orbimpc_ros.mpc.kernels.terms import Terms, multipliers, scratch
 from orbimpc_ros.mpc.orbitopes import coordinates, margin, matrix
 from orbimpc_ros.mpc.problem import Problem, State
@@ -192,7 +186,7 @@ class Spatial:
     ) -> tuple[Progress, int]:
         first, largest = (self._scale * sigma for sigma in SIGMA)
         limits = (PRECISION, GAP, self._least, self._rounding, largest)
-        progress = begun(self._places, first)
+        progress = begun(self._places, 9, first)
         while True:
             _, status = minimise(
                 terms, self._start, self._held, limits, self._work, progress, SLICE

@@ -77,7 +77,12 @@ class Progress(NamedTuple):
 
 
 def begun(steps: int, dimension: int) -> Progress:
-    """Return the progress of a search that has not begun."""
+    """Return the progress of a search that has not begun.
+
+    Args:
+        steps: N.
+        dimension: n, 2 or 3.
+    """
     shape = (steps, dimension)
     numbers = np.array([np.inf, -np.inf, 0.0])
     side, counts = np.zeros(steps, np.int64), np.zeros(4, np.int64)
@@ -86,6 +91,7 @@ def begun(steps: int, dimension: int) -> Progress:
 
 @compiled
 def _size(z, k):
+    """Return |z_k| of headings, shape (N, n)."""
     total = 0.0
     for c in range(z.shape[1]):
         total += z[k, c] * z[k, c]
@@ -94,7 +100,13 @@ def _size(z, k):
 
 @compiled
 def cost_of(annulus, q, z):
-    """Return the cost of headings, shape (N, n), without its constant."""
+    """Return the cost of headings without its constant: 1/2 z.Hz + q.z + l.|z|.
+
+    Args:
+        annulus: gives H and l.
+        q: linear terms, shape (N, n).
+        z: headings, shape (N, n).
+    """
     total = quadratic(annulus.hessian, q, z)
     for k in range(len(q)):
         if annulus.length[k] > 0.0:
@@ -262,7 +274,14 @@ def _set_reduced(annulus, z, mu, owner, basis, count, reduced):
 
 @compiled
 def reflect(rows, count, column, reflector):
-    """Reflect rows, shape (count, n), so that a column ends in its own place; set the reflector."""
+    """Reflect rows so that a column vanishes below its own place (a step of Householder's QR).
+
+    Args:
+        rows: shape (count, n) at least, updated in place.
+        count: of the rows that belong to it.
+        column: to be reflected; the ones before it have been.
+        reflector: to be set to v of I - 2 v v'/|v|^2, shape (count,) at least.
+    """
     norm = 0.0
     for i in range(count):
         reflector[i] = rows[i, column] if i >= column else 0.0
@@ -274,7 +293,13 @@ def reflect(rows, count, column, reflector):
 
 @compiled
 def mirror(matrix, count, reflector):
-    """Multiply a matrix of ``count`` rows from the left by I - 2 v v'/|v|^2."""
+    """Multiply a matrix from the left by Householder's I - 2 v v'/|v|^2.
+
+    Args:
+        matrix: shape (count, m), updated in place.
+        count: of its rows.
+        reflector: v, shape (count,) at least.
+    """
     square = 0.0
     for i in range(count):
         square += reflector[i] * reflector[i]

@@ -122,7 +122,12 @@ def tree(steps: int, nodes: int, most: int) -> Tree:
 
 
 def begin(tree: Tree, known: float) -> None:
-    """Begin a search for what has a lower value than what is known, inf for nothing."""
+    """Begin a search.
+
+    Args:
+        tree: updated in place.
+        known: a value that is to be undercut, inf for none.
+    """
     counts, numbers = tree.counts, tree.numbers
     counts[:] = 0
     counts[OPEN], counts[MADE], counts[CURRENT] = 1, 1, -1
@@ -461,10 +466,10 @@ def _least_bound(tree):
 
 @compiled
 def search(quad, table, constant, tolerance, tree, room, work):
-    """Search best first, on from where the tree is.
+    """Search best first (branch and bound), on from where the tree is.
 
     Args:
-        quad: what to minimise.
+        quad: what to minimise, over points of shape (N, 2).
         table: the cells of the floor, :class:`orbimpc_ros.mpc.floors.cells.Table`.
         constant: what values lack; it only scales the tolerance.
         tolerance: relative gap at which to stop.

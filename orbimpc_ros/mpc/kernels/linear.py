@@ -13,7 +13,13 @@ SWEEPS = 12
 
 @compiled
 def quadratic(hessian, q, x):
-    """Return sum_j x_j . (sum_k H_jk x_k / 2 + q_j) of points x, shape (N, n)."""
+    """Return 1/2 sum_jk H_jk x_j . x_k + sum_j q_j . x_j.
+
+    Args:
+        hessian: H, shape (N, N).
+        q: shape (N, n).
+        x: points, shape (N, n).
+    """
     value = 0.0
     for j in range(len(q)):
         for c in range(q.shape[1]):
@@ -26,7 +32,14 @@ def quadratic(hessian, q, x):
 
 @compiled
 def add_product(matrix, x, share, out):
-    """Add a share of the product of a matrix, shape (N, N), and x to ``out``, shapes (N, n)."""
+    """Add a share of the product of a matrix and points.
+
+    Args:
+        matrix: shape (N, N).
+        x: points, shape (N, n).
+        share: of the product.
+        out: to be added to, shape (N, n).
+    """
     for j in range(len(x)):
         for c in range(x.shape[1]):
             total = 0.0
@@ -157,7 +170,7 @@ def invert_spd(matrix, inverse):
 
 @vectorised
 def is_semidefinite(matrix, shift, trial):
-    """Return whether a symmetric matrix plus a multiple of one has a Cholesky factor.
+    """Return whether a symmetric matrix plus a multiple of the identity has a Cholesky factor.
 
     Args:
         matrix: its lower triangle given, shape (n, n).
@@ -173,12 +186,12 @@ def is_semidefinite(matrix, shift, trial):
 
 @compiled
 def shift_to_semidefinite(matrix, low, high):
-    """Return a multiple of one, next to the least, that makes a symmetric matrix semidefinite.
+    """Return nearly the least multiple of the identity that makes a matrix semidefinite.
 
     By bisection, with Cholesky's factorisation to judge.
 
     Args:
-        matrix: its lower triangle given, shape (n, n).
+        matrix: symmetric, its lower triangle given, shape (n, n).
         low: the least multiple of interest, positive.
         high: the largest multiple of interest.
 
@@ -201,9 +214,12 @@ def shift_to_semidefinite(matrix, low, high):
 
 @compiled
 def diagonalise(matrix, basis, values):
-    """Set ``values`` to the eigenvalues of a symmetric 4x4 matrix, by Jacobi's rotations.
+    """Diagonalise a symmetric matrix by Jacobi's rotations.
 
-    ``basis`` is multiplied by the eigenvectors (its columns); ``matrix`` is destroyed.
+    Args:
+        matrix: shape (4, 4), destroyed.
+        basis: multiplied by the eigenvectors, which are columns, shape (4, 4).
+        values: set to the eigenvalues, shape (4,).
     """
     for _ in range(SWEEPS):
         beside = along = 0.0
@@ -246,7 +262,11 @@ def _rotate(matrix, basis, p, q):
 
 @compiled
 def is_positive(matrix):
-    """Return whether a symmetric 4x4 matrix is positive definite; it is destroyed."""
+    """Return whether a symmetric matrix is positive definite, by Gauss's elimination.
+
+    Args:
+        matrix: shape (4, 4), destroyed.
+    """
     for k in range(4):
         if matrix[k, k] <= SINGULAR:
             return False
