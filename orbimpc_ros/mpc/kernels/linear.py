@@ -9,6 +9,7 @@ from orbimpc_ros.mpc.kernels import compiled, vectorised
 SINGULAR = 1e-13  # a pivot no larger than this share of its diagonal entry is taken for zero
 DIAGONAL = 1e-32  # squared share of what is off the diagonal
 SWEEPS = 12
+CLOSE = 1.001  # to the least shift
 
 
 @compiled
@@ -196,14 +197,14 @@ def shift_to_semidefinite(matrix, low, high):
         high: the largest multiple of interest.
 
     Returns:
-        A multiple from ``low`` on, at most a hundredth beyond the least; inf beyond ``high``.
+        A multiple from ``low`` on, at most a thousandth beyond the least; inf beyond ``high``.
     """
     trial = np.empty_like(matrix)
     if is_semidefinite(matrix, low, trial):
         return low
     if not (high > low and is_semidefinite(matrix, high, trial)):
         return np.inf
-    while high > 1.01 * low:
+    while high > CLOSE * low:
         between = np.sqrt(low * high)
         if is_semidefinite(matrix, between, trial):
             high = between
