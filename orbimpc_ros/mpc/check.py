@@ -39,7 +39,8 @@ def violations(problem: Problem, state: State, goals: Array, plan: Plan) -> list
         plan: to be checked.
     """
     arrays = (plan.positions, plan.velocities, plan.rotations, plan.inputs, plan.projected)
-    if not all(np.isfinite(a).all() for a in arrays) or not math.isfinite(plan.objective):
+    numbers = np.concatenate([array.ravel() for array in arrays])
+    if not (np.isfinite(numbers).all() and math.isfinite(plan.objective)):
         return ['plan is not finite']
     return [
         *_dynamics_violations(problem, state, plan),
@@ -122,13 +123,16 @@ def _length_tolerance(problem: Problem, state: State) -> float:
 
 
 def _limit_violations(problem: Problem, state: State, plan: Plan) -> list[str]:
-    length = _length_tolerance(problem, state)
-    limits = {
-        'conv SO(n)': (float(margin(plan.rotations[1:]).min()), TOLERANCE),
-        'floor': (float(floor_margin(problem, plan.rotations[1:, :, 0]).min()), TOLERANCE),
-        'max_rate': (float(turn_margin(problem, state, plan.rotations).min()), TOLERANCE),
-        'obstacle': (obstacle_margin(problem, plan.positions), length),
-    }
+    limits = {'conv SO(n)': (float(margin(plan.rotations[1:]).min()), TOLERANCE)}
+    if problem.floor.shape != 'none':
+        least = float(floor_margin(problem, plan.rotations[1:, :, 0]).min())
+        limits['floor'] = least, TOLERANCE
+    if problem.max_rate > 0.0:
+        least = float(turn_margin(problem, state, plan.rotations).min())
+        limits['max_rate'] = least, TOLERANCE
+    if problem.obstacles:
+        length = _length_tolerance(problem, state)
+        limits['obstacle'] = obstacle_margin(problem, plan.positions), length
     return [f'{name} violated by {-m:.2g}' for name, (m, most) in limits.items() if m < -most]
 
 
@@ -202,11 +206,11 @@ def _proof_violations(problem: Problem, goals: Array, plan: Plan) -> list[str]:
 def _objective(problem: Problem, goals: Array, plan: Plan) -> float:
     """Return the cost of a plan, equation by equation: every term is >= 0, so nothing cancels."""
     w, h = problem.weights, problem.step
-    misses = np.sum((plan.positions[1:] - goals) ** 2, axis=1)
-    cost = w.position * misses.sum() + w.input * np.sum(plan.inputs**2)
-    cost += (w.terminal + problem.arrival_weight) * misses[-1]
-    flown = np.linalg.norm(plan.rotations[:-1, :, 0], axis=1).sum()
-    cost += w.length * h * problem.forward * flown
+    misses, inputs = plan.positions[1:] - goals, plan.inputs.ravel()
+    cost = w.position * np.vdot(misses, misses) + w.input * (inputs @ inputs)
+    cost += (w.terminal + problem.arrival_weight) * (misses[-1] @ misses[-1])
+    if w.length > 0.0:
+        cost += w.length * h * problem.forward * _sizes(plan.rotations[:-1, :, 0]).sum()
     if problem.inertial:
         cost += problem.arrival_weight * h * h * np.sum(plan.velocities[-1] ** 2)
     return float(cost)
@@ -219,7 +223,7 @@ def _rotation_violations(problem: Problem, state: State, plan: Plan) -> list[str
     q = plan.projected
     if np.abs(np.swapaxes(q, -1, -2) @ q - np.eye(q.shape[-1])).max() > ORTHOGONAL:
         return ['a projected rotation is not orthogonal']
-    if (np.linalg.det(q) < 0.0).any():
+    if (_determinants(q) < 0.0).any():
         return ['a projected rotation has not determinant +1']
     found, known = [], 1
     if np.abs(q[0] - state.attitude).max() > ORTHOGONAL:
@@ -234,6 +238,18 @@ def _rotation_violations(problem: Problem, state: State, plan: Plan) -> list[str
     return found
 
 
+def _determinants(q: Array) -> Array:
+    """Return the determinants, shape (K,), of matrices, shape (K, n, n)."""
+    if q.shape[-1] == 2:
+        return q[:, 0, 0] * q[:, 1, 1] - q[:, 0, 1] * q[:, 1, 0]
+    return np.linalg.det(q)
+
+
+def _sizes(vectors: Array) -> Array:
+    """Return the lengths, shape (K,), of vectors, shape (K, n)."""
+    return np.sqrt(np.einsum('kc,kc->k', vectors, vectors))
+
+
 def _strays(plan: Plan, known: int) -> float:
     """Return how far rotations Q_k, k >= known, are from the projections that they claim to be.
 
@@ -243,7 +259,7 @@ def _strays(plan: Plan, known: int) -> float:
     optimality conditions of Wahba's problem). For n = 2 both say that Q e1 is on R e1.
     """
     r, q = plan.rotations[known:], plan.projected[known:]
-    sizes = np.sqrt(np.einsum('kc,kc->k', r[:, :, 0], r[:, :, 0]))
+    sizes = _sizes(r[:, :, 0])
     held = sizes < HEADING_UNDEFINED
     stray = 0.0
     if held.any():

@@ -89,16 +89,12 @@ class Tree(NamedTuple):
     counts: np.ndarray
     numbers: Array
 
-    def grown(self, nodes: int, most: int) -> Tree:
-        """Return a copy with room for so many nodes, each of at most ``most`` children."""
-        larger = tree(len(self.x), nodes, most)
-        for own, others in zip(self, larger, strict=True):
-            others[: len(own)] = own
-        return larger
-
 
 def tree(steps: int, nodes: int, most: int) -> Tree:
     """Return room for a search over N = ``steps`` steps.
+
+    All of it at once: memory is handed out page by page, as it is first written to, whereas to
+    move a large tree to a larger place would keep a tick waiting.
 
     Args:
         steps: N.
@@ -106,16 +102,18 @@ def tree(steps: int, nodes: int, most: int) -> Tree:
         most: children that a node can have.
     """
     states, made, size = nodes + 1, 1 + nodes * most, 2 * steps + 2
+    active = np.empty(states, np.int64)
+    active[0] = 0
     return Tree(
-        np.zeros((states, size), np.int64),
-        np.zeros((states, size, 2)),
-        np.zeros((states, size)),
-        np.zeros((states, size)),
-        np.zeros(states, np.int64),
-        np.empty((made, steps), np.int64),
-        np.zeros(made, np.int64),
-        np.zeros(made),
-        np.zeros(made, np.int64),
+        np.empty((states, size), np.int64),
+        np.empty((states, size, 2)),
+        np.empty((states, size)),
+        np.empty((states, size)),
+        active,
+        np.empty((made, steps), np.int32),
+        np.empty(made, np.int64),
+        np.empty(made),
+        np.empty(made, np.int64),
         np.zeros((steps, 2)),
         np.zeros((steps, 2)),
         np.zeros(7, np.int64),
@@ -124,7 +122,12 @@ def tree(steps: int, nodes: int, most: int) -> Tree:
 
 
 def begin(tree: Tree, known: float) -> None:
-    """Begin a search for what has a lower value than what is known, inf for nothing."""
+    """Begin a search.
+
+    Args:
+        tree: updated in place.
+        known: a value that is to be undercut, inf for none.
+    """
     counts, numbers = tree.counts, tree.numbers
     counts[:] = 0
     counts[OPEN], counts[MADE], counts[CURRENT] = 1, 1, -1
@@ -197,12 +200,15 @@ def _most_violated(x, choice, cells, bounds):
 def _add_row(inverse, rows, normals, offsets, u, count, x, step, a, b, offset):
     """Add a violated row to the active set, dropping those in its way.
 
-    Returns the new count, or -1 where rounding leaves no row to drop or to add.
+    Returns:
+        The new count, or -1 where rounding leaves no row to drop or to add; the multiplications
+        that it took.
     """
     size = len(rows)
     system, r = np.empty((size, size)), np.empty(size)
-    multiplier = 0.0
+    multiplier = spent = 0.0
     for _ in range(4 * size):
+        spent += count * (count * (0.2 * count + 4.0) + 4.0 * len(x))
         for i in range(count):
             inner = normals[i, 0] * a + normals[i, 1] * b
             r[i] = inverse[rows[i], step] * inner
@@ -214,7 +220,7 @@ def _add_row(inverse, rows, normals, offsets, u, count, x, step, a, b, offset):
             system[i, i] *= 1.0 + 1e-14
         held, flat = r[:count].copy(), FLAT * curvature
         if not solve_spd(system, r, count):
-            return -1
+            return -1, spent
         for i in range(count):
             curvature -= held[i] * r[i]
         gap = offset - a * x[step, 0] - b * x[step, 1]
@@ -225,7 +231,7 @@ def _add_row(inverse, rows, normals, offsets, u, count, x, step, a, b, offset):
         whole = gap / curvature if curvature > flat else np.inf
         move = min(limit, whole)
         if move == np.inf:
-            return -1
+            return -1, spent
         for i in range(count):
             u[i] = max(0.0, u[i] - move * r[i])
         multiplier += move
@@ -240,15 +246,15 @@ def _add_row(inverse, rows, normals, offsets, u, count, x, step, a, b, offset):
                     x[j, 1] -= back * normals[i, 1]
         if whole <= limit:
             if count == size:
-                return -1
+                return -1, spent
             rows[count], offsets[count], u[count] = step, offset, multiplier
             normals[count, 0], normals[count, 1] = a, b
-            return count + 1
+            return count + 1, spent
         for i in range(blocking, count - 1):
             rows[i], offsets[i], u[i] = rows[i + 1], offsets[i + 1], u[i + 1]
             normals[i, 0], normals[i, 1] = normals[i + 1, 0], normals[i + 1, 1]
         count -= 1
-    return -1
+    return -1, spent
 
 
 @compiled
@@ -264,11 +270,13 @@ def _relax(quad, cells, bounds, choice, cutoff, rows, normals, offsets, u, count
             return SOLVED, bound, count, added, work
         if work <= 0.0:
             return GOING, bound, count, added, work
-        following = _add_row(quad.inverse, rows, normals, offsets, u, count, x, step, a, b, offset)
+        following, spent = _add_row(
+            quad.inverse, rows, normals, offsets, u, count, x, step, a, b, offset
+        )
+        work -= spent + 4.0 * count * len(x) + 4.0 * len(x) ** 2 + NODE
         if following < 0:
             return STALLED, bound, 0, added, work
         count, added = following, added + 1
-        work -= count * (count * (0.2 * count + 4.0) + 8.0 * len(x)) + 4.0 * len(x) ** 2 + NODE
         _minimiser(quad.inverse, quad.q, rows, normals, u, count, x)
         bound = max(bound, _lagrangian(quad, rows, normals, offsets, u, count, x))
         if bound >= cutoff:
@@ -409,15 +417,15 @@ def _branch(quad, table, tree, node, cutoff):
 
 
 @compiled
-def _search(quad, table, constant, tolerance, tree, work):
+def _search(quad, table, constant, tolerance, tree, room, work):
+    """Do as :func:`search`, but for the bound of the whole."""
     counts, numbers = tree.counts, tree.numbers
     while counts[CURRENT] >= 0 or counts[OPEN] > 0:
         cutoff = numbers[VALUE] - tolerance * max(abs(numbers[VALUE] + constant), 1e-9)
         if counts[CURRENT] < 0:
             if tree.keys[0] >= cutoff:
                 break
-            room = len(tree.parent) - max(table.roots, 2)
-            if counts[NODES] + 1 >= len(tree.active) or counts[MADE] > room:
+            if counts[NODES] >= room:
                 return FULL
             if work <= 0.0:
                 return PAUSED
@@ -448,6 +456,7 @@ def _search(quad, table, constant, tolerance, tree, work):
 
 @compiled
 def _least_bound(tree):
+    """Return the bound of the whole search: the least of what is open, closed or known."""
     counts, numbers = tree.counts, tree.numbers
     least = min(numbers[CLOSED], numbers[VALUE])
     if counts[CURRENT] >= 0:
@@ -456,61 +465,83 @@ def _least_bound(tree):
 
 
 @compiled
-def search(quad, table, constant, tolerance, tree, work):
-    """Search best first, on from where the tree is.
+def search(quad, table, constant, tolerance, tree, room, work):
+    """Search best first (branch and bound), on from where the tree is.
 
     Args:
-        quad: what to minimise.
+        quad: what to minimise, over points of shape (N, 2).
         table: the cells of the floor, :class:`orbimpc_ros.mpc.geometry.cells.Table`.
         constant: what values lack; it only scales the tolerance.
         tolerance: relative gap at which to stop.
         tree: begun by :func:`begin`; updated in place.
-        work: multiplications to do at most.
+        room: nodes to solve in all, at most; no more than the tree has room for.
+        work: multiplications to do at most, though no less than one row takes.
 
     Returns:
-        ``DONE``; ``FULL``, where the tree has no room for another node; ``PAUSED``, where the work
-        has run out.
+        ``DONE``; ``FULL``, where all nodes that there is room for are solved; ``PAUSED``, where
+        the work has run out.
     """
-    status = _search(quad, table, constant, tolerance, tree, work)
+    status = _search(quad, table, constant, tolerance, tree, room, work)
     tree.numbers[LEAST] = _least_bound(tree)
     return status
 
 
 @compiled
-def dive(quad, table, x):
-    """Take headings x to a floor: the least cost with the cells nearest to x; False if it fails.
-
-    Args:
-        quad: what to minimise.
-        table: the cells of the floor.
-        x: shape (N, 2); set to the point found, which satisfies the floor either way.
-    """
-    steps = len(x)
-    choice, size = np.empty(steps, np.int64), 2 * steps + 2
-    for k in range(steps):
-        least = np.inf
-        choice[k] = -1
+def _set_nearest(table, tree, own, x, choice):
+    """Set the cell of each step: one that already holds it, otherwise the one nearest to x."""
+    for k in range(len(x)):
+        least, choice[k] = np.inf, -1
         for cell in range(table.roots):
             miss = table.bounds[cell] - table.normals[cell, 0] * x[k, 0]
             miss -= table.normals[cell, 1] * x[k, 1]
             if miss < least:
                 least, choice[k] = miss, cell
-    held = x.copy()
-    rows, normals = np.zeros(size, np.int64), np.zeros((size, 2))
-    offsets, u = np.zeros(size), np.zeros(size)
-    _minimiser(quad.inverse, quad.q, rows, normals, u, 0, x)
+    for i in range(tree.active[own]):
+        for cell in range(table.roots):
+            if (
+                tree.offsets[own, i] == table.bounds[cell]
+                and tree.normals[own, i, 0] == table.normals[cell, 0]
+                and tree.normals[own, i, 1] == table.normals[cell, 1]
+            ):
+                choice[tree.rows[own, i]] = cell
+
+
+@compiled
+def dive(quad, table, tree, work):
+    """Look for headings on the floor near those of the last relaxation, to be the tree's best.
+
+    That relaxation is solved on with a cell held at every step; where that fails, or takes longer
+    than it may, the headings that it came to are put onto these cells one by one.
+
+    Args:
+        quad: what to minimise.
+        table: the cells of the floor, all of them roots.
+        tree: of a search that has begun; updated in place if this finds better headings.
+        work: multiplications to do at most.
+    """
+    numbers = tree.numbers
+    own = tree.counts[NODES]
+    x, count, choice = tree.x.copy(), tree.active[own], np.empty(len(tree.x), np.int32)
+    _set_nearest(table, tree, own, x, choice)
+    rows, normals = tree.rows[own].copy(), tree.normals[own].copy()
+    offsets, u = tree.offsets[own].copy(), tree.u[own].copy()
+    _minimiser(quad.inverse, quad.q, rows, normals, u, count, x)
     status = _relax(
-        quad, table.normals, table.bounds, choice, np.inf, rows, normals, offsets, u, 0, x, 0,
-        np.inf,
+        quad, table.normals, table.bounds, choice, np.inf, rows, normals, offsets, u, count, x, 0,
+        work,
     )[0]  # fmt: skip
     if status != SOLVED:
-        x[:] = held
-        for k in range(steps):
+        if status == STALLED:
+            x[:] = tree.x
+        for k in range(len(x)):
             if choice[k] >= 0:
                 _put_on(table.normals[choice[k]], table.bounds[choice[k]], x[k])
             else:
                 x[k] /= max(1.0, np.sqrt(x[k, 0] ** 2 + x[k, 1] ** 2))
-    return status == SOLVED
+    reached = quadratic(quad.hessian, quad.q, x)
+    if reached < numbers[VALUE]:
+        tree.best[:], numbers[VALUE] = x, reached
+        numbers[LEAST] = min(numbers[LEAST], reached)
 
 
 @compiled

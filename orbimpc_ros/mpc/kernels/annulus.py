@@ -24,7 +24,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.linear import quadratic, solve_spd
+from orbimpc_ros.mpc.kernels.linear import quadratic, shift_to_semidefinite, solve_spd
 
 ITERATIONS = 200
 HALVINGS = 20
@@ -77,7 +77,12 @@ class Progress(NamedTuple):
 
 
 def begun(steps: int, dimension: int) -> Progress:
-    """Return the progress of a search that has not begun."""
+    """Return the progress of a search that has not begun.
+
+    Args:
+        steps: N.
+        dimension: n, 2 or 3.
+    """
     shape = (steps, dimension)
     numbers = np.array([np.inf, -np.inf, 0.0])
     side, counts = np.zeros(steps, np.int64), np.zeros(4, np.int64)
@@ -86,6 +91,7 @@ def begun(steps: int, dimension: int) -> Progress:
 
 @compiled
 def _size(z, k):
+    """Return |z_k| of headings, shape (N, n)."""
     total = 0.0
     for c in range(z.shape[1]):
         total += z[k, c] * z[k, c]
@@ -94,7 +100,13 @@ def _size(z, k):
 
 @compiled
 def cost_of(annulus, q, z):
-    """Return the cost of headings, shape (N, n), without its constant."""
+    """Return the cost of headings without its constant: 1/2 z.Hz + q.z + l.|z|.
+
+    Args:
+        annulus: gives H and l.
+        q: linear terms, shape (N, n).
+        z: headings, shape (N, n).
+    """
     total = quadratic(annulus.hessian, q, z)
     for k in range(len(q)):
         if annulus.length[k] > 0.0:
@@ -262,7 +274,14 @@ def _set_reduced(annulus, z, mu, owner, basis, count, reduced):
 
 @compiled
 def reflect(rows, count, column, reflector):
-    """Reflect rows, shape (count, n), so that a column ends in its own place; set the reflector."""
+    """Reflect rows so that a column vanishes below its own place (a step of Householder's QR).
+
+    Args:
+        rows: shape (count, n) at least, updated in place.
+        count: of the rows that belong to it.
+        column: to be reflected; the ones before it have been.
+        reflector: to be set to v of I - 2 v v'/|v|^2, shape (count,) at least.
+    """
     norm = 0.0
     for i in range(count):
         reflector[i] = rows[i, column] if i >= column else 0.0
@@ -274,7 +293,13 @@ def reflect(rows, count, column, reflector):
 
 @compiled
 def mirror(matrix, count, reflector):
-    """Multiply a matrix of ``count`` rows from the left by I - 2 v v'/|v|^2."""
+    """Multiply a matrix from the left by Householder's I - 2 v v'/|v|^2.
+
+    Args:
+        matrix: shape (count, m), updated in place.
+        count: of its rows.
+        reflector: v, shape (count,) at least.
+    """
     square = 0.0
     for i in range(count):
         square += reflector[i] * reflector[i]
@@ -302,8 +327,8 @@ def _set_particular(rows, missed, move):
 
 
 @compiled
-def _set_damped(reduced, right, first, count, scale, damping, longest, move):
-    """Set the rest of a move to a Newton step; return the damping that it took.
+def _set_damped(reduced, right, first, count, scale, damping, longest, move, work):
+    """Set the rest of a move to a Newton step, damped as it takes (Levenberg, Marquardt).
 
     Args:
         reduced: a symmetric matrix, shape (count, count), whose rows from ``first`` on count.
@@ -314,8 +339,13 @@ def _set_damped(reduced, right, first, count, scale, damping, longest, move):
         damping: to begin with.
         longest: the step may be, in the Euclidean norm.
         move: shape (count, 1).
+        work: multiplications to do at most, though no less than one attempt takes.
+
+    Returns:
+        Whether there is a step, and the damping that it took; without one, the damping to go on
+        with; the work left.
     """
-    free = count - first
+    free, found = count - first, False
     system, step = np.empty((free, free)), np.empty(free)
     while damping < 1e6 * scale:
         for i in range(free):
@@ -323,17 +353,25 @@ def _set_damped(reduced, right, first, count, scale, damping, longest, move):
             for j in range(i + 1):
                 system[i, j] = reduced[first + i, first + j]
             system[i, i] += damping
-        if solve_spd(system, step, free) and step @ step <= longest * longest:
+        work -= free**3 / 6.0 + 2.0 * free * free
+        found = solve_spd(system, step, free) and step @ step <= longest * longest
+        if found:
             break
         damping = max(DAMPED * damping, SOFTEST * scale)
+        if work <= 0.0:
+            return False, damping, work
     for i in range(free):
-        move[first + i, 0] = step[i] if damping < 1e6 * scale else 0.0
-    return damping
+        move[first + i, 0] = step[i] if found else 0.0
+    return True, damping, work
 
 
 @compiled
-def _set_move(annulus, z, side, gradient, mu, nu, missed, damping, longest, move):
-    """Set a move, shape (N, n), along the bounds that headings sit on; return its damping."""
+def _set_move(annulus, z, side, gradient, mu, nu, missed, damping, longest, move, work):
+    """Set a move, shape (N, n), along the bounds that headings sit on.
+
+    Returns:
+        What :func:`_set_damped` does; a damping too soft to matter is zero.
+    """
     n_steps, n, met = len(z), z.shape[1], len(missed)
     owner, basis = np.empty(n * n_steps, np.int64), np.empty((n * n_steps, n))
     count = _set_basis(z, side, owner, basis)
@@ -356,14 +394,19 @@ def _set_move(annulus, z, side, gradient, mu, nu, missed, damping, longest, move
             mirror(reduced.T, count, reflectors[c])
         _set_particular(rows, missed[:first], small)
         pull += np.ascontiguousarray(reduced[:, :first]) @ small[:first]
-    damping = _set_damped(reduced, pull[:, 0], first, count, scale, damping, longest, small)
+    work -= count * count * (1.0 + 4.0 * first) + 4.0 * n_steps * n_steps
+    found, damping, work = _set_damped(
+        reduced, pull[:, 0], first, count, scale, damping, longest, small, work
+    )
+    if not found:
+        return False, damping, work
     for c in range(first - 1, -1, -1):
         mirror(small, count, reflectors[c])
     move[:] = 0.0
     for i in range(count):
         for c in range(n):
             move[owner[i], c] += small[i, 0] * basis[i, c]
-    return damping if damping > SOFTEST * scale else 0.0
+    return True, damping if damping > SOFTEST * scale else 0.0, work
 
 
 @compiled
@@ -438,35 +481,34 @@ def _curvature(length, floor, side, mu, size):
 
 
 @compiled
-def _least_eigenvalue(matrix, arrival, met):
-    """Return a lower bound on the least eigenvalue, on the null space of the arrival if it is met.
+def _shortage(matrix, arrival, met, most):
+    """Return by how much, if at all, a matrix falls short of being positive semidefinite.
 
-    A matrix that Cholesky's method factorises is positive up to rounding, which is much sooner
-    found out than an eigenvalue.
+    Args:
+        matrix: symmetric, shape (N, N); destroyed.
+        arrival: a, shape (N,).
+        met: whether only the null space of the arrival counts.
+        most: the largest answer of interest.
+
+    Returns:
+        Minus a lower bound on the least eigenvalue; inf where that is more than ``most``.
     """
-    count, scale = len(matrix), 0.0
-    first = 1 if met else 0
+    count, first = len(matrix), 1 if met else 0
     if met:
         row, reflector = arrival.copy().reshape((count, 1)), np.empty(count)
         reflect(row, count, 0, reflector)
         mirror(matrix, count, reflector)
         mirror(matrix.T, count, reflector)
     free = np.ascontiguousarray(matrix[first:, first:])
-    for k in range(len(free)):
-        scale = max(scale, abs(free[k, k]))
-    if len(free) == 0 or scale == 0.0:
+    scale = np.abs(free).max() if len(free) > 0 else 0.0
+    if scale == 0.0:
         return 0.0
-    slack = 1e-15 * count * scale
-    system, right = free.copy(), np.zeros(len(free))
-    for k in range(len(free)):
-        system[k, k] += slack
-    if solve_spd(system, right, len(free)):
-        return -2.0 * slack
-    return np.linalg.eigvalsh(free)[0] - 2.0 * slack
+    slack, largest = 1e-15 * count * scale, 2.0 * count * scale  # no eigenvalue is as large
+    return shift_to_semidefinite(free, slack, min(largest, most)) + slack
 
 
 @compiled
-def bound_at(annulus, q, left, z, theta, shares, nu):
+def bound_at(annulus, q, left, z, theta, shares, nu, known):
     r"""Return a lower bound on the cost of all headings of the annulus that meet the arrival.
 
     For any theta, nu, alpha in [0, 1] and unit vectors d, cost(z') is at least
@@ -486,6 +528,7 @@ def bound_at(annulus, q, left, z, theta, shares, nu):
         theta: multipliers of the moduli, shape (N,).
         shares: alpha, shape (N,).
         nu: multipliers of the arrival, shape of ``left``.
+        known: a bound that holds already; where this one is no better, it is returned at once.
     """
     n, floor, arrives = z.shape[1], annulus.floor, len(nu) > 0
     matrix, force, missed = annulus.hessian.copy(), np.empty_like(z), np.empty(len(nu))
@@ -517,18 +560,21 @@ def bound_at(annulus, q, left, z, theta, shares, nu):
     if arrives:  # the way to another point leads out of the null space by what is missed
         astray = off * np.sqrt(n) / max(np.sqrt((annulus.arrival**2).sum()), 1e-300)
         value -= np.sqrt((matrix**2).sum()) * astray * (np.sqrt(reach) + astray)
-    least = _least_eigenvalue(matrix, annulus.arrival, arrives)
-    return value - stray + 0.5 * min(0.0, least) * reach - ROUNDING * magnitude
+    value -= stray + ROUNDING * magnitude
+    if not value > known:
+        return known
+    short = _shortage(matrix, annulus.arrival, arrives, 2.0 * (value - known) / reach)
+    return max(known, value - 0.5 * short * reach)
 
 
 @compiled
-def _bound(annulus, q, left, z, side, mu, nu):
-    """Return the bound that the multipliers of a point prove."""
+def _bound(annulus, q, left, z, side, mu, nu, known):
+    """Return the bound that the multipliers of a point prove, if it is better than one known."""
     theta, shares = np.empty(len(z)), np.empty(len(z))
     for k in range(len(z)):
         size = _size(z, k)
         theta[k], shares[k] = _curvature(annulus.length[k], annulus.floor, side[k], mu[k], size)
-    return bound_at(annulus, q, left, z, theta, shares, nu)
+    return bound_at(annulus, q, left, z, theta, shares, nu, known)
 
 
 @compiled
@@ -542,12 +588,12 @@ def _descend(annulus, q, left, z, side, counts, numbers, longest, work):
         z: headings, shape (N, n), updated in place.
         side: the bounds they sit on, shape (N,), updated in place.
         counts: of Progress; its steps become ``ITERATIONS`` when there is nothing more to do.
-        numbers: of Progress; its damping is updated in place.
+        numbers: of Progress; its damping and its bound are updated in place.
         longest: Euclidean norm of a step.
         work: multiplications to do at most.
 
     Returns:
-        By how much z misses the arrival, the bound that its multipliers prove, the work left.
+        By how much z misses the arrival, the work left.
     """
     n_steps, met = len(z), len(left)
     mu, nu, missed = np.zeros(n_steps), np.zeros(met), np.empty(met)
@@ -569,11 +615,13 @@ def _descend(annulus, q, left, z, side, counts, numbers, longest, work):
             break
         if work <= 0.0:
             break
-        counts[STEPS] += 1
-        work -= z.size**3 / 3.0 + 30.0 * n_steps * n_steps + 500.0
-        numbers[DAMPING] = _set_move(
-            annulus, z, side, gradient, mu, nu, missed, numbers[DAMPING], longest, move
+        work -= 20.0 * n_steps * n_steps + 500.0
+        found, numbers[DAMPING], work = _set_move(
+            annulus, z, side, gradient, mu, nu, missed, numbers[DAMPING], longest, move, work
         )
+        if not found:
+            break
+        counts[STEPS] += 1
         weight = scale + 2.0 * np.abs(nu).max() if met > 0 else 0.0
         share = _advance(annulus, q, left, z, side, move, missed, weight)
         _catch(z, side, annulus.floor)
@@ -582,7 +630,8 @@ def _descend(annulus, q, left, z, side, counts, numbers, longest, work):
         elif share == 0.0:
             numbers[DAMPING] = max(64.0 * numbers[DAMPING], 1e-6 * scale)
             stuck = numbers[DAMPING] > 1e3 * scale
-    return off, _bound(annulus, q, left, z, side, mu, nu), work
+    numbers[BOUND] = _bound(annulus, q, left, z, side, mu, nu, numbers[BOUND])
+    return off, work
 
 
 @compiled
@@ -617,10 +666,7 @@ def relax(annulus, q, left, progress, work):
         Whether it has ended.
     """
     counts, numbers = progress.counts, progress.numbers
-    off, bound, work = _descend(
-        annulus, q, left, progress.z, progress.side, counts, numbers, np.inf, work
-    )
-    numbers[BOUND] = max(numbers[BOUND], bound)
+    off, work = _descend(annulus, q, left, progress.z, progress.side, counts, numbers, np.inf, work)
     progress.best[:] = progress.z
     if off <= 1e-9 * (1.0 + np.abs(annulus.arrival).max()):
         numbers[COST] = cost_of(annulus, q, progress.z)
@@ -652,8 +698,7 @@ def improve(annulus, q, left, constant, starts, more, tolerance, progress, work)
         if counts[PLACED] == 0:
             _begin(z, side, starts, counts[START], annulus.floor)
             counts[PLACED], counts[STEPS], numbers[DAMPING] = 1, 0, 0.0
-        off, bound, work = _descend(annulus, q, left, z, side, counts, numbers, longest, work)
-        numbers[BOUND] = max(numbers[BOUND], bound)
+        off, work = _descend(annulus, q, left, z, side, counts, numbers, longest, work)
         cost = cost_of(annulus, q, z)
         if off <= near and cost < numbers[COST]:
             numbers[COST] = cost
@@ -667,3 +712,31 @@ def improve(annulus, q, left, constant, starts, more, tolerance, progress, work)
         if work <= 0.0:
             return False
     return True
+
+
+@compiled
+def improve_from_hull(disks, annulus, q, left, constant, least, tolerance, hull, progress, work):
+    """Minimise over the hull, and improve the annulus' best from there; interruptible.
+
+    In one call, since to pass the arrays takes as long as to work through a short horizon.
+
+    Args:
+        disks: of floor 0 and length 0.
+        annulus: what to minimise over.
+        q: linear terms, shape (N, n).
+        left: b, shape (n,), or (0,) where there is no arrival.
+        constant: what costs lack; it only scales the tolerance.
+        least: what the annulus costs more than the disks, at least.
+        tolerance: relative gap at which to stop.
+        hull: the progress over the disks, updated in place.
+        progress: over the annulus, updated in place.
+        work: multiplications to do at most, for each of the two.
+
+    Returns:
+        Whether it has ended.
+    """
+    if hull.counts[STEPS] < ITERATIONS and not relax(disks, q, left, hull, work):
+        return False
+    progress.numbers[BOUND] = max(progress.numbers[BOUND], hull.numbers[BOUND] + least)
+    starts = hull.best.copy().reshape((1, len(q), q.shape[1]))
+    return improve(annulus, q, left, constant, starts, 0, tolerance, progress, work)

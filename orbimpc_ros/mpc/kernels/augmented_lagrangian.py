@@ -24,14 +24,25 @@ Hessian on the directions that a terminal constraint leaves free.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, vectorised
 from orbimpc_ros.mpc.kernels.linear import solve_spd
-from orbimpc_ros.mpc.kernels.penalty import ENOUGH, HALVINGS, STUCK, descends, stiffened
+from orbimpc_ros.mpc.kernels.penalty import (
+    BEST,
+    ENOUGH,
+    HALVINGS,
+    PAUSED,
+    PROMISED,
+    SETTLED,
+    SIGMA,
+    STALLED,
+    STEPS,
+    STUCK,
+    TAKEN,
+    descends,
+    stiffen,
+)
 from orbimpc_ros.mpc.kernels.penalty_terms import (
     multipliers,
     project,
@@ -42,15 +53,12 @@ from orbimpc_ros.mpc.kernels.penalty_terms import (
 
 LIMIT = 200  # Newton steps and updates of the multipliers
 NOTHING = 1e-18  # a minimum is near enough where so little is left
-SETTLED, STALLED, PAUSED = range(3)  # what a call ends with
-SIGMA, BEST, PROMISED = range(3)  # in Progress.numbers
-STEPS, TAKEN = range(2)  # in Progress.counts
 WARM = 30.0  # sigma may be larger by this where multipliers are of use from the start
 
 
 @compiled
 def inner(a, b):
-    """Return the inner product of two arrays of shape (n, 9)."""
+    """Return the inner product of two arrays, each of shape (n, 9)."""
     total = 0.0
     for k in range(len(a)):
         for c in range(9):
@@ -60,7 +68,13 @@ def inner(a, b):
 
 @compiled
 def apply(terms, force, out):
-    """Set ``out`` to P times a force; all of shape (n, 9)."""
+    """Set ``out`` to P times a force: the move that the quadratic answers it with.
+
+    Args:
+        terms: give P.
+        force: shape (n, 9).
+        out: shape (n, 9).
+    """
     n, inverse = len(force), terms.inverse
     slid = inner(terms.slide, force) if terms.coasting else 0.0
     for k in range(n):
@@ -98,7 +112,21 @@ def _set_gram(inverse, slide, step, column, weight, count, slid, matrix):
 
 @compiled
 def _newton(terms, residual, moved_by, count, work, force):
-    """Set ``force`` to what a Newton step exerts: residual - U (C^-1 + U'P U)^-1 U'P residual."""
+    """Set ``force`` to what a Newton step exerts: residual - U (C^-1 + U'P U)^-1 U'P residual.
+
+    That is Woodbury's identity, for a system as large as what acts.
+
+    Args:
+        terms: give P.
+        residual: the gradient left over, shape (n, 9).
+        moved_by: P times that, shape (n, 9).
+        count: of the columns U.
+        work: holds U, and C in ``weight``.
+        force: to be set, shape (n, 9).
+
+    Returns:
+        False where the system is singular.
+    """
     _set_gram(
         terms.inverse, terms.slide, work.step, work.column, work.weight, count, work.slid,
         work.matrix,
@@ -140,6 +168,7 @@ def _begin(terms, start, held, force, x, work):
 
 @compiled
 def _keep(new, held):
+    """Hold the multipliers that the last projection gave."""
     held.orbitopes[:], held.lengths[:] = new.orbitopes, new.lengths
     held.rows[:], held.fraction[:] = new.rows, new.fraction
 
@@ -154,32 +183,11 @@ def _with_lengths(quadratic, terms, x):
     return cost
 
 
-class Progress(NamedTuple):
-    """A minimisation that can be interrupted.
-
-    Attributes:
-        x: shape (n, 9).
-        held_force: F, that the multipliers held exert: x = x_0 - P F, shape (n, 9).
-        numbers: sigma; the greatest lower bound; what the last Newton step promised, shape (3,).
-        counts: steps and updates made; Newton steps since sigma last changed, shape (2,).
-    """
-
-    x: Array
-    held_force: Array
-    numbers: Array
-    counts: np.ndarray
-
-
-def begun(places: int, sigma: float) -> Progress:
-    """Return the progress of a minimisation that has not begun, with its first sigma."""
-    shape = (places, 9)
-    numbers = np.array([sigma, -np.inf, np.inf])
-    return Progress(np.zeros(shape), np.zeros(shape), numbers, np.zeros(2, np.int64))
-
-
 @compiled
 def minimise(terms, start, held, limits, work, progress, budget):
     """Minimise quadratic and terms, on from where the progress is.
+
+    By the method of multipliers, each minimum of its augmented Lagrangian sought by Newton's.
 
     Args:
         terms: what comes to the quadratic.
@@ -188,7 +196,8 @@ def minimise(terms, start, held, limits, work, progress, budget):
         limits: on the violation of a constraint; on the gap, in proportion to the cost; the cost
             of x_0; what rounding may make of it; the largest sigma.
         work: room to work in.
-        progress: updated in place.
+        progress: its x is x_0 - P F, shape (n, 9), its held the force F of the multipliers held;
+            updated in place.
         budget: multiplications to do at most, though no less than a Newton step takes.
 
     Returns:
@@ -225,8 +234,7 @@ def minimise(terms, start, held, limits, work, progress, budget):
         if near or counts[TAKEN] == STUCK:
             if near:
                 _keep(new, held)
-            numbers[SIGMA] = stiffened(numbers[SIGMA], largest, near, counts[TAKEN])
-            numbers[PROMISED], counts[TAKEN] = np.inf, 0
+            stiffen(progress, near, largest)
             value, moved, worst = project(terms, x, held, numbers[SIGMA], new, work)
             continue
         counts[TAKEN] += 1

@@ -17,56 +17,66 @@ space, the gradient is |z_k|^2/2 + mu P_kk + h', and the negative Hessian
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.kernels.annulus import bound_at, mirror, reflect
-from orbimpc_ros.mpc.kernels.linear import quadratic, solve_spd
+from orbimpc_ros.mpc.kernels.linear import add_product, invert_spd, quadratic, solve_spd
 
+CLIMBS = 60  # Newton steps
+MU, BOUND, FIRST, TAKEN = range(4)  # in Ascent.numbers
 SMALLEST = 1e-8  # mu, of the forces at work
 SHRINK = 0.2  # of mu, from step to step
 HALVINGS = 30
 
 
 @compiled
-def _inverse(annulus, theta, arrives, inverse):
+def _set_inverse(matrix, arrival, arrives, inverse):
     """Set P, shape (N, N); return log det of the matrix that it inverts, -inf if not positive."""
-    count = len(theta)
-    matrix = annulus.hessian.copy()
-    for k in range(count):
-        matrix[k, k] += theta[k]
-    first = 1 if arrives else 0
-    reflector = np.zeros(count)
-    if arrives:
-        row = annulus.arrival.copy().reshape((count, 1))
-        reflect(row, count, 0, reflector)
-        mirror(matrix, count, reflector)
-        mirror(matrix.T, count, reflector)
-    free = np.ascontiguousarray(matrix[first:, first:])
-    if not solve_spd(free.copy(), np.zeros(count - first), count - first):
-        return -np.inf
+    count, first = len(matrix), 1 if arrives else 0
+    if not arrives:
+        return invert_spd(matrix.copy(), inverse)
+    turned, reflector = matrix.copy(), np.zeros(count)
+    reflect(arrival.copy().reshape((count, 1)), count, 0, reflector)
+    mirror(turned, count, reflector)
+    mirror(turned.T, count, reflector)
+    free = np.empty((count - first, count - first))
+    size = invert_spd(np.ascontiguousarray(turned[first:, first:]), free)
     inverse[:] = 0.0
-    inverse[first:, first:] = np.linalg.inv(free)
-    if arrives:
-        mirror(inverse, count, reflector)
-        mirror(inverse.T, count, reflector)
-    return np.linalg.slogdet(free)[1]
+    inverse[first:, first:] = free
+    mirror(inverse, count, reflector)
+    mirror(inverse.T, count, reflector)
+    return size
 
 
 @compiled
-def _set_least(annulus, q, left, theta, inverse, z):
-    """Set z to the minimiser for multipliers, shape (N, n); return its value."""
+def _set_minimiser(annulus, q, left, theta, inverse, z):
+    """Set P, shape (N, N), and z, shape (N, n), to the Lagrangian's minimiser for multipliers.
+
+    Returns:
+        The Lagrangian there, and log det of the matrix that P inverts: -inf, and nothing else is
+        set, where that is not positive definite.
+    """
+    count, arrives = len(theta), len(left) > 0
     matrix = annulus.hessian.copy()
-    for k in range(len(theta)):
+    for k in range(count):
         matrix[k, k] += theta[k]
+    size = _set_inverse(matrix, annulus.arrival, arrives, inverse)
+    if size == -np.inf:
+        return -np.inf, size
+    force = q.copy()
     z[:] = 0.0
-    if len(left) > 0:
+    if arrives:
         square = (annulus.arrival**2).sum()
-        for k in range(len(z)):
+        for k in range(count):
             for c in range(len(left)):
                 z[k, c] = annulus.arrival[k] * left[c] / square
-    z -= inverse @ (q + matrix @ z)
-    return quadratic(matrix, q, z)
+        add_product(matrix, z, 1.0, force)
+    add_product(inverse, force, -1.0, z)
+    return quadratic(matrix, q, z), size
 
 
 @compiled
@@ -91,58 +101,113 @@ def _end(floor, length, theta, mu):
 
 
 @compiled
-def _value(annulus, q, left, theta, mu, inverse, z):
-    """Return the smoothed dual function, -inf outside its domain; set P and z."""
-    size = _inverse(annulus, theta, len(left) > 0, inverse)
-    if size == -np.inf:
-        return -np.inf
-    value = _set_least(annulus, q, left, theta, inverse, z) + mu * size
+def _smoothed(annulus, theta, mu, least, size):
+    """Return the smoothed dual function, of the Lagrangian's minimum and log det."""
+    value = least + mu * size
     for k in range(len(theta)):
         value += _end(annulus.floor, annulus.length[k], theta[k], mu)[0]
     return value
 
 
 @compiled
-def climb(annulus, q, left, theta, z, numbers):
-    """Take one Newton step up the dual function; return the bound there.
+def _set_ascent(annulus, theta, mu, inverse, z, system, step):
+    """Set Newton's step up the smoothed dual function, shape (N,); return whether there is one."""
+    n = z.shape[1]
+    for k in range(len(theta)):
+        _, slope, bend = _end(annulus.floor, annulus.length[k], theta[k], mu)
+        for j in range(k + 1):
+            inner = 0.0
+            for c in range(n):
+                inner += z[k, c] * z[j, c]
+            system[k, j] = (inner + mu * inverse[k, j]) * inverse[k, j]
+        step[k] = 0.5 * inner + mu * inverse[k, k] + slope
+        system[k, k] = (system[k, k] - bend) * (1.0 + 1e-12)
+    return solve_spd(system, step, len(theta))
+
+
+@compiled
+def _bound(annulus, q, left, theta, z, known):
+    """Return the bound that multipliers prove at the Lagrangian's minimiser, or one known."""
+    nu, shares = np.zeros(len(left)), np.ones(len(theta))
+    if len(left) > 0:
+        force, square = q.copy(), (annulus.arrival**2).sum()
+        add_product(annulus.hessian, z, 1.0, force)
+        for k in range(len(theta)):
+            for c in range(len(nu)):
+                nu[c] -= annulus.arrival[k] * (force[k, c] + theta[k] * z[k, c]) / square
+    return bound_at(annulus, q, left, z, theta, shares, nu, known)
+
+
+class Ascent(NamedTuple):
+    """A climb up the dual function that can be interrupted.
+
+    Attributes:
+        theta: multipliers, shape (N,).
+        z: the Lagrangian's minimiser, shape (N, n).
+        numbers: mu; the greatest lower bound; the first mu; Newton steps taken, shape (4,).
+    """
+
+    theta: Array
+    z: Array
+    numbers: Array
+
+
+@compiled
+def ascent(annulus, q, known):
+    """Return a climb that has not begun.
+
+    Args:
+        annulus: what is minimised over.
+        q: linear terms, shape (N, n).
+        known: a lower bound.
+    """
+    scale = np.abs(q).max() + np.abs(annulus.hessian).max() + 1e-300
+    numbers = np.array([scale, known, scale, 0.0])
+    return Ascent(np.full(len(q), scale), np.zeros(q.shape), numbers)
+
+
+@compiled
+def climb(annulus, q, left, enough, progress, work):
+    """Climb the dual function by Newton's method, its barrier shrinking; interruptible.
 
     Args:
         annulus: what is minimised over.
         q: linear terms, shape (N, n).
         left: b, shape (n,), or (0,) without an arrival.
-        theta: multipliers, shape (N,), updated in place; to begin with all positive.
-        z: set to the Lagrangian's minimiser, shape (N, n).
-        numbers: mu, shape (1,), updated in place.
+        enough: the bound at which to stop.
+        progress: updated in place.
+        work: multiplications to do at most, though no less than one Newton step takes.
+
+    Returns:
+        Whether it has ended.
     """
-    count, mu = len(theta), numbers[0]
+    theta, z, numbers = progress
+    count = len(theta)
     inverse, trial = np.empty((count, count)), np.empty(count)
-    before = _value(annulus, q, left, theta, mu, inverse, z)
     system, step = np.empty((count, count)), np.empty(count)
-    for k in range(count):
-        _, slope, bend = _end(annulus.floor, annulus.length[k], theta[k], mu)
-        step[k] = 0.5 * (z[k] @ z[k]) + mu * inverse[k, k] + slope
-        for j in range(k + 1):
-            system[k, j] = (z[k] @ z[j]) * inverse[k, j] + mu * inverse[k, j] ** 2
-        system[k, k] -= bend
-        system[k, k] *= 1.0 + 1e-12
-    if not solve_spd(system, step, count):
-        numbers[0] = 0.0
-        return -np.inf
-    share = 1.0
-    for _ in range(HALVINGS):
-        trial[:] = theta + share * step
-        if _value(annulus, q, left, trial, mu, inverse, z) >= before:
-            theta[:] = trial
-            break
-        share *= 0.5
-    if share > 0.3:
-        numbers[0] *= SHRINK
-    _value(annulus, q, left, theta, mu, inverse, z)
-    nu, square = np.zeros(len(left)), (annulus.arrival**2).sum()
-    for c in range(len(nu)):
-        for k in range(count):
-            total = q[k, c] + theta[k] * z[k, c]
-            for j in range(count):
-                total += annulus.hessian[k, j] * z[j, c]
-            nu[c] -= annulus.arrival[k] * total / square
-    return bound_at(annulus, q, left, z, theta, np.ones(count), nu)
+    least, size = _set_minimiser(annulus, q, left, theta, inverse, z)
+    while size > -np.inf and numbers[MU] >= SMALLEST * numbers[FIRST] and numbers[TAKEN] < CLIMBS:
+        numbers[TAKEN] += 1.0
+        before = _smoothed(annulus, theta, numbers[MU], least, size)
+        if not _set_ascent(annulus, theta, numbers[MU], inverse, z, system, step):
+            return True
+        share, higher = 1.0, False
+        for _ in range(HALVINGS):
+            trial[:] = theta + share * step
+            least, size = _set_minimiser(annulus, q, left, trial, inverse, z)
+            work -= count**3 + 20.0 * count * count + 100.0
+            higher = _smoothed(annulus, trial, numbers[MU], least, size) >= before
+            if higher:
+                theta[:] = trial
+                break
+            share *= 0.5
+        if not higher:
+            least, size = _set_minimiser(annulus, q, left, theta, inverse, z)
+        if share > 0.3 or not higher:  # as high as rounding lets it be, or nearly
+            numbers[MU] *= SHRINK
+        numbers[BOUND] = _bound(annulus, q, left, theta, z, numbers[BOUND])
+        if numbers[BOUND] >= enough:
+            return True
+        if work <= 0.0:
+            return False
+    return True

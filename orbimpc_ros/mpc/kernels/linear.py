@@ -9,11 +9,18 @@ from orbimpc_ros.mpc.kernels import compiled, vectorised
 SINGULAR = 1e-13  # a pivot no larger than this share of its diagonal entry is taken for zero
 DIAGONAL = 1e-32  # squared share of what is off the diagonal
 SWEEPS = 12
+CLOSE = 1.001  # to the least shift
 
 
 @compiled
 def quadratic(hessian, q, x):
-    """Return sum_j x_j . (sum_k H_jk x_k / 2 + q_j) of points x, shape (N, n)."""
+    """Return 1/2 sum_jk H_jk x_j . x_k + sum_j q_j . x_j.
+
+    Args:
+        hessian: H, shape (N, N).
+        q: shape (N, n).
+        x: points, shape (N, n).
+    """
     value = 0.0
     for j in range(len(q)):
         for c in range(q.shape[1]):
@@ -24,11 +31,34 @@ def quadratic(hessian, q, x):
     return value
 
 
+@compiled
+def add_product(matrix, x, share, out):
+    """Add a share of the product of a matrix and points.
+
+    Args:
+        matrix: shape (N, N).
+        x: points, shape (N, n).
+        share: of the product.
+        out: to be added to, shape (N, n).
+    """
+    for j in range(len(x)):
+        for c in range(x.shape[1]):
+            total = 0.0
+            for k in range(len(x)):
+                total += matrix[j, k] * x[k, c]
+            out[j, c] += share * total
+
+
 @vectorised
-def _factorise(matrix, count):
+def _factorise(matrix, count, least):
     """Set the lower triangle to Cholesky's factor, its diagonal inverted; False if singular.
 
     Two rows and two columns at a time: every number that is loaded serves two sums.
+
+    Args:
+        matrix: symmetric, its lower triangle given, shape (count, count) at least.
+        count: of the rows that belong to it.
+        least: share of its diagonal entry that a pivot must exceed; what is no number does not.
     """
     for i in range(0, count - 1, 2):
         for j in range(0, i, 2):
@@ -50,18 +80,19 @@ def _factorise(matrix, count):
             a -= upper * upper
             c -= lower * upper
             d -= lower * lower
-        if a <= SINGULAR * matrix[i, i]:
+        if not a > least * matrix[i, i]:
             return False
         matrix[i, i] = 1.0 / np.sqrt(a)
         matrix[i + 1, i] = c = c * matrix[i, i]
-        if d - c * c <= SINGULAR * matrix[i + 1, i + 1]:
+        if not d - c * c > least * matrix[i + 1, i + 1]:
             return False
         matrix[i + 1, i + 1] = 1.0 / np.sqrt(d - c * c)
-    return count % 2 == 0 or _factorise_last(matrix, count - 1)
+    return count % 2 == 0 or _factorise_last(matrix, count - 1, least)
 
 
 @vectorised
-def _factorise_last(matrix, i):
+def _factorise_last(matrix, i, least):
+    """Do as :func:`_factorise` for the last row, i, of an odd number of them."""
     for j in range(i):
         a = matrix[i, j]
         for k in range(j):
@@ -70,7 +101,7 @@ def _factorise_last(matrix, i):
     a = matrix[i, i]
     for k in range(i):
         a -= matrix[i, k] * matrix[i, k]
-    if a <= SINGULAR * matrix[i, i]:
+    if not a > least * matrix[i, i]:
         return False
     matrix[i, i] = 1.0 / np.sqrt(a)
     return True
@@ -78,8 +109,14 @@ def _factorise_last(matrix, i):
 
 @vectorised
 def solve_spd(matrix, right, count):
-    """Solve a positive definite system, its lower triangle given, in place; False if singular."""
-    if not _factorise(matrix, count):
+    """Solve a positive definite system in place; return False if it is singular.
+
+    Args:
+        matrix: its lower triangle given, shape (count, count) at least; destroyed.
+        right: shape (count,) at least; becomes the solution.
+        count: of the rows that belong to the system.
+    """
+    if not _factorise(matrix, count, SINGULAR):
         return False
     for i in range(count):
         total = right[i]
@@ -93,11 +130,97 @@ def solve_spd(matrix, right, count):
     return True
 
 
+@vectorised
+def invert_spd(matrix, inverse):
+    """Set the inverse of a positive definite matrix; return the logarithm of its determinant.
+
+    A linear algebra library shares this among threads, which on a busy machine wait for each
+    other a hundred times as long as the work takes.
+
+    Args:
+        matrix: its lower triangle given, shape (n, n); destroyed.
+        inverse: shape (n, n).
+
+    Returns:
+        -inf where the matrix is not positive definite; the inverse is then not set.
+    """
+    count, size = len(matrix), 0.0
+    if not _factorise(matrix, count, SINGULAR):
+        return -np.inf
+    inverse[:], row = 0.0, np.empty(count)
+    for i in range(count):  # the factor's own inverse, row by row, in the factor's place
+        pivot = matrix[i, i]
+        size -= 2.0 * np.log(pivot)
+        row[:i] = 0.0
+        for k in range(i):
+            share = matrix[i, k]
+            for j in range(k + 1):
+                row[j] -= share * matrix[k, j]
+        for j in range(i):
+            matrix[i, j] = pivot * row[j]
+    for k in range(count):
+        for i in range(k + 1):
+            share = matrix[k, i]
+            for j in range(i + 1):
+                inverse[i, j] += share * matrix[k, j]
+    for i in range(count):
+        for j in range(i):
+            inverse[j, i] = inverse[i, j]
+    return size
+
+
+@vectorised
+def is_semidefinite(matrix, shift, trial):
+    """Return whether a symmetric matrix plus a multiple of the identity has a Cholesky factor.
+
+    Args:
+        matrix: its lower triangle given, shape (n, n).
+        shift: the multiple.
+        trial: room to work in, shape (n, n).
+    """
+    for i in range(len(matrix)):
+        for j in range(i + 1):
+            trial[i, j] = matrix[i, j]
+        trial[i, i] += shift
+    return _factorise(trial, len(matrix), 0.0)
+
+
+@compiled
+def shift_to_semidefinite(matrix, low, high):
+    """Return nearly the least multiple of the identity that makes a matrix semidefinite.
+
+    By bisection, with Cholesky's factorisation to judge.
+
+    Args:
+        matrix: symmetric, its lower triangle given, shape (n, n).
+        low: the least multiple of interest, positive.
+        high: the largest multiple of interest.
+
+    Returns:
+        A multiple from ``low`` on, at most a thousandth beyond the least; inf beyond ``high``.
+    """
+    trial = np.empty_like(matrix)
+    if is_semidefinite(matrix, low, trial):
+        return low
+    if not (high > low and is_semidefinite(matrix, high, trial)):
+        return np.inf
+    while high > CLOSE * low:
+        between = np.sqrt(low * high)
+        if is_semidefinite(matrix, between, trial):
+            high = between
+        else:
+            low = between
+    return high
+
+
 @compiled
 def diagonalise(matrix, basis, values):
-    """Set ``values`` to the eigenvalues of a symmetric 4x4 matrix, by Jacobi's rotations.
+    """Diagonalise a symmetric matrix by Jacobi's rotations.
 
-    ``basis`` is multiplied by the eigenvectors (its columns); ``matrix`` is destroyed.
+    Args:
+        matrix: shape (4, 4), destroyed.
+        basis: multiplied by the eigenvectors, which are columns, shape (4, 4).
+        values: set to the eigenvalues, shape (4,).
     """
     for _ in range(SWEEPS):
         beside = along = 0.0
@@ -140,7 +263,11 @@ def _rotate(matrix, basis, p, q):
 
 @compiled
 def is_positive(matrix):
-    """Return whether a symmetric 4x4 matrix is positive definite; it is destroyed."""
+    """Return whether a symmetric matrix is positive definite, by Gauss's elimination.
+
+    Args:
+        matrix: shape (4, 4), destroyed.
+    """
     for k in range(4):
         if matrix[k, k] <= SINGULAR:
             return False

@@ -13,7 +13,12 @@ from orbimpc_ros.mpc.kernels import compiled
 
 @compiled
 def set_lmi(x, s):
-    """Set ``s`` to S(R), the matrix of :func:`orbimpc_ros.mpc.geometry.orbitopes.lmi`."""
+    """Set S(R), the matrix of :func:`orbimpc_ros.mpc.geometry.orbitopes.lmi`.
+
+    Args:
+        x: R's entries column by column, shape (9,).
+        s: to be set, shape (4, 4).
+    """
     s[0, 0] = 1.0 + x[0] + x[4] + x[8]
     s[1, 1] = 1.0 + x[0] - x[4] - x[8]
     s[2, 2] = 1.0 - x[0] + x[4] - x[8]
@@ -28,7 +33,13 @@ def set_lmi(x, s):
 
 @compiled
 def add_adjoint(m, scale, out):
-    """Add scale * K*(m) to ``out``, shape (9,), for a symmetric 4x4 matrix m."""
+    """Add a multiple of K*(m), the adjoint of R's part of S(R).
+
+    Args:
+        m: symmetric, shape (4, 4).
+        scale: of what is added.
+        out: to be added to, shape (9,).
+    """
     out[0] += scale * (m[0, 0] + m[1, 1] - m[2, 2] - m[3, 3])
     out[4] += scale * (m[0, 0] - m[1, 1] + m[2, 2] - m[3, 3])
     out[8] += scale * (m[0, 0] - m[1, 1] - m[2, 2] + m[3, 3])
@@ -42,7 +53,14 @@ def add_adjoint(m, scale, out):
 
 @compiled
 def set_pair(basis, i, j, out):
-    """Set ``out`` to K* of the unit symmetric matrix that columns i and j of a basis span."""
+    """Set K* of the unit symmetric matrix that two columns of a basis span.
+
+    Args:
+        basis: orthonormal columns, shape (4, 4).
+        i: of one column.
+        j: of the other, or i.
+        out: to be set, shape (9,).
+    """
     scale = 1.0 if i == j else np.sqrt(2.0)
     a, b, c, d = basis[0, i], basis[1, i], basis[2, i], basis[3, i]
     p, q, r, s = basis[0, j] * scale, basis[1, j] * scale, basis[2, j] * scale, basis[3, j] * scale

@@ -1,8 +1,21 @@
-"""When the method of multipliers is satisfied with a minimum, and how stiff its penalty becomes."""
+"""The method of multipliers: its progress, its line search, and how stiff its penalty becomes.
+
+What both engines of augmented Lagrangians share: :mod:`orbimpc_ros.mpc.kernels.riccati` and
+:mod:`orbimpc_ros.mpc.kernels.augmented_lagrangian`.
+"""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
+
+SETTLED, STALLED, PAUSED = range(3)  # what a minimisation ends with
+SIGMA, BEST, PROMISED = range(3)  # in Progress.numbers
+STEPS, TAKEN = range(2)  # in Progress.counts
 
 ENOUGH = 1e-2  # a minimum is near enough at this share of what the multipliers gain by it
 HALVINGS = 30
@@ -12,17 +25,64 @@ GROWTH = 3.0
 QUICK, SLOW, STUCK = 2, 6, 15  # Newton steps after which sigma grows fast, grows, stays, shrinks
 
 
+class Progress(NamedTuple):
+    """A minimisation that can be interrupted.
+
+    Attributes:
+        x: the point it is at, shape (N, d).
+        held: the multipliers held, or the force that they exert, shape (N, d).
+        numbers: sigma, the penalty's parameter; the greatest lower bound; how far the last Newton
+            step promised to bring the merit down, shape (3,).
+        counts: steps and updates made; Newton steps since sigma last changed, shape (2,).
+    """
+
+    x: Array
+    held: Array
+    numbers: Array
+    counts: np.ndarray
+
+
+def begun(steps: int, width: int, sigma: float) -> Progress:
+    """Return the progress of a minimisation that has not begun.
+
+    Args:
+        steps: N.
+        width: d, the coordinates of a step.
+        sigma: the penalty's first parameter.
+    """
+    numbers = np.array([sigma, -np.inf, np.inf])
+    x, held = np.zeros((2, steps, width))
+    return Progress(x, held, numbers, np.zeros(2, np.int64))
+
+
 @compiled
-def stiffened(sigma, largest, near, taken):
-    """Return the next sigma, after so many Newton steps that came near a minimum or did not."""
+def stiffen(progress, near, largest):
+    """Set the next sigma, when its Newton steps came near a minimum or are given up.
+
+    Args:
+        progress: updated in place.
+        near: whether they came near.
+        largest: sigma may be.
+    """
+    sigma, taken = progress.numbers[SIGMA], progress.counts[TAKEN]
     if not near:
-        return sigma / (GROWTH * GROWTH)
-    if taken <= QUICK:
-        return min(largest, sigma * GROWTH * GROWTH)
-    return min(largest, sigma * GROWTH) if taken <= SLOW else sigma
+        sigma /= GROWTH * GROWTH
+    elif taken <= QUICK:
+        sigma = min(largest, sigma * GROWTH * GROWTH)
+    elif taken <= SLOW:
+        sigma = min(largest, sigma * GROWTH)
+    progress.numbers[SIGMA] = sigma
+    progress.numbers[PROMISED], progress.counts[TAKEN] = np.inf, 0
 
 
 @compiled
 def descends(reached, merit, share, decrease):
-    """Return whether a share of a Newton step brings the merit down far enough (Armijo)."""
+    """Return whether a share of a Newton step brings the merit down far enough (Armijo's rule).
+
+    Args:
+        reached: the merit there.
+        merit: before the step.
+        share: of the step, 0..1.
+        decrease: that the whole step promises.
+    """
     return reached <= merit - DESCENT * share * decrease + ROUNDING * (1.0 + abs(merit))

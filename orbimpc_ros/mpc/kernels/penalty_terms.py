@@ -88,12 +88,20 @@ class Scratch(NamedTuple):
 
 @compiled
 def multipliers(n):
-    """Return multipliers of zero for n steps."""
+    """Return multipliers of zero.
+
+    Args:
+        n: how many steps they are for.
+    """
     return Multipliers(np.zeros((n, 4, 4)), np.zeros((n, 3)), np.zeros(n), np.zeros(1))
 
 
 def scratch(n: int) -> Scratch:
-    """Return room for n steps."""
+    """Return room to work in.
+
+    Args:
+        n: how many steps it is for.
+    """
     room = ROOM * n
     return Scratch(
         np.empty((n, 4, 4)),
@@ -111,7 +119,13 @@ def scratch(n: int) -> Scratch:
 
 @compiled
 def set_forces(terms, held, force):
-    """Set ``force`` to the gradient, shape (n, 9), of the terms for fixed multipliers."""
+    """Set the gradient of the terms for fixed multipliers.
+
+    Args:
+        terms: what comes to the quadratic.
+        held: the multipliers.
+        force: to be set, shape (n, 9).
+    """
     for k in range(len(force)):
         for c in range(9):
             force[k, c] = 0.0
@@ -209,7 +223,19 @@ def _project_rows(x, rows, offsets, held, sigma, new):
 
 @compiled
 def project(terms, x, held, sigma, new, work):
-    """Set ``new`` to the projections; return the terms' value, |new - held|^2, the violation."""
+    """Project multipliers + sigma * what they multiply (Moreau envelopes) for every term.
+
+    Args:
+        terms: what comes to the quadratic.
+        x: shape (n, 9).
+        held: the multipliers to set out from.
+        sigma: the envelopes' inverse parameter.
+        new: set to the projections.
+        work: its ``bases``, ``values`` and ``sizes`` are set for :func:`set_columns`.
+
+    Returns:
+        The terms' value at the projections, |new - held|^2, the violation of the constraints.
+    """
     value, moved, worst = _project_rows(x, terms.rows, terms.offsets, held.rows, sigma, new.rows)
     v, m = _project_lengths(x, held.lengths, sigma, terms.lengths, new.lengths, work.sizes)
     value, moved = value + v, moved + m
@@ -227,7 +253,14 @@ def project(terms, x, held, sigma, new, work):
 
 @compiled
 def value_of(terms, x, held, s):
-    """Return the value of the terms for fixed multipliers."""
+    """Return the value of the terms for fixed multipliers.
+
+    Args:
+        terms: what comes to the quadratic.
+        x: shape (n, 9).
+        held: the multipliers.
+        s: room to work in, shape (4, 4).
+    """
     value = held.fraction[0] * x[0, 0] - max(0.0, held.fraction[0])
     for k in range(len(x)):
         if not (k == 0 and terms.coasting):
@@ -243,7 +276,19 @@ def value_of(terms, x, held, s):
 
 @compiled
 def set_columns(terms, x, held, sigma, new, work):
-    """Set every rank-one part of the terms' Hessian in the scratch; return how many there are."""
+    """Set every rank-one part of the generalised Hessian of the terms' envelopes.
+
+    Args:
+        terms: what comes to the quadratic.
+        x: shape (n, 9).
+        held: the multipliers that were projected.
+        sigma: the envelopes' inverse parameter.
+        new: their projections.
+        work: its ``step``, ``column`` and ``weight`` are set.
+
+    Returns:
+        How many parts there are.
+    """
     step, column, weight = work.step, work.column, work.weight
     count = first = 0
     if terms.coasting:
@@ -312,6 +357,7 @@ def _length_columns(x, held, sigma, limits, sizes, step, column, weight, count):
 
 @compiled
 def _row_columns(rows, new, sigma, step, column, weight, count):
+    """Add the Hessian of the envelopes of the rows that act."""
     for k in range(len(rows)):
         if new[k] > 0.0:
             for c in range(9):

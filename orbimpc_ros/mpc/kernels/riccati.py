@@ -18,18 +18,40 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.penalty import ENOUGH, HALVINGS, STUCK, descends, stiffened
+from orbimpc_ros.mpc.kernels.penalty import (
+    BEST,
+    ENOUGH,
+    HALVINGS,
+    PAUSED,
+    PROMISED,
+    SETTLED,
+    SIGMA,
+    STALLED,
+    STEPS,
+    STUCK,
+    TAKEN,
+    descends,
+    stiffen,
+)
 
 LIMIT = 150  # Newton steps and updates of the multipliers
 NOTHING = 1e-20  # a minimum is near enough where so little is left
-SETTLED, STALLED, PAUSED = range(3)  # what a call ends with
-SIGMA, BEST, PROMISED = range(3)  # in Progress.numbers
-STEPS, TAKEN = range(2)  # in Progress.counts
 
 
 @compiled
 def _back(along, turning, weights, goals, bent, pulled, gain, offset):
-    """Sweep back: set the feedback u = gain . state + offset of every step."""
+    """Sweep back (Riccati recursion): set the feedback u = gain . state + offset of every step.
+
+    Args:
+        along: A, shape (m, m).
+        turning: weight on |u|^2.
+        weights: on |s_k - g_k|^2, shape (N,).
+        goals: g_1..g_N, shape (N, 2).
+        bent: Hessian of the penalty of each disk, shape (N, 2, 2).
+        pulled: its gradient where R_k e1 vanishes, shape (N, 2).
+        gain: to be set, shape (N, 2, m, 2).
+        offset: to be set, shape (N, 2).
+    """
     m, last = len(along), len(along) - 1
     value, slope = np.zeros((m, 2, m, 2)), np.zeros((m, 2))
     ahead, leaning = np.zeros((m, 2, m, 2)), np.zeros((m, 2))
@@ -198,42 +220,22 @@ class Chain(NamedTuple):
     goals: Array
 
 
-class Progress(NamedTuple):
-    """A minimisation that can be interrupted.
-
-    Attributes:
-        z: z_1..z_N, shape (N, 2).
-        held: the multipliers of the disks, shape (N, 2).
-        numbers: sigma; the greatest lower bound; how far the last Newton step promised to bring
-            the merit down, shape (3,).
-        counts: steps and updates made; Newton steps since sigma last changed, shape (2,).
-    """
-
-    z: Array
-    held: Array
-    numbers: Array
-    counts: np.ndarray
-
-
-def begun(steps: int, sigma: float) -> Progress:
-    """Return the progress of a minimisation that has not begun, with its first sigma."""
-    numbers = np.array([sigma, -np.inf, np.inf])
-    return Progress(np.zeros((steps, 2)), np.zeros((steps, 2)), numbers, np.zeros(2, np.int64))
-
-
 @compiled
 def minimise(chain, limits, progress, work):
     """Minimise the cost over headings in their disks, on from where the progress is.
+
+    By Newton's method on the augmented Lagrangian, each step a Riccati recursion.
 
     Args:
         chain: what to minimise.
         limits: on the violation of a disk; on the gap, in proportion to the cost; what rounding
             may make of the gap; the largest sigma.
-        progress: updated in place.
+        progress: its x are z_1..z_N, shape (N, 2), its held the multipliers of their disks;
+            updated in place.
         work: Newton steps and updates of the multipliers to make at most.
 
     Returns:
-        The cost of ``progress.z``, which may be outside the disks by the limit, and ``SETTLED``,
+        The cost of ``progress.x``, which may be outside the disks by the limit, and ``SETTLED``,
         ``STALLED`` or ``PAUSED``.
     """
     along, start, turning, weights, goals = chain
@@ -262,8 +264,7 @@ def minimise(chain, limits, progress, work):
         if near or counts[TAKEN] == STUCK:
             if near:
                 held[:] = new
-            numbers[SIGMA] = stiffened(numbers[SIGMA], largest, near, counts[TAKEN])
-            numbers[PROMISED], counts[TAKEN] = np.inf, 0
+            stiffen(progress, near, largest)
             value, moved, worst = _project(z, held, numbers[SIGMA], new, bent)
             continue
         counts[TAKEN] += 1
@@ -293,7 +294,12 @@ def minimise(chain, limits, progress, work):
 
 @compiled
 def within(chain, z):
-    """Pull headings, shape (N, 2), into their disks; return their cost."""
+    """Pull headings into their disks; return their cost.
+
+    Args:
+        chain: gives the cost.
+        z: z_1..z_N, shape (N, 2), updated in place.
+    """
     for k in range(len(z)):
         z[k] /= max(1.0, np.sqrt(z[k, 0] ** 2 + z[k, 1] ** 2))
     return _cost(chain.along, chain.start, chain.turning, chain.weights, chain.goals, z)
@@ -303,9 +309,10 @@ def within(chain, z):
 def settle(chain, limits, progress, work):
     """Do as :func:`minimise`; once that is over, pull the headings into their disks as well.
 
-    In one call, since to pass the arrays takes as long as the minimisation of a short horizon.
+    In one call, since to pass the arrays takes as long as the minimisation of a short horizon. For
+    arguments and result see there.
     """
     cost, status = minimise(chain, limits, progress, work)
     if status != PAUSED:
-        cost = within(chain, progress.z)
+        cost = within(chain, progress.x)
     return cost, status

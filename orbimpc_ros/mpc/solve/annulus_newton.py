@@ -33,9 +33,10 @@ from orbimpc_ros.mpc.kernels.annulus import (
     Progress,
     begun,
     improve,
-    relax,
+    improve_from_hull,
 )
-from orbimpc_ros.mpc.kernels.dual import SMALLEST, climb
+from orbimpc_ros.mpc.kernels.dual import BOUND as RAISED
+from orbimpc_ros.mpc.kernels.dual import ascent, climb
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.condensed import LONGEST, Condensed
 from orbimpc_ros.mpc.model.cost import first_length, length_weight
@@ -49,8 +50,6 @@ FURTHER_STARTS = 30
 SETTLED = 50.0  # tolerances at which starts from all around, and searches, may stop
 NODES = 25_600  # of the search over arcs
 BRANCHES = 8000  # polls of the general search, where nobody waits for it
-CLIMBS = 60  # Newton steps up the dual function
-TINY = 1e-300
 OUT_OF_REACH = 1e-9  # share of the way to an arrival
 NOTHING = Found(None, np.inf, -np.inf, 0)
 
@@ -224,28 +223,28 @@ class Circle:
         if self._hull is not None:
             relaxed, _ = self._hull.relaxed(tick.state, tick.goals, tick.out_of_time)
             assert relaxed.x is not None
-            start, bound = relaxed.x, relaxed.lower_bound
-            bound += first_length(self._problem, tick.state)
-        else:
-            progress = begun(*tick.q.shape)
-            while not relax(self._disks, tick.q, tick.left, progress, SLICE):
-                if tick.late:
-                    break
-            start, bound = progress.best, float(progress.numbers[BOUND]) + tick.constant
-        bound = max(found.lower_bound, bound + self._least_length)
-        return self._from(tick, replace(found, lower_bound=bound), start[None])
+            bound = relaxed.lower_bound + first_length(self._problem, tick.state)
+            return self._from(tick, _raised(found, bound + self._least_length), relaxed.x[None])
+        hull, progress = begun(*tick.q.shape), begun(*tick.q.shape)
+        progress.numbers[BOUND] = found.lower_bound - tick.constant
+        floors, asked = (self._disks, self._annulus), (tick.q, tick.left, tick.constant)
+        limits = self._least_length, self._tolerance
+        while not improve_from_hull(*floors, *asked, *limits, hull, progress, SLICE):
+            if tick.late:
+                break
+        found = _better(found, progress, tick.constant)
+        # Where time ran out over the hull, that is still a start.
+        return found if found.x is not None else self._from(tick, found, hull.best[None])
 
     def _from_dual(self, tick: _Tick, found: Found) -> Found:
         """Raise the bound by the best multipliers, and start from their Lagrangian's minimum."""
-        q = tick.q
-        scale = float(np.abs(q).max() + np.abs(self._annulus.hessian).max()) + TINY
-        theta, z, numbers = np.full(len(q), scale), np.zeros(q.shape), np.array([scale])
-        for _ in range(CLIMBS):
-            bound = climb(self._annulus, q, tick.left, theta, z, numbers) + tick.constant
-            found = replace(found, lower_bound=max(found.lower_bound, float(bound)))
-            if self.settles(found) or numbers[0] < SMALLEST * scale or tick.late:
+        enough = found.cost - SETTLED * self._tolerance * max(1e-9, abs(found.cost))
+        progress = ascent(self._annulus, tick.q, found.lower_bound - tick.constant)
+        while not climb(self._annulus, tick.q, tick.left, enough - tick.constant, progress, SLICE):
+            if tick.late:
                 break
-        return found if self.settles(found) else self._from(tick, found, z[None])
+        found = _raised(found, float(progress.numbers[RAISED]) + tick.constant)
+        return found if self.settles(found) else self._from(tick, found, progress.z[None])
 
     def _from_around(self, tick: _Tick, found: Found) -> Found:
         return self._from(tick, found, tick.q[None][:0], FURTHER_STARTS)
@@ -261,8 +260,7 @@ class Circle:
         search.begin(tick.q, least, found.cost - least)
         while True:
             ended = search.run(tick.out_of_time)
-            bound = max(found.lower_bound, search.bound + least)
-            found = replace(found, lower_bound=bound, nodes=found.nodes + search.nodes - before)
+            found = _raised(found, search.bound + least, search.nodes - before)
             if self.settles(found):
                 return found
             before = search.nodes
@@ -281,13 +279,18 @@ class Circle:
         )
         best = other if other.cost < found.cost else found
         bound = max(found.lower_bound, other.lower_bound)
-        return replace(best, lower_bound=bound, nodes=found.nodes + other.nodes)
+        return Found(best.x, best.cost, bound, found.nodes + other.nodes)
 
 
 def _long_hull(problem: Problem, tolerance: float) -> Hull | None:
     """Return the method for a hull over a horizon too long for dense code, where there is one."""
     free = replace(problem, floor=Floor(), weights=replace(problem.weights, length=0.0))
     return Hull(free, tolerance) if problem.horizon > LONGEST and Hull.solves(free) else None
+
+
+def _raised(found: Found, bound: float, nodes: int = 0) -> Found:
+    """Return what was found with a bound that may be better, after so many more nodes."""
+    return Found(found.x, found.cost, max(found.lower_bound, bound), found.nodes + nodes)
 
 
 def _better(found: Found, progress: Progress, constant: float) -> Found:

@@ -24,7 +24,8 @@ from orbimpc_ros.mpc.kernels.active_set import (
 from orbimpc_ros.mpc.kernels.annulus import SLICE
 from orbimpc_ros.mpc.model.condensed import regular
 
-FEW = 200  # nodes to have room for at first
+FEW = 200  # nodes until a search pauses first
+DIVE = 15 * SLICE  # multiplications of a dive: one comes after the deadline
 
 
 class CellSearch:
@@ -40,7 +41,8 @@ class CellSearch:
     def __init__(self, hessian: Array, table: Table, tolerance: float, most: int) -> None:
         self._hessian, self._inverse, self._excess = regular(hessian)
         self._table, self._tolerance, self._most = table, tolerance, most
-        self._tree = tree(len(hessian), min(FEW, most), max(table.roots, 2))
+        self._tree = tree(len(hessian), most, max(table.roots, 2))
+        self._room = 0
 
     def begin(self, q: Array, constant: float, known: float = np.inf) -> None:
         """Begin a search.
@@ -52,29 +54,25 @@ class CellSearch:
         """
         self._quadratic = Quadratic(self._hessian, self._inverse, q)
         self._constant = constant
+        self._room = 0
         begin(self._tree, known)
 
     def run(self, out_of_time: Callable[[], bool] | None = None) -> bool:
         """Search on until that is complete, or can or may not go on; return whether it has ended.
 
-        It pauses when there is no room for another node: whoever calls it again gives it more.
+        It pauses whenever it has solved twice as many nodes, for what it has found to be used.
         """
-        if self.nodes >= len(self._tree.active) - 1:
-            self._grow()
+        if self.nodes >= self._room:
+            self._room = min(self._most, max(FEW, 2 * self._room))
+        asked = self._quadratic, self._table, self._constant, self._tolerance, self._tree
         while True:
-            status = search(
-                self._quadratic, self._table, self._constant, self._tolerance, self._tree, SLICE
-            )
+            status = search(*asked, self._room, SLICE)
             if status == DONE:
                 return True
             if status == FULL:
-                return len(self._tree.active) > self._most
+                return self._room >= self._most
             if out_of_time is not None and out_of_time():
                 return False
-
-    def _grow(self) -> None:
-        nodes = min(self._most, 2 * (len(self._tree.active) - 1))
-        self._tree = self._tree.grown(nodes, max(self._table.roots, 2))
 
     @property
     def nodes(self) -> int:
@@ -111,8 +109,6 @@ class CellSearch:
         numbers = self._tree.numbers
         numbers[VALUE], numbers[LEAST] = min(self.value, cost), min(self._tree.numbers[LEAST], cost)
 
-    def dived(self) -> Array:
-        """Return headings that satisfy the floor, shape (N, 2), near the last relaxation's."""
-        x = self.last
-        dive(self._quadratic, self._table, x)
-        return x
+    def dive(self) -> None:
+        """Look for headings that satisfy the floor near the last relaxation's."""
+        dive(self._quadratic, self._table, self._tree, DIVE)

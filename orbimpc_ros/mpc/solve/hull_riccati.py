@@ -8,7 +8,8 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.kernels.riccati import BEST, PAUSED, SETTLED, Chain, begun, settle, within
+from orbimpc_ros.mpc.kernels.penalty import BEST, PAUSED, SETTLED, begun
+from orbimpc_ros.mpc.kernels.riccati import Chain, settle, within
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.cost import first_length, input_weight, position_weights
 from orbimpc_ros.mpc.problem import Problem, State
@@ -87,14 +88,14 @@ class Hull:
         constant = float(self._weights @ np.einsum('kc,kc->k', targets, targets))
         rounding = ROUNDING * constant
         limits = (PRECISION, GAP, rounding, LARGEST * self._stiffness)
-        progress = begun(len(goals), self._stiffness)
+        progress = begun(len(goals), 2, self._stiffness)
         while True:
             cost, status = settle(chain, limits, progress, self._slice)
             if status != PAUSED:
                 break
             if out_of_time is not None and out_of_time():
-                cost = within(chain, progress.z)
+                cost = within(chain, progress.x)
                 break
         spent = first_length(self._problem, state)
         bound = float(progress.numbers[BEST]) - CANCELLED * constant
-        return Found(progress.z, cost + spent, bound + spent, 1), status == SETTLED
+        return Found(progress.x, cost + spent, bound + spent, 1), status == SETTLED

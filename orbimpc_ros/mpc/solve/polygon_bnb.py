@@ -42,6 +42,7 @@ class Planar:
         # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
         self._search.begin(np.zeros((problem.horizon, 2)), 0.0)
         self._search.run()
+        self._search.dive()
         self._found(np.zeros((problem.horizon, 2)), 0.0)
 
     @staticmethod
@@ -72,25 +73,23 @@ class Planar:
         search = self._search
         search.begin(q, constant)
         while not search.run(out_of_time):
+            search.dive()
             if out_of_time is not None and out_of_time():
                 break
         else:
             if search.complete and search.nodes < NODES:
-                return self._of(search.best, q, constant)
+                return self._found(q, constant)
+            search.dive()
         found = self._found(q, constant)
         # Who has a deadline is better off with this than with a search that is slower.
         if out_of_time is not None:
             return found
-        guess = None if found.x is None else Guess(found.x, found.cost)
+        assert found.x is not None
+        guess = Guess(found.x, found.cost)
         return self._general.solve(state, goals, guess, out_of_time)
 
-    def _of(self, x: Array, q: Array, constant: float) -> Found:
+    def _found(self, q: Array, constant: float) -> Found:
+        """Return the best of a search, with the bound that it has proved."""
+        x = self._search.best
         cost = float(quadratic(self._condensed.hessian, q, x)) + constant
         return Found(x, cost, self._search.bound + constant, self._search.nodes)
-
-    def _found(self, q: Array, constant: float) -> Found:
-        """Return the best of a search that was not completed, and of where its end leads to."""
-        found = self._of(self._search.dived(), q, constant)
-        if self._search.value == np.inf:
-            return found
-        return min(found, self._of(self._search.best, q, constant), key=lambda each: each.cost)

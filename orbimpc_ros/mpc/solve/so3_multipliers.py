@@ -18,14 +18,8 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates, margin, matrix
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.annulus import SLICE
-from orbimpc_ros.mpc.kernels.augmented_lagrangian import (
-    BEST,
-    PAUSED,
-    SETTLED,
-    Progress,
-    begun,
-    minimise,
-)
+from orbimpc_ros.mpc.kernels.augmented_lagrangian import minimise
+from orbimpc_ros.mpc.kernels.penalty import BEST, PAUSED, SETTLED, Progress, begun
 from orbimpc_ros.mpc.kernels.penalty_terms import Terms, multipliers, scratch
 from orbimpc_ros.mpc.model.condensed import Condensed, knowns, suits_dense_code
 from orbimpc_ros.mpc.model.cost import first_length, length_weight
@@ -35,6 +29,7 @@ from orbimpc_ros.mpc.solve.relaxation import Halfspace, Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.unconstrained import other_axes, thrust_axis
 
 SIGMA = (1.0, 1e6)  # first and largest; times the scale of the forces at work
+EASY = 12  # a horizon up to which hardly a solve was seen to stall
 USUAL = 100.0  # forces of problems near their goal
 PRECISION = 1e-8  # on constraints
 GAP = 1e-8  # relative
@@ -62,6 +57,8 @@ class Spatial:
         self._length = length_weight(problem)
         self._make_room()
         self._general: Relaxed | None = None
+        if self._may_need_general:
+            self._build_general()
         # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
         self.bind(_rest(self._coasting), np.zeros((problem.horizon, 3)))
         with suppress(Infeasible):  # as with few steps left to turn round in
@@ -85,6 +82,22 @@ class Spatial:
         self._unbound = Terms(
             self._inverse, self._slide, self._lengths, rows, offsets, self._coasting
         )
+
+    @property
+    def _may_need_general(self) -> bool:
+        """Return whether solves are likely to end here without an optimum or a refutation.
+
+        A terminal constraint may be out of reach, and so may half-spaces on the R_1 of a coasting
+        body. Over long horizons the method of multipliers stalls now and then.
+        """
+        refutable = self._coasting and bool(self._slots)
+        return refutable or self.problem.terminal == 'constraint' or self.problem.horizon > EASY
+
+    def _build_general(self) -> Relaxed:
+        from orbimpc_ros.mpc.solve.program import Program  # brings CVXPY, half of a start-up
+
+        self._general = Program(self.problem, self._slots, coasting=self._coasting)
+        return self._general
 
     @staticmethod
     def solves(problem: Problem, slots: Sequence[Slot] = ()) -> bool:
@@ -163,7 +176,10 @@ class Spatial:
                 return Relaxation(self._rotations(progress.x), self._proved(bound))
             self._held = multipliers(self._places)  # what was held misled: once more without
             if out_of_time is not None and out_of_time():
-                return Relaxation(_within(self._rotations(progress.x)), self._proved(bound))
+                break
+        hurried = out_of_time is not None and (self._general is None or out_of_time())
+        if hurried:  # to set the general program up takes longer than a deadline can wait
+            return Relaxation(_within(self._rotations(progress.x)), self._proved(bound))
         return self._leave(imposed, out_of_time)
 
     def _minimise(
@@ -171,7 +187,7 @@ class Spatial:
     ) -> tuple[Progress, int]:
         first, largest = (self._scale * sigma for sigma in SIGMA)
         limits = (PRECISION, GAP, self._least, self._rounding, largest)
-        progress = begun(self._places, first)
+        progress = begun(self._places, 9, first)
         while True:
             _, status = minimise(
                 terms, self._start, self._held, limits, self._work, progress, SLICE
@@ -193,12 +209,9 @@ class Spatial:
         self, imposed: list[Halfspace], out_of_time: Callable[[], bool] | None
     ) -> Relaxation:
         """Leave a solve to the general program."""
-        if self._general is None:
-            from orbimpc_ros.mpc.solve.program import Program  # brings CVXPY, half of a start-up
-
-            self._general = Program(self.problem, self._slots, coasting=self._coasting)
-        self._general.bind(*self._bound_to)
-        return self._general.solve(imposed, out_of_time)
+        general = self._general or self._build_general()
+        general.bind(*self._bound_to)
+        return general.solve(imposed, out_of_time)
 
     def _terms(self, imposed: Sequence[Halfspace]) -> Terms:
         if not imposed:

@@ -1,0 +1,204 @@
+"""Every engine asks for the time after each short slice of work, and ends soon after its deadline.
+
+A slice is a call of machine code with a budget of work. Here budgets are the smallest possible, and
+the calls are counted, so that nothing depends on how fast a machine is.
+"""
+
+import numpy as np
+import pytest
+from orbimpc_ros.mpc.floors import circle, tree
+from problems import floor, goals, state
+
+from orbimpc_ros.mpc import hull, spatial
+from orbimpc_ros.mpc.check import floor_margin
+from orbimpc_ros.mpc.geometry.cells import faces
+from orbimpc_ros.mpc.kernels import COMPILED, annulus
+from orbimpc_ros.mpc.kernels.linear import invert_spd, shift_to_semidefinite
+from orbimpc_ros.mpc.model.condensed import Condensed
+from orbimpc_ros.mpc.problem import Floor, Problem
+from orbimpc_ros.mpc.solve.annulus_newton import Circle
+from orbimpc_ros.mpc.solve.disjunctive_bnb import Search
+from orbimpc_ros.mpc.solve.hull_riccati import Hull
+from orbimpc_ros.mpc.solve.polygon_bnb import Planar
+from orbimpc_ros.mpc.solve.solver import Solver
+
+pytestmark = pytest.mark.skipif(
+    not COMPILED, reason="numba is not installed: pip install 'orbimpc_ros[fast]' runs these"
+)
+KERNELS = {
+    circle: ('improve', 'improve_from_hull', 'climb'),
+    tree: ('search', 'dive'),
+    hull: ('settle',),
+    spatial: ('minimise',),
+}
+ENGINES = {
+    'circle': (Circle, Problem(horizon=12, floor=floor('circle', 1.0))),
+    'long circle': (Circle, Problem(horizon=40, floor=floor('circle', 0.6))),
+    'polygon': (Planar, Problem(horizon=12, floor=floor('polygon', 0.6, 6))),
+    'hull': (Hull, Problem(horizon=40, floor=Floor('none'))),
+    'space': (Search, Problem(3, 2, 2, horizon=10, floor=Floor('none'))),
+    'faces in space': (Search, Problem(3, horizon=6, floor=floor('polygon', 0.5, 6))),
+}
+
+
+class Watch:
+    """A clock that slices of work move on, and what happens between two looks at it."""
+
+    def __init__(self):
+        self.begin(np.inf)
+
+    def begin(self, limit):
+        """Start anew, with a deadline after so many slices."""
+        self.limit, self.slices, self.unseen, self.longest, self.looks = limit, 0, 0, 0, 0
+
+    def counted(self, kernel):
+        def call(*args):
+            self.slices += 1
+            self.unseen += 1
+            self.longest = max(self.longest, self.unseen)
+            return kernel(*args)
+
+        return call
+
+    def out_of_time(self):
+        self.unseen = 0
+        self.looks += 1
+        return self.slices >= self.limit
+
+
+@pytest.fixture
+def watch(monkeypatch):
+    found = Watch()
+    for module, names in KERNELS.items():
+        if hasattr(module, 'SLICE'):
+            monkeypatch.setattr(module, 'SLICE', 1)
+        for name in names:
+            monkeypatch.setattr(module, name, found.counted(getattr(module, name)))
+    monkeypatch.setattr(tree, 'DIVE', 1)
+    return found
+
+
+def asked(problem, seed):
+    """Return a state, and a goal that makes work: one to circle, or to fly to at full speed."""
+    rng = np.random.default_rng(seed)
+    start = state(rng, problem)
+    distance = 0.5 * problem.horizon if problem.floor.shape == 'none' else 0.1
+    goal = start.position + distance * rng.normal(size=problem.dimension)
+    return start, np.tile(goal, (problem.horizon, 1))
+
+
+@pytest.mark.parametrize('engine', ENGINES)
+def test_an_engine_looks_at_the_clock_between_slices_and_ends_after_its_deadline(watch, engine):
+    method, problem = ENGINES[engine]
+    solver, (start, targets) = method(problem, 1e-6), asked(problem, 3)
+    watch.begin(400)
+    solver.solve(start, targets, None, watch.out_of_time)
+    whole = watch.slices
+    assert whole > 8  # or there would be nothing to look at
+    assert watch.looks > 0.3 * whole
+    for limit in np.linspace(1, whole - 1, 12).astype(int):
+        watch.begin(limit)
+        found = solver.solve(start, targets, None, watch.out_of_time)
+        assert watch.longest <= 3
+        assert watch.slices <= limit + 3
+        assert found.lower_bound <= found.cost * (1 + 1e-8)  # constraints hold to 1e-8
+
+
+@pytest.mark.parametrize('engine', ['circle', 'long circle', 'polygon'])
+def test_what_an_engine_returns_at_its_deadline_is_legal(watch, engine):
+    method, problem = ENGINES[engine]
+    solver, (start, targets) = method(problem, 1e-6), asked(problem, 4)
+    for limit in (1, 2, 5, 20, 80):
+        watch.begin(limit)
+        x = solver.solve(start, targets, None, watch.out_of_time).x
+        assert floor_margin(problem, x).min() >= -1e-9
+        assert np.linalg.norm(x, axis=1).max() <= 1.0 + 1e-9
+
+
+def test_a_dive_is_cut_short_and_still_ends_on_the_floor(monkeypatch):
+    problem = Problem(horizon=12, floor=floor('polygon', 0.6, 6))
+    condensed, shortened = Condensed(problem), 0
+    for seed in range(8):
+        q, constant = condensed.affine(*asked(problem, seed))
+        values = []
+        for work in (1.0, np.inf):
+            monkeypatch.setattr(tree, 'DIVE', work)
+            search = tree.CellSearch(condensed.hessian, faces(6, 0.6), 1e-6, 1)
+            search.begin(q, constant)
+            search.run()
+            search.dive()
+            assert floor_margin(problem, search.best).min() >= -1e-9
+            assert np.linalg.norm(search.best, axis=1).max() <= 1.0 + 1e-9
+            values.append(search.value)
+        shortened += values[0] > values[1] + 1e-6
+    assert shortened > 0
+
+
+@pytest.mark.parametrize('fraction', [0.6, 1.0])
+def test_a_newton_step_of_the_circle_is_interrupted_between_its_dampings(fraction):
+    problem = Problem(horizon=10, floor=floor('circle', fraction))
+    solver, interrupted = Circle(problem, 1e-6), 0
+    for seed in range(10):
+        start, targets = asked(problem, seed)
+        q, constant = solver._condensed.affine(start, targets)
+        starts = np.zeros((0, *q.shape)), 6, -1.0  # a gap never so small: all six to their ends
+        given = solver._annulus, q, np.zeros(0), constant, *starts
+        whole, sliced = annulus.begun(*q.shape), annulus.begun(*q.shape)
+        assert annulus.improve(*given, whole, np.inf)
+        while not annulus.improve(*given, sliced, 1.0):
+            # No step yet, and no start without one: its first step is still being damped.
+            interrupted += sliced.counts[annulus.PLACED] == 1 and sliced.counts[annulus.STEPS] == 0
+        assert (sliced.counts == whole.counts).all()
+        cost, bound = whole.numbers[[annulus.COST, annulus.BOUND]]
+        assert sliced.numbers[annulus.COST] == pytest.approx(cost, rel=1e-9)
+        short = 1e-2 * (cost - bound) + 1e-9  # of what a matrix lacks, bounds know so many digits
+        assert bound - short <= sliced.numbers[annulus.BOUND] <= cost + 1e-9
+    assert interrupted > 0
+
+
+@pytest.mark.parametrize('size', [1, 2, 5, 40])
+def test_an_inverse_is_that_of_the_library(size):
+    rng = np.random.default_rng(size)
+    for _ in range(20):
+        root = rng.normal(size=(size, size))
+        matrix, inverse = root @ root.T + 0.1 * np.eye(size), np.empty((size, size))
+        logarithm = invert_spd(matrix.copy(), inverse)
+        assert logarithm == pytest.approx(np.linalg.slogdet(matrix)[1], rel=1e-9, abs=1e-9)
+        assert inverse == pytest.approx(np.linalg.inv(matrix), rel=1e-7, abs=1e-7)
+        assert invert_spd(matrix - 1e3 * np.eye(size), inverse) == -np.inf
+
+
+@pytest.mark.parametrize('size', [1, 2, 5, 40])
+def test_a_shift_is_next_to_the_least_that_makes_a_matrix_semidefinite(size):
+    rng = np.random.default_rng(size)
+    for power in range(-12, 3):
+        values = np.append(rng.uniform(0.0, 1.0, size - 1), -(10.0**power))
+        basis = np.linalg.qr(rng.normal(size=(size, size)))[0]
+        matrix = (basis * values) @ basis.T
+        least = -np.linalg.eigvalsh(matrix)[0]
+        shift = shift_to_semidefinite(matrix, 1e-14, 1e4)
+        assert least - 1e-14 <= shift <= 1.0011 * least + 1e-13
+        assert shift_to_semidefinite(matrix, 1e-14, 0.5 * least) == np.inf
+    assert shift_to_semidefinite(np.full((size, size), np.nan), 1e-14, 1e4) == np.inf
+
+
+def test_the_bound_that_is_no_better_than_one_known_is_the_one_known():
+    problem = Problem(horizon=6, floor=floor('circle', 0.6))
+    solver, (start, targets) = Circle(problem, 1e-6), asked(problem, 1)
+    q, _ = Condensed(problem).affine(start, targets)
+    rng = np.random.default_rng(2)
+    z, theta = rng.normal(size=q.shape), rng.uniform(0.0, 50.0, len(q))
+    rest = z, theta, np.ones(len(q)), np.zeros(0)
+    bound = annulus.bound_at(solver._annulus, q, np.zeros(0), *rest, -np.inf)
+    assert -np.inf < bound < 0.0
+    for known in (bound - 1.0, bound + 1e-9, bound + 1.0):
+        again = annulus.bound_at(solver._annulus, q, np.zeros(0), *rest, known)
+        assert again == pytest.approx(max(bound, known), rel=1e-12)
+
+
+def test_a_solver_out_of_time_from_the_start_has_a_plan():
+    for _, problem in ENGINES.values():
+        rng = np.random.default_rng(7)
+        start, targets = state(rng, problem), goals(rng, problem)
+        plan = Solver(problem).solve(start, targets, out_of_time=lambda: True)
+        assert plan.lower_bound <= plan.objective
