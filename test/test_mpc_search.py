@@ -9,6 +9,7 @@ from problems import box, floor, goals, reference, state, weights
 
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.geometry.cells import round_cells
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
 from orbimpc_ros.mpc.solve.disjunction import disjunctions_of, shortfall
@@ -99,6 +100,22 @@ def test_inherited_bounds_never_exceed_what_the_child_costs(seed):
             raised += gain > 1e-3 * parent.bound
             assert parent.bound + gain <= child.bound * (1 + 1e-6) + 1e-7
     assert raised > 0
+
+
+def allowed(cell, headings, depth):
+    """Which headings, shape (K, n), a cell allows that is cut so many times more."""
+    if not depth:
+        return headings @ cell.normal >= cell.offset - 1e-12
+    return np.any([allowed(part, headings, depth - 1) for part in cell.parts()], axis=0)
+
+
+@pytest.mark.parametrize('n', [2, 3])
+@pytest.mark.parametrize('depth', range(3))
+def test_the_cells_of_a_round_floor_miss_none_of_it(n, depth):
+    headings = np.random.default_rng(depth).normal(size=(2000, n))
+    headings *= 0.6 / np.linalg.norm(headings, axis=1, keepdims=True)
+    cells = round_cells(n, 0.6)
+    assert np.any([allowed(cell, headings, depth) for cell in cells], axis=0).all()
 
 
 @pytest.mark.parametrize('n', [2, 3])
