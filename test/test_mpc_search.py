@@ -75,10 +75,17 @@ def test_finds_what_enumeration_finds(seed, n, shape, boxes, sharing):
     assert violations(problem, start, targets, plan) == []
 
 
-@pytest.mark.parametrize('seed', range(8))
-def test_inherited_bounds_never_exceed_what_the_child_costs(seed):
+# Seed, and what costs are in proportion to their curvature: where that is little, the relaxation's
+# bound is that of another solve than its solution.
+SHARES = [*((seed, 1.0) for seed in range(8)), (8, 1e-12), (20, 1e-11), (20, 1e-12)]
+
+
+@pytest.mark.parametrize(('seed', 'share'), SHARES)
+def test_inherited_bounds_never_exceed_what_the_child_costs(seed, share):
     rng = np.random.default_rng(seed)
-    problem = Problem(2 + seed % 2, horizon=4, floor=floor('polygon', 0.5, 6), weights=weights(rng))
+    w = weights(rng)
+    w = Weights(share * w.position, w.input, 0.0, share * w.terminal)
+    problem = Problem(2 + seed % 2, horizon=4, floor=floor('polygon', 0.5, 6), weights=w)
     start = state(rng, problem)
     targets = np.tile(start.position + 0.5 * rng.normal(size=problem.dimension), (4, 1))
     disjunctions = disjunctions_of(problem)
@@ -98,7 +105,8 @@ def test_inherited_bounds_never_exceed_what_the_child_costs(seed):
             except Infeasible:
                 continue
             raised += gain > 1e-3 * parent.bound
-            assert parent.bound + gain <= child.bound * (1 + 1e-6) + 1e-7
+            spent = trajectory_of(problem, start, targets, child.x).cost
+            assert parent.dual_value + gain <= spent * (1 + 1e-6) + 1e-7 * share
     assert raised > 0
 
 
