@@ -50,6 +50,14 @@ def test_a_plan_is_optimal_only_by_a_bound_that_is_near_enough():
     assert plan.proved(UNPROVED).status == 'feasible'
 
 
+@pytest.mark.parametrize(('units', 'status'), [(1e13, 'feasible'), (1e15, 'optimal')])
+def test_a_gap_that_rounding_explains_is_none(units, status):
+    plan = solved(Problem())
+    unit = units * plan.objective
+    proof = replace(plan.proof, lower_bound=0.0, cost_unit=unit)
+    assert plan.proved(proof).status == status
+
+
 def judged(problem, goals, plan):
     """The objective as the problem states it, number by number."""
     w, h, z = problem.weights, problem.step, problem.forward

@@ -12,9 +12,10 @@ from orbimpc_ros.mpc.geometry.orbitopes import matrix
 from orbimpc_ros.mpc.geometry.rotations import nearest
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.plan import UNPROVED, assemble
-from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.problem import Problem, State, Weights
 from orbimpc_ros.mpc.solve.disjunction import Slot
 from orbimpc_ros.mpc.solve.program import Program
+from orbimpc_ros.mpc.solve.solver import Solver
 
 
 def suboptimality(problem, start, targets, x):
@@ -112,6 +113,25 @@ def test_a_far_goal_is_flown_at_full_speed_not_called_infeasible(n, distance, fo
     fresh = Program(problem)
     fresh.bind(start, np.tile(start.position, (5, 1)))
     assert near.bound == pytest.approx(fresh.solve().bound, rel=1e-6)
+
+
+def by(angle):
+    """The rotation of the plane by an angle."""
+    return np.cos(angle) * PLANE[0] + np.sin(angle) * PLANE[1].T
+
+
+def test_a_cost_far_below_its_curvature_is_minimised():
+    problem = Problem(
+        rotation_order=2,
+        translation_order=2,
+        horizon=8,
+        step=0.0236,
+        forward=9.22,
+        weights=Weights(position=0.0, input=7844.0, length=11.1, terminal=0.0156),
+    )
+    start = State.at([0.0, 0.0], 0.454 * by(-0.082), velocity=[0.0401, 0.0089], coasted=by(-0.01))
+    plan = Solver(problem, coasting=True).solve(start, np.tile([-0.177, -0.458], (8, 1)))
+    assert plan.gap <= 1e-4
 
 
 def test_a_half_space_binds_and_is_gone_in_the_next_solve():

@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Problem, State
 
-ROUNDING = 1e-12  # of the cost unit: at the goal the cost vanishes, its rounding does not
+ROUNDING = 1e-14  # of the cost unit: at the goal the cost vanishes, its rounding does not
 
 
 @dataclass(frozen=True)

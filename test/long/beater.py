@@ -18,6 +18,9 @@ from judge import Array, Case
 
 TIGHT = 1e-8  # by so much constraints are tightened, so that what IPOPT leaves open stays legal
 LEGAL = 1e-9  # violation of a trajectory that counts; of an arrival ten times as much, at its price
+# What a miss saves may grow like a root of it: where an arrival leaves nothing to choose, heading
+# by heading at full speed. The price where the miss ends is then a share of what it was on average.
+CAUTION = 10.0
 OPTIONS = {
     'print_time': False,
     'ipopt.print_level': 0,
@@ -436,7 +439,7 @@ def judged(
     cost = judge.cost(case, rotations)
     if prices is not None and len(prices):
         missed = judge.arrival_miss(case, *judge.rollout(case, rotations)) / case.unit
-        cost += float(prices @ np.abs(missed))
+        cost += CAUTION * float(prices @ np.abs(missed))
     return Trajectory(cost, rotations, name)
 
 

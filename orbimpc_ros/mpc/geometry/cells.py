@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -122,11 +123,18 @@ def round_cells(dimension: int, floor: float) -> tuple[Cell, ...]:
         around = normals(2, 4)
         corners = [np.array([around[i], around[(i + 1) % 4]]) for i in range(4)]
     else:
-        corners = [_vertices_around(face) for face in normals(3, 20)]
+        corners = _icosahedron_triangles()
     return tuple(Patch.over(sealed(c), floor) for c in corners)
 
 
-def _vertices_around(face: Array) -> Array:
-    """Return the three vertices of the icosahedron nearest to the normal of one of its faces."""
+def _icosahedron_triangles() -> list[Array]:
+    """Return the corners of the icosahedron's faces, 20 of shape (3, 3)."""
     vertices = normals(3, 12)  # the dodecahedron's normals are the icosahedron's vertices
-    return vertices[np.argsort(-(vertices @ face))[:3]]
+    # Its faces are told by their vertices: ``normals(3, 20)`` belong to one turned against it.
+    adjacent = vertices @ vertices.T > 0.0
+    triples = itertools.combinations(range(len(vertices)), 3)
+    return [
+        vertices[[i, j, k]]
+        for i, j, k in triples
+        if adjacent[i, j] and adjacent[j, k] and adjacent[i, k]
+    ]

@@ -161,7 +161,7 @@ class _Run:
             return
         if self._best is None or self._is_nearly_round(missed):
             self._dive(node.choice, trajectory, missed)
-        self._branch(node.choice, missed, bound)
+        self._branch(node.choice, missed, bound, relaxed.dual_value)
 
     def _give_up(self, choice: Choice, bound: float) -> None:
         """Close a node that was not solved, unless it is the root, whose children may be."""
@@ -236,8 +236,17 @@ class _Run:
             if d.radius
         }
 
-    def _branch(self, choice: Choice, missed: dict[int, tuple[float, Array]], bound: float) -> None:
-        """Open a child per cell of the disjunction that raises the bound the most."""
+    def _branch(
+        self,
+        choice: Choice,
+        missed: dict[int, tuple[float, Array]],
+        bound: float,
+        dual_value: float,
+    ) -> None:
+        """Open a child per cell of the disjunction that raises the bound the most.
+
+        The parabola of a child's bound begins at the dual value that belongs to the solution.
+        """
         if self._search.exchangeable:
             self._branch_in_order(choice, bound)
             return
@@ -254,7 +263,8 @@ class _Run:
         promises = {j: (self._promise(j, gains[j], missed[j][0]), missed[j][0]) for j in options}
         chosen = max(options, key=promises.__getitem__)
         for cell, gain in zip(options[chosen], gains[chosen], strict=True):
-            self._push((*choice[:chosen], cell, *choice[chosen + 1 :]), bound + float(gain))
+            raised = max(bound, dual_value + float(gain))
+            self._push((*choice[:chosen], cell, *choice[chosen + 1 :]), raised)
 
     def _branch_in_order(self, choice: Choice, bound: float) -> None:
         """Branch on the first open step, on faces not before that of the step before it.

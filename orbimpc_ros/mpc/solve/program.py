@@ -27,6 +27,8 @@ from orbimpc_ros.mpc.solve.statement import Statement
 SMALL = 1e-2  # a cost below this is solved once more, scaled up
 TINY = 1e-11  # well below the 1e-9 that gaps are measured against at the least
 INERT = 1.0  # an empty slot reads 0 <= 1
+STUCK = ('NumericalError', 'InsufficientProgress')
+NEAR = 1e-9  # on constraints, of an answer that is not accurate otherwise
 FAR = 1.0  # a goal is far from this many horizons on
 
 
@@ -97,7 +99,7 @@ class Program:
             return relaxed
         if relaxed.x is None:
             anew = self._solve_anew(a, b, self._scale, out_of_time)
-            return Relaxation(anew.x, max(relaxed.bound, anew.bound))
+            return Relaxation(anew.x, max(relaxed.bound, anew.bound), anew.bound)
         if relaxed.bound < SMALL * self._scale:
             return self._bound_anew(relaxed, a, b, out_of_time)
         return relaxed
@@ -120,11 +122,13 @@ class Program:
         against the cost. Solved once more with the cost scaled up, it is.
         """
         scaled = self._solve_anew(a, b, max(relaxed.bound, TINY), out_of_time)
-        found = [each.x for each in (relaxed, scaled) if each.x is not None]
-        return Relaxation(min(found, key=self._cost), max(relaxed.bound, scaled.bound))
+        best = min((relaxed, scaled), key=self._cost)
+        return Relaxation(best.x, max(relaxed.bound, scaled.bound), best.bound)
 
-    def _cost(self, x: Array) -> float:
-        return trajectory_of(self.problem, *self._bound_to, x).cost
+    def _cost(self, relaxed: Relaxation) -> float:
+        if relaxed.x is None:
+            return np.inf
+        return trajectory_of(self.problem, *self._bound_to, relaxed.x).cost
 
     def _solve_anew(
         self, a: Array, b: Array, scale: float, out_of_time: Callable[[], bool] | None
@@ -156,7 +160,7 @@ class Program:
         proved = self._certifier.lower_bound(answer, a, b, q, scale, self._largest)
         bound = scale * proved + self._constant
         x = np.asarray(answer.x)[self._columns]
-        return Relaxation(x if status in SOLVED else None, bound)
+        return Relaxation(x if status in SOLVED or _is_near(answer) else None, bound)
 
     def _limits_of(self, speed: float, spin: float) -> Array:
         """Return the most that each column's variable can be, of a state's speed and spin."""
@@ -236,6 +240,15 @@ class Program:
         if not np.allclose(np.abs(numbered[order]), numbers):
             raise SolverFailure('CVXPY compiled the program in a way that is not understood')
         return order[:size], np.sign(numbered[order[:size]]), order[size:]
+
+
+def _is_near(answer: Any) -> bool:
+    """Return whether an answer whose gap would not close satisfies the constraints all the same.
+
+    Its bound tells how far from the optimum it is.
+    """
+    near = answer.r_prim <= NEAR and np.isfinite(answer.x).all()
+    return bool(near and str(answer.status) in STUCK)
 
 
 def _entry(a: sparse.csc_matrix, row: int, column: int) -> int:

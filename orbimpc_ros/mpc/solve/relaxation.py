@@ -19,10 +19,17 @@ class Relaxation:
     Attributes:
         x: rotation coordinates of R_1..R_N, shape (N, d); None if the program was not solved.
         bound: no trajectory of this relaxation costs less; -inf if nothing was proved.
+        own: what the multipliers that belong to ``x`` prove, where others prove more.
     """
 
     x: Array | None
     bound: float
+    own: float | None = None
+
+    @property
+    def dual_value(self) -> float:
+        """Return the value of the dual function whose minimiser is ``x``."""
+        return self.bound if self.own is None else self.own
 
 
 class Relaxed(Protocol):
