@@ -14,8 +14,8 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.annulus import improve
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.problem import Problem, State, Weights
-from orbimpc_ros.mpc.solve.annulus_newton import NOTHING, Circle, _Tick
-from orbimpc_ros.mpc.solve.request import Guess
+from orbimpc_ros.mpc.solve.annulus_newton import NOTHING, AnnulusNewton, _Tick
+from orbimpc_ros.mpc.solve.request import Guess, Request
 from orbimpc_ros.mpc.solve.solver import Solver
 
 
@@ -77,10 +77,10 @@ def test_no_bound_exceeds_the_best_of_many_local_optima(seed):
     """50 states and goals a seed, 50 local starts each: 2,000 problems in all."""
     rng = np.random.default_rng(seed)
     problem = random_problem(rng, horizon=int(rng.integers(2, 6)))
-    circle = Circle(problem, 1e-6)
+    circle = AnnulusNewton(problem, 1e-6)
     for _ in range(50):
         start, targets = state(rng, problem, full_speed=False), goals(rng, problem)
-        found = circle.solve(start, targets)
+        found = circle.solve(Request(start, targets))
         best = min(best_descent(rng, problem, start, targets), found.cost)
         assert found.lower_bound <= best + 1e-6 * abs(best)
 
@@ -96,7 +96,7 @@ def test_the_best_multipliers_bound_as_well_as_the_lifted_relaxation(seed):
     problem = random_problem(rng, length=False)
     start, targets = state(rng, problem), goals(rng, problem)
     dense = dense_bound(problem, start, targets)
-    circle = Circle(problem, 1e-12)
+    circle = AnnulusNewton(problem, 1e-12)
     found = circle._from_dual(tick_of(circle, start, targets), NOTHING)
     assert found.lower_bound == pytest.approx(dense, rel=2e-6, abs=1e-6)
 
@@ -116,7 +116,7 @@ def test_solves_to_global_optimality_and_says_so(seed):
 def test_a_certificate_is_a_zero_gap_and_its_absence_is_a_real_one(fraction):
     rng = np.random.default_rng(1)
     problem = Problem(floor=floor('circle', fraction))
-    circle = Circle(problem, 1e-9)
+    circle = AnnulusNewton(problem, 1e-9)
     certified = local = 0
     for _ in range(40):
         start, targets = state(rng, problem), goals(rng, problem, distance=0.5)
@@ -147,12 +147,12 @@ def test_slow_starts_converge_and_are_proved(change):
     """Weights far apart leave directions that hardly matter: a start is slow along them."""
     rng = np.random.default_rng(4)
     problem = Problem(floor=floor('circle'), **change)
-    circle = Circle(problem, 1e-6)
+    circle = AnnulusNewton(problem, 1e-6)
     reach = problem.forward * 2.0
     for _ in range(10):
         start = state(rng, problem)
         targets = start.position + np.tile([reach, 0.0], (problem.horizon, 1))
-        found = circle.solve(start, targets)
+        found = circle.solve(Request(start, targets))
         assert circle.settles(found)
         best = best_descent(rng, problem, start, targets)
         assert found.lower_bound <= best * (1 + 1e-9)
@@ -163,11 +163,11 @@ def test_a_start_that_is_cut_short_has_a_cost_and_a_bound(monkeypatch):
     monkeypatch.setattr('orbimpc_ros.mpc.solve.annulus_newton.SLICE', 1.0)  # a Newton step
     rng = np.random.default_rng(2)
     problem = Problem(horizon=8, floor=floor('circle'))
-    circle = Circle(problem, 1e-6)
+    circle = AnnulusNewton(problem, 1e-6)
     for _ in range(5):
         start, targets = state(rng, problem), goals(rng, problem)
-        whole = circle.solve(start, targets)
-        found = circle.solve(start, targets, None, lambda: True)
+        whole = circle.solve(Request(start, targets))
+        found = circle.solve(Request(start, targets, out_of_time=lambda: True))
         assert np.linalg.norm(found.x, axis=1).min() >= problem.floor.fraction - 1e-12
         assert np.linalg.norm(found.x, axis=1).max() <= 1.0 + 1e-12
         assert -np.inf < found.lower_bound <= whole.cost * (1 + 1e-9)
@@ -181,18 +181,18 @@ def test_a_heading_that_nothing_weighs_is_no_trouble(dimension, fraction):
     for chosen in (Weights(1.0, 0.0, 0.0, 1.0), Weights(0.0, 0.0, 0.0, 0.0)):
         problem = Problem(dimension=dimension, weights=chosen, floor=floor('circle', fraction))
         start, targets = state(rng, problem), goals(rng, problem)
-        found = Circle(problem, 1e-6).solve(start, targets)
+        found = AnnulusNewton(problem, 1e-6).solve(Request(start, targets))
         assert found.cost - found.lower_bound <= max(1e-4 * found.cost, 1e-9)
 
 
 def test_an_arrival_out_of_reach_is_refused_and_one_just_within_is_met():
     problem = Problem(horizon=6, terminal='constraint', floor=floor('circle', 0.5))
-    circle = Circle(problem, 1e-6)
+    circle = AnnulusNewton(problem, 1e-6)
     start = State.at(np.zeros(2), np.eye(2))
     with pytest.raises(Infeasible):
-        circle.solve(start, np.tile([6.001, 0.0], (6, 1)))
+        circle.solve(Request(start, np.tile([6.001, 0.0], (6, 1))))
     targets = np.tile([5.999, 0.0], (6, 1))
-    found = circle.solve(start, targets)
+    found = circle.solve(Request(start, targets))
     assert np.allclose(found.x[:-1].sum(axis=0), [4.999, 0.0], atol=1e-9)
     assert circle.settles(found)
 
@@ -209,7 +209,7 @@ def test_multipliers_bound_arrival_and_length():
     problem, start, _ = reference('dubins_circle')
     short = replace(problem, horizon=6)
     near = np.tile([2.0, 3.0], (6, 1))
-    circle = Circle(short, 1e-12)
+    circle = AnnulusNewton(short, 1e-12)
     bound = circle._from_dual(tick_of(circle, start, near), NOTHING).lower_bound
     plan = Solver(short).solve(start, near)
     assert bound <= plan.objective * (1 + 1e-6)
@@ -273,10 +273,10 @@ def test_an_optimum_that_no_local_search_reaches_is_found(position, heading, tar
 def test_a_guess_compiles_nothing_in_a_tick(dimension):
     seen = Weights(input=0.0)
     problem = Problem(dimension=dimension, weights=seen, floor=floor('circle'))
-    circle = Circle(problem, 1e-6)
+    circle = AnnulusNewton(problem, 1e-6)
     start, targets = State.at(np.zeros(dimension), np.eye(dimension)), np.ones((5, dimension))
-    found = circle.solve(start, targets)
+    found = circle.solve(Request(start, targets))
     compiled = len(improve.signatures)
-    again = circle.solve(start, targets, Guess(sealed(found.x), found.cost))
+    again = circle.solve(Request(start, targets, Guess(sealed(found.x), found.cost)))
     assert len(improve.signatures) == compiled
     assert again.cost == pytest.approx(found.cost, rel=1e-9)

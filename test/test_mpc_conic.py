@@ -1,5 +1,6 @@
 """What Clarabel's answers prove: judged by points that are feasible, whatever the solver says."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,16 +15,17 @@ from orbimpc_ros.mpc.solve import program as programs
 from orbimpc_ros.mpc.solve.conic import SOLVED, run
 from orbimpc_ros.mpc.solve.disjunction import Slot
 from orbimpc_ros.mpc.solve.program import Program
+from orbimpc_ros.mpc.solve.request import Request
 
 PANIC = type('PanicException', (BaseException,), {})
 
 
 def bound(problem, rng):
-    """A program bound to a random state and goals, with these."""
+    """A program with a request at random, bound to it."""
     program = Program(problem, coasting=True)
-    start, targets = state(rng, problem), goals(rng, problem)
-    program.bind(start, targets)
-    return program, start, targets
+    at = Request(state(rng, problem), goals(rng, problem))
+    program._bind(at)
+    return program, at
 
 
 def answer(program):
@@ -45,13 +47,14 @@ def feasible(rng, problem, start):
 def test_any_multipliers_prove_a_bound_that_holds(orders):
     rng = np.random.default_rng(2)
     problem = Problem(**orders, horizon=6, weights=weights(rng))
-    program, start, targets = bound(problem, rng)
+    program, at = bound(problem, rng)
+    start, targets = at.state, at.goals
     told, a, b = answer(program)
     costs = [
         trajectory_of(problem, start, targets, feasible(rng, problem, start)).cost
         for _ in range(20)
     ]
-    best = program.solve()
+    best = program.relax(at)
     assert best.bound <= min(costs)
     z, x = np.asarray(told.z), np.asarray(told.x)
     for noise in (0.0, 1e-6, 1e-2, 1.0, 100.0):
@@ -68,7 +71,7 @@ def test_any_multipliers_prove_a_bound_that_holds(orders):
 
 
 def test_multipliers_that_are_no_numbers_prove_nothing():
-    program, _, _ = bound(Problem(), np.random.default_rng(3))
+    program, _ = bound(Problem(), np.random.default_rng(3))
     told, a, b = answer(program)
     for name in 'xz':
         broken = SimpleNamespace(x=np.asarray(told.x), z=np.asarray(told.z))
@@ -82,13 +85,14 @@ def test_infeasible_is_what_multipliers_prove_so():
     """An arrival out of reach is refuted; the same words about a problem with plans are not."""
     rng = np.random.default_rng(4)
     problem = Problem(terminal='constraint', horizon=4)
-    program, start, _ = bound(problem, rng)
+    program, at = bound(problem, rng)
+    start = at.state
     far = np.tile(start.position + np.array([9.0, 0.0]), (4, 1))
-    program.bind(start, far)
+    at = Request(start, far)
     with pytest.raises(Infeasible):
-        program.solve()
+        program.relax(at)
     near = np.tile(start.position + start.rotation[:, 0] * 3.0, (4, 1))
-    program.bind(start, near)
+    program._bind(Request(start, near))
     told, a, b = answer(program)
     assert str(told.status) in SOLVED
     lie = SimpleNamespace(status='PrimalInfeasible', x=told.x, z=told.z)
@@ -96,8 +100,8 @@ def test_infeasible_is_what_multipliers_prove_so():
 
 
 def test_a_solver_that_panics_has_failed_and_is_made_anew(monkeypatch):
-    program, _, _ = bound(Problem(), np.random.default_rng(5))
-    expected = program.solve()
+    program, at = bound(Problem(), np.random.default_rng(5))
+    expected = program.relax(at)
 
     def panic(*_):
         raise PANIC('Eigval error')
@@ -107,10 +111,10 @@ def test_a_solver_that_panics_has_failed_and_is_made_anew(monkeypatch):
         solve=panic,
     )
     program._solver = broken
-    assert program.solve().bound == pytest.approx(expected.bound)  # solved anew at once
+    assert program.relax(at).bound == pytest.approx(expected.bound)  # solved anew at once
     assert program._solver is not broken
     monkeypatch.setattr(programs, 'run', lambda *_: None)
-    assert program.solve().x is None
+    assert program.relax(at).x is None
 
 
 def test_what_is_no_panic_is_not_caught():
@@ -127,14 +131,16 @@ def test_a_program_out_of_time_has_no_trajectory_but_a_bound_that_holds():
     problem = Problem(3, horizon=12, floor=floor('polygon', 0.5, 6))
     program = Program(problem, [Slot('heading', k) for k in range(1, 13)])
     start, targets = state(rng, problem), goals(rng, problem)
-    program.bind(start, targets)
-    whole = program.solve()
+    at = Request(start, targets)
+    whole = program.relax(at)
     bounds = []
     for most in (0, 3, 6):
         asked = iter(range(most))
-        stopped = program.solve((), lambda asked=asked: next(asked, None) is None)
+        stopped = program.relax(
+            replace(at, out_of_time=lambda asked=asked: next(asked, None) is None)
+        )
         assert stopped.x is None
         assert stopped.bound <= whole.bound + 1e-6
         bounds.append(stopped.bound)
     assert bounds == sorted(bounds)
-    assert program.solve((), lambda: False).bound == pytest.approx(whole.bound)
+    assert program.relax(replace(at, out_of_time=lambda: False)).bound == pytest.approx(whole.bound)

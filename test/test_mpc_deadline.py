@@ -6,38 +6,38 @@ the calls are counted, so that nothing depends on how fast a machine is.
 
 import numpy as np
 import pytest
-from orbimpc_ros.mpc.floors import circle, tree
 from problems import floor, goals, state
 
-from orbimpc_ros.mpc import hull, spatial
 from orbimpc_ros.mpc.check import floor_margin
 from orbimpc_ros.mpc.geometry.cells import faces
 from orbimpc_ros.mpc.kernels import COMPILED, annulus
 from orbimpc_ros.mpc.kernels.linear import invert_spd, shift_to_semidefinite
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.problem import Floor, Problem
-from orbimpc_ros.mpc.solve.annulus_newton import Circle
-from orbimpc_ros.mpc.solve.disjunctive_bnb import Search
-from orbimpc_ros.mpc.solve.hull_riccati import Hull
-from orbimpc_ros.mpc.solve.polygon_bnb import Planar
+from orbimpc_ros.mpc.solve import annulus_newton, cell_tree, hull_riccati, so3_multipliers
+from orbimpc_ros.mpc.solve.annulus_newton import AnnulusNewton
+from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch
+from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
+from orbimpc_ros.mpc.solve.polygon_bnb import PolygonSearch
+from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.solver import Solver
 
 pytestmark = pytest.mark.skipif(
     not COMPILED, reason="numba is not installed: pip install 'orbimpc_ros[fast]' runs these"
 )
 KERNELS = {
-    circle: ('improve', 'improve_from_hull', 'climb'),
-    tree: ('search', 'dive'),
-    hull: ('settle',),
-    spatial: ('minimise',),
+    annulus_newton: ('improve', 'improve_from_hull', 'climb'),
+    cell_tree: ('search', 'dive'),
+    hull_riccati: ('settle',),
+    so3_multipliers: ('minimise',),
 }
 ENGINES = {
-    'circle': (Circle, Problem(horizon=12, floor=floor('circle', 1.0))),
-    'long circle': (Circle, Problem(horizon=40, floor=floor('circle', 0.6))),
-    'polygon': (Planar, Problem(horizon=12, floor=floor('polygon', 0.6, 6))),
-    'hull': (Hull, Problem(horizon=40, floor=Floor('none'))),
-    'space': (Search, Problem(3, 2, 2, horizon=10, floor=Floor('none'))),
-    'faces in space': (Search, Problem(3, horizon=6, floor=floor('polygon', 0.5, 6))),
+    'circle': (AnnulusNewton, Problem(horizon=12, floor=floor('circle', 1.0))),
+    'long circle': (AnnulusNewton, Problem(horizon=40, floor=floor('circle', 0.6))),
+    'polygon': (PolygonSearch, Problem(horizon=12, floor=floor('polygon', 0.6, 6))),
+    'hull': (HullRiccati, Problem(horizon=40, floor=Floor('none'))),
+    'space': (DisjunctiveSearch, Problem(3, 2, 2, horizon=10, floor=Floor('none'))),
+    'faces in space': (DisjunctiveSearch, Problem(3, horizon=6, floor=floor('polygon', 0.5, 6))),
 }
 
 
@@ -74,7 +74,7 @@ def watch(monkeypatch):
             monkeypatch.setattr(module, 'SLICE', 1)
         for name in names:
             monkeypatch.setattr(module, name, found.counted(getattr(module, name)))
-    monkeypatch.setattr(tree, 'DIVE', 1)
+    monkeypatch.setattr(cell_tree, 'DIVE', 1)
     return found
 
 
@@ -92,13 +92,13 @@ def test_an_engine_looks_at_the_clock_between_slices_and_ends_after_its_deadline
     method, problem = ENGINES[engine]
     solver, (start, targets) = method(problem, 1e-6), asked(problem, 3)
     watch.begin(400)
-    solver.solve(start, targets, None, watch.out_of_time)
+    solver.solve(Request(start, targets, out_of_time=watch.out_of_time))
     whole = watch.slices
     assert whole > 8  # or there would be nothing to look at
     assert watch.looks > 0.3 * whole
     for limit in np.linspace(1, whole - 1, 12).astype(int):
         watch.begin(limit)
-        found = solver.solve(start, targets, None, watch.out_of_time)
+        found = solver.solve(Request(start, targets, out_of_time=watch.out_of_time))
         assert watch.longest <= 3
         assert watch.slices <= limit + 3
         assert found.lower_bound <= found.cost * (1 + 1e-8)  # constraints hold to 1e-8
@@ -110,7 +110,7 @@ def test_what_an_engine_returns_at_its_deadline_is_legal(watch, engine):
     solver, (start, targets) = method(problem, 1e-6), asked(problem, 4)
     for limit in (1, 2, 5, 20, 80):
         watch.begin(limit)
-        x = solver.solve(start, targets, None, watch.out_of_time).x
+        x = solver.solve(Request(start, targets, out_of_time=watch.out_of_time)).x
         assert floor_margin(problem, x).min() >= -1e-9
         assert np.linalg.norm(x, axis=1).max() <= 1.0 + 1e-9
 
@@ -122,8 +122,8 @@ def test_a_dive_is_cut_short_and_still_ends_on_the_floor(monkeypatch):
         q, constant = condensed.affine(*asked(problem, seed))
         values = []
         for work in (1.0, np.inf):
-            monkeypatch.setattr(tree, 'DIVE', work)
-            search = tree.CellSearch(condensed.hessian, faces(6, 0.6), 1e-6, 1)
+            monkeypatch.setattr(cell_tree, 'DIVE', work)
+            search = cell_tree.CellSearch(condensed.hessian, faces(6, 0.6), 1e-6, 1)
             search.begin(q, constant)
             search.run()
             search.dive()
@@ -137,7 +137,7 @@ def test_a_dive_is_cut_short_and_still_ends_on_the_floor(monkeypatch):
 @pytest.mark.parametrize('fraction', [0.6, 1.0])
 def test_a_newton_step_of_the_circle_is_interrupted_between_its_dampings(fraction):
     problem = Problem(horizon=10, floor=floor('circle', fraction))
-    solver, interrupted = Circle(problem, 1e-6), 0
+    solver, interrupted = AnnulusNewton(problem, 1e-6), 0
     for seed in range(10):
         start, targets = asked(problem, seed)
         q, constant = solver._condensed.affine(start, targets)
@@ -184,7 +184,7 @@ def test_a_shift_is_next_to_the_least_that_makes_a_matrix_semidefinite(size):
 
 def test_the_bound_that_is_no_better_than_one_known_is_the_one_known():
     problem = Problem(horizon=6, floor=floor('circle', 0.6))
-    solver, (start, targets) = Circle(problem, 1e-6), asked(problem, 1)
+    solver, (start, targets) = AnnulusNewton(problem, 1e-6), asked(problem, 1)
     q, _ = Condensed(problem).affine(start, targets)
     rng = np.random.default_rng(2)
     z, theta = rng.normal(size=q.shape), rng.uniform(0.0, 50.0, len(q))

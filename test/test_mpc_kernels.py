@@ -19,11 +19,12 @@ from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.model.cost import position_weights
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem, Weights
-from orbimpc_ros.mpc.solve.annulus_newton import NOTHING, Circle, _Tick
+from orbimpc_ros.mpc.solve.annulus_newton import NOTHING, AnnulusNewton, _Tick
 from orbimpc_ros.mpc.solve.cell_tree import CellSearch
-from orbimpc_ros.mpc.solve.disjunctive_bnb import Search
-from orbimpc_ros.mpc.solve.hull_riccati import Hull
-from orbimpc_ros.mpc.solve.polygon_bnb import Planar
+from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch
+from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
+from orbimpc_ros.mpc.solve.polygon_bnb import PolygonSearch
+from orbimpc_ros.mpc.solve.request import Request
 
 pytestmark = pytest.mark.skipif(
     not COMPILED, reason="numba is not installed: pip install 'orbimpc_ros[fast]' runs these"
@@ -46,12 +47,15 @@ def random_problem(rng, shape):
 def test_planar_search_finds_and_proves_what_the_general_one_does(seed, shape):
     rng = np.random.default_rng(seed)
     problem = random_problem(rng, shape)
-    assert Planar.solves(problem)
-    fast, general = Planar(problem, 1e-6), Search(problem, 1e-6)
+    assert PolygonSearch.solves(problem)
+    fast, general = PolygonSearch(problem, 1e-6), DisjunctiveSearch(problem, 1e-6)
     for _ in range(5):
         start = state(rng, problem, full_speed=False)
         targets = goals(rng, problem, distance=10.0 ** rng.uniform(-1, 3))
-        found, expected = fast.solve(start, targets), general.solve(start, targets)
+        found, expected = (
+            fast.solve(Request(start, targets)),
+            general.solve(Request(start, targets)),
+        )
         cost = trajectory_of(problem, start, targets, found.x).cost
         assert found.cost == pytest.approx(cost, rel=1e-9, abs=1e-12)
         assert found.cost == pytest.approx(expected.cost, rel=3e-6, abs=1e-8)
@@ -84,12 +88,12 @@ def test_a_search_in_slices_is_the_same_search():
     problem = Problem(horizon=6, floor=floor('polygon', 0.6, 6))
     for _ in range(20):
         start, targets = passing(rng, problem)
-        planar = Planar(problem, 1e-6)
-        whole = planar.solve(start, targets)
-        sliced = planar.solve(start, targets, None, lambda: False)
+        planar = PolygonSearch(problem, 1e-6)
+        whole = planar.solve(Request(start, targets))
+        sliced = planar.solve(Request(start, targets, out_of_time=lambda: False))
         with pytest.MonkeyPatch.context() as patched:
             patched.setattr('orbimpc_ros.mpc.solve.cell_tree.SLICE', 1.0)
-            each = planar.solve(start, targets, None, lambda: False)
+            each = planar.solve(Request(start, targets, out_of_time=lambda: False))
         assert whole.cost == sliced.cost == each.cost
         assert whole.nodes == sliced.nodes == each.nodes
 
@@ -99,12 +103,14 @@ def test_an_interrupted_search_returns_a_legal_plan_and_its_bound(monkeypatch, s
     monkeypatch.setattr('orbimpc_ros.mpc.solve.cell_tree.SLICE', 1.0)
     rng = np.random.default_rng(12)
     problem = Problem(horizon=8, floor=floor(*shape))
-    planar = Planar(problem, 1e-6)
+    planar = PolygonSearch(problem, 1e-6)
     for polls in (1, 2, 5, 20):
         start, targets = passing(rng, problem)
         left = iter(range(polls))
-        found = planar.solve(start, targets, None, lambda left=left: next(left, None) is None)
-        proved = planar.solve(start, targets)
+        found = planar.solve(
+            Request(start, targets, out_of_time=lambda left=left: next(left, None) is None)
+        )
+        proved = planar.solve(Request(start, targets))
         assert -np.inf < found.lower_bound <= proved.cost * (1 + 1e-9)
         assert proved.lower_bound <= found.cost < np.inf
         assert floor_margin(problem, found.x).min() >= -1e-9
@@ -119,7 +125,7 @@ def test_weights_far_apart_do_not_stop_a_search(seed):
     chosen = replace(chosen, input=[chosen.input, 0.0][seed % 2])
     problem = Problem(horizon=2, floor=floor('polygon', 0.6, 4), weights=chosen)
     start, targets = state(rng, problem), goals(rng, problem, distance=1.0)
-    found = Planar(problem, 1e-6).solve(start, targets)
+    found = PolygonSearch(problem, 1e-6).solve(Request(start, targets))
     best = best_by_grid(problem, start, targets)
     assert found.lower_bound <= best * (1 + 1e-9) + 1e-9
     assert found.cost <= best * (1 + 1e-3)
@@ -168,10 +174,10 @@ start, targets = State.at([0.0, 0.0], np.eye(2)), np.tile([0.4, 0.3], (3, 1))
 high = State.at(np.zeros(3), np.eye(3)), np.tile([0.4, 0.3, 0.2], (3, 1))
 seen = Weights(input=0.0)
 found = [
-    Circle(Problem(horizon=3, floor=Floor('circle', 4, 0.6)), 1e-6).solve(start, targets),
-    Circle(Problem(dimension=3, horizon=3, weights=seen, floor=Floor('circle')), 1e-6).solve(*high),
-    Planar(Problem(horizon=3, floor=Floor('polygon', 4, 0.6)), 1e-6).solve(start, targets),
-    Hull(Problem(horizon=3), 1e-6).solve(start, targets),
+    Circle(Problem(horizon=3, floor=Floor('circle', 4, 0.6)), 1e-6).solve(Request(start, targets)),
+    Circle(Problem(3, horizon=3, weights=seen, floor=Floor('circle')), 1e-6).solve(Request(*high)),
+    Planar(Problem(horizon=3, floor=Floor('polygon', 4, 0.6)), 1e-6).solve(Request(start, targets)),
+    Hull(Problem(horizon=3), 1e-6).solve(Request(start, targets)),
 ]
 print(json.dumps([number for each in found for number in (each.cost, each.lower_bound)]))
 """
@@ -193,7 +199,7 @@ def tick_of(circle, start, targets, out_of_time=None):
 def test_arcs_prove_what_multipliers_do_not(fraction):
     rng = np.random.default_rng(5)
     problem = Problem(floor=floor('circle', fraction))
-    circle = Circle(problem, 1e-6)
+    circle = AnnulusNewton(problem, 1e-6)
     doubtful = 0
     for _ in range(150):
         start, targets = passing(rng, problem)
@@ -222,7 +228,7 @@ def doubtful_case(problem, circle):
 
 def test_a_search_over_arcs_leads_from_a_poor_plan_to_a_better_one():
     problem = Problem(floor=floor('circle', 1.0))
-    circle = Circle(problem, 1e-6)
+    circle = AnnulusNewton(problem, 1e-6)
     _, _, tick, best = doubtful_case(problem, circle)
     x = np.tile([1.0, 0.0], (5, 1))
     cost = float(np.sum(x * (0.5 * circle._condensed.hessian @ x + tick.q))) + tick.constant
@@ -235,7 +241,7 @@ def test_a_search_over_arcs_leads_from_a_poor_plan_to_a_better_one():
 def test_the_bound_of_a_search_over_arcs_holds_with_path_length():
     rng = np.random.default_rng(6)
     problem = Problem(floor=floor('circle', 0.6), weights=Weights(length=1.0))
-    circle = Circle(problem, 1e-6)
+    circle = AnnulusNewton(problem, 1e-6)
     for _ in range(40):
         start, targets = passing(rng, problem)
         tick = tick_of(circle, start, targets)
@@ -250,7 +256,7 @@ def test_the_bound_of_a_search_over_arcs_holds_with_path_length():
 def test_a_search_over_arcs_ends_in_time(monkeypatch):
     monkeypatch.setattr('orbimpc_ros.mpc.solve.cell_tree.SLICE', 1.0)
     problem = Problem(floor=floor('circle', 1.0))
-    circle = Circle(problem, 1e-6)
+    circle = AnnulusNewton(problem, 1e-6)
     start, targets, _, doubtful = doubtful_case(problem, circle)
     left = iter(range(2))
     tick = tick_of(circle, start, targets, lambda: next(left, None) is None)
@@ -281,7 +287,7 @@ def test_arcs_and_their_halves_cover_the_floor():
 def test_bounds_hold_whatever_the_number_of_starts():
     rng = np.random.default_rng(0)
     problem = Problem(floor=floor('circle', 0.6))
-    circle = Circle(problem, 0.0)
+    circle = AnnulusNewton(problem, 0.0)
     for _ in range(50):
         start, targets = state(rng, problem), goals(rng, problem, distance=0.5)
         tick = tick_of(circle, start, targets)
@@ -301,12 +307,15 @@ def test_the_hull_is_solved_whatever_the_horizon(horizon, seed):
         floor=floor('none'),
         weights=replace(weights(rng), length=0.0),
     )
-    assert Hull.solves(problem)
-    fast, general = Hull(problem, 1e-6), Search(problem, 1e-6)
+    assert HullRiccati.solves(problem)
+    fast, general = HullRiccati(problem, 1e-6), DisjunctiveSearch(problem, 1e-6)
     for distance in (0.0, 1.0, 0.5 * horizon, 1e4):
         start = state(rng, problem, full_speed=False)
         targets = goals(rng, problem, distance=distance)
-        found, expected = fast.solve(start, targets), general.solve(start, targets)
+        found, expected = (
+            fast.solve(Request(start, targets)),
+            general.solve(Request(start, targets)),
+        )
         cost = trajectory_of(problem, start, targets, found.x).cost
         assert found.cost == pytest.approx(cost, rel=1e-9, abs=1e-12)
         assert found.cost == pytest.approx(expected.cost, rel=1e-6, abs=1e-8)
@@ -319,7 +328,7 @@ def test_a_bound_on_the_hull_holds_for_any_multipliers():
     rng = np.random.default_rng(5)
     problem = Problem(horizon=6, floor=floor('none'))
     start, targets = state(rng, problem), goals(rng, problem)
-    optimum = Hull(problem, 1e-6).solve(start, targets).cost
+    optimum = HullRiccati(problem, 1e-6).solve(Request(start, targets)).cost
     seen = targets - start.position
     along = np.array([[1.0, 1.0], [0.0, 1.0]])
     first = np.array([np.zeros(2), start.rotation[:, 0]])
@@ -333,13 +342,15 @@ def test_a_bound_on_the_hull_holds_for_any_multipliers():
 def test_an_interrupted_hull_stays_in_its_disks_with_its_bound():
     rng = np.random.default_rng(8)
     problem = Problem(horizon=40, floor=floor('none'))
-    hull = Hull(problem, 1e-6)
+    hull = HullRiccati(problem, 1e-6)
     hull._slice = 1
     for polls in range(6):
         start, targets = state(rng, problem), goals(rng, problem, distance=20.0)
         left = iter(range(polls))
-        found = hull.solve(start, targets, None, lambda left=left: next(left, None) is None)
-        optimum = hull.solve(start, targets)
+        found = hull.solve(
+            Request(start, targets, out_of_time=lambda left=left: next(left, None) is None)
+        )
+        optimum = hull.solve(Request(start, targets))
         assert np.linalg.norm(found.x, axis=1).max() <= 1.0 + 1e-12
         assert found.lower_bound <= optimum.cost * (1 + 1e-9)
         assert found.cost >= optimum.lower_bound

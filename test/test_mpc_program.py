@@ -15,6 +15,7 @@ from orbimpc_ros.mpc.plan import UNPROVED, assemble
 from orbimpc_ros.mpc.problem import Problem, State, Weights
 from orbimpc_ros.mpc.solve.disjunction import Slot
 from orbimpc_ros.mpc.solve.program import Program
+from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.solver import Solver
 
 
@@ -56,8 +57,8 @@ def test_hull_optimum_has_no_frank_wolfe_gap(n, translation_order, seed):
     problem = Problem(n, 1, translation_order, horizon=4, weights=smooth)
     start, targets = state(rng, problem), goals(rng, problem)
     program = Program(problem)
-    program.bind(start, targets)
-    relaxed = program.solve()
+    at = Request(start, targets)
+    relaxed = program.relax(at)
     cost = trajectory_of(problem, start, targets, relaxed.x).cost
     assert suboptimality(problem, start, targets, relaxed.x) <= 2e-5 * max(1.0, cost)
     assert relaxed.bound == pytest.approx(cost, rel=1e-6)
@@ -73,15 +74,15 @@ def test_updating_in_place_is_compiling_anew(orders, terminal):
     for _ in range(6):
         start, targets = state(rng, problem), goals(rng, problem, distance=1.0)
         fresh = Program(problem, coasting=True)
-        fresh.bind(start, targets)
-        reused.bind(start, targets)
+        at = Request(start, targets)
+        at = Request(start, targets)
         try:
-            expected = fresh.solve()
+            expected = fresh.relax(at)
         except Infeasible:
             with pytest.raises(Infeasible):
-                reused.solve()
+                reused.relax(at)
             continue
-        relaxed = reused.solve()
+        relaxed = reused.relax(at)
         compared += 1
         assert relaxed.bound == pytest.approx(expected.bound, rel=1e-6, abs=1e-7)
         plan = assemble(
@@ -105,14 +106,14 @@ def test_a_far_goal_is_flown_at_full_speed_not_called_infeasible(n, distance, fo
     start = state(np.random.default_rng(3), problem)
     direction = np.full(n, 1.0 / np.sqrt(n))
     program = Program(problem)
-    program.bind(start, np.tile(start.position + distance * direction, (5, 1)))
-    x = program.solve().x
+    at = Request(start, np.tile(start.position + distance * direction, (5, 1)))
+    x = program.relax(at).x
     assert np.allclose(x[0, :n], direction, atol=0.02)
-    program.bind(start, np.tile(start.position, (5, 1)))  # and the scale is taken back
-    near = program.solve()
+    at = Request(start, np.tile(start.position, (5, 1)))  # and the scale is taken back
+    near = program.relax(at)
     fresh = Program(problem)
-    fresh.bind(start, np.tile(start.position, (5, 1)))
-    assert near.bound == pytest.approx(fresh.solve().bound, rel=1e-6)
+    at = Request(start, np.tile(start.position, (5, 1)))
+    assert near.bound == pytest.approx(fresh.relax(at).bound, rel=1e-6)
 
 
 def by(angle):
@@ -138,16 +139,16 @@ def test_a_half_space_binds_and_is_gone_in_the_next_solve():
     problem = Problem(horizon=3)
     start = state(np.random.default_rng(0), problem)
     program = Program(problem, [Slot('heading', 2), Slot('position', 3)])
-    program.bind(start, np.tile(start.position, (3, 1)))
-    free = program.solve()
+    at = Request(start, np.tile(start.position, (3, 1)))
+    free = program.relax(at)
     normal = np.array([0.0, 1.0])
-    bound = program.solve([(0, normal, 0.9)])
+    bound = program.relax(at, [(0, normal, 0.9)])
     assert bound.x[1] @ normal >= 0.9 - 1e-7
     assert bound.bound > free.bound
     wall = free_position(problem, start, free.x)[3] @ normal + 0.3
-    moved = program.solve([(1, normal, wall)])
+    moved = program.relax(at, [(1, normal, wall)])
     assert free_position(problem, start, moved.x)[3] @ normal >= wall - 1e-7
-    assert program.solve().bound == pytest.approx(free.bound, rel=1e-9)
+    assert program.relax(at).bound == pytest.approx(free.bound, rel=1e-9)
 
 
 def free_position(problem, start, x):
@@ -159,18 +160,18 @@ def test_contradictory_half_spaces_are_infeasible():
     problem = Problem(horizon=2)
     start = state(np.random.default_rng(0), problem)
     program = Program(problem, [Slot('heading', 1), Slot('heading', 1)])
-    program.bind(start, np.zeros((2, 2)))
+    at = Request(start, np.zeros((2, 2)))
     east = np.array([1.0, 0.0])
     with pytest.raises(Infeasible):
-        program.solve([(0, east, 0.5), (1, -east, 0.5)])
+        program.relax(at, [(0, east, 0.5), (1, -east, 0.5)])
 
 
 def test_the_rate_limit_bounds_every_turn():
     problem = replace(Problem(horizon=6), max_rate=0.4)
     start = state(np.random.default_rng(5), problem)
     program = Program(problem)
-    program.bind(start, np.tile(start.position - 5 * start.rotation[:, 0], (6, 1)))
-    x = np.concatenate([start.rotation[None, :, 0], program.solve().x])
+    at = Request(start, np.tile(start.position - 5 * start.rotation[:, 0], (6, 1)))
+    x = np.concatenate([start.rotation[None, :, 0], program.relax(at).x])
     turned = np.linalg.norm(np.diff(x, axis=0), axis=1)
     assert turned.max() <= 2 * np.sin(0.2) + 1e-8
     assert turned.max() >= 2 * np.sin(0.2) - 1e-4

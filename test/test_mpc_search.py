@@ -13,8 +13,9 @@ from orbimpc_ros.mpc.geometry.cells import round_cells
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
 from orbimpc_ros.mpc.solve.disjunction import disjunctions_of, shortfall
-from orbimpc_ros.mpc.solve.disjunctive_bnb import Search, inverse_curvatures
+from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch, inverse_curvatures
 from orbimpc_ros.mpc.solve.program import Program
+from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.solver import Solver
 
 
@@ -22,7 +23,7 @@ def enumerated(problem, start, targets):
     """The least bound over every combination of cells: the optimum of the mixed-integer problem."""
     disjunctions = disjunctions_of(problem)
     program = Program(problem, [slot for d in disjunctions for slot in d.slots])
-    program.bind(start, targets)
+    at = Request(start, targets)
     best = np.inf
     for choice in itertools.product(*(d.cells for d in disjunctions)):
         rows = [
@@ -30,7 +31,7 @@ def enumerated(problem, start, targets):
         ]
         halfspaces = [(i, cell.normal, cell.offset) for i, (cell, _) in enumerate(rows)]
         try:
-            best = min(best, program.solve(halfspaces).bound)
+            best = min(best, program.relax(at, halfspaces).bound)
         except Infeasible:
             continue
     return best
@@ -68,7 +69,7 @@ def test_finds_what_enumeration_finds(seed, n, shape, boxes, sharing):
     plan = Solver(problem).solve(start, targets)
     assert plan.status == 'optimal'
     assert plan.objective == pytest.approx(expected, rel=1e-5, abs=1e-6)
-    found = Search(problem, 1e-6).solve(start, targets)
+    found = DisjunctiveSearch(problem, 1e-6).solve(Request(start, targets))
     assert found.cost == pytest.approx(expected, rel=1e-5, abs=1e-6)
     assert found.lower_bound <= expected + 1e-6 * max(1.0, expected)
     assert plan.lower_bound <= expected + 1e-6 * max(1.0, expected)
@@ -90,8 +91,8 @@ def test_inherited_bounds_never_exceed_what_the_child_costs(seed, share):
     targets = np.tile(start.position + 0.5 * rng.normal(size=problem.dimension), (4, 1))
     disjunctions = disjunctions_of(problem)
     program = Program(problem, [slot for d in disjunctions for slot in d.slots])
-    program.bind(start, targets)
-    parent = program.solve()
+    at = Request(start, targets)
+    parent = program.relax(at)
     flown = trajectory_of(problem, start, targets, parent.x)
     raised = 0
     for j, disjunction in enumerate(disjunctions):
@@ -101,7 +102,7 @@ def test_inherited_bounds_never_exceed_what_the_child_costs(seed, share):
         gains = (short**2 / (2 * curvature)).max(axis=1)
         for cell, gain in zip(disjunction.cells, gains, strict=True):
             try:
-                child = program.solve([(j, cell.normal, cell.offset)])
+                child = program.relax(at, [(j, cell.normal, cell.offset)])
             except Infeasible:
                 continue
             raised += gain > 1e-3 * parent.bound
@@ -133,11 +134,12 @@ def test_a_round_floor_is_bounded_by_its_polygons(n, seed):
     problem = Problem(n, horizon=3, floor=floor('circle', 0.5), max_rate=2.5)
     start = state(rng, problem)
     targets = np.tile(start.position + 0.4 * rng.normal(size=n), (3, 1))
-    found = Search(problem, 1e-3).solve(start, targets)
+    found = DisjunctiveSearch(problem, 1e-3).solve(Request(start, targets))
     faces = 12 if n == 2 else 20
     flat = replace(problem, floor=floor('polygon', 0.5, faces))
-    inside = Search(flat, 1e-5).solve(start, targets)
-    hull = Search(replace(problem, floor=floor('none')), 1e-5).solve(start, targets)
+    inside = DisjunctiveSearch(flat, 1e-5).solve(Request(start, targets))
+    free = replace(problem, floor=floor('none'))
+    hull = DisjunctiveSearch(free, 1e-5).solve(Request(start, targets))
     assert hull.lower_bound - 1e-6 <= found.lower_bound <= found.cost <= inside.cost * (1 + 1e-3)
     assert found.cost - found.lower_bound <= 1.001e-3 * found.cost
 
@@ -211,7 +213,7 @@ def test_sorted_faces_lose_nothing_where_steps_are_exchangeable(seed):
     start = state(rng, problem)
     beyond = start.position + start.rotation[:, 0] + rng.uniform(-1.8, 1.8, size=2)
     targets = np.tile(beyond, (4, 1))
-    assert Search(problem, 1e-6).exchangeable
+    assert DisjunctiveSearch(problem, 1e-6).exchangeable
     expected = enumerated(problem, start, targets)
     if expected == np.inf:
         with pytest.raises(Infeasible):

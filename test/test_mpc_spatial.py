@@ -14,7 +14,8 @@ from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.solve.disjunction import disjunctions_of
 from orbimpc_ros.mpc.solve.program import Program
-from orbimpc_ros.mpc.solve.so3_multipliers import Spatial
+from orbimpc_ros.mpc.solve.request import Request
+from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 
 pytestmark = pytest.mark.skipif(
     not COMPILED, reason="numba is not installed: pip install 'orbimpc_ros[fast]' runs these"
@@ -24,9 +25,9 @@ ORDERS = [(1, 1), (1, 2), (2, 1), (2, 2)]
 
 def both(problem, coasting=False):
     slots = [slot for d in disjunctions_of(problem) for slot in d.slots]
-    assert Spatial.solves(problem, slots)
+    assert SO3Multipliers.solves(problem, slots)
     return (
-        Spatial(problem, slots, coasting=coasting),
+        SO3Multipliers(problem, slots, coasting=coasting),
         Program(problem, slots, coasting=coasting),
     )
 
@@ -46,9 +47,8 @@ def random_state(rng, coasting):
 
 def compare(fast, general, state, goals, halfspaces=()):
     """Assert that both find the optimum, and that the bound is one."""
-    for program in (fast, general):
-        program.bind(state, goals)
-    ours, theirs = fast.solve(halfspaces), general.solve(halfspaces)
+    at = Request(state, goals)
+    ours, theirs = fast.relax(at, halfspaces), general.relax(at, halfspaces)
     cost = trajectory_of(fast.problem, state, goals, ours.x).cost
     assert ours.bound == pytest.approx(theirs.bound, rel=1e-6, abs=1e-7)
     assert cost == pytest.approx(ours.bound, rel=1e-7, abs=1e-8)
@@ -127,10 +127,10 @@ def test_half_spaces_hold_and_are_let_go(seed, orders):
 def test_a_half_space_on_a_given_rotation_is_refuted_at_once():
     problem = Problem(dimension=3, rotation_order=2, horizon=5, floor=Floor('polygon', 6, 0.4))
     fast, _ = both(problem)
-    fast.bind(State.at(np.zeros(3), np.eye(3)), np.ones((5, 3)))
+    at = Request(State.at(np.zeros(3), np.eye(3)), np.ones((5, 3)))
     with pytest.raises(Infeasible, match='R_1'):
-        fast.solve([(0, np.array([-1.0, 0.0, 0.0]), 0.4)])
-    fast.solve([(0, np.array([1.0, 0.0, 0.0]), 0.4)])
+        fast.relax(at, [(0, np.array([-1.0, 0.0, 0.0]), 0.4)])
+    fast.relax(at, [(0, np.array([1.0, 0.0, 0.0]), 0.4)])
 
 
 def test_a_half_space_on_a_coasting_rotation_bounds_its_thrust():
@@ -148,29 +148,30 @@ def test_what_has_no_solution_is_proved_so_by_the_general_program():
     problem = Problem(dimension=3, horizon=5, terminal='constraint', floor=Floor('none'))
     fast, fresh = both(problem)[0], both(problem)[0]
     start, near = State.at(np.zeros(3), np.eye(3)), np.full((5, 3), 1.0)
-    fast.bind(start, np.full((5, 3), 100.0))
+    at = Request(start, np.full((5, 3), 100.0))
     with pytest.raises(Infeasible):
-        fast.solve()
-    for program in (fast, fresh):
-        program.bind(start, near)
-    assert fast.solve().bound == pytest.approx(fresh.solve().bound, rel=1e-8)
+        fast.relax(at)
+    at = Request(start, near)
+    assert fast.relax(at).bound == pytest.approx(fresh.relax(at).bound, rel=1e-8)
 
 
 def test_a_solve_with_a_deadline_does_not_wait_for_the_general_program_to_be_built(monkeypatch):
     rng = np.random.default_rng(4)
     fast, general = both(Problem(dimension=3, horizon=6, floor=Floor('none')))
     start, goals = random_state(rng, False), rng.normal(size=(6, 3))
-    for program in (fast, general):
-        program.bind(start, goals)
+    at = Request(start, goals)
     monkeypatch.setattr(
         'orbimpc_ros.mpc.solve.so3_multipliers.GAP', -1.0
     )  # of two numbers never so small
-    hurried = fast.solve((), lambda: False)
+    hurried = fast.relax(replace(at, out_of_time=lambda: False))
     assert fast._general is None
     assert margin(matrix(hurried.x)).min() >= -1e-12
-    cost, optimum = trajectory_of(fast.problem, start, goals, hurried.x).cost, general.solve().bound
+    cost, optimum = (
+        trajectory_of(fast.problem, start, goals, hurried.x).cost,
+        general.relax(at).bound,
+    )
     assert -np.inf < hurried.bound <= optimum * (1 + 1e-7) <= cost * (1 + 2e-7)
-    assert fast.solve().bound == pytest.approx(optimum, rel=1e-8)
+    assert fast.relax(at).bound == pytest.approx(optimum, rel=1e-8)
     assert fast._general is not None
 
 
@@ -203,30 +204,31 @@ def test_goals_out_of_all_proportion_are_no_trouble():
 )
 def test_it_leaves_alone_what_it_cannot_do(change):
     problem = Problem(dimension=3, floor=Floor('none'))
-    assert Spatial.solves(problem)
-    assert not Spatial.solves(replace(problem, **change))
+    assert SO3Multipliers.solves(problem)
+    assert not SO3Multipliers.solves(replace(problem, **change))
 
 
 def test_obstacles_are_left_to_the_general_program():
     box = Box(np.zeros(3), np.ones(3))
     problem = Problem(dimension=3, floor=Floor('none'), obstacles=(box,))
     slots = [slot for d in disjunctions_of(problem) for slot in d.slots]
-    assert not Spatial.solves(problem, slots)
+    assert not SO3Multipliers.solves(problem, slots)
 
 
 def test_an_interrupted_solve_keeps_its_bound_and_stays_in_the_orbitopes(monkeypatch):
     problem = Problem(dimension=3, horizon=12, floor=Floor('none'))
     fast, general = both(problem)
     state, goals = random_state(np.random.default_rng(3), False), np.full((12, 3), 5.0)
-    for program in (fast, general):
-        program.bind(state, goals)
-    optimum = general.solve().bound
+    at = Request(state, goals)
+    optimum = general.relax(at).bound
     monkeypatch.setattr('orbimpc_ros.mpc.solve.so3_multipliers.SLICE', 1.0)  # a Newton step
     for steps in range(4):
         left = iter(range(steps))
-        early = fast.solve((), lambda left=left: next(left, None) is None)
+        early = fast.relax(replace(at, out_of_time=lambda left=left: next(left, None) is None))
         assert early.bound <= optimum * (1 + 1e-7)
         assert margin(matrix(early.x)).min() >= -1e-12
         assert trajectory_of(problem, state, goals, early.x).cost >= optimum * (1 - 1e-7)
     polled = iter(range(1000))
-    assert fast.solve((), lambda: next(polled) < 0).bound == pytest.approx(optimum, rel=1e-7)
+    assert fast.relax(replace(at, out_of_time=lambda: next(polled) < 0)).bound == pytest.approx(
+        optimum, rel=1e-7
+    )

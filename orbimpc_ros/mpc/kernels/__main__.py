@@ -2,13 +2,13 @@
 
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Floor, Problem
-from orbimpc_ros.mpc.solve.annulus_newton import Circle
-from orbimpc_ros.mpc.solve.hull_riccati import Hull
-from orbimpc_ros.mpc.solve.polygon_bnb import Planar
-from orbimpc_ros.mpc.solve.so3_multipliers import Spatial
+from orbimpc_ros.mpc.solve.annulus_newton import AnnulusNewton
+from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
+from orbimpc_ros.mpc.solve.polygon_bnb import PolygonSearch
+from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 
 if COMPILED:
-    Hull(Problem(), 1e-6)
-    Planar(Problem(floor=Floor('polygon')), 1e-6)
-    Circle(Problem(floor=Floor('circle')), 1e-6)
-    Spatial(Problem(dimension=3))
+    HullRiccati(Problem(), 1e-6)
+    PolygonSearch(Problem(floor=Floor('polygon')), 1e-6)
+    AnnulusNewton(Problem(floor=Floor('circle')), 1e-6)
+    SO3Multipliers(Problem(dimension=3))

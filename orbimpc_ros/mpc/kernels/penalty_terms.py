@@ -1,4 +1,4 @@
-"""What comes to the quadratic of a problem over SO(3), term by term, for the method of multipliers.
+"""Penalty terms over SO(3): what the method of multipliers adds to the quadratic.
 
 Each term is a maximum over multipliers, linear in R. Its Moreau envelope of parameter 1/sigma has
 as its gradient the projection of (multipliers + sigma * what they multiply) on the multipliers'

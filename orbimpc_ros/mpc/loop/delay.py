@@ -1,4 +1,4 @@
-"""Where a vehicle is by the time a command reaches it: its motion since it was measured."""
+"""Delay compensation: the motion of a vehicle from its measurement to its next command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the goal will be, from where it was seen: the targets g_1..g_N of a plan."""
+"""Forecasts of a moving goal from its observations: the targets g_1..g_N of a plan."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ class Translation(ABC):
         """Return b for full speed or thrust z, shape (m,) [m], [m/s]."""
 
 
-class Velocity(Translation):
+class FirstOrder(Translation):
     """Order 1: s_{k+1} = s_k + h z R_k e1."""
 
     inertial = False
@@ -56,7 +56,7 @@ class Velocity(Translation):
         return np.array([step * forward])
 
 
-class Acceleration(Translation):
+class SecondOrder(Translation):
     """Order 2: p_{k+1} = p_k + h z R_k e1 and s_{k+1} = s_k + h p_k."""
 
     inertial = True
@@ -70,7 +70,7 @@ class Acceleration(Translation):
         return np.array([0.0, step * forward])
 
 
-TRANSLATIONS: dict[int, Translation] = {1: Velocity(), 2: Acceleration()}
+TRANSLATIONS: dict[int, Translation] = {1: FirstOrder(), 2: SecondOrder()}
 
 
 class Maps:

@@ -1,4 +1,4 @@
-"""How far a horizon reaches, and goals so far beyond it that only their direction counts."""
+"""The reach of a horizon, and goals so far beyond it that only their direction counts."""
 
 from __future__ import annotations
 

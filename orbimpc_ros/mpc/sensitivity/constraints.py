@@ -1,4 +1,4 @@
-r"""Which constraints bind at a plan, and what each costs: why the vehicle does not do better.
+r"""Active constraints of a plan and their shadow prices: the reasons why it is not better.
 
 At an optimum the gradient of the cost is a combination of the gradients of the slacks that have
 run out (Karush, Kuhn, Tucker),

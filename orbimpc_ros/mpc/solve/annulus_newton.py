@@ -13,7 +13,6 @@ convex. With an arrival, and in space, the general search does.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,7 +29,7 @@ from orbimpc_ros.mpc.kernels.annulus import (
     SLICE,
     TRIED,
     Annulus,
-    Progress,
+    Descent,
     begun,
     improve,
     improve_from_hull,
@@ -43,8 +42,8 @@ from orbimpc_ros.mpc.model.cost import first_length, length_weight
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.solve.cell_tree import CellSearch
 from orbimpc_ros.mpc.solve.general import General
-from orbimpc_ros.mpc.solve.hull_riccati import Hull
-from orbimpc_ros.mpc.solve.request import Found, Guess
+from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
+from orbimpc_ros.mpc.solve.request import Found, Guess, Request
 
 FURTHER_STARTS = 30
 SETTLED = 50.0  # tolerances at which starts from all around, and searches, may stop
@@ -59,27 +58,23 @@ class _Tick:
     """What one solve is about.
 
     Attributes:
-        state: where the plan starts.
-        goals: g_1..g_N, shape (N, n) [m].
+        request: what is asked for.
         q: linear terms of the cost in the headings, shape (N, n).
         constant: the cost of headings of zero.
         left: what sum_k a_k z_k must come to, shape (n,) [m], or (0,) without an arrival.
-        out_of_time: as the caller gave it.
     """
 
-    state: State
-    goals: Array
+    request: Request
     q: Array
     constant: float
     left: Array
-    out_of_time: Callable[[], bool] | None
 
     @property
     def late(self) -> bool:
-        return self.out_of_time is not None and self.out_of_time()
+        return self.request.late
 
 
-class Circle:
+class AnnulusNewton:
     """Solves problems of rotation order 1 with a circular floor and no limits but a terminal one.
 
     Args:
@@ -89,15 +84,12 @@ class Circle:
 
     takes_guess, trusts_guess = True, False  # anywhere is good enough to start from
 
-    def __init__(self, problem: Problem, tolerance: float) -> None:
+    def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
         self._problem, self._tolerance = problem, tolerance
         self._condensed = Condensed(problem)
         self._arrives = problem.terminal == 'constraint'
-        length, arrival = (
-            np.full(problem.horizon, length_weight(problem)),
-            np.zeros(problem.horizon),
-        )
-        length[-1] = 0.0
+        length, arrival = np.zeros(problem.horizon), np.zeros(problem.horizon)
+        length[:-1] = length_weight(problem)  # nothing is flown at R_N
         if self._arrives:
             arrival = dynamics.maps(problem).reach[-1, 1:].copy()
         hessian, floor = self._condensed.hessian, float(problem.floor.fraction)
@@ -118,7 +110,8 @@ class Circle:
         q = np.ones((self._problem.horizon, self._problem.dimension))
         start = State.at(np.zeros(q.shape[1]), np.eye(q.shape[1]))
         left = np.zeros(q.shape[1] * self._arrives)
-        tick = _Tick(start, np.zeros(q.shape), q, 0.0, left, lambda: True)
+        request = Request(start, np.zeros(q.shape), out_of_time=lambda: True)
+        tick = _Tick(request, q, 0.0, left)
         self._from_dual(tick, self._from_hull(tick, NOTHING))
         if self._arcs is not None:
             self._by_arcs(tick, NOTHING)
@@ -140,31 +133,18 @@ class Circle:
         """Return whether what was found is proved as well as searches do."""
         return found.x is not None and found.gap <= SETTLED * self._tolerance
 
-    def solve(
-        self,
-        state: State,
-        goals: Array,
-        guess: Guess | None = None,
-        out_of_time: Callable[[], bool] | None = None,
-    ) -> Found:
+    def solve(self, request: Request) -> Found:
         """Return the best trajectory found, with the best bound proved.
-
-        Args:
-            state: where the plan starts.
-            goals: g_1..g_N, shape (N, n) [m].
-            guess: a trajectory to start from.
-            out_of_time: polled every millisecond or so; True returns the best so far.
 
         Raises:
             Infeasible: no trajectory satisfies the constraints.
         """
-        q, constant = self._condensed.affine(state, goals)
-        tick = _Tick(state, goals, q, constant, self._left(state, goals), out_of_time)
-        found = self._headings(tick, guess)
+        tick = self._tick(request)
+        found = self._headings(tick)
         if found.x is not None and self._problem.dimension == 3:
-            found = replace(found, x=_carried(state.attitude, found.x))
+            found = replace(found, x=_carried(request.state.attitude, found.x))
         # To set the general search up takes longer than those with a deadline can wait.
-        if self.settles(found) or self._arcs is not None or out_of_time is not None:
+        if self.settles(found) or self._arcs is not None or request.hurried:
             return found
         return self._by_branches(tick, found)
 
@@ -176,13 +156,15 @@ class Circle:
             goals: g_1..g_N, shape (N, n) [m].
             start: headings, shape (N, n), taken to the annulus first.
         """
-        q, constant = self._condensed.affine(state, goals)
-        tick = _Tick(state, goals, q, constant, self._left(state, goals), None)
-        return self._from(tick, NOTHING, start[None])
+        return self._from(self._tick(Request(state, goals)), NOTHING, start[None])
 
-    def _headings(self, tick: _Tick, guess: Guess | None) -> Found:
+    def _tick(self, request: Request) -> _Tick:
+        q, constant = self._condensed.affine(request.state, request.goals)
+        return _Tick(request, q, constant, self._left(request.state, request.goals))
+
+    def _headings(self, tick: _Tick) -> Found:
         """Return the best headings found, with the best bound proved."""
-        found = NOTHING
+        found, guess = NOTHING, tick.request.guess
         if guess is not None:
             # A copy: code for arrays that are read-only or strided would be compiled in a tick.
             start = np.array(guess.x[None, :, : self._problem.dimension], order='C')
@@ -221,9 +203,9 @@ class Circle:
     def _from_hull(self, tick: _Tick, found: Found) -> Found:
         """Start from the optimum over the disks without lengths, of which a floor's are certain."""
         if self._hull is not None:
-            relaxed, _ = self._hull.relaxed(tick.state, tick.goals, tick.out_of_time)
+            relaxed, _ = self._hull.relaxed(tick.request)
             assert relaxed.x is not None
-            bound = relaxed.lower_bound + first_length(self._problem, tick.state)
+            bound = relaxed.lower_bound + first_length(self._problem, tick.request.state)
             return self._from(tick, _raised(found, bound + self._least_length), relaxed.x[None])
         hull, progress = begun(*tick.q.shape), begun(*tick.q.shape)
         progress.numbers[BOUND] = found.lower_bound - tick.constant
@@ -259,7 +241,7 @@ class Circle:
         least = tick.constant + self._least_length
         search.begin(tick.q, least, found.cost - least)
         while True:
-            ended = search.run(tick.out_of_time)
+            ended = search.run(tick.request.out_of_time)
             found = _raised(found, search.bound + least, search.nodes - before)
             if self.settles(found):
                 return found
@@ -275,17 +257,21 @@ class Circle:
         guess = None if found.x is None else Guess(found.x, found.cost)
         asked = iter(range(BRANCHES))
         other = self._general.solve(
-            tick.state, tick.goals, guess, lambda: next(asked, None) is None
+            replace(tick.request, guess=guess, out_of_time=lambda: next(asked, None) is None)
         )
         best = other if other.cost < found.cost else found
         bound = max(found.lower_bound, other.lower_bound)
         return Found(best.x, best.cost, bound, found.nodes + other.nodes)
 
 
-def _long_hull(problem: Problem, tolerance: float) -> Hull | None:
+def _long_hull(problem: Problem, tolerance: float) -> HullRiccati | None:
     """Return the method for a hull over a horizon too long for dense code, where there is one."""
     free = replace(problem, floor=Floor(), weights=replace(problem.weights, length=0.0))
-    return Hull(free, tolerance) if problem.horizon > LONGEST and Hull.solves(free) else None
+    return (
+        HullRiccati(free, tolerance)
+        if problem.horizon > LONGEST and HullRiccati.solves(free)
+        else None
+    )
 
 
 def _raised(found: Found, bound: float, nodes: int = 0) -> Found:
@@ -293,7 +279,7 @@ def _raised(found: Found, bound: float, nodes: int = 0) -> Found:
     return Found(found.x, found.cost, max(found.lower_bound, bound), found.nodes + nodes)
 
 
-def _better(found: Found, progress: Progress, constant: float) -> Found:
+def _better(found: Found, progress: Descent, constant: float) -> Found:
     """Return the cheaper of what was found and what a local search came to, with its bound."""
     cost, bound = progress.numbers[COST] + constant, progress.numbers[BOUND] + constant
     x = found.x

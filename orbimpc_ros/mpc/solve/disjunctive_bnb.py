@@ -18,7 +18,7 @@ round floor, beyond its tangent in the direction of v, where |v| is surely above
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -30,11 +30,11 @@ from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.model.trajectory import Trajectory, trajectory_of
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.disjunction import Disjunction, Slot, disjunctions_of, shortfall
 from orbimpc_ros.mpc.solve.relaxation import Halfspace, Relaxation, Relaxed
-from orbimpc_ros.mpc.solve.request import Found, Guess
-from orbimpc_ros.mpc.solve.so3_multipliers import Spatial
+from orbimpc_ros.mpc.solve.request import Found, Request
+from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 
 SATISFIED = 1e-7  # a cell missed by less holds; a tenth of what the plan's check allows
 NEAR = 0.05  # a round floor missed by less is worth a dive
@@ -44,7 +44,7 @@ MAX_NODES = 20_000
 Choice = tuple[Cell | None, ...]
 
 
-class Search:
+class DisjunctiveSearch:
     """Solves any problem by branch and bound; without disjunctions, by its one relaxation.
 
     Args:
@@ -64,32 +64,31 @@ class Search:
         slots = [slot for d in self.disjunctions for slot in d.slots]
         self.program = _program(problem, slots, coasting)
 
-    def solve(
-        self,
-        state: State,
-        goals: Array,
-        guess: Guess | None = None,
-        out_of_time: Callable[[], bool] | None = None,
-    ) -> Found:
+    @staticmethod
+    def solves(problem: Problem) -> bool:
+        """Return whether this method applies: it does to every problem."""
+        return True
+
+    def solve(self, request: Request) -> Found:
         """Return the best trajectory and the proof; complete unless time or nodes run out.
 
         Raises:
             Infeasible: no trajectory satisfies the constraints: every branch was refuted.
         """
-        self.program.bind(state, goals)
+        state, goals = request.state, request.goals
         if not self.disjunctions:
-            relaxed = self.program.solve((), out_of_time)
+            relaxed = self.program.relax(request)
             if relaxed.x is None:
                 return Found(None, np.inf, relaxed.bound, 1)
             cost = trajectory_of(self.problem, state, goals, relaxed.x).cost
             return Found(relaxed.x, cost, relaxed.bound, 1)
-        return _Run(self, state, goals, guess, out_of_time).run()
+        return _Run(self, request).run()
 
 
 def _program(problem: Problem, slots: Sequence[Slot], coasting: bool) -> Relaxed:
     """Return the fastest convex program for a problem."""
-    if Spatial.solves(problem, slots):
-        return Spatial(problem, slots, coasting=coasting)
+    if SO3Multipliers.solves(problem, slots):
+        return SO3Multipliers(problem, slots, coasting=coasting)
     from orbimpc_ros.mpc.solve.program import Program  # brings CVXPY, half of a start-up
 
     return Program(problem, slots, coasting=coasting)
@@ -105,16 +104,8 @@ class _Node:
 class _Run:
     """One search: the open nodes, the best trajectory, the least bound given up."""
 
-    def __init__(
-        self,
-        search: Search,
-        state: State,
-        goals: Array,
-        guess: Guess | None,
-        out_of_time: Callable[[], bool] | None,
-    ) -> None:
-        self._search, self._state, self._goals = search, state, goals
-        self._out_of_time = out_of_time
+    def __init__(self, search: DisjunctiveSearch, request: Request) -> None:
+        self._search, self._request, guess = search, request, request.guess
         self._best = None if guess is None else guess.x
         self._cost = np.inf if guess is None else guess.cost
         self._closed = np.inf
@@ -133,7 +124,7 @@ class _Run:
 
     @property
     def _is_late(self) -> bool:
-        return self._out_of_time is not None and self._out_of_time()
+        return self._request.late
 
     @property
     def _cutoff(self) -> float:
@@ -173,10 +164,10 @@ class _Run:
 
     def _relaxed(self, choice: Choice) -> Relaxation:
         self._nodes += 1
-        return self._search.program.solve(self._halfspaces(choice), self._out_of_time)
+        return self._search.program.relax(self._request, self._halfspaces(choice))
 
     def _flown(self, x: Array) -> Trajectory:
-        return trajectory_of(self._search.problem, self._state, self._goals, x)
+        return trajectory_of(self._search.problem, self._request.state, self._request.goals, x)
 
     def _accept(self, x: Array, trajectory: Trajectory) -> None:
         if trajectory.cost < self._cost:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.solve.request import Found, Guess
+from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.solve.request import Found, Request
 
 if TYPE_CHECKING:
-    from orbimpc_ros.mpc.solve.disjunctive_bnb import Search
+    from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch
 
 
 class General:
@@ -23,20 +21,13 @@ class General:
 
     def __init__(self, problem: Problem, tolerance: float) -> None:
         self._problem, self._tolerance = problem, tolerance
-        self._search: Search | None = None
+        self._search: DisjunctiveSearch | None = None
 
-    def solve(
-        self,
-        state: State,
-        goals: Array,
-        guess: Guess | None,
-        out_of_time: Callable[[], bool] | None,
-    ) -> Found:
-        """Solve as :class:`orbimpc_ros.mpc.solve.disjunctive_bnb.Search` does."""
+    def solve(self, request: Request) -> Found:
+        """Solve as :class:`orbimpc_ros.mpc.solve.disjunctive_bnb.DisjunctiveSearch` does."""
         if self._search is None:
-            from orbimpc_ros.mpc.solve.disjunctive_bnb import (
-                Search,  # brings CVXPY, half of a start-up
-            )
+            # It may bring CVXPY, half of a start-up.
+            from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch
 
-            self._search = Search(self._problem, self._tolerance)
-        return self._search.solve(state, goals, guess, out_of_time)
+            self._search = DisjunctiveSearch(self._problem, self._tolerance)
+        return self._search.solve(request)

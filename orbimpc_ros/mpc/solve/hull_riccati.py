@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.penalty import BEST, PAUSED, SETTLED, begun
 from orbimpc_ros.mpc.kernels.riccati import Chain, settle, within
@@ -14,7 +11,7 @@ from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.cost import first_length, input_weight, position_weights
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.general import General
-from orbimpc_ros.mpc.solve.request import Found, Guess
+from orbimpc_ros.mpc.solve.request import Found, Request
 
 STIFFNESS = 100.0  # first parameter of the penalties, in proportion to the trace of the Hessian
 PRECISION = 1e-9  # on the disks
@@ -25,7 +22,7 @@ SLICE = 2000  # steps of the horizon times steps of the method, in about a milli
 ROUNDING = 1e-15  # of the largest numbers that cancel in a cost
 
 
-class Hull:
+class HullRiccati:
     """Solves SE(2) problems of orders (1, 1) with no constraint but the hull.
 
     Args:
@@ -36,7 +33,7 @@ class Hull:
     takes_guess = False  # there is nothing to search
     trusts_guess = True
 
-    def __init__(self, problem: Problem, tolerance: float) -> None:
+    def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
         self._problem = problem
         self._general = General(problem, tolerance)
         self._along = np.array([[1.0, problem.step * problem.forward], [0.0, 1.0]])
@@ -48,7 +45,7 @@ class Hull:
         self._slice = max(1, SLICE // problem.horizon)
         # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
         start = State.at(np.zeros(2), np.eye(2))
-        self.solve(start, np.zeros((problem.horizon, 2)))
+        self.solve(Request(start, np.zeros((problem.horizon, 2))))
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -64,23 +61,16 @@ class Hull:
             and not problem.obstacles
         )
 
-    def solve(
-        self,
-        state: State,
-        goals: Array,
-        guess: Guess | None = None,
-        out_of_time: Callable[[], bool] | None = None,
-    ) -> Found:
-        """Return the optimum; the rest as in ``disjunctive_bnb.Search``."""
-        found, settled = self.relaxed(state, goals, out_of_time)
-        if settled or out_of_time is not None:
+    def solve(self, request: Request) -> Found:
+        """Return the optimum; the rest as in ``disjunctive_bnb.DisjunctiveSearch``."""
+        found, settled = self.relaxed(request)
+        if settled or request.hurried:
             return found
-        return self._general.solve(state, goals, guess, out_of_time)
+        return self._general.solve(request)
 
-    def relaxed(
-        self, state: State, goals: Array, out_of_time: Callable[[], bool] | None
-    ) -> tuple[Found, bool]:
+    def relaxed(self, request: Request) -> tuple[Found, bool]:
         """Return the best within the disks and its bound, and whether that is the optimum."""
+        state, goals = request.state, request.goals
         targets = goals - state.position
         start = np.zeros((len(self._along), 2))
         start[-1] = state.rotation[:, 0]
@@ -93,7 +83,7 @@ class Hull:
             cost, status = settle(chain, limits, progress, self._slice)
             if status != PAUSED:
                 break
-            if out_of_time is not None and out_of_time():
+            if request.late:
                 cost = within(chain, progress.x)
                 break
         spent = first_length(self._problem, state)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,15 +11,15 @@ from orbimpc_ros.mpc.geometry.cells import faces
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.linear import quadratic
 from orbimpc_ros.mpc.model.condensed import LONGEST, Condensed
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.cell_tree import CellSearch
 from orbimpc_ros.mpc.solve.general import General
-from orbimpc_ros.mpc.solve.request import Found, Guess
+from orbimpc_ros.mpc.solve.request import Found, Guess, Request
 
 NODES = 6400
 
 
-class Planar:
+class PolygonSearch:
     """Solves SE(2) problems with no constraint but the hull and a polygonal floor.
 
     What the kernel cannot settle, it leaves to the general search, unless there is a deadline.
@@ -32,7 +32,7 @@ class Planar:
     takes_guess = False  # checking one costs more than it saves
     trusts_guess = True
 
-    def __init__(self, problem: Problem, tolerance: float) -> None:
+    def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
         self._problem, self._tolerance = problem, tolerance
         self._condensed = Condensed(problem)
         count = problem.floor.faces if problem.floor.shape == 'polygon' else 0
@@ -58,23 +58,17 @@ class Planar:
             and problem.horizon <= LONGEST
         )
 
-    def solve(
-        self,
-        state: State,
-        goals: Array,
-        guess: Guess | None = None,
-        out_of_time: Callable[[], bool] | None = None,
-    ) -> Found:
+    def solve(self, request: Request) -> Found:
         """Return the best trajectory with the bound proved.
 
-        See :class:`orbimpc_ros.mpc.solve.disjunctive_bnb.Search` for the rest.
+        See :class:`orbimpc_ros.mpc.solve.disjunctive_bnb.DisjunctiveSearch` for the rest.
         """
-        q, constant = self._condensed.affine(state, goals)
+        q, constant = self._condensed.affine(request.state, request.goals)
         search = self._search
         search.begin(q, constant)
-        while not search.run(out_of_time):
+        while not search.run(request.out_of_time):
             search.dive()
-            if out_of_time is not None and out_of_time():
+            if request.late:
                 break
         else:
             if search.complete and search.nodes < NODES:
@@ -82,11 +76,11 @@ class Planar:
             search.dive()
         found = self._found(q, constant)
         # Who has a deadline is better off with this than with a search that is slower.
-        if out_of_time is not None:
+        if request.hurried:
             return found
         assert found.x is not None
         guess = Guess(found.x, found.cost)
-        return self._general.solve(state, goals, guess, out_of_time)
+        return self._general.solve(replace(request, guess=guess))
 
     def _found(self, q: Array, constant: float) -> Found:
         """Return the best of a search, with the bound that it has proved."""

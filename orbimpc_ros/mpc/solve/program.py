@@ -18,10 +18,11 @@ from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.geometry.orbitopes import coordinate_count, coordinates
 from orbimpc_ros.mpc.model.cost import first_length, position_weights
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.conic import SOLVED, Certifier, run, solver_for
 from orbimpc_ros.mpc.solve.disjunction import Slot
 from orbimpc_ros.mpc.solve.relaxation import Halfspace, Relaxation
+from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.statement import Statement
 
 SMALL = 1e-2  # a cost below this is solved once more, scaled up
@@ -56,13 +57,14 @@ class Program:
         self._heaviest = float(position_weights(problem).max())
         self._scale = 1.0
         self._solver: Any = None
+        self._request: Request | None = None
         self._compile()
 
-    def bind(self, state: State, goals: Array) -> None:
-        """Put a state and goals g_1..g_N, shape (N, n), into the data of the solves to come."""
+    def _bind(self, request: Request) -> None:
+        """Put state and goals into the data of the solves to come."""
+        self._request, state, goals = request, request.state, request.goals
         self._b = self._b_0.copy()
         self._b[self._rows] += self._signs * self._statement.values(state, goals)
-        self._bound_to = (state, goals)
         seen = goals - state.position
         weights = position_weights(self.problem)
         constant = float(np.sum(weights[:, None] * seen * seen))
@@ -77,25 +79,20 @@ class Program:
         speed = float(np.linalg.norm(state.velocity))
         self._largest = at_rest + speed * per_speed + np.abs(state.rotation_rate).max() * per_spin
 
-    def solve(
-        self,
-        halfspaces: Iterable[Halfspace] = (),
-        out_of_time: Callable[[], bool] | None = None,
-    ) -> Relaxation:
-        """Solve with some slots filled, the others inert, until time is up.
-
-        Raises:
-            Infeasible: proved that no trajectory satisfies the constraints.
-        """
+    def relax(self, request: Request, halfspaces: Iterable[Halfspace] = ()) -> Relaxation:
+        """See :meth:`orbimpc_ros.mpc.solve.relaxation.Relaxed.relax`."""
+        if request is not self._request:
+            self._bind(request)
+        out_of_time = request.out_of_time
         a, b = self._a_0.copy(), self._b.copy()
         for slot, normal, offset in halfspaces:
             row, entries = self._slots[slot]
             if self._statement.slots[slot].on == 'position':  # the variable is s_k - s_0
-                offset -= float(normal @ self._bound_to[0].position)
+                offset -= float(normal @ request.state.position)
             a[entries] = -normal
             b[row] = -offset
         relaxed = self._solve_in_place(a, b, out_of_time)
-        if out_of_time is not None and out_of_time():
+        if request.late:
             return relaxed
         if relaxed.x is None:
             anew = self._solve_anew(a, b, self._scale, out_of_time)
@@ -126,9 +123,10 @@ class Program:
         return Relaxation(best.x, max(relaxed.bound, scaled.bound), best.bound)
 
     def _cost(self, relaxed: Relaxation) -> float:
-        if relaxed.x is None:
+        request = self._request
+        if relaxed.x is None or request is None:
             return np.inf
-        return trajectory_of(self.problem, *self._bound_to, relaxed.x).cost
+        return trajectory_of(self.problem, request.state, request.goals, relaxed.x).cost
 
     def _solve_anew(
         self, a: Array, b: Array, scale: float, out_of_time: Callable[[], bool] | None

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.problem import State
+from orbimpc_ros.mpc.solve.request import Request
 
 Halfspace = tuple[int, Array, float]  # slot, unit normal, offset: normal . v >= offset
 
@@ -33,17 +33,12 @@ class Relaxation:
 
 
 class Relaxed(Protocol):
-    """A convex program: bound to a state and goals, then solved with some slots filled."""
+    """A convex program of a problem, to be solved with half-spaces in some of its slots."""
 
-    def bind(self, state: State, goals: Array) -> None:
-        """Put a state and goals g_1..g_N, shape (N, n), into the data of the solves to come."""
+    def relax(self, request: Request, halfspaces: Iterable[Halfspace] = ()) -> Relaxation:
+        """Solve for a state and goals with some slots filled, the others inert, until time is up.
 
-    def solve(
-        self,
-        halfspaces: Iterable[Halfspace] = (),
-        out_of_time: Callable[[], bool] | None = None,
-    ) -> Relaxation:
-        """Solve with some slots filled, the others inert, until time is up.
+        What depends on state and goals alone is worked out once for a request.
 
         Raises:
             Infeasible: proved that no trajectory satisfies the constraints.

@@ -1,4 +1,4 @@
-"""The interface of a solution method: a guess in, a trajectory and its bound out."""
+"""The interface of solution methods: a request in, a trajectory and its bound out."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.problem import State
+from orbimpc_ros.mpc.problem import Problem, State
 
 
 @dataclass(frozen=True)
@@ -22,6 +22,34 @@ class Guess:
 
     x: Array
     cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """What a method is asked for.
+
+    Attributes:
+        state: where the plan starts.
+        goals: g_1..g_N, shape (N, n) [m].
+        guess: a trajectory to start from.
+        out_of_time: polled between steps; True makes a method return the best so far. None lets it
+            take as long as it needs.
+    """
+
+    state: State
+    goals: Array
+    guess: Guess | None = None
+    out_of_time: Callable[[], bool] | None = None
+
+    @property
+    def hurried(self) -> bool:
+        """Return whether there is a deadline."""
+        return self.out_of_time is not None
+
+    @property
+    def late(self) -> bool:
+        """Return whether the deadline has passed."""
+        return self.out_of_time is not None and self.out_of_time()
 
 
 @dataclass(frozen=True)
@@ -61,20 +89,12 @@ class Method(Protocol):
     takes_guess: bool
     trusts_guess: bool
 
-    def solve(
-        self,
-        state: State,
-        goals: Array,
-        guess: Guess | None,
-        out_of_time: Callable[[], bool] | None,
-    ) -> Found:
-        """Return the best trajectory found with the bound proved.
+    @staticmethod
+    def solves(problem: Problem) -> bool:
+        """Return whether the method applies to a problem, and is fast on this machine."""
 
-        Args:
-            state: where the plan starts.
-            goals: g_1..g_N, shape (N, n) [m].
-            guess: a feasible trajectory to start from.
-            out_of_time: polled between steps; True returns the best so far.
+    def solve(self, request: Request) -> Found:
+        """Return the best trajectory found with the bound proved.
 
         Raises:
             Infeasible: proved that no trajectory satisfies the constraints.

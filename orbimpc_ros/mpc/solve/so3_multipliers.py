@@ -8,7 +8,7 @@ it leaves to the general program, such as the proof that there is no solution.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -26,6 +26,7 @@ from orbimpc_ros.mpc.model.cost import first_length, length_weight
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.disjunction import Slot
 from orbimpc_ros.mpc.solve.relaxation import Halfspace, Relaxation, Relaxed
+from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.unconstrained import other_axes, thrust_axis
 
 SIGMA = (1.0, 1e6)  # first and largest; times the scale of the forces at work
@@ -38,7 +39,7 @@ CANCELLED = 1e-13  # what a bound allows for of them
 INERT = -1.0  # offset of a row that is always satisfied
 
 
-class Spatial:
+class SO3Multipliers:
     """Answers for :class:`orbimpc_ros.mpc.solve.program.Program` on most problems of SE(3).
 
     Args:
@@ -56,13 +57,14 @@ class Spatial:
         self._others = other_axes(problem, condensed)
         self._length = length_weight(problem)
         self._make_room()
+        self._request: Request | None = None
         self._general: Relaxed | None = None
         if self._may_need_general:
             self._build_general()
         # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
-        self.bind(_rest(self._coasting), np.zeros((problem.horizon, 3)))
+        at_rest = Request(_rest(self._coasting), np.zeros((problem.horizon, 3)))
         with suppress(Infeasible):  # as with few steps left to turn round in
-            self.solve()
+            self.relax(at_rest)
 
     def _make_room(self) -> None:
         """Set up what the kernel works on; rho, if there is one, has the first place."""
@@ -112,9 +114,9 @@ class Spatial:
             and suits_dense_code(problem)
         )
 
-    def bind(self, state: State, goals: Array) -> None:
-        """See :meth:`orbimpc_ros.mpc.solve.relaxation.Relaxed.bind`."""
-        self._bound_to = (state, goals)
+    def _bind(self, request: Request) -> None:
+        """Work out what depends on state and goals alone."""
+        self._request, state, goals = request, request.state, request.goals
         axes, rest = self._axes, self._rest
         axes[:-1] = knowns(state, goals)
         rest[0] = state.rotation[:, 1:].T.ravel()
@@ -154,37 +156,31 @@ class Spatial:
         self._slide[1:, 3:] = np.outer(self._others.minimiser[1:, -1], first[3:])
         self._slide /= np.sqrt(curvature)
 
-    def solve(
-        self,
-        halfspaces: Iterable[Halfspace] = (),
-        out_of_time: Callable[[], bool] | None = None,
-    ) -> Relaxation:
-        """See :meth:`orbimpc_ros.mpc.solve.relaxation.Relaxed.solve`.
+    def relax(self, request: Request, halfspaces: Iterable[Halfspace] = ()) -> Relaxation:
+        """See :meth:`orbimpc_ros.mpc.solve.relaxation.Relaxed.relax`.
 
-        Args:
-            halfspaces: what slots are filled with.
-            out_of_time: polled every millisecond or so; True returns the bound proved by then, and
-                rotations in their orbitopes that need not satisfy anything else.
+        When time is up, rotations are in their orbitopes and need not satisfy anything else.
         """
+        if request is not self._request:
+            self._bind(request)
         imposed = list(halfspaces)
         terms = self._terms(imposed)
         bound = -np.inf
         for _ in range(2):
-            progress, status = self._minimise(terms, out_of_time)
+            progress, status = self._minimise(terms, request)
             bound = max(bound, float(progress.numbers[BEST]))
             if status == SETTLED:
                 return Relaxation(self._rotations(progress.x), self._proved(bound))
             self._held = multipliers(self._places)  # what was held misled: once more without
-            if out_of_time is not None and out_of_time():
+            if request.late:
                 break
-        hurried = out_of_time is not None and (self._general is None or out_of_time())
+        hurried = request.hurried and (self._general is None or request.late)
         if hurried:  # to set the general program up takes longer than a deadline can wait
             return Relaxation(_within(self._rotations(progress.x)), self._proved(bound))
-        return self._leave(imposed, out_of_time)
+        general = self._general or self._build_general()
+        return general.relax(request, imposed)
 
-    def _minimise(
-        self, terms: Terms, out_of_time: Callable[[], bool] | None
-    ) -> tuple[Progress, int]:
+    def _minimise(self, terms: Terms, request: Request) -> tuple[Progress, int]:
         first, largest = (self._scale * sigma for sigma in SIGMA)
         limits = (PRECISION, GAP, self._least, self._rounding, largest)
         progress = begun(self._places, 9, first)
@@ -192,7 +188,7 @@ class Spatial:
             _, status = minimise(
                 terms, self._start, self._held, limits, self._work, progress, SLICE
             )
-            if status != PAUSED or (out_of_time is not None and out_of_time()):
+            if status != PAUSED or request.late:
                 return progress, status
 
     def _proved(self, bound: float) -> float:
@@ -204,14 +200,6 @@ class Spatial:
             fraction = min(1.0, max(0.0, x[0, 0]))
             return np.concatenate([fraction * self._first[None], x[1:]])
         return np.concatenate([self._first[None], x]) if self._given else x
-
-    def _leave(
-        self, imposed: list[Halfspace], out_of_time: Callable[[], bool] | None
-    ) -> Relaxation:
-        """Leave a solve to the general program."""
-        general = self._general or self._build_general()
-        general.bind(*self._bound_to)
-        return general.solve(imposed, out_of_time)
 
     def _terms(self, imposed: Sequence[Halfspace]) -> Terms:
         if not imposed:

@@ -16,9 +16,8 @@ from orbimpc_ros.mpc.plan import UNPROVED, Plan, Proof, assemble, unsought
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.feasibility import reason
 from orbimpc_ros.mpc.problem.units import Units
-from orbimpc_ros.mpc.solve.hull_riccati import Hull
-from orbimpc_ros.mpc.solve.polygon_bnb import Planar
-from orbimpc_ros.mpc.solve.request import Found, Guess, Method
+from orbimpc_ros.mpc.solve.registry import method_for
+from orbimpc_ros.mpc.solve.request import Found, Guess, Request
 
 SEARCH_SHARE = 0.01  # a search stops at this share of the gap that counts as proved
 OUTWARD = 1e-9  # relative: bounds are published lower by what plans may miss constraints by
@@ -46,7 +45,8 @@ class Solver:
         self.problem = problem
         self._projection, self._tolerance = projection, gap_tolerance
         self._units = Units.of(problem)
-        self._method = _method_for(self._units.problem, gap_tolerance, coasting)
+        tolerance = SEARCH_SHARE * gap_tolerance
+        self._method = method_for(self._units.problem, tolerance, coasting=coasting)
 
     def solve(
         self,
@@ -121,7 +121,7 @@ class Solver:
         usable, units = self._usable(state, goals, guess), self._units
         start, targets = units.state(state), units.lengths(goals)
         try:
-            found = self._method.solve(start, targets, usable, out_of_time)
+            found = self._method.solve(Request(start, targets, usable, out_of_time))
         except Infeasible:
             raise Infeasible(reason(self.problem, state, goals)) from None
         except SolverFailure as error:
@@ -174,18 +174,3 @@ class Solver:
             held = plan.proved(proof)
             if not violations(self.problem, state, goals, held):
                 yield held
-
-
-def _method_for(problem: Problem, gap_tolerance: float, coasting: bool) -> Method:
-    """Return the fastest method that proves its answer for a problem in natural units."""
-    if Hull.solves(problem):
-        return Hull(problem, SEARCH_SHARE * gap_tolerance)
-    if Planar.solves(problem):
-        return Planar(problem, SEARCH_SHARE * gap_tolerance)
-    # CVXPY takes half of a start-up: only what needs it imports it.
-    from orbimpc_ros.mpc.solve.annulus_newton import Circle
-    from orbimpc_ros.mpc.solve.disjunctive_bnb import Search
-
-    if Circle.solves(problem):
-        return Circle(problem, SEARCH_SHARE * gap_tolerance)
-    return Search(problem, SEARCH_SHARE * gap_tolerance, coasting=coasting)

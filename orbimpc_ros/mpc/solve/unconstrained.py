@@ -18,7 +18,7 @@ from orbimpc_ros.mpc.problem import Problem
 
 
 @dataclass(frozen=True)
-class Unbounded:
+class Unconstrained:
     """Maps from what is known, m rows of which R_1 is the last.
 
     Attributes:
@@ -37,14 +37,14 @@ class Unbounded:
     constant: Array
 
 
-def thrust_axis(problem: Problem, condensed: Condensed) -> Unbounded:
+def thrust_axis(problem: Problem, condensed: Condensed) -> Unconstrained:
     """Return the maps for coordinates of R e1; known are Condensed's knowns, then R_1 e1."""
     return _unbounded(
         problem, condensed.hessian, condensed.pulled, condensed.squared, _arrival(problem)
     )
 
 
-def other_axes(problem: Problem, condensed: Condensed) -> Unbounded:
+def other_axes(problem: Problem, condensed: Condensed) -> Unconstrained:
     """Return the maps for coordinates of R e2 and R e3; known are those of R_0, then of R_1."""
     reached = np.zeros((0, problem.horizon)), np.zeros((0, 2))
     return _unbounded(
@@ -72,7 +72,7 @@ def _arrival(problem: Problem) -> tuple[Array, Array]:
 
 def _unbounded(
     problem: Problem, hessian: Array, q: Array, c: Array, arrival: tuple[Array, Array]
-) -> Unbounded:
+) -> Unconstrained:
     """Return the maps for a cost 1/2 x.Hx + (q known).x + known.c known, by elimination.
 
     Args:
@@ -96,4 +96,4 @@ def _unbounded(
     minimiser = np.concatenate([first, decided])
     bent = hessian @ minimiser
     least = c + minimiser.T @ (0.5 * bent + q)
-    return Unbounded(inverse, minimiser, bent, 0.5 * (least + least.T), c)
+    return Unconstrained(inverse, minimiser, bent, 0.5 * (least + least.T), c)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 from orbimpc_ros.lab.bench.contenders.contender import Answer, relative_gap
@@ -11,8 +11,9 @@ from orbimpc_ros.lab.bench.contenders.resolve import Resolve
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.solve.disjunctive_bnb import Search
+from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch
 from orbimpc_ros.mpc.solve.relaxation import Halfspace, Relaxation
+from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.solver import SEARCH_SHARE
 
 
@@ -22,14 +23,8 @@ class _Program:
     def __init__(self, problem: Problem) -> None:
         self._resolve = Resolve(problem, halfspaces=True)
 
-    def bind(self, state: State, goals: Array) -> None:
-        self._resolve.bind(state, goals)
-
-    def solve(
-        self,
-        halfspaces: Iterable[Halfspace] = (),
-        out_of_time: Callable[[], bool] | None = None,
-    ) -> Relaxation:
+    def relax(self, request: Request, halfspaces: Iterable[Halfspace] = ()) -> Relaxation:
+        self._resolve.bind(request.state, request.goals)
         self._resolve.hold(halfspaces)
         value = self._resolve.optimise()
         if value == float('inf'):
@@ -48,14 +43,14 @@ class Nodes:
     """
 
     def __init__(self, problem: Problem, gap: float) -> None:
-        self._search = Search(problem, SEARCH_SHARE * gap)
+        self._search = DisjunctiveSearch(problem, SEARCH_SHARE * gap)
         program: Any = _Program(problem)
         self._search.program = program
         self._found: Any = None
 
     def solve(self, state: State, goals: Array) -> None:
         """Search from scratch."""
-        self._found = self._search.solve(state, goals)
+        self._found = self._search.solve(Request(state, goals))
 
     def answer(self) -> Answer:
         """Return the best cost and its gap."""

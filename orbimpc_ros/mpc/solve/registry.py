@@ -1,0 +1,33 @@
+"""The methods, fastest first, and which of them solves a problem."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.solve.request import Method
+
+# (module beside this one, class). The first whose ``solves`` holds is chosen; modules are imported
+# in turn, since the later ones take longer to import.
+METHODS = [
+    ('hull_riccati', 'HullRiccati'),
+    ('polygon_bnb', 'PolygonSearch'),
+    ('annulus_newton', 'AnnulusNewton'),
+    ('disjunctive_bnb', 'DisjunctiveSearch'),
+]
+
+
+def method_for(problem: Problem, tolerance: float, *, coasting: bool = False) -> Method:
+    """Return the fastest method for a problem in natural units, compiled for it.
+
+    Args:
+        problem: what to solve.
+        tolerance: relative gap at which a search stops.
+        coasting: whether states come with a ``coasted`` rotation.
+    """
+    for place, name in METHODS:
+        method = getattr(import_module(f'orbimpc_ros.mpc.solve.{place}'), name)
+        if method.solves(problem):
+            made: Method = method(problem, tolerance, coasting=coasting)
+            return made
+    raise AssertionError('the last method solves every problem')
