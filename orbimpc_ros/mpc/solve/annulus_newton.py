@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.cells import arcs
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.geometry.rotations import turned_onto
+from orbimpc_ros.mpc.geometry.rotations import carried
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.annulus import (
     BOUND,
@@ -160,7 +160,7 @@ class Circle:
         tick = _Tick(state, goals, q, constant, self._left(state, goals), out_of_time)
         found = self._headings(tick, guess)
         if found.x is not None and self._problem.dimension == 3:
-            found = replace(found, x=_carried(state.attitude, found.x))
+            found = replace(found, x=coordinates(carried(state.attitude, found.x)))
         # To set the general search up takes longer than those with a deadline can wait.
         if self.settles(found) or self._arcs is not None or out_of_time is not None:
             return found
@@ -295,13 +295,3 @@ def _better(found: Found, progress: Progress, constant: float) -> Found:
         x = progress.best
     bound = max(found.lower_bound, float(bound))
     return Found(x, min(float(cost), found.cost), bound, found.nodes + int(progress.counts[TRIED]))
-
-
-def _carried(attitude: Array, headings: Array) -> Array:
-    """Return coordinates, shape (N, 9), of |z_k| Q_k, with Q_k turned from Q_{k-1} onto z_k."""
-    matrices = []
-    for z in headings:
-        size = float(np.linalg.norm(z))
-        attitude = turned_onto(attitude, z / size)
-        matrices.append(size * attitude)
-    return coordinates(np.array(matrices))
