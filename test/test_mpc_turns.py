@@ -6,6 +6,7 @@ from problems import ORDERS, floor, rotation
 
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.dynamics import translation_rollout
 from orbimpc_ros.mpc.problem import Box, Problem, State
 from orbimpc_ros.mpc.solve.solver import Solver
@@ -27,15 +28,13 @@ def bending(rng, problem, begin):
     return np.array(turned)
 
 
-@pytest.mark.parametrize('fraction', [0.5, 1.0])
-@pytest.mark.parametrize('orders', ORDERS)
-def test_an_arrival_is_met_without_a_search(orders, fraction):
+def arrival(orders, shape):
+    """A problem of 12 steps, a start and goals, that a trajectory between the limits solves."""
     n = orders['dimension']
     rng = np.random.default_rng(n)
-    round_floor = floor('circle', fraction)
-    problem = Problem(**orders, horizon=12, terminal='constraint', floor=round_floor)
+    problem = Problem(**orders, horizon=12, terminal='constraint', floor=shape)
     turned = bending(rng, problem, rotation(rng, n))
-    flown = 0.5 * (1.0 + fraction) * turned
+    flown = 0.5 * (1.0 + shape.least(np.eye(n)[0])) * turned
     still = State.at(np.zeros(n), flown[0])
     gained = translation_rollout(problem, still, flown[:, :, 0])[1][-1]
     start = State.at(
@@ -44,9 +43,24 @@ def test_an_arrival_is_met_without_a_search(orders, fraction):
         velocity=-gained if problem.translation_order == 2 else None,
         coasted=turned[1] if problem.rotation_order == 2 else None,
     )
-    targets = np.tile(translation_rollout(problem, start, flown[:, :, 0])[0][-1], (12, 1))
+    reached = translation_rollout(problem, start, flown[:, :, 0])[0][-1]
+    return problem, start, np.tile(reached, (12, 1))
+
+
+@pytest.mark.parametrize('fraction', [0.5, 1.0])
+@pytest.mark.parametrize('orders', ORDERS)
+def test_an_arrival_is_met_without_a_search(orders, fraction):
+    problem, start, targets = arrival(orders, floor('circle', fraction))
     plan = at_once(problem, start, targets)
     assert violations(problem, start, targets, plan) == []
+
+
+@pytest.mark.parametrize('orders', [each for each in ORDERS if each['dimension'] == 3])
+@pytest.mark.skipif(not COMPILED, reason='interrupted Clarabel proves nothing; needs numba')
+def test_a_search_that_was_interrupted_leaves_its_bound(orders):
+    problem, start, targets = arrival(orders, floor('none'))
+    plan = at_once(problem, start, targets)
+    assert 0.0 < plan.lower_bound <= plan.objective * (1.0 + 1e-6)
 
 
 @pytest.mark.parametrize('rate', [0.0, 0.5])
