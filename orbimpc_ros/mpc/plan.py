@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates, matrix
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import project_all, turned_onto
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.solve.turns import turning
 
 ROUNDING = 1e-14  # of the cost unit: at the goal the cost vanishes, its rounding does not
 
@@ -185,6 +186,20 @@ def unsought(problem: Problem, state: State, goals: Array, *, projection: str) -
         yield assemble(problem, state, goals, x, projection=projection, proof=UNPROVED)
 
 
+def turns(problem: Problem, state: State, goals: Array, *, projection: str) -> Iterator[Plan]:
+    """Yield plans that turn at an even rate, and meet a terminal constraint.
+
+    Args:
+        problem: what is to be solved.
+        state: from where.
+        goals: g_1..g_N, shape (N, n) [m].
+        projection: ``nearest`` or ``thrust_aligned``.
+    """
+    for rotations in turning(problem, state, goals):
+        x = coordinates(rotations)
+        yield assemble(problem, state, goals, x, projection=projection, proof=UNPROVED)
+
+
 def _straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
     """Yield R_1..R_N, shape (N, n, n)."""
     ahead = state.attitude
@@ -201,14 +216,7 @@ def _straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
     towards = goals[-1] - state.position
     distance = float(np.linalg.norm(towards))
     if distance > 0.0:
-        there = np.tile(_heading(ahead, towards / distance), (problem.horizon, 1, 1))
+        there = np.tile(turned_onto(ahead, towards / distance), (problem.horizon, 1, 1))
         if problem.rotation_order == 2:
             there[0] = firsts[-1]
         yield there
-
-
-def _heading(attitude: Array, axis: Array) -> Array:
-    """Return the rotation whose first column is a unit axis, shape (n,), turned from another."""
-    if len(axis) == 2:
-        return matrix(axis)
-    return turned_onto(attitude, axis)

@@ -142,9 +142,11 @@ def turned_onto(rotation: Array, axis: Array) -> Array:
     """Return the rotation with first column ``axis``, a unit vector, that turns least from one.
 
     Args:
-        rotation: shape (3, 3).
-        axis: where its first column goes, shape (3,).
+        rotation: shape (n, n).
+        axis: where its first column goes, shape (n,).
     """
+    if len(axis) == 2:
+        return _from_heading_2(axis)
     old = rotation[:, 0]
     across = np.cross(old, axis)
     sine, cosine = math.sqrt(across @ across), float(old @ axis)
@@ -152,6 +154,22 @@ def turned_onto(rotation: Array, axis: Array) -> Array:
         across, sine = rotation[:, 1], 1.0 if cosine < 0.0 else 0.0
         return exp(math.pi * sine * across) @ rotation
     return exp(math.atan2(sine, cosine) / sine * across) @ rotation
+
+
+def carried(attitude: Array, headings: Array) -> Array:
+    """Return |z_k| Q_k, shape (K, n, n), with Q_k turned from Q_{k-1} onto z_k where there is one.
+
+    Args:
+        attitude: Q_0, shape (n, n).
+        headings: z_1..z_K, shape (K, n).
+    """
+    matrices = []
+    for z in headings:
+        size = float(np.linalg.norm(z))
+        if size >= HEADING_UNDEFINED:
+            attitude = turned_onto(attitude, z / size)
+        matrices.append(size * attitude)
+    return np.array(matrices)
 
 
 def to_quaternion(rotation: Array) -> Array:

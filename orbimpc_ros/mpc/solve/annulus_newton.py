@@ -21,7 +21,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.cells import arcs
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.geometry.rotations import turned_onto
+from orbimpc_ros.mpc.geometry.rotations import carried
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.annulus import (
     BOUND,
@@ -142,7 +142,7 @@ class AnnulusNewton:
         tick = self._tick(request)
         found = self._headings(tick)
         if found.x is not None and self._problem.dimension == 3:
-            found = replace(found, x=_carried(request.state.attitude, found.x))
+            found = replace(found, x=coordinates(carried(request.state.attitude, found.x)))
         # To set the general search up takes longer than those with a deadline can wait.
         if self.settles(found) or self._arcs is not None or request.hurried:
             return found
@@ -287,13 +287,3 @@ def _better(found: Found, progress: Descent, constant: float) -> Found:
         x = progress.best
     bound = max(found.lower_bound, float(bound))
     return Found(x, min(float(cost), found.cost), bound, found.nodes + int(progress.counts[TRIED]))
-
-
-def _carried(attitude: Array, headings: Array) -> Array:
-    """Return coordinates, shape (N, 9), of |z_k| Q_k, with Q_k turned from Q_{k-1} onto z_k."""
-    matrices = []
-    for z in headings:
-        size = float(np.linalg.norm(z))
-        attitude = turned_onto(attitude, z / size)
-        matrices.append(size * attitude)
-    return coordinates(np.array(matrices))

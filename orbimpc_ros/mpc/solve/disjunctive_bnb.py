@@ -26,6 +26,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.cells import Cell
+from orbimpc_ros.mpc.geometry.orbitopes import margin
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.condensed import Condensed
@@ -37,6 +38,8 @@ from orbimpc_ros.mpc.solve.request import Found, Request
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 
 SATISFIED = 1e-7  # a cell missed by less holds; a tenth of what the plan's check allows
+ACCURATE = 1e-6  # on the orbitope, and on an arrival in units of a step's length: as the check's
+ROUNDING = 1e-15  # of the coordinates of goals far from the origin
 NEAR = 0.05  # a round floor missed by less is worth a dive
 DIVE_STEPS = 4
 MAX_NODES = 20_000
@@ -80,8 +83,10 @@ class DisjunctiveSearch:
             relaxed = self.program.relax(request)
             if relaxed.x is None:
                 return Found(None, np.inf, relaxed.bound, 1)
-            cost = trajectory_of(self.problem, state, goals, relaxed.x).cost
-            return Found(relaxed.x, cost, relaxed.bound, 1)
+            trajectory = trajectory_of(self.problem, state, goals, relaxed.x)
+            if not _is_accurate(self.problem, goals, trajectory):
+                return Found(None, np.inf, relaxed.bound, 1)
+            return Found(relaxed.x, trajectory.cost, relaxed.bound, 1)
         return _Run(self, request).run()
 
 
@@ -170,7 +175,9 @@ class _Run:
         return trajectory_of(self._search.problem, self._request.state, self._request.goals, x)
 
     def _accept(self, x: Array, trajectory: Trajectory) -> None:
-        if trajectory.cost < self._cost:
+        if trajectory.cost < self._cost and _is_accurate(
+            self._search.problem, self._request.goals, trajectory
+        ):
             self._best, self._cost = x, trajectory.cost
 
     def _halfspaces(self, choice: Choice) -> Iterator[Halfspace]:
@@ -294,6 +301,22 @@ class _Run:
         """Return by how much each cell raises the bound at least, shape (cells,)."""
         short = np.maximum(shortfall(cells, values), 0.0)
         return (short**2 / (2.0 * self._search.curvature[j])).max(axis=1)
+
+
+def _is_accurate(problem: Problem, goals: Array, trajectory: Trajectory) -> bool:
+    """Return whether a relaxation's solution holds what is not branched on as well as plans must.
+
+    One that was interrupted, or is not accurate, proves a bound all the same.
+    """
+    if margin(trajectory.rotations[1:]).min() < -ACCURATE:
+        return False
+    if problem.terminal != 'constraint':
+        return True
+    missed = np.abs(trajectory.positions[-1] - goals[-1]).max()
+    if problem.inertial:
+        missed = max(missed, problem.step * np.abs(trajectory.velocities[-1]).max())
+    rounding = ROUNDING * np.abs(goals[-1]).max()
+    return bool(missed <= ACCURATE * problem.length_unit + rounding)
 
 
 def _nearest_cell(disjunction: Disjunction, values: Array, held: Cell | None) -> Cell | None:

@@ -177,6 +177,10 @@ class SO3Multipliers:
         hurried = request.hurried and (self._general is None or request.late)
         if hurried:  # to set the general program up takes longer than a deadline can wait
             return Relaxation(_within(self._rotations(progress.x)), self._proved(bound))
+        return self._leave(request, imposed)
+
+    def _leave(self, request: Request, imposed: list[Halfspace]) -> Relaxation:
+        """Leave a solve to the general program."""
         general = self._general or self._build_general()
         return general.relax(request, imposed)
 

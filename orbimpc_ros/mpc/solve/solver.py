@@ -12,7 +12,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFailure
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.plan import UNPROVED, Plan, Proof, assemble, unsought
+from orbimpc_ros.mpc.plan import UNPROVED, Plan, Proof, assemble, turns, unsought
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.feasibility import reason
 from orbimpc_ros.mpc.problem.units import Units
@@ -58,7 +58,8 @@ class Solver:
         """Return the best plan found, checked, with its proof.
 
         Where the method fails, or the plan it proposes does not pass the check, the guess and the
-        plans to go straight on or straight to the goal stand in for it, as far as they pass.
+        plans to go straight on or straight to the goal stand in for it, as far as they pass; else,
+        unless there is proved to be none, plans that turn at an even rate or arrive after a turn.
 
         Args:
             state: where the plan starts; its dimension is the problem's.
@@ -76,14 +77,18 @@ class Solver:
             found = self._found(state, goals, guess, out_of_time)
         except Infeasible as error:
             found = replace(NOTHING, reason=f'a plan exists, though the search found: {error}')
-            return self._instead(state, goals, guess, found, error)
+            return self._instead(state, goals, guess, found, error, out_of_time)
         if found.x is None:
-            return self._instead(state, goals, guess, found, SolverFailure(found.reason))
+            return self._instead(
+                state, goals, guess, found, SolverFailure(found.reason), out_of_time
+            )
         plan = self._assembled(state, goals, found.x, self._proof(found))
         flaws = violations(self.problem, state, goals, plan)
         if flaws:
             found = replace(NOTHING, reason='the plan found fails its check: ' + '; '.join(flaws))
-            return self._instead(state, goals, guess, found, SolverFailure(found.reason))
+            return self._instead(
+                state, goals, guess, found, SolverFailure(found.reason), out_of_time
+            )
         if plan.gap <= self._tolerance:  # not just as near as rounding allows to tell
             return plan
         sound = [plan, *self._candidates(state, goals, guess, plan.proof)]
@@ -154,10 +159,19 @@ class Solver:
         return Proof(known, found.nodes, self._tolerance, self._units.cost, found.reason)
 
     def _instead(
-        self, state: State, goals: Array, guess: Plan | None, found: Found, failure: OrbimpcError
+        self,
+        state: State,
+        goals: Array,
+        guess: Plan | None,
+        found: Found,
+        failure: OrbimpcError,
+        out_of_time: Callable[[], bool] | None,
     ) -> Plan:
         """Return the cheapest of the plans that can stand in for one that was not found."""
-        sound = list(self._candidates(state, goals, guess, self._proof(found)))
+        proof = self._proof(found)
+        sound = list(self._candidates(state, goals, guess, proof))
+        if not sound and isinstance(failure, SolverFailure):
+            sound = self._turns(state, goals, proof, out_of_time)
         if not sound:
             raise failure
         return min(sound, key=lambda each: each.objective)
@@ -174,3 +188,20 @@ class Solver:
             held = plan.proved(proof)
             if not violations(self.problem, state, goals, held):
                 yield held
+
+    def _turns(
+        self,
+        state: State,
+        goals: Array,
+        proof: Proof,
+        out_of_time: Callable[[], bool] | None,
+    ) -> list[Plan]:
+        """Return plans that turn, as far as they pass the check; once late, one of them."""
+        sound = []
+        for plan in turns(self.problem, state, goals, projection=self._projection):
+            held = plan.proved(proof)
+            if not violations(self.problem, state, goals, held):
+                sound.append(held)
+            if sound and out_of_time is not None and out_of_time():
+                break
+        return sound

@@ -1,0 +1,136 @@
+"""Trajectories that turn at an even rate, and that arrive where they must.
+
+A terminal constraint is linear in the headings z_k = R_k e1. What they miss it by is spread over
+them with the least squares of corrections (Newton's method), each heading then brought back to
+between its least speed and the full one; where it is at either, it is only turned.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, carried
+from orbimpc_ros.mpc.model import dynamics
+from orbimpc_ros.mpc.problem import Problem, State
+
+# [rad] over the horizon, positive towards the goal, as far as ``max_rate`` allows.
+TURNS = (0.0, 0.5, -1.5, 1.5, 3.0, -4.0, 5.0, -6.3, 6.3)
+WITHIN = 1.0 - 1e-9  # of ``max_rate``
+CORRECTIONS = 20
+LARGEST = 0.5  # of a heading, in one correction
+MET = 1e-10  # of a step's length
+AT_LIMIT = 1e-9  # of a speed
+SINGULAR = 1e-9
+
+
+def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
+    """Yield R_1..R_N, shape (N, n, n), that turn; they pass through anything in their way.
+
+    Slow and fast ones; with a terminal constraint those between, corrected until they meet it.
+
+    Args:
+        problem: what is to be solved.
+        state: from where.
+        goals: g_1..g_N, shape (N, n) [m].
+    """
+    ahead, first = _ahead(problem, state)
+    least = min(1.0, problem.floor.least(ahead[:, 0]))
+    arrives = problem.terminal == 'constraint'
+    for speed in [0.5 * (1.0 + least)] if arrives else dict.fromkeys((least, 1.0)):
+        for turn in _turns(problem):
+            z = _headings(problem, speed, ahead[:, 0], goals[-1] - state.position, turn)
+            if problem.rotation_order == 2:
+                z[0] = speed * ahead[:, 0] if first is None else first[:, 0]
+            met = _corrected(problem, state, goals, z) if arrives else z
+            if met is None:
+                continue
+            rotations = carried(ahead, met)
+            if first is not None:
+                rotations[0] = first
+            yield rotations
+
+
+def _ahead(problem: Problem, state: State) -> tuple[Array, Array | None]:
+    """Return the rotation that turns begin at, and R_1 where the state decides all of it."""
+    if problem.rotation_order == 1:
+        return state.attitude, None
+    if state.coasted is not None:
+        return state.coasted, None
+    return state.attitude, state.rotation + problem.step * state.rotation_rate
+
+
+def _turns(problem: Problem) -> Iterator[float]:
+    most = math.inf
+    if problem.max_rate > 0.0:
+        most = WITHIN * problem.max_rate * problem.step * problem.horizon
+    yield from dict.fromkeys(min(most, max(-most, turn)) for turn in TURNS)
+
+
+def _wanted(problem: Problem, state: State, goals: Array) -> Array:
+    """Return what all headings must add up to, shape (1, n), of an inertial vehicle (2, n)."""
+    maps = dynamics.maps(problem)
+    place = goals[-1] - state.position - maps.drift[-1, 0] * state.velocity
+    return np.stack([place, -maps.carried[-1, 0] * state.velocity][: 1 + problem.inertial])
+
+
+def _headings(problem: Problem, speed: float, axis: Array, towards: Array, turn: float) -> Array:
+    """Return headings, shape (N, n), that turn from an axis in the plane of the goal."""
+    aside = towards - axis * (axis @ towards)
+    if np.linalg.norm(aside) <= HEADING_UNDEFINED * np.linalg.norm(towards):
+        other = np.eye(len(axis))[np.argmin(np.abs(axis))]
+        aside = other - axis * (axis @ other)
+    aside = aside / np.linalg.norm(aside)
+    angles = turn * np.arange(1.0, problem.horizon + 1.0) / problem.horizon
+    units = np.outer(np.cos(angles), axis) + np.outer(np.sin(angles), aside)
+    speeds = [min(1.0, max(speed, problem.floor.least(unit))) for unit in units]
+    return np.array(speeds)[:, None] * units
+
+
+def _corrected(problem: Problem, state: State, goals: Array, z: Array) -> Array | None:
+    """Return headings next to z, shape (N, n), that arrive; None if none are found.
+
+    At rotation order 2 the first one is given.
+    """
+    z, given = z.copy(), problem.rotation_order - 1
+    rows, wanted = dynamics.maps(problem).arrival, _wanted(problem, state, goals)
+    wanted = wanted - np.outer(rows[:, 0], state.rotation[:, 0])
+    rows = rows[:, 1:]
+    for _ in range(CORRECTIONS):
+        missing = wanted - rows @ z
+        missed = max(np.abs(missing[0]).max(), problem.step * np.abs(missing[1:]).max(initial=0.0))
+        if missed <= MET * problem.length_unit:
+            return z
+        if given == problem.horizon or not np.isfinite(missed):
+            return None
+        sizes = np.linalg.norm(z, axis=1)
+        units = z / np.maximum(sizes, HEADING_UNDEFINED)[:, None]
+        least = np.array([problem.floor.least(unit) for unit in units])
+        bound = (sizes >= 1.0 - AT_LIMIT) | (sizes <= least + AT_LIMIT)
+        change = _least_change(rows[:, given:], missing, units[given:], bound[given:])
+        z[given:] += change
+        sizes = np.linalg.norm(z, axis=1)[given:]
+        limits = np.minimum(1.0, least[given:]), 1.0
+        z[given:] *= (np.clip(sizes, *limits) / np.maximum(sizes, HEADING_UNDEFINED))[:, None]
+    return None
+
+
+def _least_change(rows: Array, missing: Array, units: Array, bound: np.ndarray) -> Array:
+    """Return the least changes of headings, shape (K, n), that make up for what is missing.
+
+    Args:
+        rows: over the headings, shape (m, K).
+        missing: shape (m, n).
+        units: the headings' directions, shape (K, n).
+        bound: which of them keep their speed, shape (K,).
+    """
+    count, n = units.shape
+    free = np.eye(n) - np.einsum('k,ka,kb->kab', bound, units, units)
+    matrix = np.einsum('ik,kab->iakb', rows, free).reshape(len(rows) * n, count * n)
+    scale = np.repeat(np.maximum(np.abs(rows).max(axis=1), HEADING_UNDEFINED), n)
+    change = np.linalg.lstsq(matrix / scale[:, None], missing.ravel() / scale, SINGULAR)[0]
+    change = change.reshape(count, n)
+    return change * min(1.0, LARGEST / np.abs(change).max(initial=LARGEST))
