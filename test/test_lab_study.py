@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from studies import SMALL, same, told
+from studies import SMALL, complaint, same
 
 pytest.importorskip('distributed', reason="no distributed: pip install 'orbimpc_ros[study]'")
 pytest.importorskip('pyarrow', reason="no pyarrow: pip install 'orbimpc_ros[study]'")
@@ -21,7 +21,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from orbimpc_ros.lab.study import cluster, columns, store, trial
-from orbimpc_ros.lab.study.controllers import PILOTS, require_installed
+from orbimpc_ros.lab.study.controllers import CONTROLLERS, require_installed
 from orbimpc_ros.lab.study.settings import SETTINGS
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool import cli
@@ -64,7 +64,7 @@ def rows_of(folder):
 )
 def test_bad_input_is_one_line(words, named, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    code, line = told(capsys, *words)
+    code, line = complaint(capsys, *words)
     assert code == 2
     assert named in line
     assert not list(tmp_path.rglob('study.json'))
@@ -85,7 +85,7 @@ def test_what_is_not_installed_is_named(monkeypatch, capsys):
     for module in ('pyarrow', 'casadi', 'distributed'):
         with monkeypatch.context() as patched:
             patched.setitem(sys.modules, module, None)  # as if it were not there
-            code, line = told(capsys, '--runs', '1')
+            code, line = complaint(capsys, '--runs', '1')
             assert code == 2
             assert module in line
             assert "pip install 'orbimpc_ros[study]'" in line
@@ -95,7 +95,7 @@ def test_without_casadi_the_others_fly(monkeypatch):
     monkeypatch.setitem(sys.modules, 'casadi', None)
     require_installed(['orbitope', 'linearised', 'pursuit'])
     with pytest.raises(BadInput, match='casadi'):
-        require_installed(list(PILOTS))
+        require_installed(list(CONTROLLERS))
 
 
 @pytest.fixture(scope='module')
@@ -121,7 +121,7 @@ def test_a_study_is_the_same_whoever_flies_it(finished):
 def test_a_study_is_reported(finished):
     folder, done = finished
     text = (folder / 'report.md').read_text()
-    for name in PILOTS:
+    for name in CONTROLLERS:
         assert f'`{name}`' in text
     assert '| caught | 100.0% |' in text
     assert 'IPOPT solved' in text
@@ -141,7 +141,7 @@ def test_a_finished_study_is_only_reported_again(finished, capsys):
     assert (folder / 'report.md').is_file()
     assert (folder / 'runs.parquet').read_bytes() == before
     (folder / 'runs.parquet').write_bytes(before[:-100])
-    assert told(capsys, '--resume', '-o', folder)[0] == 2
+    assert complaint(capsys, '--resume', '-o', folder)[0] == 2
     (folder / 'runs.parquet').write_bytes(before)
 
 

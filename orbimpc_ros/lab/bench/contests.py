@@ -21,7 +21,6 @@ from orbimpc_ros.mpc.problem import Floor, Problem, Weights
 GUROBI, SCIP, IPOPT = 'Gurobi', 'SCIP', 'IPOPT (local)'
 GUROBI_CUT = 'Gurobi + our cut'
 CVXPY, QOCO = 'CVXPY + Clarabel', 'CVXPY + QOCO'
-NODES, LIFTED = 'CVXPY nodes, same tree', 'dense lifted SDP'
 PACKAGES = {
     GUROBI: 'gurobipy',
     GUROBI_CUT: 'gurobipy',
@@ -75,8 +74,6 @@ class Contest:
             IPOPT: ('ipopt', 'Ipopt', {'tolerance': self.gap}),
             CVXPY: ('resolve', 'Resolve', {}),
             QOCO: ('resolve', 'Resolve', {'solver': 'QOCO'}),
-            NODES: ('nodes', 'Nodes', {'gap': self.gap}),
-            LIFTED: ('lifted', 'Lifted', {'gap': self.gap}),
         }
         return known[name]
 
@@ -132,8 +129,7 @@ def _dubins() -> list[Contest]:
                 Problem(weights=length, floor=square, **ARRIVAL), departures, (1, 3), 1e-3,
                 (GUROBI, GUROBI_CUT, SCIP), one_second),
         Contest('dubins-circle', 'Dubins N=20 circle, 1e-3',
-                Problem(weights=turning, floor=circle, **ARRIVAL), departures, (2, 20), 1e-3,
-                (LIFTED,), {LIFTED: _p50(3.0)}),
+                Problem(weights=turning, floor=circle, **ARRIVAL), departures, (2, 20), 1e-3),
     ]  # fmt: skip
 
 
@@ -154,8 +150,7 @@ def _space() -> list[Contest]:
                 rivals=(CVXPY,), required={CVXPY: _p50(20.0)}),
         Contest('se3', 'SE(3) N=5 hull', Problem(dimension=3, floor=NO_FLOOR), around, (5, 100),
                 rivals=(CVXPY,), required={CVXPY: _p50(2.5)}),
-        Contest('se3-faces', 'SE(3) N=5 six faces 0.5, 1e-4', cube, around, (1, 10),
-                rivals=(NODES,), required={NODES: _p50(10.0)}),
+        Contest('se3-faces', 'SE(3) N=5 six faces 0.5, 1e-4', cube, around, (1, 10)),
     ]  # fmt: skip
 
 

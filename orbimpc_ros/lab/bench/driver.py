@@ -10,13 +10,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from nav_msgs.msg import Odometry
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
 
+from orbimpc_ros.lab.test_node import TestNode
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.loop.forecast import Hold
@@ -33,7 +31,7 @@ AHEAD = 5_000_000  # [ns] by which a goal's stamp precedes odometry's: from anot
 
 
 @dataclass
-class Tick:
+class RoundTrip:
     """One odometry message and its answer.
 
     Attributes:
@@ -60,22 +58,18 @@ class Driver:
     """
 
     def __init__(self, namespaces: Sequence[str]) -> None:
-        self._context = rclpy.Context()
-        rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node('driver', context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._ticks: list[dict[int, Tick]] = [{} for _ in namespaces]
+        self._test_node = TestNode()
+        self._ticks: list[dict[int, RoundTrip]] = [{} for _ in namespaces]
         self._answered = [0] * len(namespaces)
         self._publishers = [self._wire(i, name) for i, name in enumerate(namespaces)]
         self._flights = circles()
         self._count, self._stamp = 0, 0
 
     def _wire(self, i: int, namespace: str) -> tuple[Any, Any]:
-        create = self._node.create_subscription
-        create(TwistStamped, f'{namespace}/cmd_vel', partial(self._on_command, i), qos(100))
-        create(DiagnosticArray, f'{namespace}/tick', partial(self._on_tick, i), qos(100))
-        publish = self._node.create_publisher
+        subscribe = self._test_node.subscribe
+        subscribe(TwistStamped, f'{namespace}/cmd_vel', partial(self._on_command, i), qos(100))
+        subscribe(DiagnosticArray, f'{namespace}/tick', partial(self._on_tick, i), qos(100))
+        publish = self._test_node.node.create_publisher
         return (
             publish(Odometry, f'{namespace}/odom', qos()),
             publish(PoseStamped, f'{namespace}/goal', qos()),
@@ -91,8 +85,8 @@ class Driver:
     def _on_tick(self, i: int, message: DiagnosticArray) -> None:
         tick = self._ticks[i].get(_stamp_of(message))
         if tick is not None:
-            said = {pair.key: pair.value for pair in message.status[0].values}
-            tick.solve_ms = float(json.loads(said['solve_time_ms']))
+            values = {pair.key: pair.value for pair in message.status[0].values}
+            tick.solve_ms = float(json.loads(values['solve_time_ms']))
 
     def until_answered(self, rate: float, limit: float) -> None:
         """Drive until every planner has answered.
@@ -123,7 +117,7 @@ class Driver:
         self._stamp = max(self._stamp + 1, time.time_ns())
         goal.publish(messages.goal_message(Stamp(self._stamp - AHEAD, FRAMES), flight.goal))
         message = messages.odometry_message(Stamp(self._stamp, FRAMES), flight.vehicle)
-        self._ticks[i][self._stamp] = Tick(time.perf_counter())
+        self._ticks[i][self._stamp] = RoundTrip(time.perf_counter())
         odometry.publish(message)
 
     def listen(self, seconds: float) -> None:
@@ -132,22 +126,20 @@ class Driver:
 
     def _listen_until(self, end: float, done: Callable[[], bool]) -> None:
         while (left := end - time.perf_counter()) > 0.0 and not done():
-            self._executor.spin_once(timeout_sec=left)
+            self._test_node.spin_once(left)
 
     def forget(self) -> None:
         """Drop what was measured so far."""
         for ticks in self._ticks:
             ticks.clear()
 
-    def ticks(self) -> list[Tick]:
+    def ticks(self) -> list[RoundTrip]:
         """Return everything measured."""
         return [tick for ticks in self._ticks for tick in ticks.values()]
 
     def close(self) -> None:
         """Take the node down."""
-        self._executor.shutdown()
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        self._test_node.close()
 
 
 def circles() -> list[Flight]:

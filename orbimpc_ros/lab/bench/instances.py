@@ -1,4 +1,4 @@
-"""What is solved: seeded streams of states and goals."""
+"""Seeded streams of states and goals to solve for."""
 
 from __future__ import annotations
 

@@ -6,26 +6,22 @@ import math
 import random
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 
-from orbimpc_ros.lab.faults import stimulus as feed
-from orbimpc_ros.lab.faults.fixtures import Lab
-from orbimpc_ros.lab.faults.harness import PATIENCE, RATE, STEP
-from orbimpc_ros.lab.faults.monitor import Limits, Watch
-from orbimpc_ros.lab.faults.outcome import Outcome, Trial
+from orbimpc_ros.lab.faults import stimulus
+from orbimpc_ros.lab.faults.fixtures import Fixtures
+from orbimpc_ros.lab.faults.harness import RATE, STEP
+from orbimpc_ros.lab.faults.monitor import Limits
+from orbimpc_ros.lab.faults.outcome import FaultCase, Outcome
+from orbimpc_ros.lab.faults.session import Session
 from orbimpc_ros.lab.faults.stimulus import Spoiler, shifted, with_field
-from orbimpc_ros.lab.faults.test_node import Ears
-from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.run.processes import Process
 
-TOLD = 1.5  # [s] in which a refusal must be told; they are told once a second
+REPORT = 1.5  # [s] in which a refusal must be reported; the simulator does so once a second
 LASTS = 2.0  # [s]
 HOSTILE: dict[str, Spoiler] = {
     'speed not finite': with_field('twist.linear.x', math.nan, math.inf, 1e300),
@@ -39,58 +35,31 @@ HOSTILE: dict[str, Spoiler] = {
 }
 
 
-class Target:
+class Target(Session):
     """A simulator in real time that nobody else commands, until closed."""
 
-    def __init__(self, lab: Lab) -> None:
-        folder, domain = lab.place()
-        self.watch = Watch(Limits(1.0, math.pi / STEP))
+    def __init__(self, folder: Path, domain: int) -> None:
+        super().__init__(folder, domain, Limits(1.0, math.pi / STEP))
         self.places: list[tuple[float, float]] = []
-        self.ears = Ears(domain)
-        self.ears.listen(DiagnosticArray, '/diagnostics', self.watch.on_health)
-        self.ears.listen(Odometry, 'odom', self._on_odometry)
-        self.publisher = self.ears.node.create_publisher(TwistStamped, 'cmd_vel', qos())
-        file = folder / 'sim.yaml'
-        settings.write(file, {'clock': 'wall', 'step': STEP, 'max_ticks': 100_000})
-        self.sim = Process('orbimpc_ros.ros.sim', file, folder / 'sim.log', domain)
+        self.test_node.subscribe(Odometry, 'odom', self._on_odometry)
+        self.publisher = self.test_node.node.create_publisher(TwistStamped, 'cmd_vel', qos())
+        values = {'clock': 'wall', 'step': STEP, 'max_ticks': 100_000}
+        self.sim = self.launch('orbimpc_ros.ros.sim', values)
 
     def _on_odometry(self, message: Odometry) -> None:
         place = message.pose.pose.position
         self.places.append((place.x, place.y))
 
     def until_connected(self) -> None:
-        """Listen until the simulator is there.
-
-        Raises:
-            OrbimpcError: it is not.
-        """
-        end = time.monotonic() + PATIENCE
-        self.ears.hear_until(end, lambda: bool(self.places) and self._heard)
-        if not self.places or not self._heard:
-            raise OrbimpcError(f'waited {PATIENCE:g} s in vain for the simulator')
-
-    @property
-    def _heard(self) -> bool:
-        return self.publisher.get_subscription_count() > 0
-
-    def close(self) -> None:
-        """Stop the simulator."""
-        self.sim.stop()
-        self.ears.close()
+        """Listen until the simulator hears and is heard."""
+        own = 1  # subscription of the monitor
+        heard = self.publisher.get_subscription_count
+        self.until(lambda: bool(self.places) and heard() > own, 'the simulator')
 
 
-@contextmanager
-def _target(lab: Lab) -> Iterator[Target]:
-    target = Target(lab)
-    try:
+def _hostile(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+    with Target(*fixtures.place()) as target:
         target.until_connected()
-        yield target
-    finally:
-        target.close()
-
-
-def _hostile(lab: Lab, long: bool) -> Iterator[Outcome]:
-    with _target(lab) as target:
         for name, spoil in list(HOSTILE.items())[: None if long else 3]:
             for seed in (1, 2, 3) if long else (1,):
                 yield _commanded(target, name, spoil, random.Random(f'{name} {seed}'))
@@ -102,18 +71,20 @@ def _commanded(target: Target, name: str, spoil: Spoiler, draw: random.Random) -
     while time.monotonic() < begin + LASTS:
         for each in spoil(_sound(), draw):
             target.publisher.publish(each)
-        target.ears.hear_until(time.monotonic() + 1.0 / RATE)
+        target.spin(1.0 / RATE)
     moved = sum(place != before for place in target.places)
-    told = target.watch.first_complaint(begin, 'refused') - begin
-    return Outcome(name, moved, told, '' if target.sim.running else 'the simulator has ended')
+    reported = target.monitor.first_complaint(begin, 'refused') - begin
+    return Outcome(name, moved, reported, '' if target.sim.running else 'the simulator has ended')
 
 
 def _sound() -> Any:
-    message = TwistStamped(header=feed.odometry_at(0.0, time.time_ns()).header)
+    message = TwistStamped(header=stimulus.odometry_at(0.0, time.time_ns()).header)
     message.twist.linear.x = 0.5
     return message
 
 
-TRIALS = (
-    Trial('commands', 'hostile commands to the simulator: refused and told', TOLD, _hostile, 's'),
+FAULT_CASES = (
+    FaultCase(
+        'commands', 'hostile commands to the simulator: refused and told', REPORT, _hostile, 's'
+    ),
 )

@@ -88,11 +88,11 @@ def _store(args: argparse.Namespace, given: dict[str, Any]) -> Store:
 
 
 def _study(given: dict[str, Any]) -> Study:
-    from orbimpc_ros.lab.study.controllers import PILOTS
+    from orbimpc_ros.lab.study.controllers import CONTROLLERS
     from orbimpc_ros.lab.study.design import Study
     from orbimpc_ros.lab.study.settings import resolved
 
-    defaults = {'runs': RUNS, 'seed': SEED, 'controllers': tuple(PILOTS), 'forecast': FORECAST}
+    defaults = {'runs': RUNS, 'seed': SEED, 'controllers': tuple(CONTROLLERS), 'forecast': FORECAST}
     return Study(**{**defaults, **given, 'settings': {**resolved(), **given.get('settings', {})}})
 
 

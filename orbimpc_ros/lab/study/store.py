@@ -67,8 +67,8 @@ class Store:
         """
         if (folder / CONFIGURATION).is_file():
             found = differences(study_in(folder), study)
-            told = f'a study with other {", ".join(found)}' if found else 'this study already'
-            raise BadInput(str(folder), told, 'a new folder, or --resume to go on with it')
+            there = f'a study with other {", ".join(found)}' if found else 'this study already'
+            raise BadInput(str(folder), there, 'a new folder, or --resume to go on with it')
         with _writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
             if any(folder.iterdir()):
