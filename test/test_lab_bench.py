@@ -11,7 +11,7 @@ from problems import reference
 from orbimpc_ros.lab import bench
 from orbimpc_ros.lab.bench import contests, table
 from orbimpc_ros.lab.bench.contenders.contender import Declined, Solution
-from orbimpc_ros.lab.bench.contenders.planar import Planar
+from orbimpc_ros.lab.bench.contenders.planar import CondensedPlanar
 from orbimpc_ros.lab.bench.contests import CONTESTS, CVXPY, GUROBI, IPOPT, SCIP
 from orbimpc_ros.lab.bench.duel import OURS, Samples, duel
 from orbimpc_ros.lab.bench.rows import BenchRow, growth, of_duel
@@ -121,7 +121,7 @@ def test_the_circling_ticks_are_near_the_rope():
 @pytest.mark.parametrize('name', ['uav_square_0', 'dubins_square'])
 def test_the_contenders_condensed_cost_is_the_problems(name):
     problem, state, goals = reference(name)
-    plan, planar = Solver(problem).solve(state, goals), Planar(problem)
+    plan, planar = Solver(problem).solve(state, goals), CondensedPlanar(problem)
     z = plan.rotations[1:, :, 0]
     linear, constant = planar.linear(state, goals)
     cost = np.sum(z * (planar.quadratic @ z + linear)) + constant
@@ -285,10 +285,11 @@ def test_the_price_of_a_missing_numba_is_told(capsys, monkeypatch):
     assert 'chess' in complaint
 
 
-def test_two_planners_answer_in_time():
+def test_two_planners_answer_in_time(monkeypatch):
     pytest.importorskip('rclpy')
     from orbimpc_ros.lab.bench import live
 
+    monkeypatch.setattr(live, 'WARM_UP', 0.2)
     (row,) = live.fleet(2, 1.0)
     assert row.n == 10
     assert row.p50_ms > 0.0

@@ -155,7 +155,16 @@ def test_a_cheaper_plan_of_ipopts_fails_the_study(finished, tmp_path, capsys):
     assert 'cheaper by 2.0e-03' in capsys.readouterr().out
 
 
-def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(tmp_path):
+@pytest.fixture(scope='module')
+def peers():
+    """Return the address of a scheduler with a worker, both in this process."""
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=':0'
+    ) as cluster:
+        yield cluster.scheduler_address
+
+
+def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(peers, tmp_path):
     folder = tmp_path / 'study'
     words = ['--runs', 60, '--seed', 3, '--controllers', 'linearised', '--workers', 1]
     # Its own session: the signal goes to its workers as well, as from a terminal.
@@ -178,14 +187,7 @@ def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(tmp_path):
     assert f'kept {kept} of 60 runs' in out
     assert f'orbimpc study --resume -o {folder}' in out
     assert 3 <= kept < 60
-    done = subprocess.run(
-        command('--resume', '-o', folder),
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-        cwd=ROOT,
-    )
-    assert done.returncode == 0, done.stderr
+    assert cli.main(['study', '--resume', '--scheduler', peers, '-o', str(folder)]) == 0
     assert not parts.exists()
     study = replace(SMALL, runs=60, controllers=('linearised',))
     same(
@@ -193,13 +195,10 @@ def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(tmp_path):
     )
 
 
-def test_an_existing_cluster_is_used(tmp_path, capsys):
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=':0'
-    ) as peers:
-        folder = tmp_path / 'study'
-        words = ['--runs', '2', '--seed', '3', '--controllers', 'pursuit', '-o', str(folder)]
-        assert cli.main(['study', '--scheduler', peers.scheduler_address, *words]) == 0
+def test_an_existing_cluster_is_used(peers, tmp_path):
+    folder = tmp_path / 'study'
+    words = ['--runs', '2', '--seed', '3', '--controllers', 'pursuit', '-o', str(folder)]
+    assert cli.main(['study', '--scheduler', peers, *words]) == 0
     same(rows_of(folder), trial.flown(replace(SMALL, runs=2, controllers=('pursuit',)), range(2)))
 
 
@@ -212,17 +211,13 @@ def test_a_cluster_without_workers_is_refused(tmp_path, monkeypatch, capsys):
     assert 'has workers' in capsys.readouterr().err
 
 
-def test_a_run_that_fails_is_told(monkeypatch, tmp_path, capsys):
+def test_a_run_that_fails_is_reported(peers, monkeypatch, tmp_path, capsys):
     def fail(study, numbers):
         raise RuntimeError('out of luck')
 
     monkeypatch.setattr(cluster, 'flown', fail)
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=':0'
-    ) as peers:
-        words = ['--runs', '2', '--controllers', 'pursuit', '-o', str(tmp_path / 'study')]
-        code = cli.main(['study', '--scheduler', peers.scheduler_address, *words])
-    assert code == 1
+    words = ['--runs', '2', '--controllers', 'pursuit', '-o', str(tmp_path / 'study')]
+    assert cli.main(['study', '--scheduler', peers, *words]) == 1
     assert 'RuntimeError: out of luck' in capsys.readouterr().err
 
 

@@ -87,7 +87,7 @@ def flown(changes=(), **fields):
 def test_everyone_sees_the_same_forecast():
     asked = []
 
-    class Told:
+    class Asked:
         def observe(self, sighting):
             asked.append(sighting)
 
@@ -97,7 +97,7 @@ def test_everyone_sees_the_same_forecast():
         def reset(self):
             raise AssertionError
 
-    shared = trial.Shared(Told())
+    shared = trial.Shared(Asked())
     for ticks in (2, 3):
         shared.reset()
         found = []

@@ -1,4 +1,4 @@
-"""The problems that are solved side by side, who takes part, and what is required of us.
+"""The problems that are solved side by side, the contenders, and what is required of us.
 
 Everybody gets the same problem, the same instances, the same relative gap and one thread.
 """
@@ -34,8 +34,6 @@ ARRIVAL: dict[str, Any] = {'horizon': 20, 'terminal': 'constraint'}
 DEFAULTS = 'dubins'  # where SCIP's defaults prove more in a minute than its fast settings
 RIM, NO_FLOOR = math.sqrt(0.5), Floor('none')
 
-Entrant = tuple[str, str, Mapping[str, Any]]  # module, class, what its constructor takes
-
 
 @dataclass(frozen=True)
 class Contest:
@@ -63,10 +61,15 @@ class Contest:
     required: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     closed_loop: bool = False
 
-    def entrant(self, name: str, cap: float) -> Entrant:
-        """Return where a contender is found and how it is set up."""
+    def contender(self, name: str, cap: float) -> Contender:
+        """Return a contender set up for the problem.
+
+        Raises:
+            ImportError: it is not installed.
+        """
         mixed = {'gap': self.gap, 'cap': cap, 'closed_loop': self.closed_loop}
-        known: dict[str, Entrant] = {
+        # Module, class and what its constructor takes.
+        known: dict[str, tuple[str, str, Mapping[str, Any]]] = {
             OURS: ('ours', 'Ours', mixed),
             GUROBI: ('gurobi', 'Gurobi', mixed),
             GUROBI_CUT: ('gurobi', 'Gurobi', {**mixed, 'cut': True}),
@@ -75,15 +78,7 @@ class Contest:
             CVXPY: ('resolve', 'Resolve', {}),
             QOCO: ('resolve', 'Resolve', {'solver': 'QOCO'}),
         }
-        return known[name]
-
-    def contender(self, name: str, cap: float) -> Contender:
-        """Return a contender set up for the problem.
-
-        Raises:
-            ImportError: it is not installed.
-        """
-        module, kind, options = self.entrant(name, cap)
+        module, kind, options = known[name]
         found = import_module(f'orbimpc_ros.lab.bench.contenders.{module}')
         return getattr(found, kind)(self.problem, **options)
 

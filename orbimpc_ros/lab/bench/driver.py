@@ -14,19 +14,16 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from nav_msgs.msg import Odometry
 
+from orbimpc_ros.lab.bench.instances import around
 from orbimpc_ros.lab.test_node import TestNode
 from orbimpc_ros.mpc.errors import OrbimpcError
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.forecast import Hold
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.world.flight import Flight, departure, planned
-from orbimpc_ros.world.scenario import retrieval, retrieval_problem
+from orbimpc_ros.world.scenario import retrieval_problem
 
 FRAMES = Frames('odom', 'base_link')
 POINTS = 100  # of the flight around the rope that is replayed
-APPROACH = 20
 AHEAD = 5_000_000  # [ns] by which a goal's stamp precedes odometry's: from another sensor
 
 
@@ -62,7 +59,7 @@ class Driver:
         self._ticks: list[dict[int, RoundTrip]] = [{} for _ in namespaces]
         self._answered = [0] * len(namespaces)
         self._publishers = [self._wire(i, name) for i, name in enumerate(namespaces)]
-        self._flights = circles()
+        self._flights = [flight for flight, _ in around(retrieval_problem(), POINTS)]
         self._count, self._stamp = 0, 0
 
     def _wire(self, i: int, namespace: str) -> tuple[Any, Any]:
@@ -76,7 +73,7 @@ class Driver:
         )
 
     def _on_command(self, i: int, message: TwistStamped) -> None:
-        now = time.perf_counter()
+        now = time.monotonic()
         tick = self._ticks[i].get(_stamp_of(message))
         if tick is not None and tick.latency == math.inf:
             tick.latency = now - tick.sent
@@ -104,11 +101,11 @@ class Driver:
 
     def _drive(self, rate: float, seconds: float, done: Callable[[], bool]) -> None:
         gap = 1.0 / (rate * len(self._publishers))
-        begin, sent = time.perf_counter(), 0
+        begin, sent = time.monotonic(), 0
         while sent * gap < seconds and not done():
             self._publish(sent % len(self._publishers))
             sent += 1
-            self._listen_until(begin + sent * gap, done)
+            self._test_node.spin_until(begin + sent * gap, done)
 
     def _publish(self, i: int) -> None:
         odometry, goal = self._publishers[i]
@@ -117,16 +114,15 @@ class Driver:
         self._stamp = max(self._stamp + 1, time.time_ns())
         goal.publish(messages.goal_message(Stamp(self._stamp - AHEAD, FRAMES), flight.goal))
         message = messages.odometry_message(Stamp(self._stamp, FRAMES), flight.vehicle)
-        self._ticks[i][self._stamp] = RoundTrip(time.perf_counter())
+        self._ticks[i][self._stamp] = RoundTrip(time.monotonic())
         odometry.publish(message)
 
     def listen(self, seconds: float) -> None:
-        """Only listen for a while."""
-        self._listen_until(time.perf_counter() + seconds, lambda: False)
-
-    def _listen_until(self, end: float, done: Callable[[], bool]) -> None:
-        while (left := end - time.perf_counter()) > 0.0 and not done():
-            self._test_node.spin_once(left)
+        """Only listen for a while, or until everything is answered."""
+        end = time.monotonic() + seconds
+        self._test_node.spin_until(
+            end, lambda: all(tick.latency < math.inf for tick in self.ticks())
+        )
 
     def forget(self) -> None:
         """Drop what was measured so far."""
@@ -140,17 +136,6 @@ class Driver:
     def close(self) -> None:
         """Take the node down."""
         self._test_node.close()
-
-
-def circles() -> list[Flight]:
-    """Return a flight around the rope, tick by tick, the approach skipped."""
-    flight, controller, forecast = departure(retrieval()), Controller(retrieval_problem()), Hold()
-    flights = []
-    for _ in range(APPROACH + POINTS):
-        flights.append(flight)
-        command = planned(controller, flight, forecast).command
-        flight = flight.after(command.speed_fraction, command.body_rate)
-    return flights[APPROACH:]
 
 
 def _stamp_of(message: Any) -> int:

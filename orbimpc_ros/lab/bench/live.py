@@ -16,6 +16,7 @@ from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
+from unittest import mock
 
 from orbimpc_ros.lab.bench.duel import OURS, percentiles
 from orbimpc_ros.lab.bench.rows import LATE, BenchRow
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 MEETING = 60.0  # [s] until every planner must have answered
 FAST, SLOW = 50.0, 5.0  # [Hz]
 SETTLED = 50  # answers before the clock counts
+WARM_UP = 2.0  # [s] of many planners at once
 PLANNERS = (1, 5, 20)
 LEAVE = 5.0  # [s] in which a planner ends
 PLANNER = 'orbimpc_ros.ros.planner'
@@ -74,7 +76,8 @@ def _driven(namespaces: Sequence[str]) -> Iterator[tuple[Driver, list[Process], 
     """Yield a driver, its planners, and when they were started."""
     from orbimpc_ros.lab.bench.driver import Driver
 
-    with tempfile.TemporaryDirectory() as name, _environment():
+    # The environment will name the folder, which goes away: it is restored.
+    with tempfile.TemporaryDirectory() as name, mock.patch.dict(os.environ):
         discovery.isolate(Path(name))
         with closing(Driver(namespaces)) as driver:
             begin = time.perf_counter()
@@ -100,17 +103,6 @@ def _running(namespaces: Sequence[str], folder: Path) -> Iterator[list[Process]]
         for planner in planners:
             planner.wait(LEAVE)
             planner.stop()
-
-
-@contextmanager
-def _environment() -> Iterator[None]:
-    """Undo changes to the environment at the end: the folder that they name goes away."""
-    before = dict(os.environ)
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
 
 
 def _start(count: int) -> list[BenchRow]:
@@ -156,7 +148,7 @@ def fleet(count: int, seconds: float) -> list[BenchRow]:
     """
     with _driven([f'/p{i}' for i in range(count)]) as (driver, _, _):
         driver.until_answered(SLOW, MEETING)
-        driver.drive(SLOW, 2.0)
+        driver.drive(SLOW, WARM_UP)
         driver.forget()
         driver.drive(SLOW, seconds)
         driver.listen(2.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import random
 import time
 from collections.abc import Callable, Mapping
@@ -53,7 +52,6 @@ class Harness(Session):
         running: whether the clock runs; only where that is simulated.
         jump: what the clock is off [s].
         frozen_at: when the clock was stopped last, on the monotonic clock [s].
-        fed: whether it is fed at all.
     """
 
     def __init__(
@@ -71,7 +69,7 @@ class Harness(Session):
         self._simulated, self._module = simulated, module
         self.draw = random.Random(seed)
         self.spoiled = stimulus.Spoiled('nothing')
-        self.running, self.jump, self.fed = True, 0.0, True
+        self.running, self.jump = True, 0.0
         self._begun, self._due = time.monotonic(), 0.0
         self.frozen_at = 0.0
         self.node = self.test_node.node
@@ -116,30 +114,20 @@ class Harness(Session):
     def until_planned(self) -> None:
         """Feed a healthy planner until it commands to move."""
         since = time.monotonic()
-        self.until(lambda: self.monitor.planned_since(since), 'a plan')
+        self.until(lambda: self.monitor.moving(since) > 0, 'a plan')
 
     def _feed(self) -> None:
         if self._simulated:
             self._clock.publish(Clock(clock=messages.time_message(self.now)))
-        if not self.fed:
-            return
         goal = stimulus.goal_at(time.monotonic() - self._begun, self.now)
         self._publish(self.goal, goal, self.spoiled.goal)
         if self.odometry is not None:
-            self._publish(self.odometry, self.healthy_odometry(), self.spoiled.odometry)
-
-    def healthy_odometry(self) -> Odometry:
-        """Return what nothing is wrong with."""
-        return stimulus.odometry_at(time.monotonic() - self._begun, self.now)
+            odometry = stimulus.odometry_at(time.monotonic() - self._begun, self.now)
+            self._publish(self.odometry, odometry, self.spoiled.odometry)
 
     def _publish(self, publisher: Any, message: Any, spoil: stimulus.Spoiler | None) -> None:
         for each in [message] if spoil is None else spoil(message, self.draw):
             publisher.publish(each)
-
-    @property
-    def environment(self) -> dict[str, str]:
-        """Return the environment of a process that is to join."""
-        return os.environ | {'ROS_DOMAIN_ID': str(self.domain)}
 
     def mute(self) -> None:
         """Leave odometry to another publisher."""
@@ -149,14 +137,6 @@ class Harness(Session):
     def unmute(self) -> None:
         """Publish odometry again."""
         self.odometry = self.node.create_publisher(Odometry, 'odom', qos(KEPT))
-
-    def add_source(self) -> None:
-        """Add a second publisher of odometry, a silent one."""
-        self._second = self.node.create_publisher(Odometry, 'odom', qos())
-
-    def remove_source(self) -> None:
-        """Remove the second publisher."""
-        self.node.destroy_publisher(self._second)
 
     def set_parameters(self, values: Mapping[str, Any]) -> list[str]:
         """Set parameters of the running planner, one by one; return the reasons for refusals."""

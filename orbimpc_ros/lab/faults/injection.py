@@ -81,6 +81,13 @@ def harnesses(
 
 def inject(harness: Harness, when: str, begin: Callable[[], None]) -> float:
     """Make a healthy planner's fault begin and return when that was [s]."""
+    until_due(harness, when)
+    begin()
+    return time.monotonic()
+
+
+def until_due(harness: Harness, when: str) -> None:
+    """Feed a healthy planner until a fault is to be injected."""
     harness.until_planned()
     if when == SOLVING:
         heard = len(harness.monitor.ticks)
@@ -89,8 +96,6 @@ def inject(harness: Harness, when: str, begin: Callable[[], None]) -> float:
         harness.spin(solved - 1e-3 * harness.monitor.solve_ms + STEP + INTO - time.monotonic())
     else:
         harness.spin(harness.draw.uniform(0.0, STEP))
-    begin()
-    return time.monotonic()
 
 
 def spoiling(harness: Harness, spoiled: Spoiled, when: str, expected: Expected) -> Outcome:
@@ -142,12 +147,3 @@ def _from_the_start(harness: Harness, spoiled: Spoiled, expected: Expected) -> O
     if expected.strict:
         unsafe += harness.monitor.moving(begin)
     return recovered(harness, Outcome(f'{spoiled.name}, {START}', unsafe))
-
-
-def cases(
-    long: bool, variants: Sequence[Spoiled], short: Sequence[str]
-) -> list[tuple[Spoiled, str, int]]:
-    """Return variants with times and seeds: all of them, or one for each time in ``short``."""
-    if long:
-        return [(each, when, seed) for each in variants for when in TIMES for seed in SEEDS]
-    return [(variants[i % len(variants)], when, 1) for i, when in enumerate(short)]

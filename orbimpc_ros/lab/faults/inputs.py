@@ -58,11 +58,11 @@ def _fault_case(
     name: str, title: str, variants: Callable[[], Sequence[Spoiled]], *short: str
 ) -> FaultCase:
     def run(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
-        for spoiled, when, seed in injection.cases(long, variants(), short):
-            harness = injection.harness_for(fixtures, when)
-            harness.draw.seed(f'{spoiled.name} {when} {seed}')
+        every = itertools.product(variants(), injection.TIMES)
+        for spoiled, time in every if long else zip(itertools.cycle(variants()), short):
             expected = GOAL if spoiled.goal is not None else ODOMETRY
-            yield injection.spoiling(harness, spoiled, when, expected)
+            for harness, when in injection.harnesses(fixtures, long, (time,), label=spoiled.name):
+                yield injection.spoiling(harness, spoiled, when, expected)
 
     return FaultCase(name, title, 1.0, run)
 

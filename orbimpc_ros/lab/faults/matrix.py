@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from orbimpc_ros.lab.faults import (
     clocks,
-    commands,
     inputs,
     network,
     parameters,
@@ -12,5 +11,5 @@ from orbimpc_ros.lab.faults import (
     shutdowns,
 )
 
-GROUPS = (inputs, clocks, plans, network, commands, shutdowns, parameters)
+GROUPS = (inputs, clocks, plans, network, shutdowns, parameters)
 MATRIX = tuple(each for group in GROUPS for each in group.FAULT_CASES)

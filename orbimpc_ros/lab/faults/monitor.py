@@ -120,10 +120,6 @@ class Monitor:
         """Return when the first safe command was sent [s]; infinite if none has."""
         return _first(self.commands, lambda each: each.at >= since and each.safe)
 
-    def planned_since(self, since: float) -> bool:
-        """Return whether a command to move has come."""
-        return any(each.at >= since and not each.safe for each in self.commands)
-
     def first_error(self, since: float) -> float:
         """Return when the first error was reported [s]; infinite if none was."""
         return _first(self.health, lambda each: each.at >= since and each.level == ERROR)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy
 
@@ -32,9 +34,8 @@ def _mismatch(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
     """Somebody subscribes to commands as latched, which they are not: no command would come."""
     latched = qos(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     quiet = SubscriptionEventCallbacks(incompatible_qos=lambda _event: None)
-    for harness, _ in injection.harnesses(fixtures, long):
-        harness.until_planned()
-        harness.spin(harness.draw.uniform(0.0, STEP))
+    for harness, when in injection.harnesses(fixtures, long):
+        injection.until_due(harness, when)
         begin = time.monotonic()
         wrong = harness.node.create_subscription(
             TwistStamped, 'cmd_vel', lambda _message: None, latched, event_callbacks=quiet
@@ -48,13 +49,15 @@ def _mismatch(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
 def _two_sources(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
     """A second publisher of odometry: whom to believe?"""
     for harness, when in injection.harnesses(fixtures, long, injection.TIMES[1:]):
-        begin = injection.inject(harness, when, harness.add_source)
+        injection.until_due(harness, when)
+        second = harness.node.create_publisher(Odometry, 'odom', qos())
+        begin = time.monotonic()
         harness.spin(MEET + STEP)
         safe = harness.until_first(harness.monitor.first_safe, begin)
         harness.spin(AFTER * STEP)
         again = harness.monitor.moving_again(begin + MEET, begin + MEET + STEP)
         unsafe = harness.monitor.broken(begin) + again
-        harness.remove_source()
+        harness.node.destroy_publisher(second)
         outcome = Outcome(f'another, {when}', unsafe, injection.reaction(safe, begin))
         yield injection.recovered(harness, outcome)
 
@@ -63,11 +66,11 @@ def _two_sources(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
 def flooded(harness: Harness, rate: float) -> Iterator[Path]:
     """Have another process take over a harness's odometry, at a rate [Hz]; gives its log."""
     harness.mute()
-    log = harness.folder / 'flood.log'
+    log, domain = harness.folder / 'flood.log', {'ROS_DOMAIN_ID': str(harness.domain)}
     words = [sys.executable, '-m', 'orbimpc_ros.lab.faults.flood', str(rate)]
     with log.open('wb') as stream:
         child = subprocess.Popen(
-            words, env=harness.environment, stdin=subprocess.DEVNULL, stdout=stream
+            words, env=os.environ | domain, stdin=subprocess.DEVNULL, stdout=stream
         )
     try:
         # Until it has started there is no odometry at all, and stops are right.

@@ -27,13 +27,12 @@ BUSY = 0.25  # of a step on top: a machine that is busy with other things
 
 
 def set_live(harness: Harness, **values: Any) -> None:
-    """Set parameters of a running planner; dots in names are written as two underscores.
+    """Set parameters of a running planner.
 
     Raises:
         OrbimpcError: they are refused.
     """
-    refusals = harness.set_parameters({k.replace('__', '.'): v for k, v in values.items()})
-    if refusals:
+    if refusals := harness.set_parameters(values):
         raise OrbimpcError(f'refused: {refusals}')
 
 

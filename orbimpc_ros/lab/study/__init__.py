@@ -113,7 +113,8 @@ def _fly(store: Store, args: argparse.Namespace) -> None:
         store.begin()
         done = _kept(store, client, missing, lambda: not interruptions.requested)
     if done < store.study.runs:
-        print(f'kept {done} of {store.study.runs} runs; to go on: {_resumption(store.folder)}')
+        again = f'orbimpc study --resume -o {store.folder}'
+        print(f'kept {done} of {store.study.runs} runs; to go on: {again}')
         raise KeyboardInterrupt
 
 
@@ -133,7 +134,3 @@ def _kept(store: Store, client: Any, missing: Sequence[int], going: Callable[[],
         progress.show(done, f'{done} of {runs} runs')
     progress.close()
     return done
-
-
-def _resumption(folder: Path) -> str:
-    return f'orbimpc study --resume -o {folder}'

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
@@ -55,13 +54,7 @@ class Study:
 
     def as_json(self) -> dict[str, Any]:
         """Return the study as plain values; :func:`study_of` reads them."""
-        return {each.name: _plain(getattr(self, each.name)) for each in fields(self)}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {name: _plain(each) for name, each in value.items()}
-    return list(value) if isinstance(value, tuple) else value
+        return {**vars(self), 'settings': dict(self.settings)}
 
 
 def study_of(content: Any, name: str) -> Study:

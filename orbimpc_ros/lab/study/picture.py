@@ -99,8 +99,8 @@ def _draw_costs(axes: Axes, found: Scores) -> None:
         # Above its line and inside the panel, wherever on the axis the line is.
         middle = axes.get_yaxis_transform()
         text = f'{name}: {half:.2g} ms, 99 % below {most:.2g} ms'
-        label = axes.text(0.02, place + 0.28, text, transform=middle, color=INK, fontsize=8.0)
-        label.set_path_effects(halo())  # no line of the grid goes through it
+        axes.text(0.02, place + 0.28, text, transform=middle, color=INK, fontsize=8.0,
+                  path_effects=halo())  # fmt: skip
     title = 'Time per tick, excluding the forecast'
     axes.set(title=title, xlabel='processor time [ms]', xscale='log')
     axes.xaxis.set_major_formatter('{x:g}')

@@ -13,7 +13,7 @@ import numpy as np
 from gurobipy import GRB
 
 from orbimpc_ros.lab.bench.contenders.contender import Declined, Solution
-from orbimpc_ros.lab.bench.contenders.planar import Disjunction, Planar
+from orbimpc_ros.lab.bench.contenders.planar import BigM, CondensedPlanar
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem, State
 
@@ -32,7 +32,7 @@ class Gurobi:
     def __init__(
         self, problem: Problem, gap: float, cap: float, *, closed_loop: bool, cut: bool = False
     ) -> None:
-        self._planar, self._closed_loop = Planar(problem), closed_loop
+        self._planar, self._closed_loop = CondensedPlanar(problem), closed_loop
         quiet = {'OutputFlag': 0, 'Threads': 1, 'MIPGap': gap, 'TimeLimit': cap}
         self._model = gp.Model(env=gp.Env(params=quiet))
         self._z: Any = self._model.addMVar((problem.horizon, 2), lb=-1.0, ub=1.0)
@@ -45,7 +45,7 @@ class Gurobi:
             self._arrival = self._model.addConstr(self._planar.arrival @ self._z == np.zeros(2))
         self._model.update()
 
-    def _choose(self, disjunction: Disjunction) -> tuple[Any, Any]:
+    def _choose(self, disjunction: BigM) -> tuple[Any, Any]:
         """Return the binaries of a disjunction, and its rows, whose right sides move."""
         shape = (len(disjunction.moved), len(disjunction.normals))
         chosen = self._model.addMVar(shape, vtype=GRB.BINARY)

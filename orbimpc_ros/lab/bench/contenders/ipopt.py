@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from orbimpc_ros.lab.bench.contenders.contender import Solution
-from orbimpc_ros.lab.study.baselines.nonlinear import Program
+from orbimpc_ros.lab.study.baselines.nonlinear import NonlinearProgram
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem, State
 
@@ -23,7 +23,7 @@ class Ipopt:
 
     def __init__(self, problem: Problem, tolerance: float) -> None:
         self._steps = problem.horizon
-        self._program = Program(problem, {'ipopt.tol': tolerance})
+        self._program = NonlinearProgram(problem, {'ipopt.tol': tolerance})
         self._value = np.nan
 
     def solve(self, state: State, goals: Array) -> None:

@@ -24,7 +24,7 @@ SIDES = np.array([[-1.0, 0.0], [0.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
 
 
 @dataclass(frozen=True)
-class Disjunction:
+class BigM:
     """Alternatives i of which at least one, by its binary b_ki, must hold at every step k.
 
     normals_i . (moved @ z)_k >= offsets_i - big (1 - b_ki)
@@ -42,7 +42,7 @@ class Disjunction:
     offsets: Callable[[State], Array]
 
 
-class Planar:
+class CondensedPlanar:
     """Matrices of a planar problem of orders (1, 1).
 
     Args:
@@ -74,27 +74,25 @@ class Planar:
         """Return what ``arrival @ z`` must be to arrive at g_N, shape (2,)."""
         return goals[-1] - self._first(state)
 
-    def _beyond(self, box: Box) -> Disjunction:
+    def _beyond(self, box: Box) -> BigM:
         """Keep s_2..s_N beyond a side of a box; the state decides s_1.
 
         The big M is twice what the horizon can fly.
         """
         sides = np.concatenate([-box.minimum, box.maximum])
         big = 2.0 * len(self.reach) * self._advance
-        return Disjunction(
-            SIDES, self.reach[1:], big, lambda state: sides - SIDES @ self._first(state)
-        )
+        return BigM(SIDES, self.reach[1:], big, lambda state: sides - SIDES @ self._first(state))
 
     def _first(self, state: State) -> Array:
         """Return s_1, shape (2,), which the state decides: s_k = s_1 + (reach @ z)_k."""
         return state.position + self._advance * state.rotation[:, 0]
 
 
-def _beyond_floor(problem: Problem) -> Disjunction:
+def _beyond_floor(problem: Problem) -> BigM:
     low, steps = problem.floor.fraction, problem.horizon
     faces = normals(2, problem.floor.faces)
     offsets = np.full(len(faces), low)
-    return Disjunction(faces, np.eye(steps), 1.0 + low, lambda _state: offsets)
+    return BigM(faces, np.eye(steps), 1.0 + low, lambda _state: offsets)
 
 
 def _factor(matrix: Array) -> Array:

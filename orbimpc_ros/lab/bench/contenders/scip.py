@@ -13,7 +13,7 @@ import numpy as np
 from pyscipopt import SCIP_PARAMSETTING, Model, quicksum
 
 from orbimpc_ros.lab.bench.contenders.contender import Solution
-from orbimpc_ros.lab.bench.contenders.planar import Disjunction, Planar
+from orbimpc_ros.lab.bench.contenders.planar import BigM, CondensedPlanar
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem, State
 
@@ -33,7 +33,7 @@ class Scip:
     def __init__(
         self, problem: Problem, gap: float, cap: float, *, closed_loop: bool, fast: bool = True
     ) -> None:
-        self._planar, self._closed_loop = Planar(problem), closed_loop
+        self._planar, self._closed_loop = CondensedPlanar(problem), closed_loop
         self._model = model = Model()
         model.hideOutput()
         for tune in (model.setHeuristics, model.setPresolve, model.setSeparating):
@@ -70,7 +70,7 @@ class Scip:
                 squares.append(term * term)
         model.addCons(quicksum(squares) <= self._quadratic)
 
-    def _choose(self, disjunction: Disjunction) -> tuple[list[list[Any]], list[list[Any]]]:
+    def _choose(self, disjunction: BigM) -> tuple[list[list[Any]], list[list[Any]]]:
         """Return the binaries of a disjunction, and its rows, whose left sides move, by step."""
         binaries, rows = [], []
         for moved in disjunction.moved:

@@ -36,7 +36,7 @@ class Nonlinear(Baseline):
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem)
-        self._program = Program(problem, OPTIONS)
+        self._program = NonlinearProgram(problem, OPTIONS)
 
     def axes(self, state: State, goals: Array) -> Array:
         """Return the local optimum's axes, or the start's where IPOPT gives up."""
@@ -45,7 +45,7 @@ class Nonlinear(Baseline):
         return start if found is None else found
 
 
-class Program:
+class NonlinearProgram:
     """The nonlinear program of a planar problem of orders (1, 1), length and arrival left out.
 
     Args:
