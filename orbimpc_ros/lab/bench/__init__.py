@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
+from orbimpc_ros.lab.bench import live
 from orbimpc_ros.lab.bench.contenders.contender import Contender
 from orbimpc_ros.lab.bench.contests import CAP, CONTESTS, PACKAGES, QUICK_CAP, Contest
 from orbimpc_ros.lab.bench.duel import OURS, duel
@@ -17,7 +18,6 @@ from orbimpc_ros.tool.io.files import require_writable
 from orbimpc_ros.tool.run.progress import Progress
 
 WARM_UP = 3  # instances solved before the clock counts
-LIVE = ('start', 'latency', 'planners')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def problems() -> list[str]:
     """Return the short names of everything that can be measured."""
-    return [*dict.fromkeys(contest.key for contest in CONTESTS), *LIVE]
+    return [*dict.fromkeys(contest.key for contest in CONTESTS), *live.NAMES]
 
 
 def run(args: argparse.Namespace) -> int:
@@ -93,10 +93,7 @@ def _measurements(
         if contest.key in wanted:
             yield contest.title, partial(contested, contest, quick)
     yield f'{HULLS}...: exponent of N', partial(growth, before)
-    if set(LIVE) & set(wanted):
-        from orbimpc_ros.lab.bench import live
-
-        yield from live.measurements(wanted, quick)
+    yield from live.measurements(wanted, quick)
 
 
 def contested(contest: Contest, quick: bool) -> list[BenchRow]:

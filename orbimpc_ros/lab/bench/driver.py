@@ -91,15 +91,12 @@ class Driver:
         Raises:
             OrbimpcError: one has not, in ``limit`` seconds.
         """
-        self._drive(rate, limit, lambda: all(self._answered))
+        self.drive(rate, limit, lambda: all(self._answered))
         if not all(self._answered):
             raise OrbimpcError(f'{self._answered.count(0)} planners have not answered')
 
-    def drive(self, rate: float, seconds: float) -> None:
-        """Publish odometry at a rate [Hz] for a while."""
-        self._drive(rate, seconds, lambda: False)
-
-    def _drive(self, rate: float, seconds: float, done: Callable[[], bool]) -> None:
+    def drive(self, rate: float, seconds: float, done: Callable[[], bool] = lambda: False) -> None:
+        """Publish odometry at a rate [Hz] for a while, or until ``done``."""
         gap = 1.0 / (rate * len(self._publishers))
         begin, sent = time.monotonic(), 0
         while sent * gap < seconds and not done():

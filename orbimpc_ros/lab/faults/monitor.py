@@ -33,10 +33,9 @@ class HeardCommand(NamedTuple):
 
 
 class HeardStatus(NamedTuple):
-    """A diagnostic status: when it was sent [s], of whom, how bad, in words, and its values."""
+    """A diagnostic status: when it was sent [s], how bad, in words, and its values."""
 
     at: float
-    name: str
     level: bytes
     message: str
     values: dict[str, str]
@@ -148,8 +147,8 @@ def _sent(about: About) -> float:
 def _statuses(message: DiagnosticArray, about: About) -> list[HeardStatus]:
     sent = _sent(about)
     return [
-        HeardStatus(sent, s.name, s.level, s.message, {v.key: v.value for v in s.values})
-        for s in message.status
+        HeardStatus(sent, each.level, each.message, {v.key: v.value for v in each.values})
+        for each in message.status
     ]
 
 
