@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,6 +34,11 @@ class Pause(NamedTuple):
 def pauses(log: Path) -> list[Pause]:
     """Return the pauses that have been printed."""
     return [Pause(*map(float, line.split())) for line in log.read_text().splitlines()]
+
+
+def excused(at: float, paused: Iterable[Pause], after: float) -> bool:
+    """Return whether a stop at a time [s] is right: in a pause, or for ``after`` [s] behind it."""
+    return any(begin <= at <= end + after for begin, end in paused)
 
 
 def main() -> None:

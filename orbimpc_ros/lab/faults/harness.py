@@ -15,6 +15,7 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 
 from orbimpc_ros.lab.faults import stimulus
+from orbimpc_ros.lab.faults.flood import HELD_UP, Pause
 from orbimpc_ros.lab.faults.monitor import Limits
 from orbimpc_ros.lab.faults.session import Session
 from orbimpc_ros.lab.test_node import KEPT
@@ -51,6 +52,7 @@ class Harness(Session):
         spoiled: what is wrong with the stimulus.
         running: whether the clock runs; only where that is simulated.
         jump: what the clock is off [s].
+        pauses: times without a goal, as on a busy machine.
         frozen_at: when the clock was stopped last, on the monotonic clock [s].
     """
 
@@ -70,8 +72,9 @@ class Harness(Session):
         self.draw = random.Random(seed)
         self.spoiled = stimulus.Spoiled('nothing')
         self.running, self.jump = True, 0.0
-        self._begun, self._due = time.monotonic(), 0.0
+        self._begun = self._due = time.monotonic()
         self.frozen_at = 0.0
+        self.pauses: list[Pause] = []
         self.node = self.test_node.node
         self.odometry: Any = self.node.create_publisher(Odometry, 'odom', qos(KEPT))
         self.goal = self.node.create_publisher(PoseStamped, 'goal', qos(KEPT))
@@ -106,6 +109,8 @@ class Harness(Session):
         end = time.monotonic() + seconds
         while (now := time.monotonic()) < end and not done():
             if now >= self._due:
+                if now > self._due + HELD_UP:
+                    self.pauses.append(Pause(self._due, now))
                 self._due = max(self._due + 1.0 / RATE, now)
                 self._feed()
             wait = min(self._due, end) - time.monotonic()

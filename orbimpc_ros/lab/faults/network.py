@@ -18,6 +18,7 @@ from rclpy.qos import DurabilityPolicy
 
 from orbimpc_ros.lab.faults import injection
 from orbimpc_ros.lab.faults.fixtures import Fixtures
+from orbimpc_ros.lab.faults.flood import excused, pauses
 from orbimpc_ros.lab.faults.harness import STEP, Harness
 from orbimpc_ros.lab.faults.injection import AFTER
 from orbimpc_ros.lab.faults.outcome import FaultCase, Outcome
@@ -86,17 +87,19 @@ def flooded(harness: Harness, rate: float) -> Iterator[Path]:
 def _flood(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
     with fixtures.harness() as harness:
         harness.until_planned()
-        with flooded(harness, FLOOD):
+        with flooded(harness, FLOOD) as log:
             begin = time.monotonic()
             harness.until_planned()
             settled = time.monotonic()
             harness.spin(30.0 if long else 4.0)
             times = [tick.at for tick in harness.monitor.ticks if tick.at >= settled]
+            paused = [*pauses(log), *harness.pauses]
         if len(times) < 2:
             yield Outcome('5 kHz', harness.monitor.broken(begin), failure='no ticks')
             return
         late = 1e3 * (np.percentile(np.diff(times), 99) - STEP)
-        still = sum(each.safe for each in harness.monitor.commands if each.at >= settled)
+        safe = [each.at for each in harness.monitor.commands if each.safe and each.at >= settled]
+        still = sum(not excused(at, paused, 2.0 * STEP) for at in safe)
         failure = f'{still} safe commands' if 2 * still > len(times) else ''
         yield Outcome('5 kHz', harness.monitor.broken(begin), max(0.0, late), failure)
 

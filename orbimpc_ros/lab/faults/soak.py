@@ -12,7 +12,7 @@ from pathlib import Path
 
 from orbimpc_ros.lab import collector
 from orbimpc_ros.lab.faults.fixtures import Fixtures
-from orbimpc_ros.lab.faults.flood import Pause, pauses
+from orbimpc_ros.lab.faults.flood import Pause, excused, pauses
 from orbimpc_ros.lab.faults.harness import Harness
 from orbimpc_ros.lab.faults.network import flooded
 from orbimpc_ros.lab.machine import resident
@@ -63,9 +63,7 @@ class Soak:
     @property
     def excused(self) -> int:
         """Return how many of the stops were right: there was no odometry at its very source."""
-        return sum(
-            any(begin <= at <= end + AFTER for begin, end in self.pauses) for at, _ in self.stopped
-        )
+        return sum(excused(at, self.pauses, AFTER) for at, _ in self.stopped)
 
     @property
     def ok(self) -> bool:
