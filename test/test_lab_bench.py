@@ -9,12 +9,12 @@ import pytest
 from problems import reference
 
 from orbimpc_ros.lab import bench
-from orbimpc_ros.lab.bench import contests, table
+from orbimpc_ros.lab.bench import contests, picture, table
 from orbimpc_ros.lab.bench.contenders.contender import Declined, Solution
 from orbimpc_ros.lab.bench.contenders.planar import CondensedPlanar
 from orbimpc_ros.lab.bench.contests import CONTESTS, CVXPY, GUROBI, IPOPT, SCIP
 from orbimpc_ros.lab.bench.duel import OURS, Samples, duel
-from orbimpc_ros.lab.bench.rows import BenchRow, growth, of_duel
+from orbimpc_ros.lab.bench.rows import LATE, BenchRow, growth, of_duel
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import cli
 
@@ -294,6 +294,23 @@ def test_two_planners_answer_in_time(monkeypatch):
     assert row.n == 10
     assert row.p50_ms > 0.0
     assert row.objective <= row.n
+
+
+def test_the_picture_shows_every_ratio_whole_and_marks_capped_ones():
+    rows = [
+        BenchRow('p', OURS, 1, 0.1, 0.2, ratio_p50=1.0),
+        BenchRow('p', 'slow', 1, 322.0, 323.0, ratio_p50=3220.4),
+        BenchRow('p', 'capped', 1, 6e4, 6e4, ratio_p50=719.6, capped=1),
+        BenchRow(f'planners: {LATE}', OURS, 1, 1.0, 2.0, objective=3.0),
+    ]
+    figure = picture.side_by_side(rows)
+    figure.draw_without_rendering()
+    (axes,) = figure.axes
+    assert {each.get_text() for each in axes.texts} == {'3,220 \u00d7', '> 720 \u00d7'}
+    assert max(each.get_window_extent().x1 for each in axes.texts) < figure.bbox.x1
+    names = [each.get_text() for each in axes.get_yticklabels()]
+    assert f'planners: {OURS}' in names  # what a row counts is on no axis of times
+    assert axes.get_xlabel() == 'time [ms]'
 
 
 def test_every_problem_of_the_help_can_be_asked_for():
