@@ -9,7 +9,8 @@
 
 PYTHON ?= python3
 VENV ?= .venv
-JOBS ?= 2
+# More than two cores: for half of their time the tests over DDS wait for processes.
+JOBS ?= 3
 BIN = $(VENV)/bin
 SAY = @printf '\n== %s\n'
 COMPILE = @$(BIN)/python -m orbimpc_ros.mpc.kernels

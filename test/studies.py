@@ -1,15 +1,15 @@
 """Small studies, and how tests run and compare them."""
 
-from orbimpc_ros.lab.study.controllers import PILOTS
+from orbimpc_ros.lab.study.controllers import CONTROLLERS
 from orbimpc_ros.lab.study.design import Study
 from orbimpc_ros.lab.study.settings import resolved
 from orbimpc_ros.tool import cli
 
 TIMES = ('tick_ms', 'forecast_ms')
-SMALL = Study(6, 3, tuple(PILOTS), 'harmonic', resolved())
+SMALL = Study(6, 3, tuple(CONTROLLERS), 'harmonic', resolved())
 
 
-def told(capsys, *words):
+def complaint(capsys, *words):
     """Run the command here; return its exit code and its one line of complaint."""
     code = cli.main(['study', *map(str, words)])
     lines = capsys.readouterr().err.strip().splitlines()

@@ -9,12 +9,12 @@ import pytest
 from problems import reference
 
 from orbimpc_ros.lab import bench
-from orbimpc_ros.lab.bench import contests, table
-from orbimpc_ros.lab.bench.contenders.condensed import Condensed
-from orbimpc_ros.lab.bench.contenders.contender import Answer, Refused
-from orbimpc_ros.lab.bench.contests import CONTESTS, CVXPY, GUROBI, IPOPT, NODES, SCIP
+from orbimpc_ros.lab.bench import contests, picture, table
+from orbimpc_ros.lab.bench.contenders.contender import Declined, Solution
+from orbimpc_ros.lab.bench.contenders.planar import CondensedPlanar
+from orbimpc_ros.lab.bench.contests import CONTESTS, CVXPY, GUROBI, IPOPT, SCIP
 from orbimpc_ros.lab.bench.duel import OURS, Samples, duel
-from orbimpc_ros.lab.bench.rows import Row, growth, of_duel
+from orbimpc_ros.lab.bench.rows import LATE, BenchRow, growth, of_duel
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import cli
 
@@ -33,11 +33,11 @@ def solved(key, name, count=2):
     each = contest(key)
     if name in contests.PACKAGES:
         pytest.importorskip(contests.PACKAGES[name])
-    contender = each.contender(name, 5.0)
+    contender = each.contender(name, 600.0)  # [s]: on a busy machine too
     answers = []
     for instance in each.instances(each.problem, count):
         contender.solve(*instance)
-        answers.append(contender.answer())
+        answers.append(contender.solution())
     return answers
 
 
@@ -89,10 +89,8 @@ def test_who_is_not_installed_is_absent_and_told_how_to_come(run, monkeypatch):
         ('square', SCIP),
         ('dubins', GUROBI),
         ('dubins-length', GUROBI),
-        ('dubins-circle', contests.LIFTED),
         ('spacecraft', CVXPY),
         ('se3', CVXPY),
-        ('se3-faces', NODES),
         ('boxes', GUROBI),
         ('boxes', SCIP),
     ],
@@ -123,17 +121,17 @@ def test_the_circling_ticks_are_near_the_rope():
 @pytest.mark.parametrize('name', ['uav_square_0', 'dubins_square'])
 def test_the_contenders_condensed_cost_is_the_problems(name):
     problem, state, goals = reference(name)
-    plan, condensed = Solver(problem).solve(state, goals), Condensed(problem)
+    plan, planar = Solver(problem).solve(state, goals), CondensedPlanar(problem)
     z = plan.rotations[1:, :, 0]
-    linear, constant = condensed.linear(state, goals)
-    cost = np.sum(z * (condensed.quadratic @ z + linear)) + constant
-    cost += condensed.length * np.linalg.norm(z[:-1], axis=1).sum()
+    linear, constant = planar.linear(state, goals)
+    cost = np.sum(z * (planar.quadratic @ z + linear)) + constant
+    cost += planar.length * np.linalg.norm(z[:-1], axis=1).sum()
     assert cost == pytest.approx(plan.objective, rel=1e-9)
-    assert np.sum((condensed.squares @ z) ** 2) == pytest.approx(
-        np.sum(z * (condensed.quadratic @ z)), rel=1e-9, abs=1e-12
+    assert np.sum((planar.squares @ z) ** 2) == pytest.approx(
+        np.sum(z * (planar.quadratic @ z)), rel=1e-9, abs=1e-12
     )
     if problem.terminal == 'constraint':
-        assert condensed.arrival @ z == pytest.approx(condensed.to_go(state, goals), abs=1e-6)
+        assert planar.arrival @ z == pytest.approx(planar.to_go(state, goals), abs=1e-6)
 
 
 class Fake:
@@ -148,8 +146,8 @@ class Fake:
         if self.error is not None:
             raise self.error
 
-    def answer(self):
-        return Answer(self.objective)
+    def solution(self):
+        return Solution(self.objective)
 
 
 def fight(contenders, count=4):
@@ -175,7 +173,7 @@ def test_objectives_that_differ_are_flagged_and_better_ones_fail_the_run():
 
 
 def test_who_refuses_or_breaks_is_a_row_that_says_why():
-    errors = {'small': Refused('licence'), 'broken': ZeroDivisionError('x')}
+    errors = {'small': Declined('licence'), 'broken': ZeroDivisionError('x')}
     contenders = {name: Fake(error=error) for name, error in errors.items()}
     _, rows = fight({OURS: Fake(), **contenders})
     assert (rows['small'].n, rows['small'].note) == (0, 'licence')
@@ -184,23 +182,25 @@ def test_who_refuses_or_breaks_is_a_row_that_says_why():
 
 
 def test_who_has_used_up_the_budget_is_compared_on_what_it_did():
-    slow, ours = Samples({0: 100.0}, {0: Answer(1.0, 0.1, True)}), Samples()
+    slow, ours = Samples({0: 100.0}, {0: Solution(1.0, 0.1, True)}), Samples()
     ours.times.update({0: 10.0, 1: 1.0})
-    ours.answers.update({0: Answer(1.0), 1: Answer(1.0)})
+    ours.solutions.update({0: Solution(1.0), 1: Solution(1.0)})
     row = of_duel('p', {OURS: ours, 'slow': slow}, {})[1]
     assert row.ratio_p50 == pytest.approx(10.0)
     assert 'time limit hit on 1' in row.note
 
 
 def test_requirements_are_least_ratios_and_most_of_everything_else():
-    row = Row('p', OURS, 1, p50_ms=2.0, ratio_p50=5.0, required={'p50_ms': 1.0, 'ratio_p50': 4.0})
+    row = BenchRow(
+        'p', OURS, 1, p50_ms=2.0, ratio_p50=5.0, required={'p50_ms': 1.0, 'ratio_p50': 4.0}
+    )
     assert row.missed == ['p50_ms']
     assert 'missed' in table.text([row])
-    assert 'met' in table.text([Row('p', OURS, 1, p50_ms=2.0, required={'p50_ms': 3.0})])
+    assert 'met' in table.text([BenchRow('p', OURS, 1, p50_ms=2.0, required={'p50_ms': 3.0})])
 
 
 def test_growth_is_the_exponent_of_n():
-    rows = [Row(f'SE(2) hull N={n}', OURS, 1, p50_ms=0.1 * n**1.5) for n in (5, 10, 50)]
+    rows = [BenchRow(f'SE(2) hull N={n}', OURS, 1, p50_ms=0.1 * n**1.5) for n in (5, 10, 50)]
     (row,) = growth(rows)
     assert row.objective == pytest.approx(1.5)
     assert row.missed == ['objective']
@@ -285,16 +285,34 @@ def test_the_price_of_a_missing_numba_is_told(capsys, monkeypatch):
     assert 'chess' in complaint
 
 
-def test_two_planners_answer_in_time():
+def test_two_planners_answer_in_time(monkeypatch):
     pytest.importorskip('rclpy')
     from orbimpc_ros.lab.bench import live
 
+    monkeypatch.setattr(live, 'WARM_UP', 0.2)
     (row,) = live.fleet(2, 1.0)
     assert row.n == 10
     assert row.p50_ms > 0.0
     assert row.objective <= row.n
 
 
+def test_the_picture_shows_every_ratio_whole_and_marks_capped_ones():
+    rows = [
+        BenchRow('p', OURS, 1, 0.1, 0.2, ratio_p50=1.0),
+        BenchRow('p', 'slow', 1, 322.0, 323.0, ratio_p50=3220.4),
+        BenchRow('p', 'capped', 1, 6e4, 6e4, ratio_p50=719.6, capped=1),
+        BenchRow(f'planners: {LATE}', OURS, 1, 1.0, 2.0, objective=3.0),
+    ]
+    figure = picture.side_by_side(rows)
+    figure.draw_without_rendering()
+    (axes,) = figure.axes
+    assert {each.get_text() for each in axes.texts} == {'3,220 \u00d7', '> 720 \u00d7'}
+    assert max(each.get_window_extent().x1 for each in axes.texts) < figure.bbox.x1
+    names = [each.get_text() for each in axes.get_yticklabels()]
+    assert f'planners: {OURS}' in names  # what a row counts is on no axis of times
+    assert axes.get_xlabel() == 'time [ms]'
+
+
 def test_every_problem_of_the_help_can_be_asked_for():
-    assert bench.problems()[-3:] == list(bench.LIVE)
+    assert bench.problems()[-3:] == ['start', 'latency', 'planners']
     assert len(set(bench.problems())) == len(bench.problems())

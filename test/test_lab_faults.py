@@ -1,4 +1,4 @@
-"""The fault matrix: what the watch notices, how rows are judged, and the short form itself."""
+"""The fault matrix: what the monitor notices, how rows are judged, and the short form itself."""
 
 import gc
 import json
@@ -20,16 +20,16 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import TwistStamped
 
-from orbimpc_ros.lab import collector
-from orbimpc_ros.lab.faults import injection as onsets
-from orbimpc_ros.lab.faults import stimulus as feed
+from orbimpc_ros.lab import collector, faults
+from orbimpc_ros.lab.faults import injection, stimulus
 from orbimpc_ros.lab.faults.flood import Pause, pauses
 from orbimpc_ros.lab.faults.matrix import MATRIX
-from orbimpc_ros.lab.faults.monitor import Heard, Limits, Watch
-from orbimpc_ros.lab.faults.outcome import Outcome, Row, Trial, table
+from orbimpc_ros.lab.faults.monitor import HeardCommand, Limits, Monitor
+from orbimpc_ros.lab.faults.outcome import FaultCase, MatrixRow, Outcome, table
 from orbimpc_ros.lab.faults.parameters import nonsense
 from orbimpc_ros.lab.faults.soak import Soak
 from orbimpc_ros.ros.parameters import PLANNER, SIM
+from orbimpc_ros.tool import cli
 
 LIMITS = Limits(speed=1.0, rate=3.0)
 NAN, INF = math.nan, math.inf
@@ -39,7 +39,7 @@ def command(*words):
     return [sys.executable, '-m', 'orbimpc_ros.tool.cli', 'faults', *words]
 
 
-# --- the watch
+# --- the monitor
 
 
 @pytest.mark.parametrize(
@@ -51,23 +51,23 @@ def command(*words):
         (0.5, (0.0, 0.0, -3.1), True), (0.5, (2.0, 2.0, 2.0), True),
     ],
 )  # fmt: skip
-def test_the_watch_notices_commands_beyond_limits(speed, rates, broken):
-    assert LIMITS.broken(Heard(0.0, speed, rates)) == broken
+def test_the_monitor_notices_commands_beyond_limits(speed, rates, broken):
+    assert LIMITS.broken(HeardCommand(0.0, speed, rates)) == broken
 
 
 def heard(*commands):
-    watch = Watch(LIMITS)
-    watch.commands += [Heard(at, speed, (0.0, 0.0, rate)) for at, speed, rate in commands]
-    return watch
+    monitor = Monitor(LIMITS)
+    monitor.commands += [HeardCommand(at, speed, (0.0, 0.0, rate)) for at, speed, rate in commands]
+    return monitor
 
 
-def test_the_watch_knows_when_it_was_safe():
-    watch = heard((1.0, 0.5, 0.1), (2.0, 0.0, 0.1), (3.0, 0.0, 0.0), (4.0, 0.0, 0.0))
-    assert watch.first_safe(1.0) == 3.0
-    assert watch.first_safe(3.5) == 4.0
-    assert watch.first_safe(5.0) == INF
-    assert watch.planned_since(2.0)
-    assert not watch.planned_since(2.5)
+def test_the_monitor_knows_when_it_was_safe():
+    monitor = heard((1.0, 0.5, 0.1), (2.0, 0.0, 0.1), (3.0, 0.0, 0.0), (4.0, 0.0, 0.0))
+    assert monitor.first_safe(1.0) == 3.0
+    assert monitor.first_safe(3.5) == 4.0
+    assert monitor.first_safe(5.0) == INF
+    assert monitor.moving(0.5) == 2
+    assert monitor.moving(2.5) == 0
 
 
 def test_what_moves_again_or_never_stops_is_unsafe():
@@ -78,47 +78,49 @@ def test_what_moves_again_or_never_stops_is_unsafe():
 
 def test_what_came_before_a_fault_may_be_flown_until_it_is_out_of_date():
     """A busy planner may be safe for a while, and then plan from good odometry that lay waiting."""
-    expected = onsets.Expected(wait=0.3, allowed=1.0)
+    expected = injection.Expected(wait=0.3, allowed=1.0)
     due = 1.0 + 0.3
     busy = [(1.05, 0.0, 0.0), (1.1, 0.5, 0.1), (1.2, 0.5, 0.1)]
     stopped = [(due + 0.1, 0.0, 0.0), (due + 0.3, 0.0, 0.0)]
-    assert onsets.unsafe_commands(heard(*busy, *stopped), 1.0, expected) == 0
+    assert injection.unsafe_commands(heard(*busy, *stopped), 1.0, expected) == 0
     again = heard(*busy, *stopped, (due + 0.5, 0.5, 0.1))
-    assert onsets.unsafe_commands(again, 1.0, expected) == 1
-    assert onsets.unsafe_commands(again, 1.0, onsets.Expected(0.3, 1.0, strict=False)) == 0
+    assert injection.unsafe_commands(again, 1.0, expected) == 1
+    assert injection.unsafe_commands(again, 1.0, injection.Expected(0.3, 1.0, strict=False)) == 0
     overdue = heard(*busy, (due + 0.1, 0.5, 0.1), (due + 0.3, 0.5, 0.1))
-    assert onsets.unsafe_commands(overdue, 1.0, expected) == 1
+    assert injection.unsafe_commands(overdue, 1.0, expected) == 1
 
 
-def test_the_watch_takes_down_what_it_hears():
-    watch = Watch(LIMITS)
+def test_the_monitor_takes_down_what_it_hears():
+    monitor = Monitor(LIMITS)
     twist = TwistStamped()
     twist.twist.linear.x, twist.twist.angular.z = 2.0, 0.5
     sent = {'source_timestamp': time.time_ns() - 500_000_000}
     now = time.monotonic()
-    watch.on_command(twist, sent)
-    assert watch.commands[0].at < now - 0.25  # when it was sent, not when it was heard
-    assert watch.commands[0][1:] == (2.0, (0.0, 0.0, 0.5))
-    assert watch.broken() == 1
+    monitor.on_command(twist, sent)
+    assert monitor.commands[0].at < now - 0.25  # when it was sent, not when it was heard
+    assert monitor.commands[0][1:] == (2.0, (0.0, 0.0, 0.5))
+    assert monitor.broken() == 1
     status = DiagnosticStatus(
         level=DiagnosticStatus.ERROR,
         name='/planner',
         message='the goal leaps',
         values=[KeyValue(key='solve_time_ms', value='12.5')],
     )
-    watch.on_health(DiagnosticArray(status=[status]), sent)
-    watch.on_tick(DiagnosticArray(status=[status]), sent)
-    assert watch.first_error(0.0) == watch.first_complaint(0.0, 'goal') < INF
-    assert watch.first_complaint(0.0, 'odom') == INF
-    assert watch.first_error(time.monotonic()) == INF
-    assert watch.solve_ms == 12.5
+    monitor.on_health(DiagnosticArray(status=[status]), sent)
+    monitor.on_tick(DiagnosticArray(status=[status]), sent)
+    assert monitor.first_error(0.0) == monitor.first_complaint(0.0, 'goal') < INF
+    assert monitor.first_complaint(0.0, 'odom') == INF
+    assert monitor.first_error(time.monotonic()) == INF
+    assert monitor.solve_ms == 12.5
 
 
 # --- rows
 
 
 def row(*outcomes, allowed=1.0):
-    return Row(Trial('row', 'a row', allowed, lambda _lab, _long: iter(())), list(outcomes))
+    return MatrixRow(
+        FaultCase('row', 'a row', allowed, lambda _fixtures, _long: iter(())), list(outcomes)
+    )
 
 
 @pytest.mark.parametrize(
@@ -176,7 +178,7 @@ def test_a_source_of_odometry_tells_when_it_was_held_up(tmp_path):
     with log.open('wb') as stream, subprocess.Popen(words, stdout=stream) as source:
         try:
             end = time.monotonic() + 60.0
-            while not any(told.end - told.begin >= 0.4 for told in pauses(log)):
+            while not any(pause.end - pause.begin >= 0.4 for pause in pauses(log)):
                 assert time.monotonic() < end
                 source.send_signal(signal.SIGSTOP)
                 time.sleep(0.4)
@@ -194,30 +196,30 @@ def test_spoilers_do_what_they_say():
     now = 1_000 * 10**9
 
     def fresh():
-        return feed.odometry_at(1.0, now)
+        return stimulus.odometry_at(1.0, now)
 
-    assert feed.lost(fresh(), draw) == []
-    (far,) = feed.shifted(5.0, 6.0)(fresh(), draw)
+    assert stimulus.lost(fresh(), draw) == []
+    (far,) = stimulus.shifted(5.0, 6.0)(fresh(), draw)
     assert 1005 <= far.header.stamp.sec <= 1006
-    (old,) = feed.shifted(-2000.0, -1500.0)(fresh(), draw)
+    (old,) = stimulus.shifted(-2000.0, -1500.0)(fresh(), draw)
     assert old.header.stamp == Time()
-    (bad,) = feed.with_field('pose.pose.position.x', NAN)(fresh(), draw)
+    (bad,) = stimulus.with_field('pose.pose.position.x', NAN)(fresh(), draw)
     assert math.isnan(bad.pose.pose.position.x)
-    repeat = feed.repeated()
+    repeat = stimulus.repeated()
     first = repeat(fresh(), draw)
-    assert repeat(feed.odometry_at(2.0, 2 * now), draw) == first
-    mix = feed.interleaved()
-    times = [mix(feed.odometry_at(k, now + k * 10**9), draw)[0].header.stamp for k in range(4)]
+    assert repeat(stimulus.odometry_at(2.0, 2 * now), draw) == first
+    mix = stimulus.interleaved()
+    times = [mix(stimulus.odometry_at(k, now + k * 10**9), draw)[0].header.stamp for k in range(4)]
     seconds = [stamp.sec - 1000 for stamp in times]
     assert seconds[:3] == [0, 0, 2]
     assert seconds[3] < 3
     norms = set()
     for _ in range(20):
-        (spun,) = feed.scaled_quaternion('odometry')(fresh(), draw)
+        (spun,) = stimulus.scaled_quaternion('odometry')(fresh(), draw)
         q = spun.pose.pose.orientation
         norms.add(round(math.hypot(q.x, q.y, q.z, q.w), 3))
     assert norms == {0.0, 0.99, 1.01, 1e200}
-    assert all(isinstance(feed.garbled(fresh(), draw)[0], bytes) for _ in range(20))
+    assert all(isinstance(stimulus.garbled(fresh(), draw)[0], bytes) for _ in range(20))
 
 
 @pytest.mark.parametrize('number', range(30))
@@ -244,7 +246,7 @@ def short(tmp_path_factory):
     return done, {found['name']: found for found in json.loads(file.read_text())['rows']}
 
 
-@pytest.mark.parametrize('name', [trial.name for trial in MATRIX])
+@pytest.mark.parametrize('name', [case.name for case in MATRIX])
 def test_under_every_fault_commands_are_safe(short, name):
     """Whatever the machine is busy with; whether it was in time, the command itself tells."""
     done, rows = short
@@ -258,7 +260,7 @@ def test_under_every_fault_commands_are_safe(short, name):
 def test_the_table_says_what_the_rows_say(short):
     done, rows = short
     assert done.returncode == (0 if all(found['ok'] for found in rows.values()) else 1)
-    assert all(trial.title in done.stdout for trial in MATRIX)
+    assert all(case.title in done.stdout for case in MATRIX)
     assert 'Traceback' not in done.stderr
 
 
@@ -271,31 +273,25 @@ def test_the_table_says_what_the_rows_say(short):
         (('--soak', 'nan'), '--soak'),
     ],
 )
-def test_bad_words_are_refused_in_one_line(words, culprit):
-    done = subprocess.run(command(*words), capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert done.stderr.count('\n') == 1
-    assert culprit in done.stderr
+def test_bad_words_are_refused_in_one_line(capsys, words, culprit):
+    assert cli.main(['faults', *words]) == 2
+    complaint = capsys.readouterr().err
+    assert complaint.count('\n') == 1
+    assert culprit in complaint
 
 
-def test_without_ros_it_says_what_to_install():
-    script = (
-        'import importlib.util as util, sys\n'
-        'find = util.find_spec\n'
-        'util.find_spec = lambda name, *rest: None if name == "rclpy" else find(name, *rest)\n'
-        'from orbimpc_ros.tool import cli; sys.exit(cli.main(["faults"]))'
-    )
-    done = subprocess.run(
-        [sys.executable, '-c', script], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 2
-    assert done.stderr.count('\n') == 1
-    assert 'orbimpc_ros[ros]' in done.stderr
+def test_without_ros_it_says_what_to_install(capsys, monkeypatch):
+    monkeypatch.setattr(faults, 'find_spec', lambda _name: None)
+    assert cli.main(['faults']) == 2
+    complaint = capsys.readouterr().err
+    assert complaint.count('\n') == 1
+    assert 'orbimpc_ros[ros]' in complaint
 
 
-def test_rows_are_listed():
-    done = subprocess.run(command('--list'), capture_output=True, text=True, check=True)
-    assert [line.split()[0] for line in done.stdout.splitlines()] == [t.name for t in MATRIX]
+def test_rows_are_listed(capsys):
+    assert cli.main(['faults', '--list']) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == [case.name for case in MATRIX]
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])

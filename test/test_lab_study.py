@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from studies import SMALL, same, told
+from studies import SMALL, complaint, same
 
 pytest.importorskip('distributed', reason="no distributed: pip install 'orbimpc_ros[study]'")
 pytest.importorskip('pyarrow', reason="no pyarrow: pip install 'orbimpc_ros[study]'")
@@ -21,7 +21,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from orbimpc_ros.lab.study import cluster, columns, store, trial
-from orbimpc_ros.lab.study.controllers import PILOTS, require_installed
+from orbimpc_ros.lab.study.controllers import CONTROLLERS, require_installed
 from orbimpc_ros.lab.study.settings import SETTINGS
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool import cli
@@ -64,7 +64,7 @@ def rows_of(folder):
 )
 def test_bad_input_is_one_line(words, named, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    code, line = told(capsys, *words)
+    code, line = complaint(capsys, *words)
     assert code == 2
     assert named in line
     assert not list(tmp_path.rglob('study.json'))
@@ -85,7 +85,7 @@ def test_what_is_not_installed_is_named(monkeypatch, capsys):
     for module in ('pyarrow', 'casadi', 'distributed'):
         with monkeypatch.context() as patched:
             patched.setitem(sys.modules, module, None)  # as if it were not there
-            code, line = told(capsys, '--runs', '1')
+            code, line = complaint(capsys, '--runs', '1')
             assert code == 2
             assert module in line
             assert "pip install 'orbimpc_ros[study]'" in line
@@ -95,7 +95,7 @@ def test_without_casadi_the_others_fly(monkeypatch):
     monkeypatch.setitem(sys.modules, 'casadi', None)
     require_installed(['orbitope', 'linearised', 'pursuit'])
     with pytest.raises(BadInput, match='casadi'):
-        require_installed(list(PILOTS))
+        require_installed(list(CONTROLLERS))
 
 
 @pytest.fixture(scope='module')
@@ -121,7 +121,7 @@ def test_a_study_is_the_same_whoever_flies_it(finished):
 def test_a_study_is_reported(finished):
     folder, done = finished
     text = (folder / 'report.md').read_text()
-    for name in PILOTS:
+    for name in CONTROLLERS:
         assert f'`{name}`' in text
     assert '| caught | 100.0% |' in text
     assert 'IPOPT solved' in text
@@ -141,7 +141,7 @@ def test_a_finished_study_is_only_reported_again(finished, capsys):
     assert (folder / 'report.md').is_file()
     assert (folder / 'runs.parquet').read_bytes() == before
     (folder / 'runs.parquet').write_bytes(before[:-100])
-    assert told(capsys, '--resume', '-o', folder)[0] == 2
+    assert complaint(capsys, '--resume', '-o', folder)[0] == 2
     (folder / 'runs.parquet').write_bytes(before)
 
 
@@ -155,7 +155,16 @@ def test_a_cheaper_plan_of_ipopts_fails_the_study(finished, tmp_path, capsys):
     assert 'cheaper by 2.0e-03' in capsys.readouterr().out
 
 
-def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(tmp_path):
+@pytest.fixture(scope='module')
+def peers():
+    """Return the address of a scheduler with a worker, both in this process."""
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=':0'
+    ) as cluster:
+        yield cluster.scheduler_address
+
+
+def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(peers, tmp_path):
     folder = tmp_path / 'study'
     words = ['--runs', 60, '--seed', 3, '--controllers', 'linearised', '--workers', 1]
     # Its own session: the signal goes to its workers as well, as from a terminal.
@@ -178,14 +187,7 @@ def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(tmp_path):
     assert f'kept {kept} of 60 runs' in out
     assert f'orbimpc study --resume -o {folder}' in out
     assert 3 <= kept < 60
-    done = subprocess.run(
-        command('--resume', '-o', folder),
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-        cwd=ROOT,
-    )
-    assert done.returncode == 0, done.stderr
+    assert cli.main(['study', '--resume', '--scheduler', peers, '-o', str(folder)]) == 0
     assert not parts.exists()
     study = replace(SMALL, runs=60, controllers=('linearised',))
     same(
@@ -193,13 +195,10 @@ def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(tmp_path):
     )
 
 
-def test_an_existing_cluster_is_used(tmp_path, capsys):
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=':0'
-    ) as peers:
-        folder = tmp_path / 'study'
-        words = ['--runs', '2', '--seed', '3', '--controllers', 'pursuit', '-o', str(folder)]
-        assert cli.main(['study', '--scheduler', peers.scheduler_address, *words]) == 0
+def test_an_existing_cluster_is_used(peers, tmp_path):
+    folder = tmp_path / 'study'
+    words = ['--runs', '2', '--seed', '3', '--controllers', 'pursuit', '-o', str(folder)]
+    assert cli.main(['study', '--scheduler', peers, *words]) == 0
     same(rows_of(folder), trial.flown(replace(SMALL, runs=2, controllers=('pursuit',)), range(2)))
 
 
@@ -212,17 +211,13 @@ def test_a_cluster_without_workers_is_refused(tmp_path, monkeypatch, capsys):
     assert 'has workers' in capsys.readouterr().err
 
 
-def test_a_run_that_fails_is_told(monkeypatch, tmp_path, capsys):
+def test_a_run_that_fails_is_reported(peers, monkeypatch, tmp_path, capsys):
     def fail(study, numbers):
         raise RuntimeError('out of luck')
 
     monkeypatch.setattr(cluster, 'flown', fail)
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=':0'
-    ) as peers:
-        words = ['--runs', '2', '--controllers', 'pursuit', '-o', str(tmp_path / 'study')]
-        code = cli.main(['study', '--scheduler', peers.scheduler_address, *words])
-    assert code == 1
+    words = ['--runs', '2', '--controllers', 'pursuit', '-o', str(tmp_path / 'study')]
+    assert cli.main(['study', '--scheduler', peers, *words]) == 1
     assert 'RuntimeError: out of luck' in capsys.readouterr().err
 
 

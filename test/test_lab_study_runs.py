@@ -9,7 +9,7 @@ import pytest
 from studies import SMALL
 
 from orbimpc_ros.lab.study import trial
-from orbimpc_ros.lab.study.controllers import pilot_named
+from orbimpc_ros.lab.study.controllers import controller_named
 from orbimpc_ros.lab.study.design import FORECAST_KINDS, differences, run_of, study_of
 from orbimpc_ros.lab.study.settings import SETTINGS, resolved
 from orbimpc_ros.mpc.problem import Floor
@@ -25,10 +25,10 @@ CASADI = pytest.mark.skipif(
 def test_a_run_depends_on_the_seed_and_its_number_alone():
     first, again = run_of(SMALL, 2), run_of(replace(SMALL, runs=900), 2)
     assert first.drawn == again.drawn
-    assert first.luck == again.luck
+    assert first.noise_seed == again.noise_seed
     for other in (run_of(SMALL, 3), run_of(replace(SMALL, seed=4), 2)):
         assert other.drawn['rope.frequency'] != first.drawn['rope.frequency']
-        assert other.luck != first.luck
+        assert other.noise_seed != first.noise_seed
 
 
 def test_draws_fill_their_ranges():
@@ -87,7 +87,7 @@ def flown(changes=(), **fields):
 def test_everyone_sees_the_same_forecast():
     asked = []
 
-    class Told:
+    class Asked:
         def observe(self, sighting):
             asked.append(sighting)
 
@@ -97,7 +97,7 @@ def test_everyone_sees_the_same_forecast():
         def reset(self):
             raise AssertionError
 
-    shared = trial.Shared(Told())
+    shared = trial.Shared(Asked())
     for ticks in (2, 3):
         shared.reset()
         found = []
@@ -155,5 +155,5 @@ def test_no_plan_of_the_planner_costs_more_than_ipopts():
 @CASADI
 def test_a_plan_that_costs_more_would_be_noticed():
     run = run_of(SMALL, 0)
-    log = fly(pilot_named('linearised', run.problem), run.scenario, Told(run.scenario.rope))
+    log = fly(controller_named('linearised', run.problem), run.scenario, Told(run.scenario.rope))
     assert max(trial.excesses(run.problem, log.ticks)) > 1e-3

@@ -1,4 +1,4 @@
-"""What is said of a study: rates, times and duels of runs that are known."""
+"""The scores of a study: rates, times and duels of runs that are known."""
 
 import numpy as np
 import pytest

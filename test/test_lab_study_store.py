@@ -4,7 +4,7 @@ import json
 from dataclasses import replace
 
 import pytest
-from studies import SMALL, told
+from studies import SMALL, complaint
 
 pytest.importorskip('pyarrow', reason="no pyarrow: pip install 'orbimpc_ros[study]'")
 
@@ -85,7 +85,7 @@ def _of_another_seed(file, begun):
 def test_a_damaged_part_is_named(begun, damage, capsys):
     file = begun.folder / store.PARTS / '00000000.parquet'
     damage(file, begun)
-    code, line = told(capsys, '--resume', '-o', begun.folder)
+    code, line = complaint(capsys, '--resume', '-o', begun.folder)
     assert code == 2
     assert str(file) in line
 
@@ -102,10 +102,10 @@ def test_a_damaged_part_is_named(begun, damage, capsys):
 )
 def test_another_configuration_is_refused_and_named(begun, words, named, capsys):
     before = (begun.folder / store.CONFIGURATION).read_text()
-    code, line = told(capsys, '--resume', *words, '-o', begun.folder)
+    code, line = complaint(capsys, '--resume', *words, '-o', begun.folder)
     assert code == 2
     assert named in line
-    code, line = told(capsys, *words, '-o', begun.folder)
+    code, line = complaint(capsys, *words, '-o', begun.folder)
     assert code == 2
     assert 'a study with other' in line
     assert named.split()[0] in line
@@ -114,14 +114,14 @@ def test_another_configuration_is_refused_and_named(begun, words, named, capsys)
 
 def test_the_same_study_wants_to_be_resumed(begun, capsys):
     words = ['--runs', 6, '--seed', 3, '--controllers', 'pursuit,linearised']
-    code, line = told(capsys, *words, '-o', begun.folder)
+    code, line = complaint(capsys, *words, '-o', begun.folder)
     assert code == 2
     assert '--resume' in line
 
 
 def test_a_folder_with_other_things_is_left_alone(tmp_path, capsys):
     (tmp_path / 'thesis.tex').write_text('precious')
-    assert told(capsys, '-o', tmp_path)[0] == 2
+    assert complaint(capsys, '-o', tmp_path)[0] == 2
     assert [p.name for p in tmp_path.iterdir()] == ['thesis.tex']
 
 
@@ -136,6 +136,6 @@ def test_a_damaged_configuration_is_refused(begun, content, named, capsys):
         known['settings'].pop('horizon')
         content = json.dumps(known)
     file.write_text(content)
-    code, line = told(capsys, '--resume', '-o', begun.folder)
+    code, line = complaint(capsys, '--resume', '-o', begun.folder)
     assert code == 2
     assert named in line

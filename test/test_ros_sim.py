@@ -13,11 +13,11 @@ from conftest import Observer, new_domain
 pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from disturbed import fly_disturbed
 from geometry_msgs.msg import PoseStamped, QuaternionStamped, TwistStamped
 from nav_msgs.msg import Odometry, Path
 from rosgraph_msgs.msg import Clock
 
-from orbimpc_ros.lab.faults.disturbed import fly_disturbed
 from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.loop.forecast import forecast_named
 from orbimpc_ros.ros import messages

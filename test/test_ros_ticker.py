@@ -149,7 +149,7 @@ def test_a_tick_that_takes_too_long_is_a_miss(monkeypatch):
     told = Told(deadline=1e-9)
     told.odometry(0.0, 0.0)
     told.goal(0.0, 0.0)
-    assert told.tick(0.0).report.status == 'optimal'  # checked: it may be flown
+    assert told.tick(0.0).report.status in ('optimal', 'feasible')  # checked: it may be flown
     assert told.ticker.timing.misses == 1
 
 

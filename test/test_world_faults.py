@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from disturbed import Intake, fly_disturbed
 
-from orbimpc_ros.lab.faults.disturbed import Ears, fly_disturbed
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import log
 from orbimpc_ros.mpc.loop.controller import Controller
@@ -174,15 +174,19 @@ def test_impossible_faults_are_refused(name, value):
 
 def test_a_planner_takes_what_is_finite_and_newer():
     scenario = retrieval()
-    view, flight, ears = View(Faults(), 0, 1.0), departure(scenario), Ears(forecast_named('hold'))
+    view, flight, intake = (
+        View(Faults(), 0, 1.0),
+        departure(scenario),
+        Intake(forecast_named('hold')),
+    )
     goal, odometry = view.of(flight)
-    assert ears.hear([odometry]) is None  # no goal yet
+    assert intake.hear([odometry]) is None  # no goal yet
     later = view.of(flight.after(0.8, TURN))
-    assert ears.hear(later) is later[1].content
-    assert ears.hear([goal, odometry]) is None
-    assert ears.hear(later) is None
+    assert intake.hear(later) is later[1].content
+    assert intake.hear([goal, odometry]) is None
+    assert intake.hear(later) is None
     poisoned = View(Faults(nan=1.0), 0, 1.0).of(flight.after(0.8, TURN).after(0.8, TURN))
-    assert ears.hear(poisoned) is None
+    assert intake.hear(poisoned) is None
 
 
 def test_a_flight_without_faults_is_the_flight():
@@ -223,7 +227,8 @@ def quick(seed):
     swing = (rng.uniform(0.3, 0.7, 2), rng.uniform(0.25, 1.0), rng.uniform(0.0, 2.0 * np.pi, 2))
     model = replace(retrieval().model, step=0.2, forward=5.0)
     start, rope = launched(model, np.zeros(2), np.eye(2)), Rope(np.array([5.0, 0.0]), *swing)
-    return replace(retrieval(), model=model, start=start, rope=rope, capture_radius=0.15)
+    scenario = replace(retrieval(), model=model, start=start, rope=rope)
+    return replace(scenario, capture_radius=0.15, max_ticks=20)  # 12 are enough where it is caught
 
 
 @pytest.mark.parametrize('delay', [0.2, 0.3])

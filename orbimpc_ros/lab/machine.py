@@ -1,4 +1,4 @@
-"""What the numbers were measured on, and with which versions."""
+"""The machine that measures: processor, versions, and the memory of its processes."""
 
 from __future__ import annotations
 
@@ -26,6 +26,13 @@ def machine() -> dict[str, str | int | float]:
 def versions() -> dict[str, str | None]:
     """Return versions by package, None for what is not installed."""
     return {'python': platform.python_version(), **{name: _version(name) for name in PACKAGES}}
+
+
+def resident(pid: int) -> int:
+    """Return the memory that a process holds [bytes]."""
+    status = Path(f'/proc/{pid}/status').read_text()
+    line = next(line for line in status.splitlines() if line.startswith('VmRSS'))
+    return 1024 * int(line.split()[1])
 
 
 def _version(name: str) -> str | None:

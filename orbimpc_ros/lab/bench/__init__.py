@@ -7,17 +7,17 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
+from orbimpc_ros.lab.bench import live
 from orbimpc_ros.lab.bench.contenders.contender import Contender
 from orbimpc_ros.lab.bench.contests import CAP, CONTESTS, PACKAGES, QUICK_CAP, Contest
 from orbimpc_ros.lab.bench.duel import OURS, duel
 from orbimpc_ros.lab.bench.result import Result
-from orbimpc_ros.lab.bench.rows import HULLS, Row, growth, of_duel
+from orbimpc_ros.lab.bench.rows import HULLS, BenchRow, growth, of_duel
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.io.files import require_writable
 from orbimpc_ros.tool.run.progress import Progress
 
 WARM_UP = 3  # instances solved before the clock counts
-LIVE = ('start', 'latency', 'planners')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def problems() -> list[str]:
     """Return the short names of everything that can be measured."""
-    return [*dict.fromkeys(contest.key for contest in CONTESTS), *LIVE]
+    return [*dict.fromkeys(contest.key for contest in CONTESTS), *live.NAMES]
 
 
 def run(args: argparse.Namespace) -> int:
@@ -67,7 +67,9 @@ def _files(args: argparse.Namespace) -> tuple[Path | None, Path | None]:
     return file, picture
 
 
-def measured(wanted: list[str], quick: bool, before: Sequence[Row]) -> Iterator[list[Row]]:
+def measured(
+    wanted: list[str], quick: bool, before: Sequence[BenchRow]
+) -> Iterator[list[BenchRow]]:
     """Yield the rows of each measurement as it is done; of one that fails, a row that says why.
 
     Args:
@@ -80,24 +82,21 @@ def measured(wanted: list[str], quick: bool, before: Sequence[Row]) -> Iterator[
             rows = measure()
         except Exception as error:  # whatever it is, the others are still worth measuring
             note = f'failed: {type(error).__name__}: {error}'
-            rows = [Row(title, OURS, note=note, failed=True)]
+            rows = [BenchRow(title, OURS, note=note, failed=True)]
         yield rows
 
 
 def _measurements(
-    wanted: list[str], quick: bool, before: Sequence[Row]
-) -> Iterator[tuple[str, Callable[[], list[Row]]]]:
+    wanted: list[str], quick: bool, before: Sequence[BenchRow]
+) -> Iterator[tuple[str, Callable[[], list[BenchRow]]]]:
     for contest in CONTESTS:
         if contest.key in wanted:
             yield contest.title, partial(contested, contest, quick)
     yield f'{HULLS}...: exponent of N', partial(growth, before)
-    if set(LIVE) & set(wanted):
-        from orbimpc_ros.lab.bench import live
-
-        yield from live.measurements(wanted, quick)
+    yield from live.measurements(wanted, quick)
 
 
-def contested(contest: Contest, quick: bool) -> list[Row]:
+def contested(contest: Contest, quick: bool) -> list[BenchRow]:
     """Return the rows of one contest; who is not installed is listed as absent."""
     cap, count = QUICK_CAP if quick else CAP, contest.counts[0 if quick else 1]
     contenders, absent = _entrants(contest, cap)
@@ -114,11 +113,11 @@ def contested(contest: Contest, quick: bool) -> list[Row]:
     return [*of_duel(contest.title, samples, contest.required), *absent]
 
 
-def _entrants(contest: Contest, cap: float) -> tuple[dict[str, Contender], list[Row]]:
+def _entrants(contest: Contest, cap: float) -> tuple[dict[str, Contender], list[BenchRow]]:
     """Return who takes part, and rows of who is not installed."""
     found = {name: _entrant(contest, name, cap) for name in (OURS, *contest.rivals)}
     absent = [
-        Row(
+        BenchRow(
             contest.title,
             name,
             required=contest.required.get(name),

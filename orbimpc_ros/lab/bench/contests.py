@@ -1,4 +1,4 @@
-"""The problems that are solved side by side, who takes part, and what is required of us.
+"""The problems that are solved side by side, the contenders, and what is required of us.
 
 Everybody gets the same problem, the same instances, the same relative gap and one thread.
 """
@@ -21,7 +21,6 @@ from orbimpc_ros.mpc.problem import Floor, Problem, Weights
 GUROBI, SCIP, IPOPT = 'Gurobi', 'SCIP', 'IPOPT (local)'
 GUROBI_CUT = 'Gurobi + our cut'
 CVXPY, QOCO = 'CVXPY + Clarabel', 'CVXPY + QOCO'
-NODES, LIFTED = 'CVXPY nodes, same tree', 'dense lifted SDP'
 PACKAGES = {
     GUROBI: 'gurobipy',
     GUROBI_CUT: 'gurobipy',
@@ -34,8 +33,6 @@ HORIZONS, BOXES = (5, 10, 20, 50, 100), (1, 2, 4, 8, 16)
 ARRIVAL: dict[str, Any] = {'horizon': 20, 'terminal': 'constraint'}
 DEFAULTS = 'dubins'  # where SCIP's defaults prove more in a minute than its fast settings
 RIM, NO_FLOOR = math.sqrt(0.5), Floor('none')
-
-Entrant = tuple[str, str, Mapping[str, Any]]  # module, class, what its constructor takes
 
 
 @dataclass(frozen=True)
@@ -64,10 +61,15 @@ class Contest:
     required: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     closed_loop: bool = False
 
-    def entrant(self, name: str, cap: float) -> Entrant:
-        """Return where a contender is found and how it is set up."""
+    def contender(self, name: str, cap: float) -> Contender:
+        """Return a contender set up for the problem.
+
+        Raises:
+            ImportError: it is not installed.
+        """
         mixed = {'gap': self.gap, 'cap': cap, 'closed_loop': self.closed_loop}
-        known: dict[str, Entrant] = {
+        # Module, class and what its constructor takes.
+        known: dict[str, tuple[str, str, Mapping[str, Any]]] = {
             OURS: ('ours', 'Ours', mixed),
             GUROBI: ('gurobi', 'Gurobi', mixed),
             GUROBI_CUT: ('gurobi', 'Gurobi', {**mixed, 'cut': True}),
@@ -75,18 +77,8 @@ class Contest:
             IPOPT: ('ipopt', 'Ipopt', {'tolerance': self.gap}),
             CVXPY: ('resolve', 'Resolve', {}),
             QOCO: ('resolve', 'Resolve', {'solver': 'QOCO'}),
-            NODES: ('nodes', 'Nodes', {'gap': self.gap}),
-            LIFTED: ('lifted', 'Lifted', {'gap': self.gap}),
         }
-        return known[name]
-
-    def contender(self, name: str, cap: float) -> Contender:
-        """Return a contender set up for the problem.
-
-        Raises:
-            ImportError: it is not installed.
-        """
-        module, kind, options = self.entrant(name, cap)
+        module, kind, options = known[name]
         found = import_module(f'orbimpc_ros.lab.bench.contenders.{module}')
         return getattr(found, kind)(self.problem, **options)
 
@@ -132,8 +124,7 @@ def _dubins() -> list[Contest]:
                 Problem(weights=length, floor=square, **ARRIVAL), departures, (1, 3), 1e-3,
                 (GUROBI, GUROBI_CUT, SCIP), one_second),
         Contest('dubins-circle', 'Dubins N=20 circle, 1e-3',
-                Problem(weights=turning, floor=circle, **ARRIVAL), departures, (2, 20), 1e-3,
-                (LIFTED,), {LIFTED: _p50(3.0)}),
+                Problem(weights=turning, floor=circle, **ARRIVAL), departures, (2, 20), 1e-3),
     ]  # fmt: skip
 
 
@@ -154,8 +145,7 @@ def _space() -> list[Contest]:
                 rivals=(CVXPY,), required={CVXPY: _p50(20.0)}),
         Contest('se3', 'SE(3) N=5 hull', Problem(dimension=3, floor=NO_FLOOR), around, (5, 100),
                 rivals=(CVXPY,), required={CVXPY: _p50(2.5)}),
-        Contest('se3-faces', 'SE(3) N=5 six faces 0.5, 1e-4', cube, around, (1, 10),
-                rivals=(NODES,), required={NODES: _p50(10.0)}),
+        Contest('se3-faces', 'SE(3) N=5 six faces 0.5, 1e-4', cube, around, (1, 10)),
     ]  # fmt: skip
 
 

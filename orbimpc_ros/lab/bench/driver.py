@@ -10,30 +10,25 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from nav_msgs.msg import Odometry
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
 
+from orbimpc_ros.lab.bench.instances import around
+from orbimpc_ros.lab.test_node import TestNode
 from orbimpc_ros.mpc.errors import OrbimpcError
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.forecast import Hold
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.world.flight import Flight, departure, planned
-from orbimpc_ros.world.scenario import retrieval, retrieval_problem
+from orbimpc_ros.world.scenario import retrieval_problem
 
 FRAMES = Frames('odom', 'base_link')
 POINTS = 100  # of the flight around the rope that is replayed
-APPROACH = 20
 AHEAD = 5_000_000  # [ns] by which a goal's stamp precedes odometry's: from another sensor
 
 
 @dataclass
-class Tick:
+class RoundTrip:
     """One odometry message and its answer.
 
     Attributes:
@@ -60,29 +55,25 @@ class Driver:
     """
 
     def __init__(self, namespaces: Sequence[str]) -> None:
-        self._context = rclpy.Context()
-        rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node('driver', context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._ticks: list[dict[int, Tick]] = [{} for _ in namespaces]
+        self._test_node = TestNode()
+        self._ticks: list[dict[int, RoundTrip]] = [{} for _ in namespaces]
         self._answered = [0] * len(namespaces)
         self._publishers = [self._wire(i, name) for i, name in enumerate(namespaces)]
-        self._flights = circles()
+        self._flights = [flight for flight, _ in around(retrieval_problem(), POINTS)]
         self._count, self._stamp = 0, 0
 
     def _wire(self, i: int, namespace: str) -> tuple[Any, Any]:
-        create = self._node.create_subscription
-        create(TwistStamped, f'{namespace}/cmd_vel', partial(self._on_command, i), qos(100))
-        create(DiagnosticArray, f'{namespace}/tick', partial(self._on_tick, i), qos(100))
-        publish = self._node.create_publisher
+        subscribe = self._test_node.subscribe
+        subscribe(TwistStamped, f'{namespace}/cmd_vel', partial(self._on_command, i), qos(100))
+        subscribe(DiagnosticArray, f'{namespace}/tick', partial(self._on_tick, i), qos(100))
+        publish = self._test_node.node.create_publisher
         return (
             publish(Odometry, f'{namespace}/odom', qos()),
             publish(PoseStamped, f'{namespace}/goal', qos()),
         )
 
     def _on_command(self, i: int, message: TwistStamped) -> None:
-        now = time.perf_counter()
+        now = time.monotonic()
         tick = self._ticks[i].get(_stamp_of(message))
         if tick is not None and tick.latency == math.inf:
             tick.latency = now - tick.sent
@@ -91,8 +82,8 @@ class Driver:
     def _on_tick(self, i: int, message: DiagnosticArray) -> None:
         tick = self._ticks[i].get(_stamp_of(message))
         if tick is not None:
-            said = {pair.key: pair.value for pair in message.status[0].values}
-            tick.solve_ms = float(json.loads(said['solve_time_ms']))
+            values = {pair.key: pair.value for pair in message.status[0].values}
+            tick.solve_ms = float(json.loads(values['solve_time_ms']))
 
     def until_answered(self, rate: float, limit: float) -> None:
         """Drive until every planner has answered.
@@ -100,21 +91,18 @@ class Driver:
         Raises:
             OrbimpcError: one has not, in ``limit`` seconds.
         """
-        self._drive(rate, limit, lambda: all(self._answered))
+        self.drive(rate, limit, lambda: all(self._answered))
         if not all(self._answered):
             raise OrbimpcError(f'{self._answered.count(0)} planners have not answered')
 
-    def drive(self, rate: float, seconds: float) -> None:
-        """Publish odometry at a rate [Hz] for a while."""
-        self._drive(rate, seconds, lambda: False)
-
-    def _drive(self, rate: float, seconds: float, done: Callable[[], bool]) -> None:
+    def drive(self, rate: float, seconds: float, done: Callable[[], bool] = lambda: False) -> None:
+        """Publish odometry at a rate [Hz] for a while, or until ``done``."""
         gap = 1.0 / (rate * len(self._publishers))
-        begin, sent = time.perf_counter(), 0
+        begin, sent = time.monotonic(), 0
         while sent * gap < seconds and not done():
             self._publish(sent % len(self._publishers))
             sent += 1
-            self._listen_until(begin + sent * gap, done)
+            self._test_node.spin_until(begin + sent * gap, done)
 
     def _publish(self, i: int) -> None:
         odometry, goal = self._publishers[i]
@@ -123,42 +111,28 @@ class Driver:
         self._stamp = max(self._stamp + 1, time.time_ns())
         goal.publish(messages.goal_message(Stamp(self._stamp - AHEAD, FRAMES), flight.goal))
         message = messages.odometry_message(Stamp(self._stamp, FRAMES), flight.vehicle)
-        self._ticks[i][self._stamp] = Tick(time.perf_counter())
+        self._ticks[i][self._stamp] = RoundTrip(time.monotonic())
         odometry.publish(message)
 
     def listen(self, seconds: float) -> None:
-        """Only listen for a while."""
-        self._listen_until(time.perf_counter() + seconds, lambda: False)
-
-    def _listen_until(self, end: float, done: Callable[[], bool]) -> None:
-        while (left := end - time.perf_counter()) > 0.0 and not done():
-            self._executor.spin_once(timeout_sec=left)
+        """Only listen for a while, or until everything is answered."""
+        end = time.monotonic() + seconds
+        self._test_node.spin_until(
+            end, lambda: all(tick.latency < math.inf for tick in self.ticks())
+        )
 
     def forget(self) -> None:
         """Drop what was measured so far."""
         for ticks in self._ticks:
             ticks.clear()
 
-    def ticks(self) -> list[Tick]:
+    def ticks(self) -> list[RoundTrip]:
         """Return everything measured."""
         return [tick for ticks in self._ticks for tick in ticks.values()]
 
     def close(self) -> None:
         """Take the node down."""
-        self._executor.shutdown()
-        self._node.destroy_node()
-        self._context.try_shutdown()
-
-
-def circles() -> list[Flight]:
-    """Return a flight around the rope, tick by tick, the approach skipped."""
-    flight, controller, forecast = departure(retrieval()), Controller(retrieval_problem()), Hold()
-    flights = []
-    for _ in range(APPROACH + POINTS):
-        flights.append(flight)
-        command = planned(controller, flight, forecast).command
-        flight = flight.after(command.speed_fraction, command.body_rate)
-    return flights[APPROACH:]
+        self._test_node.close()
 
 
 def _stamp_of(message: Any) -> int:

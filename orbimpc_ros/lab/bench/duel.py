@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from orbimpc_ros.lab import collector
-from orbimpc_ros.lab.bench.contenders.contender import Answer, Contender, Refused
+from orbimpc_ros.lab.bench.contenders.contender import Contender, Declined, Solution
 from orbimpc_ros.lab.bench.instances import Instance
 from orbimpc_ros.mpc.arrays import Array
 
@@ -23,12 +23,12 @@ class Samples:
 
     Attributes:
         times: solve times [ms].
-        answers: what came out.
+        solutions: what came out.
         refused: why it takes no part (any more); empty if it does.
     """
 
     times: dict[int, float] = field(default_factory=dict)
-    answers: dict[int, Answer] = field(default_factory=dict)
+    solutions: dict[int, Solution] = field(default_factory=dict)
     refused: str = ''
 
     @property
@@ -74,7 +74,7 @@ def _run(contender: Contender, instance: Instance, into: Samples, number: int | 
     begin = time.perf_counter()
     try:
         contender.solve(*instance)
-    except Refused as refusal:
+    except Declined as refusal:
         into.refused = str(refusal)
         return
     except Exception as error:  # who breaks must not take the others down: the table says so
@@ -83,7 +83,7 @@ def _run(contender: Contender, instance: Instance, into: Samples, number: int | 
     elapsed = time.perf_counter() - begin
     if number is not None:
         into.times[number] = 1e3 * elapsed
-        into.answers[number] = contender.answer()
+        into.solutions[number] = contender.solution()
 
 
 def percentiles(times: Sequence[float]) -> tuple[float, float]:
@@ -94,6 +94,6 @@ def percentiles(times: Sequence[float]) -> tuple[float, float]:
 
 def differences(theirs: Samples, ours: Samples) -> Array:
     """Return (theirs - ours) / |ours| of the objectives of common instances."""
-    common = sorted(theirs.answers.keys() & ours.answers.keys())
-    pairs = [(theirs.answers[i].objective, ours.answers[i].objective) for i in common]
+    common = sorted(theirs.solutions.keys() & ours.solutions.keys())
+    pairs = [(theirs.solutions[i].objective, ours.solutions[i].objective) for i in common]
     return np.array([(a - b) / max(1e-9, abs(b)) for a, b in pairs])

@@ -1,4 +1,4 @@
-"""What is solved: seeded streams of states and goals."""
+"""Seeded streams of states and goals to solve for."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.loop.controller import Controller, Tick
 from orbimpc_ros.mpc.loop.forecast import Hold
 from orbimpc_ros.mpc.problem import Box, Problem, State
-from orbimpc_ros.world.flight import departure, planned
+from orbimpc_ros.world.flight import Flight, departure, planned
 from orbimpc_ros.world.scenario import retrieval
 
 APPROACH = 20  # ticks from the start to the rope and a first turn around it
@@ -37,13 +37,21 @@ def circling(problem: Problem, count: int) -> list[Instance]:
 
     That is the hard regime: the goal is nearer than the floor lets the vehicle stay.
     """
+    return [
+        Instance(tick.state, np.tile(flight.goal, (problem.horizon, 1)))
+        for flight, tick in around(problem, count)
+    ]
+
+
+def around(problem: Problem, count: int) -> list[tuple[Flight, Tick]]:
+    """Return a flight around the swinging rope tick by tick, the approach skipped."""
     flight = departure(replace(retrieval(), max_ticks=APPROACH + count))
-    controller, forecast, ticks = Controller(problem), Hold(), []
+    controller, forecast, flown = Controller(problem), Hold(), []
     for _ in range(APPROACH + count):
         tick = planned(controller, flight, forecast)
-        ticks.append(Instance(tick.state, np.tile(flight.goal, (problem.horizon, 1))))
+        flown.append((flight, tick))
         flight = flight.after(tick.command.speed_fraction, tick.command.body_rate)
-    return ticks[APPROACH:]
+    return flown[APPROACH:]
 
 
 def scattered(problem: Problem, count: int, distance: float) -> list[Instance]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import signal
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -15,10 +16,13 @@ from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
+from unittest import mock
 
 from orbimpc_ros.lab.bench.duel import OURS, percentiles
-from orbimpc_ros.lab.bench.planners import Planner, running
-from orbimpc_ros.lab.bench.rows import LATE, Row
+from orbimpc_ros.lab.bench.rows import LATE, BenchRow
+from orbimpc_ros.lab.machine import resident
+from orbimpc_ros.tool.run import discovery
+from orbimpc_ros.tool.run.processes import Process
 
 if TYPE_CHECKING:
     from orbimpc_ros.lab.bench.driver import Driver
@@ -26,7 +30,17 @@ if TYPE_CHECKING:
 MEETING = 60.0  # [s] until every planner must have answered
 FAST, SLOW = 50.0, 5.0  # [Hz]
 SETTLED = 50  # answers before the clock counts
+WARM_UP = 2.0  # [s] of many planners at once
 PLANNERS = (1, 5, 20)
+LEAVE = 5.0  # [s] in which a planner ends
+PLANNER = 'orbimpc_ros.ros.planner'
+PARAMETERS = {
+    'trigger': 'odom',
+    'floor.shape': 'polygon',
+    'floor.fraction': 0.5477225575,
+    'odom_timeout': 5.0,
+    'goal_timeout': 60.0,
+}
 LATENCY, START = 'node: odometry to command, 50 Hz', 'node: start to first command'
 AT_ONCE = 'planners at 5 Hz'
 NAMES = {'start': START, 'latency': LATENCY, 'planners': AT_ONCE}
@@ -34,65 +48,80 @@ NAMES = {'start': START, 'latency': LATENCY, 'planners': AT_ONCE}
 
 def measurements(
     wanted: Sequence[str], quick: bool
-) -> Iterator[tuple[str, Callable[[], list[Row]]]]:
+) -> Iterator[tuple[str, Callable[[], list[BenchRow]]]]:
     """Yield name and measurement of those of ``start``, ``latency`` and ``planners`` wanted."""
-    if importlib.util.find_spec('rclpy') is None:
-        note = 'absent: ROS 2 Jazzy, or the extra "ros" of this package'
-        for name in (name for key, name in NAMES.items() if key in wanted):
-            yield name, partial(list, [Row(name, OURS, note=note)])
-        return
-    if 'start' in wanted:
+    present = importlib.util.find_spec('rclpy') is not None
+    for key, name in NAMES.items():
+        if key in wanted:
+            yield from _planned(key, quick) if present else [(name, partial(_absent, name))]
+
+
+def _absent(name: str) -> list[BenchRow]:
+    return [BenchRow(name, OURS, note='absent: ROS 2 Jazzy, or the extra "ros" of this package')]
+
+
+def _planned(key: str, quick: bool) -> Iterator[tuple[str, Callable[[], list[BenchRow]]]]:
+    if key == 'start':
         yield START, partial(_start, 2 if quick else 5)
-    if 'latency' in wanted:
+    elif key == 'latency':
         yield LATENCY, partial(_latency, 2.0 if quick else 20.0)
-    if 'planners' in wanted:
+    else:
         for count in PLANNERS[-1:] if quick else PLANNERS:
             seconds = 60.0 if count == PLANNERS[-1] and not quick else 10.0
             yield f'{AT_ONCE}, {count} at once', partial(fleet, count, seconds)
 
 
 @contextmanager
-def _driven(namespaces: Sequence[str]) -> Iterator[tuple[Driver, list[Planner], float]]:
+def _driven(namespaces: Sequence[str]) -> Iterator[tuple[Driver, list[Process], float]]:
     """Yield a driver, its planners, and when they were started."""
     from orbimpc_ros.lab.bench.driver import Driver
-    from orbimpc_ros.tool.run import discovery
 
-    with tempfile.TemporaryDirectory() as name, _environment():
+    # The environment will name the folder, which goes away: it is restored.
+    with tempfile.TemporaryDirectory() as name, mock.patch.dict(os.environ):
         discovery.isolate(Path(name))
         with closing(Driver(namespaces)) as driver:
             begin = time.perf_counter()
-            with running(namespaces, Path(name)) as planners:
+            with _running(namespaces, Path(name)) as planners:
                 yield driver, planners, begin
 
 
 @contextmanager
-def _environment() -> Iterator[None]:
-    """Undo changes to the environment at the end: the folder that they name goes away."""
-    before = dict(os.environ)
+def _running(namespaces: Sequence[str], folder: Path) -> Iterator[list[Process]]:
+    """Run a planner on the paper's UAV problem in each namespace; all are stopped at the end."""
+    from orbimpc_ros.tool.io import settings
+
+    file, planners = folder / 'planner.yaml', list[Process]()
+    settings.write(file, PARAMETERS)
     try:
-        yield
+        for i, name in enumerate(namespaces):
+            log = folder / f'planner-{i}.log'
+            planners.append(Process(PLANNER, file, log, namespace=name))
+        yield planners
     finally:
-        os.environ.clear()
-        os.environ.update(before)
+        for planner in planners:  # all at once, so that none waits for another to end
+            planner.tell(signal.SIGINT)
+        for planner in planners:
+            planner.wait(LEAVE)
+            planner.stop()
 
 
-def _start(count: int) -> list[Row]:
+def _start(count: int) -> list[BenchRow]:
     times, sizes = [], []
     for _ in range(count):
         with _driven(['']) as (driver, planners, begin):
             driver.until_answered(FAST, MEETING)
             times.append(1e3 * (time.perf_counter() - begin))
             driver.drive(FAST, 1.0)
-            sizes.append(planners[0].resident())
+            sizes.append(1e-6 * resident(planners[0].pid))
     p50, p99 = percentiles(times)
-    memory = Row(
+    memory = BenchRow(
         'node: resident memory [MB]', OURS, count, objective=max(sizes),
         required={'objective': 250.0},
     )  # fmt: skip
-    return [Row(START, OURS, count, p50, p99, required={'p50_ms': 2500.0}), memory]
+    return [BenchRow(START, OURS, count, p50, p99, required={'p50_ms': 2500.0}), memory]
 
 
-def _latency(seconds: float) -> list[Row]:
+def _latency(seconds: float) -> list[BenchRow]:
     with _driven(['']) as (driver, _, _):
         driver.until_answered(FAST, MEETING)
         driver.drive(FAST, SETTLED / FAST)
@@ -104,20 +133,22 @@ def _latency(seconds: float) -> list[Row]:
     beside = [latency - solve for latency, solve in pairs]
     limits = {'p50_ms': 1.0, 'p99_ms': 3.0}
     return [
-        Row(LATENCY, OURS, len(pairs), *percentiles(whole)),
-        Row(LATENCY, 'the solve alone', len(pairs), *percentiles(alone)),
-        Row(LATENCY, 'what ROS and DDS add', len(pairs), *percentiles(beside), required=limits),
+        BenchRow(LATENCY, OURS, len(pairs), *percentiles(whole)),
+        BenchRow(LATENCY, 'the solve alone', len(pairs), *percentiles(alone)),
+        BenchRow(
+            LATENCY, 'what ROS and DDS add', len(pairs), *percentiles(beside), required=limits
+        ),
     ]
 
 
-def fleet(count: int, seconds: float) -> list[Row]:
+def fleet(count: int, seconds: float) -> list[BenchRow]:
     """Return the row of many planners at once.
 
     A tick is missed if its command takes longer than a period after the odometry, or never comes.
     """
     with _driven([f'/p{i}' for i in range(count)]) as (driver, _, _):
         driver.until_answered(SLOW, MEETING)
-        driver.drive(SLOW, 2.0)
+        driver.drive(SLOW, WARM_UP)
         driver.forget()
         driver.drive(SLOW, seconds)
         driver.listen(2.0)
@@ -127,4 +158,4 @@ def fleet(count: int, seconds: float) -> list[Row]:
     p50, p99 = percentiles([t for t in times if t < float('inf')])
     title = f'{AT_ONCE}, {count} at once: {LATE}'
     required = {'objective': 0.0} if count == PLANNERS[-1] else None
-    return [Row(title, OURS, len(times), p50, p99, objective=float(late), required=required)]
+    return [BenchRow(title, OURS, len(times), p50, p99, objective=float(late), required=required)]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from orbimpc_ros.lab.bench import table
-from orbimpc_ros.lab.bench.rows import Row
+from orbimpc_ros.lab.bench.rows import BenchRow
 from orbimpc_ros.lab.machine import machine, versions
 from orbimpc_ros.tool.io.files import write_whole
 
@@ -23,9 +23,9 @@ class Result:
     def __init__(self, file: Path | None, picture: Path | None) -> None:
         self._file, self._picture = file, picture
         self._head = {'machine': machine(), 'versions': versions()}
-        self.rows: list[Row] = []
+        self.rows: list[BenchRow] = []
 
-    def add(self, rows: Sequence[Row]) -> None:
+    def add(self, rows: Sequence[BenchRow]) -> None:
         """Keep rows: whatever happens later, they are in the file."""
         self.rows += rows
         if self._file is not None:

@@ -18,7 +18,7 @@ SAME = 1e-4  # relative: objectives closer than this agree
 
 
 @dataclass(frozen=True)
-class Row:
+class BenchRow:
     """One contender on one problem; what was not measured is NaN, in JSON null.
 
     Attributes:
@@ -82,7 +82,7 @@ class Row:
 
 def of_duel(
     problem: str, samples: Mapping[str, Samples], required: Mapping[str, Mapping[str, float]]
-) -> list[Row]:
+) -> list[BenchRow]:
     """Return a row per contender, ours first."""
     ours = samples[OURS]
     return [_row(problem, name, each, ours, required.get(name)) for name, each in samples.items()]
@@ -90,30 +90,30 @@ def of_duel(
 
 def _row(
     problem: str, name: str, theirs: Samples, ours: Samples, required: Mapping[str, float] | None
-) -> Row:
+) -> BenchRow:
     common = sorted(theirs.times.keys() & ours.times.keys())
     broken = theirs is ours and bool(ours.refused)
     if not common:
         note = theirs.refused or 'nothing to compare'
-        return Row(problem, name, required=required, note=note, failed=broken)
+        return BenchRow(problem, name, required=required, note=note, failed=broken)
     p50, p99 = percentiles([theirs.times[i] for i in common])
     base_50, base_99 = percentiles([ours.times[i] for i in common])
-    answers = theirs.answers.values()
-    return Row(
+    solutions = theirs.solutions.values()
+    return BenchRow(
         problem=problem,
         contender=name,
         n=len(theirs.times),
         p50_ms=p50,
         p99_ms=p99,
-        worst_gap=_largest([a.gap for a in answers]),
-        objective=float(np.nanmedian([a.objective for a in answers])),
+        worst_gap=_largest([a.gap for a in solutions]),
+        objective=float(np.nanmedian([a.objective for a in solutions])),
         ratio_p50=p50 / base_50,
         ratio_p99=p99 / base_99,
         required=required,
         note=_note(theirs, ours),
         beaten=bool((differences(theirs, ours) < -SAME).any()),
         failed=broken,
-        capped=sum(answer.capped for answer in answers),
+        capped=sum(each.capped for each in solutions),
     )
 
 
@@ -126,20 +126,20 @@ def _note(theirs: Samples, ours: Samples) -> str:
     """Return what has to be said about its objectives and its time limit."""
     if theirs is ours:
         return theirs.refused
-    apart, told = differences(theirs, ours), []
+    apart, notes = differences(theirs, ours), []
     failed, worse, better = np.isnan(apart).sum(), (apart > SAME).sum(), (apart < -SAME).sum()
     for count, what in ((failed, 'no solution'), (worse, 'worse'), (better, 'BETTER than ours')):
         if count:
-            told.append(f'{what} on {count}')
-    capped = sum(answer.capped for answer in theirs.answers.values())
+            notes.append(f'{what} on {count}')
+    capped = sum(each.capped for each in theirs.solutions.values())
     if capped:
-        told.append(f'time limit hit on {capped}: ratios are at least')
+        notes.append(f'time limit hit on {capped}: ratios are at least')
     if theirs.refused:
-        told.append(theirs.refused)
-    return ', '.join(told) or 'objectives agree'
+        notes.append(theirs.refused)
+    return ', '.join(notes) or 'objectives agree'
 
 
-def growth(rows: Sequence[Row]) -> list[Row]:
+def growth(rows: Sequence[BenchRow]) -> list[BenchRow]:
     """Return how time grows with N over the hull's rows, whose problem ends with it: its exponent.
 
     Fitted to the medians, both logarithmic.
@@ -151,4 +151,4 @@ def growth(rows: Sequence[Row]) -> list[Row]:
     slope, _ = np.polyfit(np.log(sizes), np.log([row.p50_ms for row in rows]), 1)
     title = f'SE(2) hull N={sizes[0]:.0f}..{sizes[-1]:.0f}: exponent of N'
     wanted = {'objective': 1.1}
-    return [Row(title, OURS, len(rows), objective=float(slope), required=wanted)]
+    return [BenchRow(title, OURS, len(rows), objective=float(slope), required=wanted)]

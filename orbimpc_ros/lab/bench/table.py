@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from orbimpc_ros.lab.bench.rows import Row
+from orbimpc_ros.lab.bench.rows import BenchRow
 from orbimpc_ros.lab.columns import aligned
 
 HEAD = (
@@ -15,12 +15,12 @@ HEAD = (
 NUMBERS = range(2, 9)
 
 
-def text(rows: Sequence[Row]) -> str:
+def text(rows: Sequence[BenchRow]) -> str:
     """Return the table; ``x`` are multiples of our time on the same instances."""
     return aligned([HEAD, *(_cells(row) for row in rows)], NUMBERS)
 
 
-def _cells(row: Row) -> tuple[str, ...]:
+def _cells(row: BenchRow) -> tuple[str, ...]:
     verdict = ('missed' if row.missed else 'met') if row.required and row.measured else ''
     return (
         row.problem,

@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING
 
 from orbimpc_ros.lab.machine import machine
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
+from orbimpc_ros.tool.io.files import require_writable
 
 if TYPE_CHECKING:
-    from orbimpc_ros.lab.faults.fixtures import Lab
-    from orbimpc_ros.lab.faults.outcome import Outcome, Row, Trial
+    from orbimpc_ros.lab.faults.fixtures import Fixtures
+    from orbimpc_ros.lab.faults.outcome import FaultCase, MatrixRow, Outcome
 
 DEFAULT_SOAK = 30.0  # [min]
 
@@ -41,7 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Try every row, print the table; 1 if a command was unsafe or a reaction late."""
-    _require_folder(args.json)
+    if args.json:
+        require_writable('--json', Path(args.json).resolve())
     if find_spec('rclpy') is None:
         hint = "install ROS 2, or pip install 'orbimpc_ros[ros]'"
         raise BadInput.stating('orbimpc faults', 'rclpy is missing', hint)
@@ -49,66 +51,61 @@ def run(args: argparse.Namespace) -> int:
         from orbimpc_ros.lab.faults.soak import soaked
 
         return soaked(args.soak)
-    trials = _wanted(args.only)
+    cases = _wanted(args.only)
     if args.list:
-        print('\n'.join(f'{trial.name:<12}{trial.title}' for trial in trials))
+        print('\n'.join(f'{case.name:<12}{case.title}' for case in cases))
         return 0
-    rows = tried(trials, args.long)
+    rows = tried(cases, args.long)
     _write(args.json, rows)
     return 0 if all(row.ok for row in rows) else 1
 
 
-def _require_folder(file: str | None) -> None:
-    if file and not Path(file).resolve().parent.is_dir():
-        raise BadInput('--json', file, 'a file in a folder that exists')
-
-
-def _wanted(only: Sequence[str] | None) -> list[Trial]:
+def _wanted(only: Sequence[str] | None) -> list[FaultCase]:
     from orbimpc_ros.lab.faults.matrix import MATRIX
 
-    names = [trial.name for trial in MATRIX]
+    names = [case.name for case in MATRIX]
     for name in only or ():
         if name not in names:
             raise BadInput('--only', name, ' | '.join(names))
-    return [trial for trial in MATRIX if not only or trial.name in only]
+    return [case for case in MATRIX if not only or case.name in only]
 
 
-def tried(trials: Sequence[Trial], long: bool) -> list[Row]:
-    """Return the rows of trials and print them; all processes are gone at the end."""
-    from orbimpc_ros.lab.faults.fixtures import Lab
-    from orbimpc_ros.lab.faults.outcome import Row, table
+def tried(cases: Sequence[FaultCase], long: bool) -> list[MatrixRow]:
+    """Return the rows of fault cases and print them; all processes are gone at the end."""
+    from orbimpc_ros.lab.faults.fixtures import Fixtures
+    from orbimpc_ros.lab.faults.outcome import MatrixRow, table
 
-    rows = [Row(trial) for trial in trials]
+    rows = [MatrixRow(case) for case in cases]
     try:
-        with tempfile.TemporaryDirectory() as folder, Lab(Path(folder)) as lab, _terminated():
-            _try_all(rows, lab, long)
+        with tempfile.TemporaryDirectory() as name, _terminated(), Fixtures(Path(name)) as made:
+            _try_all(rows, made, long)
     finally:
         print(table([row for row in rows if row.outcomes]))
     return rows
 
 
-def _try_all(rows: Sequence[Row], lab: Lab, long: bool) -> None:
+def _try_all(rows: Sequence[MatrixRow], fixtures: Fixtures, long: bool) -> None:
     from orbimpc_ros.tool.run.progress import Progress
 
     progress = Progress(len(rows))
     for number, row in enumerate(rows):
         begin = time.monotonic()
-        for outcome in _outcomes(row.trial, lab, long):
+        for outcome in _outcomes(row.case, fixtures, long):
             row.outcomes.append(outcome)
             row.seconds = time.monotonic() - begin
-            progress.show(number, f'{row.trial.title}: {len(row.outcomes)} cases')
+            progress.show(number, f'{row.case.title}: {len(row.outcomes)} cases')
     progress.close()
 
 
-def _outcomes(trial: Trial, lab: Lab, long: bool) -> Iterator[Outcome]:
+def _outcomes(case: FaultCase, fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
     """Yield a row's outcomes; a planner that is past help ends the row, not the matrix."""
     from orbimpc_ros.lab.faults.outcome import Outcome
 
     try:
-        yield from trial.cases(lab, long)
+        yield from case.cases(fixtures, long)
     except OrbimpcError as error:
         yield Outcome('then', failure=str(error))
-        lab.clear()
+        fixtures.clear()
 
 
 @contextmanager
@@ -121,7 +118,7 @@ def _terminated() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _write(file: str | None, rows: Sequence[Row]) -> None:
+def _write(file: str | None, rows: Sequence[MatrixRow]) -> None:
     if file:
         result = {'machine': machine(), 'rows': [row.as_json() for row in rows]}
         Path(file).write_text(json.dumps(result, indent=1, allow_nan=False) + '\n')

@@ -1,19 +1,19 @@
-"""Where trials take place: folders, domains, and stands that several rows share."""
+"""Fixtures of fault cases: folders, domains, and harnesses that several rows share."""
 
 from __future__ import annotations
 
 import runpy
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import Any
 
-from orbimpc_ros.lab.faults.harness import Stand
+from orbimpc_ros.lab.faults.harness import Harness
 from orbimpc_ros.tool.run import discovery
 
 
-class Lab:
-    """Hands out stands; those that rows share live until the lab is closed.
+class Fixtures(AbstractContextManager['Fixtures']):
+    """Hands out harnesses; those that rows share live until the fixtures are closed.
 
     Machine code is compiled first: a planner that has to do so itself answers nothing for so long.
 
@@ -23,7 +23,7 @@ class Lab:
 
     def __init__(self, folder: Path) -> None:
         self._folder, self._count = folder, 0
-        self._shared: dict[str, Stand] = {}
+        self._shared: dict[str, Harness] = {}
         self._stack = ExitStack()
         runpy.run_module('orbimpc_ros.mpc.kernels', run_name='__main__')
 
@@ -34,26 +34,25 @@ class Lab:
         folder.mkdir()
         return folder, discovery.isolate(folder)
 
-    def stand(self, parameters: Mapping[str, Any] | None = None, **more: Any) -> Stand:
-        """Return a stand of one's own, to be closed."""
-        return Stand(*self.place(), parameters, **more)
+    def harness(self, parameters: Mapping[str, Any] | None = None, **more: Any) -> Harness:
+        """Return a harness of one's own, to be closed."""
+        return Harness(*self.place(), parameters, **more)
 
-    def shared(self, name: str, parameters: Mapping[str, Any] | None = None, **more: Any) -> Stand:
-        """Return the stand of a name, made when first asked for; its planner runs."""
+    def shared(
+        self, name: str, parameters: Mapping[str, Any] | None = None, **more: Any
+    ) -> Harness:
+        """Return the harness of a name, made when first asked for; its planner runs."""
         if name not in self._shared:
-            self._shared[name] = self._stack.enter_context(self.stand(parameters, **more))
-        stand = self._shared[name]
-        if not stand.planner.running:
-            stand.start()
-        return stand
+            self._shared[name] = self._stack.enter_context(self.harness(parameters, **more))
+        harness = self._shared[name]
+        if not harness.planner.running:
+            harness.start()
+        return harness
 
     def clear(self) -> None:
-        """Close the shared stands; whoever asks for one gets a new one."""
+        """Close the shared harnesses; whoever asks for one gets a new one."""
         self._shared.clear()
         self._stack.close()
-
-    def __enter__(self) -> Lab:
-        return self
 
     def __exit__(self, *_error: object) -> None:
         self.clear()

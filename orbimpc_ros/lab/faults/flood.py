@@ -1,4 +1,4 @@
-"""A process that publishes odometry as fast as it is told to, until it is killed.
+"""A process that publishes odometry at a given rate, until it is killed.
 
 It prints its own pauses: a planner that stops since none came is right to.
 """
@@ -8,13 +8,14 @@ from __future__ import annotations
 import os
 import sys
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-import rclpy
 from nav_msgs.msg import Odometry
 
-from orbimpc_ros.lab.faults import stimulus as feed
+from orbimpc_ros.lab.faults import stimulus
+from orbimpc_ros.lab.test_node import TestNode
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.tool.run.tethered import tether
@@ -35,14 +36,18 @@ def pauses(log: Path) -> list[Pause]:
     return [Pause(*map(float, line.split())) for line in log.read_text().splitlines()]
 
 
+def excused(at: float, paused: Iterable[Pause], after: float) -> bool:
+    """Return whether a stop at a time [s] is right: in a pause, or for ``after`` [s] behind it."""
+    return any(begin <= at <= end + after for begin, end in paused)
+
+
 def main() -> None:
     """Publish at the rate [Hz] that the command line gives."""
     tether(os.getppid())
     rate = float(sys.argv[1])
-    rclpy.init(args=[])
-    node = rclpy.create_node('flood', enable_rosout=False, start_parameter_services=False)
-    publisher = node.create_publisher(Odometry, 'odom', qos())
-    message = feed.odometry_at(0.0, 0)
+    source = TestNode()
+    publisher = source.node.create_publisher(Odometry, 'odom', qos())
+    message = stimulus.odometry_at(0.0, 0)
     begun = due = last = time.monotonic()
     while True:
         now = time.monotonic()
@@ -51,7 +56,7 @@ def main() -> None:
         last = now
         due = max(due + 1.0 / rate, now - AT_ONCE)
         if now - begun > 0.01:  # another pose a hundred times a second
-            message, begun = feed.odometry_at(now, 0), now
+            message, begun = stimulus.odometry_at(now, 0), now
         message.header.stamp = messages.time_message(time.time_ns())
         publisher.publish(message)
         time.sleep(max(0.0, due - time.monotonic()))

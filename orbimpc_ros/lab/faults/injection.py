@@ -1,20 +1,21 @@
-"""When a fault sets in, and how soon the planner is safe after that."""
+"""Injection of faults: the times at which they set in, and the reactions that follow."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
-from orbimpc_ros.lab.faults.fixtures import Lab
-from orbimpc_ros.lab.faults.harness import STEP, Stand
-from orbimpc_ros.lab.faults.monitor import Watch
+from orbimpc_ros.lab.faults.fixtures import Fixtures
+from orbimpc_ros.lab.faults.harness import STEP, Harness
+from orbimpc_ros.lab.faults.monitor import Monitor
 from orbimpc_ros.lab.faults.outcome import Outcome
 from orbimpc_ros.lab.faults.stimulus import Spoiled
 
 START, MIDWAY, SOLVING = 'start', 'mid-run', 'during a solve'
-ONSETS = (START, MIDWAY, SOLVING)
+TIMES = (START, MIDWAY, SOLVING)
 SEEDS = (1, 2, 3)
 AFTER = 3  # ticks that a fault lasts beyond the latest reaction
 INTO = 0.03  # [s] of a solve
@@ -27,14 +28,14 @@ SLOW = {
     'weights.input': 0.0,
     'weights.length': 0.1,
     'gap_tolerance': 1e-9,
-    'delay_compensation': False,  # the feed does not obey commands: foreseen, it is no problem
+    'delay_compensation': False,  # the stimulus does not obey commands: foreseen, it is no problem
 }
 HEALTHY = Spoiled('nothing')
 
 
 @dataclass(frozen=True)
 class Expected:
-    """What a fault of the feed must lead to.
+    """The reaction that a fault of the stimulus requires.
 
     Attributes:
         wait: until an input counts as stale [s].
@@ -47,50 +48,77 @@ class Expected:
     strict: bool = True
 
 
-def stand_for(lab: Lab, onset: str) -> Stand:
-    """Return a stand with a healthy planner, one that searches long if that matters."""
-    if onset == SOLVING:
-        return lab.shared('slow', SLOW)
-    return lab.shared('plain')
+def harness_for(fixtures: Fixtures, when: str, *, simulated: bool = False) -> Harness:
+    """Return a harness with a healthy planner, one that searches long if that matters."""
+    name, parameters = ('slow', SLOW) if when == SOLVING else ('plain', {})
+    clock = ', simulated time' if simulated else ''
+    return fixtures.shared(name + clock, parameters, simulated=simulated)
 
 
-def set_in(stand: Stand, onset: str, begin: Callable[[], None]) -> float:
+def harnesses(
+    fixtures: Fixtures,
+    long: bool,
+    times: Sequence[str] = (MIDWAY,),
+    *,
+    label: str = '',
+    simulated: bool = False,
+) -> Iterator[tuple[Harness, str]]:
+    """Yield harnesses, their draws seeded anew, with the time at which to inject a fault.
+
+    Args:
+        fixtures: hand them out.
+        long: whether to take every time and every seed, or the first of each.
+        times: of injection.
+        label: seeds the draws too, so that variants of a fault draw apart.
+        simulated: whether the harness is the planner's clock as well.
+    """
+    for when in times if long else times[:1]:
+        for seed in SEEDS if long else SEEDS[:1]:
+            harness = harness_for(fixtures, when, simulated=simulated)
+            harness.draw.seed(f'{label} {when} {seed}')
+            yield harness, when
+
+
+def inject(harness: Harness, when: str, begin: Callable[[], None]) -> float:
     """Make a healthy planner's fault begin and return when that was [s]."""
-    stand.until_planned()
-    if onset == SOLVING:
-        heard = len(stand.watch.ticks)
-        stand.until(lambda: len(stand.watch.ticks) > heard, 'a tick')
-        solved = stand.watch.ticks[-1].at
-        stand.spin(solved - 1e-3 * stand.watch.solve_ms + STEP + INTO - time.monotonic())
-    else:
-        stand.spin(stand.draw.uniform(0.0, STEP))
+    until_due(harness, when)
     begin()
     return time.monotonic()
 
 
-def spoiling(stand: Stand, spoiled: Spoiled, onset: str, expected: Expected) -> Outcome:
-    """Spoil a planner's feed for a while and return what came of it; healthy again at the end."""
-    if onset == START:
-        return _from_the_start(stand, spoiled, expected)
-    begin = set_in(stand, onset, lambda: setattr(stand, 'spoiled', spoiled))
+def until_due(harness: Harness, when: str) -> None:
+    """Feed a healthy planner until a fault is to be injected."""
+    harness.until_planned()
+    if when == SOLVING:
+        heard = len(harness.monitor.ticks)
+        harness.until(lambda: len(harness.monitor.ticks) > heard, 'a tick')
+        solved = harness.monitor.ticks[-1].at
+        harness.spin(solved - 1e-3 * harness.monitor.solve_ms + STEP + INTO - time.monotonic())
+    else:
+        harness.spin(harness.draw.uniform(0.0, STEP))
+
+
+def spoiling(harness: Harness, spoiled: Spoiled, when: str, expected: Expected) -> Outcome:
+    """Spoil a planner's stimulus for a while and return the outcome; healthy again at the end."""
+    if when == START:
+        return _from_the_start(harness, spoiled, expected)
+    begin = inject(harness, when, partial(setattr, harness, 'spoiled', spoiled))
     due = begin + expected.wait
-    stand.spin(due + expected.allowed * STEP - time.monotonic())
+    harness.spin(due + expected.allowed * STEP - time.monotonic())
     if expected.strict:
-        stand.spin_until_safe(begin)
-    stand.spin(AFTER * STEP)
-    unsafe = unsafe_commands(stand.watch, begin, expected)
-    outcome = Outcome(
-        f'{spoiled.name}, {onset}', unsafe, reaction(stand.watch.first_safe(begin), due)
-    )
-    return recovered(stand, outcome)
+        harness.until_first(harness.monitor.first_safe, begin)
+    harness.spin(AFTER * STEP)
+    unsafe = unsafe_commands(harness.monitor, begin, expected)
+    late = reaction(harness.monitor.first_safe(begin), due)
+    return recovered(harness, Outcome(f'{spoiled.name}, {when}', unsafe, late))
 
 
-def unsafe_commands(watch: Watch, begin: float, expected: Expected) -> int:
+def unsafe_commands(monitor: Monitor, begin: float, expected: Expected) -> int:
     """Return how many commands should not have been sent since a fault began [s]."""
-    unsafe = watch.broken(begin)
+    unsafe = monitor.broken(begin)
     if expected.strict:
         due = begin + expected.wait
-        unsafe += watch.moving_again(due, due + expected.allowed * STEP)
+        unsafe += monitor.moving_again(due, due + expected.allowed * STEP)
     return unsafe
 
 
@@ -99,31 +127,23 @@ def reaction(safe: float, due: float) -> float:
     return max(0.0, (safe - due) / STEP)
 
 
-def recovered(stand: Stand, outcome: Outcome) -> Outcome:
+def recovered(harness: Harness, outcome: Outcome) -> Outcome:
     """Return the outcome once the planner, healthy again, commands to move."""
-    stand.spoiled = HEALTHY
-    stand.planner.require_health()
-    stand.until_planned()
+    harness.spoiled = HEALTHY
+    harness.planner.require_health()
+    harness.until_planned()
     return outcome
 
 
-def _from_the_start(stand: Stand, spoiled: Spoiled, expected: Expected) -> Outcome:
-    stand.planner.stop()
-    stand.spin(0.1)
-    stand.spoiled, begin = spoiled, time.monotonic()
-    stand.start()
-    stand.until(lambda: stand.watch.first_complaint(begin, 'wait') < math.inf, 'its diagnostics')
-    stand.spin(expected.wait + (expected.allowed + AFTER) * STEP)
-    unsafe = stand.watch.broken(begin)
+def _from_the_start(harness: Harness, spoiled: Spoiled, expected: Expected) -> Outcome:
+    harness.planner.stop()
+    harness.spin(0.1)
+    harness.spoiled, begin = spoiled, time.monotonic()
+    harness.start()
+    waits = partial(harness.monitor.first_complaint, begin, 'wait')
+    harness.until(lambda: waits() < math.inf, 'its diagnostics')
+    harness.spin(expected.wait + (expected.allowed + AFTER) * STEP)
+    unsafe = harness.monitor.broken(begin)
     if expected.strict:
-        unsafe += stand.watch.moving(begin)
-    return recovered(stand, Outcome(f'{spoiled.name}, {START}', unsafe))
-
-
-def cases(
-    long: bool, variants: Sequence[Spoiled], short: Sequence[str]
-) -> list[tuple[Spoiled, str, int]]:
-    """Return variants with onsets and seeds: all of them, or one for each onset in ``short``."""
-    if long:
-        return [(each, onset, seed) for each in variants for onset in ONSETS for seed in SEEDS]
-    return [(variants[i % len(variants)], onset, 1) for i, onset in enumerate(short)]
+        unsafe += harness.monitor.moving(begin)
+    return recovered(harness, Outcome(f'{spoiled.name}, {START}', unsafe))

@@ -1,4 +1,4 @@
-"""Rows on what comes in: nothing, too late, out of order, out of range."""
+"""Rows on inputs: none, too late, out of order, out of range."""
 
 from __future__ import annotations
 
@@ -6,17 +6,16 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 
-from orbimpc_ros.lab.faults import injection as onsets
-from orbimpc_ros.lab.faults import stimulus as feed
-from orbimpc_ros.lab.faults.fixtures import Lab
-from orbimpc_ros.lab.faults.harness import Stand
+from orbimpc_ros.lab.faults import injection, stimulus
+from orbimpc_ros.lab.faults.fixtures import Fixtures
+from orbimpc_ros.lab.faults.harness import Harness
 from orbimpc_ros.lab.faults.injection import MIDWAY, SOLVING, START, Expected
-from orbimpc_ros.lab.faults.outcome import Outcome, Trial
+from orbimpc_ros.lab.faults.outcome import FaultCase, Outcome
 from orbimpc_ros.lab.faults.stimulus import HUGE, Spoiled, shifted, with_field
 
 ODOMETRY = Expected(wait=0.3, allowed=1.0)  # odom_timeout: 1.5 steps
-GOAL = Expected(wait=0.4, allowed=1.0)  # goal_timeout of the stand
-HEALTH = 1.2  # [s] in which counts are told
+GOAL = Expected(wait=0.4, allowed=1.0)  # goal_timeout of the harness
+HEALTH = 1.2  # [s] in which counts are reported
 NAN, INF = math.nan, math.inf
 BEYOND = (NAN, INF, -INF, 1e300)
 
@@ -29,7 +28,7 @@ STAMPS = {
 NUMBERS = {
     'position': with_field('pose.pose.position.x', *BEYOND),
     'orientation': with_field('pose.pose.orientation.w', *BEYOND),
-    'quaternion not unit': feed.scaled_quaternion('odometry'),
+    'quaternion not unit': stimulus.scaled_quaternion('odometry'),
     'velocity': with_field('twist.twist.linear.x', *BEYOND),
     'rate': with_field('twist.twist.angular.z', *BEYOND),
     'frame': with_field('header.frame_id', 'map', '', 'x' * HUGE),
@@ -38,7 +37,7 @@ NUMBERS = {
 GOALS = {
     'goal position': with_field('pose.position.y', *BEYOND),
     'goal orientation': with_field('pose.orientation.x', *BEYOND),
-    'goal quaternion not unit': feed.scaled_quaternion('goal'),
+    'goal quaternion not unit': stimulus.scaled_quaternion('goal'),
     'goal frame': with_field('header.frame_id', 'map', 'x' * HUGE),
     'goal stamp in the future': shifted(5.0, 1e6),
     'goal stamp sec < 0': with_field('header.stamp.sec', -1),
@@ -46,7 +45,7 @@ GOALS = {
 
 
 def _stamps() -> list[Spoiled]:
-    found = {name: spoil or feed.repeated() for name, spoil in STAMPS.items()}
+    found = {name: spoil or stimulus.repeated() for name, spoil in STAMPS.items()}
     return [Spoiled(name, odometry=spoil) for name, spoil in found.items()]
 
 
@@ -55,60 +54,60 @@ def _contents() -> list[Spoiled]:
     return odometry + [Spoiled(name, goal=spoil) for name, spoil in GOALS.items()]
 
 
-def _trial(name: str, title: str, variants: Callable[[], Sequence[Spoiled]], *short: str) -> Trial:
-    def run(lab: Lab, long: bool) -> Iterator[Outcome]:
-        for spoiled, onset, seed in onsets.cases(long, variants(), short):
-            stand = onsets.stand_for(lab, onset)
-            stand.draw.seed(f'{spoiled.name} {onset} {seed}')
+def _fault_case(
+    name: str, title: str, variants: Callable[[], Sequence[Spoiled]], *short: str
+) -> FaultCase:
+    def run(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+        every = itertools.product(variants(), injection.TIMES)
+        for spoiled, time in every if long else zip(itertools.cycle(variants()), short):
             expected = GOAL if spoiled.goal is not None else ODOMETRY
-            yield onsets.spoiling(stand, spoiled, onset, expected)
+            for harness, when in injection.harnesses(fixtures, long, (time,), label=spoiled.name):
+                yield injection.spoiling(harness, spoiled, when, expected)
 
-    return Trial(name, title, 1.0, run)
+    return FaultCase(name, title, 1.0, run)
 
 
-def _mixed(lab: Lab, long: bool) -> Iterator[Outcome]:
+def _mixed(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
     """Old messages and doubles among good ones: refused and counted, planned on all the same."""
-    spoiled = Spoiled('old among new', feed.interleaved(), feed.interleaved())
-    for seed in onsets.SEEDS if long else onsets.SEEDS[:1]:
-        stand = onsets.stand_for(lab, MIDWAY)
-        stand.draw.seed(seed)
+    spoiled = Spoiled('old among new', stimulus.interleaved(), stimulus.interleaved())
+    for harness, when in injection.harnesses(fixtures, long):
         expected = Expected(0.0, 5.0, strict=False)
-        outcome = onsets.spoiling(stand, spoiled, MIDWAY, expected)
-        stand.spin(HEALTH)
-        yield Outcome(outcome.case, outcome.unsafe, math.nan, _uncounted(stand))
+        outcome = injection.spoiling(harness, spoiled, when, expected)
+        harness.spin(HEALTH)
+        yield Outcome(outcome.case, outcome.unsafe, math.nan, _uncounted(harness))
 
 
-def _uncounted(stand: Stand) -> str:
-    told: dict[str, str] = {}
-    for each in stand.watch.health:
-        told |= each.values
+def _uncounted(harness: Harness) -> str:
+    counted: dict[str, str] = {}
+    for each in harness.monitor.health:
+        counted |= each.values
     wanted = itertools.product(('odom', 'goal'), ('duplicate', 'reordered'))
     lacking = [
         f'{topic}: {what}'
         for topic, what in wanted
-        if not any(topic in name and what in name for name in told)
+        if not any(topic in name and what in name for name in counted)
     ]
     return f'not counted: {", ".join(lacking)}' if lacking else ''
 
 
 def _garbage() -> list[Spoiled]:
-    odometry = Spoiled('no odometry message', odometry=feed.garbled)
-    return [odometry, Spoiled('no goal message', goal=feed.garbled)]
+    odometry = Spoiled('no odometry message', odometry=stimulus.garbled)
+    return [odometry, Spoiled('no goal message', goal=stimulus.garbled)]
 
 
-TRIALS = (
-    _trial(
+FAULT_CASES = (
+    _fault_case(
         'odometry',
         'stale odometry',
-        lambda: [Spoiled('no odometry', odometry=feed.lost)],
+        lambda: [Spoiled('no odometry', odometry=stimulus.lost)],
         MIDWAY,
         SOLVING,
     ),
-    _trial('goal', 'stale goal', lambda: [Spoiled('no goal', goal=feed.lost)], MIDWAY),
-    _trial('stamps', 'future, repeated, malformed stamps', _stamps, MIDWAY, SOLVING),
-    Trial('mixed', 'duplicates and older stamps among good ones', 1.0, _mixed),
-    _trial('garbage', 'bytes that are no message', _garbage, MIDWAY),
-    _trial(
+    _fault_case('goal', 'stale goal', lambda: [Spoiled('no goal', goal=stimulus.lost)], MIDWAY),
+    _fault_case('stamps', 'future, repeated, malformed stamps', _stamps, MIDWAY, SOLVING),
+    FaultCase('mixed', 'duplicates and older stamps among good ones', 1.0, _mixed),
+    _fault_case('garbage', 'bytes that are no message', _garbage, MIDWAY),
+    _fault_case(
         'contents', 'NaN, Inf, quaternions, frames, huge strings', _contents, START, MIDWAY, SOLVING
     ),
 )

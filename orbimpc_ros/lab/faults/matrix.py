@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
-from orbimpc_ros.lab.faults import clocks, commands, files, inputs, network, parameters, plans
-from orbimpc_ros.lab.faults import shutdowns as endings
+from orbimpc_ros.lab.faults import (
+    clocks,
+    inputs,
+    network,
+    parameters,
+    plans,
+    shutdowns,
+)
 
-GROUPS = (inputs, clocks, plans, network, commands, endings, parameters, files)
-MATRIX = tuple(trial for group in GROUPS for trial in group.TRIALS)
+GROUPS = (inputs, clocks, plans, network, shutdowns, parameters)
+MATRIX = tuple(each for group in GROUPS for each in group.FAULT_CASES)

@@ -1,4 +1,4 @@
-"""The watch: every command that is heard, judged by what it says and by when it was sent."""
+"""The monitor: every command that is heard, judged by its content and by when it was sent."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SLACK = 1e-6  # relative, on limits
 STILL = 1e-9  # [m/s], [rad/s]: nothing moves
 
 
-class Heard(NamedTuple):
+class HeardCommand(NamedTuple):
     """A command: when it was sent [s], forward speed [m/s], turn rates [rad/s]."""
 
     at: float
@@ -32,11 +32,10 @@ class Heard(NamedTuple):
         return abs(self.speed) <= STILL and all(abs(rate) <= STILL for rate in self.rates)
 
 
-class Told(NamedTuple):
-    """A diagnostic status: when it was sent [s], of whom, how bad, in words, and its values."""
+class HeardStatus(NamedTuple):
+    """A diagnostic status: when it was sent [s], how bad, in words, and its values."""
 
     at: float
-    name: str
     level: bytes
     message: str
     values: dict[str, str]
@@ -54,7 +53,7 @@ class Limits:
     speed: float
     rate: float
 
-    def broken(self, command: Heard) -> bool:
+    def broken(self, command: HeardCommand) -> bool:
         """Return whether a command is not finite or beyond a limit."""
         numbers = (command.speed, *command.rates)
         if not all(map(math.isfinite, numbers)):
@@ -65,7 +64,7 @@ class Limits:
 
 
 @dataclass
-class Watch:
+class Monitor:
     """Hears everything that a planner says.
 
     Times are of the monotonic clock, of when a message was sent: how long it lay with a judge who
@@ -79,23 +78,23 @@ class Watch:
     """
 
     limits: Limits
-    commands: list[Heard] = field(default_factory=list)
-    ticks: list[Told] = field(default_factory=list)
-    health: list[Told] = field(default_factory=list)
+    commands: list[HeardCommand] = field(default_factory=list)
+    ticks: list[HeardStatus] = field(default_factory=list)
+    health: list[HeardStatus] = field(default_factory=list)
 
     def on_command(self, message: TwistStamped, about: About) -> None:
         """Take down a command."""
         turn = message.twist.angular
         rates = (turn.x, turn.y, turn.z)
-        self.commands.append(Heard(_sent(about), message.twist.linear.x, rates))
+        self.commands.append(HeardCommand(_sent(about), message.twist.linear.x, rates))
 
     def on_tick(self, message: DiagnosticArray, about: About) -> None:
         """Take down the report of a tick."""
-        self.ticks += _told(message, about)
+        self.ticks += _statuses(message, about)
 
     def on_health(self, message: DiagnosticArray, about: About) -> None:
         """Take down diagnostics."""
-        self.health += _told(message, about)
+        self.health += _statuses(message, about)
 
     def broken(self, since: float = -math.inf) -> int:
         """Return how many commands are not finite or beyond a limit."""
@@ -120,18 +119,14 @@ class Watch:
         """Return when the first safe command was sent [s]; infinite if none has."""
         return _first(self.commands, lambda each: each.at >= since and each.safe)
 
-    def planned_since(self, since: float) -> bool:
-        """Return whether a command to move has come."""
-        return any(each.at >= since and not each.safe for each in self.commands)
-
     def first_error(self, since: float) -> float:
-        """Return when the first error was told [s]; infinite if none was."""
+        """Return when the first error was reported [s]; infinite if none was."""
         return _first(self.health, lambda each: each.at >= since and each.level == ERROR)
 
     def first_complaint(self, since: float, word: str) -> float:
         """Return when a diagnostic that is not well spoke of a word [s]; infinite if none did."""
 
-        def complains(each: Told) -> bool:
+        def complains(each: HeardStatus) -> bool:
             text = ' '.join((each.message, *each.values))
             return each.at >= since and each.level != OK and word in text
 
@@ -140,8 +135,8 @@ class Watch:
     @property
     def solve_ms(self) -> float:
         """Return how long the last solve took [ms]."""
-        said = self.ticks[-1].values.get('solve_time_ms', '0') if self.ticks else '0'
-        return float(json.loads(said))
+        text = self.ticks[-1].values.get('solve_time_ms', '0') if self.ticks else '0'
+        return float(json.loads(text))
 
 
 def _sent(about: About) -> float:
@@ -149,10 +144,10 @@ def _sent(about: About) -> float:
     return time.monotonic() - 1e-9 * (time.time_ns() - about['source_timestamp'])
 
 
-def _told(message: DiagnosticArray, about: About) -> list[Told]:
+def _statuses(message: DiagnosticArray, about: About) -> list[HeardStatus]:
     sent = _sent(about)
     return [
-        Told(sent, each.name, each.level, each.message, {v.key: v.value for v in each.values})
+        HeardStatus(sent, each.level, each.message, {v.key: v.value for v in each.values})
         for each in message.status
     ]
 

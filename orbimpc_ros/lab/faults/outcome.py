@@ -1,26 +1,26 @@
-"""What trials came to: outcomes of single cases, rows of the matrix, and the table."""
+"""Outcomes of single cases, rows of the matrix, and the table."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from orbimpc_ros.lab.columns import aligned
 
 if TYPE_CHECKING:
-    from orbimpc_ros.lab.faults.fixtures import Lab
+    from orbimpc_ros.lab.faults.fixtures import Fixtures
 
 HEAD = ('row', 'cases', 'unsafe', 'worst', 'allowed', 'unit', 'ok', 'remarks')
 NUMBERS = range(1, 5)
 NEVER = 'never'
-TOLD = 3  # failures that a row names
+SHOWN = 3  # failures that a row names
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one case came to.
+    """The outcome of one case.
 
     Attributes:
         case: which it was, in a few words.
@@ -35,37 +35,30 @@ class Outcome:
     failure: str = ''
 
 
-class Cases(Protocol):
-    """Yields the outcomes of a row; ``long`` asks for every case there is."""
-
-    def __call__(self, lab: Lab, long: bool) -> Iterator[Outcome]:
-        """Try it."""
-
-
 @dataclass(frozen=True)
-class Trial:
-    """A row of the matrix before it is tried.
+class FaultCase:
+    """A fault: a row of the matrix before it is injected.
 
     Attributes:
         name: for ``--only``.
         title: what is done.
         allowed: latest reaction, in ``unit``.
-        cases: tries it.
+        cases: yields the outcomes, of every case there is if asked for the long form.
         unit: of reactions.
     """
 
     name: str
     title: str
     allowed: float
-    cases: Cases
+    cases: Callable[[Fixtures, bool], Iterator[Outcome]]
     unit: str = 'ticks'
 
 
 @dataclass
-class Row:
-    """A row of the matrix: the outcomes so far of a trial, and the time that it took [s]."""
+class MatrixRow:
+    """A row of the matrix: the outcomes so far of a fault case, and the time that it took [s]."""
 
-    trial: Trial
+    case: FaultCase
     outcomes: list[Outcome] = field(default_factory=list)
     seconds: float = 0.0
 
@@ -86,15 +79,15 @@ class Row:
         return [text for each in self.outcomes if (text := self._failure(each))]
 
     def _failure(self, outcome: Outcome) -> str:
-        late = outcome.reaction > self.trial.allowed
-        when = f'{outcome.reaction:.3g} {self.trial.unit}' if outcome.reaction < math.inf else NEVER
-        said = [
+        late = outcome.reaction > self.case.allowed
+        when = f'{outcome.reaction:.3g} {self.case.unit}' if outcome.reaction < math.inf else NEVER
+        wrong = [
             outcome.failure,
             f'{outcome.unsafe} unsafe commands' if outcome.unsafe else '',
             f'reaction: {when}' if late else '',
         ]
-        wrong = ', '.join(filter(None, said))
-        return f'{outcome.case}: {wrong}' if wrong else ''
+        text = ', '.join(filter(None, wrong))
+        return f'{outcome.case}: {text}' if text else ''
 
     @property
     def ok(self) -> bool:
@@ -103,7 +96,7 @@ class Row:
 
     def as_json(self) -> dict[str, Any]:
         """Return the row for a JSON file."""
-        told = {name: getattr(self.trial, name) for name in ('name', 'title', 'allowed', 'unit')}
+        about = {name: getattr(self.case, name) for name in ('name', 'title', 'allowed', 'unit')}
         cases = [_plain(asdict(each)) for each in self.outcomes]
         summed = {
             'unsafe': self.unsafe,
@@ -111,7 +104,7 @@ class Row:
             'ok': self.ok,
             'seconds': self.seconds,
         }
-        return _plain({**told, **summed, 'failures': self.failures, 'cases': cases})
+        return _plain({**about, **summed, 'failures': self.failures, 'cases': cases})
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:
@@ -121,22 +114,22 @@ def _plain(values: dict[str, Any]) -> dict[str, Any]:
             for k, v in values.items()}  # fmt: skip
 
 
-def table(rows: Sequence[Row]) -> str:
+def table(rows: Sequence[MatrixRow]) -> str:
     """Return the rows as a plain table."""
     return aligned([HEAD, *(_cells(row) for row in rows)], NUMBERS)
 
 
-def _cells(row: Row) -> tuple[str, ...]:
-    told = row.failures[:TOLD]
-    more = len(row.failures) - len(told)
-    remarks = '; '.join([*told, f'and {more} more'] if more else told)
+def _cells(row: MatrixRow) -> tuple[str, ...]:
+    shown = row.failures[:SHOWN]
+    more = len(row.failures) - len(shown)
+    remarks = '; '.join([*shown, f'and {more} more'] if more else shown)
     return (
-        row.trial.title,
+        row.case.title,
         str(len(row.outcomes)),
         str(row.unsafe),
         '-' if math.isnan(row.worst) else f'{row.worst:.3g}',
-        f'{row.trial.allowed:g}',
-        row.trial.unit,
+        f'{row.case.allowed:g}',
+        row.case.unit,
         'yes' if row.ok else 'NO',
         remarks,
     )

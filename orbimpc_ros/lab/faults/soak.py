@@ -1,4 +1,4 @@
-"""The soak: one planner for a long time at 20 Hz, on odometry at 1 kHz; does it grow or miss?"""
+"""The soak: memory and gaps of one planner for a long time at 20 Hz, on odometry at 1 kHz."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from orbimpc_ros.lab import collector
-from orbimpc_ros.lab.faults.fixtures import Lab
-from orbimpc_ros.lab.faults.flood import Pause, pauses
-from orbimpc_ros.lab.faults.harness import Stand
+from orbimpc_ros.lab.faults.fixtures import Fixtures
+from orbimpc_ros.lab.faults.flood import Pause, excused, pauses
+from orbimpc_ros.lab.faults.harness import Harness
 from orbimpc_ros.lab.faults.network import flooded
+from orbimpc_ros.lab.machine import resident
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Fallback
 from orbimpc_ros.tool.run.progress import Progress
@@ -27,11 +28,12 @@ MAX_GROWTH = 2.0  # [MiB]
 MAX_GAP = 2.0  # periods between ticks
 AFTER = 2.0 * STEP  # [s] a pause of odometry may be felt
 LONGEST = 24 * 60.0  # [min]
+MEBIBYTE = 2.0**20
 
 
 @dataclass(frozen=True)
 class Soak:
-    """What a soak came to.
+    """The result of a soak.
 
     Attributes:
         memory: resident, look by look after the warm-up [MiB].
@@ -49,7 +51,7 @@ class Soak:
 
     @property
     def growth(self) -> float:
-        """Return by how much the memory grew beyond its size after the warm-up [MiB]."""
+        """Return the growth of the memory beyond its size after the warm-up [MiB]."""
         return max(self.memory) - self.memory[0] if self.memory else 0.0
 
     @property
@@ -61,9 +63,7 @@ class Soak:
     @property
     def excused(self) -> int:
         """Return how many of the stops were right: there was no odometry at its very source."""
-        return sum(
-            any(begin <= at <= end + AFTER for begin, end in self.pauses) for at, _ in self.stopped
-        )
+        return sum(excused(at, self.pauses, AFTER) for at, _ in self.stopped)
 
     @property
     def ok(self) -> bool:
@@ -93,50 +93,45 @@ class Soak:
 
 
 def soaked(minutes: float) -> int:
-    """Soak a planner, print what came of it, and return the exit code."""
+    """Soak a planner, print the result, and return the exit code."""
     if not 0.0 < minutes <= LONGEST:
         raise BadInput('--soak', minutes, f'minutes, above 0 and at most {LONGEST:g}')
     with (
         tempfile.TemporaryDirectory() as folder,
-        Lab(Path(folder)) as lab,
-        lab.stand({'step': STEP}) as stand,
+        Fixtures(Path(folder)) as fixtures,
+        fixtures.harness({'step': STEP}) as harness,
         collector.paused(),
     ):
-        result = _soak(stand, 60.0 * minutes)
+        result = _soak(harness, 60.0 * minutes)
     print(result)
     return 0 if result.ok else 1
 
 
-def _soak(stand: Stand, seconds: float) -> Soak:
-    stand.until_planned()
-    with flooded(stand, ODOMETRY) as log:
-        stand.until_planned()
+def _soak(harness: Harness, seconds: float) -> Soak:
+    harness.until_planned()
+    with flooded(harness, ODOMETRY) as log:
+        harness.until_planned()
         begin, memory = time.monotonic(), []
         warm = begin + min(60.0 * WARM_UP, 0.5 * seconds)
         progress = Progress(round(seconds))
         while (elapsed := time.monotonic() - begin) < seconds:
-            stand.spin(LOOK)
+            harness.spin(LOOK)
             if time.monotonic() >= warm:
-                memory.append(resident(stand.planner.pid))
+                memory.append(resident(harness.planner.pid) / MEBIBYTE)
             shown = f', {memory[-1]:.1f} MiB' if memory else ''
             progress.show(round(elapsed), f'{elapsed / 60.0:.1f} min{shown}')
         progress.close()
-        return _result(stand, begin, memory, pauses(log))
+        return _result(harness, begin, memory, pauses(log))
 
 
-def _result(stand: Stand, begin: float, memory: Sequence[float], paused: Sequence[Pause]) -> Soak:
-    ticks = [each for each in stand.watch.ticks if each.at >= begin]
+def _result(
+    harness: Harness, begin: float, memory: Sequence[float], paused: Sequence[Pause]
+) -> Soak:
+    ticks = [each for each in harness.monitor.ticks if each.at >= begin]
     stopped = tuple(
         (each.at, each.message)
         for each in ticks
         if each.values['fallback'] == Fallback.SAFE_COMMAND
     )
     times = tuple(each.at for each in ticks)
-    return Soak(tuple(memory), times, stand.watch.broken(begin), stopped, tuple(paused))
-
-
-def resident(pid: int) -> float:
-    """Return the memory that a process holds [MiB]."""
-    status = Path(f'/proc/{pid}/status').read_text()
-    line = next(line for line in status.splitlines() if line.startswith('VmRSS'))
-    return int(line.split()[1]) / 1024.0
+    return Soak(tuple(memory), times, harness.monitor.broken(begin), stopped, tuple(paused))

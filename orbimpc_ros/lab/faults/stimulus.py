@@ -1,4 +1,4 @@
-"""What a planner is fed: a healthy vehicle and goal, and ways in which messages go wrong."""
+"""The stimulus of a planner: a healthy vehicle and goal, and ways in which messages go wrong."""
 
 from __future__ import annotations
 
@@ -57,13 +57,11 @@ class Spoiled:
         name: of the fault.
         odometry: what becomes of odometry; None leaves it as it is.
         goal: what becomes of goals.
-        strict: whether the planner has to stay safe as long as it lasts.
     """
 
     name: str
     odometry: Spoiler | None = None
     goal: Spoiler | None = None
-    strict: bool = True
 
 
 def lost(_message: Any, _draw: random.Random) -> list[Any]:

@@ -88,11 +88,11 @@ def _store(args: argparse.Namespace, given: dict[str, Any]) -> Store:
 
 
 def _study(given: dict[str, Any]) -> Study:
-    from orbimpc_ros.lab.study.controllers import PILOTS
+    from orbimpc_ros.lab.study.controllers import CONTROLLERS
     from orbimpc_ros.lab.study.design import Study
     from orbimpc_ros.lab.study.settings import resolved
 
-    defaults = {'runs': RUNS, 'seed': SEED, 'controllers': tuple(PILOTS), 'forecast': FORECAST}
+    defaults = {'runs': RUNS, 'seed': SEED, 'controllers': tuple(CONTROLLERS), 'forecast': FORECAST}
     return Study(**{**defaults, **given, 'settings': {**resolved(), **given.get('settings', {})}})
 
 
@@ -113,7 +113,8 @@ def _fly(store: Store, args: argparse.Namespace) -> None:
         store.begin()
         done = _kept(store, client, missing, lambda: not interruptions.requested)
     if done < store.study.runs:
-        print(f'kept {done} of {store.study.runs} runs; to go on: {_resumption(store.folder)}')
+        again = f'orbimpc study --resume -o {store.folder}'
+        print(f'kept {done} of {store.study.runs} runs; to go on: {again}')
         raise KeyboardInterrupt
 
 
@@ -133,7 +134,3 @@ def _kept(store: Store, client: Any, missing: Sequence[int], going: Callable[[],
         progress.show(done, f'{done} of {runs} runs')
     progress.close()
     return done
-
-
-def _resumption(folder: Path) -> str:
-    return f'orbimpc study --resume -o {folder}'

@@ -1,4 +1,4 @@
-"""Who does the runs: worker processes on this machine, or those of a Dask cluster."""
+"""The workers that fly: processes on this machine, or those of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -89,8 +89,8 @@ def _remote(address: str) -> Iterator[Client]:
     try:
         client = distributed.Client(address, timeout=PATIENCE)
     except (OSError, ValueError, TypeError, asyncio.TimeoutError) as error:
-        told = f'{address} ({type(error).__name__})'
-        raise BadInput('--scheduler', told, 'the address of a scheduler that answers') from None
+        tried = f'{address} ({type(error).__name__})'
+        raise BadInput('--scheduler', tried, 'the address of a scheduler that answers') from None
     with client:
         try:
             client.wait_for_workers(1, timeout=PATIENCE)

@@ -1,4 +1,4 @@
-"""Who flies: the planner of this package and the baselines, by name."""
+"""The controllers that fly: the planner of this package and the baselines, by name."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Problem
 
 ORBITOPE, NONLINEAR = 'orbitope', 'nonlinear'
-PILOTS = {
+CONTROLLERS = {
     ORBITOPE: ('orbimpc_ros.mpc.loop.controller', 'Controller'),
     'linearised': ('orbimpc_ros.lab.study.baselines.linearised', 'Linearised'),
     NONLINEAR: ('orbimpc_ros.lab.study.baselines.nonlinear', 'Nonlinear'),
@@ -22,15 +22,15 @@ KEPT = 8  # controllers ready for another run of the same problem
 
 
 @lru_cache(maxsize=KEPT)
-def pilot_named(name: str, problem: Problem, purpose: str = '') -> Any:
+def controller_named(name: str, problem: Problem, purpose: str = '') -> Any:
     """Return a controller for a problem, the same one each time; it remembers its last flight.
 
     Args:
-        name: in :data:`PILOTS`.
+        name: in :data:`CONTROLLERS`.
         problem: what it solves.
-        purpose: tells apart controllers that must not share a memory.
+        purpose: separates controllers that must not share a memory.
     """
-    module, kind = PILOTS[name]
+    module, kind = CONTROLLERS[name]
     return getattr(import_module(module), kind)(problem)
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.lab.study.controllers import PILOTS
+from orbimpc_ros.lab.study.controllers import CONTROLLERS
 from orbimpc_ros.lab.study.settings import SETTINGS, Drawn, Values, problem_of, setting_named
 from orbimpc_ros.mpc.arrays import whole
 from orbimpc_ros.mpc.errors import BadInput
@@ -32,7 +31,7 @@ class Study:
     Attributes:
         runs: how many; each flown by every controller.
         seed: of all draws.
-        controllers: names in :data:`PILOTS`.
+        controllers: names in :data:`CONTROLLERS`.
         forecast: how the goal is predicted, for everyone alike; ``truth`` knows the rope.
         settings: by name, a word or the range that runs draw from.
     """
@@ -49,19 +48,13 @@ class Study:
         if self.forecast not in FORECAST_KINDS:
             raise BadInput('--forecast', self.forecast, ' | '.join(FORECAST_KINDS))
         for name in self.controllers:
-            if name not in PILOTS or self.controllers.count(name) > 1:
-                allowed = f'each of {",".join(PILOTS)} at most once'
+            if name not in CONTROLLERS or self.controllers.count(name) > 1:
+                allowed = f'each of {",".join(CONTROLLERS)} at most once'
                 raise BadInput('--controllers', ','.join(self.controllers), allowed)
 
     def as_json(self) -> dict[str, Any]:
         """Return the study as plain values; :func:`study_of` reads them."""
-        return {each.name: _plain(getattr(self, each.name)) for each in fields(self)}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {name: _plain(each) for name, each in value.items()}
-    return list(value) if isinstance(value, tuple) else value
+        return {**vars(self), 'settings': dict(self.settings)}
 
 
 def study_of(content: Any, name: str) -> Study:
@@ -101,7 +94,7 @@ class Run(NamedTuple):
         problem: what the controllers solve.
         scenario: what is flown.
         faults: the noise.
-        luck: seed of the noise.
+        noise_seed: of the faults.
     """
 
     number: int
@@ -109,16 +102,16 @@ class Run(NamedTuple):
     problem: Problem
     scenario: Scenario
     faults: Faults
-    luck: int
+    noise_seed: int
 
 
 def run_of(study: Study, number: int) -> Run:
     """Return a run of a study; it depends on the seed and its number alone.
 
-    Every setting has its own luck, whether it is drawn or fixed: fixing one changes no other.
+    Every setting has a draw of its own, used or not: fixing one setting changes no other.
     """
-    luck = np.random.SeedSequence(study.seed, spawn_key=(number,))
-    shares = np.random.default_rng(luck).uniform(size=len(SETTINGS))
+    sequence = np.random.SeedSequence(study.seed, spawn_key=(number,))
+    shares = np.random.default_rng(sequence).uniform(size=len(SETTINGS))
     drawn: Drawn = {
         setting.name: setting.drawn(study.settings[setting.name], float(share))
         for setting, share in zip(SETTINGS, shares, strict=True)
@@ -127,7 +120,7 @@ def run_of(study: Study, number: int) -> Run:
     noise = Faults(
         position_noise=drawn['faults.position_noise'], attitude_noise=drawn['faults.attitude_noise']
     )
-    noise_seed = int(luck.spawn(1)[0].generate_state(1)[0])
+    noise_seed = int(sequence.spawn(1)[0].generate_state(1)[0])
     return Run(number, drawn, problem, _scenario(problem, drawn), noise, noise_seed)
 
 

@@ -9,10 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from orbimpc_ros.lab.study.controllers import ORBITOPE
+from orbimpc_ros.lab.study.controllers import CONTROLLERS, ORBITOPE
 from orbimpc_ros.lab.study.design import Study
 from orbimpc_ros.lab.study.score import Score, rate_over, versus
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.tool.figures import palette
 from orbimpc_ros.tool.figures.style import (
     BLUE,
     FAINT,
@@ -20,18 +21,21 @@ from orbimpc_ros.tool.figures.style import (
     INK,
     ORANGE,
     RED,
+    halo,
     headline,
     in_both_looks,
+    paper,
 )
 
 Scores = dict[str, Score]
-# Colour, line and marker, so that print in grey tells them apart as well.
-LOOKS = {
-    ORBITOPE: (BLUE, '-', 'o'),
-    'linearised': (ORANGE, '--', 's'),
-    'nonlinear': (RED, '-.', '^'),
-    'pursuit': (GREEN, ':', 'D'),
-}
+# Colour, line and marker, which differ in grey print as well.
+LOOKS = dict(
+    zip(
+        CONTROLLERS,
+        ((BLUE, '-', 'o'), (ORANGE, '--', 's'), (RED, '-.', '^'), (GREEN, ':', 'D')),
+        strict=True,
+    )
+)
 
 
 def draw(study: Study, found: Scores, frequency: Array, file: Path) -> None:
@@ -95,7 +99,8 @@ def _draw_costs(axes: Axes, found: Scores) -> None:
         # Above its line and inside the panel, wherever on the axis the line is.
         middle = axes.get_yaxis_transform()
         text = f'{name}: {half:.2g} ms, 99 % below {most:.2g} ms'
-        axes.text(0.02, place + 0.28, text, transform=middle, color=INK, fontsize=8.0)
+        axes.text(0.02, place + 0.28, text, transform=middle, color=INK, fontsize=8.0,
+                  path_effects=halo())  # fmt: skip
     title = 'Time per tick, excluding the forecast'
     axes.set(title=title, xlabel='processor time [ms]', xscale='log')
     axes.xaxis.set_major_formatter('{x:g}')
@@ -115,10 +120,11 @@ def _draw_duels(axes: Axes, found: Scores) -> None:
     shares = np.array([versus(found[ORBITOPE], score) for score in rivals[::-1]])
     begin = np.zeros(len(rivals))
     words = ('sooner', 'as soon', 'later')
-    for share, word, color in zip(shares.T, words, (BLUE, FAINT, ORANGE), strict=True):
+    # Legible in both looks: blue is dark in print alone, orange is light in both.
+    colours = ((BLUE, paper()), (FAINT, INK), (ORANGE, palette.INK))
+    for share, word, (color, inside) in zip(shares.T, words, colours, strict=True):
         bars = axes.barh(range(len(rivals)), share, left=begin, color=color, label=word)
         labels = [f'{each:.0%}' if each >= 0.06 else '' for each in share]
-        inside = 'white' if color == BLUE else INK
         axes.bar_label(bars, labels, label_type='center', color=inside, fontsize=8.5)
         begin = begin + share
     axes.set_yticks(range(len(rivals)), [f'than {score.name}' for score in rivals[::-1]])

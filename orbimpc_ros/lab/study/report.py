@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -99,7 +99,8 @@ def _verdicts(found: dict[str, Score]) -> Iterator[str]:
     rivals = [score for name, score in found.items() if name != ORBITOPE]
     if rivals:
         yield '## Run by run, on the same ropes with the same forecasts\n'
-        yield from _markdown([('', 'sooner', 'alike', 'later'), *map(_versus(ours), rivals)])
+        duels = (_versus(ours, rival) for rival in rivals)
+        yield from _markdown([('', 'sooner', 'alike', 'later'), *duels])
         yield ''
     if ours.compared:
         yield _against_ipopt(ours) + '\n'
@@ -114,12 +115,9 @@ def _against_ipopt(ours: Score) -> str:
     )
 
 
-def _versus(ours: Score) -> Callable[[Score], tuple[str, ...]]:
-    def row(theirs: Score) -> tuple[str, ...]:
-        shares = (f'{share:.1%}' for share in versus(ours, theirs))
-        return (f'`{ours.name}` than `{theirs.name}`', *shares)
-
-    return row
+def _versus(ours: Score, theirs: Score) -> tuple[str, ...]:
+    shares = (f'{share:.1%}' for share in versus(ours, theirs))
+    return (f'`{ours.name}` than `{theirs.name}`', *shares)
 
 
 def _settings(study: Study) -> Iterator[tuple[str, str]]:

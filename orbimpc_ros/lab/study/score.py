@@ -1,4 +1,4 @@
-"""What a study says of each controller: rates, times and costs over all its runs."""
+"""The score of each controller: rates, times and costs over all runs of a study."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a study is made under: every setting, its default and its range; numbers may be ranges."""
+"""The settings of a study: default and range of each; numbers may be ranges to draw from."""
 
 from __future__ import annotations
 
@@ -69,14 +69,14 @@ class Setting:
             return whole(value, self.name, int(self.low), int(self.high))
         return number(value, self.name, self.low, self.high)
 
-    def drawn(self, value: str | Span, luck: float) -> str | Number:
-        """Return what a run gets by its luck, uniform in [0, 1)."""
+    def drawn(self, value: str | Span, share: float) -> str | Number:
+        """Return the value of a run whose draw, uniform in [0, 1), is a share of the range."""
         if isinstance(value, str):
             return value
         low, high = value
         if self.is_whole:
-            return int(low + math.floor(luck * (high - low + 1)))
-        return low + luck * (high - low)
+            return int(low + math.floor(share * (high - low + 1)))
+        return low + share * (high - low)
 
 
 ALWAYS, TURN = (0.0, 0.0), (0.0, 2.0 * math.pi)

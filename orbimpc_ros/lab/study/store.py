@@ -10,7 +10,7 @@ import json
 import os
 import shutil
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -67,8 +67,8 @@ class Store:
         """
         if (folder / CONFIGURATION).is_file():
             found = differences(study_in(folder), study)
-            told = f'a study with other {", ".join(found)}' if found else 'this study already'
-            raise BadInput(str(folder), told, 'a new folder, or --resume to go on with it')
+            there = f'a study with other {", ".join(found)}' if found else 'this study already'
+            raise BadInput(str(folder), there, 'a new folder, or --resume to go on with it')
         with _writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
             if any(folder.iterdir()):
@@ -199,17 +199,11 @@ def require_agreement(study: Study, given: Mapping[str, Any], folder: Path) -> N
         given: fields of a study as given on the command line, and under ``settings`` those given.
         folder: where it is.
     """
-    for name, value in _flat(given):
-        kept = {**study.settings, **{n: getattr(study, n) for n in given if n != 'settings'}}[name]
-        if value != kept:
-            raise BadInput(
-                str(folder), f'a study with {name} {kept}, not {value}', 'what it was begun with'
-            )
-
-
-def _flat(given: Mapping[str, Any]) -> Iterable[tuple[str, Any]]:
-    yield from ((name, value) for name, value in given.items() if name != 'settings')
-    yield from given.get('settings', {}).items()
+    kept = {**vars(study), **study.settings}
+    for name, value in {**given, **given.get('settings', {})}.items():
+        if name != 'settings' and value != kept[name]:
+            there = f'a study with {name} {kept[name]}, not {value}'
+            raise BadInput(str(folder), there, 'what it was begun with')
 
 
 @contextmanager

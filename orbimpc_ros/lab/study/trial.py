@@ -1,4 +1,4 @@
-"""One run, flown by everyone from the same sightings: what came of it, a row for each."""
+"""One run, flown by every controller from the same sightings: a row of results for each."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from orbimpc_ros.lab.study.controllers import NONLINEAR, ORBITOPE, pilot_named
+from orbimpc_ros.lab.study.controllers import NONLINEAR, ORBITOPE, controller_named
 from orbimpc_ros.lab.study.design import TRUTH, Run, Study, run_of
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import violations
@@ -32,16 +32,16 @@ def flown(study: Study, numbers: Sequence[int]) -> list[Row]:
 
 
 def _flown(study: Study, run: Run) -> list[Row]:
-    told = Told(run.scenario.rope)
-    forecast = Shared(told if study.forecast == TRUTH else forecast_named(study.forecast))
+    known = study.forecast == TRUTH
+    forecast = Shared(Told(run.scenario.rope) if known else forecast_named(study.forecast))
     return [_row(study, run, name, forecast) for name in study.controllers]
 
 
 def _row(study: Study, run: Run, name: str, forecast: Shared) -> Row:
-    pilot = pilot_named(name, run.problem)
-    pilot.reset()
+    controller = controller_named(name, run.problem)
+    controller.reset()
     forecast.reset()
-    timed = Timed(pilot)
+    timed = Timed(controller)
     log = fly(timed, run.scenario, forecast, _sensor(run))
     row = {'run': run.number, 'controller': name, 'forecast': study.forecast, **run.drawn}
     row |= _outcome(log) | _quality(log) | _comparison(study, run.problem, name, log)
@@ -49,7 +49,7 @@ def _row(study: Study, run: Run, name: str, forecast: Shared) -> Row:
 
 
 def _sensor(run: Run) -> Sensor:
-    view = View(run.faults, run.luck, run.problem.step)
+    view = View(run.faults, run.noise_seed, run.problem.step)
 
     def sensor(flight):
         sighting, odometry = (sent.content for sent in view.of(flight))  # noise loses nothing
@@ -111,8 +111,8 @@ def _comparison(study: Study, problem: Problem, name: str, log: Log) -> Row:
 
 
 def excesses(problem: Problem, ticks: Sequence[Tick]) -> list[float]:
-    """Return by how much plans cost more than IPOPT's, relative, where both are legal plans."""
-    rival, found = pilot_named(NONLINEAR, problem, 'rival'), []
+    """Return the relative excess of plans' costs over IPOPT's, where both are legal plans."""
+    rival, found = controller_named(NONLINEAR, problem, 'rival'), []
     rival.reset()
     for tick in ticks:
         if tick.plan is None or tick.goals is None:
@@ -159,25 +159,25 @@ class Shared:
 
 
 class Timed:
-    """A pilot with a stopwatch.
+    """A controller with a stopwatch.
 
     Attributes:
         spent: processor time that each tick took [ms]; what else the machine does is not in it.
     """
 
-    def __init__(self, pilot: Pilot) -> None:
-        self._pilot = pilot
-        self.problem = pilot.problem
+    def __init__(self, controller: Pilot) -> None:
+        self._controller = controller
+        self.problem = controller.problem
         self.spent: list[float] = []
 
     @property
     def remaining(self) -> int:
-        """Return how many steps ahead the pilot looks."""
-        return self._pilot.remaining
+        """Return how many steps ahead the controller looks."""
+        return self._controller.remaining
 
     def tick(self, odometry: Odometry, goals: Array) -> Tick:
-        """Return the pilot's tick."""
+        """Return the controller's tick."""
         begin = time.thread_time()
-        tick = self._pilot.tick(odometry, goals)
+        tick = self._controller.tick(odometry, goals)
         self.spent.append(1e3 * (time.thread_time() - begin))
         return tick

@@ -1,4 +1,4 @@
-"""What a contender takes and gives, and why one may be missing."""
+"""The interface of a contender, and its refusal to take part."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.mpc.problem import State
 
 
-class Refused(OrbimpcError):
+class Declined(OrbimpcError):
     """A contender cannot take a problem, such as one beyond the size its licence allows."""
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What a solver says about one instance.
+class Solution:
+    """The result of one instance.
 
     Attributes:
         objective: of its trajectory; NaN if it found none.
@@ -41,10 +41,5 @@ class Contender(Protocol):
             goals: g_1..g_N, shape (N, n) [m].
         """
 
-    def answer(self) -> Answer:
-        """Return what came out of the last solve."""
-
-
-def relative_gap(objective: float, bound: float) -> float:
-    """Return (objective - bound) / max(1e-9, |objective|), as plans have it."""
-    return (objective - bound) / max(1e-9, abs(objective))
+    def solution(self) -> Solution:
+        """Return the result of the last solve."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from orbimpc_ros.lab.bench.contenders.contender import Answer
+from orbimpc_ros.lab.bench.contenders.contender import Solution
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import Plan, shifted
@@ -38,8 +38,8 @@ class Ours:
             guess = shifted(self._problem, state, goals, self._plan, projection=PROJECTION)
         self._plan = self._solver.propose(state, goals, guess, lambda: time.perf_counter() > end)
 
-    def answer(self) -> Answer:
+    def solution(self) -> Solution:
         """Return the plan's objective and proof."""
         plan = self._plan
         assert plan is not None
-        return Answer(plan.objective, plan.gap, plan.status != Status.OPTIMAL)
+        return Solution(plan.objective, plan.gap, plan.status != Status.OPTIMAL)

@@ -6,29 +6,24 @@ Its solver runs on one thread, with its own tolerances (Clarabel: 1e-8, QOCO: 1e
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
 
 import cvxpy as cp
 import numpy as np
 
-from orbimpc_ros.lab.bench.contenders.contender import Answer
+from orbimpc_ros.lab.bench.contenders.contender import Solution
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.solve.relaxation import Halfspace, Relaxation
 
 
 class Resolve:
     """The relaxed problem as the paper states it, in CVXPY's words.
 
     Args:
-        problem: what to solve; of a floor nothing is stated but the half-spaces asked for.
-        halfspaces: whether each R_k e1, k = 1..N, may be held in a half-space.
+        problem: what to solve; its floor is left out.
         solver: by the name that CVXPY knows it by.
     """
 
-    def __init__(
-        self, problem: Problem, *, halfspaces: bool = False, solver: str = cp.CLARABEL
-    ) -> None:
+    def __init__(self, problem: Problem, *, solver: str = cp.CLARABEL) -> None:
         if solver not in cp.installed_solvers():
             raise ImportError(solver)
         self._solver = solver
@@ -40,11 +35,7 @@ class Resolve:
         # R_k, column by column, in row k: the first n entries are R_k e1.
         self._x = cp.Variable((steps + 1, n * n))
         self._s = cp.Variable((steps + 1, n))
-        self._normals, self._offsets = cp.Parameter((steps, n)), cp.Parameter(steps)
         rows = [*self._rotations(), *self._translations()]
-        if halfspaces:
-            picked = cp.sum(cp.multiply(self._normals, self._x[1:, :n]), axis=1)
-            rows.append(picked >= self._offsets)
         self._program = cp.Problem(cp.Minimize(self._cost()), rows)
         self._value = np.nan
 
@@ -88,40 +79,19 @@ class Resolve:
             cost += w.length * problem.step * problem.forward * cp.sum(lengths)
         return cost
 
-    def bind(self, state: State, goals: Array) -> None:
-        """Set the parameters that an instance sets."""
+    def solve(self, state: State, goals: Array) -> None:
+        """Set the parameters and solve."""
         self._s_0.value, self._p_0.value, self._goals.value = state.position, state.velocity, goals
         self._x_0.value = state.rotation.ravel(order='F')
         self._w_0.value = state.rotation_rate.ravel(order='F')
-
-    def optimise(self) -> float:
-        """Solve and return the optimal value."""
         with warnings.catch_warnings():
             warnings.simplefilter('ignore')  # of inaccurate solutions: objectives are compared
             self._program.solve(solver=self._solver, enforce_dpp=True, **self._options)
         self._value = float(self._program.value)
-        return self._value
 
-    def solve(self, state: State, goals: Array) -> None:
-        """Set the parameters and solve."""
-        self.bind(state, goals)
-        self.optimise()
-
-    def hold(self, halfspaces: Iterable[Halfspace]) -> None:
-        """Hold R_k e1 in half-spaces; slot k - 1 is step k, and the others are free."""
-        normals, offsets = np.zeros(self._normals.shape), np.full(self._offsets.shape, -1.0)
-        for slot, normal, offset in halfspaces:
-            normals[slot], offsets[slot] = normal, offset
-        self._normals.value, self._offsets.value = normals, offsets
-
-    def relaxation(self) -> Relaxation:
-        """Return the last solution in the form that a search takes."""
-        n, x = self._problem.dimension, np.asarray(self._x.value)[1:]
-        return Relaxation(x[:, :n] if n == 2 else x, self._value)
-
-    def answer(self) -> Answer:
+    def solution(self) -> Solution:
         """Return the optimal value, which the solver's duality proves to its tolerance."""
-        return Answer(self._value, 1e-8 if self._solver == cp.CLARABEL else 1e-7)
+        return Solution(self._value, 1e-8 if self._solver == cp.CLARABEL else 1e-7)
 
 
 def _orbitope(x: cp.Expression, n: int) -> list[cp.Constraint]:

@@ -1,4 +1,4 @@
-"""What baselines share: the state in, thrust axes chosen somehow, a plan and a command out."""
+"""The base of the baselines: from a state and chosen thrust axes to a plan and a command."""
 
 from __future__ import annotations
 

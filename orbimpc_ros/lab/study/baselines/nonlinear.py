@@ -8,6 +8,7 @@ IPOPT is a local solver: it finds a stationary point, and does not say whether i
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 
 QUIET: dict[str, Any] = {'print_time': False, 'ipopt.print_level': 0, 'ipopt.sb': 'yes'}
 # Bounds are not relaxed, as is IPOPT's habit: a cost below that of every legal plan says nothing.
-OPTIONS = {**QUIET, 'ipopt.tol': 1e-9, 'ipopt.bound_relax_factor': 0.0, 'ipopt.max_iter': 500}
+OPTIONS = {'ipopt.tol': 1e-9, 'ipopt.bound_relax_factor': 0.0, 'ipopt.max_iter': 500}
 
 
 class Nonlinear(Baseline):
@@ -35,62 +36,65 @@ class Nonlinear(Baseline):
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem)
-        self._condensed = Condensed(problem)
-        self._faces = normals(2, problem.floor.faces)
-        self._program = _Program(problem, self._condensed.hessian, self._faces)
+        self._program = NonlinearProgram(problem, OPTIONS)
 
     def axes(self, state: State, goals: Array) -> Array:
         """Return the local optimum's axes, or the start's where IPOPT gives up."""
         start = self.shifted(state)
-        linear, _ = self._condensed.affine(state, goals)
-        found = self._program.solve(start, linear, state.rotation[:, 0])
+        found, _ = self._program.solve(state, goals, start)
         return start if found is None else found
 
 
-class _Program:
-    """The program as IPOPT takes it."""
+class NonlinearProgram:
+    """The nonlinear program of a planar problem of orders (1, 1), length and arrival left out.
 
-    def __init__(self, problem: Problem, hessian: Array, faces: Array) -> None:
+    Args:
+        problem: what to state.
+        options: of CasADi and IPOPT.
+
+    Raises:
+        ImportError: CasADi is not installed.
+    """
+
+    def __init__(self, problem: Problem, options: Mapping[str, Any]) -> None:
         import casadi as ca  # of the extra `study`: whoever uses another controller needs it not
 
-        steps, self._faces = problem.horizon, faces
-        self._polygon = problem.floor.shape == 'polygon'
+        self._condensed, self._faces = Condensed(problem), normals(2, problem.floor.faces)
+        steps, self._polygon = problem.horizon, problem.floor.shape == 'polygon'
         z, linear, first = ca.SX.sym('z', steps, 2), ca.SX.sym('q', steps, 2), ca.SX.sym('a', 1, 2)
-        cost = 0.5 * ca.trace(z.T @ ca.DM(hessian) @ z) + ca.sum1(ca.sum2(linear * z))
+        quadratic = ca.DM(self._condensed.hessian)
+        cost = 0.5 * ca.trace(z.T @ quadratic @ z) + ca.sum1(ca.sum2(linear * z))
         circle = problem.floor.shape == 'circle'
         squares = (ca.sum2(z * z), problem.floor.fraction**2 if circle else -np.inf, 1.0)
         limits, variables = [squares], [ca.vec(z)]
         if self._polygon:
-            shares = ca.SX.sym('shares', steps, len(faces))
+            shares = ca.SX.sym('shares', steps, len(self._faces))
             variables.append(ca.vec(shares))
-            beyond = ca.sum2((z @ ca.DM(faces).T) * shares)
+            beyond = ca.sum2((z @ ca.DM(self._faces).T) * shares)
             limits += [(beyond, problem.floor.fraction, np.inf), (ca.sum2(shares), 1.0, 1.0)]
         if problem.max_rate > 0.0:
             turns = z - ca.vertcat(first, z[:-1, :])
             limits.append((ca.sum2(turns * turns), -np.inf, problem.chord**2))
         self._low = np.repeat([low for _, low, _ in limits], steps)
         self._high = np.repeat([high for *_, high in limits], steps)
-        self._solver = ca.nlpsol(
-            'plan',
-            'ipopt',
-            {
-                'x': ca.vertcat(*variables),
-                'p': ca.vertcat(ca.vec(linear), first.T),
-                'f': cost,
-                'g': ca.vertcat(*(limit for limit, _, _ in limits)),
-            },
-            OPTIONS,
-        )
+        program = {
+            'x': ca.vertcat(*variables),
+            'p': ca.vertcat(ca.vec(linear), first.T),
+            'f': cost,
+            'g': ca.vertcat(*(limit for limit, _, _ in limits)),
+        }
+        self._solver = ca.nlpsol('plan', 'ipopt', program, {**QUIET, **options})
         self._free = 2 * steps  # variables without bounds of their own
 
-    def solve(self, start: Array, linear: Array, first: Array) -> Array | None:
-        """Return axes z_1..z_N, shape (N, 2); None if IPOPT does not converge.
+    def solve(self, state: State, goals: Array, start: Array) -> tuple[Array | None, float]:
+        """Return axes z_1..z_N, shape (N, 2), and their cost; None and NaN without convergence.
 
         Args:
+            state: where the plan starts.
+            goals: g_1..g_N, shape (N, 2) [m].
             start: axes to start from, shape (N, 2).
-            linear: q of the objective, shape (N, 2).
-            first: z_0, shape (2,).
         """
+        linear, constant = self._condensed.affine(state, goals)
         x = [start.ravel(order='F')]
         if self._polygon:
             nearest = np.argmax(start @ self._faces.T, axis=1)
@@ -102,10 +106,11 @@ class _Program:
             x0=x_0,
             lbx=low,
             ubx=high,
-            p=np.append(linear.ravel(order='F'), first),
+            p=np.append(linear.ravel(order='F'), state.rotation[:, 0]),
             lbg=self._low,
             ubg=self._high,
         )
         if not self._solver.stats()['success']:
-            return None
-        return np.asarray(found['x'])[: self._free].reshape(2, -1).T
+            return None, np.nan
+        axes = np.asarray(found['x'])[: self._free].reshape(2, -1).T
+        return axes, float(found['f']) + constant

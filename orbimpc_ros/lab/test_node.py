@@ -1,4 +1,4 @@
-"""A node of the tool's own, in a domain that it is told, spun for as long as something lasts."""
+"""A node of the laboratory's own, in any domain, spun for as long as something lasts."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from orbimpc_ros.ros.process import qos
 KEPT = 1000  # messages: none may be missed
 
 
-class Ears:
-    """Hears what is said in a domain, and can speak there.
+class TestNode:
+    """Subscribes in a domain, and publishes there.
 
     Args:
-        domain: of ROS.
+        domain: of ROS; the environment's by default.
 
     Attributes:
         node: for publishers and clients.
     """
 
-    def __init__(self, domain: int) -> None:
+    def __init__(self, domain: int | None = None) -> None:
         self._context = rclpy.Context()
         rclpy.init(
             args=[],
@@ -34,24 +34,24 @@ class Ears:
             domain_id=domain,
             signal_handler_options=SignalHandlerOptions.NO,
         )
-        self.node = rclpy.create_node('watch', context=self._context, enable_rosout=False)
+        self.node = rclpy.create_node('laboratory', context=self._context, enable_rosout=False)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
 
-    def listen(
+    def subscribe(
         self, kind: Any, topic: str, heard: Callable[..., None], profile: QoSProfile | None = None
     ) -> Any:
         """Call back with every message of a topic and, if there is room, what DDS knows of it."""
         return self.node.create_subscription(kind, topic, heard, profile or qos(KEPT))
 
-    def hear(self, seconds: float) -> None:
+    def spin_once(self, seconds: float) -> None:
         """Listen until something has come, ``seconds`` at most."""
         self._executor.spin_once(timeout_sec=max(0.0, seconds))
 
-    def hear_until(self, end: float, done: Callable[[], bool] = lambda: False) -> None:
+    def spin_until(self, end: float, done: Callable[[], bool] = lambda: False) -> None:
         """Listen until a time of the monotonic clock [s], or until ``done``."""
         while (left := end - time.monotonic()) > 0.0 and not done():
-            self.hear(left)
+            self.spin_once(left)
 
     def close(self) -> None:
         """Take the node down."""

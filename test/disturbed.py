@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 HELD = 1.5  # steps that a command is in force, as in the simulator by default
 
 
-class Ears:
+class Intake:
     """What a planner takes in, as the node does: finite messages, their stamps increasing.
 
     Args:
@@ -70,11 +70,11 @@ def fly_disturbed(
         view: with the faults.
         compensated: whether to plan from late odometry as it would be by now, as the planner does.
     """
-    flight, ears, sent = departure(scenario), Ears(forecast), Commands()
+    flight, intake, sent = departure(scenario), Intake(forecast), Commands()
     command, heard = None, -np.inf
     while not flight.over:
         now = flight.vehicle.time
-        odometry = ears.hear(view.of(flight))
+        odometry = intake.hear(view.of(flight))
         if odometry is not None:
             if compensated:
                 legs = sent.legs(odometry.time, now)
