@@ -124,3 +124,16 @@ def here():
     """Return an environment in which this very package is imported from anywhere."""
     path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get('PYTHONPATH'))))
     return os.environ | {'PYTHONPATH': path}
+
+
+def test_the_code_names_sections_of_the_mathematics_that_exist():
+    page = (DOCS / 'mathematics.md').read_text()
+    known = set(re.findall(r'^##+ ([0-9.]+?)\.? ', page, re.MULTILINE))
+    named = {
+        (file.name, number)
+        for file in (ROOT / 'orbimpc_ros').rglob('*.py')
+        for line in re.findall(r'mathematics\.md, ([^\n]*)', file.read_text())
+        for number in re.findall(r'[0-9]+(?:\.[0-9]+)?', line)
+    }
+    assert len(named) > 40
+    assert {each for each in named if each[1] not in known} == set()

@@ -4,6 +4,8 @@ It takes nothing over from how a plan was found: the inputs are rolled out from 
 objective and constraints are evaluated anew at every step, the proof is held against the cost, and
 rotations and command are held against the plan. Lengths are checked in proportion to what a step
 moves the vehicle at most, everything else as it is.
+
+Mathematics: docs/mathematics.md, 6.2.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""From a plan to the command for its first step."""
+"""From a plan to the command for its first step.
+
+Mathematics: docs/mathematics.md, 7.2.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""A plan: the trajectory found, and how good it is proved to be."""
+"""A plan: the trajectory found, and how good it is proved to be.
+
+Mathematics: docs/mathematics.md, 6.1 and 7.6.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Cells: the half-spaces that a search chooses from, and how a round floor is cut ever finer."""
+"""Cells: the half-spaces that a search chooses from, and how a round floor is cut ever finer.
+
+Mathematics: docs/mathematics.md, 3.5.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The faces of the paper's floor: a polygon in the disk, a Platonic solid in the ball."""
+"""The faces of the paper's floor: a polygon in the disk, a Platonic solid in the ball.
+
+Mathematics: docs/mathematics.md, 3.3.
+"""
 
 from __future__ import annotations
 

@@ -6,6 +6,8 @@ A matrix R of conv SO(n) is held in the coordinates the programs optimise over:
 - n = 3: the nine entries column by column.
 
 Either way the first n coordinates are the thrust axis :math:`R e_1`.
+
+Mathematics: docs/mathematics.md, 2.1 to 2.3.
 """
 
 from __future__ import annotations

@@ -3,6 +3,8 @@ r"""The rotation groups SO(2) and SO(3): exponential, logarithm, projections, qu
 A tangent vector is an angular velocity times time: shape (1,) [rad] for n = 2, (3,) [rad] for
 n = 3, expressed in the body frame, so that :math:`Q \exp(h \hat\omega)` turns a body at rate
 :math:`\omega` for :math:`h` seconds.
+
+Mathematics: docs/mathematics.md, 2.4.
 """
 
 from __future__ import annotations

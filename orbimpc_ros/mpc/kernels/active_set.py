@@ -16,6 +16,8 @@ that is added, and continued. Bounds hold up to rounding: multipliers are kept >
 left of the Lagrangian's gradient, times the way to any point of the disks, counts against them.
 Every node has a solution (a cell reaches into the disk, and there is one a step): where arithmetic
 finds none, the node stays open at the bound that it has.
+
+Mathematics: docs/mathematics.md, 4.3.
 """
 
 from __future__ import annotations

@@ -14,6 +14,8 @@ sit on, its steps damped until the matrix is positive definite and the step shor
 Marquardt), and shortened until an exact penalty function descends.
 
 Where floor and l vanish, the problem is the hull's, and convex: its optimum is a start and a bound.
+
+Mathematics: docs/mathematics.md, 4.4.
 """
 
 from __future__ import annotations
@@ -37,8 +39,8 @@ SOFTEST, DAMPED, EASED = 1e-7, 8.0, 0.125  # damping: the first, its growth, its
 ROUNDING = 1e-13  # of numbers that cancel
 GOLDEN_ANGLE, OTHER_ANGLE = 2.399963229728653, 4.159129
 SLICE = 1_000_000  # multiplications in about a millisecond
-START, STEPS, TRIED, PLACED = range(4)  # in Descent.counts
-COST, BOUND, DAMPING = range(3)  # in Descent.numbers
+START, STEPS, TRIED, PLACED = range(4)  # in Progress.counts
+COST, BOUND, DAMPING = range(3)  # in Progress.numbers
 
 
 class Annulus(NamedTuple):
@@ -57,7 +59,7 @@ class Annulus(NamedTuple):
     floor: float
 
 
-class Descent(NamedTuple):
+class Progress(NamedTuple):
     """A search that can be interrupted: where it is, and the best so far.
 
     Attributes:
@@ -76,7 +78,7 @@ class Descent(NamedTuple):
     numbers: Array
 
 
-def begun(steps: int, dimension: int) -> Descent:
+def begun(steps: int, dimension: int) -> Progress:
     """Return the progress of a search that has not begun.
 
     Args:
@@ -86,7 +88,7 @@ def begun(steps: int, dimension: int) -> Descent:
     shape = (steps, dimension)
     numbers = np.array([np.inf, -np.inf, 0.0])
     side, counts = np.zeros(steps, np.int64), np.zeros(4, np.int64)
-    return Descent(np.zeros(shape), side, np.zeros(shape), counts, numbers)
+    return Progress(np.zeros(shape), side, np.zeros(shape), counts, numbers)
 
 
 @compiled
@@ -587,8 +589,8 @@ def _descend(annulus, q, left, z, side, counts, numbers, longest, work):
         left: b, shape (n,), or (0,) without an arrival.
         z: headings, shape (N, n), updated in place.
         side: the bounds they sit on, shape (N,), updated in place.
-        counts: of Descent; its steps become ``ITERATIONS`` when there is nothing more to do.
-        numbers: of Descent; its damping and its bound are updated in place.
+        counts: of Progress; its steps become ``ITERATIONS`` when there is nothing more to do.
+        numbers: of Progress; its damping and its bound are updated in place.
         longest: Euclidean norm of a step.
         work: multiplications to do at most.
 

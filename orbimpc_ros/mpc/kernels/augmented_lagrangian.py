@@ -20,6 +20,8 @@ Newton-CG augmented Lagrangian method for semidefinite programming*).
 The multipliers satisfy their constraints at any time, so the dual function at them is a lower bound
 at any time:  L(x, multipliers) - 1/2 r . P r,  where r is the gradient left over and P the inverse
 Hessian on the directions that a terminal constraint leaves free.
+
+Mathematics: docs/mathematics.md, 4.7.
 """
 
 from __future__ import annotations

@@ -13,6 +13,8 @@ matrix, and h smoothed by the same mu: h is -1/2 lambda + 1/2 floor^2 (lambda - 
 shift, for the best lambda >= max(0, theta). With z the minimiser and P the inverse on the null
 space, the gradient is |z_k|^2/2 + mu P_kk + h', and the negative Hessian
 (z_j . z_k) P_jk + mu P_jk^2 - h''.
+
+Mathematics: docs/mathematics.md, 4.5.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 S(R) = I + K(R) with K linear onto the traceless symmetric matrices; K* is its adjoint for the
 entrywise inner products. R is given by its nine entries, column by column.
+
+Mathematics: docs/mathematics.md, 2.2.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 What both engines of augmented Lagrangians share: :mod:`orbimpc_ros.mpc.kernels.riccati` and
 :mod:`orbimpc_ros.mpc.kernels.augmented_lagrangian`.
+
+Mathematics: docs/mathematics.md, 4.2 and 4.7.
 """
 
 from __future__ import annotations
@@ -14,8 +16,8 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
 
 SETTLED, STALLED, PAUSED = range(3)  # what a minimisation ends with
-SIGMA, BEST, PROMISED = range(3)  # in Progress.numbers
-STEPS, TAKEN = range(2)  # in Progress.counts
+SIGMA, BEST, PROMISED = range(3)  # in Iterate.numbers
+STEPS, TAKEN = range(2)  # in Iterate.counts
 
 ENOUGH = 1e-2  # a minimum is near enough at this share of what the multipliers gain by it
 HALVINGS = 30
@@ -25,7 +27,7 @@ GROWTH = 3.0
 QUICK, SLOW, STUCK = 2, 6, 15  # Newton steps after which sigma grows fast, grows, stays, shrinks
 
 
-class Progress(NamedTuple):
+class Iterate(NamedTuple):
     """A minimisation that can be interrupted.
 
     Attributes:
@@ -42,7 +44,7 @@ class Progress(NamedTuple):
     counts: np.ndarray
 
 
-def begun(steps: int, width: int, sigma: float) -> Progress:
+def begun(steps: int, width: int, sigma: float) -> Iterate:
     """Return the progress of a minimisation that has not begun.
 
     Args:
@@ -52,7 +54,7 @@ def begun(steps: int, width: int, sigma: float) -> Progress:
     """
     numbers = np.array([sigma, -np.inf, np.inf])
     x, held = np.zeros((2, steps, width))
-    return Progress(x, held, numbers, np.zeros(2, np.int64))
+    return Iterate(x, held, numbers, np.zeros(2, np.int64))
 
 
 @compiled

@@ -5,6 +5,8 @@ as its gradient the projection of (multipliers + sigma * what they multiply) on 
 set: of L_k - sigma S(R_k) on the positive semidefinite matrices, of w + sigma R_k e1 on the ball,
 and so on. The generalised Hessian of the envelopes is a sum of a few rank-one parts for each
 constraint that acts.
+
+Mathematics: docs/mathematics.md, 4.7.
 """
 
 from __future__ import annotations

@@ -8,6 +8,8 @@ linear-quadratic problem itself: one sweep back and one forth (Riccati), linear 
 
 For any y, the least of the cost plus y . R e1, by one more sweep, less the sum of |y_k| is a lower
 bound.
+
+Mathematics: docs/mathematics.md, 4.2.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Delay compensation: the motion of a vehicle from its measurement to its next command."""
+"""Delay compensation: the motion of a vehicle from its measurement to its next command.
+
+Mathematics: docs/mathematics.md, 7.3.
+"""
 
 from __future__ import annotations
 

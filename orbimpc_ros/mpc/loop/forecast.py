@@ -1,4 +1,7 @@
-"""Forecasts of a moving goal from its observations: the targets g_1..g_N of a plan."""
+"""Forecasts of a moving goal from its observations: the targets g_1..g_N of a plan.
+
+Mathematics: docs/mathematics.md, 7.4.
+"""
 
 from __future__ import annotations
 

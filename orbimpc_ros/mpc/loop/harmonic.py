@@ -8,6 +8,8 @@ point, because the longer a swing was watched, the sharper its frequency is know
 
 Before the swing is known, the average does what is sensible: it holds the goal after one sighting,
 and after a few carries its motion on, the less boldly the more noise there is.
+
+Mathematics: docs/mathematics.md, 7.4.
 """
 
 from __future__ import annotations

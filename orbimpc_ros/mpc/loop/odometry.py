@@ -1,4 +1,7 @@
-"""Measurements of the vehicle, and the states of the planning problem that they mean."""
+"""Measurements of the vehicle, and the states of the planning problem that they mean.
+
+Mathematics: docs/mathematics.md, 7.1.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The safe command, in force while there is no plan to follow."""
+"""The safe command, in force while there is no plan to follow.
+
+Mathematics: docs/mathematics.md, 7.7.
+"""
 
 from __future__ import annotations
 

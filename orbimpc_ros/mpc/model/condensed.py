@@ -5,6 +5,8 @@ With positions eliminated by the dynamics, and for n = 2 (where R e1 is all of R
     cost = 1/2 sum_jk H_jk z_j . z_k + sum_k q_k . z_k + c + (length term),   z_k = R_k e1.
 
 H is the same for every coordinate, so one N x N matrix says it all.
+
+Mathematics: docs/mathematics.md, 1.3.
 """
 
 from __future__ import annotations

@@ -7,6 +7,8 @@ r"""The objective, term by term: weights per step, value and gradient.
 with the arrival weight w. All but the length is quadratic; ``condensed`` has that part as a
 function of the thrust axes alone, ``solve.statement`` the whole in CVXPY. The check evaluates the
 objective by itself.
+
+Mathematics: docs/mathematics.md, 1.2.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 Rotations: R_{k+1} = R_k + h u_k, or W_{k+1} = W_k + h u_k and R_{k+1} = R_k + h W_k (explicit
 Euler, old values on the right). Translations: see :mod:`orbimpc_ros.mpc.model.translation`.
+
+Mathematics: docs/mathematics.md, 1.1.
 """
 
 from __future__ import annotations

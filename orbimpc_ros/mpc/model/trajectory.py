@@ -1,4 +1,7 @@
-"""A trajectory of the discrete dynamics and what it costs."""
+"""A trajectory of the discrete dynamics and what it costs.
+
+Mathematics: docs/mathematics.md, 1.1.
+"""
 
 from __future__ import annotations
 

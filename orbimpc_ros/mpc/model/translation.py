@@ -7,6 +7,8 @@ every axis of the world it says
 
 with A upper triangular and A_11 = 1: where a vehicle is has no influence on how it moves. Rollouts,
 maps, the convex programs, the check and natural units follow from A and b.
+
+Mathematics: docs/mathematics.md, 1.1.
 """
 
 from __future__ import annotations

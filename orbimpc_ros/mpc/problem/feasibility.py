@@ -1,4 +1,7 @@
-"""The constraint to blame where no trajectory exists, as far as that shows at once."""
+"""The constraint to blame where no trajectory exists, as far as that shows at once.
+
+Mathematics: docs/mathematics.md, 5.3.
+"""
 
 from __future__ import annotations
 

@@ -3,6 +3,8 @@
 A shape of floor is one class, in one file, registered under the word that selects it. It covers
 the axes that it allows by half-spaces; methods, the check, safe commands, parameters and pictures
 know a floor by nothing else. Methods that are faster for some shapes say so themselves.
+
+Mathematics: docs/mathematics.md, 3.3 and 3.4.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Obstacles: sets of positions to stay outside of."""
+"""Obstacles: sets of positions to stay outside of.
+
+Mathematics: docs/mathematics.md, 3.7.
+"""
 
 from __future__ import annotations
 

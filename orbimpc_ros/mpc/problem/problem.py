@@ -7,6 +7,8 @@ The problem (Huang, Horowitz, Burdick, *Convex Model Predictive Control for Vehi
          + \ell \sum_{k=0}^{N-1} h z \|R_k e_1\| + m \|s_N - g_N\|^2
 
 over trajectories of the discrete dynamics with :math:`R_k \in \operatorname{conv} SO(n)`.
+
+Mathematics: docs/mathematics.md, 1.
 """
 
 from __future__ import annotations

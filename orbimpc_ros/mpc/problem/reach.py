@@ -1,4 +1,7 @@
-"""The reach of a horizon, and goals so far beyond it that only their direction counts."""
+"""The reach of a horizon, and goals so far beyond it that only their direction counts.
+
+Mathematics: docs/mathematics.md, 7.5.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The state that a plan starts from."""
+"""The state that a plan starts from.
+
+Mathematics: docs/mathematics.md, 1.5.
+"""
 
 from __future__ import annotations
 

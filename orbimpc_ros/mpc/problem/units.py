@@ -4,6 +4,8 @@ Lengths are measured by what a step moves the vehicle at most, times by the step
 largest curvature of the objective. Rotations have no unit, so a solution of the scaled problem is
 one of the problem itself; only its cost and bounds are of another size. Solvers with absolute
 tolerances then do as well at 1000 m/s as at 1 m/s.
+
+Mathematics: docs/mathematics.md, 1.4.
 """
 
 from __future__ import annotations

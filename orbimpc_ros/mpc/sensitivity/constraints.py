@@ -7,6 +7,8 @@ run out (Karush, Kuhn, Tucker),
 
 as functions of the rotations R_1..R_N, all else eliminated by the dynamics. The multiplier is a
 price: relaxing the constraint by a small eps makes the optimum cheaper by price * eps.
+
+Mathematics: docs/mathematics.md, 6.3.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 A slack is a function c >= 0 that vanishes where its constraint is met with nothing to spare.
 Gradients are over the coordinates of R_1..R_N, all else eliminated by the dynamics.
+
+Mathematics: docs/mathematics.md, 6.3.
 """
 
 from __future__ import annotations

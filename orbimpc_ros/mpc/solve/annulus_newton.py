@@ -9,6 +9,8 @@ or the best multipliers do (:mod:`orbimpc_ros.mpc.kernels.dual`). What those lea
 goal about to pass the vehicle, so that two ways round cost nearly the same, is settled in the plane
 by branch and bound: the floor is cut into arcs, and beyond the chord of an arc the problem is
 convex. With an arrival, and in space, the general search does.
+
+Mathematics: docs/mathematics.md, 4.4 to 4.6.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ from orbimpc_ros.mpc.kernels.annulus import (
     SLICE,
     TRIED,
     Annulus,
-    Descent,
+    Progress,
     begun,
     improve,
     improve_from_hull,
@@ -279,7 +281,7 @@ def _raised(found: Found, bound: float, nodes: int = 0) -> Found:
     return Found(found.x, found.cost, max(found.lower_bound, bound), found.nodes + nodes)
 
 
-def _better(found: Found, progress: Descent, constant: float) -> Found:
+def _better(found: Found, progress: Progress, constant: float) -> Found:
     """Return the cheaper of what was found and what a local search came to, with its bound."""
     cost, bound = progress.numbers[COST] + constant, progress.numbers[BOUND] + constant
     x = found.x

@@ -1,4 +1,7 @@
-"""A search over the cells of a planar floor, in slices between which the time is looked at."""
+"""A search over the cells of a planar floor, in slices between which the time is looked at.
+
+Mathematics: docs/mathematics.md, 4.3 and 4.6.
+"""
 
 from __future__ import annotations
 

@@ -12,6 +12,8 @@ x', convexity gives for every feasible x
 D_i the most that |x_i| can be, which the orbitopes limit for every variable of a plan. And if
 b.y + sum_i |A'y|_i D_i < 0, nothing is feasible (Farkas). What the solver says of itself, its dual
 objective included, is not needed.
+
+Mathematics: docs/mathematics.md, 5.2 and 5.3.
 """
 
 from __future__ import annotations

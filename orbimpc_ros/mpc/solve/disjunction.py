@@ -2,6 +2,8 @@
 
 The paper writes them with binaries and a big M; here they are kept as what they are, so there is
 no M to leak. A floor is one choice of face per step, an obstacle one choice of side per step.
+
+Mathematics: docs/mathematics.md, 3.8.
 """
 
 from __future__ import annotations

@@ -13,6 +13,8 @@ costs at least D(0) + max(0, beta - a.x)^2 / (2 a.H^-1 a). That prunes most chil
 A round floor is branched on its cells, and the cells are cut finer where a solution slips below the
 floor. Trajectories come from dives, which hold all that a solution misses at its nearest cell; of a
 round floor, beyond its tangent in the direction of v, where |v| is surely above the floor.
+
+Mathematics: docs/mathematics.md, 4.9 and 5.4.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""The planar hull, however long the horizon: linear in it, in machine code."""
+"""The planar hull, however long the horizon: linear in it, in machine code.
+
+Mathematics: docs/mathematics.md, 4.2.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The search for the commonest problems of SE(2), in machine code where numba is installed."""
+"""The search for the commonest problems of SE(2), in machine code where numba is installed.
+
+Mathematics: docs/mathematics.md, 4.3.
+"""
 
 from __future__ import annotations
 

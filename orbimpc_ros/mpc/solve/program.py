@@ -3,6 +3,8 @@
 Compiling the statement gives Clarabel's data (P, q, A, b). The state enters b, linearly, and the
 goals q; half-spaces that a search imposes enter a few entries of A and b. A tick is therefore one
 matrix-vector product, an update and a solve; CVXPY is not touched again.
+
+Mathematics: docs/mathematics.md, 4.8.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""The methods, fastest first, and which of them solves a problem."""
+"""The methods, fastest first, and which of them solves a problem.
+
+Mathematics: docs/mathematics.md, 4.1.
+"""
 
 from __future__ import annotations
 

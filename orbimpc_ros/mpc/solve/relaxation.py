@@ -1,4 +1,7 @@
-"""The interface of a convex program of the problem: half-spaces in, a relaxation out."""
+"""The interface of a convex program of the problem: half-spaces in, a relaxation out.
+
+Mathematics: docs/mathematics.md, 4.8.
+"""
 
 from __future__ import annotations
 

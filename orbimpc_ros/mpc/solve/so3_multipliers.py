@@ -3,6 +3,8 @@
 Condensed: positions are eliminated, and a terminal constraint is met by every point of the search,
 so that what is left are orbitopes, lengths and half-spaces on thrust axes. What this cannot settle
 it leaves to the general program, such as the proof that there is no solution.
+
+Mathematics: docs/mathematics.md, 4.7.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from orbimpc_ros.mpc.geometry.orbitopes import coordinates, margin, matrix
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.annulus import SLICE
 from orbimpc_ros.mpc.kernels.augmented_lagrangian import minimise
-from orbimpc_ros.mpc.kernels.penalty import BEST, PAUSED, SETTLED, Progress, begun
+from orbimpc_ros.mpc.kernels.penalty import BEST, PAUSED, SETTLED, Iterate, begun
 from orbimpc_ros.mpc.kernels.penalty_terms import Terms, multipliers, scratch
 from orbimpc_ros.mpc.model.condensed import Condensed, knowns, suits_dense_code
 from orbimpc_ros.mpc.model.cost import first_length, length_weight
@@ -184,7 +186,7 @@ class SO3Multipliers:
         general = self._general or self._build_general()
         return general.relax(request, imposed)
 
-    def _minimise(self, terms: Terms, request: Request) -> tuple[Progress, int]:
+    def _minimise(self, terms: Terms, request: Request) -> tuple[Iterate, int]:
         first, largest = (self._scale * sigma for sigma in SIGMA)
         limits = (PRECISION, GAP, self._least, self._rounding, largest)
         progress = begun(self._places, 9, first)

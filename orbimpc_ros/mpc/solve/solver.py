@@ -1,4 +1,7 @@
-"""One problem in, one plan out: which method solves it, and how well it is proved."""
+"""One problem in, one plan out: which method solves it, and how well it is proved.
+
+Mathematics: docs/mathematics.md, 5.5 and 6.1.
+"""
 
 from __future__ import annotations
 

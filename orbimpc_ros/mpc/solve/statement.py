@@ -1,4 +1,7 @@
-"""The relaxed problem in CVXPY, term by term as the paper has it, R_k in conv SO(n)."""
+"""The relaxed problem in CVXPY, term by term as the paper has it, R_k in conv SO(n).
+
+Mathematics: docs/mathematics.md, 4.8.
+"""
 
 from __future__ import annotations
 

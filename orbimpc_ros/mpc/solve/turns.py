@@ -3,6 +3,8 @@
 A terminal constraint is linear in the headings z_k = R_k e1. What they miss it by is spread over
 them with the least squares of corrections (Newton's method), each heading then brought back to
 between its least speed and the full one; where it is at either, it is only turned.
+
+Mathematics: docs/mathematics.md, 7.6.
 """
 
 from __future__ import annotations

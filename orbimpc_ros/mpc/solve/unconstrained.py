@@ -3,6 +3,8 @@
 A coordinate of R_1..R_N depends on nothing but the same coordinate of what is known: for R e1 the
 knowns of ``condensed.Condensed``, for the others R_0; and, at rotation order 2, on R_1. All
 coordinates of a kind share the maps, so a tick costs a product each.
+
+Mathematics: docs/mathematics.md, 4.7.
 """
 
 from __future__ import annotations
