@@ -16,9 +16,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.io import bag, settings
-from orbimpc_ros.tool.replay.answer import Answer
 from orbimpc_ros.tool.replay.difference import Tolerances, comparisons
-from orbimpc_ros.tool.replay.recording import recording_of
+from orbimpc_ros.tool.replay.recording import Published, recording_of
 
 FLIGHTS = ('retrieval', 'dubins', 'spacecraft', 'obstacles', 'disturbed', 'faulty')
 RETRIEVAL = GOLDEN / 'retrieval'
@@ -317,7 +316,9 @@ def test_a_lost_goal_is_known_by_what_the_tick_says_not_by_its_words(replay, tmp
 
 
 def distances(recorded, replayed, **tolerances):
-    found = comparisons(0, 0.0, Answer(**recorded), Answer(**replayed), Tolerances(**tolerances))
+    found = comparisons(
+        0, 0.0, Published(**recorded), Published(**replayed), Tolerances(**tolerances)
+    )
     return {each.quantity: each for each in found}
 
 
@@ -333,7 +334,7 @@ def test_where_an_engine_is_silent_may_point_anywhere():
         (2, (1.0, 1.0, 0.0), False),
         (1, (), True),
     ):
-        recorded = {'rotation': ahead, 'thrust': thrust}
+        recorded = {'rotation': ahead, 'speed_fraction': thrust}
         found = distances(recorded, {'rotation': aside}, order=order)['rotation']
         assert found.apart == pytest.approx(0.02, rel=1e-3)
         assert found.differs == differs

@@ -26,7 +26,7 @@ from orbimpc_ros.tool.io.bag.writer import BagWriter
 from orbimpc_ros.tool.io.share import config
 from orbimpc_ros.tool.io.topics import TYPES, topics_of
 from orbimpc_ros.tool.replay.accept import serialised
-from orbimpc_ros.tool.replay.pilot import Pilot
+from orbimpc_ros.tool.replay.offline import OfflinePlanner
 from orbimpc_ros.world.faults import View
 from orbimpc_ros.world.flight import departure
 
@@ -87,7 +87,7 @@ class Loop:
 
     def __init__(self, values: settings.Values, bag: BagWriter, hostile: bool) -> None:
         self._planner, self._sim = planner_settings(values), sim_settings(values)
-        self._pilot, self._bag, self._hostile = Pilot(self._planner), bag, hostile
+        self._pilot, self._bag, self._hostile = OfflinePlanner(self._planner), bag, hostile
         self._view = View(self._sim.faults, self._sim.seed, self._sim.scenario.model.step)
         self._order = (0.0, np.zeros(self._sim.scenario.model.rates))
         self._draw = np.random.default_rng(self._sim.seed)

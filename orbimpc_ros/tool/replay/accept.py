@@ -14,10 +14,10 @@ from orbimpc_ros.tool.io.files import replacing
 from orbimpc_ros.tool.io.settings import Values
 from orbimpc_ros.tool.io.topics import TYPES, Topic, topics_of
 from orbimpc_ros.tool.replay.recording import OUTPUTS, Recording
-from orbimpc_ros.tool.replay.resolving import Replayed
+from orbimpc_ros.tool.replay.resolving import ReplayedTick
 
 
-def accept(recording: Recording, replayed: Sequence[Replayed], values: Values) -> None:
+def accept(recording: Recording, replayed: Sequence[ReplayedTick], values: Values) -> None:
     """Replace a bag of our recorder by one with new outputs; until that is whole, nothing changes.
 
     Args:
@@ -62,7 +62,7 @@ def _topics(kept: Sequence[Raw], recording: Recording) -> list[Topic]:
     return list(topics_of(sorted(spaces | {recording.namespace})))
 
 
-def _serialised(recording: Recording, replayed: Sequence[Replayed]) -> Iterator[Raw]:
+def _serialised(recording: Recording, replayed: Sequence[ReplayedTick]) -> Iterator[Raw]:
     for each in replayed:
         for name, message in each.messages.items():
             topic, then, kind = f'{recording.namespace}/{name}', each.recorded, TYPES[name]

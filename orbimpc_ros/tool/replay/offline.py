@@ -1,4 +1,4 @@
-"""The planner without a node: its own ticker and messages, told and asked by whoever flies."""
+"""The planner without a node: its own ticker and messages, given inputs and asked for answers."""
 
 from __future__ import annotations
 
@@ -15,11 +15,9 @@ from orbimpc_ros.ros.planner import outputs
 from orbimpc_ros.ros.planner.ticker import Answer, Ticker, prepared
 from orbimpc_ros.ros.reports import prices
 
-Told = dict[str, Any]  # messages by topic
 
-
-class Pilot:
-    """Takes in messages and answers, when it is told to, with what the planner would publish.
+class OfflinePlanner:
+    """Takes in messages and answers, when asked, with what the planner would publish.
 
     A solve has no deadline here: what it finds must not depend on the machine.
 
@@ -31,7 +29,7 @@ class Pilot:
     def __init__(self, settings: PlannerSettings, node: str = '/planner') -> None:
         self._settings, self._node = settings, node
         timeless = replace(settings, deadline=math.inf)
-        # Simulated: what a tick takes is told, not measured.
+        # Simulated: what a tick takes is given, not measured.
         self._ticker = Ticker(*prepared(timeless), simulated=True)
         self._answer: Answer | None = None
 
@@ -63,7 +61,7 @@ class Pilot:
         known = None if inbox.missing else inbox.odometry
         return None if known is None else known.stamp.nanoseconds
 
-    def plan(self, now: float, advanced: float, solve_time_ms: float) -> Told:
+    def plan(self, now: float, advanced: float, solve_time_ms: float) -> dict[str, Any]:
         """Answer the latest odometry with a plan, or with what stands in for one.
 
         Args:
@@ -82,7 +80,7 @@ class Pilot:
             report = replace(report, binding=prices(answer.tick))
         return self._told(known.stamp, replace(answer, report=report))
 
-    def be_safe(self, stamp: int, reason: str) -> Told:
+    def be_safe(self, stamp: int, reason: str) -> dict[str, Any]:
         """Answer with the safe command, for a reason that is no solver's."""
         known = self._ticker.inbox.odometry
         frames = self._settings.frames if known is None else known.stamp.frames
@@ -105,7 +103,7 @@ class Pilot:
             command = replace(command, body_rate=rate[-len(command.body_rate) :].copy())
         self._ticker.went_out(replace(self._answer, command=command), at)
 
-    def _told(self, stamp: Stamp, answer: Answer) -> Told:
+    def _told(self, stamp: Stamp, answer: Answer) -> dict[str, Any]:
         self._answer = answer
         told = outputs.orders(self._settings, stamp, answer.command)
         told |= outputs.reports(self._settings, stamp, answer.report, answer.plan, self._node)
