@@ -292,7 +292,7 @@ METADATA = {
     'no version': (metadata(version=None), 'version'),
     'files that are none': (metadata(relative_file_paths='bag.mcap'), 'relative_file_paths'),
     'a number of a file': (metadata(relative_file_paths=[1]), 'relative_file_paths'),
-    'a missing file': (metadata(relative_file_paths=['gone.mcap']), 'gone.mcap is missing'),
+    'a missing file': (metadata(relative_file_paths=['gone.mcap']), 'gone.mcap: missing'),
     'a way out': (metadata(relative_file_paths=['..']), 'not a file of this folder'),
     'a strange compression': (metadata(compression_mode='file', compression_format='rar'), 'rar'),
     'a strange mode': (metadata(compression_mode='twice'), 'twice'),

@@ -118,6 +118,25 @@ def require_writable(culprit: str, file: Path) -> None:
         raise BadInput(culprit, f'{file} ({why})', 'a file in a folder to write to') from None
 
 
+def new_folder(out: str, name: str) -> Path:
+    """Create ``out/name``, or ``out/name-2`` and so on: what is there stays.
+
+    Raises:
+        BadInput: it cannot be created.
+    """
+    for number in range(1, 10_000):
+        folder = Path(out).resolve() / (name if number == 1 else f'{name}-{number}')
+        try:
+            folder.mkdir(parents=True)
+            return folder
+        except FileExistsError:
+            if not folder.is_dir():
+                break
+        except OSError as error:
+            raise BadInput('--out', f'{out} ({error.strerror})', 'a folder to write to') from None
+    raise BadInput('--out', out, 'a folder to write to')
+
+
 @contextmanager
 def writing_to(folder: Path) -> Iterator[None]:
     """Report a disk that takes no more as the failure of the job that writes into a folder.

@@ -13,11 +13,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.tool.io import topics
 from orbimpc_ros.tool.io.bag import definitions, limits, mcap, sqlite
 from orbimpc_ros.tool.io.bag.folder import Folder, folder_of, plain
 from orbimpc_ros.tool.io.bag.raw import Raw, unpacked
 
-__all__ = ['Message', 'notes', 'raw', 'read']
+__all__ = ['Message', 'notes', 'of_vehicle', 'raw', 'read']
+
+NEEDED = ('odom', 'goal')
 
 
 class Message(NamedTuple):
@@ -53,6 +56,26 @@ def read(path: Path, names: Collection[str] = ()) -> Iterator[Message]:
     for each in raw(path):
         if not names or each.topic.rpartition('/')[2] in names:
             yield Message(each.topic, each.stamp, each.type, _decoded(each, path), each.sent)
+
+
+def of_vehicle(path: Path, namespace: str, names: Collection[str] = ()) -> list[tuple[str, Any]]:
+    """Return one vehicle's messages, topics named without its namespace, in the order of stamps.
+
+    Args:
+        path: of the bag.
+        namespace: of the vehicle, such as ``/uav1``.
+        names: of the topics wanted; by default all that we know.
+
+    Raises:
+        BadInput: no bag, or one without odometry and goal of this vehicle.
+    """
+    found = list(read(path, names))
+    heard = {message.topic for message in found}
+    for topic in NEEDED:
+        if f'{namespace}/{topic}' not in heard:
+            raise topics.absent(path, f'{namespace}/{topic}', heard)
+    parted = ((*message.topic.rpartition('/'), message.content) for message in found)
+    return [(name, content) for before, _, name, content in parted if before == namespace]
 
 
 def raw(path: Path) -> list[Raw]:

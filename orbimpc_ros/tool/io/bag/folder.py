@@ -19,7 +19,7 @@ METADATA = 'metadata.yaml'
 NEWEST = 9  # version of rosbag2's metadata
 LATEST = 2**63  # [ns]: stamps in metadata
 SUFFIXES = ('.mcap', '.db3')
-COMPRESSIONS = ('', 'none', 'file', 'message')
+COMPRESSIONS = {'none': '', 'file': 'file', 'message': 'message'}
 
 
 @dataclass(frozen=True)
@@ -76,6 +76,12 @@ def _information(path: Path) -> dict[str, Any]:
 
 
 def _described(path: Path, found: dict[str, Any]) -> Folder:
+    notes = found.get('custom_data')
+    notes = {str(k): str(v) for k, v in notes.items()} if isinstance(notes, dict) else {}
+    return Folder(path, _files(path, found), _compression(path, found), True, notes)
+
+
+def _files(path: Path, found: dict[str, Any]) -> tuple[Path, ...]:
     names = found.get('relative_file_paths')
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise BadInput(f'{path / METADATA}: relative_file_paths', names, 'a list of names')
@@ -83,19 +89,17 @@ def _described(path: Path, found: dict[str, Any]) -> Folder:
     files = tuple(inside(path, PurePath(name).name) for name in names)
     for file in files:
         if not file.exists():
-            raise BadInput(str(file), 'missing', 'every file that metadata.yaml names')
-    compression = str(found.get('compression_mode') or '').lower()
-    zipped = str(found.get('compression_format') or 'zstd')
-    if compression not in COMPRESSIONS or zipped != 'zstd':
-        raise BadInput(str(path), f'compressed by {compression} {zipped}', 'zstd, or not at all')
-    notes = found.get('custom_data')
-    return Folder(
-        path,
-        files,
-        '' if compression == 'none' else compression,
-        True,
-        {str(k): str(v) for k, v in notes.items()} if isinstance(notes, dict) else {},
-    )
+            hint = 'every file that metadata.yaml names is needed'
+            raise BadInput.stating(str(file), 'missing', hint)
+    return files
+
+
+def _compression(path: Path, found: dict[str, Any]) -> str:
+    mode = str(found.get('compression_mode') or 'none').lower()
+    by = str(found.get('compression_format') or 'zstd')
+    if mode not in COMPRESSIONS or by != 'zstd':
+        raise BadInput(str(path), f'compressed by {mode} {by}', 'zstd, or not at all')
+    return COMPRESSIONS[mode]
 
 
 @contextmanager
