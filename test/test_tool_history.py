@@ -236,5 +236,5 @@ def test_a_tick_of_another_version_is_refused(tmp_path, field):
         return each._replace(data=serialize_message(message))
 
     path = rewritten(GOLDEN / 'retrieval', tmp_path / 'bag', renamed)
-    with pytest.raises(BadInput, match=f'tick is without {field}'):
+    with pytest.raises(BadInput, match=f'tick: without {field}'):
         of_bag(path)

@@ -500,7 +500,7 @@ def test_a_bag_without_notes_asks_for_parameters(replay, tmp_path):
     path = ros2_bag(RETRIEVAL, tmp_path / 'bag', 'sqlite3')
     code, out, err = replay(path)
     assert (code, out) == (2, '')
-    assert 'allowed: --params FILE or --set' in err
+    assert 'give --params FILE or --set' in err
     # Defaults but for what is set: the example is the paper's retrieval.
     words = [f'--set={change}' for change in ('floor.shape=polygon', 'trigger=odom')]
     assert replay(path, *words)[0] == 0

@@ -21,16 +21,14 @@ class BadInput(OrbimpcError, ValueError):
 
     def __init__(self, culprit: str, value: object, allowed: str) -> None:
         self.culprit, self.value, self.allowed = culprit, value, allowed
-        shown = value if isinstance(value, str) else repr(value)
-        if len(shown) > 80:
-            shown = f'{shown[:37]}...{shown[-40:]}'  # of a path the end says which file
-        super().__init__(f'{culprit} is {" ".join(shown.split())}; allowed: {allowed}')
+        shown = _in_short(value if isinstance(value, str) else repr(value))
+        super().__init__(f'{culprit} is {shown}; allowed: {allowed}')
 
     @classmethod
     def stating(cls, subject: str, problem: str, hint: str) -> BadInput:
         """Return an error where nothing is a value: ``subject: problem; hint``."""
         error = cls(subject, problem, hint)
-        error.args = (f'{subject}: {problem}; {hint}',)
+        error.args = (f'{subject}: {_in_short(problem)}; {hint}',)
         return error
 
     @classmethod
@@ -51,6 +49,13 @@ class BadInput(OrbimpcError, ValueError):
         before = f'{where}: ' if where else ''
         error.args = (f'{before}unknown {kind} {name!r}; {hint}',)
         return error
+
+
+def _in_short(text: str) -> str:
+    """Return a text in one line, its middle left out if it is long."""
+    if len(text) > 80:
+        text = f'{text[:37]}...{text[-40:]}'  # of a path the end says which file
+    return ' '.join(text.split())
 
 
 class Infeasible(OrbimpcError):

@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
 
         return fleet.run(args)
     if args.vehicles is not None:
-        raise BadInput('--vehicles', args.vehicles, 'only with the scenario fleet')
+        raise BadInput.stating('--vehicles', 'no fleet', 'give the scenario fleet')
     return _run_alone(args)
 
 

@@ -1,4 +1,4 @@
-"""How a flight arrives: its plan by itself, flown open loop by each projection, and re-planned."""
+"""Errors at arrival: of the plan by itself, flown open loop by each projection, re-planned."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What happened when: distances and speeds over time."""
+"""Distances and speeds over time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What planning took, tick by tick: objective and proved bound, their gap, time, relaxations."""
+"""The cost of planning, tick by tick: objective, proved bound, gap, time, relaxations."""
 
 from __future__ import annotations
 

@@ -14,7 +14,8 @@ from typing import BinaryIO
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 
 MAX_ENTRIES = 10_000  # of a folder
-REGULAR = 'a regular file'
+WRITABLE = 'a folder to write to is needed'
+REGULAR = 'a regular file is needed'
 
 
 @contextmanager
@@ -31,7 +32,7 @@ def opened(path: Path, largest: int) -> Iterator[BinaryIO]:
     with _stream(path) as stream:
         size = os.fstat(stream.fileno()).st_size
         if size > largest:
-            raise BadInput(str(path), f'of {size} bytes', f'at most {largest} bytes')
+            raise BadInput.stating(str(path), f'{size} bytes', f'at most {largest} bytes are read')
         yield stream
 
 
@@ -56,14 +57,14 @@ def _told(path: Path) -> Iterator[None]:
         problem = error.strerror or str(error)
         raise BadInput.stating(str(path), problem, 'a readable file is needed') from None
     except ValueError as error:  # such as a null byte in its name
-        raise BadInput(ascii(str(path)), str(error), REGULAR) from None
+        raise BadInput.stating(ascii(str(path)), str(error), REGULAR) from None
 
 
 def _require_regular(path: Path, mode: int) -> None:
     if stat.S_ISDIR(mode):
-        raise BadInput(str(path), 'a folder', REGULAR)
+        raise BadInput.stating(str(path), 'a folder', REGULAR)
     if not stat.S_ISREG(mode):
-        raise BadInput(str(path), 'not a regular file', REGULAR)
+        raise BadInput.stating(str(path), 'not a regular file', REGULAR)
 
 
 def inside(folder: Path, name: str) -> Path:
@@ -78,7 +79,7 @@ def inside(folder: Path, name: str) -> Path:
     except (OSError, RuntimeError, ValueError):  # such as links in a circle
         stays = False
     if not stays:
-        raise BadInput(str(path), 'not a file of this folder', f'files in {folder}')
+        raise BadInput.stating(str(path), 'not a file of this folder', f'it must be in {folder}')
     return path
 
 
@@ -94,7 +95,7 @@ def listed(folder: Path) -> list[Path]:
         problem = error.strerror or str(error)
         raise BadInput.stating(str(folder), problem, 'a readable folder is needed') from None
     if len(found) > MAX_ENTRIES:
-        raise BadInput(str(folder), 'too full', f'at most {MAX_ENTRIES} files')
+        raise BadInput.stating(str(folder), 'too full', f'at most {MAX_ENTRIES} files are listed')
     return found
 
 
@@ -109,13 +110,14 @@ def require_writable(culprit: str, file: Path) -> None:
         BadInput: it is a folder, or nothing can be written beside it.
     """
     if file.is_dir():
-        raise BadInput(culprit, f'{file} (a folder)', 'a file')
+        raise BadInput.stating(f'{culprit} {file}', 'a folder', 'a file is needed')
     try:
         with tempfile.TemporaryFile(dir=file.parent):
             pass
     except OSError as error:
-        why = error.strerror or str(error)
-        raise BadInput(culprit, f'{file} ({why})', 'a file in a folder to write to') from None
+        raise BadInput.stating(
+            f'{culprit} {file}', error.strerror or str(error), WRITABLE
+        ) from None
 
 
 def new_folder(out: str, name: str) -> Path:
@@ -133,8 +135,8 @@ def new_folder(out: str, name: str) -> Path:
             if not folder.is_dir():
                 break
         except OSError as error:
-            raise BadInput('--out', f'{out} ({error.strerror})', 'a folder to write to') from None
-    raise BadInput('--out', out, 'a folder to write to')
+            raise BadInput.stating(f'--out {out}', str(error.strerror), WRITABLE) from None
+    raise BadInput.stating(f'--out {out}', 'not a folder', WRITABLE)
 
 
 @contextmanager
@@ -178,7 +180,7 @@ def replacing(folder: Path) -> Iterator[Path]:
         BadInput: ``folder`` is a link, or cannot be replaced.
     """
     if folder.is_symlink():
-        raise BadInput(str(folder), 'a link', 'the folder itself')
+        raise BadInput.stating(str(folder), 'a link', 'give the folder itself')
     try:
         with tempfile.TemporaryDirectory(prefix=f'.{folder.name}-', dir=folder.parent) as place:
             new, old = Path(place) / 'new' / folder.name, Path(place) / 'old'
@@ -191,4 +193,4 @@ def replacing(folder: Path) -> Iterator[Path]:
                 old.rename(folder)
                 raise
     except OSError as error:
-        raise BadInput(str(folder), error.strerror or str(error), 'a folder to write to') from None
+        raise BadInput.stating(str(folder), error.strerror or str(error), WRITABLE) from None

@@ -1,4 +1,4 @@
-"""A run as its bag tells it: plain arrays for summaries, pictures and comparisons."""
+"""A recorded run as plain arrays, for summaries, pictures and comparisons."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ def of_bag(path: Path, namespace: str = '') -> History:
     sighted = _valid(read_sighting, found['goal'])
     if not measured or not sighted:
         wrong = 'goal' if measured else 'odom'
-        raise BadInput(str(path), f'without /{wrong} that is valid', 'odometry and a goal')
+        raise BadInput.stating(str(path), f'no valid {wrong}', 'odometry and a goal are needed')
     attitudes = np.array([o.attitude for o in measured])
     times = np.array([o.time for o in measured])
     return History(
@@ -208,7 +208,7 @@ def _told(message: Any, path: Path) -> dict[str, Any]:
     told = fields(message)
     for name, kinds in TOLD.items():
         if not isinstance(told.get(name), kinds):
-            raise BadInput(f'{path}: tick', f'without {name}', f'{name} of this version')
+            raise BadInput.stating(f'{path}: tick', f'without {name}', 'this version is needed')
     return told
 
 

@@ -1,4 +1,4 @@
-"""Records the topics of a run, byte by byte as they come, under the stamps they carry."""
+"""A recorder of a run: messages byte by byte as they come, under the stamps they carry."""
 
 from __future__ import annotations
 

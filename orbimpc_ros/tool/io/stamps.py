@@ -1,4 +1,4 @@
-"""Under which stamp a message is recorded: the one it carries, unless that cannot be meant."""
+"""The stamp under which a message is recorded: its own, unless that cannot be meant."""
 
 from __future__ import annotations
 

@@ -38,6 +38,7 @@ WORLD = (
     Topic('captured', 'std_msgs/msg/Bool', latched=True),
     Topic('world_markers', 'visualization_msgs/msg/MarkerArray'),
 )
+NEEDED = 'odom and goal are needed'
 VEHICLE = (*INPUTS, *OUTPUTS, *WORLD)
 TYPES = {topic.name.strip('/'): topic.type for topic in (*SHARED, *VEHICLE)}
 
@@ -62,5 +63,5 @@ def absent(path: Path, topic: str, heard: Iterable[str]) -> BadInput:
         heard: the topics that are there.
     """
     places = {name.rpartition('/')[0] for name in heard if name.endswith('/odom')} - {''}
-    hint = f' (in this one: --namespace {" or ".join(sorted(places))})' if places else ''
-    return BadInput(str(path), f'without {topic}', f'a bag with odom and goal{hint}')
+    hint = f'give --namespace {" or ".join(sorted(places))}' if places else NEEDED
+    return BadInput.stating(str(path), f'without {topic}', hint)

@@ -30,7 +30,7 @@ def accept(recording: Recording, replayed: Sequence[ReplayedTick], values: Value
     """
     path = recording.path
     if not path.is_dir() or 'parameters' not in bag.notes(path):
-        raise BadInput(str(path), 'not a bag of orbimpc', "the folder of a bag of orbimpc's")
+        raise BadInput.stating(str(path), 'not a bag of orbimpc', 'the folder of one is needed')
     held = bag.raw(path)
     kept = [each for each in held if not _replaced(each, recording)]
     # What was not recorded, such as markers, stays out.
@@ -46,7 +46,7 @@ def accept(recording: Recording, replayed: Sequence[ReplayedTick], values: Value
 
 def _text(values: Values, recording: Recording) -> str:
     if recording.namespace:
-        raise BadInput('--update', 'given with other parameters', 'those of the fleet as they are')
+        raise BadInput.stating('--update', 'other parameters are given', 'a fleet keeps its own')
     return settings.text(values)
 
 

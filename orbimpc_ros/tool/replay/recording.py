@@ -219,7 +219,7 @@ def _require(
     ]
     if missing:
         has = ', '.join(sorted({m.topic for m in found})) or 'none of its topics'
-        raise BadInput(str(path), f'without {missing[0]}', f'a bag of a planner (this has {has})')
+        raise BadInput.stating(str(path), f'without {missing[0]}', f'it has {has}')
 
 
 def stamp_of(message: Any) -> int:

@@ -70,7 +70,7 @@ def _tick(args: argparse.Namespace, count: int) -> int:
         BadInput: there is no such tick, or the command would accept what it does not show.
     """
     if args.update:
-        raise BadInput('--update', 'given with --tick', 'one of the two')
+        raise BadInput.stating('--update', 'given with --tick', 'give one of the two')
     if not 0 <= args.tick < count:
         raise BadInput('--tick', args.tick, f'0 to {count - 1}')
     return int(args.tick)
@@ -82,7 +82,9 @@ def _values(path: Path, namespace: str, args: argparse.Namespace) -> settings.Va
         return settings.resolve(Path(args.params), args.set)
     noted = settings.of_bag(path, namespace)
     if noted is None and not args.set:
-        raise BadInput(str(path), 'without notes of its parameters', '--params FILE or --set')
+        raise BadInput.stating(
+            str(path), 'no notes of its parameters', 'give --params FILE or --set'
+        )
     return settings.changed(settings.read('{}') if noted is None else noted, args.set)
 
 

@@ -1,4 +1,4 @@
-"""Runs a module as ``python -m`` does, but not longer than the process that started it."""
+"""A module run as by ``python -m``, but not longer than the process that started it."""
 
 from __future__ import annotations
 

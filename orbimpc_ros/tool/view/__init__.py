@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     """Show a bag, or what is running, until somebody asks to stop."""
     if not installed():
         hint = "pip install 'orbimpc_ros[view]'"
-        raise BadInput.stating('orbimpc view', 'rerun-sdk is missing', hint)
+        raise BadInput.stating('orbimpc view', 'needs rerun-sdk', hint)
     from orbimpc_ros.tool.run.processes import Interruptions
 
     with Interruptions() as interruptions:

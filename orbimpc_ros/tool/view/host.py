@@ -1,4 +1,4 @@
-"""Becomes another program, and keeps what is arranged for this process: to end with its parent."""
+"""Another program in place of this process, which still ends with its parent."""
 
 from __future__ import annotations
 

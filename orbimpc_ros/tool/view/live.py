@@ -1,4 +1,4 @@
-"""What runs now, drawn as it comes: a node that only listens."""
+"""A viewer of running nodes: it only listens, and draws messages as they come."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What topics say, drawn at the time of their stamps: the same for a bag and for what runs now."""
+"""Messages, drawn at the time of their stamps: the same for a bag and for running nodes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a viewer draws for a vehicle."""
+"""The vehicle in a viewer."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ def _blamed(path: Path) -> Iterator[None]:
     except BadInput:
         raise
     except Exception as error:
-        raise BadInput(str(path), f'unreadable ({error!r})', limits.ALLOWED) from None
+        raise BadInput.stating(str(path), f'unreadable ({error!r})', limits.ALLOWED) from None
 
 
 def _collected(folder: Folder) -> list[Raw]:
@@ -136,15 +136,15 @@ def _messages(file: Path, folder: Folder) -> Iterator[Raw]:
     storage = sqlite.messages(file) if file.suffix == '.db3' else mcap.messages(file, folder.closed)
     for each in storage:
         if not isinstance(each.stamp, int) or not isinstance(each.data, bytes):
-            raise BadInput(str(file), 'damaged (a message without stamp or bytes)', limits.ALLOWED)
+            problem = 'damaged (a message without stamp or bytes)'
+            raise BadInput.stating(str(file), problem, limits.ALLOWED)
         data = each.data
         if folder.compression == 'message':
             data = unpacked(data, limits.MAX_MESSAGE, file)
         limits.require(len(data), limits.MAX_MESSAGE, file, 'bytes in a message')
         if not definitions.same(each.type, each.definition):
-            raise BadInput(
-                f'{file}: {each.topic}', f'another version of {each.type}', "ROS 2 Jazzy's"
-            )
+            problem, hint = f'another version of {each.type}', "ROS 2 Jazzy's is needed"
+            raise BadInput.stating(f'{file}: {each.topic}', problem, hint)
         yield each._replace(data=data)
 
 

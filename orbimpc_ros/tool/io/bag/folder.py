@@ -1,4 +1,4 @@
-"""Which files a bag consists of, and what stands in its metadata."""
+"""The files of a bag, and its metadata."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ METADATA = 'metadata.yaml'
 NEWEST = 9  # version of rosbag2's metadata
 LATEST = 2**63  # [ns]: stamps in metadata
 SUFFIXES = ('.mcap', '.db3')
+NEEDED = "a bag's folder, .mcap or .db3 file is needed"
 COMPRESSIONS = {'none': '', 'file': 'file', 'message': 'message'}
 
 
@@ -49,13 +50,13 @@ def folder_of(path: Path) -> Folder:
     """
     if not path.is_dir():
         if path.suffix not in SUFFIXES:
-            raise BadInput(str(path), _nature(path), 'a bag: its folder, a .mcap or a .db3 file')
+            raise BadInput.stating(str(path), _nature(path), NEEDED)
         return Folder(path, (path,), '', (path.parent / METADATA).exists(), {})
     if (path / METADATA).exists() or (path / METADATA).is_symlink():
         return _described(path, _information(path))
     files = [inside(path, f.name) for f in listed(path) if f.suffix in SUFFIXES]
     if not files:
-        raise BadInput(str(path), 'without metadata.yaml and .mcap', 'a folder that holds a bag')
+        raise BadInput.stating(str(path), 'without metadata.yaml and .mcap', NEEDED)
     return Folder(path, tuple(files), '', False, {})
 
 
@@ -68,7 +69,7 @@ def _information(path: Path) -> dict[str, Any]:
     content = document.read(str(file), LATEST)
     found = content.get('rosbag2_bagfile_information') if isinstance(content, dict) else None
     if not isinstance(found, dict):
-        raise BadInput(str(file), 'not the metadata of a bag', limits.ALLOWED)
+        raise BadInput.stating(str(file), 'not the metadata of a bag', limits.ALLOWED)
     version = found.get('version')
     if not isinstance(version, int) or not 1 <= version <= NEWEST:
         raise BadInput(f'{file}: version', version, f'1 to {NEWEST}')
@@ -98,7 +99,7 @@ def _compression(path: Path, found: dict[str, Any]) -> str:
     mode = str(found.get('compression_mode') or 'none').lower()
     by = str(found.get('compression_format') or 'zstd')
     if mode not in COMPRESSIONS or by != 'zstd':
-        raise BadInput(str(path), f'compressed by {mode} {by}', 'zstd, or not at all')
+        raise BadInput(f'{path}: compression', f'{mode} {by}', 'zstd, or none')
     return COMPRESSIONS[mode]
 
 

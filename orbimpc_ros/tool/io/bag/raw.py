@@ -1,4 +1,4 @@
-"""What every storage of a bag gives: messages as bytes, and what they say of their type."""
+"""Messages as bytes, with the definition of their type, as every storage gives them."""
 
 from __future__ import annotations
 
@@ -41,6 +41,6 @@ def unpacked(data: bytes, largest: int, where: object) -> bytes:
         with zstandard.ZstdDecompressor().stream_reader(io.BytesIO(data)) as stream:
             content = stream.read(largest + 1)
     except (zstandard.ZstdError, MemoryError) as error:
-        raise BadInput(str(where), f'damaged ({error})', limits.ALLOWED) from None
+        raise BadInput.stating(str(where), f'damaged ({error})', limits.ALLOWED) from None
     limits.require(len(content), largest, where, 'bytes or more, decompressed')
     return content
