@@ -1,4 +1,4 @@
-"""A module run as by ``python -m``, but not longer than the process that started it."""
+"""A module run as by ``python -m``, or a program, that ends with the process that started it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import sys
 from orbimpc_ros.ros.entry import leave_at_signals
 
 PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
+PROGRAM = '--program'  # instead of a module: its path and arguments follow
 
 
 def tether(parent: int) -> None:
@@ -29,4 +30,6 @@ def tether(parent: int) -> None:
 if __name__ == '__main__':
     tether(int(sys.argv.pop(1)))
     module = sys.argv.pop(1)
+    if module == PROGRAM:
+        os.execv(sys.argv[1], sys.argv[1:])  # what was arranged for this process stays
     runpy.run_module(module, run_name='__main__', alter_sys=True)

@@ -26,7 +26,6 @@ from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.tool.figures.palette import BLUE, GREEN, GREY, ORANGE, RED, SKY, rgb
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.content import attitude, fields, seconds
-from orbimpc_ros.tool.view import shapes
 from orbimpc_ros.tool.view.layout import THRUST, TICK, TIMELINE, WORLD, blueprint, eye
 
 WALL_CLOCK = 1e8  # [s]: later stamps are dates, earlier ones count from a simulation's start
@@ -46,6 +45,18 @@ SERIES = {
     'gap/log10': (GREEN, 2.0, STEPS),
     'time/solve_ms': (ORANGE, 2.0, STEPS),
 }  # colour, width and manner of what charts show
+
+# A paper dart: nose, wing tips, and the keel that tells up from down.
+NOSE, LEFT, RIGHT, TAIL, KEEL = (
+    (0.6, 0.0, 0.0),
+    (-0.4, 0.32, 0.08),
+    (-0.4, -0.32, 0.08),
+    (-0.3, 0.0, 0.08),
+    (-0.4, 0.0, -0.16),
+)
+DART = np.array([NOSE, LEFT, TAIL, NOSE, TAIL, RIGHT, NOSE, TAIL, KEEL])  # three triangles
+SHADES = np.array([[70, 140, 190], [0, 90, 150], [40, 60, 80]], dtype=np.uint8)  # one for each
+DART_COLORS = np.repeat(SHADES, 3, axis=0)
 
 
 class Scene:
@@ -158,7 +169,7 @@ class Scene:
         ends = np.array([self._way[0], self._swing[0]])
         self._unit = SIZE * max(1.0, float(np.linalg.norm(ends[1] - ends[0])))
         self._look_at(ends)
-        corners, shades = self._unit * shapes.DART, shapes.DART_COLORS
+        corners, shades = self._unit * DART, DART_COLORS
         dart = rr.Mesh3D(vertex_positions=corners, vertex_colors=shades)
         axes = rr.Arrows3D(
             vectors=self._unit * np.eye(3),
