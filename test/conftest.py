@@ -60,7 +60,7 @@ def domain() -> int:
     return new_domain()
 
 
-class Process:
+class LaunchedProcess:
     """A node in a process of its own, its output kept: a module's, or a test's own script's."""
 
     def __init__(
@@ -116,13 +116,13 @@ def launching(domain: int, folder: Path):
             parameters: dict | None = None,
             *names: str | Path,
             domain: int = domain,
-        ) -> Process:
+        ) -> LaunchedProcess:
             files = [
                 name if isinstance(name, Path) else ROOT / 'config' / f'{name}.yaml'
                 for name in names
             ]
             log = folder / f'{Path(module).stem}-{next(_numbers)}.log'
-            process = Process(module, domain, log, parameters or {}, files)
+            process = LaunchedProcess(module, domain, log, parameters or {}, files)
             stack.callback(process.stop)
             return process
 
