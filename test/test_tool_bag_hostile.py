@@ -18,7 +18,8 @@ from mcap.writer import Writer as McapWriter
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.io import bag
-from orbimpc_ros.tool.io.bag import definitions, limits
+from orbimpc_ros.tool.io.bag import limits
+from orbimpc_ros.tool.io.bag.raw import same, store
 from orbimpc_ros.tool.io.bag.writer import BagWriter
 from orbimpc_ros.tool.io.topics import Topic
 
@@ -74,7 +75,7 @@ def assert_refused(path, culprit=''):
     assert '\n' not in str(caught.value)
 
 
-def same(found, before):
+def require_same(found, before):
     assert found == before
 
 
@@ -121,7 +122,7 @@ def test_a_damaged_bag_is_read_right_or_refused(small, tmp_path, block):
         intact = (path / name).read_bytes()
         damage = DAMAGES[draw.choice(list(DAMAGES))]
         (path / name).write_bytes(damage(intact, draw))
-        line = line_of(lambda: same(content(path), before))
+        line = line_of(lambda: require_same(content(path), before))
         assert line is None or (str(path) in line and '\n' not in line)
         found += line is not None
         (path / name).write_bytes(intact)
@@ -195,7 +196,7 @@ def mcap_of(path, records, **options):
         writer = McapWriter(stream, **options)
         writer.start(profile='ros2', library='test')
         for topic, kind, data in records:
-            text, _ = definitions.store().generate_msgdef(kind, ros_version=2)
+            text, _ = store().generate_msgdef(kind, ros_version=2)
             schema = writer.register_schema(kind, 'ros2msg', text.encode())
             channel = writer.register_channel(topic, 'cdr', schema)
             writer.add_message(channel, 1, data, 1)
@@ -443,10 +444,10 @@ def test_another_encoding_is_refused(tmp_path):
 def test_definitions_as_ros_writes_them_are_the_same():
     """With comments, constants and other spaces; the hash says it too."""
     text = 'uint8 LOW=1  # a constant\n\n# a comment\nbool   data # true or false\n'
-    assert definitions.same(BOOL, text)
-    assert definitions.same(BOOL, definitions.store().hash_rihs01(BOOL))
-    assert definitions.same(BOOL, '')
-    assert not definitions.same(BOOL, 'bool other')
+    assert same(BOOL, text)
+    assert same(BOOL, store().hash_rihs01(BOOL))
+    assert same(BOOL, '')
+    assert not same(BOOL, 'bool other')
 
 
 def test_a_message_that_does_not_decode_is_refused(tmp_path):

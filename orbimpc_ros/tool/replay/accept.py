@@ -7,8 +7,7 @@ from typing import Any
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.io import bag, settings
-from orbimpc_ros.tool.io.bag import definitions
-from orbimpc_ros.tool.io.bag.raw import Raw
+from orbimpc_ros.tool.io.bag.raw import Raw, store
 from orbimpc_ros.tool.io.bag.writer import BagWriter
 from orbimpc_ros.tool.io.files import replacing
 from orbimpc_ros.tool.io.settings import Values
@@ -76,5 +75,5 @@ def serialised(message: Any, kind: str) -> bytes:
     """
     from rclpy.serialization import serialize_message
 
-    store = definitions.store()
-    return bytes(store.serialize_cdr(store.deserialize_cdr(serialize_message(message), kind), kind))
+    types = store()
+    return bytes(types.serialize_cdr(types.deserialize_cdr(serialize_message(message), kind), kind))

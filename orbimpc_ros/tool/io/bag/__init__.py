@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.io import topics
-from orbimpc_ros.tool.io.bag import definitions, limits, mcap, sqlite
+from orbimpc_ros.tool.io.bag import limits, mcap, sqlite
 from orbimpc_ros.tool.io.bag.folder import Folder, folder_of, plain
-from orbimpc_ros.tool.io.bag.raw import Raw, unpacked
+from orbimpc_ros.tool.io.bag.raw import Raw, same, store
 
 __all__ = ['Message', 'notes', 'of_vehicle', 'raw', 'read']
 
@@ -140,9 +140,9 @@ def _messages(file: Path, folder: Folder) -> Iterator[Raw]:
             raise BadInput.stating(str(file), problem, limits.ALLOWED)
         data = each.data
         if folder.compression == 'message':
-            data = unpacked(data, limits.MAX_MESSAGE, file)
+            data = limits.unpacked(data, limits.MAX_MESSAGE, file)
         limits.require(len(data), limits.MAX_MESSAGE, file, 'bytes in a message')
-        if not definitions.same(each.type, each.definition):
+        if not same(each.type, each.definition):
             problem, hint = f'another version of {each.type}', "ROS 2 Jazzy's is needed"
             raise BadInput.stating(f'{file}: {each.topic}', problem, hint)
         yield each._replace(data=data)
@@ -150,4 +150,4 @@ def _messages(file: Path, folder: Folder) -> Iterator[Raw]:
 
 def _decoded(each: Raw, path: Path) -> Any:
     with _blamed(path):
-        return definitions.store().deserialize_cdr(each.data, each.type)
+        return store().deserialize_cdr(each.data, each.type)

@@ -12,7 +12,6 @@ from typing import Any
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.io import document
 from orbimpc_ros.tool.io.bag import limits
-from orbimpc_ros.tool.io.bag.raw import unpacked
 from orbimpc_ros.tool.io.files import inside, listed, opened
 
 METADATA = 'metadata.yaml'
@@ -111,5 +110,5 @@ def plain(file: Path, compression: str) -> Iterator[Path]:
         return
     with TemporaryDirectory() as place, opened(file, limits.MAX_BYTES) as stream:
         copy = Path(place) / file.stem
-        copy.write_bytes(unpacked(stream.read(), limits.MAX_KEPT, file))
+        copy.write_bytes(limits.unpacked(stream.read(), limits.MAX_KEPT, file))
         yield copy

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import io
+
+import zstandard
+
 from orbimpc_ros.mpc.errors import BadInput
 
 MAX_BYTES = 1 << 30  # of its files
@@ -29,3 +33,18 @@ def require(amount: int, largest: int, where: object, what: str) -> None:
         raise BadInput.stating(
             str(where), f'hostile or damaged ({amount} {what})', f'at most {largest} are read'
         )
+
+
+def unpacked(data: bytes, largest: int, where: object) -> bytes:
+    """Return what zstd has compressed, as long as it is not too much.
+
+    Raises:
+        BadInput: damaged or too large.
+    """
+    try:
+        with zstandard.ZstdDecompressor().stream_reader(io.BytesIO(data)) as stream:
+            content = stream.read(largest + 1)
+    except (zstandard.ZstdError, MemoryError) as error:
+        raise BadInput.stating(str(where), f'damaged ({error})', ALLOWED) from None
+    require(len(content), largest, where, 'bytes or more, decompressed')
+    return content

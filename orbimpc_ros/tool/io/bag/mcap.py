@@ -17,7 +17,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.io import topics
 from orbimpc_ros.tool.io.bag import limits
-from orbimpc_ros.tool.io.bag.raw import Raw, unpacked
+from orbimpc_ros.tool.io.bag.raw import Raw
 from orbimpc_ros.tool.io.files import opened
 
 NOTES = 'orbimpc_ros'  # name of the record with the recorder's notes
@@ -121,7 +121,7 @@ def _plain(chunk: Chunk, file: Path) -> Chunk:
     limits.require(chunk.uncompressed_size, limits.MAX_CHUNK, file, 'bytes in a chunk')
     data = chunk.data
     if chunk.compression == 'zstd':
-        data = unpacked(data, limits.MAX_CHUNK, file)
+        data = limits.unpacked(data, limits.MAX_CHUNK, file)
     elif chunk.compression == 'lz4':
         data = lz4.frame.LZ4FrameDecompressor().decompress(data, limits.MAX_CHUNK + 1)
     elif chunk.compression:
