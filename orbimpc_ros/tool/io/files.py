@@ -37,10 +37,10 @@ def opened(path: Path, largest: int) -> Iterator[BinaryIO]:
 
 
 def _stream(path: Path) -> BinaryIO:
-    with _told(path):
+    with _blaming(path):
         mode = path.stat().st_mode
     _require_regular(path, mode)
-    with _told(path):
+    with _blaming(path):
         # Non-blocking, in case a FIFO has taken its place just now.
         stream = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), 'rb')
         mode = os.fstat(stream.fileno()).st_mode
@@ -49,8 +49,8 @@ def _stream(path: Path) -> BinaryIO:
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """Tell in one line why a file cannot be opened."""
+def _blaming(path: Path) -> Iterator[None]:
+    """Say in one line why a file cannot be opened."""
     try:
         yield
     except OSError as error:

@@ -21,8 +21,8 @@ from orbimpc_ros.world.capture import closest_approach
 
 T = TypeVar('T')
 WANTED = ('captured', 'cmd_thrust', 'goal', 'odom', 'plan', 'tick')
-# What a tick has to tell for summaries and pictures.
-TOLD: dict[str, tuple[type, ...]] = {
+# Keys of a tick that summaries and pictures need.
+NEEDED: dict[str, tuple[type, ...]] = {
     'gap': (int, float),
     'solve_time_ms': (int, float),
     'speed_fraction': (list,),
@@ -196,20 +196,20 @@ def _valid(read: Callable[..., tuple[Stamp, T]], messages: Iterable[Any]) -> lis
 
 
 def _ticks(messages: Iterable[Any], path: Path) -> tuple[tuple[float, dict[str, Any]], ...]:
-    return tuple((seconds(m), _told(m, path)) for m in messages if m.status)
+    return tuple((seconds(m), _fields(m, path)) for m in messages if m.status)
 
 
-def _told(message: Any, path: Path) -> dict[str, Any]:
-    """Return what a tick told.
+def _fields(message: Any, path: Path) -> dict[str, Any]:
+    """Return the fields of a tick.
 
     Raises:
         BadInput: another version of it.
     """
-    told = fields(message)
-    for name, kinds in TOLD.items():
-        if not isinstance(told.get(name), kinds):
+    found = fields(message)
+    for name, kinds in NEEDED.items():
+        if not isinstance(found.get(name), kinds):
             raise BadInput.stating(f'{path}: tick', f'without {name}', 'this version is needed')
-    return told
+    return found
 
 
 def _plans(messages: Iterable[Any]) -> tuple[Planned, ...]:

@@ -36,7 +36,7 @@ class Stamps:
 
     def __init__(self) -> None:
         self.now: int | None = None
-        self._told: int | None = None
+        self._carried: int | None = None
 
     def of(self, data: bytes, kind: str) -> int | None:
         """Return the stamp [ns] to record a message under; None before the first.
@@ -45,13 +45,13 @@ class Stamps:
             data: the message in CDR.
             kind: its type.
         """
-        told, before = carried(data, kind), self._told
-        if told is None:
+        own, before = carried(data, kind), self._carried
+        if own is None:
             return self.now
-        self._told = told
+        self._carried = own
         near = (each for each in (self.now, before) if each is not None)
-        if before is None or any(abs(told - each) <= LEAP for each in near):
-            self.now = told
+        if before is None or any(abs(own - each) <= LEAP for each in near):
+            self.now = own
         return self.now
 
 
@@ -86,7 +86,7 @@ class Recorder:
         planners: nodes that must know the recorder before odometry is asked for.
 
     Attributes:
-        counts: messages heard, by topic.
+        counts: messages taken, by topic.
     """
 
     def __init__(
@@ -132,13 +132,13 @@ class Recorder:
     def _listen(self, topic: Topic) -> None:
         kept = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
         profile = QoSProfile(depth=DEPTH, durability=kept)
-        heard: Any = self._heard(topic)  # rclpy also gives what is known about the message
+        take: Any = self._taking(topic)  # rclpy also gives what is known about the message
         package, _, kind = topic.type.split('/')
         message = getattr(import_module(f'{package}.msg'), kind)
-        self._node.create_subscription(message, topic.name, heard, profile, raw=True)
+        self._node.create_subscription(message, topic.name, take, profile, raw=True)
 
-    def _heard(self, topic: Topic) -> Callable[[bytes, dict[str, Any]], None]:
-        def heard(data: bytes, about: dict[str, Any]) -> None:
+    def _taking(self, topic: Topic) -> Callable[[bytes, dict[str, Any]], None]:
+        def take(data: bytes, about: dict[str, Any]) -> None:
             self.counts[topic.name] += 1
             stamp, sent = self._stamps.of(data, topic.type), about['source_timestamp']
             if stamp is None:
@@ -147,7 +147,7 @@ class Recorder:
                 self._flush()
                 self._bag.write(topic.name, stamp, data, sent)
 
-        return heard
+        return take
 
     def _flush(self) -> None:
         """Write what came before the first stamp."""

@@ -76,7 +76,7 @@ def text(values: Values, own: Mapping[str, Values] = EMPTY) -> str:
 
 
 def _plain(values: Values) -> Values:
-    """Return values for YAML, without empty lists: ROS cannot tell their type."""
+    """Return values for YAML, without empty lists: to ROS they have no type."""
     plain = {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
     return {name: value for name, value in plain.items() if value != []}
 

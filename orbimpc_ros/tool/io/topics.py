@@ -54,14 +54,14 @@ def known(name: str, kind: str) -> bool:
     return TYPES.get(name.rpartition('/')[2]) == kind
 
 
-def absent(path: Path, topic: str, heard: Iterable[str]) -> BadInput:
+def absent(path: Path, topic: str, there: Iterable[str]) -> BadInput:
     """Return the complaint that a topic is not in a bag, and which vehicles are.
 
     Args:
         path: of the bag.
         topic: wanted, with its namespace.
-        heard: the topics that are there.
+        there: the topics of the bag.
     """
-    places = {name.rpartition('/')[0] for name in heard if name.endswith('/odom')} - {''}
+    places = {name.rpartition('/')[0] for name in there if name.endswith('/odom')} - {''}
     hint = f'give --namespace {" or ".join(sorted(places))}' if places else NEEDED
     return BadInput.stating(str(path), f'without {topic}', hint)

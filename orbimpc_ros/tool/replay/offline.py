@@ -78,13 +78,13 @@ class OfflinePlanner:
             report = replace(report, solve_time_ms=solve_time_ms)
         if answer.tick is not None:
             report = replace(report, binding=prices(answer.tick))
-        return self._told(known.stamp, replace(answer, report=report))
+        return self._messages(known.stamp, replace(answer, report=report))
 
     def be_safe(self, stamp: int, reason: str) -> dict[str, Any]:
         """Answer with the safe command, for a reason that is no solver's."""
         known = self._ticker.inbox.odometry
         frames = self._settings.frames if known is None else known.stamp.frames
-        return self._told(Stamp(stamp, frames), self._ticker.safe(reason))
+        return self._messages(Stamp(stamp, frames), self._ticker.safe(reason))
 
     def went_out(self, at: float, pushed: float | None = None, rate: Array | None = None) -> None:
         """Learn what was really commanded; by default the last answer.
@@ -103,10 +103,10 @@ class OfflinePlanner:
             command = replace(command, body_rate=rate[-len(command.body_rate) :].copy())
         self._ticker.went_out(replace(self._answer, command=command), at)
 
-    def _told(self, stamp: Stamp, answer: Answer) -> dict[str, Any]:
+    def _messages(self, stamp: Stamp, answer: Answer) -> dict[str, Any]:
         self._answer = answer
-        told = outputs.orders(self._settings, stamp, answer.command)
-        told |= outputs.reports(self._settings, stamp, answer.report, answer.plan, self._node)
+        found = outputs.orders(self._settings, stamp, answer.command)
+        found |= outputs.reports(self._settings, stamp, answer.report, answer.plan, self._node)
         if self._ticker.inbox.odometry is not None:
-            told['rotation'] = messages.rotation_message(stamp, answer.command)
-        return told
+            found['rotation'] = messages.rotation_message(stamp, answer.command)
+        return found

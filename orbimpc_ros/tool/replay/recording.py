@@ -105,8 +105,8 @@ def published(messages: Messages) -> Published:
         q = messages['rotation'].quaternion
         found['rotation'] = np.array([q.w, q.x, q.y, q.z])
     if 'tick' in messages and messages['tick'].status:
-        told = fields(messages['tick'])
-        found |= {name: read(told[name]) for name, read in READERS.items() if name in told}
+        values = fields(messages['tick'])
+        found |= {name: read(values[name]) for name, read in READERS.items() if name in values}
     return Published(**found)
 
 
@@ -174,10 +174,10 @@ class Recording:
     @property
     def simulated(self) -> bool:
         """Return whether somebody published simulated time."""
-        return self.told < len(self.inputs)
+        return self.received < len(self.inputs)
 
     @property
-    def told(self) -> int:
+    def received(self) -> int:
         """Return how many messages the planner was sent, beside the time."""
         return sum(each.topic != CLOCK for each in self.inputs)
 
@@ -230,22 +230,22 @@ def stamp_of(message: Any) -> int:
 
 def _answers(outputs: dict[str, list[Message]]) -> Iterator[RecordedTick]:
     """Yield every answer; one that was merely repeated counts once."""
-    said: dict[int, list[tuple[int, str, Any]]] = defaultdict(list)
+    by_stamp: dict[int, list[tuple[int, str, Any]]] = defaultdict(list)
     for topic, messages in outputs.items():
         for each in messages:
-            said[stamp_of(each.content)].append((each.sent, topic, each.content))
-    for stamp, under_it in said.items():
+            by_stamp[stamp_of(each.content)].append((each.sent, topic, each.content))
+    for stamp, sent_messages in by_stamp.items():
         before: Messages = {}
-        for sent, contents in _grouped(sorted(under_it, key=lambda each: each[0])):
+        for sent, contents in _grouped(sorted(sent_messages, key=lambda each: each[0])):
             if any(repr(before.get(topic)) != repr(each) for topic, each in contents.items()):
                 yield RecordedTick(stamp, sent, contents, published(contents))
             before = contents
 
 
-def _grouped(said: Iterable[tuple[int, str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
+def _grouped(messages: Iterable[tuple[int, str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
     """Yield messages by topic, and when the first of them was sent: each topic once an answer."""
     begun, contents = 0, dict[str, Any]()
-    for sent, topic, content in said:
+    for sent, topic, content in messages:
         if topic in contents:
             yield begun, contents
             contents = {}

@@ -102,7 +102,7 @@ def _print(
         print(f'... and {len(differences) - LINES} more')
     print(f'replayed      {len(answers)} ticks of {recording.path} in {elapsed:.2f} s')
     refused = sum(len(each.refusals) for each in answers)
-    print(f'inputs        {recording.told}, {refused} refused')
+    print(f'inputs        {recording.received}, {refused} refused')
     print(f'unanswered    {whole}')
     counts = Counter(each.quantity for each in found)
     print(f'compared      {", ".join(f"{n} {quantity}" for quantity, n in counts.items())}')

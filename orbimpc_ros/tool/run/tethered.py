@@ -15,7 +15,7 @@ PROGRAM = '--program'  # instead of a module: its path and arguments follow
 
 
 def tether(parent: int) -> None:
-    """Have this process told to stop as soon as its parent is gone, even if that was killed.
+    """Have this process stopped as soon as its parent is gone, even if that was killed.
 
     By SIGTERM: a shell has its background jobs ignore SIGINT, and all that these start.
     """

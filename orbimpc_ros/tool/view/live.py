@@ -58,7 +58,7 @@ class Watcher:
         self._node = rclpy.create_node('viewer', context=self._context, namespace=namespace or '/')
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        self._told: dict[str, settings.Values] = {}  # by node
+        self._learned: dict[str, settings.Values] = {}  # by node
         self._recordings, self._restarts = recordings, Restarts()
         self._scene = Scene(recordings(), self._values)
         for topic in VEHICLE:
@@ -102,15 +102,15 @@ class Watcher:
         response: Any = answer.result()
         if response is None:
             return
-        told = dict(zip(names, map(parameter_value_to_python, response.values), strict=False))
-        if told != self._told.get(name):
-            self._told[name] = told
+        values = dict(zip(names, map(parameter_value_to_python, response.values), strict=False))
+        if values != self._learned.get(name):
+            self._learned[name] = values
             self._scene.configure(self._values)
 
     @property
     def _values(self) -> settings.Values:
         """Return the parameters of planner and simulator, defaults as long as they are silent."""
-        return settings.read('{}') | self._told.get('sim', {}) | self._told.get('planner', {})
+        return settings.read('{}') | self._learned.get('sim', {}) | self._learned.get('planner', {})
 
     def spin(self) -> None:
         """Draw what comes for a while."""

@@ -60,7 +60,7 @@ DART_COLORS = np.repeat(SHADES, 3, axis=0)
 
 
 class Scene:
-    """Draws what it is told of one vehicle.
+    """Draws the messages of one vehicle.
 
     Args:
         recording: to draw into.
@@ -196,11 +196,11 @@ class Scene:
         self._draw_thrust()
 
     def _take_tick(self, message: Any) -> None:
-        told = fields(message)
-        self._shares = seconds(message), _numbers(told.get('speed_fraction'))
-        self._to.log(TICK, rr.TextDocument(_words(told), media_type=rr.MediaType.MARKDOWN))
-        self._chart('time/solve_ms', told.get('solve_time_ms'))
-        for gap in _numbers([told.get('gap')]):
+        values = fields(message)
+        self._shares = seconds(message), _numbers(values.get('speed_fraction'))
+        self._to.log(TICK, rr.TextDocument(_words(values), media_type=rr.MediaType.MARKDOWN))
+        self._chart('time/solve_ms', values.get('solve_time_ms'))
+        for gap in _numbers([values.get('gap')]):
             self._chart('gap/log10', np.log10(max(gap, LEAST_GAP)))
         if len(self._shares[1]) > 1:
             self._chart('speed/commanded', self._shares[1][1])
@@ -264,13 +264,15 @@ def _to_space(dimension: int) -> list[tuple[int, int]]:
     return [(0, 0), (0, 0), (0, 3 - dimension)]
 
 
-def _words(told: dict[str, Any]) -> str:
+def _words(values: dict[str, Any]) -> str:
     """Return what a tick says, as a table in Markdown."""
-    first, *others = [f'| {key} | {_word(value)} |' for key, value in told.items() if _said(value)]
+    first, *others = [
+        f'| {key} | {_word(value)} |' for key, value in values.items() if _is_known(value)
+    ]
     return '\n'.join([first, '| --- | --- |', *others])
 
 
-def _said(value: Any) -> bool:
+def _is_known(value: Any) -> bool:
     return value not in ('', [], {}) and value == value  # NaN stands for nothing
 
 

@@ -70,10 +70,10 @@ def of_vehicle(path: Path, namespace: str, names: Collection[str] = ()) -> list[
         BadInput: no bag, or one without odometry and goal of this vehicle.
     """
     found = list(read(path, names))
-    heard = {message.topic for message in found}
+    there = {message.topic for message in found}
     for topic in NEEDED:
-        if f'{namespace}/{topic}' not in heard:
-            raise topics.absent(path, f'{namespace}/{topic}', heard)
+        if f'{namespace}/{topic}' not in there:
+            raise topics.absent(path, f'{namespace}/{topic}', there)
     parted = ((*message.topic.rpartition('/'), message.content) for message in found)
     return [(name, content) for before, _, name, content in parted if before == namespace]
 
@@ -88,8 +88,8 @@ def raw(path: Path) -> list[Raw]:
     with _blamed(path):
         found = _collected(folder)
     if not folder.closed:
-        told = f'{path} was not closed: read up to its last chunk, {len(found)} messages'
-        print(f'orbimpc: {told}', file=sys.stderr)
+        cut = f'{path} was not closed: read up to its last chunk, {len(found)} messages'
+        print(f'orbimpc: {cut}', file=sys.stderr)
     return sorted(found, key=lambda each: each.stamp)
 
 
