@@ -383,6 +383,16 @@ def test_a_bag_that_is_not_there_is_told(tmp_path, name, capsys):
     assert '\x1b' not in err
 
 
+def test_a_line_says_the_subject_the_problem_and_a_hint(tmp_path):
+    with pytest.raises(BadInput) as caught:
+        bag.raw(tmp_path / 'nowhere.mcap')
+    hint = 'a readable file is needed'
+    assert str(caught.value) == f'{tmp_path}/nowhere.mcap: no such file; {hint}'
+    error = BadInput.stating('bag', 'damaged\n' + 'x' * 1000, hint)
+    assert str(error).count('\n') == 0
+    assert len(str(error)) < 150
+
+
 def test_what_is_no_bag_is_told(tmp_path):
     (tmp_path / 'notes.txt').write_text('no bag')
     assert_refused(tmp_path / 'notes.txt', 'no bag')

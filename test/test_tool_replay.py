@@ -230,6 +230,32 @@ def test_a_goal_that_the_planner_never_saw_is_left_out(replay, tmp_path):
     assert replay(path)[0] == 0
 
 
+def test_of_several_goals_in_a_row_the_newest_are_those_that_were_taken(replay, tmp_path):
+    """Two come before each that is answered, and the counts say that neither was taken."""
+    from geometry_msgs.msg import PoseStamped
+
+    source, path = GOLDEN / 'obstacles', tmp_path / 'bag'
+    raw, lost = bag.raw(source), []
+    for each in raw:
+        if each.topic == '/goal' and each.stamp > 0:
+            for before in (2, 1):
+                message = deserialize_message(each.data, PoseStamped)
+                message.header.stamp.sec, message.header.stamp.nanosec = divmod(
+                    each.stamp - before, 10**9
+                )
+                message.pose.position.x += before
+                data = serialize_message(message)
+                lost.append(each._replace(data=data, sent=each.sent - before))
+    write(path, [*raw, *lost], bag.notes(source))
+    code, out, _ = replay(path)
+    assert code == 0, out
+    assert f'inputs        {2 * len(answered(source)) + len(lost)}, 0 refused' in out
+
+
+def answered(path):
+    return [each for each in recording_of(path).inputs if each.topic == 'goal']
+
+
 def test_a_goal_is_known_by_its_stamp_however_early_it_was_sent(replay, tmp_path):
     """Each comes before the answer before: by when it was sent it would have been known."""
 

@@ -14,6 +14,7 @@ from typing import NamedTuple, NoReturn
 from orbimpc_ros import __version__
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError
 from orbimpc_ros.ros.entry import without_ros
+from orbimpc_ros.tool.io.files import why
 
 DONE, FAILED, BAD_INPUT, INFEASIBLE = 0, 1, 2, 3
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
@@ -87,7 +88,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _end_output()
         return FAILED
     except OSError as error:  # such as a disk that is full
-        _complain(f'{error.filename or "output"}: {error.strerror or error}')
+        _complain(f'{error.filename or "output"}: {why(error)}')
         _end_output()
         return FAILED
 

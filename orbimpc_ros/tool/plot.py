@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool.io.files import WRITABLE, require_writable, writing_to
+from orbimpc_ros.tool.io.files import WRITABLE, require_writable, why, writing_to
 
 if TYPE_CHECKING:
     from orbimpc_ros.mpc.arrays import Array
@@ -72,7 +72,7 @@ def _folder(folder: Path, names: Sequence[str] | dict) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise BadInput.stating(f'--out {folder}', str(error.strerror), WRITABLE) from None
+        raise BadInput.stating(f'--out {folder}', why(error), WRITABLE) from None
     for name in names:
         if (folder / name).exists() and not made_here(folder / name):
             raise BadInput.stating(

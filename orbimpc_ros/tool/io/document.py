@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 import yaml
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool.io.files import opened
+from orbimpc_ros.tool.io.files import opened, why
 
 MAX_BYTES = 1 << 20
 MAX_NODES = 30_000  # of YAML, which is slow to take apart
@@ -117,8 +117,7 @@ def _text(source: str) -> str:
                 raw = _capped(stream, source)
         return raw.decode()
     except OSError as error:
-        problem = error.strerror or str(error)
-        raise BadInput.stating(source, problem, 'a readable file is needed') from None
+        raise BadInput.stating(source, why(error), 'a readable file is needed') from None
     except UnicodeDecodeError:
         raise BadInput.stating(source, 'not UTF-8', 'UTF-8 text is needed') from None
 

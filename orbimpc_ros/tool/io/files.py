@@ -18,6 +18,14 @@ WRITABLE = 'a folder to write to is needed'
 REGULAR = 'a regular file is needed'
 
 
+def why(error: OSError) -> str:
+    """Return in a few words why a file or folder cannot be used."""
+    if isinstance(error, FileNotFoundError):
+        return 'no such file'
+    words = error.strerror or str(error)
+    return words[:1].lower() + words[1:]
+
+
 @contextmanager
 def opened(path: Path, largest: int) -> Iterator[BinaryIO]:
     """Open a regular file to read; FIFOs and devices, which could block for ever, are refused.
@@ -54,8 +62,7 @@ def _blaming(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        problem = error.strerror or str(error)
-        raise BadInput.stating(str(path), problem, 'a readable file is needed') from None
+        raise BadInput.stating(str(path), why(error), 'a readable file is needed') from None
     except ValueError as error:  # such as a null byte in its name
         raise BadInput.stating(ascii(str(path)), str(error), REGULAR) from None
 
@@ -92,8 +99,7 @@ def listed(folder: Path) -> list[Path]:
     try:
         found = sorted(islice(folder.iterdir(), MAX_ENTRIES + 1))
     except OSError as error:
-        problem = error.strerror or str(error)
-        raise BadInput.stating(str(folder), problem, 'a readable folder is needed') from None
+        raise BadInput.stating(str(folder), why(error), 'a readable folder is needed') from None
     if len(found) > MAX_ENTRIES:
         raise BadInput.stating(str(folder), 'too full', f'at most {MAX_ENTRIES} files are listed')
     return found
@@ -115,9 +121,7 @@ def require_writable(culprit: str, file: Path) -> None:
         with tempfile.TemporaryFile(dir=file.parent):
             pass
     except OSError as error:
-        raise BadInput.stating(
-            f'{culprit} {file}', error.strerror or str(error), WRITABLE
-        ) from None
+        raise BadInput.stating(f'{culprit} {file}', why(error), WRITABLE) from None
 
 
 def new_folder(out: str, name: str) -> Path:
@@ -135,7 +139,7 @@ def new_folder(out: str, name: str) -> Path:
             if not folder.is_dir():
                 break
         except OSError as error:
-            raise BadInput.stating(f'--out {out}', str(error.strerror), WRITABLE) from None
+            raise BadInput.stating(f'--out {out}', why(error), WRITABLE) from None
     raise BadInput.stating(f'--out {out}', 'not a folder', WRITABLE)
 
 
@@ -149,7 +153,7 @@ def writing_to(folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise OrbimpcError(f'{folder}: {error.strerror or error}') from None
+        raise OrbimpcError(f'{folder}: {why(error)}') from None
 
 
 def write_whole(file: Path, write: Callable[[Path], object]) -> None:
@@ -193,4 +197,4 @@ def replacing(folder: Path) -> Iterator[Path]:
                 old.rename(folder)
                 raise
     except OSError as error:
-        raise BadInput.stating(str(folder), error.strerror or str(error), WRITABLE) from None
+        raise BadInput.stating(str(folder), why(error), WRITABLE) from None
