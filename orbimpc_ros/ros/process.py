@@ -36,6 +36,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.outcome import Cause, Reason
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
 FAILURES_IN_A_ROW = 5  # of one callback, after which the node gives up
@@ -92,7 +93,7 @@ class Guarded(Node):
         self.failures = 0
         self._in_a_row: Counter[str] = Counter()
 
-    def safe(self, reason: str) -> None:
+    def safe(self, reason: Reason) -> None:
         """Do what is safe right now; the farewell and every failure call it."""
 
     def steady_now(self) -> float:
@@ -128,7 +129,7 @@ class Guarded(Node):
         reason = f'{what} failed: {type(error).__name__}: {error}'
         self._count(what, reason)
         try:
-            self.safe(reason)
+            self.safe(Reason(Cause.FAILURE, reason))
         except Exception as worse:
             self._count('safe', f'the safe command failed: {type(worse).__name__}: {worse}')
 
@@ -268,7 +269,7 @@ def _part(node: Guarded, executor: SingleThreadedExecutor, signals: Sequence[int
         node.get_logger().info(f'received {signal.Signals(signals[0]).name}, stopping')
     farewell = node.guard(node.safe)
     for _ in range(FAREWELLS):
-        farewell('shutting down')
+        farewell(Reason(Cause.SHUTDOWN, 'shutting down'))
     _let_go(node)
     executor.shutdown()
     node.destroy_node()

@@ -80,7 +80,7 @@ class Faults:
         return self.clock_jump if ticks >= self.clock_jump_tick else 0.0
 
 
-class Sent(NamedTuple):
+class Delivery(NamedTuple):
     """A message that reaches the planner.
 
     Attributes:
@@ -121,17 +121,17 @@ class View:
     def __init__(self, faults: Faults, seed: int, step: float) -> None:
         self.faults, self._seed = faults, seed
         self._past: deque[Vehicle] = deque(maxlen=2 + math.ceil(faults.delay / step))
-        self._held_back: list[Sent] = []
+        self._held_back: list[Delivery] = []
 
-    def of(self, flight: Flight) -> list[Sent]:
+    def of(self, flight: Flight) -> list[Delivery]:
         """Return what arrives at this tick, in order; to be asked once a tick."""
         self._past.append(flight.vehicle)
         arriving, self._held_back = self._held_back, []
         luck = _Luck.of(self._seed, flight.ticks)
         if not self._hidden(flight.elapsed):
             goal = Sighting(flight.vehicle.time, flight.goal + self._shift(luck, GOAL, flight.goal))
-            arriving += self._through(luck, GOAL, Sent(goal, flight.ticks))
-        odometry = Sent(self._odometry(luck), flight.ticks, self.faults.delay)
+            arriving += self._through(luck, GOAL, Delivery(goal, flight.ticks))
+        odometry = Delivery(self._odometry(luck), flight.ticks, self.faults.delay)
         return arriving + self._through(luck, ODOMETRY, odometry)
 
     def command_lost(self, ticks: int) -> bool:
@@ -153,7 +153,7 @@ class View:
                 return between(earlier, later, at)
         return self._past[-1] if at >= self._past[-1].time else replace(self._past[0], time=at)
 
-    def _through(self, luck: _Luck, kind: int, sent: Sent) -> list[Sent]:
+    def _through(self, luck: _Luck, kind: int, sent: Delivery) -> list[Delivery]:
         """Return what of a message arrives now: none of it, once or twice."""
         if self._happens(luck, kind, 'dropout'):
             return []

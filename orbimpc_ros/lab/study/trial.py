@@ -115,7 +115,7 @@ def excesses(problem: Problem, ticks: Sequence[Tick]) -> list[float]:
     rival, found = pilot_named(NONLINEAR, problem, 'rival'), []
     rival.reset()
     for tick in ticks:
-        if tick.plan is None or tick.goals is None:
+        if tick.plan is None or tick.state is None or tick.goals is None:
             continue
         other = rival.plan(tick.state, tick.goals)
         if not violations(problem, tick.state, tick.goals, other):

@@ -30,7 +30,7 @@ def condition(
         return WARN, '; '.join(filter(None, (waiting, *notices)))
     level, message = OK, 'ready'
     if report is not None:
-        level, message = report.level, report.reason or 'planning'
+        level, message = report.level, report.tick.reason or 'planning'
     if level == OK and any(notices):
         level = WARN
     return level, '; '.join(filter(None, (message, *notices)))

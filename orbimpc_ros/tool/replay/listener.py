@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise, takewhile
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.arrival import RosTime
+from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import read_itinerary, read_sighting
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.tool.io.stamps import SECOND

@@ -62,7 +62,7 @@ def before(recording: Recording, tick: int) -> Recording:
 
 def _answer(pilot: Pilot, recorded: Recorded) -> Told:
     answer, reason = recorded.answer, recorded.answer.reason or ''
-    if reason == AFRESH:
+    if reason == AFRESH.words:
         pilot.forget()
     if not answer.planned:
         return pilot.be_safe(recorded.stamp, reason)
