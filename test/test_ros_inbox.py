@@ -263,7 +263,7 @@ def test_a_timeout_below_zero_is_none():
 def test_stamps_that_nobody_sets_are_told_as_what_they_are(inbox):
     assert inbox.take('odom', odometry(0.0), 0.0) == ''  # simulated time may begin at zero
     refusal = inbox.take('odom', odometry(0.0), 0.1)
-    assert 'unset stamp is 0 again; allowed: header.stamp set to the time' in refusal
+    assert 'unset stamp: 0 again; set header.stamp to the time' in refusal
     assert inbox.refused == {'odom: unset stamp': 1}
 
 

@@ -9,17 +9,17 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-import rclpy
 from conftest import PATIENCE, ROOT
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.publisher import Publisher
-from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import get_default_context
 
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.planner.node import PlannerNode
+from orbimpc_ros.ros.process import initialised
 from orbimpc_ros.world.vehicle import Model, launched
 
 PACKAGE = ROOT / 'orbimpc_ros'
@@ -53,17 +53,13 @@ class Trace:
 def planner(domain):
     """The planner's node in this process, as configured for the retrieval, and its inputs."""
     file = ROOT / 'config' / 'retrieval.yaml'
-    rclpy.init(
-        args=['planner', '--ros-args', '--params-file', str(file), '-p', 'use_sim_time:=false'],
-        domain_id=domain,
-        signal_handler_options=SignalHandlerOptions.NO,
-    )
-    node, executor = PlannerNode(), SingleThreadedExecutor()
-    executor.add_node(node)
-    yield node, executor
-    executor.shutdown()
-    node.destroy_node()
-    rclpy.try_shutdown()
+    words = ['planner', '--ros-args', '--params-file', str(file), '-p', 'use_sim_time:=false']
+    with initialised(words, domain=domain, context=get_default_context()):
+        node, executor = PlannerNode(), SingleThreadedExecutor()
+        executor.add_node(node)
+        yield node, executor
+        executor.shutdown()
+        node.destroy_node()
 
 
 def files_on_the_way(node, executor):

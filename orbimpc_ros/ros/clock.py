@@ -43,7 +43,7 @@ class Drift:
         self._offset: tuple[float, float] | None = None
 
     def jump(self, before: float, clock: float, after: float) -> float:
-        """Return by how much the clock has jumped at least since the last look [s].
+        """Return how far the clock has jumped at least since the last look [s].
 
         Args:
             before: on the steady clock, just before the other was read [s].
@@ -127,7 +127,7 @@ class NodeClock:
         )
 
     def look(self) -> None:
-        """Look whether the system's clock was set, which nothing else would tell."""
+        """Look whether the system's clock was set, which nothing else would show."""
         if self.simulated:
             return
         before = time.monotonic()

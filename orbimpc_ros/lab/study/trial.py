@@ -20,7 +20,7 @@ from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.world.faults import View
 from orbimpc_ros.world.flight import Log, Pilot, Sensor, fly
-from orbimpc_ros.world.rope import Told
+from orbimpc_ros.world.rope import TrueMotion
 
 Row = dict[str, Any]
 CHEAPER = 1e-6  # relative; costs that differ by less are the same
@@ -32,7 +32,7 @@ def flown(study: Study, numbers: Sequence[int]) -> list[Row]:
 
 
 def _flown(study: Study, run: Run) -> list[Row]:
-    told = Told(run.scenario.rope)
+    told = TrueMotion(run.scenario.rope)
     forecast = Shared(told if study.forecast == TRUTH else forecast_named(study.forecast))
     return [_row(study, run, name, forecast) for name in study.controllers]
 

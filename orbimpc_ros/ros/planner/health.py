@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from orbimpc_ros.ros.process import Guarded, qos
 from orbimpc_ros.ros.reports import ERROR, OK, WARN, Report, diagnostics
 
-PERIOD = 1.0  # [s] how often it is told, at least
+PERIOD = 1.0  # [s] between messages, at most
 Condition = tuple[bytes, str]
 
 

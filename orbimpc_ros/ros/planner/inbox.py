@@ -22,7 +22,7 @@ T = TypeVar('T')
 COMPARABLE = 60.0  # [s] a source whose stamps are farther off goes by another clock than this node
 INCREASING = 'stamps that increase'
 NOT_SET = (
-    'header.stamp set to the time of measurement (in code get_clock().now().to_msg(), with '
+    'set header.stamp to the time of measurement (in code get_clock().now().to_msg(), with '
     'ros2 topic pub "header: auto")'
 )
 STREAM = 3  # goals one soon after another are a stream, which is missed when it stops
@@ -66,7 +66,7 @@ class Pairing:
     """Learns from stamps whether a source accompanies every odometry message.
 
     A source in lock-step does so from its first message on. One that merely shares the driver's
-    clock, yet is slower, shares some stamps: whoever waited for it would answer at its pace.
+    clock, yet is slower, shares some stamps: a planner that waited for it would answer at its pace.
     """
 
     def __init__(self) -> None:
@@ -190,7 +190,7 @@ class Inbox:
             return
         if stamp.nanoseconds == last.stamp.nanoseconds:
             if stamp.nanoseconds == 0:
-                raise BadInput('unset stamp', '0 again', NOT_SET)
+                raise BadInput.stating('unset stamp', '0 again', NOT_SET)
             raise BadInput('duplicate stamp', stamp.nanoseconds, INCREASING)
         # Once the last one is stale, an older stamp means that the sender's clock was set back.
         if now - last.at <= self._timeout(topic):

@@ -14,8 +14,8 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import ReliabilityPolicy
 from std_srvs.srv import SetBool, Trigger
 
-from orbimpc_ros.mpc.loop.controller import Controller, Tick
-from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason
+from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.clock import NodeClock
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters import PLANNER, Live, PlannerSettings, planner_settings
@@ -37,7 +37,7 @@ WATCH = 0.05  # [s] how often the inputs' age is looked at, at least
 CLOCK_SET = 0.1  # [s] by which the system's clock may be set without a fresh start
 REFUSED = 1.0  # [s] for which a refused message is a reason to warn
 SILENCE = 1.5  # [s] without any /clock, after which that is a reason to warn
-LULL = 10.0  # [s] the same, once it has come: lock-step waits for whoever is slow
+LULL = 10.0  # [s] the same, once it has come: lock-step waits for slow planners
 
 
 class PlannerNode(Guarded):
@@ -48,7 +48,6 @@ class PlannerNode(Guarded):
         self._enabled = True
         self._answered = -1  # stamp of the odometry that was answered last [ns]
         self._refusal, self._refused_at = '', -np.inf
-        self._planning = self._begun = False
         self._console = Announcer(self.get_logger(), self.steady_now)
         report_compilation(self._console.warn)
         with leaving_at_signals():
@@ -68,8 +67,7 @@ class PlannerNode(Guarded):
 
     def _introduce(self) -> None:
         """Say once, before anything flies, what vehicle the parameters describe."""
-        self._introduced = summary(self._settings, self._time.simulated)
-        self.get_logger().info(self._introduced)
+        self._console.introduce(summary(self._settings, self._time.simulated))
         given = {name: each.value for name, each in self._parameter_overrides.items()}
         warn_of_unused(self)
         for doubt in doubts(self._settings, given):
@@ -79,10 +77,7 @@ class PlannerNode(Guarded):
         self._settings, controller = prepared
         self._ticker.install(self._settings, controller)
         self._inbox.adopt(self._settings)
-        now = summary(self._settings, self._time.simulated)
-        if now != self._introduced:
-            self._introduced = now
-            self._console.say(f'from now on {now}')
+        self._console.introduce(summary(self._settings, self._time.simulated))
 
     # --- wiring
 
@@ -216,18 +211,8 @@ class PlannerNode(Guarded):
         known = self._inbox.odometry is not None
         self._outlet.add(report_messages(self._settings, stamp, report, name, oriented=known))
         self._report = report
-        self._say(report.tick)
+        self._console.note(report.tick)
         self._health.show_changes()
-
-    def _say(self, tick: Tick) -> None:
-        """Say on the console what is wrong with a tick, and that planning begins or goes on."""
-        if tick.reason:
-            self._console.warn(': '.join(filter(None, (tick.fallback, tick.reason))))
-        if tick.fallback is Fallback.SAFE_COMMAND:
-            self._planning = False
-        elif not tick.fallback and not self._planning:
-            self._console.say('plans again' if self._begun else 'begins to plan')
-            self._planning = self._begun = True
 
     # --- watching
 
@@ -262,7 +247,7 @@ class PlannerNode(Guarded):
         return f'waits for {self._inbox.missing}' if self._inbox.missing else ''
 
     def _troubles(self) -> list[str]:
-        """Return what is wrong around the planner, in words; that of its ticks is told by them."""
+        """Return what is wrong around the planner, in words; ticks report their own."""
         around = self._neighbours
         return [around.sources, *around.mismatches, around.rivals, self._still, self._untimed]
 
@@ -287,7 +272,7 @@ class PlannerNode(Guarded):
         """Start afresh if the clock has jumped [s].
 
         Simulated time moves in steps. A step forward makes what is known as much older, which its
-        age tells; a jump is what makes all of it stale.
+        age shows; a jump is what makes all of it stale.
         """
         settings, back, forth = self._settings, CLOCK_SET, CLOCK_SET
         if self._time.simulated:

@@ -16,14 +16,14 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters import SIM, Live, sim_settings
 from orbimpc_ros.ros.parameters.sections import warn_of_unused
 from orbimpc_ros.ros.process import Guarded, qos, run
-from orbimpc_ros.ros.sim.stage import DEPTH, Stage
+from orbimpc_ros.ros.sim.arena import DEPTH, Arena
 from orbimpc_ros.ros.sim.stepping import LockStep, RealTime
 
 REFUSALS_SHOWN = 1.0  # [s] between diagnostics of refused commands
 
 
 class SimNode(Guarded):
-    """Parameters, commands and services of a stage, whose steps one of two paces decides."""
+    """Parameters, commands and services of an arena, whose steps one of two paces decides."""
 
     def __init__(self) -> None:
         # It makes the time: under simulated time it would wait for itself.
@@ -31,8 +31,8 @@ class SimNode(Guarded):
         live = Live(self, SIM, sim_settings, lambda settings: settings)
         settings = live.prepared
         self._refused_at = -np.inf  # when a refusal was last shown, on the steady clock [s]
-        self._stage = Stage(self, settings, self._create_subscriptions())
-        self._pace = LockStep(self._stage) if settings.lockstep else RealTime(self._stage)
+        self._arena = Arena(self, settings, self._create_subscriptions())
+        self._pace = LockStep(self._arena) if settings.lockstep else RealTime(self._arena)
         self.create_service(Trigger, '~/reset', self.guard(self._on_reset))
         if isinstance(self._pace, RealTime):
             self._watch_life(self._pace.on_life, settings.lease)
@@ -51,10 +51,10 @@ class SimNode(Guarded):
         return velocity
 
     def _on_twist(self, message: TwistStamped) -> None:
-        self._take('cmd_vel', self._stage.orders.take_twist, message)
+        self._take('cmd_vel', self._arena.orders.take_twist, message)
 
     def _on_force(self, message: WrenchStamped) -> None:
-        self._take('cmd_thrust', self._stage.orders.take_force, message)
+        self._take('cmd_thrust', self._arena.orders.take_force, message)
 
     def _take(self, topic: str, take: Callable[[Any, int], bool], message: Any) -> None:
         try:
@@ -66,10 +66,10 @@ class SimNode(Guarded):
             self._pace.on_order()
 
     def _refuse(self, topic: str, error: BadInput) -> None:
-        self._stage.refused[f'refused {topic}: {error.culprit}'] += 1
+        self._arena.refused[f'refused {topic}: {error.culprit}'] += 1
         if self.steady_now() - self._refused_at > REFUSALS_SHOWN:
             self._refused_at = self.steady_now()
-            self._stage.warn(self._pace.now, f'{topic} refused: {error}')
+            self._arena.warn(self._pace.now, f'{topic} refused: {error}')
 
     def _watch_life(self, heard: Callable[[Any], None], lease: float) -> None:
         """Call back when DDS hears, or misses, signs of life from who promises them on cmd_vel."""
@@ -83,7 +83,7 @@ class SimNode(Guarded):
         )
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
-        self._stage.restart()
+        self._arena.restart()
         self._pace.restart()
         response.success, response.message = True, 'back at the start'
         return response

@@ -36,7 +36,7 @@ except ImportError:  # the PyPI wheels of ROS have no tf2
 DEPTH = 10  # in lock-step no message may push another out
 
 
-class Stage:
+class Arena:
     """A flight, shown on topics, that goes on a step at a time.
 
     Args:
