@@ -139,27 +139,15 @@ class Observer:
     """A third process's view: this test's own node, spun until something has happened."""
 
     def __init__(self, domain: int) -> None:
-        import rclpy
-        from rclpy.executors import SingleThreadedExecutor
-        from rclpy.signals import SignalHandlerOptions
+        from orbimpc_ros.ros.process import attached
 
         self.domain = domain
-        self._context = rclpy.Context()
-        rclpy.init(
-            args=[],
-            context=self._context,
-            domain_id=domain,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
-        self.node = rclpy.create_node('observer', context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
+        self._stack = contextlib.ExitStack()
+        self.node, self._executor = self._stack.enter_context(attached('observer', domain=domain))
         self._subscriptions: dict = {}
 
     def close(self) -> None:
-        self._executor.shutdown()
-        self.node.destroy_node()
-        self._context.try_shutdown()
+        self._stack.close()
 
     def listen(self, kind, topic, qos=None) -> list:
         """Return the list that messages on a topic will be added to."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -71,3 +72,22 @@ def whole(value: object, culprit: str, low: int, high: int) -> int:
     if not low <= value <= high:
         raise BadInput(culprit, value, f'an integer in [{low}, {high}]')
     return int(value)
+
+
+def within(checked: object, ranges: Mapping[str, tuple[float, float]], prefix: str = '') -> None:
+    """Check that attributes are numbers in their ranges, integers where both ends are.
+
+    Args:
+        checked: has the attributes.
+        ranges: least and greatest value allowed, by attribute.
+        prefix: of the names that an error gives them.
+
+    Raises:
+        BadInput: one is not.
+    """
+    for name, (low, high) in ranges.items():
+        value, culprit = getattr(checked, name), f'{prefix}{name}'
+        if isinstance(low, int) and isinstance(high, int):
+            whole(value, culprit, low, high)
+        else:
+            number(value, culprit, low, high)

@@ -1,9 +1,11 @@
-"""What can go wrong, in one family: each error says what, where and what is allowed."""
+"""The errors of this package: each names a culprit, its value and what is allowed."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+
+LISTED = 20  # names that an error lists at most
 
 
 class OrbimpcError(Exception):
@@ -25,6 +27,14 @@ class BadInput(OrbimpcError, ValueError):
         super().__init__(f'{culprit} is {shown}; allowed: {allowed}')
 
     @classmethod
+    def choice(cls, culprit: str, value: object, words: Iterable[str]) -> BadInput:
+        """Return the error of a value that is none of a few words, with one that it may mean."""
+        known = tuple(words)
+        close = difflib.get_close_matches(str(value), known, n=1)
+        meant = f'; did you mean {close[0]!r}?' if close else ''
+        return cls(culprit, value, ' | '.join(known) + meant)
+
+    @classmethod
     def stating(cls, subject: str, problem: str, hint: str) -> BadInput:
         """Return an error where nothing is a value: ``subject: problem; hint``."""
         error = cls(subject, problem, hint)
@@ -44,7 +54,8 @@ class BadInput(OrbimpcError, ValueError):
         names, name = list(dict.fromkeys(known)), ' '.join(name.split())[:80]
         close = difflib.get_close_matches(name, names, n=3, cutoff=0.6)
         meant = ' or '.join(repr(each) for each in close)
-        hint = f'did you mean {meant}?' if close else f'known: {", ".join(names)}'
+        more = ', ...' if len(names) > LISTED else ''
+        hint = f'did you mean {meant}?' if close else f'known: {", ".join(names[:LISTED])}{more}'
         error = cls(name, f'no {kind}', hint)
         before = f'{where}: ' if where else ''
         error.args = (f'{before}unknown {kind} {name!r}; {hint}',)

@@ -1,7 +1,7 @@
 """Scenarios by name: what flies from where, what it is after, and the problem its planner solves.
 
-The numbers that the paper does not give were chosen; how is told in the files of the same names
-in ``config/``.
+The numbers that the paper does not give were chosen; the files of the same names in ``config/`` say
+how.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from orbimpc_ros.world.rope import Rope, fixed
 from orbimpc_ros.world.vehicle import Model, Vehicle, launched, model_of
 
 MAX_TICKS = 1_000_000
+RADII = (1e-6, 1e6)  # [m]
+SPEEDS = (0.0, 1e6)  # [m/s]
 FINISHES = ('capture', 'arrival')
 
 
@@ -52,12 +54,12 @@ class Scenario:
             raise BadInput('start.position', self.start.position.tolist(), f'{n} numbers')
         if len(self.rope.center) != n:
             raise BadInput('rope.center', self.rope.center.tolist(), f'{n} numbers')
-        number(self.capture_radius, 'capture_radius', 0.0, 1e6, above=True)
+        number(self.capture_radius, 'capture_radius', *RADII)
         whole(self.max_ticks, 'max_ticks', 1, MAX_TICKS)
         if self.finish not in FINISHES:
-            raise BadInput('finish', self.finish, ' | '.join(FINISHES))
-        number(self.arrival_radius, 'arrival_radius', 0.0, 1e6, above=True)
-        number(self.arrival_speed, 'arrival_speed', 0.0, 1e6)
+            raise BadInput.choice('finish', self.finish, FINISHES)
+        number(self.arrival_radius, 'arrival_radius', *RADII)
+        number(self.arrival_speed, 'arrival_speed', *SPEEDS)
 
 
 def retrieval_problem() -> Problem:

@@ -18,7 +18,7 @@ from rosgraph_msgs.msg import Clock
 
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.arrival import RosTime
+from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters import planner_settings, sim_settings
 from orbimpc_ros.tool.io import settings

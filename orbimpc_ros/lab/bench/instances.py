@@ -41,6 +41,7 @@ def circling(problem: Problem, count: int) -> list[Instance]:
     controller, forecast, ticks = Controller(problem), Hold(), []
     for _ in range(APPROACH + count):
         tick = planned(controller, flight, forecast)
+        assert tick.state is not None
         ticks.append(Instance(tick.state, np.tile(flight.goal, (problem.horizon, 1))))
         flight = flight.after(tick.command.speed_fraction, tick.command.body_rate)
     return ticks[APPROACH:]

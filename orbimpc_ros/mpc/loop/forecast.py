@@ -1,4 +1,4 @@
-"""Where the goal will be, from where it was seen: the targets g_1..g_N of a plan."""
+"""Forecasts of the goal from its sightings: the targets g_1..g_N of a plan."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def forecast_named(kind: str) -> Forecast:
         BadInput: no such kind.
     """
     if kind not in FORECASTS:
-        raise BadInput('goal_prediction', kind, ' | '.join(FORECASTS))
+        raise BadInput.choice('goal_prediction', kind, FORECASTS)
     return FORECASTS[kind]()
 
 

@@ -5,18 +5,17 @@ from __future__ import annotations
 import struct
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.signals import SignalHandlerOptions
 
 from orbimpc_ros.ros.messages import SECOND
+from orbimpc_ros.ros.process import attached
 from orbimpc_ros.tool.io.bag.writer import BagWriter
 from orbimpc_ros.tool.io.topics import Topic
 
@@ -100,16 +99,10 @@ class Recorder:
         self._stamps = Stamps()
         self._early: list[tuple[str, bytes, int]] = []
         self._bag = BagWriter(folder, topics, notes)
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node(
-            'recorder',
-            context=self._context,
-            enable_rosout=False,
-            start_parameter_services=False,
+        self._stack = ExitStack()
+        self._node, self._executor = self._stack.enter_context(
+            attached('recorder', enable_rosout=False, start_parameter_services=False)
         )
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
         self._held = [topic for topic in topics if topic.name.rpartition('/')[2] == TRIGGER]
         for topic in topics:
             if topic not in self._held:
@@ -173,6 +166,4 @@ class Recorder:
         """Stop recording and finish the bag."""
         self._flush()
         self._bag.close()
-        self._executor.shutdown()
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        self._stack.close()

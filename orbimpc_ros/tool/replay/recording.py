@@ -13,6 +13,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.outcome import Cause
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.tool.io import bag, topics
 from orbimpc_ros.tool.io.bag import Message
@@ -49,6 +50,7 @@ class Published:
     Attributes:
         status: ``optimal``, ``feasible``, ``infeasible`` or ``failed``.
         reason: why it is not ``optimal``.
+        cause: what kept it from being planned; None too for a word that is none of ours.
         fallback: what stood in for a plan; empty for a plan.
         speed: commanded [m/s].
         body_rate: commanded, shape (3,) [rad/s].
@@ -65,6 +67,7 @@ class Published:
 
     status: str | None = None
     reason: str | None = None
+    cause: Cause | None = None
     fallback: str | None = None
     speed: float | None = None
     body_rate: Array | None = None
@@ -110,6 +113,10 @@ def published(messages: Messages) -> Published:
     return Published(**found)
 
 
+def _cause(value: Any) -> Cause | None:
+    return Cause(value) if value in list(Cause) else None
+
+
 def _number(value: Any) -> float | None:
     good = isinstance(value, (int, float)) and not isinstance(value, bool)
     return float(value) if good else None
@@ -129,6 +136,7 @@ READERS: dict[str, Callable[[Any], Any]] = {
     **dict.fromkeys(('status', 'reason', 'fallback'), str),
     **dict.fromkeys(('objective', 'gap', 'advanced', 'solve_time_ms'), _number),
     **dict.fromkeys(('goal_stamps', 'goal_counts'), _integers),
+    'cause': _cause,
     'speed_fraction': _numbers,
 }  # of the keys on ``tick``
 

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from itertools import takewhile
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.arrival import RosTime
+from orbimpc_ros.mpc.outcome import Cause, Reason
+from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, read_itinerary, read_odometry, read_sighting
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.ros.reports import AFRESH
 from orbimpc_ros.tool.replay.offline import OfflinePlanner
 from orbimpc_ros.tool.replay.recording import CLOCK, Input, Messages, RecordedTick, Recording
 
@@ -61,13 +61,15 @@ def replayed(
 
 
 def _answer(planner: OfflinePlanner, recorded: RecordedTick) -> Messages:
-    answer, reason = recorded.answer, recorded.answer.reason or ''
-    if reason == AFRESH:
+    answer = recorded.answer
+    reason = Reason(answer.cause or Cause.NONE, answer.reason or '')
+    if reason.cause is Cause.AFRESH:
         planner.forget()
     if not answer.planned:
         return planner.be_safe(recorded.stamp, reason)
     if planner.stamp != recorded.stamp:
-        return planner.be_safe(recorded.stamp, 'its odometry was refused, or a goal is missing')
+        refused = Reason(Cause.WAITING, 'its odometry was refused, or a goal is missing')
+        return planner.be_safe(recorded.stamp, refused)
     return planner.plan(recorded.sent / SECOND, answer.advanced or 0.0, recorded.solve_time_ms)
 
 
