@@ -20,7 +20,7 @@ DONE, FAILED, BAD_INPUT, INFEASIBLE = 0, 1, 2, 3
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 
-class Command(NamedTuple):
+class Subcommand(NamedTuple):
     """A command: a module with ``add_arguments(parser)`` and ``run(args) -> exit code``.
 
     Attributes:
@@ -36,19 +36,23 @@ class Command(NamedTuple):
 
 TOOL, LABORATORY = 'orbimpc_ros.tool', 'orbimpc_ros.lab'
 COMMANDS = {
-    'bench': Command(LABORATORY, 'measure side by side with the solvers that are installed', True),
-    'demo': Command(
+    'bench': Subcommand(
+        LABORATORY, 'measure side by side with the solvers that are installed', True
+    ),
+    'demo': Subcommand(
         TOOL, 'run planner and simulator over DDS, record a bag, draw the picture', True
     ),
-    'replay': Command(TOOL, 'solve the inputs of a bag again, compare with its outputs'),
-    'faults': Command(
+    'replay': Subcommand(TOOL, 'solve the inputs of a bag again, compare with its outputs'),
+    'faults': Subcommand(
         LABORATORY,
         'try planner and simulator under faults, as real processes, and print the matrix',
     ),
-    'plot': Command(TOOL, 'draw the figures and an animation of a bag'),
-    'solve': Command(TOOL, 'solve one problem from a file, print the plan as JSON'),
-    'study': Command(LABORATORY, 'fly many ropes with several controllers and compare them', True),
-    'view': Command(TOOL, 'look at a flight in a browser, live or from a bag'),
+    'plot': Subcommand(TOOL, 'draw the figures and an animation of a bag'),
+    'solve': Subcommand(TOOL, 'solve one problem from a file, print the plan as JSON'),
+    'study': Subcommand(
+        LABORATORY, 'fly many ropes with several controllers and compare them', True
+    ),
+    'view': Subcommand(TOOL, 'look at a flight in a browser, live or from a bag'),
 }
 
 

@@ -156,9 +156,7 @@ def of_bag(path: Path, namespace: str = '') -> History:
         BadInput: no bag, or one without odometry and goal.
     """
     values = settings.of_bag(path, namespace) or settings.read('{}')
-    found: dict[str, list[Any]] = defaultdict(list)
-    for topic, content in bag.of_vehicle(path, namespace, WANTED):
-        found[topic].append(content)
+    found = _by_topic(bag.of_vehicle(path, namespace, WANTED))
     measured = _valid(read_odometry, found['odom'])
     sighted = _valid(read_sighting, found['goal'])
     if not measured or not sighted:
@@ -179,6 +177,13 @@ def of_bag(path: Path, namespace: str = '') -> History:
         captured=any(m.data for m in found['captured']),
         values=values,
     )
+
+
+def _by_topic(messages: Iterable[tuple[str, Any]]) -> dict[str, list[Any]]:
+    found: dict[str, list[Any]] = defaultdict(list)
+    for topic, content in messages:
+        found[topic].append(content)
+    return found
 
 
 def _valid(read: Callable[..., tuple[Stamp, T]], messages: Iterable[Any]) -> list[T]:
