@@ -1,4 +1,4 @@
-"""What the tests over DDS share: a domain of their own, real processes, and an observer."""
+"""The common ground of tests over DDS: a domain of their own, real processes, and an observer."""
 
 from __future__ import annotations
 

@@ -1,10 +1,12 @@
 """Golden bags as regression tests, and what the replay must notice, tell and accept."""
 
 import importlib
+import json
 import math
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,10 +16,13 @@ pytest.importorskip('rclpy')
 
 from rclpy.serialization import deserialize_message, serialize_message
 
+from orbimpc_ros.mpc.outcome import Cause
+from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.io import bag, settings
 from orbimpc_ros.tool.replay.difference import Tolerances, comparisons
-from orbimpc_ros.tool.replay.recording import Published, recording_of
+from orbimpc_ros.tool.replay.recording import Published, published, recording_of
+from orbimpc_ros.tool.replay.resolving import replayed
 
 FLIGHTS = ('retrieval', 'dubins', 'spacecraft', 'obstacles', 'disturbed', 'faulty')
 RETRIEVAL = GOLDEN / 'retrieval'
@@ -339,6 +344,27 @@ def test_a_lost_goal_is_known_by_what_the_tick_says_not_by_its_words(replay, tmp
     assert 'shifted plan' in held
     code, out, _ = replay(path)
     assert code == 0, out
+
+
+def test_a_planner_that_starts_afresh_is_known_by_the_cause_not_by_its_words():
+    """What it had taken in is forgotten, so that the next answer finds no odometry."""
+    recording, values = recording_of(RETRIEVAL), settings.of_bag(RETRIEVAL)
+    first = recording.answers[0]
+    for cause, fallback in ((Cause.AFRESH, 'safe command'), (Cause.DISABLED, ''), (None, '')):
+        said = Published(cause=cause, reason='starting afresh or not', solve_time_ms=0.0)
+        answers = (first, replace(first, answer=said), first)
+        ticks = replayed(replace(recording, answers=answers), planner_settings(values), True)
+        *_, last = (published(each.messages) for each in ticks)
+        assert last.fallback == fallback
+
+
+@pytest.mark.parametrize('word', ['afresh', 'sabotage', 7, ['afresh']])
+def test_a_cause_that_is_none_of_ours_is_not_known(word):
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+    status = DiagnosticStatus(values=[KeyValue(key='cause', value=json.dumps(word))])
+    found = published({'tick': DiagnosticArray(status=[status])}).cause
+    assert found == (Cause.AFRESH if word == 'afresh' else None)
 
 
 def distances(recorded, replayed, **tolerances):

@@ -12,6 +12,8 @@ from orbimpc_ros.mpc.errors import BadInput
 
 Array = NDArray[np.floating[Any]]
 
+ABOVE_ZERO = 5e-324  # the least positive number: a range that begins with it leaves out zero
+
 
 def frozen(value: ArrayLike, shape: tuple[int, ...], culprit: str) -> Array:
     """Return ``value`` as a read-only float array of the given shape.
@@ -89,5 +91,7 @@ def within(checked: object, ranges: Mapping[str, tuple[float, float]], prefix: s
         value, culprit = getattr(checked, name), f'{prefix}{name}'
         if isinstance(low, int) and isinstance(high, int):
             whole(value, culprit, low, high)
+        elif low == ABOVE_ZERO:
+            number(value, culprit, 0.0, high, above=True)
         else:
             number(value, culprit, low, high)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, within
+from orbimpc_ros.mpc.arrays import ABOVE_ZERO, Array, within
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.loop.observation import Sighting
@@ -33,7 +33,7 @@ FAULT_RANGES: dict[str, tuple[float, float]] = {  # by attribute
     'duplicate': (0.0, 1.0),
     'nan': (0.0, 1.0),
     'occlusion_length': (0.0, 1e6),
-    'occlusion_period': (1e-6, 1e6),
+    'occlusion_period': (ABOVE_ZERO, 1e6),
     'clock_jump': (-1e6, 1e6),
     'clock_jump_tick': (0, MAX_TICKS),
 }

@@ -11,16 +11,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import number, whole
+from orbimpc_ros.mpc.arrays import ABOVE_ZERO, within
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Floor, Problem, Weights
 from orbimpc_ros.world.rope import Rope, fixed
 from orbimpc_ros.world.vehicle import Model, Vehicle, launched, model_of
 
 MAX_TICKS = 1_000_000
-RADII = (1e-6, 1e6)  # [m]
-SPEEDS = (0.0, 1e6)  # [m/s]
 FINISHES = ('capture', 'arrival')
+LIMITS: dict[str, tuple[float, float]] = {  # of a scenario, by attribute
+    'capture_radius': (ABOVE_ZERO, 1e6),
+    'max_ticks': (1, MAX_TICKS),
+    'arrival_radius': (ABOVE_ZERO, 1e6),
+    'arrival_speed': (0.0, 1e6),
+}
 
 
 @dataclass(frozen=True)
@@ -54,12 +58,9 @@ class Scenario:
             raise BadInput('start.position', self.start.position.tolist(), f'{n} numbers')
         if len(self.rope.center) != n:
             raise BadInput('rope.center', self.rope.center.tolist(), f'{n} numbers')
-        number(self.capture_radius, 'capture_radius', *RADII)
-        whole(self.max_ticks, 'max_ticks', 1, MAX_TICKS)
+        within(self, LIMITS)
         if self.finish not in FINISHES:
             raise BadInput.choice('finish', self.finish, FINISHES)
-        number(self.arrival_radius, 'arrival_radius', *RADII)
-        number(self.arrival_speed, 'arrival_speed', *SPEEDS)
 
 
 def retrieval_problem() -> Problem:

@@ -6,13 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, frozen, number, within
+from orbimpc_ros.mpc.arrays import ABOVE_ZERO, Array, frozen, number, within
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log, nearest
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.problem import Problem
 
-ABOVE_ZERO = 1e-6
 RANGES: dict[str, tuple[float, float]] = {  # of a model, by attribute
     'dimension': (2, 3),
     'rotation_order': (1, 2),

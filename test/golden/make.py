@@ -21,6 +21,7 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters import planner_settings, sim_settings
+from orbimpc_ros.ros.reports import DISABLED
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.bag.writer import BagWriter
 from orbimpc_ros.tool.io.share import config
@@ -64,7 +65,7 @@ FLIGHTS = {
 }
 SOLVE_TIME_MS = 1.0  # noted in every tick: a measured one would differ every time
 LATER = 1000  # [ns] between two messages of a tick
-DISABLED = range(20, 23)  # ticks of the faulty flight at which the planner is switched off
+SWITCHED_OFF = range(20, 23)  # ticks of the faulty flight at which the planner is switched off
 
 
 def make(name: str, folder: Path) -> None:
@@ -144,8 +145,8 @@ class Loop:
     def _answer(self, tick: int) -> None:
         if self._pilot.stamp != self._at:
             return  # no odometry this time: the last command stays in force
-        if self._hostile and tick in DISABLED:
-            told = self._pilot.be_safe(self._at, 'disabled')
+        if self._hostile and tick in SWITCHED_OFF:
+            told = self._pilot.be_safe(self._at, DISABLED)
         else:
             told = self._pilot.plan(self._said / SECOND, 0.0, SOLVE_TIME_MS)
         self._said += round(1e6 * SOLVE_TIME_MS)

@@ -11,6 +11,7 @@ import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.parameter import Parameter
 
+from orbimpc_ros.mpc.arrays import ABOVE_ZERO
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.world.vehicle import RANGES, model_of
@@ -106,9 +107,14 @@ class Row:
             raise BadInput(self.name, value, self.allowed)
 
 
+def span(low: float, high: float) -> tuple[float, float]:
+    """Return a range as parameters have it: closed, so that a small number stands for zero."""
+    return (TINY if low == ABOVE_ZERO else low), high
+
+
 def _shared(name: str, description: str, unit: str = '', *, live: bool = False) -> Row:
     """Return what planner and simulator must agree on: default and range are the vehicle's."""
-    low, high = RANGES[name]
+    low, high = span(*RANGES[name])
     return Row(name, getattr(MODEL, name), description, unit, low, high, live=live)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.loop.forecast import FORECASTS
-from orbimpc_ros.mpc.loop.safety import SAFE_COMMANDS, decided, may_stop
+from orbimpc_ros.mpc.loop.safety import SAFE_COMMANDS, decided
 from orbimpc_ros.mpc.problem import (
     FLOOR_SHAPES,
     MAX_HORIZON,
@@ -131,11 +131,6 @@ class PlannerSettings:
     deadline: float
     gap_tolerance: float
     frames: Frames
-
-    @property
-    def stopping(self) -> bool:
-        """Return whether the safe command is meant to go below the floor: to stop, or to coast."""
-        return may_stop(self.safe_command, self.problem)
 
 
 def planner_settings(values: Values) -> PlannerSettings:

@@ -12,12 +12,12 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion
 from orbimpc_ros.ros.messages import QUATERNION_TOLERANCE, Frames
-from orbimpc_ros.ros.parameters.parameter import FAR, MAX_DURATION, VEHICLE, Row, Values
+from orbimpc_ros.ros.parameters.parameter import FAR, MAX_DURATION, VEHICLE, Row, Values, span
 from orbimpc_ros.ros.process import LIFE
 from orbimpc_ros.ros.sim.readers import wanted_readers
 from orbimpc_ros.world.faults import FAULT_RANGES, NO_FAULTS, Faults
 from orbimpc_ros.world.rope import FASTEST, Rope
-from orbimpc_ros.world.scenario import FINISHES, MAX_TICKS, RADII, SPEEDS, Scenario, retrieval
+from orbimpc_ros.world.scenario import FINISHES, LIMITS, Scenario, retrieval
 from orbimpc_ros.world.vehicle import Model, launched
 
 SHARE = 0.75  # of command_timeout without a sign of life; the rest is for telling
@@ -41,13 +41,13 @@ ROPE = (
 
 ENDING = (
     Row('capture_radius', FLOWN.capture_radius, 'The goal is caught within it',
-        'm', *RADII),
+        'm', *span(*LIMITS['capture_radius'])),
     Row('finish', FLOWN.finish, 'Whether to end with the capture, or at max_ticks by arriving',
         choices=FINISHES),
     Row('arrival_radius', FLOWN.arrival_radius, 'At arrival the goal is within it',
-        'm', *RADII),
+        'm', *span(*LIMITS['arrival_radius'])),
     Row('arrival_speed', FLOWN.arrival_speed, 'At arrival the speed is at most this; 0 for any',
-        'm/s', *SPEEDS),
+        'm/s', *LIMITS['arrival_speed']),
 )  # fmt: skip
 
 START = (
@@ -64,7 +64,8 @@ START = (
 )  # fmt: skip
 
 CONDUCT = (
-    Row('max_ticks', FLOWN.max_ticks, 'Steps until the flight ends', low=1, high=MAX_TICKS),
+    Row('max_ticks', FLOWN.max_ticks, 'Steps until the flight ends',
+        '', *LIMITS['max_ticks']),
     Row('seed', 0, 'Of everything random', low=0, high=2**31 - 1),
     Row('command_timeout', 0.2, 'A command is in force for so long, at least 1.5 steps; and '
         'a planner is given up after so long without a sign of life', 's', 1e-3, MAX_DURATION),
@@ -88,7 +89,7 @@ CONDUCT = (
 
 
 def _fault(name: str, description: str, unit: str = '') -> Row:
-    low, high = FAULT_RANGES[name]
+    low, high = span(*FAULT_RANGES[name])
     return Row(f'faults.{name}', getattr(NO_FAULTS, name), description, unit, low, high)
 
 

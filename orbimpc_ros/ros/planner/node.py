@@ -236,7 +236,7 @@ class PlannerNode(Guarded):
         unsafe = self._unsafe() or self._stuck
         if flying and due and unsafe:
             self._be_safe(unsafe)
-        self._console.follow(self._troubles())
+        self._console.follow([*self._wrong, *self._notices])
         if self._waiting:
             self._console.say(self._waiting)
         self._health.show_changes()
@@ -246,19 +246,18 @@ class PlannerNode(Guarded):
         """Return what is waited for, in words; empty if nothing is."""
         return f'waits for {self._inbox.missing}' if self._inbox.missing else ''
 
-    def _troubles(self) -> list[str]:
-        """Return what is wrong around the planner, in words; ticks report their own."""
-        around = self._neighbours
-        return [around.sources, *around.mismatches, around.rivals, self._still, self._untimed]
+    @property
+    def _wrong(self) -> list[str]:
+        """Return what is wrong around the planner, in words; empty ones do not count."""
+        return [self._neighbours.sources, *self._neighbours.mismatches]
 
     @property
-    def _still(self) -> str:
-        return self._time.standstill(LULL if self._time.nanoseconds else SILENCE)
-
-    @property
-    def _untimed(self) -> str:
+    def _notices(self) -> list[str]:
+        """Return what to warn of even if all goes well, in words; empty ones do not count."""
+        still = self._time.standstill(LULL if self._time.nanoseconds else SILENCE)
         untimed = self._inbox.untimed
-        return f"stamps of {untimed} are not of this node's clock" if untimed else ''
+        other = f"stamps of {untimed} are not of this node's clock" if untimed else ''
+        return [self._neighbours.rivals, still, other]
 
     @property
     def _stuck(self) -> Reason | None:
@@ -320,17 +319,10 @@ class PlannerNode(Guarded):
 
     def _condition(self) -> Condition:
         refused = self.steady_now() - self._refused_at < REFUSED
-        return condition(
-            (self._neighbours.sources, *self._neighbours.mismatches),
-            self._waiting if self._enabled else DISABLED.words,
-            self._report,
-            (
-                self._neighbours.rivals,
-                self._refusal if refused else '',
-                self._still,
-                self._untimed,
-            ),
-        )
+        rivals, *others = self._notices
+        notices = [rivals, self._refusal if refused else '', *others]
+        waiting = self._waiting if self._enabled else DISABLED.words
+        return condition(self._wrong, waiting, self._report, notices)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
