@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Circle, Polygon
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
@@ -39,6 +40,7 @@ from orbimpc_ros.world.scenario import retrieval, retrieval_problem
 FOLDER = Path(__file__).parent / 'pictures'
 FRACTION = np.sqrt(0.3)  # the paper's det R > 0.3
 AROUND = np.linspace(0.0, 2.0 * np.pi, 400)
+APART = 0.1  # between two texts
 
 
 def passing() -> tuple[State, np.ndarray]:
@@ -74,7 +76,7 @@ def draw_disk_hull(axes: Axes) -> None:
     axes.plot(*point, 'o', color=ORANGE, ms=7)
     axes.plot(*rotation, 'o', color=BLUE, ms=8)
     say(axes, '$R_k e_1$: its length\nis the share\nof full speed', (0.16, 0.02), va='top')
-    say(axes, 'the rotation flown', [rotation[0] + 0.06, rotation[1] + 0.04])
+    say(axes, 'the rotation flown', (1.22, 0.93), ha='right')
     say(axes, 'SO(2): full speed', (-1.18, 1.1), color=BLUE)
     say(axes, 'conv SO(2)', (-0.4, -0.5), ha='center')
     axes.plot(0.0, 0.0, 'o', color=INK, ms=4)
@@ -169,17 +171,25 @@ def number_steps(axes: Axes, headings: np.ndarray, drawn: np.ndarray) -> None:
         drawn: points on what the numbers must not touch, shape (K, 2).
     """
     near = np.linalg.norm(headings[:, None] - headings, axis=2) < 0.08
+    written = np.empty((0, 2))
     for first in {int(np.argmax(each)) for each in near}:
         text = ', '.join(map(str, np.flatnonzero(near[first])))
         half = 0.033 * len(text)
         round_it = np.column_stack([(0.09 + half) * np.cos(AROUND), 0.13 * np.sin(AROUND)])
         ends = np.array([[-half, 0.0], [0.0, 0.0], [half, 0.0]])
         places = headings[first] + round_it[:, None] + ends
-        room = np.linalg.norm(places[:, :, None] - drawn, axis=3).min(axis=(1, 2))
+        room = distance(places, drawn)
+        if len(written):  # two numbers side by side would read as one
+            room = np.minimum(room, distance(places, written) - APART)
         room[np.abs(places).max(axis=(1, 2)) > 1.1] = 0.0  # beyond the picture
         best = places[int(np.argmax(room))]
-        drawn = np.concatenate([drawn, best])
+        written = np.concatenate([written, best])
         say(axes, text, best[1], ha='center', fontsize=8)
+
+
+def distance(places: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return how far places, shape (M, J, 2), are from the nearest of points, shape (M,)."""
+    return np.linalg.norm(places[:, :, None] - points, axis=3).min(axis=(1, 2))
 
 
 # --- the price
@@ -187,7 +197,7 @@ def number_steps(axes: Axes, headings: np.ndarray, drawn: np.ndarray) -> None:
 
 def price() -> Figure:
     """Return the cost over the floor with the price as its slope, and the prices of a flight."""
-    figure = Figure(figsize=(9.0, 3.8), layout='constrained')
+    figure = Figure(figsize=(9.0, 3.8), layout=ConstrainedLayoutEngine(wspace=0.06))
     slope, flight = figure.subplots(1, 2)
     draw_slope(slope)
     draw_prices(flight)
@@ -200,8 +210,8 @@ def draw_slope(axes: Axes) -> None:
     of = [solved(Problem(floor=Floor('circle', fraction=float(f)))).objective for f in fractions]
     problem = Problem(floor=Floor('circle', fraction=float(FRACTION)))
     plan = solved(problem)
-    told = explained(problem, *passing(), plan)
-    rises = sum(each.price for each in told.binding if each.name == 'floor')
+    prices = explained(problem, *passing(), plan).binding
+    rises = total(prices, 'floor')
     near = np.array([FRACTION - 0.15, FRACTION + 0.15])
     axes.plot(fractions, of, color=BLUE, lw=2.0, label='optimal cost')
     axes.plot(near, plan.objective + rises * (near - FRACTION), color=ORANGE, lw=1.6, ls='--',
@@ -217,8 +227,8 @@ def draw_prices(axes: Axes) -> None:
     controller, forecast, bills = Controller(problem), Hold(), []
     while not flight.over:
         tick = planned(controller, flight, forecast)
-        told = explained(problem, tick.state, tick.goals, tick.plan)
-        bills.append([total(told.binding, name) for name in ('hull', 'floor')])
+        prices = explained(problem, tick.state, tick.goals, tick.plan).binding
+        bills.append([total(prices, name) for name in ('hull', 'floor')])
         flight = flight.after(tick.command.speed_fraction, tick.command.body_rate)
     fast, slow = np.array(bills).T
     ticks = np.arange(len(bills))

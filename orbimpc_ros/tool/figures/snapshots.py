@@ -82,7 +82,8 @@ def draw_moment(axes: Axes, history: History, tick: int) -> None:
     axes.plot(*way.T, color=GREY, lw=1.0, zorder=2, label='flown so far')
     _draw_plan(axes, history, tick)
     heading = history.headings[tick : tick + 1, :2]
-    draw_headings(axes, way[-1:], heading, width=0.014, scale=12, pivot='mid', label='vehicle')
+    draw_headings(axes, way[-1:], heading, width=0.014, scale=12, pivot='mid')
+    axes.plot([], [], '>', color=INK, ms=8, label='vehicle')  # an arrow's own entry is a bare bar
     axes.plot(*history.ropes[tick, :2], 'o', color=ORANGE, mec=INK, mew=0.6, ms=7, zorder=6,
               label='rope')  # fmt: skip
     axes.set_title(

@@ -59,7 +59,11 @@ def _style(colors: tuple[str, ...], page: str, grid: str) -> Any:
         'ytick.color': ink,
         'grid.color': grid,
         'grid.linewidth': 0.6,
-        'legend.frameon': False,
+        # A ground of the page's colour: grid lines would strike the words through.
+        'legend.facecolor': page,
+        'legend.edgecolor': 'none',
+        'legend.framealpha': 1.0,
+        'legend.fancybox': False,
         'legend.fontsize': 8.5,
         'hatch.linewidth': 0.6,
     }
