@@ -1,4 +1,4 @@
-"""What the tests of demos look at: their bags, every plan rolled out, and their pictures."""
+"""The bags of demos and golden ones in tests: read, rewritten, every plan rolled out."""
 
 import itertools
 from collections import defaultdict

@@ -1,4 +1,4 @@
-"""What the tests over DDS share: a domain of their own, real processes, and an observer."""
+"""The common ground of tests over DDS: a domain of their own, real processes, and an observer."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def domain() -> int:
     return new_domain()
 
 
-class Process:
+class LaunchedProcess:
     """A node in a process of its own, its output kept: a module's, or a test's own script's."""
 
     def __init__(
@@ -116,13 +116,13 @@ def launching(domain: int, folder: Path):
             parameters: dict | None = None,
             *names: str | Path,
             domain: int = domain,
-        ) -> Process:
+        ) -> LaunchedProcess:
             files = [
                 name if isinstance(name, Path) else ROOT / 'config' / f'{name}.yaml'
                 for name in names
             ]
             log = folder / f'{Path(module).stem}-{next(_numbers)}.log'
-            process = Process(module, domain, log, parameters or {}, files)
+            process = LaunchedProcess(module, domain, log, parameters or {}, files)
             stack.callback(process.stop)
             return process
 
@@ -139,27 +139,15 @@ class Observer:
     """A third process's view: this test's own node, spun until something has happened."""
 
     def __init__(self, domain: int) -> None:
-        import rclpy
-        from rclpy.executors import SingleThreadedExecutor
-        from rclpy.signals import SignalHandlerOptions
+        from orbimpc_ros.ros.process import attached
 
         self.domain = domain
-        self._context = rclpy.Context()
-        rclpy.init(
-            args=[],
-            context=self._context,
-            domain_id=domain,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
-        self.node = rclpy.create_node('observer', context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
+        self._stack = contextlib.ExitStack()
+        self.node, self._executor = self._stack.enter_context(attached('observer', domain=domain))
         self._subscriptions: dict = {}
 
     def close(self) -> None:
-        self._executor.shutdown()
-        self.node.destroy_node()
-        self._context.try_shutdown()
+        self._stack.close()
 
     def listen(self, kind, topic, qos=None) -> list:
         """Return the list that messages on a topic will be added to."""

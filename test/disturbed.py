@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from orbimpc_ros.mpc.command import Command
-from orbimpc_ros.mpc.loop.delay import Sent as Commands
-from orbimpc_ros.mpc.loop.delay import advanced
+from orbimpc_ros.mpc.loop.delay import CommandHistory, advanced
 from orbimpc_ros.mpc.loop.forecast import Forecast
 from orbimpc_ros.mpc.loop.odometry import Odometry
-from orbimpc_ros.world.faults import Sent, View
+from orbimpc_ros.world.faults import Delivery, View
 from orbimpc_ros.world.flight import Flight, departure
 from orbimpc_ros.world.scenario import Scenario
 
@@ -33,7 +32,7 @@ class Intake:
         self._last = {True: -np.inf, False: -np.inf}  # stamps, of odometry and of sightings
         self._knows_goal = False
 
-    def hear(self, arrived: list[Sent]) -> Odometry | None:
+    def hear(self, arrived: list[Delivery]) -> Odometry | None:
         """Take in messages and return the odometry to plan from, if there is any."""
         newest = None
         for sent in arrived:
@@ -70,14 +69,14 @@ def fly_disturbed(
         view: with the faults.
         compensated: whether to plan from late odometry as it would be by now, as the planner does.
     """
-    flight, intake, sent = departure(scenario), Intake(forecast), Commands()
+    flight, intake, sent = departure(scenario), Intake(forecast), CommandHistory()
     command, heard = None, -np.inf
     while not flight.over:
         now = flight.vehicle.time
         odometry = intake.hear(view.of(flight))
         if odometry is not None:
             if compensated:
-                legs = sent.legs(odometry.time, now)
+                legs = sent.intervals(odometry.time, now)
                 odometry = advanced(controller.problem, odometry, legs)
             answer = _answer(controller, odometry, forecast)
             sent.add(answer, now)

@@ -1,4 +1,4 @@
-"""What the tests of the viewer share: what to install, and a recording that can be asked."""
+"""The viewer in tests: what to install, and a recording that can be asked."""
 
 from collections import defaultdict
 from pathlib import Path

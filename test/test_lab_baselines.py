@@ -17,7 +17,7 @@ from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.world.faults import Faults, View
 from orbimpc_ros.world.flight import departure, fly, perfect_sensor, planned
-from orbimpc_ros.world.rope import Rope, Told
+from orbimpc_ros.world.rope import Rope, TrueMotion
 from orbimpc_ros.world.scenario import retrieval
 from orbimpc_ros.world.vehicle import launched
 
@@ -155,7 +155,7 @@ def test_pursuit_at_its_goal_flies_on():
 def test_everyone_catches_a_slow_rope_straight_ahead(kind):
     controller = built(kind, CIRCLE)
     slow = Rope([5.0, 0.0], [0.2, 0.2], 0.02, [0.0, 1.0])
-    for forecast in (forecast_named('harmonic'), Told(slow)):
+    for forecast in (forecast_named('harmonic'), TrueMotion(slow)):
         controller.reset()
         log = fly(controller, replace(retrieval(), rope=slow), forecast)
         assert log.captured
@@ -189,7 +189,7 @@ def test_problems_that_a_baseline_cannot_state_are_refused(kind, bad):
 
 def test_who_is_told_the_future_knows_it():
     rope = retrieval().rope
-    told, times = Told(rope), np.array([1.0, 2.5])
+    told, times = TrueMotion(rope), np.array([1.0, 2.5])
     told.observe(perfect_sensor(departure(retrieval()))[0])
     told.reset()
     np.testing.assert_allclose(told.at(times), [rope.at(1.0), rope.at(2.5)])

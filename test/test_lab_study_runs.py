@@ -14,7 +14,7 @@ from orbimpc_ros.lab.study.design import FORECAST_KINDS, differences, run_of, st
 from orbimpc_ros.lab.study.settings import SETTINGS, resolved
 from orbimpc_ros.mpc.problem import Floor
 from orbimpc_ros.world.flight import fly
-from orbimpc_ros.world.rope import Told
+from orbimpc_ros.world.rope import TrueMotion
 from orbimpc_ros.world.scenario import retrieval_problem
 
 CASADI = pytest.mark.skipif(
@@ -155,5 +155,6 @@ def test_no_plan_of_the_planner_costs_more_than_ipopts():
 @CASADI
 def test_a_plan_that_costs_more_would_be_noticed():
     run = run_of(SMALL, 0)
-    log = fly(controller_named('linearised', run.problem), run.scenario, Told(run.scenario.rope))
+    truth = TrueMotion(run.scenario.rope)
+    log = fly(controller_named('linearised', run.problem), run.scenario, truth)
     assert max(trial.excesses(run.problem, log.ticks)) > 1e-3

@@ -7,7 +7,7 @@ from problems import ORDERS, rotation
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.delay import Leg, Sent, advanced
+from orbimpc_ros.mpc.loop.delay import CommandHistory, Interval, advanced
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.problem import Problem, Weights
 from orbimpc_ros.world.rope import Rope
@@ -28,7 +28,7 @@ def drawn(rng, n):
     return command(rng.uniform(), 10.0 ** rng.uniform(-4, 0.5) * rng.normal(size=rates)), measured
 
 
-def stepwise(problem, odometry, legs, count=4000):
+def stepwise(problem, odometry, intervals, count=4000):
     """The same motion in small steps: midpoint rule, straight in each."""
     position, attitude = odometry.position, odometry.attitude
     velocity, body, rate = (
@@ -37,12 +37,12 @@ def stepwise(problem, odometry, legs, count=4000):
         odometry.body_rate,
     )
     ahead = problem.forward * np.eye(problem.dimension)[0]
-    for k, leg in enumerate(legs):
+    for k, interval in enumerate(intervals):
         if k:
-            body, rate = leg.before.speed_fraction * ahead, leg.before.body_rate
-        turning = leg.command.body_rate if problem.rotation_order == 1 else rate
-        thrust = 0.0 if leg.before is None else leg.before.speed_fraction
-        h = leg.duration / count
+            body, rate = interval.before.speed_fraction * ahead, interval.before.body_rate
+        turning = interval.command.body_rate if problem.rotation_order == 1 else rate
+        thrust = 0.0 if interval.before is None else interval.before.speed_fraction
+        h = interval.duration / count
         half = exp(0.5 * h * turning)
         for _ in range(count):
             middle = attitude @ half
@@ -56,7 +56,7 @@ def stepwise(problem, odometry, legs, count=4000):
 
 
 @pytest.mark.parametrize('orders', ORDERS)
-def test_legs_are_flown_as_in_many_small_steps(orders):
+def test_intervals_are_flown_as_in_many_small_steps(orders):
     rng = np.random.default_rng(1)
     problem = Problem(**orders, forward=2.0)
     for _ in range(3):
@@ -64,9 +64,9 @@ def test_legs_are_flown_as_in_many_small_steps(orders):
             drawn(rng, problem.dimension),
             drawn(rng, problem.dimension),
         )
-        legs = [Leg(0.3, first, None), Leg(0.2, second, first)]
-        later = advanced(problem, measured, legs)
-        position, attitude, velocity = stepwise(problem, measured, legs)
+        intervals = [Interval(0.3, first, None), Interval(0.2, second, first)]
+        later = advanced(problem, measured, intervals)
+        position, attitude, velocity = stepwise(problem, measured, intervals)
         assert later.time == pytest.approx(7.5)
         np.testing.assert_allclose(later.position, position, atol=1e-6)
         np.testing.assert_allclose(later.attitude, attitude, atol=1e-9)
@@ -86,9 +86,9 @@ def test_a_leg_in_two_is_the_leg(orders):
     problem = Problem(**orders)
     for _ in range(20):
         given, measured = drawn(rng, problem.dimension)
-        one = advanced(problem, measured, [Leg(0.4, given, given)])
-        half = advanced(problem, measured, [Leg(0.2, given, given)])
-        two = advanced(problem, half, [Leg(0.2, given, given)])
+        one = advanced(problem, measured, [Interval(0.4, given, given)])
+        half = advanced(problem, measured, [Interval(0.2, given, given)])
+        two = advanced(problem, half, [Interval(0.2, given, given)])
         for name in ('position', 'attitude', 'body_velocity'):
             np.testing.assert_allclose(getattr(two, name), getattr(one, name), atol=1e-8)
 
@@ -100,7 +100,7 @@ def test_no_time_changes_nothing():
 
 def test_what_is_not_known_goes_on_as_measured():
     measured = Odometry(0.0, np.zeros(2), np.eye(2), np.array([2.0, 0.0]), np.array([0.1]))
-    later = advanced(Problem(), measured, [Leg(0.5, None, None)])
+    later = advanced(Problem(), measured, [Interval(0.5, None, None)])
     np.testing.assert_allclose(later.position, [1.0, 0.025], atol=1e-3)
     np.testing.assert_allclose(later.attitude, exp(np.array([0.05])), atol=1e-12)
 
@@ -109,13 +109,16 @@ A, B, C = command(0.1, 0.0), command(0.2, 0.0), command(0.3, 0.0)
 
 
 def told(begin, end, sent=((1.0, A), (2.0, B), (3.0, C))):
-    kept = Sent()
+    kept = CommandHistory()
     for at, given in sent:
         kept.add(given, at)
-    return [(pytest.approx(leg.duration), leg.command, leg.before) for leg in kept.legs(begin, end)]
+    return [
+        (pytest.approx(interval.duration), interval.command, interval.before)
+        for interval in kept.intervals(begin, end)
+    ]
 
 
-def test_legs_are_what_was_in_force():
+def test_intervals_are_what_was_in_force():
     assert told(1.5, 1.7) == [(0.2, A, None)]
     assert told(1.5, 2.5) == [(0.5, A, None), (0.5, B, A)]
     assert told(2.0, 3.5) == [(1.0, B, A), (0.5, C, B)]
@@ -125,15 +128,15 @@ def test_legs_are_what_was_in_force():
 
 
 @pytest.mark.parametrize(('begin', 'end'), [(2.5, 2.5), (2.5, 2.0)])
-def test_no_time_has_no_legs(begin, end):
+def test_no_time_has_no_intervals(begin, end):
     assert told(begin, end) == []
 
 
 def test_forgotten_commands_are_not_in_force():
-    kept = Sent()
+    kept = CommandHistory()
     kept.add(A, 1.0)
     kept.forget()
-    assert [leg.command for leg in kept.legs(1.5, 2.0)] == [None]
+    assert [interval.command for interval in kept.intervals(1.5, 2.0)] == [None]
 
 
 STEP = 0.2  # [s]
@@ -156,7 +159,7 @@ class Flown:
         )
         self.position, self.attitude = np.zeros(2), exp(rng.uniform(-3.0, 3.0, 1))
         self.fraction, self.last = 1.0, command(1.0, 0.0)
-        self.sent, self.under_way = Sent(), []
+        self.sent, self.under_way = CommandHistory(), []
 
     def measure(self, time):
         velocity = np.array([self.fraction, 0.0])
@@ -168,8 +171,8 @@ class Flown:
         while self.under_way and self.under_way[0].time + self.delay <= time + 1e-9:
             measured = self.under_way.pop(0)
             if self.compensated:
-                legs = self.sent.legs(measured.time, time)
-                measured = advanced(self.controller.problem, measured, legs)
+                intervals = self.sent.intervals(measured.time, time)
+                measured = advanced(self.controller.problem, measured, intervals)
             ahead = measured.time + STEP * np.arange(1, 9)
             given = self.controller.tick(
                 measured, np.array([self.rope.at(t) for t in ahead])

@@ -3,20 +3,27 @@
 import json
 import re
 import xml.etree.ElementTree as ElementTree
-from dataclasses import fields
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
-from orbimpc_ros.mpc.outcome import Status
+from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.reports import Report, tick_message
 from orbimpc_ros.tool.io.topics import TYPES
+from orbimpc_ros.world.flight import departure
+from orbimpc_ros.world.scenario import retrieval
+from orbimpc_ros.world.vehicle import measured
 
 pytest.importorskip('rclpy')
 CONFIG = Path(__file__).parents[1] / 'config'
-KEYS = {each.name for each in fields(Report)}
+ODOMETRY = measured(departure(retrieval()).vehicle)
+TICK = Controller(Problem()).tick(ODOMETRY, np.tile([9.0, 0.0], (5, 1)))
+REPORT = Report(TICK, solve_time_ms=0.4)
+KEYS = set(REPORT.values)
 SHOWS = {
     'MarkerArray': 'visualization_msgs/msg/MarkerArray',
     'Odometry': 'nav_msgs/msg/Odometry',
@@ -97,7 +104,7 @@ def test_plotjuggler_shows_what_there_is():
         c.get('name') for c in plotjuggler().iter('curve') if '[' not in c.get('name')
     ]
     # It names a number on tick by topic, status and key, as its parser of diagnostics does.
-    status = tick_message(0, '/planner', Report(Status.OPTIMAL)).status[0].name
+    status = tick_message(0, '/planner', REPORT).status[0].name
     for curve in curves:
         if curve.startswith('/tick/'):
             assert curve.startswith(f'/tick/{status}/')
@@ -109,10 +116,9 @@ def test_plotjuggler_shows_what_there_is():
 
 
 def test_values_on_tick_that_are_plotted_are_numbers():
-    report = Report(Status.OPTIMAL, objective=1.5, lower_bound=1.0, gap=1e-9, solve_time_ms=0.4)
-    values = {pair.key: pair.value for pair in tick_message(0, '/planner', report).status[0].values}
+    values = {pair.key: pair.value for pair in tick_message(0, '/planner', REPORT).status[0].values}
     for key in ('objective', 'lower_bound', 'gap', 'solve_time_ms', 'nodes'):
-        assert float(values[key]) == getattr(report, key)
+        assert float(values[key]) == REPORT.values[key]
 
 
 def test_the_nodes_have_the_topics_that_layouts_show(launch, observer):

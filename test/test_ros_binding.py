@@ -1,14 +1,13 @@
-"""What binds, as the planner tells it on ``tick``."""
+"""Binding constraints, as the planner reports them on ``tick``."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.ros.reports import prices, report_of, tick_message
+from orbimpc_ros.ros.reports import Report, prices, tick_message
 from orbimpc_ros.world.flight import departure
 from orbimpc_ros.world.scenario import retrieval
 from orbimpc_ros.world.vehicle import measured
@@ -51,6 +50,6 @@ def test_a_shrinking_horizon_is_priced_as_what_is_left_of_it():
 
 def test_a_tick_message_carries_the_prices_as_json():
     tick = far_away(Problem())
-    report = replace(report_of(tick, 1.0), binding=prices(tick))
+    report = Report(tick, binding=prices(tick))
     told = {pair.key: pair.value for pair in tick_message(0, 'planner', report).status[0].values}
     assert json.loads(told['binding']) == pytest.approx(prices(tick))

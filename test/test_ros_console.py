@@ -117,10 +117,10 @@ def test_the_vehicle_believed_in_is_said_at_the_start(launch, observer):
 
 RENAMED = """
     import sys
-    from orbimpc_ros.ros.planner.node import Planner
+    from orbimpc_ros.ros.planner.node import PlannerNode
     from orbimpc_ros.ros.process import run
 
-    sys.exit(run(Planner, [*sys.argv, '-r', '__ns:=/boat', '-r', 'odom:=/gps']))
+    sys.exit(run(PlannerNode, [*sys.argv, '-r', '__ns:=/boat', '-r', 'odom:=/gps']))
 """
 
 WITHOUT_NUMBA = """

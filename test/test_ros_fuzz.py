@@ -13,7 +13,7 @@ from planners import QUICK, Bench
 from std_srvs.srv import Trigger
 
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.arrival import RosTime
+from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.planner.inbox import Inbox
@@ -92,16 +92,13 @@ def test_whatever_comes_is_taken_whole_or_refused_whole(part):
     draw = random.Random(part)
     values = {row.name: row.default for row in PLANNER} | {'step': 0.1, 'goal_jump_limit': 50.0}
     inbox = Inbox(planner_settings(values))
-    makers = {
-        'odom': (odometry, inbox.take_odometry),
-        'goal': (goal, inbox.take_goal),
-        'goal_path': (path, inbox.take_path),
-    }
+    makers = {'odom': odometry, 'goal': goal, 'goal_path': path}
     taken = 0
     for k in range(2500):
         now, at = 0.05 * k, (1_700_000_000 * SECOND) + k * SECOND // 20
-        make, take = makers[draw.choice(('odom', 'odom', 'goal', 'goal_path'))]
-        refusal = take(make(draw, at), now, RosTime(at + draw.choice((0, SECOND // 10))))
+        topic = draw.choice(('odom', 'odom', 'goal', 'goal_path'))
+        message = makers[topic](draw, at)
+        refusal = inbox.take(topic, message, now, RosTime(at + draw.choice((0, SECOND // 10))))
         taken += not refusal
         assert '\n' not in refusal
         assert len(refusal) < 400

@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip('rclpy')
 
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.arrival import RosTime
+from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.planner.inbox import Inbox
@@ -37,52 +37,52 @@ def inbox():
 def test_what_is_missing_is_said(inbox):
     assert 'odometry' in inbox.missing
     assert 'goal' in inbox.missing
-    inbox.take_odometry(odometry(1.0), 0.0)
+    inbox.take('odom', odometry(1.0), 0.0)
     assert inbox.missing == 'a goal on goal or goal_path'
-    inbox.take_goal(goal(1.0), 0.0)
+    inbox.take('goal', goal(1.0), 0.0)
     assert inbox.missing == ''
 
 
 def test_duplicate_and_reordered_stamps_are_refused_and_counted(inbox):
-    assert inbox.take_odometry(odometry(1.0), 0.0) == ''
-    assert 'duplicate' in inbox.take_odometry(odometry(1.0), 0.01)
-    assert 'reordered' in inbox.take_odometry(odometry(0.5), 0.02)
+    assert inbox.take('odom', odometry(1.0), 0.0) == ''
+    assert 'duplicate' in inbox.take('odom', odometry(1.0), 0.01)
+    assert 'reordered' in inbox.take('odom', odometry(0.5), 0.02)
     assert inbox.refused == {'odom: duplicate stamp': 1, 'odom: reordered stamp': 1}
     assert inbox.odometry.at == 0.0  # what was refused does not count as fresh
 
 
 def test_a_sender_whose_clock_went_back_is_heard_once_the_old_is_stale(inbox):
-    inbox.take_odometry(odometry(100.0), 0.0)
-    inbox.take_goal(goal(100.0), 0.0)
-    assert inbox.take_odometry(odometry(0.0), 0.1)
-    assert inbox.take_odometry(odometry(0.0), 0.3) == ''
-    assert inbox.goal is None  # of the old time
+    inbox.take('odom', odometry(100.0), 0.0)
+    inbox.take('goal', goal(100.0), 0.0)
+    assert inbox.take('odom', odometry(0.0), 0.1)
+    assert inbox.take('odom', odometry(0.0), 0.3) == ''
+    assert 'goal' not in inbox.latest  # of the old time
 
 
 def test_a_frozen_stamp_never_counts_as_fresh(inbox):
-    inbox.take_odometry(odometry(1.0), 0.0)
+    inbox.take('odom', odometry(1.0), 0.0)
     for now in np.arange(0.05, 1.0, 0.05):
-        assert inbox.take_odometry(odometry(1.0), now)
+        assert inbox.take('odom', odometry(1.0), now)
     assert 'odometry' in inbox.stale_odometry(1.0)
 
 
 def test_age_is_of_arrival(inbox):
-    inbox.take_odometry(odometry(1e6), 0.0)  # a stamp far in the future
-    inbox.take_goal(goal(1e6), 0.0)
+    inbox.take('odom', odometry(1e6), 0.0)  # a stamp far in the future
+    inbox.take('goal', goal(1e6), 0.0)
     assert inbox.stale_odometry(0.15) == ''
     assert 'odometry' in inbox.stale_odometry(0.25)
-    inbox.take_odometry(odometry(1e6 + 1), 1.1)
+    inbox.take('odom', odometry(1e6 + 1), 1.1)
     assert 'goal' in inbox.stale_goal(1.15)
 
 
 def test_a_source_stamped_like_the_odometry_is_waited_for(inbox):
-    inbox.take_goal(goal(1.0), 0.0)
-    inbox.take_odometry(odometry(1.5), 0.0)
+    inbox.take('goal', goal(1.0), 0.0)
+    inbox.take('odom', odometry(1.5), 0.0)
     assert inbox.complete  # nothing says that they belong together
-    inbox.take_goal(goal(1.5), 0.0)
-    inbox.take_odometry(odometry(2.0), 0.1)
+    inbox.take('goal', goal(1.5), 0.0)
+    inbox.take('odom', odometry(2.0), 0.1)
     assert not inbox.complete
-    inbox.take_goal(goal(2.0, x=6.0), 0.1)
+    inbox.take('goal', goal(2.0, x=6.0), 0.1)
     assert inbox.complete
     np.testing.assert_array_equal(inbox.targets(3, 0.1), [[6.0, 0.0]] * 3)
 
@@ -92,11 +92,11 @@ def accompanied(inbox, turns, shares):
     waits = []
     for turn in range(turns):
         at = 1.0 + 0.02 * turn
-        inbox.take_odometry(odometry(at), at)
+        inbox.take('odom', odometry(at), at)
         if not inbox.complete:
             waits.append(turn)
         if shares(turn):
-            inbox.take_goal(goal(at), at)
+            inbox.take('goal', goal(at), at)
     return waits
 
 
@@ -128,19 +128,19 @@ def test_a_source_that_speaks_again_is_waited_for_once_it_has_proved_itself(inbo
 
 
 def test_a_forecast_from_outside_is_used_while_it_is_fresh(inbox):
-    inbox.take_goal(goal(0.0), 0.0)
-    inbox.take_odometry(odometry(0.0), 0.0)
+    inbox.take('goal', goal(0.0), 0.0)
+    inbox.take('odom', odometry(0.0), 0.0)
     places = [np.array([k, 1.0]) for k in range(5)]
-    inbox.take_path(messages.goal_path_message(stamp(0.0), 0.1, places), 0.0)
+    inbox.take('goal_path', messages.goal_path_message(stamp(0.0), 0.1, places), 0.0)
     np.testing.assert_allclose(inbox.targets(3, 0.5), [[1.0, 1.0], [2.0, 1.0], [3.0, 1.0]])
     np.testing.assert_array_equal(inbox.targets(1, 1.5), [[5.0, 0.0]])
 
 
 def test_a_malformed_message_changes_nothing(inbox):
-    inbox.take_goal(goal(0.0), 0.0)
-    before = inbox.goal
-    assert 'position' in inbox.take_goal(goal(1.0, x=np.nan), 0.1)
-    assert inbox.goal is before
+    inbox.take('goal', goal(0.0), 0.0)
+    before = inbox.latest['goal']
+    assert 'position' in inbox.take('goal', goal(1.0, x=np.nan), 0.1)
+    assert inbox.latest['goal'] is before
     np.testing.assert_array_equal(inbox.forecast.at(np.array([1.0])), [[5.0, 0.0]])
 
 
@@ -159,40 +159,40 @@ def stamped(make, seconds, *arguments):
 
 
 def test_a_stamp_from_the_future_is_refused_and_counted(inbox):
-    assert inbox.take_odometry(stamped(odometry, 0.09), 0.0, clock(0.0)) == ''
-    refusal = inbox.take_odometry(stamped(odometry, 0.25), 0.1, clock(0.1))
+    assert inbox.take('odom', stamped(odometry, 0.09), 0.0, clock(0.0)) == ''
+    refusal = inbox.take('odom', stamped(odometry, 0.25), 0.1, clock(0.1))
     assert 'future stamp is 0.15 s ahead; allowed: at most 0.1 s ahead' in refusal
-    assert 'future' in inbox.take_goal(stamped(goal, 9.0), 0.1, clock(0.1))
+    assert 'future' in inbox.take('goal', stamped(goal, 9.0), 0.1, clock(0.1))
     assert inbox.refused == {'odom: future stamp': 1, 'goal: future stamp': 1}
     assert inbox.odometry.at == 0.0
-    assert inbox.goal is None
+    assert 'goal' not in inbox.latest
 
 
 def test_simulated_time_may_trail_by_a_step(inbox):
-    assert inbox.take_odometry(stamped(odometry, 0.19), 0.0, clock(0.0, lag=0.1)) == ''
-    assert 'future' in inbox.take_odometry(stamped(odometry, 0.3), 0.1, clock(0.0, lag=0.1))
+    assert inbox.take('odom', stamped(odometry, 0.19), 0.0, clock(0.0, lag=0.1)) == ''
+    assert 'future' in inbox.take('odom', stamped(odometry, 0.3), 0.1, clock(0.0, lag=0.1))
 
 
 def test_before_time_starts_nothing_is_from_the_future(inbox):
-    assert inbox.take_odometry(stamped(odometry, 0.0), 0.0, RosTime(None, 0.1)) == ''
+    assert inbox.take('odom', stamped(odometry, 0.0), 0.0, RosTime(None, 0.1)) == ''
     assert not inbox.odometry.timed
 
 
 def test_what_was_held_up_on_the_way_is_as_old_as_its_stamp(inbox):
-    inbox.take_odometry(stamped(odometry, 0.0), 5.0, clock(0.5))
+    inbox.take('odom', stamped(odometry, 0.0), 5.0, clock(0.5))
     assert 'odometry is 0.50 s old' in inbox.stale_odometry(5.0, clock(0.5))
-    inbox.take_goal(stamped(goal, 0.0), 5.0, clock(1.5))
+    inbox.take('goal', stamped(goal, 0.0), 5.0, clock(1.5))
     assert 'the goal is 1.50 s old' in inbox.stale_goal(5.0, clock(1.5))
 
 
 def test_age_is_of_arrival_too_where_time_stands_still(inbox):
-    inbox.take_odometry(stamped(odometry, 0.0), 0.0, clock(0.0))
+    inbox.take('odom', stamped(odometry, 0.0), 0.0, clock(0.0))
     assert inbox.stale_odometry(0.1, clock(0.0)) == ''
     assert 'odometry is 0.30 s old' in inbox.stale_odometry(0.3, clock(0.0))
 
 
 def test_stamps_of_another_clock_are_aged_by_arrival_and_told(inbox):
-    inbox.take_odometry(odometry(1.0), 0.0, clock(0.0))  # counts from when that machine started
+    inbox.take('odom', odometry(1.0), 0.0, clock(0.0))  # counts from when that machine started
     assert inbox.stale_odometry(0.1, clock(0.1)) == ''
     assert inbox.untimed == 'odom'
     assert 'odometry' in inbox.stale_odometry(0.3, clock(0.3))
@@ -200,13 +200,13 @@ def test_stamps_of_another_clock_are_aged_by_arrival_and_told(inbox):
 
 def test_a_source_once_timed_stays_so(inbox):
     """What a link held back for minutes comes in order, and must not pass for fresh."""
-    inbox.take_odometry(stamped(odometry, 0.0), 0.0, clock(0.0))
-    assert inbox.take_odometry(stamped(odometry, 0.1), 120.0, clock(120.0)) == ''
+    inbox.take('odom', stamped(odometry, 0.0), 0.0, clock(0.0))
+    assert inbox.take('odom', stamped(odometry, 0.1), 120.0, clock(120.0)) == ''
     assert 'odometry is 119.90 s old' in inbox.stale_odometry(120.0, clock(120.0))
-    assert inbox.take_odometry(stamped(odometry, -0.1), 240.0, clock(240.0)) == ''
+    assert inbox.take('odom', stamped(odometry, -0.1), 240.0, clock(240.0)) == ''
     assert 'odometry' in inbox.stale_odometry(240.0, clock(240.0))
     inbox.forget()
-    inbox.take_odometry(odometry(1.0), 240.1, clock(240.1))
+    inbox.take('odom', odometry(1.0), 240.1, clock(240.1))
     assert inbox.untimed == 'odom'
 
 
@@ -218,8 +218,8 @@ def default():
 
 def sent(inbox, *times):
     for at in times:
-        inbox.take_odometry(odometry(at), at)
-        assert inbox.take_goal(goal(at), at) == ''
+        inbox.take('odom', odometry(at), at)
+        assert inbox.take('goal', goal(at), at) == ''
 
 
 def test_a_goal_sent_by_hand_holds_until_the_next_one(default):
@@ -255,15 +255,15 @@ def test_a_timeout_below_zero_is_none():
     sent(patient, 1.0, 1.1, 1.2, 1.3)
     assert patient.stale_goal(1e4) == ''
     path = messages.goal_path_message(stamp(1.3), 0.1, [np.array([7.0, 1.0])])
-    assert patient.take_path(path, 1.3) == ''
+    assert patient.take('goal_path', path, 1.3) == ''
     assert patient.stale_goal(1e4) == ''
     np.testing.assert_array_equal(patient.targets(1, 1e4), [[7.0, 1.0]])
 
 
 def test_stamps_that_nobody_sets_are_told_as_what_they_are(inbox):
-    assert inbox.take_odometry(odometry(0.0), 0.0) == ''  # simulated time may begin at zero
-    refusal = inbox.take_odometry(odometry(0.0), 0.1)
-    assert 'unset stamp is 0 again; allowed: header.stamp set to the time' in refusal
+    assert inbox.take('odom', odometry(0.0), 0.0) == ''  # simulated time may begin at zero
+    refusal = inbox.take('odom', odometry(0.0), 0.1)
+    assert 'unset stamp: 0 again; set header.stamp to the time' in refusal
     assert inbox.refused == {'odom: unset stamp': 1}
 
 
@@ -271,10 +271,10 @@ def test_refusals_and_what_is_missing_name_the_topics_as_they_are_resolved(defau
     names = {'odom': '/boat/gps', 'goal': '/boat/goal', 'goal_path': '/boat/path'}
     remapped = Inbox(default.settings, names)
     assert remapped.missing == 'odometry on /boat/gps and a goal on /boat/goal or /boat/path'
-    assert remapped.take_odometry(odometry(1.0), 0.0) == ''
-    assert remapped.take_odometry(odometry(1.0), 0.1).startswith('/boat/gps refused: duplicate')
+    assert remapped.take('odom', odometry(1.0), 0.0) == ''
+    assert remapped.take('odom', odometry(1.0), 0.1).startswith('/boat/gps refused: duplicate')
     assert remapped.refused == {'odom: duplicate stamp': 1}  # counts keep their names
-    remapped.take_odometry(odometry(2.0), 0.2, clock(0.2))
+    remapped.take('odom', odometry(2.0), 0.2, clock(0.2))
     assert remapped.untimed == '/boat/gps'
 
 
@@ -288,13 +288,13 @@ def limited():
 
 
 def test_a_goal_that_jumps_is_refused_until_the_old_one_is_stale(limited):
-    assert limited.take_goal(goal(1.0, x=5.0), 0.0) == ''
-    assert limited.take_goal(goal(1.1, x=5.5), 0.1) == ''
-    refusal = limited.take_goal(goal(1.2, x=9.0), 0.2)
+    assert limited.take('goal', goal(1.0, x=5.0), 0.0) == ''
+    assert limited.take('goal', goal(1.1, x=5.5), 0.1) == ''
+    refusal = limited.take('goal', goal(1.2, x=9.0), 0.2)
     assert 'goal jump is 3.5 m; allowed: at most goal_jump_limit, 0.5 m' in refusal
     assert limited.refused == {'goal: goal jump': 1}
-    assert limited.goal.value.position[0] == 5.5
-    assert limited.take_goal(goal(2.2, x=9.0), 1.2) == ''  # it has really moved
+    assert limited.latest['goal'].value.position[0] == 5.5
+    assert limited.take('goal', goal(2.2, x=9.0), 1.2) == ''  # it has really moved
     np.testing.assert_array_equal(limited.forecast.at(np.array([9.9])), [[9.0, 0.0]])
 
 
@@ -303,29 +303,29 @@ def test_a_path_that_jumps_is_refused(limited):
         places = [np.array([x + 0.1 * k, 0.0]) for k in range(20)]
         return messages.goal_path_message(stamp(seconds), 0.1, places)
 
-    assert limited.take_path(path(1.0, 5.0), 0.0) == ''
-    assert limited.take_path(path(1.2, 5.2), 0.2) == ''  # on the path
-    assert 'goal jump is 2 m' in limited.take_path(path(1.4, 7.4), 0.4)
+    assert limited.take('goal_path', path(1.0, 5.0), 0.0) == ''
+    assert limited.take('goal_path', path(1.2, 5.2), 0.2) == ''  # on the path
+    assert 'goal jump is 2 m' in limited.take('goal_path', path(1.4, 7.4), 0.4)
 
 
 def test_a_path_that_has_really_moved_leaves_what_is_known_of_the_goal(limited):
     def path(seconds, x):
         return messages.goal_path_message(stamp(seconds), 0.1, [np.array([x, 0.0])])
 
-    limited.take_odometry(odometry(1.0), 0.0)
-    limited.take_path(path(1.0, 9.0), 0.0)
-    limited.take_goal(goal(2.4, x=5.0), 1.4)
-    assert limited.take_path(path(2.5, 20.0), 1.5) == ''
+    limited.take('odom', odometry(1.0), 0.0)
+    limited.take('goal_path', path(1.0, 9.0), 0.0)
+    limited.take('goal', goal(2.4, x=5.0), 1.4)
+    assert limited.take('goal_path', path(2.5, 20.0), 1.5) == ''
     np.testing.assert_array_equal(limited.targets(1, 2.7), [[5.0, 0.0]])
 
 
 def test_by_default_a_goal_may_be_anywhere(inbox):
-    assert inbox.take_goal(goal(1.0, x=5.0), 0.0) == ''
-    assert inbox.take_goal(goal(1.1, x=-900.0), 0.1) == ''
+    assert inbox.take('goal', goal(1.0, x=5.0), 0.0) == ''
+    assert inbox.take('goal', goal(1.1, x=-900.0), 0.1) == ''
 
 
 def test_targets_begin_where_the_plan_does(inbox):
-    inbox.take_odometry(odometry(0.0), 0.0)
+    inbox.take('odom', odometry(0.0), 0.0)
     places = [np.array([k, 1.0]) for k in range(5)]
-    inbox.take_path(messages.goal_path_message(stamp(0.0), 0.1, places), 0.0)
+    inbox.take('goal_path', messages.goal_path_message(stamp(0.0), 0.1, places), 0.0)
     np.testing.assert_allclose(inbox.targets(2, 0.1, start=0.05), [[1.5, 1.0], [2.5, 1.0]])

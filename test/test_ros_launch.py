@@ -96,8 +96,8 @@ def launched_with(name, words, domain, monkeypatch):
 @pytest.mark.parametrize(
     ('name', 'parameters', 'words', 'said'),
     [
-        ('retrieval', None, [], 'params_file is .*wanted.yaml; allowed: a file'),
-        ('fleet', None, [], 'params_file is .*wanted.yaml; allowed: a file'),
+        ('retrieval', None, [], 'wanted.yaml: no such file; params_file'),
+        ('fleet', None, [], 'wanted.yaml: no such file; params_file'),
         ('retrieval', '/**/planner: {ros__parameters: {trigger: timer}}', [],
          'trigger of /planner in .* is timer; allowed: odom'),
         ('retrieval', '/car/planner: {ros__parameters: {trigger: odom}}', [],

@@ -1,4 +1,4 @@
-"""Who else is there: other sources, rivals, and who cannot hear or be heard."""
+"""The other ends of the planner's topics: more sources, rivals, and who cannot hear or be heard."""
 
 import pytest
 

@@ -18,13 +18,13 @@ from orbimpc_ros.ros.process import FAILURES_IN_A_ROW, FAREWELLS
 
 BROKEN = """
     import sys
-    from orbimpc_ros.ros import planner
+    from orbimpc_ros.ros.planner import node as planner
     from orbimpc_ros.ros.process import run
 
     class Panic(BaseException):
         '''As a library written in Rust raises it.'''
 
-    class Broken(planner.Planner):
+    class Broken(planner.PlannerNode):
         '''Its ticks fail from the second on; every third one works if it is told so.'''
 
         ticks = 0
@@ -41,10 +41,10 @@ BROKEN = """
 
 COLLECTING = """
     import gc, sys
-    from orbimpc_ros.ros import planner
+    from orbimpc_ros.ros.planner import node as planner
     from orbimpc_ros.ros.process import run
 
-    class Counting(planner.Planner):
+    class Counting(planner.PlannerNode):
         def __init__(self):
             super().__init__()
             self.made = len(gc.get_objects())
@@ -82,10 +82,10 @@ def broken(tmp_path, launch, observer):
 
 SLOW = """
     import sys, time
-    from orbimpc_ros.ros import planner
+    from orbimpc_ros.ros.planner import node as planner
     from orbimpc_ros.ros.process import run
 
-    class Slow(planner.Planner):
+    class Slow(planner.PlannerNode):
         def __init__(self):
             super().__init__()
             self.quick, self.ticks = self._ticker.planned, 0
@@ -181,7 +181,7 @@ def test_a_bad_start_says_one_line_and_no_command(launch, observer):
     ('words', 'said'),
     [
         (['--params-file', 'x.yaml'], '--ros-args --params-file x.yaml'),
-        (['--help'], 'ROS arguments'),
+        (['--help'], 'not behind --ros-args'),
         (['--ros-args', '-p', 'step:=0.1', '--', 'boat.yaml'], 'boat.yaml'),
         (['--ros-args', '--params', 'x.yaml'], '--params x.yaml; allowed: .* --params-file FILE'),
     ],
@@ -192,7 +192,7 @@ def test_words_that_nobody_would_look_at_are_refused_in_one_line(node, words, sa
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
     assert done.stderr.count('\n') == 1, done.stderr
-    assert re.search(f'command line is .*{said}', done.stderr), done.stderr
+    assert re.search(f'command line: .*{said}', done.stderr), done.stderr
 
 
 # A shell's background jobs and all that these start have SIGINT ignored.

@@ -13,12 +13,14 @@ from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.loop import controller as controllers
 from orbimpc_ros.mpc.loop.safety import CIRCLE_STEPS, safe_command
+from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.mpc.problem.floor import largest_fraction
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.arrival import RosTime
+from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
+from orbimpc_ros.ros.planner.inbox import Inbox
 from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.world.vehicle import Model, launched
 
@@ -26,26 +28,35 @@ FRAMES = Frames('odom', 'base_link')
 START = 1_700_000_000 * SECOND  # [ns]
 
 
-class Told:
+class Driven:
     """A ticker whose inputs are stamped and come when the test says."""
 
     def __init__(self, simulated=False, **changes):
         values = {row.name: row.default for row in PLANNER} | {'step': 0.1} | changes
-        self.ticker = Ticker(*prepared(planner_settings(values)), simulated=simulated)
+        settings = planner_settings(values)
+        self.inbox = Inbox(settings)
+        self.ticker = Ticker(*prepared(settings), simulated=simulated)
 
     def odometry(self, at, now, position=(0.0, 0.0)):
         vehicle = launched(Model(), np.array(position), np.eye(2))
         message = messages.odometry_message(Stamp(stamp(at), FRAMES), vehicle)
-        assert self.ticker.inbox.take_odometry(message, now, RosTime(stamp(now))) == ''
+        assert self.inbox.take('odom', message, now, RosTime(stamp(now))) == ''
 
     def goal(self, at, now, x=5.0):
         message = messages.goal_message(Stamp(stamp(at), FRAMES), np.array([x, 1.0]))
-        assert self.ticker.inbox.take_goal(message, now, RosTime(stamp(now))) == ''
+        assert self.inbox.take('goal', message, now, RosTime(stamp(now))) == ''
 
     def tick(self, now):
-        answer = self.ticker.planned(now, RosTime(stamp(now)))
-        self.ticker.went_out(answer, stamp(now) / SECOND)
-        return answer
+        report = self.ticker.planned(self.inbox, now, RosTime(stamp(now)))
+        self.ticker.went_out(report.tick.command, stamp(now) / SECOND)
+        return report
+
+    def safe(self, cause=Cause.DISABLED):
+        return self.ticker.safe(self.inbox, Reason(cause, 'a test wants it'))
+
+    def start_afresh(self):
+        self.ticker.start_afresh()
+        self.inbox.forget()
 
 
 def stamp(seconds):
@@ -53,75 +64,73 @@ def stamp(seconds):
 
 
 def test_a_stale_goal_holds_the_last_plan_and_then_stops():
-    told = Told(goal_timeout=0.5)
-    told.goal(0.0, 0.0)
+    driven = Driven(goal_timeout=0.5)
+    driven.goal(0.0, 0.0)
     answers = []
     for k in range(9):
-        told.odometry(0.1 * k, 0.1 * k, position=(0.1 * k, 0.0))
-        answers.append(told.tick(0.1 * k))
-    fallbacks = [answer.report.fallback for answer in answers]
+        driven.odometry(0.1 * k, 0.1 * k, position=(0.1 * k, 0.0))
+        answers.append(driven.tick(0.1 * k))
+    fallbacks = [answer.tick.fallback for answer in answers]
     assert fallbacks == [''] * 6 + ['shifted plan'] * 2 + ['safe command']
-    assert answers[6].report.reason == 'the goal is 0.60 s old'
-    assert answers[6].report.solve_time_ms == 0.0  # nothing was solved
-    assert answers[6].command.speed_fraction > 0.5
-    assert answers[8].command.speed_fraction == 0.0
+    assert answers[6].tick.reason == 'the goal is 0.60 s old'
+    assert answers[6].solve_time_ms == 0.0  # nothing was solved
+    assert answers[6].tick.command.speed_fraction > 0.5
+    assert answers[8].tick.command.speed_fraction == 0.0
 
 
 def test_the_state_is_advanced_by_the_age_of_odometry():
-    told, blind = Told(), Told(delay_compensation=False)
-    for each in (told, blind):
+    driven, blind = Driven(), Driven(delay_compensation=False)
+    for each in (driven, blind):
         each.odometry(0.0, 0.0)
         each.goal(0.0, 0.0)
         each.tick(0.0)
         each.odometry(0.1, 0.18, position=(0.1, 0.0))
-    answer, other = told.tick(0.18), blind.tick(0.18)
-    assert other.report.advanced == 0.0
-    np.testing.assert_allclose(other.plan.positions[0], [0.1, 0.0])
-    took = told.ticker.timing.expected
-    assert answer.report.advanced == pytest.approx(0.08 + took, abs=0.05)
-    assert answer.report.advanced >= 0.08 - 1e-6
-    moved = answer.plan.positions[0] - [0.1, 0.0]
-    assert np.linalg.norm(moved) == pytest.approx(answer.report.advanced, rel=1e-3)  # at 1 m/s
-    path = messages.plan_message(
-        Stamp(stamp(0.1), FRAMES), answer.plan, 0.1, answer.report.advanced
-    )
+    answer, other = driven.tick(0.18), blind.tick(0.18)
+    assert other.advanced == 0.0
+    np.testing.assert_allclose(other.tick.plan.positions[0], [0.1, 0.0])
+    took = driven.ticker.timing.expected
+    assert answer.advanced == pytest.approx(0.08 + took, abs=0.05)
+    assert answer.advanced >= 0.08 - 1e-6
+    moved = answer.tick.plan.positions[0] - [0.1, 0.0]
+    assert np.linalg.norm(moved) == pytest.approx(answer.advanced, rel=1e-3)  # at 1 m/s
+    path = messages.plan_message(Stamp(stamp(0.1), FRAMES), answer.tick.plan, 0.1, answer.advanced)
     begun = path.poses[0].header.stamp
     assert begun.sec * SECOND + begun.nanosec >= stamp(0.18) - 1000
 
 
 def test_the_goal_is_where_it_will_be_when_the_advanced_plan_gets_there():
-    told = Told(goal_prediction='velocity')
+    driven = Driven(goal_prediction='velocity')
     for at in (0.0, 0.1):
-        told.odometry(at, at + 0.05)
-        told.goal(at, at + 0.05, x=5.0 + at)
-        answer = told.tick(at + 0.05)
-    ahead = 0.1 + answer.report.advanced + 0.1 * np.arange(1, 6)
+        driven.odometry(at, at + 0.05)
+        driven.goal(at, at + 0.05, x=5.0 + at)
+        answer = driven.tick(at + 0.05)
+    ahead = 0.1 + answer.advanced + 0.1 * np.arange(1, 6)
     np.testing.assert_allclose(answer.tick.goals[:, 0], 5.0 + ahead, atol=1e-4)
 
 
 def test_without_delay_compensation_changes_no_bit():
-    told, blind = Told(simulated=True), Told(simulated=True, delay_compensation=False)
+    driven, blind = Driven(simulated=True), Driven(simulated=True, delay_compensation=False)
     for k in range(5):
         answers = []
-        for each in (told, blind):
+        for each in (driven, blind):
             each.odometry(0.1 * k, 0.1 * k, position=(0.07 * k, 0.01 * k))
             each.goal(0.1 * k, 0.1 * k)
             answers.append(each.tick(0.1 * k))
         one, other = answers
-        assert one.report.advanced == 0.0
-        assert one.command.speed_fraction == other.command.speed_fraction
-        np.testing.assert_array_equal(one.command.body_rate, other.command.body_rate)
-        np.testing.assert_array_equal(one.plan.positions, other.plan.positions)
+        assert one.advanced == 0.0
+        assert one.tick.command.speed_fraction == other.tick.command.speed_fraction
+        np.testing.assert_array_equal(one.tick.command.body_rate, other.tick.command.body_rate)
+        np.testing.assert_array_equal(one.tick.plan.positions, other.tick.plan.positions)
 
 
 def test_stamps_of_another_clock_say_nothing_of_the_delay():
-    told = Told()
+    driven = Driven()
     vehicle = launched(Model(), np.zeros(2), np.eye(2))
     for seconds in (1.0, 1.1):
         message = messages.odometry_message(Stamp(round(seconds * SECOND), FRAMES), vehicle)
-        told.ticker.inbox.take_odometry(message, seconds, RosTime(stamp(seconds)))
-        told.goal(seconds, seconds)
-        assert told.tick(seconds + 0.05).report.advanced == 0.0
+        driven.inbox.take('odom', message, seconds, RosTime(stamp(seconds)))
+        driven.goal(seconds, seconds)
+        assert driven.tick(seconds + 0.05).advanced == 0.0
 
 
 def poison(monkeypatch, **changes):
@@ -133,24 +142,24 @@ def poison(monkeypatch, **changes):
 
 
 def test_a_command_with_a_flaw_is_not_sent(monkeypatch):
-    told = Told()
-    told.odometry(0.0, 0.0)
-    told.goal(0.0, 0.0)
+    driven = Driven()
+    driven.odometry(0.0, 0.0)
+    driven.goal(0.0, 0.0)
     poison(monkeypatch, body_rate=np.array([np.nan]))
-    answer = told.tick(0.0)
-    assert (answer.report.fallback, answer.report.status) == ('safe command', 'failed')
-    assert answer.report.reason == 'not sent: the command is not finite'
-    assert answer.plan is None
-    assert answer.command.speed_fraction == 0.0
-    assert answer.command.body_rate.tolist() == [0.0]
+    answer = driven.tick(0.0)
+    assert (answer.tick.fallback, answer.tick.status) == ('safe command', 'failed')
+    assert answer.tick.reason == 'not sent: the command is not finite'
+    assert answer.tick.plan is None
+    assert answer.tick.command.speed_fraction == 0.0
+    assert answer.tick.command.body_rate.tolist() == [0.0]
 
 
 def test_a_tick_that_takes_too_long_is_a_miss(monkeypatch):
-    told = Told(deadline=1e-9)
-    told.odometry(0.0, 0.0)
-    told.goal(0.0, 0.0)
-    assert told.tick(0.0).report.status in ('optimal', 'feasible')  # checked: it may be flown
-    assert told.ticker.timing.misses == 1
+    driven = Driven(deadline=1e-9)
+    driven.odometry(0.0, 0.0)
+    driven.goal(0.0, 0.0)
+    assert driven.tick(0.0).tick.status in ('optimal', 'feasible')  # checked: it may be flown
+    assert driven.ticker.timing.misses == 1
 
 
 ATTITUDE = exp(np.array([0.4]))
@@ -217,31 +226,53 @@ def test_with_a_floor_the_safe_command_circles_unless_a_stop_is_asked_for():
 
 @pytest.mark.parametrize('kind', ['auto', 'hold_rate_zero', 'stop'])
 def test_every_road_to_a_safe_command_keeps_to_the_floor(kind, monkeypatch):
-    told = Told(**{'floor.shape': 'circle', 'safe_command': kind, 'goal_timeout': 0.5})
-    answers = [told.ticker.safe('before anything is known')]
-    told.goal(0.0, 0.0)
+    driven = Driven(**{'floor.shape': 'circle', 'safe_command': kind, 'goal_timeout': 0.5})
+    answers = [driven.safe(Cause.WAITING)]
+    driven.goal(0.0, 0.0)
     for k in range(9):
-        told.odometry(0.1 * k, 0.1 * k, position=(0.1 * k, 0.0))
-        answers.append(told.tick(0.1 * k))  # planned, shifted, then without a plan
-    answers.append(told.ticker.safe('disabled'))
-    told.ticker.forget()
-    answers.append(told.ticker.safe('starting afresh'))
-    told.odometry(2.0, 2.0)
-    told.goal(2.0, 2.0)
+        driven.odometry(0.1 * k, 0.1 * k, position=(0.1 * k, 0.0))
+        answers.append(driven.tick(0.1 * k))  # planned, shifted, then without a plan
+    answers.append(driven.safe())
+    driven.start_afresh()
+    answers.append(driven.safe(Cause.AFRESH))
+    driven.odometry(2.0, 2.0)
+    driven.goal(2.0, 2.0)
     poison(monkeypatch, speed_fraction=0.1)
-    answers.append(told.tick(2.0))
-    assert answers[-1].report.reason.startswith('not sent: a speed fraction of 0.1 is below')
-    fallbacks = [answer.report.fallback for answer in answers]
+    answers.append(driven.tick(2.0))
+    assert answers[-1].tick.reason.startswith('not sent: a speed fraction of 0.1 is below')
+    fallbacks = [answer.tick.fallback for answer in answers]
     assert fallbacks.count('safe command') == 5
     assert fallbacks.count('shifted plan') == 2
     for answer in answers:
-        below = answer.command.speed_fraction < np.sqrt(0.3) * (1.0 - 1e-9)
-        assert below == (kind == 'stop' and answer.report.fallback == 'safe command')
+        below = answer.tick.command.speed_fraction < np.sqrt(0.3) * (1.0 - 1e-9)
+        assert below == (kind == 'stop' and answer.tick.fallback == 'safe command')
 
 
 def test_what_is_safe_at_translation_order_2_is_no_thrust_whatever_the_floor():
-    told = Told(**{'floor.shape': 'circle', 'translation_order': 2})
-    assert told.ticker.safe('disabled').command.speed_fraction == 0.0
+    driven = Driven(**{'floor.shape': 'circle', 'translation_order': 2})
+    assert driven.safe().tick.command.speed_fraction == 0.0
+
+
+def test_a_command_that_was_not_sent_is_not_the_speed_to_hold():
+    driven = Driven(safe_command='hold_rate_zero')
+    driven.odometry(0.0, 0.0)
+    driven.goal(0.0, 0.0)
+    planned = driven.ticker.planned(driven.inbox, 0.0, RosTime(stamp(0.0)))
+    assert planned.tick.command.speed_fraction > 0.5
+    assert driven.safe().tick.command.speed_fraction == 0.0
+    driven.ticker.went_out(planned.tick.command, stamp(0.0) / SECOND)
+    held = driven.safe().tick.command.speed_fraction
+    assert held == planned.tick.command.speed_fraction
+
+
+def test_what_kept_a_tick_from_being_planned_is_a_word_to_decide_by():
+    driven = Driven(goal_timeout=0.5)
+    driven.goal(0.0, 0.0)
+    driven.odometry(0.0, 0.0)
+    assert driven.tick(0.0).values['cause'] == ''
+    driven.odometry(0.6, 0.6)
+    assert driven.tick(0.6).values['cause'] == 'goal'
+    assert driven.safe(Cause.SOURCES).values['cause'] == 'sources'
 
 
 @pytest.mark.parametrize('n', [2, 3])

@@ -4,10 +4,15 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from orbimpc_ros.mpc.outcome import Status
+import numpy as np
+
+from orbimpc_ros.mpc.command import stop
+from orbimpc_ros.mpc.loop.controller import Tick
+from orbimpc_ros.mpc.outcome import Fallback, Status
+from orbimpc_ros.ros.clock import Drift, Standstill
 from orbimpc_ros.ros.planner.health import condition
-from orbimpc_ros.ros.reports import ERROR, OK, WARN, Report, safe_report
-from orbimpc_ros.ros.timing import Drift, Standstill, Timing
+from orbimpc_ros.ros.planner.ticker import Timing
+from orbimpc_ros.ros.reports import ERROR, OK, WARN, Report
 
 
 @pytest.mark.parametrize('by', [5.0, -5.0])
@@ -50,7 +55,15 @@ def test_ticks_that_come_late_are_counted():
     assert timing.late == 1
 
 
-PLANNING = Report(Status.OPTIMAL)
+def reported(status, reason='', fallback=Fallback.NONE):
+    return Report(Tick(status, reason, None, None, stop(np.eye(2)), fallback))
+
+
+def safe(reason):
+    return reported(Status.FAILED, reason, Fallback.SAFE_COMMAND)
+
+
+PLANNING = reported(Status.OPTIMAL)
 
 
 @pytest.mark.parametrize(
@@ -59,10 +72,10 @@ PLANNING = Report(Status.OPTIMAL)
         (('', ''), '', None, ('',), (OK, 'ready')),
         (('', ''), '', PLANNING, ('',), (OK, 'planning')),
         (('', ''), '', PLANNING, ('', 'odom refused'), (WARN, 'planning; odom refused')),
-        (('', ''), '', Report(Status.OPTIMAL, 'far away'), (), (WARN, 'far away')),
-        (('', ''), '', Report(Status.FEASIBLE, 'gap'), (), (WARN, 'gap')),
-        (('', ''), '', safe_report('old'), ('odom refused',), (ERROR, 'old; odom refused')),
-        (('', ''), 'disabled', safe_report('disabled'), (), (WARN, 'disabled')),
+        (('', ''), '', reported(Status.OPTIMAL, 'far away'), (), (WARN, 'far away')),
+        (('', ''), '', reported(Status.FEASIBLE, 'gap'), (), (WARN, 'gap')),
+        (('', ''), '', safe('old'), ('odom refused',), (ERROR, 'old; odom refused')),
+        (('', ''), 'disabled', safe('disabled'), (), (WARN, 'disabled')),
         (('two sources', ''), 'disabled', PLANNING, (), (ERROR, 'two sources')),
         (('two sources', 'mismatch'), '', None, (), (ERROR, 'two sources; mismatch')),
     ],

@@ -18,7 +18,8 @@ from mcap.writer import Writer as McapWriter
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.io import bag
-from orbimpc_ros.tool.io.bag import definitions, limits
+from orbimpc_ros.tool.io.bag import limits
+from orbimpc_ros.tool.io.bag.raw import same, store
 from orbimpc_ros.tool.io.bag.writer import BagWriter
 from orbimpc_ros.tool.io.topics import Topic
 
@@ -74,7 +75,7 @@ def assert_refused(path, culprit=''):
     assert '\n' not in str(caught.value)
 
 
-def same(found, before):
+def require_same(found, before):
     assert found == before
 
 
@@ -121,7 +122,7 @@ def test_a_damaged_bag_is_read_right_or_refused(small, tmp_path, block):
         intact = (path / name).read_bytes()
         damage = DAMAGES[draw.choice(list(DAMAGES))]
         (path / name).write_bytes(damage(intact, draw))
-        line = line_of(lambda: same(content(path), before))
+        line = line_of(lambda: require_same(content(path), before))
         assert line is None or (str(path) in line and '\n' not in line)
         found += line is not None
         (path / name).write_bytes(intact)
@@ -195,7 +196,7 @@ def mcap_of(path, records, **options):
         writer = McapWriter(stream, **options)
         writer.start(profile='ros2', library='test')
         for topic, kind, data in records:
-            text, _ = definitions.store().generate_msgdef(kind, ros_version=2)
+            text, _ = store().generate_msgdef(kind, ros_version=2)
             schema = writer.register_schema(kind, 'ros2msg', text.encode())
             channel = writer.register_channel(topic, 'cdr', schema)
             writer.add_message(channel, 1, data, 1)
@@ -292,7 +293,7 @@ METADATA = {
     'no version': (metadata(version=None), 'version'),
     'files that are none': (metadata(relative_file_paths='bag.mcap'), 'relative_file_paths'),
     'a number of a file': (metadata(relative_file_paths=[1]), 'relative_file_paths'),
-    'a missing file': (metadata(relative_file_paths=['gone.mcap']), 'gone.mcap is missing'),
+    'a missing file': (metadata(relative_file_paths=['gone.mcap']), 'gone.mcap: missing'),
     'a way out': (metadata(relative_file_paths=['..']), 'not a file of this folder'),
     'a strange compression': (metadata(compression_mode='file', compression_format='rar'), 'rar'),
     'a strange mode': (metadata(compression_mode='twice'), 'twice'),
@@ -382,6 +383,16 @@ def test_a_bag_that_is_not_there_is_told(tmp_path, name, capsys):
     assert '\x1b' not in err
 
 
+def test_a_line_says_the_subject_the_problem_and_a_hint(tmp_path):
+    with pytest.raises(BadInput) as caught:
+        bag.raw(tmp_path / 'nowhere.mcap')
+    hint = 'a readable file is needed'
+    assert str(caught.value) == f'{tmp_path}/nowhere.mcap: no such file; {hint}'
+    error = BadInput.stating('bag', 'damaged\n' + 'x' * 1000, hint)
+    assert str(error).count('\n') == 0
+    assert len(str(error)) < 150
+
+
 def test_what_is_no_bag_is_told(tmp_path):
     (tmp_path / 'notes.txt').write_text('no bag')
     assert_refused(tmp_path / 'notes.txt', 'no bag')
@@ -443,10 +454,10 @@ def test_another_encoding_is_refused(tmp_path):
 def test_definitions_as_ros_writes_them_are_the_same():
     """With comments, constants and other spaces; the hash says it too."""
     text = 'uint8 LOW=1  # a constant\n\n# a comment\nbool   data # true or false\n'
-    assert definitions.same(BOOL, text)
-    assert definitions.same(BOOL, definitions.store().hash_rihs01(BOOL))
-    assert definitions.same(BOOL, '')
-    assert not definitions.same(BOOL, 'bool other')
+    assert same(BOOL, text)
+    assert same(BOOL, store().hash_rihs01(BOOL))
+    assert same(BOOL, '')
+    assert not same(BOOL, 'bool other')
 
 
 def test_a_message_that_does_not_decode_is_refused(tmp_path):

@@ -160,7 +160,7 @@ def test_a_disk_that_is_full_fails_the_job_in_one_line(tmp_path):
         check=False,
     )
     assert done.returncode == 1
-    assert done.stderr.splitlines()[-1] == f'orbimpc: {tmp_path}/retrieval: File too large'
+    assert done.stderr.splitlines()[-1] == f'orbimpc: {tmp_path}/retrieval: file too large'
     assert 'Traceback' not in done.stderr
 
 

@@ -212,6 +212,22 @@ def test_what_a_planner_would_refuse_is_no_history(tmp_path):
     assert run.times[-1] - run.times[0] == 40.0
 
 
+def test_a_bag_without_anything_that_a_planner_would_take_is_refused(tmp_path):
+    from nav_msgs.msg import Odometry
+    from rclpy.serialization import deserialize_message, serialize_message
+
+    def turned_wrong(each):
+        if each.topic != '/odom':
+            return each
+        message = deserialize_message(each.data, Odometry)
+        message.pose.pose.orientation.w = 7.0
+        return each._replace(data=serialize_message(message))
+
+    path = rewritten(GOLDEN / 'retrieval', tmp_path / 'bag', turned_wrong)
+    with pytest.raises(BadInput, match='no valid odom; odometry and a goal are needed'):
+        of_bag(path)
+
+
 def test_a_vehicle_of_a_fleet_has_its_own_history(tmp_path):
     def moved(each):
         return each._replace(topic=f'/uav1{each.topic}')
@@ -236,5 +252,5 @@ def test_a_tick_of_another_version_is_refused(tmp_path, field):
         return each._replace(data=serialize_message(message))
 
     path = rewritten(GOLDEN / 'retrieval', tmp_path / 'bag', renamed)
-    with pytest.raises(BadInput, match=f'tick is without {field}'):
+    with pytest.raises(BadInput, match=f'tick: without {field}'):
         of_bag(path)

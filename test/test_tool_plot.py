@@ -11,9 +11,8 @@ from PIL import Image
 
 from orbimpc_ros.tool import cli, figures, plot
 from orbimpc_ros.tool.figures import animation, scene, space, style
-from orbimpc_ros.tool.figures.captions import story
-from orbimpc_ros.tool.figures.data import COMPONENTS
-from orbimpc_ros.tool.figures.solver import series
+from orbimpc_ros.tool.figures.charts import story
+from orbimpc_ros.tool.figures.numbers import COMPONENTS, series
 from orbimpc_ros.tool.io import history
 from orbimpc_ros.tool.io.topics import absent
 

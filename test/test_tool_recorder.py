@@ -16,11 +16,10 @@ pytest.importorskip('rclpy')
 
 from nav_msgs.msg import Odometry
 
-from orbimpc_ros.ros.messages import header
+from orbimpc_ros.ros.messages import SECOND, header
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.tool.io import bag
-from orbimpc_ros.tool.io.recorder import Recorder
-from orbimpc_ros.tool.io.stamps import LEAP, SECOND, Stamps, carried
+from orbimpc_ros.tool.io.recorder import LEAP, Recorder, Stamps, carried
 from orbimpc_ros.tool.io.topics import topics_of
 
 PATIENCE = 20.0  # [s]

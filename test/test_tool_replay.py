@@ -1,10 +1,12 @@
 """Golden bags as regression tests, and what the replay must notice, tell and accept."""
 
 import importlib
+import json
 import math
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,11 +16,13 @@ pytest.importorskip('rclpy')
 
 from rclpy.serialization import deserialize_message, serialize_message
 
+from orbimpc_ros.mpc.outcome import Cause
+from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.io import bag, settings
-from orbimpc_ros.tool.replay.answer import Answer
 from orbimpc_ros.tool.replay.difference import Tolerances, comparisons
-from orbimpc_ros.tool.replay.recording import recording_of
+from orbimpc_ros.tool.replay.recording import Published, published, recording_of
+from orbimpc_ros.tool.replay.resolving import replayed
 
 FLIGHTS = ('retrieval', 'dubins', 'spacecraft', 'obstacles', 'disturbed', 'faulty')
 RETRIEVAL = GOLDEN / 'retrieval'
@@ -231,6 +235,32 @@ def test_a_goal_that_the_planner_never_saw_is_left_out(replay, tmp_path):
     assert replay(path)[0] == 0
 
 
+def test_of_several_goals_in_a_row_the_newest_are_those_that_were_taken(replay, tmp_path):
+    """Two come before each that is answered, and the counts say that neither was taken."""
+    from geometry_msgs.msg import PoseStamped
+
+    source, path = GOLDEN / 'obstacles', tmp_path / 'bag'
+    raw, lost = bag.raw(source), []
+    for each in raw:
+        if each.topic == '/goal' and each.stamp > 0:
+            for before in (2, 1):
+                message = deserialize_message(each.data, PoseStamped)
+                message.header.stamp.sec, message.header.stamp.nanosec = divmod(
+                    each.stamp - before, 10**9
+                )
+                message.pose.position.x += before
+                data = serialize_message(message)
+                lost.append(each._replace(data=data, sent=each.sent - before))
+    write(path, [*raw, *lost], bag.notes(source))
+    code, out, _ = replay(path)
+    assert code == 0, out
+    assert f'inputs        {2 * len(answered(source)) + len(lost)}, 0 refused' in out
+
+
+def answered(path):
+    return [each for each in recording_of(path).inputs if each.topic == 'goal']
+
+
 def test_a_goal_is_known_by_its_stamp_however_early_it_was_sent(replay, tmp_path):
     """Each comes before the answer before: by when it was sent it would have been known."""
 
@@ -316,8 +346,31 @@ def test_a_lost_goal_is_known_by_what_the_tick_says_not_by_its_words(replay, tmp
     assert code == 0, out
 
 
+def test_a_planner_that_starts_afresh_is_known_by_the_cause_not_by_its_words():
+    """What it had taken in is forgotten, so that the next answer finds no odometry."""
+    recording, values = recording_of(RETRIEVAL), settings.of_bag(RETRIEVAL)
+    first = recording.answers[0]
+    for cause, fallback in ((Cause.AFRESH, 'safe command'), (Cause.DISABLED, ''), (None, '')):
+        said = Published(cause=cause, reason='starting afresh or not', solve_time_ms=0.0)
+        answers = (first, replace(first, answer=said), first)
+        ticks = replayed(replace(recording, answers=answers), planner_settings(values), True)
+        *_, last = (published(each.messages) for each in ticks)
+        assert last.fallback == fallback
+
+
+@pytest.mark.parametrize('word', ['afresh', 'sabotage', 7, ['afresh']])
+def test_a_cause_that_is_none_of_ours_is_not_known(word):
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+    status = DiagnosticStatus(values=[KeyValue(key='cause', value=json.dumps(word))])
+    found = published({'tick': DiagnosticArray(status=[status])}).cause
+    assert found == (Cause.AFRESH if word == 'afresh' else None)
+
+
 def distances(recorded, replayed, **tolerances):
-    found = comparisons(0, 0.0, Answer(**recorded), Answer(**replayed), Tolerances(**tolerances))
+    found = comparisons(
+        0, 0.0, Published(**recorded), Published(**replayed), Tolerances(**tolerances)
+    )
     return {each.quantity: each for each in found}
 
 
@@ -333,7 +386,7 @@ def test_where_an_engine_is_silent_may_point_anywhere():
         (2, (1.0, 1.0, 0.0), False),
         (1, (), True),
     ):
-        recorded = {'rotation': ahead, 'thrust': thrust}
+        recorded = {'rotation': ahead, 'speed_fraction': thrust}
         found = distances(recorded, {'rotation': aside}, order=order)['rotation']
         assert found.apart == pytest.approx(0.02, rel=1e-3)
         assert found.differs == differs
@@ -499,7 +552,7 @@ def test_a_bag_without_notes_asks_for_parameters(replay, tmp_path):
     path = ros2_bag(RETRIEVAL, tmp_path / 'bag', 'sqlite3')
     code, out, err = replay(path)
     assert (code, out) == (2, '')
-    assert 'allowed: --params FILE or --set' in err
+    assert 'give --params FILE or --set' in err
     # Defaults but for what is set: the example is the paper's retrieval.
     words = [f'--set={change}' for change in ('floor.shape=polygon', 'trigger=odom')]
     assert replay(path, *words)[0] == 0

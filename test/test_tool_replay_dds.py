@@ -17,9 +17,8 @@ from std_srvs.srv import SetBool
 
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.tool.io import bag, settings
-from orbimpc_ros.tool.replay.answer import answer_of
 from orbimpc_ros.tool.replay.difference import Tolerances, comparisons
-from orbimpc_ros.tool.replay.recording import recording_of, stamp_of
+from orbimpc_ros.tool.replay.recording import published, recording_of, stamp_of
 
 INPUTS = {'/clock': Clock, '/goal': PoseStamped, '/goal_path': Path, '/odom': Odometry}
 AGAIN, ATTEMPTS = 2.0, 10  # [s] without an answer, after which to ask again
@@ -86,7 +85,7 @@ class Player:
                 if name in recorded.messages
             }
             # Quaternions that went through a vehicle of another process round differently.
-            now, then = answer_of(told), recorded.answer
+            now, then = published(told), recorded.answer
             found += [
                 each
                 for each in comparisons(tick, 0.0, then, now, Tolerances())

@@ -304,7 +304,7 @@ def test_output_that_the_disk_does_not_take_is_a_failure_in_one_line(tmp_path):
     with open('/dev/full', 'w') as full:
         done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert done.returncode == cli.FAILED
-    assert done.stderr == 'orbimpc: output: No space left on device\n'
+    assert done.stderr == 'orbimpc: output: no space left on device\n'
 
 
 @pytest.mark.parametrize(
@@ -325,5 +325,5 @@ def test_where_nothing_is_a_value_the_message_says_what_to_do(solve, problem, co
 
 def test_a_file_that_is_not_there_is_named_with_the_reason(capsys):
     assert cli.main(['solve', 'nofile.json']) == 2
-    complaint = 'nofile.json: No such file or directory; a readable file is needed'
+    complaint = 'nofile.json: no such file; a readable file is needed'
     assert capsys.readouterr().err == f'orbimpc: {complaint}\n'

@@ -168,7 +168,7 @@ def full_disk():
 @pytest.mark.usefixtures('full_disk')
 def test_a_recording_that_the_disk_does_not_take_leaves_nothing_behind(capsys, tmp_path):
     file = tmp_path / 'flight.rrd'
-    complaint = f'orbimpc: --save {file}: File too large'
+    complaint = f'orbimpc: --save {file}: file too large'
     assert run(capsys, GOLDEN / 'dubins', '--save', file) == (1, [complaint])
     assert list(tmp_path.iterdir()) == []
 

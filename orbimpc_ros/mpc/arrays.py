@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -11,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from orbimpc_ros.mpc.errors import BadInput
 
 Array = NDArray[np.floating[Any]]
+
+ABOVE_ZERO = 5e-324  # the least positive number: a range that begins with it leaves out zero
 
 
 def frozen(value: ArrayLike, shape: tuple[int, ...], culprit: str) -> Array:
@@ -94,3 +97,24 @@ def _comparable(value: object) -> object:
     if not isinstance(value, np.ndarray):
         return value
     return value.shape, (value + 0.0).tobytes()  # adding zero makes -0.0 the 0.0 that it equals
+
+
+def within(checked: object, ranges: Mapping[str, tuple[float, float]], prefix: str = '') -> None:
+    """Check that attributes are numbers in their ranges, integers where both ends are.
+
+    Args:
+        checked: has the attributes.
+        ranges: least and greatest value allowed, by attribute.
+        prefix: of the names that an error gives them.
+
+    Raises:
+        BadInput: one is not.
+    """
+    for name, (low, high) in ranges.items():
+        value, culprit = getattr(checked, name), f'{prefix}{name}'
+        if isinstance(low, int) and isinstance(high, int):
+            whole(value, culprit, low, high)
+        elif low == ABOVE_ZERO:
+            number(value, culprit, 0.0, high, above=True)
+        else:
+            number(value, culprit, low, high)

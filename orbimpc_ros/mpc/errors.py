@@ -1,9 +1,11 @@
-"""What can go wrong, in one family: each error says what, where and what is allowed."""
+"""The errors of this package: each names a culprit, its value and what is allowed."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+
+LISTED = 20  # names that an error lists at most
 
 
 class OrbimpcError(Exception):
@@ -21,16 +23,22 @@ class BadInput(OrbimpcError, ValueError):
 
     def __init__(self, culprit: str, value: object, allowed: str) -> None:
         self.culprit, self.value, self.allowed = culprit, value, allowed
-        shown = value if isinstance(value, str) else repr(value)
-        if len(shown) > 80:
-            shown = f'{shown[:37]}...{shown[-40:]}'  # of a path the end says which file
-        super().__init__(f'{culprit} is {" ".join(shown.split())}; allowed: {allowed}')
+        shown = _in_short(value if isinstance(value, str) else repr(value))
+        super().__init__(f'{culprit} is {shown}; allowed: {allowed}')
+
+    @classmethod
+    def choice(cls, culprit: str, value: object, words: Iterable[str]) -> BadInput:
+        """Return the error of a value that is none of a few words, with one that it may mean."""
+        known = tuple(words)
+        close = difflib.get_close_matches(str(value), known, n=1)
+        meant = f'; did you mean {close[0]!r}?' if close else ''
+        return cls(culprit, value, ' | '.join(known) + meant)
 
     @classmethod
     def stating(cls, subject: str, problem: str, hint: str) -> BadInput:
         """Return an error where nothing is a value: ``subject: problem; hint``."""
         error = cls(subject, problem, hint)
-        error.args = (f'{subject}: {problem}; {hint}',)
+        error.args = (f'{subject}: {_in_short(problem)}; {hint}',)
         return error
 
     @classmethod
@@ -46,11 +54,19 @@ class BadInput(OrbimpcError, ValueError):
         names, name = list(dict.fromkeys(known)), ' '.join(name.split())[:80]
         close = difflib.get_close_matches(name, names, n=3, cutoff=0.6)
         meant = ' or '.join(repr(each) for each in close)
-        hint = f'did you mean {meant}?' if close else f'known: {", ".join(names)}'
+        more = ', ...' if len(names) > LISTED else ''
+        hint = f'did you mean {meant}?' if close else f'known: {", ".join(names[:LISTED])}{more}'
         error = cls(name, f'no {kind}', hint)
         before = f'{where}: ' if where else ''
         error.args = (f'{before}unknown {kind} {name!r}; {hint}',)
         return error
+
+
+def _in_short(text: str) -> str:
+    """Return a text in one line, its middle left out if it is long."""
+    if len(text) > 80:
+        text = f'{text[:37]}...{text[-40:]}'  # of a path the end says which file
+    return ' '.join(text.split())
 
 
 class Infeasible(OrbimpcError):

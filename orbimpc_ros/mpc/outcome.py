@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import Enum
 
 
@@ -31,3 +32,37 @@ class Fallback(Word):
     SHIFTED_PLAN = 'shifted plan'
     SOFT_ARRIVAL = 'soft arrival'
     SAFE_COMMAND = 'safe command'
+
+
+class Cause(Word):
+    """What kept a tick from being planned on fresh inputs."""
+
+    NONE = ''  # it was planned: its status says the rest
+    GOAL = 'goal'  # no goal is fresh
+    HORIZON = 'horizon'  # a shrinking horizon has run out
+    COMMAND = 'command'  # the command made of a plan must not be sent
+    ODOMETRY = 'odometry'  # odometry is stale
+    SOURCES = 'sources'  # more than one source of odometry
+    WAITING = 'waiting'  # an input has not come yet
+    CLOCK = 'clock'  # simulated time stands still
+    DISABLED = 'disabled'
+    AFRESH = 'afresh'  # inputs and plan were forgotten
+    FAILURE = 'failure'  # a callback raised an error
+    SHUTDOWN = 'shutdown'
+
+
+@dataclass(frozen=True)
+class Reason:
+    """Why no plan is followed.
+
+    Attributes:
+        cause: to decide by.
+        words: for people.
+    """
+
+    cause: Cause
+    words: str
+
+    def and_so(self, more: str) -> Reason:
+        """Return the reason with more words."""
+        return Reason(self.cause, f'{self.words}; {more}')

@@ -1,17 +1,73 @@
-"""The node's clock of ROS, the system's or a simulated one: its time, jumps and standstills."""
+"""A node's ROS clock, the system's or a simulated one: its time, jumps and standstills."""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from rclpy.clock import JumpThreshold, TimeJump
 from rclpy.duration import Duration
 
-from orbimpc_ros.ros.arrival import RosTime
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.process import Guarded
-from orbimpc_ros.ros.timing import Drift, Standstill
+
+
+@dataclass(frozen=True)
+class RosTime:
+    """What the node's ROS clock shows.
+
+    Attributes:
+        nanoseconds: the time [ns]; None if it is not known, as before simulated time starts.
+        lag: how far it may trail: simulated time moves only when a message says so [s].
+    """
+
+    nanoseconds: int | None = None
+    lag: float = 0.0
+
+    def since(self, stamp: int) -> float:
+        """Return the time since a stamp [ns], negative before it [s]; NaN if it is not known."""
+        if self.nanoseconds is None:
+            return math.nan
+        return (self.nanoseconds - stamp) / SECOND
+
+
+UNKNOWN = RosTime()
+
+
+class Drift:
+    """Detects jumps of a clock, against a steady one."""
+
+    def __init__(self) -> None:
+        self._offset: tuple[float, float] | None = None
+
+    def jump(self, before: float, clock: float, after: float) -> float:
+        """Return how far the clock has jumped at least since the last look [s].
+
+        Args:
+            before: on the steady clock, just before the other was read [s].
+            clock: what the other showed [s].
+            after: on the steady clock, just after [s].
+        """
+        low, high = clock - after, clock - before
+        last_low, last_high = self._offset or (low, high)
+        self._offset = low, high
+        return max(low - last_high, 0.0) + min(high - last_low, 0.0)
+
+
+class Standstill:
+    """Measures for how long a clock has stood still."""
+
+    def __init__(self) -> None:
+        self._shown: int | None = None
+        self._since = 0.0
+
+    def lasted(self, shown: int | None, now: float) -> float:
+        """Return how long a clock has shown the same [s]; ``now`` is of the steady clock [s]."""
+        if shown != self._shown:
+            self._shown, self._since = shown, now
+        return now - self._since
 
 
 class NodeClock:
@@ -20,8 +76,8 @@ class NodeClock:
     Args:
         node: whose clock.
         step: by which simulated time may move at once [s].
-        on_jump: told by how much time has jumped [s]: simulated time back or on by more than a
-            step, the system's by any amount that a look can tell.
+        on_jump: called with how far time has jumped [s]: simulated time back or on by more than a
+            step, the system's by any amount that a look can detect.
 
     Attributes:
         simulated: whether time comes from ``/clock``; that cannot change while the node runs.
@@ -71,7 +127,7 @@ class NodeClock:
         )
 
     def look(self) -> None:
-        """Look whether the system's clock was set, which nothing else would tell."""
+        """Look whether the system's clock was set, which nothing else would show."""
         if self.simulated:
             return
         before = time.monotonic()

@@ -1,4 +1,4 @@
-"""What the launch files share: pairs of planner and simulator on one parameter file.
+"""Launch descriptions: pairs of planner and simulator on one parameter file.
 
 Needs ROS 2's launch, which PyPI does not have: only launch files import this module.
 """
@@ -87,7 +87,7 @@ def _check_file(context: LaunchContext) -> None:
     """Refuse a parameter file that is not there: launch itself would go on with defaults."""
     file = context.launch_configurations['params_file']
     if not Path(file).is_file():
-        raise BadInput('params_file', file, 'a file of parameters')
+        raise BadInput.stating(file, 'no such file', 'params_file is to name one of parameters')
 
 
 def _check_flight(context: LaunchContext) -> None:
@@ -132,7 +132,7 @@ def _node(name: str, parameters: dict[str, object], namespace: str | None = None
 
 
 def _surroundings() -> list[Action]:
-    """Keep to this machine unless told otherwise, and record where wanted."""
+    """Keep to this machine unless asked otherwise, and record where wanted."""
     return [
         SetEnvironmentVariable(RANGE, EnvironmentVariable(RANGE, default_value='LOCALHOST')),
         ExecuteProcess(

@@ -12,13 +12,15 @@ import sys
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import rclpy
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.executors import SingleThreadedExecutor
@@ -33,9 +35,10 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args
+from rclpy.utilities import get_default_context, remove_ros_args
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.outcome import Cause, Reason
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
 FAILURES_IN_A_ROW = 5  # of one callback, after which the node gives up
@@ -69,6 +72,48 @@ def qos(
     )
 
 
+@contextmanager
+def initialised(
+    words: Sequence[str] = (), *, domain: int | None = None, context: Context | None = None
+) -> Iterator[Context]:
+    """Keep rclpy started as long as the block lasts; signals are left to the caller.
+
+    Args:
+        words: a command line with arguments of ROS.
+        domain: of DDS; by default the environment's.
+        context: to start; by default a new one, so that several can be there.
+    """
+    context = context or Context()
+    signals = SignalHandlerOptions.NO
+    rclpy.init(args=list(words), context=context, domain_id=domain, signal_handler_options=signals)
+    try:
+        yield context
+    finally:
+        context.try_shutdown()
+
+
+@contextmanager
+def attached(
+    name: str, *, domain: int | None = None, **options: Any
+) -> Iterator[tuple[Node, SingleThreadedExecutor]]:
+    """Yield a node of a context of its own, and its executor: for what is not a process of ROS.
+
+    Args:
+        name: of the node.
+        domain: of DDS; by default the environment's.
+        options: of ``rclpy.create_node``.
+    """
+    with initialised(domain=domain) as context:
+        node = rclpy.create_node(name, context=context, **options)
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+        try:
+            yield node, executor
+        finally:
+            executor.shutdown()
+            node.destroy_node()
+
+
 class Guarded(Node):
     """A node none of whose callbacks can end it, and that ends well.
 
@@ -92,7 +137,7 @@ class Guarded(Node):
         self.failures = 0
         self._in_a_row: Counter[str] = Counter()
 
-    def safe(self, reason: str) -> None:
+    def safe(self, reason: Reason) -> None:
         """Do what is safe right now; the farewell and every failure call it."""
 
     def steady_now(self) -> float:
@@ -128,7 +173,7 @@ class Guarded(Node):
         reason = f'{what} failed: {type(error).__name__}: {error}'
         self._count(what, reason)
         try:
-            self.safe(reason)
+            self.safe(Reason(Cause.FAILURE, reason))
         except Exception as worse:
             self._count('safe', f'the safe command failed: {type(worse).__name__}: {worse}')
 
@@ -146,7 +191,7 @@ class Guarded(Node):
 
 
 def run(make: Callable[[], Guarded], argv: Sequence[str] | None = None) -> int:
-    """Run a node until it is done or told to stop, and return the exit code.
+    """Run a node until it is done or stopped, and return the exit code.
 
     Args:
         make: creates the node; BadInput from it ends the process with code 2 and one line.
@@ -155,7 +200,9 @@ def run(make: Callable[[], Guarded], argv: Sequence[str] | None = None) -> int:
     os.environ.setdefault(RANGE, 'LOCALHOST')
     words = list(sys.argv if argv is None else argv)
     try:
-        return _live(make, words, _Signals())
+        signals = _Signals()
+        with _started(words):
+            return _live(make, signals)
     except _Stopped:
         return DONE
     except (BadInput, _Unreadable) as error:
@@ -164,8 +211,6 @@ def run(make: Callable[[], Guarded], argv: Sequence[str] | None = None) -> int:
     except _Stillborn as error:
         print(_line(error), file=sys.stderr)
         return FAILED
-    finally:
-        rclpy.try_shutdown()
 
 
 class _Stopped(BaseException):
@@ -204,35 +249,42 @@ class _Unreadable(Exception):
 
 
 def _line(error: Exception) -> str:
-    """Return an error in one line; those of security are told as what they are."""
+    """Return an error in one line; those of security name it."""
     line = ' '.join(str(error).split())
     if os.environ.get(SECURITY) != 'true':
         return line
     return f'{line} ({SECURITY}=true needs ROS_SECURITY_KEYSTORE and a middleware with security)'
 
 
-def _initialise(words: Sequence[str]) -> None:
-    """Start rclpy with the command line.
+@contextmanager
+def _started(words: Sequence[str]) -> Iterator[None]:
+    """Keep rclpy started with the command line as long as the block lasts.
 
     Raises:
         BadInput: there are words on it that nobody would look at.
     """
+    with ExitStack() as stack:
+        _initialise(words, stack)
+        program, *plain = remove_ros_args(args=list(words))
+        if plain:
+            meant = f'{Path(program).name} --ros-args {shlex.join(plain)}'
+            problem = f'{shlex.join(plain)} is not behind --ros-args'
+            raise BadInput.stating('command line', problem, f'did you mean {meant}')
+        yield
+
+
+def _initialise(words: Sequence[str], stack: ExitStack) -> None:
     try:
-        rclpy.init(args=list(words), signal_handler_options=SignalHandlerOptions.NO)
+        stack.enter_context(initialised(words, context=get_default_context()))
     except rclpy_implementation.UnknownROSArgsError as error:
         unknown = ' '.join(ast.literal_eval(str(error)))
-        raise BadInput('command line', unknown, KNOWN_WORDS) from None
+        problem, hint = f'unknown argument {unknown}', f'allowed: {KNOWN_WORDS}'
+        raise BadInput.stating('command line', problem, hint) from None
     except RuntimeError as error:  # a malformed rule or parameter file
         raise _Unreadable(str(error)) from None
-    program, *plain = remove_ros_args(args=list(words))
-    if plain:
-        meant = f'{Path(program).name} --ros-args {shlex.join(plain)}'
-        allowed = f'ROS arguments alone, behind --ros-args: {meant}'
-        raise BadInput('command line', shlex.join(plain), allowed)
 
 
-def _live(make: Callable[[], Guarded], words: Sequence[str], signals: _Signals) -> int:
-    _initialise(words)
+def _live(make: Callable[[], Guarded], signals: _Signals) -> int:
     node = _born(make)
     signals.starting = False
     _warn_of_range(node)
@@ -268,7 +320,7 @@ def _part(node: Guarded, executor: SingleThreadedExecutor, signals: Sequence[int
         node.get_logger().info(f'received {signal.Signals(signals[0]).name}, stopping')
     farewell = node.guard(node.safe)
     for _ in range(FAREWELLS):
-        farewell('shutting down')
+        farewell(Reason(Cause.SHUTDOWN, 'shutting down'))
     _let_go(node)
     executor.shutdown()
     node.destroy_node()

@@ -9,27 +9,50 @@ from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from types import ModuleType
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 from orbimpc_ros import __version__
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError
 from orbimpc_ros.ros.entry import without_ros
+from orbimpc_ros.tool.io.files import why
 
 DONE, FAILED, BAD_INPUT, INFEASIBLE = 0, 1, 2, 3
-LABORATORY = ('bench', 'faults', 'study')  # commands of the laboratory, above this package
-PLANNING = ('bench', 'demo', 'study')  # commands that plan for long: slow ones are worth a word
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
-# A command is a module of this package with add_arguments(parser) and run(args) -> exit code.
+
+class Subcommand(NamedTuple):
+    """A command: a module with ``add_arguments(parser)`` and ``run(args) -> exit code``.
+
+    Attributes:
+        package: that has the module, which has the command's name.
+        summary: what it does.
+        planning: whether it plans for long, so that a slow planner is worth a word.
+    """
+
+    package: str
+    summary: str
+    planning: bool = False
+
+
+TOOL, LABORATORY = 'orbimpc_ros.tool', 'orbimpc_ros.lab'
 COMMANDS = {
-    'bench': 'measure side by side with the solvers that are installed',
-    'demo': 'run planner and simulator over DDS, record a bag, draw the picture',
-    'replay': 'solve the inputs of a bag again, compare with its outputs',
-    'faults': 'try planner and simulator under faults, as real processes, and print the matrix',
-    'plot': 'draw the figures and an animation of a bag',
-    'solve': 'solve one problem from a file, print the plan as JSON',
-    'study': 'fly many ropes with several controllers and compare them',
-    'view': 'look at a flight in a browser, live or from a bag',
+    'bench': Subcommand(
+        LABORATORY, 'measure side by side with the solvers that are installed', True
+    ),
+    'demo': Subcommand(
+        TOOL, 'run planner and simulator over DDS, record a bag, draw the picture', True
+    ),
+    'replay': Subcommand(TOOL, 'solve the inputs of a bag again, compare with its outputs'),
+    'faults': Subcommand(
+        LABORATORY,
+        'try planner and simulator under faults, as real processes, and print the matrix',
+    ),
+    'plot': Subcommand(TOOL, 'draw the figures and an animation of a bag'),
+    'solve': Subcommand(TOOL, 'solve one problem from a file, print the plan as JSON'),
+    'study': Subcommand(
+        LABORATORY, 'fly many ropes with several controllers and compare them', True
+    ),
+    'view': Subcommand(TOOL, 'look at a flight in a browser, live or from a bag'),
 }
 
 
@@ -47,7 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     try:
         args = _parser(words).parse_args(words)
-        if args.command in PLANNING and find_spec('numba') is None:
+        if COMMANDS[args.command].planning and find_spec('numba') is None:
             _complain(import_module('orbimpc_ros.ros.planner.compiling').MISSING)
         code = _module(args.command).run(args)
         sys.stdout.flush()
@@ -69,7 +92,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _end_output()
         return FAILED
     except OSError as error:  # such as a disk that is full
-        _complain(f'{error.filename or "output"}: {error.strerror or error}')
+        _complain(f'{error.filename or "output"}: {why(error)}')
         _end_output()
         return FAILED
 
@@ -91,16 +114,15 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
     )
     parser.add_argument('--version', action='version', version=f'orbimpc_ros {__version__}')
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
-    for name, summary in COMMANDS.items():
-        sub = commands.add_parser(name, help=summary, description=summary)
+    for name, command in COMMANDS.items():
+        sub = commands.add_parser(name, help=command.summary, description=command.summary)
         if words[:1] == [name]:
             _module(name).add_arguments(sub)
     return parser
 
 
 def _module(command: str) -> ModuleType:
-    home = 'lab' if command in LABORATORY else 'tool'
-    return import_module(f'orbimpc_ros.{home}.{command}')
+    return import_module(f'{COMMANDS[command].package}.{command}')
 
 
 def _code(error: OrbimpcError) -> int:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.tool.io.files import WRITABLE, require_writable, why, writing_to
 
 if TYPE_CHECKING:
     from orbimpc_ros.mpc.arrays import Array
@@ -34,11 +35,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Draw a flight; nothing is written unless everything can be."""
     from orbimpc_ros.tool.io import history
-    from orbimpc_ros.tool.io.files import require_writable, writing_to
 
     flight = history.of_bag(Path(args.bag), args.namespace)
     if len(flight.times) < 2:
-        raise BadInput(args.bag, 'with a single odometry message', 'a flight of two or more')
+        raise BadInput.stating(args.bag, 'a single odometry message', 'two or more are needed')
     pictures = _pictures(flight, args.dark, not args.no_animation)
     folder = _folder(Path(args.out).resolve(), pictures)
     require_writable('--out', folder / next(iter(pictures)))
@@ -72,10 +72,12 @@ def _folder(folder: Path, names: Sequence[str] | dict) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise BadInput('--out', f'{folder} ({error.strerror})', 'a folder to write to') from None
+        raise BadInput.stating(f'--out {folder}', why(error), WRITABLE) from None
     for name in names:
         if (folder / name).exists() and not made_here(folder / name):
-            raise BadInput('--out', f'{folder / name} (not made by orbimpc)', 'another folder')
+            raise BadInput.stating(
+                f'--out {folder / name}', 'not made by orbimpc', 'give another folder'
+            )
     return folder
 
 

@@ -1,1 +1,1 @@
-"""What the simulator simulates: vehicle, rope, capture, scenarios. No ROS, no clock, no logging."""
+"""The simulated world: vehicle, rope, capture, scenarios. No ROS, no clock, no logging."""

@@ -1,4 +1,4 @@
-"""How far from its goal a vehicle ends that flies one plan to its end, without planning again."""
+"""Arrivals of a vehicle that flies one plan to its end, without planning again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Was the rope caught? The closest approach of two points that move straight during a step."""
+"""Capture of the rope: the closest approach of two points that move straight during a step."""
 
 from __future__ import annotations
 

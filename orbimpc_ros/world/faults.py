@@ -1,7 +1,7 @@
-"""What goes wrong between a flight and its planner: noise, losses, delays, lies; all from a seed.
+"""Faults between a flight and its planner: noise, losses, delays, lies; all from a seed.
 
 Every tick draws all its chances from the seed and its own number, so that a run repeats exactly,
-one fault does not change the luck of another, and asking twice for a tick gives the same answer.
+one fault does not change the draws of another, and asking twice for a tick gives the same answer.
 """
 
 from __future__ import annotations
@@ -13,18 +13,30 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, number, whole
+from orbimpc_ros.mpc.arrays import ABOVE_ZERO, Array, within
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.loop.observation import Sighting
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.world.flight import Flight
+from orbimpc_ros.world.scenario import MAX_TICKS
 from orbimpc_ros.world.vehicle import Vehicle, between, measured
 
 ODOMETRY, GOAL, COMMAND = range(3)  # rows of a tick's chances
 CHANCES = ('dropout', 'reorder', 'duplicate', 'nan')  # columns
-LONGEST = 10.0  # [s] odometry may be late
-FARTHEST = 1e6  # [s] a clock may jump
+FAULT_RANGES: dict[str, tuple[float, float]] = {  # by attribute
+    'position_noise': (0.0, 1e3),
+    'attitude_noise': (0.0, math.pi),
+    'dropout': (0.0, 1.0),
+    'delay': (0.0, 10.0),
+    'reorder': (0.0, 1.0),
+    'duplicate': (0.0, 1.0),
+    'nan': (0.0, 1.0),
+    'occlusion_length': (0.0, 1e6),
+    'occlusion_period': (ABOVE_ZERO, 1e6),
+    'clock_jump': (-1e6, 1e6),
+    'clock_jump_tick': (0, MAX_TICKS),
+}
 
 
 @dataclass(frozen=True)
@@ -38,7 +50,7 @@ class Faults:
         delay: age of odometry when it comes [s].
         reorder: share of odometry and goals that comes a tick late, behind a newer one's stamp.
         duplicate: share of odometry and goals that comes twice.
-        nan: share of odometry and goals with a number that is none.
+        nan: share of odometry and goals with a NaN.
         occlusion_length: how long the goal is hidden, at a time of its own in each period [s].
         occlusion_period: [s].
         clock_jump: what every stamp is off from ``clock_jump_tick`` on [s].
@@ -58,14 +70,7 @@ class Faults:
     clock_jump_tick: int = 0
 
     def __post_init__(self) -> None:
-        for name in CHANCES:
-            number(getattr(self, name), f'faults.{name}', 0.0, 1.0)
-        number(self.position_noise, 'faults.position_noise', 0.0, 1e3)
-        number(self.attitude_noise, 'faults.attitude_noise', 0.0, math.pi)
-        number(self.delay, 'faults.delay', 0.0, LONGEST)
-        number(self.occlusion_period, 'faults.occlusion_period', 0.0, 1e6, above=True)
-        number(self.clock_jump, 'faults.clock_jump', -FARTHEST, FARTHEST)
-        whole(self.clock_jump_tick, 'faults.clock_jump_tick', 0, 10**9)
+        within(self, FAULT_RANGES, 'faults.')
         if not 0.0 <= self.occlusion_length <= self.occlusion_period:
             allowed = f'in [0, occlusion_period = {self.occlusion_period:g}]'
             raise BadInput('faults.occlusion_length', self.occlusion_length, allowed)
@@ -80,7 +85,10 @@ class Faults:
         return self.clock_jump if ticks >= self.clock_jump_tick else 0.0
 
 
-class Sent(NamedTuple):
+NO_FAULTS = Faults()
+
+
+class Delivery(NamedTuple):
     """A message that reaches the planner.
 
     Attributes:
@@ -102,7 +110,7 @@ class Sent(NamedTuple):
 
     @property
     def finite(self) -> bool:
-        """Return whether all its numbers are some."""
+        """Return whether all its numbers are finite."""
         numbers = [self.content.position]
         if isinstance(self.content, Odometry):
             numbers.append(self.content.body_velocity)
@@ -121,28 +129,30 @@ class View:
     def __init__(self, faults: Faults, seed: int, step: float) -> None:
         self.faults, self._seed = faults, seed
         self._past: deque[Vehicle] = deque(maxlen=2 + math.ceil(faults.delay / step))
-        self._held_back: list[Sent] = []
+        self._held_back: list[Delivery] = []
 
-    def of(self, flight: Flight) -> list[Sent]:
+    def of(self, flight: Flight) -> list[Delivery]:
         """Return what arrives at this tick, in order; to be asked once a tick."""
         self._past.append(flight.vehicle)
         arriving, self._held_back = self._held_back, []
-        luck = _Luck.of(self._seed, flight.ticks)
+        draws = _Draws.of(self._seed, flight.ticks)
         if not self._hidden(flight.elapsed):
-            goal = Sighting(flight.vehicle.time, flight.goal + self._shift(luck, GOAL, flight.goal))
-            arriving += self._through(luck, GOAL, Sent(goal, flight.ticks))
-        odometry = Sent(self._odometry(luck), flight.ticks, self.faults.delay)
-        return arriving + self._through(luck, ODOMETRY, odometry)
+            goal = Sighting(
+                flight.vehicle.time, flight.goal + self._shift(draws, GOAL, flight.goal)
+            )
+            arriving += self._through(draws, GOAL, Delivery(goal, flight.ticks))
+        odometry = Delivery(self._odometry(draws), flight.ticks, self.faults.delay)
+        return arriving + self._through(draws, ODOMETRY, odometry)
 
     def command_lost(self, ticks: int) -> bool:
         """Return whether the command that answers a tick gets lost."""
-        return self._happens(_Luck.of(self._seed, ticks), COMMAND, 'dropout')
+        return self._happens(_Draws.of(self._seed, ticks), COMMAND, 'dropout')
 
-    def _odometry(self, luck: _Luck) -> Odometry:
+    def _odometry(self, draws: _Draws) -> Odometry:
         seen = measured(self._delayed())
         n = len(seen.body_rate)
-        turned = exp(self.faults.attitude_noise * luck.turn[:n])
-        shift = self._shift(luck, ODOMETRY, seen.position)
+        turned = exp(self.faults.attitude_noise * draws.turn[:n])
+        shift = self._shift(draws, ODOMETRY, seen.position)
         return replace(seen, position=seen.position + shift, attitude=seen.attitude @ turned)
 
     def _delayed(self) -> Vehicle:
@@ -153,23 +163,23 @@ class View:
                 return between(earlier, later, at)
         return self._past[-1] if at >= self._past[-1].time else replace(self._past[0], time=at)
 
-    def _through(self, luck: _Luck, kind: int, sent: Sent) -> list[Sent]:
+    def _through(self, draws: _Draws, kind: int, sent: Delivery) -> list[Delivery]:
         """Return what of a message arrives now: none of it, once or twice."""
-        if self._happens(luck, kind, 'dropout'):
+        if self._happens(draws, kind, 'dropout'):
             return []
-        if self._happens(luck, kind, 'nan'):
+        if self._happens(draws, kind, 'nan'):
             sent = sent._replace(content=_poisoned(sent.content))
-        copies = [sent] * (2 if self._happens(luck, kind, 'duplicate') else 1)
-        if self._happens(luck, kind, 'reorder'):
+        copies = [sent] * (2 if self._happens(draws, kind, 'duplicate') else 1)
+        if self._happens(draws, kind, 'reorder'):
             self._held_back += [each._replace(late=True) for each in copies]
             return []
         return copies
 
-    def _happens(self, luck: _Luck, kind: int, fault: str) -> bool:
-        return bool(luck.chances[kind, CHANCES.index(fault)] < getattr(self.faults, fault))
+    def _happens(self, draws: _Draws, kind: int, fault: str) -> bool:
+        return bool(draws.chances[kind, CHANCES.index(fault)] < getattr(self.faults, fault))
 
-    def _shift(self, luck: _Luck, kind: int, position: Array) -> Array:
-        return self.faults.position_noise * luck.shifts[kind, : len(position)]
+    def _shift(self, draws: _Draws, kind: int, position: Array) -> Array:
+        return self.faults.position_noise * draws.shifts[kind, : len(position)]
 
     def _hidden(self, elapsed: float) -> bool:
         """Return whether the goal is occluded."""
@@ -179,7 +189,7 @@ class View:
         return length > 0.0 and begin <= into < begin + length
 
 
-class _Luck(NamedTuple):
+class _Draws(NamedTuple):
     """A tick's chances: uniform, shape (3, 4), and normal shifts and turns, (2, 3) and (3,)."""
 
     chances: Array
@@ -187,7 +197,7 @@ class _Luck(NamedTuple):
     turn: Array
 
     @classmethod
-    def of(cls, seed: int, ticks: int) -> _Luck:
+    def of(cls, seed: int, ticks: int) -> _Draws:
         rng = np.random.default_rng((seed, 0, ticks))
         return cls(rng.uniform(size=(3, 4)), rng.normal(size=(2, 3)), rng.normal(size=3))
 

@@ -9,6 +9,8 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array, frozen, number
 from orbimpc_ros.mpc.loop.observation import Sighting
 
+FASTEST = 1e3  # [Hz]
+
 
 @dataclass(frozen=True)
 class Rope:
@@ -30,7 +32,7 @@ class Rope:
         n = len(np.atleast_1d(self.center))
         for name in ('center', 'amplitude', 'phase'):
             object.__setattr__(self, name, frozen(getattr(self, name), (n,), f'rope.{name}'))
-        number(self.frequency, 'rope.frequency', 0.0, 1e3)
+        number(self.frequency, 'rope.frequency', 0.0, FASTEST)
 
     def at(self, time: float) -> Array:
         """Return g(t), shape (n,) [m]."""
@@ -44,8 +46,8 @@ def fixed(point: Array) -> Rope:
     return Rope(point, still, 0.0, still)
 
 
-class Told:
-    """The forecast of who knows the rope: where it will be indeed.
+class TrueMotion:
+    """The forecast that knows the rope: its true future.
 
     Args:
         rope: whose own time is that of the sightings.

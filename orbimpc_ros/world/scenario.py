@@ -1,7 +1,7 @@
 """Scenarios by name: what flies from where, what it is after, and the problem its planner solves.
 
-The numbers that the paper does not give were chosen; how is told in the files of the same names
-in ``config/``.
+The numbers that the paper does not give were chosen; the files of the same names in ``config/`` say
+how.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import number, whole
+from orbimpc_ros.mpc.arrays import ABOVE_ZERO, within
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Floor, Problem, Weights
 from orbimpc_ros.world.rope import Rope, fixed
@@ -19,6 +19,12 @@ from orbimpc_ros.world.vehicle import Model, Vehicle, launched, model_of
 
 MAX_TICKS = 1_000_000
 FINISHES = ('capture', 'arrival')
+LIMITS: dict[str, tuple[float, float]] = {  # of a scenario, by attribute
+    'capture_radius': (ABOVE_ZERO, 1e6),
+    'max_ticks': (1, MAX_TICKS),
+    'arrival_radius': (ABOVE_ZERO, 1e6),
+    'arrival_speed': (0.0, 1e6),
+}
 
 
 @dataclass(frozen=True)
@@ -52,12 +58,9 @@ class Scenario:
             raise BadInput('start.position', self.start.position.tolist(), f'{n} numbers')
         if len(self.rope.center) != n:
             raise BadInput('rope.center', self.rope.center.tolist(), f'{n} numbers')
-        number(self.capture_radius, 'capture_radius', 0.0, 1e6, above=True)
-        whole(self.max_ticks, 'max_ticks', 1, MAX_TICKS)
+        within(self, LIMITS)
         if self.finish not in FINISHES:
-            raise BadInput('finish', self.finish, ' | '.join(FINISHES))
-        number(self.arrival_radius, 'arrival_radius', 0.0, 1e6, above=True)
-        number(self.arrival_speed, 'arrival_speed', 0.0, 1e6)
+            raise BadInput.choice('finish', self.finish, FINISHES)
 
 
 def retrieval_problem() -> Problem:

@@ -6,11 +6,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, frozen, number, whole
+from orbimpc_ros.mpc.arrays import ABOVE_ZERO, Array, frozen, number, within
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log, nearest
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.problem import Problem
+
+RANGES: dict[str, tuple[float, float]] = {  # of a model, by attribute
+    'dimension': (2, 3),
+    'rotation_order': (1, 2),
+    'translation_order': (1, 2),
+    'forward': (ABOVE_ZERO, 1e3),
+    'mass': (ABOVE_ZERO, 1e6),
+}
 
 
 @dataclass(frozen=True)
@@ -39,12 +47,8 @@ class Model:
     failsafe_rate: float = 0.0
 
     def __post_init__(self) -> None:
-        whole(self.dimension, 'dimension', 2, 3)
-        whole(self.rotation_order, 'rotation_order', 1, 2)
-        whole(self.translation_order, 'translation_order', 1, 2)
         number(self.step, 'step', 0.0, 1e3, above=True)
-        number(self.forward, 'forward', 0.0, 1e3, above=True)
-        number(self.mass, 'mass', 0.0, 1e6, above=True)
+        within(self, RANGES)
         number(self.failsafe_fraction, 'failsafe.fraction', 0.0, 1.0)
         fastest = np.pi / self.step
         number(self.failsafe_rate, 'failsafe.rate', -fastest, fastest)
@@ -165,7 +169,7 @@ def advance(model: Model, vehicle: Vehicle, fraction: float, body_rate: Array) -
 
 
 def failsafe(model: Model, vehicle: Vehicle) -> Vehicle:
-    """Return the vehicle as no command is in force any more: by default it stops, there and then.
+    """Return the vehicle once no command is in force: by default it stops, there and then.
 
     At translation order 2 that is to coast: no command takes the velocity away.
     """

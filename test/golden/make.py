@@ -18,15 +18,16 @@ from rosgraph_msgs.msg import Clock
 
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.arrival import RosTime
+from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters import planner_settings, sim_settings
+from orbimpc_ros.ros.reports import DISABLED
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.bag.writer import BagWriter
 from orbimpc_ros.tool.io.share import config
 from orbimpc_ros.tool.io.topics import TYPES, topics_of
 from orbimpc_ros.tool.replay.accept import serialised
-from orbimpc_ros.tool.replay.pilot import Pilot
+from orbimpc_ros.tool.replay.offline import OfflinePlanner
 from orbimpc_ros.world.faults import View
 from orbimpc_ros.world.flight import departure
 
@@ -64,7 +65,7 @@ FLIGHTS = {
 }
 SOLVE_TIME_MS = 1.0  # noted in every tick: a measured one would differ every time
 LATER = 1000  # [ns] between two messages of a tick
-DISABLED = range(20, 23)  # ticks of the faulty flight at which the planner is switched off
+SWITCHED_OFF = range(20, 23)  # ticks of the faulty flight at which the planner is switched off
 
 
 def make(name: str, folder: Path) -> None:
@@ -87,7 +88,7 @@ class Loop:
 
     def __init__(self, values: settings.Values, bag: BagWriter, hostile: bool) -> None:
         self._planner, self._sim = planner_settings(values), sim_settings(values)
-        self._pilot, self._bag, self._hostile = Pilot(self._planner), bag, hostile
+        self._pilot, self._bag, self._hostile = OfflinePlanner(self._planner), bag, hostile
         self._view = View(self._sim.faults, self._sim.seed, self._sim.scenario.model.step)
         self._order = (0.0, np.zeros(self._sim.scenario.model.rates))
         self._draw = np.random.default_rng(self._sim.seed)
@@ -144,8 +145,8 @@ class Loop:
     def _answer(self, tick: int) -> None:
         if self._pilot.stamp != self._at:
             return  # no odometry this time: the last command stays in force
-        if self._hostile and tick in DISABLED:
-            told = self._pilot.be_safe(self._at, 'disabled')
+        if self._hostile and tick in SWITCHED_OFF:
+            told = self._pilot.be_safe(self._at, DISABLED)
         else:
             told = self._pilot.plan(self._said / SECOND, 0.0, SOLVE_TIME_MS)
         self._said += round(1e6 * SOLVE_TIME_MS)

@@ -183,34 +183,42 @@ class Planner:
     def __init__(self, parameters: dict[str, Any]) -> None:
         from orbimpc_ros.ros import messages
         from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
+        from orbimpc_ros.ros.planner.inbox import Inbox
         from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 
         values = {row.name: row.default for row in PLANNER} | parameters
         self._messages, self._frames = messages, messages.Frames('odom', 'base_link')
-        self._ticker = Ticker(*prepared(planner_settings(values)), simulated=True)
+        settings = planner_settings(values)
+        self._inbox = Inbox(settings)
+        self._ticker = Ticker(*prepared(settings), simulated=True)
 
     def goal(self, now: float, place: np.ndarray) -> None:
         message = self._messages.goal_message(self._stamp(now), place)
-        self._ticker.inbox.take_goal(message, now, self._ros(now))
+        self._inbox.take('goal', message, now, self._ros(now))
 
     def odometry(self, now: float, motion: Motion, velocity: np.ndarray) -> None:
         message = odometry_message(self._stamp(now), motion, velocity)
-        self._ticker.inbox.take_odometry(message, now, self._ros(now))
+        self._inbox.take('odom', message, now, self._ros(now))
 
     def command(self, now: float) -> tuple[str, float, float]:
         """The road that a command came, its speed fraction, its body rate [rad/s]."""
-        ticker, ros = self._ticker, self._ros(now)
-        lost = ticker.inbox.stale_odometry(now, ros)
-        answer = ticker.safe(lost) if lost else ticker.planned(now, ros)
-        ticker.went_out(answer, ros.nanoseconds / SECOND)
-        road = 'odometry lost' if lost else answer.report.fallback or 'plan'
-        return road, answer.command.speed_fraction, float(answer.command.body_rate[-1])
+        from orbimpc_ros.mpc.outcome import Cause, Reason
+
+        ticker, inbox, ros = self._ticker, self._inbox, self._ros(now)
+        lost = inbox.stale_odometry(now, ros)
+        if lost:
+            tick = ticker.safe(inbox, Reason(Cause.ODOMETRY, lost)).tick
+        else:
+            tick = ticker.planned(inbox, now, ros).tick
+        ticker.went_out(tick.command, ros.nanoseconds / SECOND)
+        road = 'odometry lost' if lost else tick.fallback or 'plan'
+        return road, tick.command.speed_fraction, float(tick.command.body_rate[-1])
 
     def _stamp(self, now: float) -> Any:
         return self._messages.Stamp(self._ros(now).nanoseconds, self._frames)
 
     def _ros(self, now: float) -> Any:
-        from orbimpc_ros.ros.arrival import RosTime
+        from orbimpc_ros.ros.clock import RosTime
 
         return RosTime(EPOCH + round(now * SECOND))
 

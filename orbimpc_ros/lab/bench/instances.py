@@ -40,6 +40,7 @@ def circling(problem: Problem, count: int) -> list[Instance]:
     return [
         Instance(tick.state, np.tile(flight.goal, (problem.horizon, 1)))
         for flight, tick in around(problem, count)
+        if tick.state is not None
     ]
 
 

@@ -20,7 +20,7 @@ from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.world.faults import View
 from orbimpc_ros.world.flight import Log, Pilot, Sensor, fly
-from orbimpc_ros.world.rope import Told
+from orbimpc_ros.world.rope import TrueMotion
 
 Row = dict[str, Any]
 CHEAPER = 1e-6  # relative; costs that differ by less are the same
@@ -33,7 +33,7 @@ def flown(study: Study, numbers: Sequence[int]) -> list[Row]:
 
 def _flown(study: Study, run: Run) -> list[Row]:
     known = study.forecast == TRUTH
-    forecast = Shared(Told(run.scenario.rope) if known else forecast_named(study.forecast))
+    forecast = Shared(TrueMotion(run.scenario.rope) if known else forecast_named(study.forecast))
     return [_row(study, run, name, forecast) for name in study.controllers]
 
 
@@ -115,7 +115,7 @@ def excesses(problem: Problem, ticks: Sequence[Tick]) -> list[float]:
     rival, found = controller_named(NONLINEAR, problem, 'rival'), []
     rival.reset()
     for tick in ticks:
-        if tick.plan is None or tick.goals is None:
+        if tick.plan is None or tick.state is None or tick.goals is None:
             continue
         other = rival.plan(tick.state, tick.goals)
         if not violations(problem, tick.state, tick.goals, other):

@@ -9,11 +9,12 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
 from orbimpc_ros.mpc.check import command_violations, violations
-from orbimpc_ros.mpc.command import Command, command_of
+from orbimpc_ros.mpc.command import Command, command_of, flaw
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
+from orbimpc_ros.mpc.loop.delay import CommandHistory
 from orbimpc_ros.mpc.loop.odometry import Odometry, odd_speed, state_of
-from orbimpc_ros.mpc.loop.safety import safe_command
-from orbimpc_ros.mpc.outcome import Fallback, Status
+from orbimpc_ros.mpc.loop.safety import may_stop, safe_command
+from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
 from orbimpc_ros.mpc.plan import Plan, shifted
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.reach import pulled_in
@@ -25,33 +26,35 @@ ARRIVAL_WEIGHT = 1e4  # on the miss, when an arrival on the spot has become impo
 
 @dataclass(frozen=True, eq=False)
 class Tick(ByContent):
-    """What one tick came to.
+    """The controller's decision on one tick.
 
     Attributes:
         status: of the solve.
         reason: why, where it is not ``optimal``, and what was done about a goal too far away or a
             measured speed that the model does not know; else empty.
-        state: the state that the plan starts from.
+        state: the state that the plan starts from; None if nothing was to be planned.
         plan: the checked plan behind the command; None if the command is the safe one.
         command: what to do next.
         fallback: what the command follows, if not a new plan.
         problem: what the plan solves; None without a plan, as is the next.
         goals: g_1..g_N that it was made for, shape (N, n) [m].
+        cause: what kept the tick from being planned on fresh inputs, if anything did.
     """
 
     status: Status
     reason: str
-    state: State
+    state: State | None
     plan: Plan | None
     command: Command
     fallback: Fallback = Fallback.NONE
     problem: Problem | None = None
     goals: Array | None = None
+    cause: Cause = Cause.NONE
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """What a tick has to find a plan for."""
+class _Task:
+    """The question that a tick puts to a solver."""
 
     solver: Solver
     state: State
@@ -66,7 +69,7 @@ class _Asked:
 
 
 class Controller:
-    """Re-plans at every tick and never commands a plan that was not checked.
+    """Re-plans at every tick; every command is checked, whatever it was made from.
 
     Without a plan it falls back, in this order, on
 
@@ -83,6 +86,9 @@ class Controller:
             instead of receding.
         gap_tolerance: relative gap within which a plan counts as proved optimal.
         safe: kind of safe command, see :func:`orbimpc_ros.mpc.loop.safety.safe_command`.
+
+    Attributes:
+        history: the commands of late; a tick's command counts as sent unless another is added.
     """
 
     def __init__(
@@ -101,23 +107,24 @@ class Controller:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the previous plan; a shrinking horizon starts anew."""
+        """Forget everything, for instance before another flight."""
+        self.history = CommandHistory()
+        self.start_afresh()
+
+    def start_afresh(self) -> None:
+        """Forget the previous plan, yet not the command in force; the horizon starts anew."""
+        self.history.forget()
         self._previous: Plan | None = None
         self._goals: Array | None = None  # of the previous plan
-        self._thrust_fraction = 0.0
         self._ticks = self._fallbacks = self._planned = 0
         self._arriving = False
 
     def continue_from(self, other: Controller) -> None:
         """Take over what another controller remembers, for instance one with other weights."""
+        self.history = other.history
         self._previous, self._goals = other._previous, other._goals
-        self._thrust_fraction = other._thrust_fraction
         self._ticks, self._fallbacks = other._ticks, other._fallbacks
         self._planned, self._arriving = other._planned, other._arriving
-
-    def commanded(self, speed_fraction: float) -> None:
-        """Learn that something else than the last tick's command was sent: its speed fraction."""
-        self._thrust_fraction = speed_fraction
 
     @property
     def remaining(self) -> int:
@@ -136,103 +143,126 @@ class Controller:
             goals: targets at the ends of the coming steps.
             out_of_time: polled by long searches; True makes them return their best plan.
         """
-        state = state_of(self.problem, odometry, self._thrust_fraction)
+        state = state_of(self.problem, odometry, self.history.fraction)
         if self.remaining == 0:
-            return self._finish(self._safe(state, Status.FEASIBLE, 'the horizon has run out'))
-        goals, told = pulled_in(self.problem, state, sealed(np.array(goals, dtype=float)))
-        asked = self._asked(state, goals, out_of_time)
+            reason = Reason(Cause.HORIZON, 'the horizon has run out')
+            return self._finish(self._without_plan(state, Status.FEASIBLE, reason))
+        copied = sealed(np.array(goals, dtype=float))
+        goals, shortened = pulled_in(self.problem, state, copied)
+        task = self._task(state, goals, out_of_time)
         self._goals = goals
-        plan, status, reason = _solved(asked)
-        reason = '; '.join(filter(None, (reason, told, odd_speed(self.problem, odometry))))
+        plan, status, words = _solved(task)
+        words = '; '.join(filter(None, (words, shortened, odd_speed(self.problem, odometry))))
+        reason = Reason(Cause.NONE, words)
         if plan is None:
-            return self._finish(self._fall_back(asked, status, reason))
+            return self._finish(self._fall_back(task, status, reason))
         self._fallbacks, self._planned = 0, plan.horizon
         self._arriving = True
-        return self._finish(self._following(asked, plan, status, reason))
+        return self._finish(self._following(task, plan, status, reason))
 
-    def _asked(
+    def _task(
         self, state: State, goals: Array, out_of_time: Callable[[], bool] | None = None
-    ) -> _Asked:
-        asked = _Asked(self._solver(self.remaining), state, goals, out_of_time)
-        if asked.solver.takes_guess:
-            return replace(asked, guess=self._shifted(asked))
-        return asked
+    ) -> _Task:
+        task = _Task(self._solver(self.remaining), state, goals, out_of_time)
+        if task.solver.takes_guess:
+            return replace(task, guess=self._shifted(task))
+        return task
 
-    def hold(self, odometry: Odometry, reason: str) -> Tick:
+    def hold(self, odometry: Odometry, words: str) -> Tick:
         """Go on without a goal: by the previous plan as long as the fallback allows, then safely.
 
         Args:
             odometry: the measurement.
-            reason: why there is no goal.
+            words: why there is no goal.
         """
-        state = state_of(self.problem, odometry, self._thrust_fraction)
+        reason = Reason(Cause.GOAL, words)
+        state = state_of(self.problem, odometry, self.history.fraction)
         if self._goals is None or self.remaining == 0:
-            return self._finish(self._safe(state, Status.FAILED, reason))
+            return self._finish(self._without_plan(state, Status.FAILED, reason))
         moved = np.concatenate([self._goals[1:], self._goals[-1:]])[: self.remaining]
         self._goals = sealed(moved)
-        asked = self._asked(state, self._goals)
-        return self._finish(self._fall_back(asked, Status.FAILED, reason))
+        task = self._task(state, self._goals)
+        return self._finish(self._fall_back(task, Status.FAILED, reason))
 
-    def _fall_back(self, asked: _Asked, status: Status, reason: str) -> Tick:
+    def safe(self, attitude: Array, reason: Reason) -> Tick:
+        """Return a tick that plans nothing, and commands what is safe.
+
+        Args:
+            attitude: the present one, shape (n, n).
+            reason: why nothing is planned.
+        """
+        return self._safe(None, attitude, Status.FAILED, reason)
+
+    def _fall_back(self, task: _Task, status: Status, reason: Reason) -> Tick:
         self._fallbacks += 1
         # The n-th tick after a plan was found is its step n: the last is N - 1.
         if self._fallbacks < min(FALLBACK_TICKS + 1, self._planned):
-            guess = asked.guess or self._shifted(asked)
-            if guess and not violations(asked.problem, asked.state, asked.goals, guess):
-                return self._following(asked, guess, status, reason, Fallback.SHIFTED_PLAN)
-        if (
-            self._arriving
-            and asked.problem.terminal == 'constraint'
-            and status == Status.INFEASIBLE
-        ):
-            return self._arrive_softly(asked, reason)
-        return self._safe(asked.state, status, reason)
+            guess = task.guess or self._shifted(task)
+            if guess and not violations(task.problem, task.state, task.goals, guess):
+                return self._following(task, guess, status, reason, Fallback.SHIFTED_PLAN)
+        if self._arriving and task.problem.terminal == 'constraint' and status == Status.INFEASIBLE:
+            return self._arrive_softly(task, reason)
+        return self._without_plan(task.state, status, reason)
 
-    def _arrive_softly(self, asked: _Asked, reason: str) -> Tick:
-        eased = replace(asked, solver=self._solver(self.remaining, soft=True), guess=None)
+    def _arrive_softly(self, task: _Task, reason: Reason) -> Tick:
+        eased = replace(task, solver=self._solver(self.remaining, soft=True), guess=None)
         plan, _, _ = _solved(eased)
         if plan is None:
-            return self._safe(asked.state, Status.INFEASIBLE, reason)
-        miss = float(np.linalg.norm(plan.positions[-1] - asked.goals[-1]))
-        problem = asked.problem
-        if miss > problem.length_unit:
-            told = f'{reason}; the nearest plan misses by {miss:.3g} m'
-            return self._safe(asked.state, Status.INFEASIBLE, told)
-        told = f'{reason}; the plan misses by {miss:.3g} m'
-        return self._following(eased, plan, Status.INFEASIBLE, told, Fallback.SOFT_ARRIVAL)
+            return self._without_plan(task.state, Status.INFEASIBLE, reason)
+        miss = float(np.linalg.norm(plan.positions[-1] - task.goals[-1]))
+        if miss > task.problem.length_unit:
+            reason = reason.and_so(f'the nearest plan misses by {miss:.3g} m')
+            return self._without_plan(task.state, Status.INFEASIBLE, reason)
+        reason = reason.and_so(f'the plan misses by {miss:.3g} m')
+        return self._following(eased, plan, Status.INFEASIBLE, reason, Fallback.SOFT_ARRIVAL)
 
     def _following(
         self,
-        asked: _Asked,
+        task: _Task,
         plan: Plan,
         status: Status,
-        reason: str,
+        reason: Reason,
         fallback: Fallback = Fallback.NONE,
     ) -> Tick:
-        """Return the tick that follows a checked plan, if the command made of it is the plan's."""
-        command = command_of(asked.problem, asked.state, plan)
-        wrong = command_violations(asked.problem, plan, command)
+        """Return the tick that follows a checked plan, if the command made of it may be sent."""
+        command = command_of(task.problem, task.state, plan)
+        wrong = '; '.join(command_violations(task.problem, plan, command))
+        if not wrong and (last_look := flaw(self.problem, command)):
+            wrong = f'not sent: {last_look}'
         if wrong:
-            return self._safe(asked.state, Status.FAILED, '; '.join(wrong))
-        known = asked.problem, asked.goals
-        return Tick(status, reason, asked.state, plan, command, fallback, *known)
+            rejected = Reason(Cause.COMMAND, wrong)
+            return self._without_plan(task.state, Status.FAILED, rejected)
+        known = task.problem, task.goals, reason.cause
+        return Tick(status, reason.words, task.state, plan, command, fallback, *known)
 
-    def _safe(self, state: State, status: Status, reason: str) -> Tick:
-        last = self._thrust_fraction
-        command = safe_command(self._safe_kind, self.problem, state.attitude, last)
-        return Tick(status, reason, state, None, command, Fallback.SAFE_COMMAND)
+    def _without_plan(self, state: State, status: Status, reason: Reason) -> Tick:
+        return self._safe(state, state.attitude, status, reason)
+
+    def _safe(self, state: State | None, attitude: Array, status: Status, reason: Reason) -> Tick:
+        """Return the tick that commands what is safe.
+
+        Raises:
+            RuntimeError: the safe command itself must not be sent, which its own law excludes.
+        """
+        kind, problem = self._safe_kind, self.problem
+        command = safe_command(kind, problem, attitude, self.history.fraction)
+        wrong = flaw(problem, command, stopping=may_stop(kind, problem))
+        if wrong:
+            raise RuntimeError(f'the safe command is not sent: {wrong}')
+        fallback = Fallback.SAFE_COMMAND
+        return Tick(status, reason.words, state, None, command, fallback, cause=reason.cause)
 
     def _finish(self, tick: Tick) -> Tick:
         self._previous = tick.plan
-        self._thrust_fraction = tick.command.speed_fraction
+        self.history.last = tick.command
         self._ticks += 1
         return tick
 
-    def _shifted(self, asked: _Asked) -> Plan | None:
+    def _shifted(self, task: _Task) -> Plan | None:
         if self._previous is None:
             return None
         return shifted(
-            asked.problem, asked.state, asked.goals, self._previous, projection=self._projection
+            task.problem, task.state, task.goals, self._previous, projection=self._projection
         )
 
     def _solver(self, horizon: int, *, soft: bool = False) -> Solver:
@@ -249,10 +279,10 @@ class Controller:
         return self._solvers[horizon, soft]
 
 
-def _solved(asked: _Asked) -> tuple[Plan | None, Status, str]:
+def _solved(task: _Task) -> tuple[Plan | None, Status, str]:
     """Return a checked plan, or None, with status and reason."""
     try:
-        plan = asked.solver.solve(asked.state, asked.goals, asked.guess, asked.out_of_time)
+        plan = task.solver.solve(task.state, task.goals, task.guess, task.out_of_time)
     except Infeasible as error:
         return None, Status.INFEASIBLE, str(error)
     except SolverFailure as error:

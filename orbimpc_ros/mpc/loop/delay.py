@@ -23,8 +23,8 @@ SMALL = 1e-2  # [rad] below it series are more exact than the closed forms
 
 
 @dataclass(frozen=True)
-class Leg:
-    """A stretch of time with one command in force.
+class Interval:
+    """An interval of time with one command in force.
 
     Attributes:
         duration: [s].
@@ -37,71 +37,83 @@ class Leg:
     before: Command | None
 
 
-class Sent:
-    """The commands sent of late, and since when each is in force."""
+class CommandHistory:
+    """The commands of late, and since when each is in force.
+
+    Attributes:
+        last: the last command, sent or about to be; None before the first.
+    """
 
     def __init__(self) -> None:
+        self.last: Command | None = None
         self._sent: deque[tuple[float, Command]] = deque(maxlen=MEMORY)
+
+    @property
+    def fraction(self) -> float:
+        """Return the share of full speed or thrust commanded last; 0 before the first command."""
+        return 0.0 if self.last is None else self.last.speed_fraction
 
     def add(self, command: Command, at: float) -> None:
         """Note a command sent at a time [s]; times do not decrease."""
+        self.last = command
         self._sent.append((at, command))
 
     def forget(self) -> None:
-        """Forget every command, for instance because the clock jumped."""
+        """Forget since when commands are in force, for instance because the clock jumped."""
         self._sent.clear()
 
-    def legs(self, begin: float, end: float) -> list[Leg]:
+    def intervals(self, begin: float, end: float) -> list[Interval]:
         """Return what was in force from ``begin`` to ``end`` [s]; nothing if that is no time."""
-        legs, before, command, since = [], None, None, begin
+        found, before, command, since = [], None, None, begin
         for at, following in self._sent:
             if since < at < end:
-                legs.append(Leg(at - since, command, before))
+                found.append(Interval(at - since, command, before))
                 since = at
             if at < end:
                 before, command = command, following
         if end > since:
-            legs.append(Leg(end - since, command, before))
-        return legs
+            found.append(Interval(end - since, command, before))
+        return found
 
 
-def advanced(problem: Problem, odometry: Odometry, legs: Sequence[Leg]) -> Odometry:
-    """Return the measurement as it would be after the legs; the same one if there are none.
+def advanced(problem: Problem, odometry: Odometry, intervals: Sequence[Interval]) -> Odometry:
+    """Return the measurement as it would be after the intervals; the same one without any.
 
-    Within a leg body rate and forward speed (or thrust) are constant, so that the vehicle flies an
-    arc, integrated exactly. As in the discrete model, a commanded rate applies at once at rotation
-    order 1; everything else that a command says is taken over when the next command comes. Until
-    then the vehicle goes on as it was measured.
+    Within an interval body rate and forward speed (or thrust) are constant, so that the vehicle
+    flies an arc, integrated exactly. As in the discrete model, a commanded rate applies at once at
+    rotation order 1; everything else that a command says is taken over when the next command comes.
+    Until then the vehicle goes on as it was measured.
 
     Args:
         problem: gives the orders and the full speed or thrust.
         odometry: the measurement.
-        legs: in order of time, since the measurement.
+        intervals: in order of time, since the measurement.
     """
-    if not legs:
+    if not intervals:
         return odometry
     position, attitude = odometry.position, odometry.attitude
     body_velocity, rate = odometry.body_velocity, odometry.body_rate
     velocity = attitude @ body_velocity
-    for k, leg in enumerate(legs):
-        if k and leg.before is not None:
-            body_velocity = _forward(problem, leg.before.speed_fraction)
-            rate = leg.before.body_rate
+    for k, interval in enumerate(intervals):
+        if k and interval.before is not None:
+            body_velocity = _forward(problem, interval.before.speed_fraction)
+            rate = interval.before.body_rate
         turning = rate
-        if problem.rotation_order == 1 and leg.command is not None:
-            turning = leg.command.body_rate
-        time, angle = leg.duration, leg.duration * turning
+        if problem.rotation_order == 1 and interval.command is not None:
+            turning = interval.command.body_rate
+        time, angle = interval.duration, interval.duration * turning
         if not problem.inertial:
             position = position + time * (attitude @ _turned(angle, body_velocity)[0])
         else:
-            push = _forward(problem, 0.0 if leg.before is None else leg.before.speed_fraction)
+            before = interval.before
+            push = _forward(problem, 0.0 if before is None else before.speed_fraction)
             once, twice = _turned(angle, push)
             position = position + time * velocity + time * time * (attitude @ twice)
             velocity = velocity + time * (attitude @ once)
         attitude = attitude @ exp(angle)
     if problem.inertial:
         body_velocity = attitude.T @ velocity
-    later = odometry.time + sum(leg.duration for leg in legs)
+    later = odometry.time + sum(interval.duration for interval in intervals)
     return Odometry(later, position, attitude, np.array(body_velocity), np.array(rate))
 
 
@@ -113,7 +125,7 @@ def _forward(problem: Problem, fraction: float) -> Array:
 
 
 def _turned(phi: Array, vector: Array) -> tuple[Array, Array]:
-    r"""Return a vector that turns with the body, averaged over a leg, and averaged twice.
+    r"""Return a vector that turns with the body, averaged over an interval, and averaged twice.
 
     :math:`\int_0^1 e^{s\hat\phi} v\, ds` and :math:`\int_0^1 (1-s) e^{s\hat\phi} v\, ds`.
 

@@ -91,7 +91,7 @@ def forecast_named(kind: str) -> Forecast:
         BadInput: no such kind.
     """
     if kind not in FORECASTS:
-        raise BadInput('goal_prediction', kind, ' | '.join(FORECASTS))
+        raise BadInput.choice('goal_prediction', kind, FORECASTS)
     return FORECASTS[kind]()
 
 

@@ -75,7 +75,7 @@ class Live(Generic[S, W]):
         return {row.name: self._node.get_parameter(row.name).value for row in self._rows}
 
     def _typed(self, changes: list[Parameter]) -> list[Parameter]:
-        """Return changes with empty lists as what the parameters are: YAML cannot tell of what."""
+        """Return changes with empty lists as what the parameters are: YAML does not know."""
         arrays = {row.name: row.kind for row in self._rows if isinstance(row.default, tuple)}
         return [
             Parameter(each.name, arrays[each.name], [])
@@ -119,9 +119,11 @@ def _refuse_unknown(node: Node) -> None:
     known = {row.name for row in (*PLANNER, *SIM)}.union(OF_ROS)
     for name, given in node._parameter_overrides.items():
         if name.startswith('qos_overrides.'):
-            raise BadInput(f'parameter {name}', given.value, 'none: qualities of service are fixed')
+            problem = f'{given.value!r} would have no effect'
+            hint = 'leave it out: qualities of service are fixed'
+            raise BadInput.stating(f'parameter {name}', problem, hint)
         if name not in known:
-            raise BadInput(f'parameter {name}', given.value, 'a parameter of the planner or sim')
+            raise BadInput.unknown('parameter', name, sorted(known))
 
 
 def _declare(node: Node, row: Row) -> None:

@@ -11,15 +11,18 @@ import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.parameter import Parameter
 
+from orbimpc_ros.mpc.arrays import ABOVE_ZERO
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.world.vehicle import RANGES, model_of
 
 Value = bool | int | float | str | tuple[float, ...]
 Values = Mapping[str, Any]
 
 FAR = 1e6  # [m]: positions in parameters
-SOON = 1e3  # [s]: durations in parameters
+MAX_DURATION = 1e3  # [s]: in parameters
 TINY = 1e-6  # stands for "above zero" in ranges, which are closed
+MODEL = model_of(Problem())
 
 
 @dataclass(frozen=True)
@@ -94,9 +97,9 @@ class Row:
         Raises:
             BadInput: out of range, not finite or none of the choices.
         """
-        if self.choices:
-            good = value in self.choices
-        elif isinstance(self.default, (bool, str)):
+        if self.choices and value not in self.choices:
+            raise BadInput.choice(self.name, value, self.choices)
+        if isinstance(self.default, (bool, str)):
             good = True
         else:
             good = bool(np.all((np.asarray(value) >= self.low) & (np.asarray(value) <= self.high)))
@@ -104,30 +107,26 @@ class Row:
             raise BadInput(self.name, value, self.allowed)
 
 
-def vehicle_rows() -> tuple[Row, ...]:
-    """Return what planner and simulator must agree on, under the same names."""
-    problem = Problem()
-    return (
-        Row('dimension', problem.dimension, 'Plane (2) or space (3)', low=2, high=3),
-        Row(
-            'rotation_order',
-            problem.rotation_order,
-            'Whether inputs are rates (1) or accelerations (2) of the rotation',
-            low=1,
-            high=2,
-        ),
-        Row(
-            'translation_order',
-            problem.translation_order,
-            'Whether the forward axis carries a velocity (1) or an acceleration (2)',
-            low=1,
-            high=2,
-        ),
-        Row('step', problem.step, 'Length of a step', 's', 1e-3, SOON),
-        Row('forward', problem.forward, 'Full speed or thrust acceleration',
-            'm/s or m/s^2', TINY, 1e3, live=True),
-        Row('mass', 1.0, 'Turns a thrust acceleration into a force',
-            'kg', TINY, 1e6, live=True),
-        Row('frame_id', 'odom', 'World frame of poses; empty accepts any'),
-        Row('child_frame_id', 'base_link', 'Body frame of twists; empty accepts any'),
-    )  # fmt: skip
+def span(low: float, high: float) -> tuple[float, float]:
+    """Return a range as parameters have it: closed, so that a small number stands for zero."""
+    return (TINY if low == ABOVE_ZERO else low), high
+
+
+def _shared(name: str, description: str, unit: str = '', *, live: bool = False) -> Row:
+    """Return what planner and simulator must agree on: default and range are the vehicle's."""
+    low, high = span(*RANGES[name])
+    return Row(name, getattr(MODEL, name), description, unit, low, high, live=live)
+
+
+VEHICLE = (
+    _shared('dimension', 'Plane (2) or space (3)'),
+    _shared('rotation_order',
+        'Whether inputs are rates (1) or accelerations (2) of the rotation'),
+    _shared('translation_order',
+        'Whether the forward axis carries a velocity (1) or an acceleration (2)'),
+    Row('step', MODEL.step, 'Length of a step', 's', 1e-3, MAX_DURATION),
+    _shared('forward', 'Full speed or thrust acceleration', 'm/s or m/s^2', live=True),
+    _shared('mass', 'Turns a thrust acceleration into a force', 'kg', live=True),
+    Row('frame_id', 'odom', 'World frame of poses; empty accepts any'),
+    Row('child_frame_id', 'base_link', 'Body frame of twists; empty accepts any'),
+)  # fmt: skip

@@ -11,7 +11,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.loop.forecast import FORECASTS
-from orbimpc_ros.mpc.loop.safety import SAFE_COMMANDS, decided, may_stop
+from orbimpc_ros.mpc.loop.safety import SAFE_COMMANDS, decided
 from orbimpc_ros.mpc.problem import (
     MAX_HORIZON,
     TERMINALS,
@@ -22,12 +22,12 @@ from orbimpc_ros.mpc.problem import (
 )
 from orbimpc_ros.mpc.problem.floor import SHAPES
 from orbimpc_ros.ros.messages import Frames
-from orbimpc_ros.ros.parameters.parameter import FAR, SOON, TINY, Row, Values, vehicle_rows
+from orbimpc_ros.ros.parameters.parameter import FAR, MAX_DURATION, TINY, VEHICLE, Row, Values
 
 PROJECTIONS = ('nearest', 'thrust_aligned')
 
 PLANNER: tuple[Row, ...] = (
-    *vehicle_rows(),
+    *VEHICLE,
     Row('horizon', 5, 'Steps planned ahead', low=1, high=MAX_HORIZON),
     Row('weights.position', 1.0, 'On squared distance to the goal at every step',
         '1/m^2', 0.0, 1e6, live=True),
@@ -62,11 +62,12 @@ PLANNER: tuple[Row, ...] = (
     Row('goal_prediction', 'hold', 'How the goal is expected to move',
         choices=tuple(FORECASTS), live=True),
     Row('odom_timeout', 0.0, 'Odometry older than this is stale; 0 for 0.2 s; at least 1.5 steps',
-        's', 0.0, SOON, live=True),
+        's', 0.0, MAX_DURATION, live=True),
     Row('goal_timeout', 0.0, 'A goal older than this is stale, at least 1.5 steps; 0 for 1 s once '
-        'goals stream, never for one sent by hand; below 0 never', 's', -1.0, SOON, live=True),
+        'goals stream, never for one sent by hand; below 0 never',
+        's', -1.0, MAX_DURATION, live=True),
     Row('future_tolerance', 0.1, 'A stamp this far ahead of the clock is refused; simulated time '
-        'may trail by a step more', 's', 0.0, SOON, live=True),
+        'may trail by a step more', 's', 0.0, MAX_DURATION, live=True),
     Row('goal_jump_limit', 0.0, 'A goal farther than this from the one before is refused until '
         'that is stale; 0 for no limit', 'm', 0.0, FAR, live=True),
     Row('delay_compensation', True, 'Whether to plan from where the vehicle is by the time the '
@@ -77,7 +78,7 @@ PLANNER: tuple[Row, ...] = (
         'stops',
         choices=SAFE_COMMANDS, live=True),
     Row('deadline', 0.0, 'Limit of a solve; 0 for half a step, which it must not exceed',
-        's', 0.0, SOON, live=True),
+        's', 0.0, MAX_DURATION, live=True),
     Row('gap_tolerance', 1e-4, 'Relative gap within which a plan counts as proved optimal',
         low=1e-9, high=1.0, live=True),
 )  # fmt: skip
@@ -130,11 +131,6 @@ class PlannerSettings:
     deadline: float
     gap_tolerance: float
     frames: Frames
-
-    @property
-    def stopping(self) -> bool:
-        """Return whether the safe command is meant to go below the floor: to stop, or to coast."""
-        return may_stop(self.safe_command, self.problem)
 
 
 def planner_settings(values: Values) -> PlannerSettings:

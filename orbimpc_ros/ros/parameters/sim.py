@@ -12,12 +12,12 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion
 from orbimpc_ros.ros.messages import QUATERNION_TOLERANCE, Frames
-from orbimpc_ros.ros.parameters.parameter import FAR, SOON, TINY, Row, Values, vehicle_rows
+from orbimpc_ros.ros.parameters.parameter import FAR, MAX_DURATION, VEHICLE, Row, Values, span
 from orbimpc_ros.ros.process import LIFE
 from orbimpc_ros.ros.sim.readers import wanted_readers
-from orbimpc_ros.world.faults import LONGEST, Faults
-from orbimpc_ros.world.rope import Rope
-from orbimpc_ros.world.scenario import FINISHES, MAX_TICKS, Scenario, retrieval
+from orbimpc_ros.world.faults import FAULT_RANGES, NO_FAULTS, Faults
+from orbimpc_ros.world.rope import FASTEST, Rope
+from orbimpc_ros.world.scenario import FINISHES, LIMITS, Scenario, retrieval
 from orbimpc_ros.world.vehicle import Model, launched
 
 SHARE = 0.75  # of command_timeout without a sign of life; the rest is for telling
@@ -27,93 +27,96 @@ def _triple(vector: Array) -> tuple[float, ...]:
     return tuple([*vector.tolist(), 0.0][:3])
 
 
-def _sim_rows() -> tuple[Row, ...]:
-    """Return the simulator's parameters; their defaults are the paper's retrieval."""
-    flown = retrieval()
-    rope = flown.rope
-    return (
-        *(replace(row, live=False) for row in vehicle_rows()),
-        Row('clock', 'lockstep', 'Whether to wait for each command or run in real time',
-            choices=('lockstep', 'wall')),
-        Row('rope.center', _triple(rope.center), 'Middle of the swing: x, y, z',
-            'm', -FAR, FAR),
-        Row('rope.amplitude', _triple(rope.amplitude), 'Reach of the swing: x, y, z',
-            'm', -FAR, FAR),
-        Row('rope.frequency', rope.frequency, 'Swings in a second', 'Hz', 0.0, 1e3),
-        Row('rope.phase', _triple(rope.phase), 'Phase at the start: x, y, z',
-            'rad', -100.0, 100.0),
-        Row('capture_radius', flown.capture_radius, 'The goal is caught within it',
-            'm', TINY, FAR),
-        Row('finish', flown.finish, 'Whether to end with the capture, or at max_ticks by arriving',
-            choices=FINISHES),
-        Row('arrival_radius', flown.arrival_radius, 'At arrival the goal is within it',
-            'm', TINY, FAR),
-        Row('arrival_speed', flown.arrival_speed, 'At arrival the speed is at most this; 0 for any',
-            'm/s', 0.0, 1e6),
-        Row('start.position', (0.0, 0.0, 0.0), 'Where the vehicle starts: x, y, z',
-            'm', -FAR, FAR),
-        Row('start.orientation', (0.0, 0.0, 0.0, 1.0), 'Unit quaternion x, y, z, w at the start',
-            '', -1.0, 1.0),
-        Row('start.speed_fraction', flown.start.fraction, 'Share of speed or thrust at the start',
-            '', 0.0, 1.0),
-        Row('start.velocity', (0.0, 0.0, 0.0), 'World velocity at the start (translation order 2)',
-            'm/s', -1e6, 1e6),
-        Row('start.body_rate', (0.0, 0.0, 0.0), 'Rates about the body axes at the start',
-            'rad/s', -1e3, 1e3),
-        Row('max_ticks', flown.max_ticks, 'Steps until the flight ends', low=1, high=MAX_TICKS),
-        Row('seed', 0, 'Of everything random', low=0, high=2**31 - 1),
-        Row('command_timeout', 0.2, 'A command is in force for so long, at least 1.5 steps; and '
-            'a planner is given up after so long without a sign of life', 's', 1e-3, SOON),
-        Row('goal_path_steps', 0, 'Steps of the true future to publish on goal_path; 0 for none',
-            low=0, high=10_000),
-        Row('exit_when_done', False, 'Whether to exit once the goal is caught or ticks run out'),
-        Row('failsafe.fraction', 0.0, 'Share of full speed or thrust while no command is in force; '
-            '0: the vehicle stops', '', 0.0, 1.0),
-        Row('failsafe.rate', 0.0, 'Turn about the body z axis meanwhile, at most pi/step',
-            'rad/s', -1e4, 1e4),
-        Row('rate', 0.0, 'Lock-step at so many times real time; 0 for as fast as it goes',
-            '', 0.0, 1e6),
-        Row('wait_subscribers', 1, 'Subscribers of odom, the planner among them, that a flight '
-            'waits for', low=1, high=100),
-        Row('wait_for', '', 'Readers that a flight waits for beside planner and simulator: '
-            'topics, each with a count if there are more: tick, odom 2'),
-        Row('wait_timeout', 120.0, 'Lock-step gives up after waiting so long for planner and '
-            'readers, and for an answer, for which it waits 20 s at most; 0 for never',
-            's', 0.0, SOON),
-    )  # fmt: skip
+FLOWN = retrieval()  # its numbers are the defaults
+
+ROPE = (
+    Row('rope.center', _triple(FLOWN.rope.center), 'Middle of the swing: x, y, z',
+        'm', -FAR, FAR),
+    Row('rope.amplitude', _triple(FLOWN.rope.amplitude), 'Reach of the swing: x, y, z',
+        'm', -FAR, FAR),
+    Row('rope.frequency', FLOWN.rope.frequency, 'Swings in a second', 'Hz', 0.0, FASTEST),
+    Row('rope.phase', _triple(FLOWN.rope.phase), 'Phase at the start: x, y, z',
+        'rad', -100.0, 100.0),
+)  # fmt: skip
+
+ENDING = (
+    Row('capture_radius', FLOWN.capture_radius, 'The goal is caught within it',
+        'm', *span(*LIMITS['capture_radius'])),
+    Row('finish', FLOWN.finish, 'Whether to end with the capture, or at max_ticks by arriving',
+        choices=FINISHES),
+    Row('arrival_radius', FLOWN.arrival_radius, 'At arrival the goal is within it',
+        'm', *span(*LIMITS['arrival_radius'])),
+    Row('arrival_speed', FLOWN.arrival_speed, 'At arrival the speed is at most this; 0 for any',
+        'm/s', *LIMITS['arrival_speed']),
+)  # fmt: skip
+
+START = (
+    Row('start.position', (0.0, 0.0, 0.0), 'Where the vehicle starts: x, y, z',
+        'm', -FAR, FAR),
+    Row('start.orientation', (0.0, 0.0, 0.0, 1.0), 'Unit quaternion x, y, z, w at the start',
+        '', -1.0, 1.0),
+    Row('start.speed_fraction', FLOWN.start.fraction, 'Share of speed or thrust at the start',
+        '', 0.0, 1.0),
+    Row('start.velocity', (0.0, 0.0, 0.0), 'World velocity at the start (translation order 2)',
+        'm/s', -1e6, 1e6),
+    Row('start.body_rate', (0.0, 0.0, 0.0), 'Rates about the body axes at the start',
+        'rad/s', -1e3, 1e3),
+)  # fmt: skip
+
+CONDUCT = (
+    Row('max_ticks', FLOWN.max_ticks, 'Steps until the flight ends',
+        '', *LIMITS['max_ticks']),
+    Row('seed', 0, 'Of everything random', low=0, high=2**31 - 1),
+    Row('command_timeout', 0.2, 'A command is in force for so long, at least 1.5 steps; and '
+        'a planner is given up after so long without a sign of life', 's', 1e-3, MAX_DURATION),
+    Row('goal_path_steps', 0, 'Steps of the true future to publish on goal_path; 0 for none',
+        low=0, high=10_000),
+    Row('exit_when_done', False, 'Whether to exit once the goal is caught or ticks run out'),
+    Row('failsafe.fraction', 0.0, 'Share of full speed or thrust while no command is in force; '
+        '0: the vehicle stops', '', 0.0, 1.0),
+    Row('failsafe.rate', 0.0, 'Turn about the body z axis meanwhile, at most pi/step',
+        'rad/s', -1e4, 1e4),
+    Row('rate', 0.0, 'Lock-step at so many times real time; 0 for as fast as it goes',
+        '', 0.0, 1e6),
+    Row('wait_subscribers', 1, 'Subscribers of odom, the planner among them, that a flight '
+        'waits for', low=1, high=100),
+    Row('wait_for', '', 'Readers that a flight waits for beside planner and simulator: '
+        'topics, each with a count if there are more: tick, odom 2'),
+    Row('wait_timeout', 120.0, 'Lock-step gives up after waiting so long for planner and '
+        'readers, and for an answer, for which it waits 20 s at most; 0 for never',
+        's', 0.0, MAX_DURATION),
+)  # fmt: skip
 
 
-def _fault_rows() -> tuple[Row, ...]:
-    return (
-        Row('position_noise', 0.0, 'Noise of odometry and goal along each axis, deviation',
-            'm', 0.0, 1e3),
-        Row('attitude_noise', 0.0, 'Noise of odometry about each axis, deviation',
-            'rad', 0.0, math.pi),
-        Row('dropout', 0.0, 'Share of odometry, goals and commands that is lost',
-            '', 0.0, 1.0),
-        Row('delay', 0.0, 'Age of odometry when it comes',
-            's', 0.0, LONGEST),
-        Row('reorder', 0.0, 'Share of odometry and goals that comes a step late',
-            '', 0.0, 1.0),
-        Row('duplicate', 0.0, 'Share of odometry and goals that comes twice',
-            '', 0.0, 1.0),
-        Row('nan', 0.0, 'Share of odometry and goals whose position is not a number',
-            '', 0.0, 1.0),
-        Row('occlusion_length', 0.0, 'How long the goal is hidden in each period',
-            's', 0.0, FAR),
-        Row('occlusion_period', 10.0, 'The goal is hidden once in it, at a random time',
-            's', TINY, FAR),
-        Row('clock_jump', 0.0, 'What every stamp is off from clock_jump_tick on',
-            's', -FAR, FAR),
-        Row('clock_jump_tick', 0, 'Steps flown before the clock jumps',
-            low=0, high=MAX_TICKS),
-    )  # fmt: skip
+def _fault(name: str, description: str, unit: str = '') -> Row:
+    low, high = span(*FAULT_RANGES[name])
+    return Row(f'faults.{name}', getattr(NO_FAULTS, name), description, unit, low, high)
 
+
+FAULTS = (
+    _fault('position_noise', 'Noise of odometry and goal along each axis, deviation', 'm'),
+    _fault('attitude_noise', 'Noise of odometry about each axis, deviation', 'rad'),
+    _fault('dropout', 'Share of odometry, goals and commands that is lost'),
+    _fault('delay', 'Age of odometry when it comes', 's'),
+    _fault('reorder', 'Share of odometry and goals that comes a step late'),
+    _fault('duplicate', 'Share of odometry and goals that comes twice'),
+    _fault('nan', 'Share of odometry and goals whose position is not a number'),
+    _fault('occlusion_length', 'How long the goal is hidden in each period', 's'),
+    _fault('occlusion_period', 'The goal is hidden once in it, at a random time', 's'),
+    _fault('clock_jump', 'What every stamp is off from clock_jump_tick on', 's'),
+    _fault('clock_jump_tick', 'Steps flown before the clock jumps'),
+)
 
 SIM: tuple[Row, ...] = (
-    *_sim_rows(),
-    *(replace(row, name=f'faults.{row.name}') for row in _fault_rows()),
-)
+    *(replace(row, live=False) for row in VEHICLE),
+    Row('clock', 'lockstep', 'Whether to wait for each command or run in real time',
+        choices=('lockstep', 'wall')),
+    *ROPE,
+    *ENDING,
+    *START,
+    *CONDUCT,
+    *FAULTS,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -182,8 +185,7 @@ def sim_settings(values: Values) -> SimSettings:
 
 
 def _faults(values: Values) -> Faults:
-    names = (row.name for row in _fault_rows())
-    return Faults(**{name: values[f'faults.{name}'] for name in names})
+    return Faults(**{name: values[f'faults.{name}'] for name in FAULT_RANGES})
 
 
 def _scenario(values: Values) -> Scenario:

@@ -9,6 +9,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from orbimpc_ros.mpc.loop.controller import Tick
+from orbimpc_ros.mpc.outcome import Fallback
+
 FIRST, LONGEST = 10.0, 600.0  # [s] until the same is said again; doubled each time
 KINDS = 256  # remembered: text may hold what a stranger sent
 MANY = 5  # lines in a second, beyond which the rest is left to the counts on /diagnostics
@@ -39,6 +42,26 @@ class Announcer:
         self._said: OrderedDict[str, _Said] = OrderedDict()
         self._recent: deque[float] = deque(maxlen=MANY)
         self._troubles: dict[str, str] = {}
+        self._introduced = ''
+        self._planning = self._begun = False
+
+    def introduce(self, vehicle: str) -> None:
+        """Say what vehicle the parameters describe, at the start and when that has changed."""
+        if not self._introduced:
+            self._logger.info(vehicle)
+        elif vehicle != self._introduced:
+            self.say(f'from now on {vehicle}')
+        self._introduced = vehicle
+
+    def note(self, tick: Tick) -> None:
+        """Say what is wrong with a tick, and that planning begins or goes on."""
+        if tick.reason:
+            self.warn(': '.join(filter(None, (tick.fallback, tick.reason))))
+        if tick.fallback is Fallback.SAFE_COMMAND:
+            self._planning = False
+        elif not tick.fallback and not self._planning:
+            self.say('plans again' if self._begun else 'begins to plan')
+            self._planning = self._begun = True
 
     def say(self, text: str) -> None:
         """Say how things are going."""

@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from orbimpc_ros.ros.process import Guarded, qos
 from orbimpc_ros.ros.reports import ERROR, OK, WARN, Report, diagnostics
 
-PERIOD = 1.0  # [s] how often it is told, at least
+PERIOD = 1.0  # [s] between messages, at most
 Condition = tuple[bytes, str]
 
 
@@ -30,7 +30,7 @@ def condition(
         return WARN, '; '.join(filter(None, (waiting, *notices)))
     level, message = OK, 'ready'
     if report is not None:
-        level, message = report.level, report.reason or 'planning'
+        level, message = report.level, report.tick.reason or 'planning'
     if level == OK and any(notices):
         level = WARN
     return level, '; '.join(filter(None, (message, *notices)))

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -13,24 +13,75 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.loop.forecast import Forecast, Itinerary, Sighting, forecast_named
 from orbimpc_ros.mpc.loop.odometry import Odometry
-from orbimpc_ros.ros.arrival import COMPARABLE, UNKNOWN, Arrival, RosTime
-from orbimpc_ros.ros.messages import (
-    SECOND,
-    Stamp,
-    read_itinerary,
-    read_odometry,
-    read_sighting,
-)
+from orbimpc_ros.ros.clock import UNKNOWN, RosTime
+from orbimpc_ros.ros.messages import SECOND, Stamp, read_itinerary, read_odometry, read_sighting
 from orbimpc_ros.ros.parameters.planner import Ageing, PlannerSettings
-from orbimpc_ros.ros.planner.pairing import Pairing
 
+T = TypeVar('T')
+
+COMPARABLE = 60.0  # [s] a source whose stamps are farther off goes by another clock than this node
 INCREASING = 'stamps that increase'
 NOT_SET = (
-    'header.stamp set to the time of measurement (in code get_clock().now().to_msg(), with '
+    'set header.stamp to the time of measurement (in code get_clock().now().to_msg(), with '
     'ros2 topic pub "header: auto")'
 )
 STREAM = 3  # goals one soon after another are a stream, which is missed when it stops
-TOPICS = ('odom', 'goal', 'goal_path')
+WINDOW = 10  # odometry messages; one of so many may lack its goal
+READ: Mapping[str, Callable[..., tuple[Stamp, Any]]] = {
+    'odom': read_odometry,
+    'goal': read_sighting,
+    'goal_path': read_itinerary,
+}
+GOALS = ('goal', 'goal_path')
+
+
+@dataclass(frozen=True)
+class Received(Generic[T]):
+    """A message taken in.
+
+    Attributes:
+        stamp: the sender's.
+        value: its content.
+        at: when it came, on the steady clock [s].
+        timed: whether its stamp can be compared with the node's clock.
+        run: how many messages of its source, itself the last, came one soon after another.
+    """
+
+    stamp: Stamp
+    value: T
+    at: float
+    timed: bool = False
+    run: int = 1
+
+    def age(self, now: float, ros: RosTime = UNKNOWN) -> float:
+        """Return how old it is [s]: by its arrival or its stamp, whichever makes it older."""
+        return max(now - self.at, self.delay(ros))
+
+    def delay(self, ros: RosTime) -> float:
+        """Return how old it is by its stamp [s]; 0 where that is unknown."""
+        return max(0.0, ros.since(self.stamp.nanoseconds)) if self.timed else 0.0
+
+
+class Pairing:
+    """Learns from stamps whether a source accompanies every odometry message.
+
+    A source in lock-step does so from its first message on. One that merely shares the driver's
+    clock, yet is slower, shares some stamps: a planner that waited for it would answer at its pace.
+    """
+
+    def __init__(self) -> None:
+        self._shared: deque[bool] = deque(maxlen=WINDOW)
+
+    def note(self, shared: bool) -> None:
+        """Note whether the source shared the stamp of an odometry message, now that it is over."""
+        if shared or self._shared:
+            self._shared.append(shared)
+
+    @property
+    def constant(self) -> bool:
+        """Return whether the source has so far accompanied every message, but for rare losses."""
+        lost = self._shared.count(False)
+        return bool(self._shared) and WINDOW * lost <= len(self._shared)
 
 
 @dataclass
@@ -42,9 +93,7 @@ class Inbox:
     Attributes:
         settings: dimension, frames, timeouts and limits.
         names: of the topics as they are resolved, by their names here.
-        odometry: the latest, if any.
-        goal: the latest, if any.
-        path: the latest forecast from outside, if any.
+        latest: message of each topic that has one.
         forecast: predicts the goal from its sightings.
         refused: messages refused so far, by topic and field.
         goal_counts: goals taken in so far, by topic.
@@ -53,10 +102,8 @@ class Inbox:
     """
 
     settings: PlannerSettings
-    names: Mapping[str, str] = field(default_factory=lambda: {each: each for each in TOPICS})
-    odometry: Arrival[Odometry] | None = None
-    goal: Arrival[Sighting] | None = None
-    path: Arrival[Itinerary] | None = None
+    names: Mapping[str, str] = field(default_factory=lambda: {each: each for each in READ})
+    latest: dict[str, Received[Any]] = field(default_factory=dict)
     forecast: Forecast = field(init=False)
     refused: Counter[str] = field(default_factory=Counter)
     goal_counts: Counter[str] = field(default_factory=Counter)
@@ -65,7 +112,7 @@ class Inbox:
 
     def __post_init__(self) -> None:
         self.forecast = forecast_named(self.settings.goal_prediction)
-        self.pairings = {topic: Pairing() for topic in TOPICS[1:]}
+        self.pairings = {topic: Pairing() for topic in GOALS}
         self._paired: set[str] = set()  # topics that share the stamp of the latest odometry
 
     def adopt(self, settings: PlannerSettings) -> None:
@@ -74,8 +121,8 @@ class Inbox:
         self.settings = settings
         if renewed:
             self.forecast = forecast_named(settings.goal_prediction)
-            if self.goal is not None:
-                self.forecast.observe(self.goal.value)
+            if 'goal' in self.latest:
+                self.forecast.observe(self.latest['goal'].value)
 
     def forget(self) -> None:
         """Forget every input and whose clock is whose, as after a reset or when time jumped."""
@@ -83,51 +130,50 @@ class Inbox:
         self.timed.clear()
 
     def _drop_all(self) -> None:
-        self.odometry = self.goal = self.path = None
+        self.latest.clear()
         self.forecast.reset()
 
-    def take_odometry(self, message: Any, now: float, ros: RosTime = UNKNOWN) -> str:
-        """Take in an odometry message; return why it was refused, or an empty string."""
-        return self._take('odom', message, now, ros)
+    @property
+    def odometry(self) -> Received[Odometry] | None:
+        """Return the latest odometry, if any."""
+        return self.latest.get('odom')
 
-    def take_goal(self, message: Any, now: float, ros: RosTime = UNKNOWN) -> str:
-        """Take in a goal; return why it was refused, or an empty string."""
-        refusal = self._take('goal', message, now, ros)
-        if not refusal and self.goal is not None:
-            self.forecast.observe(self.goal.value)
-        return refusal
+    @property
+    def attitude(self) -> Array:
+        """Return the latest attitude, shape (n, n); without odometry, no turn."""
+        known = self.odometry
+        return np.eye(self.settings.problem.dimension) if known is None else known.value.attitude
 
-    def take_path(self, message: Any, now: float, ros: RosTime = UNKNOWN) -> str:
-        """Take in a goal's path; return why it was refused, or an empty string."""
-        return self._take('goal_path', message, now, ros)
-
-    def _take(self, topic: str, message: Any, now: float, ros: RosTime) -> str:
-        read = {'odom': read_odometry, 'goal': read_sighting, 'goal_path': read_itinerary}[topic]
-        attribute = {'odom': 'odometry', 'goal': 'goal', 'goal_path': 'path'}[topic]
-        settings, last = self.settings, getattr(self, attribute)
-        value: Any
+    def take(self, topic: str, message: Any, now: float, ros: RosTime = UNKNOWN) -> str:
+        """Take in a message; return why it was refused, or an empty string."""
+        settings, last = self.settings, self.latest.get(topic)
         try:
-            stamp, value = read(message, settings.problem.dimension, settings.frames)
+            stamp, value = READ[topic](message, settings.problem.dimension, settings.frames)
             self._require_past(stamp, ros)
             self._require_newer(topic, stamp, last, now)
-            if topic != 'odom':
-                self._require_near(topic, stamp, value, last, now)
+            if topic in GOALS:
+                self._require_near(topic, stamp, value, now)
         except BadInput as error:
             self.refused[f'{topic}: {error.culprit}'] += 1
             return f'{self.names[topic]} refused: {error}'
         # Once timed, always timed: what was held up on the way must not pass for fresh.
         if abs(ros.since(stamp.nanoseconds)) <= COMPARABLE:
             self.timed.add(topic)
-        if topic == 'odom':
-            self._end_pairs()
-        else:
-            self.goal_counts[topic] += 1
-        run = self._run(topic, last, now)
-        setattr(self, attribute, Arrival(stamp, value, now, topic in self.timed, run))
-        self._note_pairs()
+        self._keep(topic, Received(stamp, value, now, topic in self.timed, self._run(topic, now)))
         return ''
 
-    def _run(self, topic: str, last: Arrival[Any] | None, now: float) -> int:
+    def _keep(self, topic: str, received: Received[Any]) -> None:
+        if topic in GOALS:
+            self.goal_counts[topic] += 1
+        else:
+            self._end_pairs()
+        self.latest[topic] = received
+        self._note_pairs()
+        if topic == 'goal':
+            self.forecast.observe(received.value)
+
+    def _run(self, topic: str, now: float) -> int:
+        last = self.latest.get(topic)
         follows = last is not None and now - last.at <= self._timeout(topic)
         return last.run + 1 if last is not None and follows else 1
 
@@ -138,13 +184,13 @@ class Inbox:
             raise BadInput('future stamp', f'{ahead:.3g} s ahead', f'at most {ahead_of}')
 
     def _require_newer(
-        self, topic: str, stamp: Stamp, last: Arrival[Any] | None, now: float
+        self, topic: str, stamp: Stamp, last: Received[Any] | None, now: float
     ) -> None:
         if last is None or stamp.nanoseconds > last.stamp.nanoseconds:
             return
         if stamp.nanoseconds == last.stamp.nanoseconds:
             if stamp.nanoseconds == 0:
-                raise BadInput('unset stamp', '0 again', NOT_SET)
+                raise BadInput.stating('unset stamp', '0 again', NOT_SET)
             raise BadInput('duplicate stamp', stamp.nanoseconds, INCREASING)
         # Once the last one is stale, an older stamp means that the sender's clock was set back.
         if now - last.at <= self._timeout(topic):
@@ -156,10 +202,9 @@ class Inbox:
         topic: str,
         stamp: Stamp,
         value: Sighting | Itinerary,
-        last: Arrival[Any] | None,
         now: float,
     ) -> None:
-        limit = self.settings.goal_jump_limit
+        limit, last = self.settings.goal_jump_limit, self.latest.get(topic)
         if limit == 0.0 or last is None:
             return
         time = stamp.nanoseconds / SECOND
@@ -175,14 +220,11 @@ class Inbox:
     def _timeout(self, topic: str) -> float:
         return self.settings.odom_timeout if topic == 'odom' else self.settings.goal_timeout
 
-    def _goal_sources(self) -> dict[str, Arrival[Any]]:
-        sources = {'goal': self.goal, 'goal_path': self.path}
-        return {topic: arrival for topic, arrival in sources.items() if arrival is not None}
+    def _goal_sources(self) -> dict[str, Received[Any]]:
+        return {topic: self.latest[topic] for topic in GOALS if topic in self.latest}
 
     def _note_pairs(self) -> None:
-        for topic, arrival in self._goal_sources().items():
-            if arrival.stamp.nanoseconds == self._time:
-                self._paired.add(topic)
+        self._paired |= {t for t, stamp in self.goal_stamps.items() if stamp == self._time}
 
     def _end_pairs(self) -> None:
         """Learn which goals came with the odometry that is now replaced."""
@@ -197,8 +239,8 @@ class Inbox:
         return [topic for topic, pairing in self.pairings.items() if pairing.constant]
 
     def _spoken(self, topic: str) -> bool:
-        arrival = self._goal_sources().get(topic)
-        return arrival is not None and arrival.stamp.nanoseconds >= self._time
+        received = self.latest.get(topic)
+        return received is not None and received.stamp.nanoseconds >= self._time
 
     @property
     def _time(self) -> int:
@@ -227,8 +269,7 @@ class Inbox:
     @property
     def untimed(self) -> str:
         """Return which sources' stamps are of another clock than this node's, in words."""
-        heard = {'odom': self.odometry, **self._goal_sources()}
-        untimed = (t for t, each in heard.items() if each is not None and not each.timed)
+        untimed = [t for t in READ if t in self.latest and not self.latest[t].timed]
         return ', '.join(self.names[topic] for topic in untimed)
 
     def stale_odometry(self, now: float, ros: RosTime = UNKNOWN) -> str:
@@ -242,13 +283,13 @@ class Inbox:
         age = min(ages, default=0.0)
         return f'the goal is {age:.2f} s old' if age > self.settings.goal_timeout else ''
 
-    def _goal_age(self, topic: str, arrival: Arrival[Any], now: float, ros: RosTime) -> float:
+    def _goal_age(self, topic: str, received: Received[Any], now: float, ros: RosTime) -> float:
         """Return how old a goal is [s]; 0 for one that does not age."""
         ageing = self.settings.goal_ageing
-        by_hand = topic == 'goal' and arrival.run < STREAM
+        by_hand = topic == 'goal' and received.run < STREAM
         if ageing is Ageing.NONE or (ageing is Ageing.STREAMED and by_hand):
             return 0.0
-        return arrival.age(now, ros)
+        return received.age(now, ros)
 
     def targets(
         self, steps: int, now: float, ros: RosTime = UNKNOWN, start: float | None = None
@@ -261,10 +302,10 @@ class Inbox:
         assert self.odometry is not None
         start = self.odometry.value.time if start is None else start
         times = start + self.settings.problem.step * np.arange(1, steps + 1)
-        path = self.path
+        path = self.latest.get('goal_path')
         if path is None or self._goal_age('goal_path', path, now, ros) > self.settings.goal_timeout:
             return self.forecast.at(times)
-        return path.value.at(times)
+        return np.asarray(path.value.at(times))
 
 
 def _place(value: Sighting | Itinerary, time: float) -> Array:

@@ -1,4 +1,4 @@
-"""What no message tells: who else publishes, and who cannot hear whom."""
+"""The other ends of the planner's topics: rivals, and QoS or types that do not match."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ class Neighbours:
     """Who is at the other ends of a planner's topics.
 
     They are looked at one topic at a time: each look is short, so that no odometry waits for it.
-    DDS tells of mismatches in events, too. But handlers of events lengthen every wait of the node,
-    and no event tells when a mismatch is over.
+    DDS reports mismatches in events, too. But handlers of events lengthen every wait of the node,
+    and no event reports the end of a mismatch.
 
     Args:
         node: whose topics to look at.
@@ -54,9 +54,9 @@ class Neighbours:
         if not self._rota:
             self._rota = [*self._node.publishers, *self._node.subscriptions]
         end = self._rota.pop()
-        told = _mismatch(self._node, end)
-        if told:
-            self._mismatched[end.topic_name] = told
+        mismatch = _mismatch(self._node, end)
+        if mismatch:
+            self._mismatched[end.topic_name] = mismatch
         else:
             self._mismatched.pop(end.topic_name, None)
 
@@ -66,7 +66,7 @@ def _mismatch(node: Node, end: Publisher | Subscription) -> str:
     topic, kind = end.topic_name, _name(end.msg_type)
     ends = node.get_publishers_info_by_topic(topic), node.get_subscriptions_info_by_topic(topic)
     same, others = ends if isinstance(end, Publisher) else ends[::-1]
-    # What DDS makes of a profile is told for one's own as for any other: as the default is.
+    # DDS shows its view of one's own profile as of any other, its defaults filled in.
     own = [each.qos_profile for each in same if each.node_name == node.get_name()]
     for other in others if own else ():
         who = f'{topic} of {other.node_namespace.rstrip("/")}/{other.node_name}'

@@ -15,23 +15,21 @@ from rclpy.qos import ReliabilityPolicy
 from std_srvs.srv import SetBool, Trigger
 
 from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.outcome import Fallback
-from orbimpc_ros.ros import messages
+from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.clock import NodeClock
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters import PLANNER, Live, PlannerSettings, planner_settings
-from orbimpc_ros.ros.parameters.sections import unused_sections
-from orbimpc_ros.ros.planner import outputs
+from orbimpc_ros.ros.parameters.sections import warn_of_unused
 from orbimpc_ros.ros.planner.announcer import Announcer
 from orbimpc_ros.ros.planner.compiling import leaving_at_signals, report_compilation
 from orbimpc_ros.ros.planner.health import Condition, Health, condition
-from orbimpc_ros.ros.planner.inbox import TOPICS
+from orbimpc_ros.ros.planner.inbox import READ, Inbox
 from orbimpc_ros.ros.planner.neighbours import Neighbours
-from orbimpc_ros.ros.planner.outlet import Outlet
+from orbimpc_ros.ros.planner.outlet import Outlet, command_messages, report_messages
 from orbimpc_ros.ros.planner.summary import doubts, summary
-from orbimpc_ros.ros.planner.ticker import Answer, Ticker, prepared
+from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.ros.process import Guarded, qos, run
-from orbimpc_ros.ros.reports import AFRESH, Report, prices
+from orbimpc_ros.ros.reports import AFRESH, DISABLED, Report, prices
 
 GOAL_PATIENCE = 0.1  # [s] to wait for the goal that belongs to an odometry message
 REPEAT = 0.1  # [s] until who asks again is answered again: not for messages that come twice
@@ -39,28 +37,27 @@ WATCH = 0.05  # [s] how often the inputs' age is looked at, at least
 CLOCK_SET = 0.1  # [s] by which the system's clock may be set without a fresh start
 REFUSED = 1.0  # [s] for which a refused message is a reason to warn
 SILENCE = 1.5  # [s] without any /clock, after which that is a reason to warn
-LULL = 10.0  # [s] the same, once it has come: lock-step waits for whoever is slow
+LULL = 10.0  # [s] the same, once it has come: lock-step waits for slow planners
 
 
-class Planner(Guarded):
-    """Messages to types, types to the controller, its ticks to messages; and a watch on all."""
+class PlannerNode(Guarded):
+    """Messages to the inbox, the inbox to the ticker, ticks to messages; and a watch on all."""
 
     def __init__(self) -> None:
         super().__init__('planner')
         self._enabled = True
         self._answered = -1  # stamp of the odometry that was answered last [ns]
         self._refusal, self._refused_at = '', -np.inf
-        self._planning = self._begun = False
         self._console = Announcer(self.get_logger(), self.steady_now)
         report_compilation(self._console.warn)
         with leaving_at_signals():
             live = Live(self, PLANNER, planner_settings, prepared)
         self._settings, controller = live.prepared
         self._time = NodeClock(self, self._settings.problem.step, self._on_jump)
-        names = {topic: self.resolve_topic_name(topic) for topic in TOPICS}
-        simulated = self._time.simulated
-        self._ticker = Ticker(self._settings, controller, simulated=simulated, names=names)
-        self._inbox = self._ticker.inbox
+        names = {topic: self.resolve_topic_name(topic) for topic in READ}
+        self._inbox = Inbox(self._settings, names)
+        self._ticker = Ticker(self._settings, controller, simulated=self._time.simulated)
+        self._report: Report | None = None  # on the last tick
         self._outlet = Outlet(self, thrust=self._settings.problem.translation_order == 2)
         self._health = Health(self, self._condition, self._counts)
         self._create_subscriptions()
@@ -70,21 +67,17 @@ class Planner(Guarded):
 
     def _introduce(self) -> None:
         """Say once, before anything flies, what vehicle the parameters describe."""
-        self._introduced = summary(self._settings, self._time.simulated)
-        self.get_logger().info(self._introduced)
+        self._console.introduce(summary(self._settings, self._time.simulated))
         given = {name: each.value for name, each in self._parameter_overrides.items()}
-        name = self.get_fully_qualified_name()
-        unused = [f'section {each} is not for {name}: not used' for each in unused_sections(self)]
-        for doubt in unused + doubts(self._settings, given):
+        warn_of_unused(self)
+        for doubt in doubts(self._settings, given):
             self.get_logger().warning(doubt)
 
     def _install(self, prepared: tuple[PlannerSettings, Controller]) -> None:
         self._settings, controller = prepared
         self._ticker.install(self._settings, controller)
-        now = summary(self._settings, self._time.simulated)
-        if now != self._introduced:
-            self._introduced = now
-            self._console.say(f'from now on {now}')
+        self._inbox.adopt(self._settings)
+        self._console.introduce(summary(self._settings, self._time.simulated))
 
     # --- wiring
 
@@ -119,7 +112,7 @@ class Planner(Guarded):
     # --- inputs
 
     def _on_odometry(self, message: OdometryMessage) -> None:
-        refusal = self._inbox.take_odometry(message, self.steady_now(), self._time.now)
+        refusal = self._inbox.take('odom', message, self.steady_now(), self._time.now)
         if refusal:
             self._refuse(refusal)
             self._repeat_answer(message)
@@ -127,12 +120,13 @@ class Planner(Guarded):
             self._tick_or_wait()
 
     def _on_goal(self, message: PoseStamped) -> None:
-        self._took_goal(self._inbox.take_goal(message, self.steady_now(), self._time.now))
+        self._take_goal('goal', message)
 
     def _on_path(self, message: Path) -> None:
-        self._took_goal(self._inbox.take_path(message, self.steady_now(), self._time.now))
+        self._take_goal('goal_path', message)
 
-    def _took_goal(self, refusal: str) -> None:
+    def _take_goal(self, topic: str, message: PoseStamped | Path) -> None:
+        refusal = self._inbox.take(topic, message, self.steady_now(), self._time.now)
         if refusal:
             self._refuse(refusal)
         elif self._settings.on_odometry and self._unanswered and self._inbox.complete:
@@ -190,60 +184,48 @@ class Planner(Guarded):
         if odometry is None or self._inbox.missing:
             self._health.show_changes()
             return
-        unsafe, answer = self._unsafe(), None
-        if not unsafe:
-            answer = self._ticker.planned(self.steady_now(), self._time.now)
+        unsafe = self._unsafe()
+        if unsafe is None:
+            report = self._ticker.planned(self._inbox, self.steady_now(), self._time.now)
             unsafe = self._unsafe()  # a tick that takes too long outdates what it started from
-        if unsafe or answer is None:
-            answer = self._ticker.safe(unsafe)
-        self._publish(odometry.stamp, answer)
+        if unsafe is not None:
+            report = self._ticker.safe(self._inbox, unsafe)
+        self._publish(odometry.stamp, report)
         self._answered = odometry.stamp.nanoseconds
 
-    def _unsafe(self) -> str:
-        """Return why no plan may be followed now; empty if one may."""
+    def _unsafe(self) -> Reason | None:
+        """Return why no plan may be followed now, if none may."""
         if not self._enabled:
-            return 'disabled'
+            return DISABLED
         stale = self._inbox.stale_odometry(self.steady_now(), self._time.now)
-        return stale or self._neighbours.sources
+        if stale:
+            return Reason(Cause.ODOMETRY, stale)
+        sources = self._neighbours.sources
+        return Reason(Cause.SOURCES, sources) if sources else None
 
-    def _publish(self, stamp: Stamp, answer: Answer) -> None:
-        self._outlet.begin(outputs.orders(self._settings, stamp, answer.command))
-        self._ticker.went_out(answer, self._time.seconds)
-        self._tell(stamp, answer)
+    def _publish(self, stamp: Stamp, report: Report) -> None:
+        command, name = report.tick.command, self.get_fully_qualified_name()
+        self._outlet.begin(command_messages(self._settings, stamp, command))
+        self._ticker.went_out(command, self._time.seconds)
+        report = replace(report, binding=prices(report.tick))  # the vehicle did not wait for it
+        known = self._inbox.odometry is not None
+        self._outlet.add(report_messages(self._settings, stamp, report, name, oriented=known))
+        self._report = report
+        self._console.note(report.tick)
         self._health.show_changes()
-
-    def _tell(self, stamp: Stamp, answer: Answer) -> None:
-        report, name = answer.report, self.get_fully_qualified_name()
-        if answer.tick is not None:
-            report = replace(report, binding=prices(answer.tick))
-        told = outputs.reports(self._settings, stamp, report, answer.plan, name)
-        if self._inbox.odometry is not None:
-            told['rotation'] = messages.rotation_message(stamp, answer.command)
-        self._outlet.add(told)
-        self._say(report)
-
-    def _say(self, report: Report) -> None:
-        """Say on the console what is wrong with a tick, and that planning begins or goes on."""
-        if report.reason:
-            self._console.warn(': '.join(filter(None, (report.fallback, report.reason))))
-        if report.fallback is Fallback.SAFE_COMMAND:
-            self._planning = False
-        elif not report.fallback and not self._planning:
-            self._console.say('plans again' if self._begun else 'begins to plan')
-            self._planning = self._begun = True
 
     # --- watching
 
-    def safe(self, reason: str) -> None:
+    def safe(self, reason: Reason) -> None:
         """Command what is safe, now; a planner that has commanded nothing yet goes on so."""
         if self._outlet.used:
             self._be_safe(reason)
 
-    def _be_safe(self, reason: str) -> None:
+    def _be_safe(self, reason: Reason) -> None:
         # Stamped now: it is no answer to any odometry.
         now, known = max(self._time.nanoseconds, self._answered + 1), self._inbox.odometry
         frames = self._settings.frames if known is None else known.stamp.frames
-        self._publish(Stamp(now, frames), self._ticker.safe(reason))
+        self._publish(Stamp(now, frames), self._ticker.safe(self._inbox, reason))
 
     def _watch(self) -> None:
         """Repeat the safe command every step while it is not safe to follow a plan."""
@@ -251,10 +233,10 @@ class Planner(Guarded):
         self._time.look()
         flying = self._outlet.used or not self._enabled
         due = self.steady_now() - self._outlet.at >= self._settings.problem.step
-        unsafe = self._unsafe() or self._stuck()
+        unsafe = self._unsafe() or self._stuck
         if flying and due and unsafe:
             self._be_safe(unsafe)
-        self._console.follow(self._troubles())
+        self._console.follow([*self._wrong, *self._notices])
         if self._waiting:
             self._console.say(self._waiting)
         self._health.show_changes()
@@ -264,29 +246,32 @@ class Planner(Guarded):
         """Return what is waited for, in words; empty if nothing is."""
         return f'waits for {self._inbox.missing}' if self._inbox.missing else ''
 
-    def _troubles(self) -> list[str]:
-        """Return what is wrong around the planner, in words; that of its ticks is told by them."""
-        around = self._neighbours
-        return [around.sources, *around.mismatches, around.rivals, self._still, self._untimed]
+    @property
+    def _wrong(self) -> list[str]:
+        """Return what is wrong around the planner, in words; empty ones do not count."""
+        return [self._neighbours.sources, *self._neighbours.mismatches]
 
     @property
-    def _still(self) -> str:
-        return self._time.standstill(LULL if self._time.nanoseconds else SILENCE)
-
-    @property
-    def _untimed(self) -> str:
+    def _notices(self) -> list[str]:
+        """Return what to warn of even if all goes well, in words; empty ones do not count."""
+        still = self._time.standstill(LULL if self._time.nanoseconds else SILENCE)
         untimed = self._inbox.untimed
-        return f"stamps of {untimed} are not of this node's clock" if untimed else ''
+        other = f"stamps of {untimed} are not of this node's clock" if untimed else ''
+        return [self._neighbours.rivals, still, other]
 
-    def _stuck(self) -> str:
-        """Return why no tick will come, in words; empty if one will."""
-        return self._waiting or self._time.standstill(self._settings.odom_timeout)
+    @property
+    def _stuck(self) -> Reason | None:
+        """Return why no tick will come, if none will."""
+        if self._waiting:
+            return Reason(Cause.WAITING, self._waiting)
+        stood = self._time.standstill(self._settings.odom_timeout)
+        return Reason(Cause.CLOCK, stood) if stood else None
 
     def _on_jump(self, by: float) -> None:
         """Start afresh if the clock has jumped [s].
 
         Simulated time moves in steps. A step forward makes what is known as much older, which its
-        age tells; a jump is what makes all of it stale.
+        age shows; a jump is what makes all of it stale.
         """
         settings, back, forth = self._settings, CLOCK_SET, CLOCK_SET
         if self._time.simulated:
@@ -296,9 +281,10 @@ class Planner(Guarded):
             self._start_afresh(f'the clock jumped by {by:.3g} s')
 
     def _start_afresh(self, why: str) -> None:
-        self.get_logger().warning(f'{AFRESH}: {why}')
+        self.get_logger().warning(f'{AFRESH.words}: {why}')
         self._patience.cancel()
-        self._ticker.forget()
+        self._ticker.start_afresh()
+        self._inbox.forget()
         self._answered = -1
         self.safe(AFRESH)
 
@@ -310,7 +296,7 @@ class Planner(Guarded):
     def _on_enable(self, request: Any, response: Any) -> Any:
         self._enabled = request.data
         if not self._enabled:
-            self._be_safe('disabled')
+            self._be_safe(DISABLED)
         response.success = True
         response.message = 'enabled' if self._enabled else 'disabled: safe command'
         self._health.show_changes()
@@ -333,20 +319,12 @@ class Planner(Guarded):
 
     def _condition(self) -> Condition:
         refused = self.steady_now() - self._refused_at < REFUSED
-        latest = self._ticker.latest
-        return condition(
-            (self._neighbours.sources, *self._neighbours.mismatches),
-            self._waiting if self._enabled else 'disabled',
-            None if latest is None else latest.report,
-            (
-                self._neighbours.rivals,
-                self._refusal if refused else '',
-                self._still,
-                self._untimed,
-            ),
-        )
+        rivals, *others = self._notices
+        notices = [rivals, self._refusal if refused else '', *others]
+        waiting = self._waiting if self._enabled else DISABLED.words
+        return condition(self._wrong, waiting, self._report, notices)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the planner; return the exit code."""
-    return run(Planner, argv)
+    return run(PlannerNode, argv)

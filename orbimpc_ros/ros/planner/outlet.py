@@ -1,4 +1,4 @@
-"""The planner's one way out: its publishers, and what went out last."""
+"""The planner's one way out: the messages of a tick, their publishers, and what went out last."""
 
 from __future__ import annotations
 
@@ -13,7 +13,13 @@ from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.publisher import Publisher
 from visualization_msgs.msg import MarkerArray
 
+from orbimpc_ros.mpc.command import Command
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.markers import plan_markers
+from orbimpc_ros.ros.messages import Stamp
+from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.process import LIFE, Guarded, qos
+from orbimpc_ros.ros.reports import Report, tick_message
 
 KINDS: dict[str, type] = {
     'cmd_vel': TwistStamped,
@@ -26,8 +32,42 @@ KINDS: dict[str, type] = {
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 
 
+def command_messages(settings: PlannerSettings, stamp: Stamp, command: Command) -> dict[str, Any]:
+    """Return the messages to the vehicle, by topic; it waits for them, so they are sent first."""
+    problem = settings.problem
+    pushed = problem.forward * command.speed_fraction  # [m/s] or [m/s^2]
+    if problem.translation_order == 1:
+        return {'cmd_vel': messages.twist_message(stamp, pushed, command.body_rate)}
+    return {
+        'cmd_thrust': messages.wrench_message(stamp, settings.mass * pushed),
+        'cmd_vel': messages.twist_message(stamp, 0.0, command.body_rate),
+    }
+
+
+def report_messages(
+    settings: PlannerSettings, stamp: Stamp, report: Report, node: str, *, oriented: bool
+) -> dict[str, Any]:
+    """Return the messages to everybody else, by topic.
+
+    Args:
+        settings: give the step.
+        stamp: of the odometry that is answered.
+        report: on the tick.
+        node: name of the planner.
+        oriented: whether the vehicle's attitude is known, so that one can be commanded.
+    """
+    problem, plan = settings.problem, report.tick.plan
+    found: dict[str, Any] = {'tick': tick_message(stamp.nanoseconds, node, report)}
+    if plan is not None:
+        found['plan'] = messages.plan_message(stamp, plan, problem.step, report.advanced)
+        found['plan_markers'] = plan_markers(stamp, problem, plan)
+    if oriented:
+        found['rotation'] = messages.rotation_message(stamp, report.tick.command)
+    return found
+
+
 class Outlet:
-    """Publishes answers, and repeats the last one to who asks again.
+    """Publishes ticks, and repeats the last one on request.
 
     Args:
         node: that publishes.
@@ -47,28 +87,28 @@ class Outlet:
         }
         self.velocity = self._publishers['cmd_vel']
         self.at = -math.inf
-        self._answer: Mapping[str, Any] = {}
+        self._last: Mapping[str, Any] = {}
 
     @property
     def used(self) -> bool:
         """Return whether anything went out yet."""
         return self.at > -math.inf
 
-    def begin(self, orders: Mapping[str, Any]) -> None:
-        """Publish what the vehicle is told, by topic: it comes first."""
-        self._answer = orders
-        self._send(orders)
+    def begin(self, first: Mapping[str, Any]) -> None:
+        """Publish the first messages of a tick, by topic."""
+        self._last = first
+        self._send(first)
 
-    def add(self, told: Mapping[str, Any]) -> None:
-        """Publish what everybody else is told, by topic."""
-        self._answer = {**self._answer, **told}
-        self._send(told)
+    def add(self, more: Mapping[str, Any]) -> None:
+        """Publish the other messages of the tick, by topic."""
+        self._last = {**self._last, **more}
+        self._send(more)
 
     def repeat(self) -> None:
-        """Publish the last answer again."""
-        self._send(self._answer)
+        """Publish the last tick again."""
+        self._send(self._last)
 
-    def _send(self, told: Mapping[str, Any]) -> None:
-        for topic, message in told.items():
+    def _send(self, sent: Mapping[str, Any]) -> None:
+        for topic, message in sent.items():
             self._publishers[topic].publish(message)
         self.at = self._node.steady_now()

@@ -1,26 +1,24 @@
-"""What the planner answers to an odometry message, and why; publishing it is not done here."""
+"""Ticks of the planner: its inputs put to the controller, within a deadline."""
 
 from __future__ import annotations
 
+import statistics
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections import deque
 
-import numpy as np
-
-from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.command import Command, flaw
-from orbimpc_ros.mpc.loop.controller import Controller, Tick
-from orbimpc_ros.mpc.loop.delay import Leg, Sent, advanced
+from orbimpc_ros.mpc.command import Command
+from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.loop.delay import Interval, advanced
 from orbimpc_ros.mpc.loop.odometry import Odometry
-from orbimpc_ros.mpc.loop.safety import safe_command
-from orbimpc_ros.mpc.plan import Plan
-from orbimpc_ros.ros.arrival import UNKNOWN, Arrival, RosTime
+from orbimpc_ros.mpc.outcome import Reason
+from orbimpc_ros.ros.clock import UNKNOWN, RosTime
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.ros.planner.inbox import Inbox
-from orbimpc_ros.ros.reports import Report, report_of, safe_report
-from orbimpc_ros.ros.timing import Timing
+from orbimpc_ros.ros.planner.inbox import Inbox, Received
+from orbimpc_ros.ros.reports import Report
+
+RECENT = 15  # ticks
+LATE = 1.5  # steps from one tick to the next
 
 
 def prepared(settings: PlannerSettings) -> tuple[PlannerSettings, Controller]:
@@ -35,130 +33,108 @@ def prepared(settings: PlannerSettings) -> tuple[PlannerSettings, Controller]:
     return settings, controller
 
 
-@dataclass(frozen=True)
-class Answer:
-    """What the vehicle is told.
+class Timing:
+    """How long ticks take.
 
     Attributes:
-        command: what to do.
-        report: what the tick came to.
-        tick: behind the command; None if nothing was planned.
+        misses: ticks that took longer than their deadline.
+        overruns: ticks that took longer than a step.
+        late: ticks of the timer that came late, whatever held them up.
     """
 
-    command: Command
-    report: Report
-    tick: Tick | None = None
+    def __init__(self) -> None:
+        self.misses = self.overruns = self.late = 0
+        self._recent: deque[float] = deque(maxlen=RECENT)
+        self._last: float | None = None
 
     @property
-    def plan(self) -> Plan | None:
-        """Return the plan behind the command, if there is one."""
-        return None if self.tick is None else self.tick.plan
+    def expected(self) -> float:
+        """Return how long a tick usually takes [s]."""
+        return statistics.median(self._recent) if self._recent else 0.0
+
+    def began(self, clock: float, step: float) -> None:
+        """Note a tick of the timer, at a time of the timer's clock [s]."""
+        if self._last is not None and clock - self._last > LATE * step:
+            self.late += 1
+        self._last = clock
+
+    def took(self, duration: float, deadline: float, step: float) -> None:
+        """Note how long a tick took, and how long it may and must not take [s]."""
+        self._recent.append(duration)
+        self.misses += duration > deadline
+        self.overruns += duration > step
 
 
 class Ticker:
-    """Makes answers of what the inbox knows, by a plan or by what is safe.
+    """Makes ticks of inputs, planned or safe; publishing them is not done here.
 
     Args:
         settings: of the planner.
         controller: compiled for them.
         simulated: whether time stands still while a tick is computed.
-        names: of the inbox's topics as they are resolved; by default as they are.
 
     Attributes:
-        inbox: what the planner has been told.
         timing: of its ticks.
-        latest: the last answer that went out, if any.
     """
 
     def __init__(
-        self,
-        settings: PlannerSettings,
-        controller: Controller,
-        *,
-        simulated: bool,
-        names: Mapping[str, str] | None = None,
+        self, settings: PlannerSettings, controller: Controller, *, simulated: bool
     ) -> None:
         self._settings, self._controller, self._simulated = settings, controller, simulated
-        self._sent = Sent()
-        self.inbox = Inbox(settings) if names is None else Inbox(settings, names)
         self.timing = Timing()
-        self.latest: Answer | None = None
 
     def install(self, settings: PlannerSettings, controller: Controller) -> None:
         """Go on with other settings and the controller made for them."""
         controller.continue_from(self._controller)
         self._settings, self._controller = settings, controller
-        self.inbox.adopt(settings)
 
-    def forget(self) -> None:
-        """Forget inputs, plan and what was commanded."""
-        self.inbox.forget()
-        self._sent.forget()
-        self._controller.reset()
+    def start_afresh(self) -> None:
+        """Forget the plan; the command in force stays so."""
+        self._controller.start_afresh()
 
-    def planned(self, now: float, ros: RosTime = UNKNOWN) -> Answer:
-        """Return the answer by a plan, if there is one; nothing in the inbox may be missing."""
+    def planned(self, inbox: Inbox, now: float, ros: RosTime = UNKNOWN) -> Report:
+        """Return a tick by a plan, if there is one; nothing in the inbox may be missing.
+
+        Args:
+            inbox: the inputs.
+            now: on the steady clock [s].
+            ros: on the ROS clock.
+        """
         begun = time.perf_counter()
-        arrival, settings = self.inbox.odometry, self._settings
-        assert arrival is not None
-        odometry = advanced(settings.problem, arrival.value, self._legs(arrival, ros))
-        lost = self.inbox.stale_goal(now, ros)
+        received, settings = inbox.odometry, self._settings
+        assert received is not None
+        odometry = advanced(settings.problem, received.value, self._intervals(received, ros))
+        history, lost = self._controller.history, inbox.stale_goal(now, ros)
+        sent = history.last
         if lost:
             tick = self._controller.hold(odometry, lost)
         else:
-            targets = self.inbox.targets(self._controller.remaining, now, ros, odometry.time)
+            targets = inbox.targets(self._controller.remaining, now, ros, odometry.time)
             end = begun + settings.deadline
             tick = self._controller.tick(odometry, targets, lambda: time.perf_counter() > end)
+        history.last = sent  # what is commanded now counts once it went out
         took = time.perf_counter() - begun
         self.timing.took(took, settings.deadline, settings.problem.step)
-        report = report_of(tick, 0.0 if lost else 1e3 * took)
-        report = replace(
-            report,
-            advanced=odometry.time - arrival.value.time,
-            goal_stamps=self.inbox.goal_stamps,
-            goal_counts=dict(self.inbox.goal_counts),
+        return Report(
+            tick,
+            0.0 if lost else 1e3 * took,
+            advanced=odometry.time - received.value.time,
+            goal_stamps=inbox.goal_stamps,
+            goal_counts=dict(inbox.goal_counts),
         )
-        return self._checked(Answer(tick.command, report, tick))
 
-    def safe(self, reason: str) -> Answer:
-        """Return the safe answer."""
-        return self._checked(Answer(self._safe_command(), safe_report(reason)))
+    def safe(self, inbox: Inbox, reason: Reason) -> Report:
+        """Return the safe tick."""
+        return Report(self._controller.safe(inbox.attitude, reason))
 
-    def went_out(self, answer: Answer, at: float) -> None:
-        """Learn that an answer was published at a time of the ROS clock [s]."""
-        self.latest = answer
-        self._sent.add(answer.command, at)
-        self._controller.commanded(answer.command.speed_fraction)
+    def went_out(self, command: Command, at: float) -> None:
+        """Note that a command was published at a time of the ROS clock [s]."""
+        self._controller.history.add(command, at)
 
-    def _legs(self, arrival: Arrival[Odometry], ros: RosTime) -> list[Leg]:
+    def _intervals(self, received: Received[Odometry], ros: RosTime) -> list[Interval]:
         """Return what is in force from the measurement until the answer to it is there."""
-        if not self._settings.delay_compensation or not arrival.timed or ros.nanoseconds is None:
+        if not self._settings.delay_compensation or not received.timed or ros.nanoseconds is None:
             return []
         now = ros.nanoseconds / SECOND
         taking = 0.0 if self._simulated else self.timing.expected
-        return self._sent.legs(now - arrival.delay(ros), now + taking)
-
-    def _safe_command(self) -> Command:
-        settings = self._settings
-        fraction = 0.0 if self.latest is None else self.latest.command.speed_fraction
-        return safe_command(settings.safe_command, settings.problem, self._attitude, fraction)
-
-    @property
-    def _attitude(self) -> Array:
-        known = self.inbox.odometry
-        return np.eye(self._settings.problem.dimension) if known is None else known.value.attitude
-
-    def _checked(self, answer: Answer) -> Answer:
-        """Return the answer, or the safe one if its command must not be sent, whatever led to it.
-
-        Raises:
-            RuntimeError: the safe command itself must not be sent, which its own law excludes.
-        """
-        safe = answer.plan is None
-        stopping = safe and self._settings.stopping
-        wrong = flaw(self._settings.problem, answer.command, stopping=stopping)
-        if not wrong:
-            return answer
-        if safe:
-            raise RuntimeError(f'the safe command is not sent: {wrong}')
-        return self.safe(f'not sent: {wrong}')
+        return self._controller.history.intervals(now - received.delay(ros), now + taking)

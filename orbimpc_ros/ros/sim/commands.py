@@ -53,7 +53,7 @@ class Orders:
         """
         stamp, speed, body_rate = read_speed_and_rate(message, self._model.dimension)
         _require_past(stamp, now)
-        fastest = math.pi / self._model.step  # within a step nothing can be told from a faster turn
+        fastest = math.pi / self._model.step  # a faster turn looks like a slower one
         if float(np.linalg.norm(body_rate)) > fastest * (1.0 + SLACK):
             allowed = f'at most pi / step = {fastest:.6g} rad/s'
             raise BadInput('twist.angular', body_rate.tolist(), allowed)

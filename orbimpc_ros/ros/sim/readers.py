@@ -1,4 +1,4 @@
-"""The readers that a flight waits for: whoever records or shows it, beside its own two nodes."""
+"""The readers that a flight waits for: recorders and viewers, beside its own two nodes."""
 
 from __future__ import annotations
 

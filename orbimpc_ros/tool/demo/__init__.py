@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool.io.files import writing_to
+from orbimpc_ros.tool.io.files import new_folder, writing_to
 
 if TYPE_CHECKING:
     from orbimpc_ros.tool.io.history import History
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 SCENARIOS = ('retrieval', 'retrieval3d', 'dubins', 'spacecraft', 'fleet')
 # The paper shows the Dubins car with and without minimum speed. Flights of a demo, by name.
 VARIANTS = {'dubins': {'none': ('floor.shape=none',), 'polygon': ('floor.shape=polygon',)}}
-OF_A_DEMO = {'exit_when_done': True, 'wait_subscribers': 2}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
 
         return fleet.run(args)
     if args.vehicles is not None:
-        raise BadInput('--vehicles', args.vehicles, 'only with the scenario fleet')
+        raise BadInput.stating('--vehicles', 'no fleet', 'give the scenario fleet')
     return _run_alone(args)
 
 
@@ -74,28 +73,8 @@ def _flights(scenario: str, changes: list[str]) -> dict[str, Values]:
         variants = {'': ()}
     file = config(f'{scenario}.yaml')
     return {
-        name: settings.resolve(file, [*changes, *variant]) | OF_A_DEMO
-        for name, variant in variants.items()
+        name: settings.resolve(file, [*changes, *variant]) for name, variant in variants.items()
     }
-
-
-def new_folder(out: str, name: str) -> Path:
-    """Create ``out/name``, or ``out/name-2`` and so on: what is there stays.
-
-    Raises:
-        BadInput: it cannot be created.
-    """
-    for number in range(1, 10_000):
-        folder = Path(out).resolve() / (name if number == 1 else f'{name}-{number}')
-        try:
-            folder.mkdir(parents=True)
-            return folder
-        except FileExistsError:
-            if not folder.is_dir():
-                break
-        except OSError as error:
-            raise BadInput('--out', f'{out} ({error.strerror})', 'a folder to write to') from None
-    raise BadInput('--out', out, 'a folder to write to')
 
 
 def report(folder: Path, places: Mapping[str, Path]) -> int:

@@ -1,4 +1,4 @@
-"""How a flight arrives: its plan by itself, flown open loop by each projection, and re-planned."""
+"""Errors at arrival: of the plan by itself, flown open loop by each projection, re-planned."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def opened(values: Values) -> dict[str, OpenLoop]:
 
 
 def title(values: Values) -> str:
-    """Return what tells a run's column from another's."""
+    """Return the title of a run's column."""
     shape = values['floor.shape']
     return 'no floor' if shape == 'none' else f'{shape}, {values["floor.fraction"]:.3f}'
 

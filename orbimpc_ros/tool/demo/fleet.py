@@ -10,9 +10,8 @@ from pathlib import Path
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.vehicles import vehicles
-from orbimpc_ros.tool import demo
 from orbimpc_ros.tool.io import bag, settings
-from orbimpc_ros.tool.io.files import writing_to
+from orbimpc_ros.tool.io.files import new_folder, writing_to
 from orbimpc_ros.tool.io.settings import Values
 from orbimpc_ros.tool.io.share import config
 
@@ -24,7 +23,7 @@ def run(args: argparse.Namespace) -> int:
     from orbimpc_ros.tool.run.flying import fly
 
     values, own = resolve(VEHICLES if args.vehicles is None else args.vehicles, args.set)
-    folder = demo.new_folder(args.out, 'fleet')
+    folder = new_folder(args.out, 'fleet')
     with writing_to(folder):
         fly(values, folder, own)
         return report(folder, tuple(own))
@@ -40,7 +39,7 @@ def resolve(count: int, changes: list[str]) -> tuple[Values, dict[str, Values]]:
     Raises:
         BadInput: too many vehicles, an unknown name, or a value that is not allowed.
     """
-    values = settings.resolve(config('fleet.yaml'), changes) | demo.OF_A_DEMO
+    values = settings.resolve(config('fleet.yaml'), changes)
     if values['clock'] != 'wall':
         raise BadInput('clock', values['clock'], 'wall: a fleet cannot share one simulated clock')
     given = {change.partition('=')[0] for change in changes} - {'seed'}

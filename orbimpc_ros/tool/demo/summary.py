@@ -38,7 +38,7 @@ def _lines(rows: Mapping[str, str]) -> str:
 
 
 def _ticks(flown: Sequence[History]) -> dict[str, str]:
-    fallbacks = sum(bool(told.get('fallback')) for each in flown for told in each.flown_ticks)
+    fallbacks = sum(bool(tick.get('fallback')) for each in flown for tick in each.flown_ticks)
     return {
         'ticks': str(sum(len(_answers(each)) for each in flown)),
         'solve time': _solve_times(flown),
@@ -74,8 +74,8 @@ def _near_misses(history: History) -> str:
     misses, begun = history.near_misses, history.times[0]
     if not misses:
         return '0'
-    told = [f'{m.distance:.2f} m at {m.time - begun:.1f} s' for m in misses]
-    return f'{len(misses)}: ' + ', '.join(told)
+    places = [f'{m.distance:.2f} m at {m.time - begun:.1f} s' for m in misses]
+    return f'{len(misses)}: ' + ', '.join(places)
 
 
 def _solve_times(flown: Sequence[History]) -> str:

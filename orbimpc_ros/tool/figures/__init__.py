@@ -7,12 +7,11 @@ from collections.abc import Mapping
 from matplotlib.figure import Figure
 
 from orbimpc_ros.tool.demo.arrivals import planned_at_start
-from orbimpc_ros.tool.figures.data import data
 from orbimpc_ros.tool.figures.dubins import dubins
+from orbimpc_ros.tool.figures.numbers import data, solver
 from orbimpc_ros.tool.figures.retrieval import retrieval
 from orbimpc_ros.tool.figures.retrieval3d import retrieval3d
 from orbimpc_ros.tool.figures.snapshots import moments
-from orbimpc_ros.tool.figures.solver import solver
 from orbimpc_ros.tool.figures.spacecraft import spacecraft
 from orbimpc_ros.tool.figures.style import look, save
 from orbimpc_ros.tool.io.history import History

@@ -14,8 +14,7 @@ from matplotlib.gridspec import SubplotSpec
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.tool.figures import space
-from orbimpc_ros.tool.figures.captions import story
-from orbimpc_ros.tool.figures.charts import draw_distance, draw_speed
+from orbimpc_ros.tool.figures.charts import draw_distance, draw_speed, story
 from orbimpc_ros.tool.figures.scene import boxes, draw_obstacles, flown_path, mark_start, swing
 from orbimpc_ros.tool.figures.style import BLUE, GREEN, GREY, INK, ORANGE, headline, look
 from orbimpc_ros.tool.io.history import History, Planned

@@ -1,4 +1,4 @@
-"""What happened when: distances and speeds over time."""
+"""Distances and speeds over time, and a flight in one line for the head of its pictures."""
 
 from __future__ import annotations
 
@@ -72,3 +72,26 @@ def draw_speed(axes: Axes, history: History) -> None:
     axes.set_ylim(0.0, 1.08)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc='lower right', ncols=2)
+
+
+def story(history: History) -> str:
+    """Return how a flight went: a capture, or an arrival."""
+    return _arrival(history) if history.values['finish'] == 'arrival' else _retrieval(history)
+
+
+def _retrieval(history: History) -> str:
+    near = len(history.near_misses)
+    misses = f'{near} near miss{"" if near == 1 else "es"}'
+    capture = history.capture
+    if capture is None:
+        return f'Rope not caught in {history.times[-1] - history.times[0]:.0f} s: {misses}'
+    how = f'after {misses}' if near else 'on the first pass'
+    return f'Rope caught at t = {capture.time - history.times[0]:.1f} s {how}'
+
+
+def _arrival(history: History) -> str:
+    missed, speed = history.missed
+    vehicle = 'Spacecraft' if history.values['dimension'] == 3 else 'Dubins car'
+    at = f' at {speed:.1e} m/s' if history.values['translation_order'] == 2 else ''
+    done = 'arrives' if history.captured else 'does not arrive'
+    return f'{vehicle} {done}: {missed:.1e} m from the goal{at}'

@@ -33,7 +33,7 @@ def dubins(flown: Mapping[str, History]) -> Figure:
 
 
 def named(history: History) -> str:
-    """Return what tells a flight from another: its minimum speed."""
+    """Return the name of a flight among others: its minimum speed."""
     shape, fraction = history.values['floor.shape'], history.values['floor.fraction']
     if shape == 'none':
         return 'no minimum speed'

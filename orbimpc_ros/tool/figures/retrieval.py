@@ -8,8 +8,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from orbimpc_ros.tool.figures.captions import story
-from orbimpc_ros.tool.figures.charts import draw_over_time
+from orbimpc_ros.tool.figures.charts import draw_over_time, story
 from orbimpc_ros.tool.figures.scene import (
     cross,
     draw_obstacles,

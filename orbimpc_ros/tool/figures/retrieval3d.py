@@ -7,8 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from orbimpc_ros.tool.figures import space
-from orbimpc_ros.tool.figures.captions import story
-from orbimpc_ros.tool.figures.charts import draw_over_time
+from orbimpc_ros.tool.figures.charts import draw_over_time, story
 from orbimpc_ros.tool.figures.scene import boxes, flown_path, star, swing
 from orbimpc_ros.tool.figures.style import INK, ORANGE, SKY, headline, paper
 from orbimpc_ros.tool.io.history import History

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.tool.figures.captions import story
+from orbimpc_ros.tool.figures.charts import story
 from orbimpc_ros.tool.figures.scene import (
     arrival_tick,
     draw_headings,

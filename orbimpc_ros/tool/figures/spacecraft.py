@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.tool.figures import space
-from orbimpc_ros.tool.figures.captions import story
-from orbimpc_ros.tool.figures.data import applied, steps
+from orbimpc_ros.tool.figures.charts import story
+from orbimpc_ros.tool.figures.numbers import applied, steps
 from orbimpc_ros.tool.figures.scene import boxes
 from orbimpc_ros.tool.figures.style import (
     BLUE,

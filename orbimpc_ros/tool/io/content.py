@@ -1,4 +1,4 @@
-"""What messages say in plain numbers, whoever decoded them: rclpy or the reader of bags."""
+"""The content of messages in plain numbers, whoever decoded them."""
 
 from __future__ import annotations
 

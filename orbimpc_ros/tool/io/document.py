@@ -13,13 +13,13 @@ from typing import Any, BinaryIO
 import yaml
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool.io.files import opened
+from orbimpc_ros.tool.io.files import opened, why
 
 MAX_BYTES = 1 << 20
 MAX_NODES = 30_000  # of YAML, which is slow to take apart
 LONGEST = 4096  # characters of an unquoted word; converting numbers takes their length squared
 MAX_NUMBER = 1e12  # beyond it arithmetic on squares loses what a plan is about
-ALLOWED = 'a JSON or YAML mapping'
+ALLOWED = 'a JSON or YAML mapping is needed'
 
 
 class StrictLoader(yaml.SafeLoader):
@@ -94,11 +94,11 @@ def parse(text: str, name: str, largest: float = MAX_NUMBER) -> Any:
             content = yaml.load(text, StrictLoader)
         _require_plain(content, largest)
     except yaml.YAMLError as error:
-        raise BadInput(name, _summary(error), ALLOWED) from None
+        raise BadInput.stating(name, _summary(error), ALLOWED) from None
     except (RecursionError, ValueError, TypeError) as error:
         if isinstance(error, BadInput):
             raise
-        raise BadInput(name, f'malformed ({error})', ALLOWED) from None
+        raise BadInput.stating(name, f'malformed ({error})', ALLOWED) from None
     return content
 
 
@@ -117,16 +117,15 @@ def _text(source: str) -> str:
                 raw = _capped(stream, source)
         return raw.decode()
     except OSError as error:
-        problem = error.strerror or str(error)
-        raise BadInput.stating(source, problem, 'a readable file is needed') from None
+        raise BadInput.stating(source, why(error), 'a readable file is needed') from None
     except UnicodeDecodeError:
-        raise BadInput(source, 'not UTF-8', 'UTF-8 text') from None
+        raise BadInput.stating(source, 'not UTF-8', 'UTF-8 text is needed') from None
 
 
 def _capped(stream: BinaryIO, name: str) -> bytes:
     raw = stream.read(MAX_BYTES + 1)
     if len(raw) > MAX_BYTES:
-        raise BadInput(name, f'more than {MAX_BYTES} bytes', f'at most {MAX_BYTES} bytes')
+        raise BadInput.stating(name, 'too large', f'at most {MAX_BYTES} bytes are read')
     return raw
 
 
@@ -138,7 +137,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def _refuse_duplicates(keys: list[str]) -> None:
     if len(set(keys)) < len(keys):
         key = Counter(keys).most_common(1)[0][0]
-        raise BadInput(f'field {key}', 'given twice', 'every field once')
+        raise BadInput.stating(f'field {key}', 'given twice', 'give every field once')
 
 
 def _require_plain(value: Any, largest: float, path: str = '') -> None:
@@ -146,7 +145,7 @@ def _require_plain(value: Any, largest: float, path: str = '') -> None:
     if isinstance(value, dict):
         for key, inner in value.items():
             if not isinstance(key, str):
-                raise BadInput(f'field {key!r}', 'not a name', 'names as keys')
+                raise BadInput.stating(f'field {key!r}', 'not a name', 'names are needed as keys')
             _require_plain(inner, largest, f'{path}.{key}' if path else key)
     elif isinstance(value, list):
         for inner in value:

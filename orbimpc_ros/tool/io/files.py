@@ -14,7 +14,16 @@ from typing import BinaryIO
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 
 MAX_ENTRIES = 10_000  # of a folder
-REGULAR = 'a regular file'
+WRITABLE = 'a folder to write to is needed'
+REGULAR = 'a regular file is needed'
+
+
+def why(error: OSError) -> str:
+    """Return in a few words why a file or folder cannot be used."""
+    if isinstance(error, FileNotFoundError):
+        return 'no such file'
+    words = error.strerror or str(error)
+    return words[:1].lower() + words[1:]
 
 
 @contextmanager
@@ -31,15 +40,15 @@ def opened(path: Path, largest: int) -> Iterator[BinaryIO]:
     with _stream(path) as stream:
         size = os.fstat(stream.fileno()).st_size
         if size > largest:
-            raise BadInput(str(path), f'of {size} bytes', f'at most {largest} bytes')
+            raise BadInput.stating(str(path), f'{size} bytes', f'at most {largest} bytes are read')
         yield stream
 
 
 def _stream(path: Path) -> BinaryIO:
-    with _told(path):
+    with _blaming(path):
         mode = path.stat().st_mode
     _require_regular(path, mode)
-    with _told(path):
+    with _blaming(path):
         # Non-blocking, in case a FIFO has taken its place just now.
         stream = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), 'rb')
         mode = os.fstat(stream.fileno()).st_mode
@@ -48,22 +57,21 @@ def _stream(path: Path) -> BinaryIO:
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """Tell in one line why a file cannot be opened."""
+def _blaming(path: Path) -> Iterator[None]:
+    """Say in one line why a file cannot be opened."""
     try:
         yield
     except OSError as error:
-        problem = error.strerror or str(error)
-        raise BadInput.stating(str(path), problem, 'a readable file is needed') from None
+        raise BadInput.stating(str(path), why(error), 'a readable file is needed') from None
     except ValueError as error:  # such as a null byte in its name
-        raise BadInput(ascii(str(path)), str(error), REGULAR) from None
+        raise BadInput.stating(ascii(str(path)), str(error), REGULAR) from None
 
 
 def _require_regular(path: Path, mode: int) -> None:
     if stat.S_ISDIR(mode):
-        raise BadInput(str(path), 'a folder', REGULAR)
+        raise BadInput.stating(str(path), 'a folder', REGULAR)
     if not stat.S_ISREG(mode):
-        raise BadInput(str(path), 'not a regular file', REGULAR)
+        raise BadInput.stating(str(path), 'not a regular file', REGULAR)
 
 
 def inside(folder: Path, name: str) -> Path:
@@ -78,7 +86,7 @@ def inside(folder: Path, name: str) -> Path:
     except (OSError, RuntimeError, ValueError):  # such as links in a circle
         stays = False
     if not stays:
-        raise BadInput(str(path), 'not a file of this folder', f'files in {folder}')
+        raise BadInput.stating(str(path), 'not a file of this folder', f'it must be in {folder}')
     return path
 
 
@@ -91,10 +99,9 @@ def listed(folder: Path) -> list[Path]:
     try:
         found = sorted(islice(folder.iterdir(), MAX_ENTRIES + 1))
     except OSError as error:
-        problem = error.strerror or str(error)
-        raise BadInput.stating(str(folder), problem, 'a readable folder is needed') from None
+        raise BadInput.stating(str(folder), why(error), 'a readable folder is needed') from None
     if len(found) > MAX_ENTRIES:
-        raise BadInput(str(folder), 'too full', f'at most {MAX_ENTRIES} files')
+        raise BadInput.stating(str(folder), 'too full', f'at most {MAX_ENTRIES} files are listed')
     return found
 
 
@@ -109,13 +116,31 @@ def require_writable(culprit: str, file: Path) -> None:
         BadInput: it is a folder, or nothing can be written beside it.
     """
     if file.is_dir():
-        raise BadInput(culprit, f'{file} (a folder)', 'a file')
+        raise BadInput.stating(f'{culprit} {file}', 'a folder', 'a file is needed')
     try:
         with tempfile.TemporaryFile(dir=file.parent):
             pass
     except OSError as error:
-        why = error.strerror or str(error)
-        raise BadInput(culprit, f'{file} ({why})', 'a file in a folder to write to') from None
+        raise BadInput.stating(f'{culprit} {file}', why(error), WRITABLE) from None
+
+
+def new_folder(out: str, name: str) -> Path:
+    """Create ``out/name``, or ``out/name-2`` and so on: what is there stays.
+
+    Raises:
+        BadInput: it cannot be created.
+    """
+    for number in range(1, 10_000):
+        folder = Path(out).resolve() / (name if number == 1 else f'{name}-{number}')
+        try:
+            folder.mkdir(parents=True)
+            return folder
+        except FileExistsError:
+            if not folder.is_dir():
+                break
+        except OSError as error:
+            raise BadInput.stating(f'--out {out}', why(error), WRITABLE) from None
+    raise BadInput.stating(f'--out {out}', 'not a folder', WRITABLE)
 
 
 @contextmanager
@@ -128,7 +153,7 @@ def writing_to(folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise OrbimpcError(f'{folder}: {error.strerror or error}') from None
+        raise OrbimpcError(f'{folder}: {why(error)}') from None
 
 
 def write_whole(file: Path, write: Callable[[Path], object]) -> None:
@@ -159,7 +184,7 @@ def replacing(folder: Path) -> Iterator[Path]:
         BadInput: ``folder`` is a link, or cannot be replaced.
     """
     if folder.is_symlink():
-        raise BadInput(str(folder), 'a link', 'the folder itself')
+        raise BadInput.stating(str(folder), 'a link', 'give the folder itself')
     try:
         with tempfile.TemporaryDirectory(prefix=f'.{folder.name}-', dir=folder.parent) as place:
             new, old = Path(place) / 'new' / folder.name, Path(place) / 'old'
@@ -172,4 +197,4 @@ def replacing(folder: Path) -> Iterator[Path]:
                 old.rename(folder)
                 raise
     except OSError as error:
-        raise BadInput(str(folder), error.strerror or str(error), 'a folder to write to') from None
+        raise BadInput.stating(str(folder), why(error), WRITABLE) from None

@@ -1,9 +1,9 @@
-"""A run as its bag tells it: plain arrays for summaries, pictures and comparisons."""
+"""A recorded run as plain arrays, for summaries, pictures and comparisons."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,16 +14,15 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.loop.observation import Sighting
-from orbimpc_ros.ros.messages import Frames, read_odometry, read_sighting
+from orbimpc_ros.ros.messages import Frames, Stamp, read_odometry, read_sighting
 from orbimpc_ros.tool.io import bag, settings
 from orbimpc_ros.tool.io.content import fields, point, seconds
-from orbimpc_ros.tool.io.topics import absent
 from orbimpc_ros.world.capture import closest_approach
 
 T = TypeVar('T')
 WANTED = ('captured', 'cmd_thrust', 'goal', 'odom', 'plan', 'tick')
-# What a tick has to tell for summaries and pictures.
-TOLD: dict[str, tuple[type, ...]] = {
+# Keys of a tick that summaries and pictures need.
+NEEDED: dict[str, tuple[type, ...]] = {
     'gap': (int, float),
     'solve_time_ms': (int, float),
     'speed_fraction': (list,),
@@ -157,60 +156,70 @@ def of_bag(path: Path, namespace: str = '') -> History:
         BadInput: no bag, or one without odometry and goal.
     """
     values = settings.of_bag(path, namespace) or settings.read('{}')
-    found: dict[str, list[Any]] = defaultdict(list)
-    heard: set[str] = set()
-    for message in bag.read(path, WANTED):
-        heard.add(message.topic)
-        before, _, name = message.topic.rpartition('/')
-        if before == namespace:
-            found[name].append(message.content)
-    # In lock-step the simulator asks again where an answer is late; it counts once.
-    measured = {o.time: o for _, o in _valid(read_odometry, found['odom'])}
-    seen = {sighting.time: sighting for _, sighting in _valid(read_sighting, found['goal'])}
-    for topic, valid in (('odom', measured), ('goal', seen)):
-        if not valid:
-            raise absent(path, f'{namespace}/{topic}', heard)
-    times = np.array(sorted(measured))
-    odometry = [measured[time] for time in times]
-    attitudes = np.array([o.attitude for o in odometry])
+    found = _by_topic(bag.of_vehicle(path, namespace, WANTED))
+    measured = _valid(read_odometry, found['odom'])
+    sighted = _valid(read_sighting, found['goal'])
+    if not measured or not sighted:
+        wrong = 'goal' if measured else 'odom'
+        raise BadInput.stating(str(path), f'no valid {wrong}', 'odometry and a goal are needed')
+    attitudes = np.array([o.attitude for o in measured])
+    times = np.array([o.time for o in measured])
     return History(
         times=times,
-        positions=np.array([o.position for o in odometry]),
+        positions=np.array([o.position for o in measured]),
         attitudes=attitudes,
-        velocities=np.einsum('kij,kj->ki', attitudes, [o.body_velocity for o in odometry]),
-        rates=np.array([o.body_rate for o in odometry]),
-        ropes=_at(times, [seen[time] for time in sorted(seen)]),
-        plans=tuple(_planned(m) for m in found['plan'] if m.poses),
+        velocities=np.einsum('kij,kj->ki', attitudes, [o.body_velocity for o in measured]),
+        rates=np.array([o.body_rate for o in measured]),
+        ropes=_at(times, sighted),
+        plans=_plans(found['plan']),
         forces=tuple((seconds(m), m.wrench.force.x) for m in found['cmd_thrust']),
-        ticks=tuple((seconds(m), _told(m, path)) for m in found['tick'] if m.status),
+        ticks=_ticks(found['tick'], path),
         captured=any(m.data for m in found['captured']),
         values=values,
     )
 
 
-def _valid(read: Callable[..., T], found: Iterable[Any]) -> Iterator[T]:
-    """Yield what the planner, too, would take from messages: in a faulty run not from all."""
-    for message in found:
+def _by_topic(messages: Iterable[tuple[str, Any]]) -> dict[str, list[Any]]:
+    found: dict[str, list[Any]] = defaultdict(list)
+    for topic, content in messages:
+        found[topic].append(content)
+    return found
+
+
+def _valid(read: Callable[..., tuple[Stamp, T]], messages: Iterable[Any]) -> list[T]:
+    """Return what the planner, too, would take from messages, in order of time.
+
+    In a faulty run that is not all. In lock-step the simulator asks again where an answer is late:
+    one of each stamp counts.
+    """
+    found: dict[int, T] = {}
+    for message in messages:
         with suppress(BadInput):
-            yield read(message, 3, Frames())
+            stamp, value = read(message, 3, Frames())
+            found[stamp.nanoseconds] = value
+    return [found[at] for at in sorted(found)]
 
 
-def _told(message: Any, path: Path) -> dict[str, Any]:
-    """Return what a tick told.
+def _ticks(messages: Iterable[Any], path: Path) -> tuple[tuple[float, dict[str, Any]], ...]:
+    return tuple((seconds(m), _fields(m, path)) for m in messages if m.status)
+
+
+def _fields(message: Any, path: Path) -> dict[str, Any]:
+    """Return the fields of a tick.
 
     Raises:
         BadInput: another version of it.
     """
-    told = fields(message)
-    for name, kinds in TOLD.items():
-        if not isinstance(told.get(name), kinds):
-            raise BadInput(f'{path}: tick', f'without {name}', f'{name} of this version')
-    return told
+    found = fields(message)
+    for name, kinds in NEEDED.items():
+        if not isinstance(found.get(name), kinds):
+            raise BadInput.stating(f'{path}: tick', f'without {name}', 'this version is needed')
+    return found
 
 
-def _planned(message: Any) -> Planned:
-    points = np.array([point(stamped.pose.position) for stamped in message.poses])
-    return Planned(seconds(message), points)
+def _plans(messages: Iterable[Any]) -> tuple[Planned, ...]:
+    found = ((m, [point(stamped.pose.position) for stamped in m.poses]) for m in messages)
+    return tuple(Planned(seconds(m), np.array(points)) for m, points in found if points)
 
 
 def _at(times: Array, seen: Sequence[Sighting]) -> Array:

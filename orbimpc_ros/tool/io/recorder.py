@@ -1,26 +1,71 @@
-"""Records the topics of a run, byte by byte as they come, under the stamps they carry."""
+"""A recorder of a run: messages byte by byte as they come, under the stamps they carry."""
 
 from __future__ import annotations
 
+import struct
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.signals import SignalHandlerOptions
 
+from orbimpc_ros.ros.messages import SECOND
+from orbimpc_ros.ros.process import attached
 from orbimpc_ros.tool.io.bag.writer import BagWriter
-from orbimpc_ros.tool.io.stamps import Stamps
 from orbimpc_ros.tool.io.topics import Topic
 
 DEPTH = 1000  # a slow disk must not cost messages
 TRIGGER = 'odom'  # a lock-step simulator starts as soon as it has its subscribers
+STAMP_AT = 4  # after CDR's own four bytes, where a message begins with its stamp
+STAMP_ELSEWHERE = {'std_msgs/msg/Bool': None, 'visualization_msgs/msg/MarkerArray': 8}
+LEAP = 60 * SECOND  # further off, a stamp is believed once a second one says the same
+
+
+class Stamps:
+    """Stamps in the order in which messages come.
+
+    Attributes:
+        now: the last one that was believed [ns]; None before the first.
+    """
+
+    def __init__(self) -> None:
+        self.now: int | None = None
+        self._carried: int | None = None
+
+    def of(self, data: bytes, kind: str) -> int | None:
+        """Return the stamp [ns] to record a message under; None before the first.
+
+        Args:
+            data: the message in CDR.
+            kind: its type.
+        """
+        own, before = carried(data, kind), self._carried
+        if own is None:
+            return self.now
+        self._carried = own
+        near = (each for each in (self.now, before) if each is not None)
+        if before is None or any(abs(own - each) <= LEAP for each in near):
+            self.now = own
+        return self.now
+
+
+def carried(data: bytes, kind: str) -> int | None:
+    """Return the stamp [ns] that a serialised message carries; None if it has none that is valid.
+
+    Args:
+        data: the message in CDR.
+        kind: its type.
+    """
+    place = STAMP_ELSEWHERE.get(kind, STAMP_AT)
+    if place is None or len(data) < place + 8:
+        return None
+    seconds, nanoseconds = struct.unpack_from('<iI' if data[1] & 1 else '>iI', data, place)
+    return seconds * SECOND + nanoseconds if seconds >= 0 and nanoseconds < SECOND else None
 
 
 class Recorder:
@@ -40,7 +85,7 @@ class Recorder:
         planners: nodes that must know the recorder before odometry is asked for.
 
     Attributes:
-        counts: messages heard, by topic.
+        counts: messages taken, by topic.
     """
 
     def __init__(
@@ -54,16 +99,10 @@ class Recorder:
         self._stamps = Stamps()
         self._early: list[tuple[str, bytes, int]] = []
         self._bag = BagWriter(folder, topics, notes)
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node(
-            'recorder',
-            context=self._context,
-            enable_rosout=False,
-            start_parameter_services=False,
+        self._stack = ExitStack()
+        self._node, self._executor = self._stack.enter_context(
+            attached('recorder', enable_rosout=False, start_parameter_services=False)
         )
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
         self._held = [topic for topic in topics if topic.name.rpartition('/')[2] == TRIGGER]
         for topic in topics:
             if topic not in self._held:
@@ -86,13 +125,13 @@ class Recorder:
     def _listen(self, topic: Topic) -> None:
         kept = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
         profile = QoSProfile(depth=DEPTH, durability=kept)
-        heard: Any = self._heard(topic)  # rclpy also gives what is known about the message
+        take: Any = self._taking(topic)  # rclpy also gives what is known about the message
         package, _, kind = topic.type.split('/')
         message = getattr(import_module(f'{package}.msg'), kind)
-        self._node.create_subscription(message, topic.name, heard, profile, raw=True)
+        self._node.create_subscription(message, topic.name, take, profile, raw=True)
 
-    def _heard(self, topic: Topic) -> Callable[[bytes, dict[str, Any]], None]:
-        def heard(data: bytes, about: dict[str, Any]) -> None:
+    def _taking(self, topic: Topic) -> Callable[[bytes, dict[str, Any]], None]:
+        def take(data: bytes, about: dict[str, Any]) -> None:
             self.counts[topic.name] += 1
             stamp, sent = self._stamps.of(data, topic.type), about['source_timestamp']
             if stamp is None:
@@ -101,7 +140,7 @@ class Recorder:
                 self._flush()
                 self._bag.write(topic.name, stamp, data, sent)
 
-        return heard
+        return take
 
     def _flush(self) -> None:
         """Write what came before the first stamp."""
@@ -127,6 +166,4 @@ class Recorder:
         """Stop recording and finish the bag."""
         self._flush()
         self._bag.close()
-        self._executor.shutdown()
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        self._stack.close()

@@ -1,4 +1,4 @@
-"""What a run is configured with: defaults, then the scenario's file, then ``--set``, checked."""
+"""The parameters of a run: defaults, then the scenario's file, then ``--set``, checked."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def text(values: Values, own: Mapping[str, Values] = EMPTY) -> str:
 
 
 def _plain(values: Values) -> Values:
-    """Return values for YAML, without empty lists: ROS cannot tell their type."""
+    """Return values for YAML, without empty lists: to ROS they have no type."""
     plain = {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
     return {name: value for name, value in plain.items() if value != []}
 
@@ -129,7 +129,9 @@ def _sections(content: Any, name: str) -> Iterator[tuple[str, Any]]:
     """Yield the parameters of every section of a parameter file, nested names joined by dots."""
     for section in content.values() if isinstance(content, dict) else (None,):
         if not isinstance(section, dict) or not isinstance(section.get('ros__parameters'), dict):
-            raise BadInput(name, 'not a parameter file', 'sections that hold ros__parameters')
+            raise BadInput.stating(
+                name, 'not a parameter file', 'sections with ros__parameters are needed'
+            )
         yield from _flat(section['ros__parameters'])
 
 

@@ -1,4 +1,4 @@
-"""Where the configuration is: in a checkout, a colcon workspace or whatever pip installed into."""
+"""The folder of the configuration: in a checkout, a workspace or where pip installed it."""
 
 from __future__ import annotations
 
@@ -20,5 +20,7 @@ def config(name: str) -> Path:
     roots = [root for p in parents for root in (p / 'share' / 'orbimpc_ros', p)]
     found = next((r for r in roots if (r / 'package.xml').is_file()), None)
     if found is None or not (found / 'config' / name).is_file():
-        raise BadInput(f'configuration {name}', f'not in {found}', 'a file installed under config/')
+        raise BadInput.stating(
+            f'configuration {name}', f'not in {found}', 'install it under config/'
+        )
     return found / 'config' / name

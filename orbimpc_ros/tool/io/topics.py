@@ -38,6 +38,7 @@ WORLD = (
     Topic('captured', 'std_msgs/msg/Bool', latched=True),
     Topic('world_markers', 'visualization_msgs/msg/MarkerArray'),
 )
+NEEDED = 'odom and goal are needed'
 VEHICLE = (*INPUTS, *OUTPUTS, *WORLD)
 TYPES = {topic.name.strip('/'): topic.type for topic in (*SHARED, *VEHICLE)}
 
@@ -53,14 +54,14 @@ def known(name: str, kind: str) -> bool:
     return TYPES.get(name.rpartition('/')[2]) == kind
 
 
-def absent(path: Path, topic: str, heard: Iterable[str]) -> BadInput:
+def absent(path: Path, topic: str, there: Iterable[str]) -> BadInput:
     """Return the complaint that a topic is not in a bag, and which vehicles are.
 
     Args:
         path: of the bag.
         topic: wanted, with its namespace.
-        heard: the topics that are there.
+        there: the topics of the bag.
     """
-    places = {name.rpartition('/')[0] for name in heard if name.endswith('/odom')} - {''}
-    hint = f' (in this one: --namespace {" or ".join(sorted(places))})' if places else ''
-    return BadInput(str(path), f'without {topic}', f'a bag with odom and goal{hint}')
+    places = {name.rpartition('/')[0] for name in there if name.endswith('/odom')} - {''}
+    hint = f'give --namespace {" or ".join(sorted(places))}' if places else NEEDED
+    return BadInput.stating(str(path), f'without {topic}', hint)

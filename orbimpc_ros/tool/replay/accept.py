@@ -7,17 +7,16 @@ from typing import Any
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.io import bag, settings
-from orbimpc_ros.tool.io.bag import definitions
-from orbimpc_ros.tool.io.bag.raw import Raw
+from orbimpc_ros.tool.io.bag.raw import Raw, store
 from orbimpc_ros.tool.io.bag.writer import BagWriter
 from orbimpc_ros.tool.io.files import replacing
 from orbimpc_ros.tool.io.settings import Values
 from orbimpc_ros.tool.io.topics import TYPES, Topic, topics_of
 from orbimpc_ros.tool.replay.recording import OUTPUTS, Recording
-from orbimpc_ros.tool.replay.resolving import Replayed
+from orbimpc_ros.tool.replay.resolving import ReplayedTick
 
 
-def accept(recording: Recording, replayed: Sequence[Replayed], values: Values) -> None:
+def accept(recording: Recording, replayed: Sequence[ReplayedTick], values: Values) -> None:
     """Replace a bag of our recorder by one with new outputs; until that is whole, nothing changes.
 
     Args:
@@ -30,7 +29,7 @@ def accept(recording: Recording, replayed: Sequence[Replayed], values: Values) -
     """
     path = recording.path
     if not path.is_dir() or 'parameters' not in bag.notes(path):
-        raise BadInput(str(path), 'not a bag of orbimpc', "the folder of a bag of orbimpc's")
+        raise BadInput.stating(str(path), 'not a bag of orbimpc', 'the folder of one is needed')
     held = bag.raw(path)
     kept = [each for each in held if not _replaced(each, recording)]
     # What was not recorded, such as markers, stays out.
@@ -46,7 +45,7 @@ def accept(recording: Recording, replayed: Sequence[Replayed], values: Values) -
 
 def _text(values: Values, recording: Recording) -> str:
     if recording.namespace:
-        raise BadInput('--update', 'given with other parameters', 'those of the fleet as they are')
+        raise BadInput.stating('--update', 'other parameters are given', 'a fleet keeps its own')
     return settings.text(values)
 
 
@@ -62,7 +61,7 @@ def _topics(kept: Sequence[Raw], recording: Recording) -> list[Topic]:
     return list(topics_of(sorted(spaces | {recording.namespace})))
 
 
-def _serialised(recording: Recording, replayed: Sequence[Replayed]) -> Iterator[Raw]:
+def _serialised(recording: Recording, replayed: Sequence[ReplayedTick]) -> Iterator[Raw]:
     for each in replayed:
         for name, message in each.messages.items():
             topic, then, kind = f'{recording.namespace}/{name}', each.recorded, TYPES[name]
@@ -76,5 +75,5 @@ def serialised(message: Any, kind: str) -> bytes:
     """
     from rclpy.serialization import serialize_message
 
-    store = definitions.store()
-    return bytes(store.serialize_cdr(store.deserialize_cdr(serialize_message(message), kind), kind))
+    types = store()
+    return bytes(types.serialize_cdr(types.deserialize_cdr(serialize_message(message), kind), kind))

@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.messages import read_itinerary, read_odometry, read_sighting
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.tool.replay.recording import CLOCK, Input, Recording
-
-READ = {'odom': read_odometry, 'goal': read_sighting, 'goal_path': read_itinerary}
+from orbimpc_ros.tool.replay.recording import CLOCK, Recording
+from orbimpc_ros.tool.replay.resolving import acceptable
 
 
 @dataclass(frozen=True)
@@ -52,7 +49,7 @@ def _asked(recording: Recording, settings: PlannerSettings) -> Iterator[int]:
         if moves_on and due is not None:
             yield due
             due = None
-        if each.topic not in READ or not _acceptable(each, settings):
+        if not acceptable(each, settings):
             continue
         goal = goal or each.topic != 'odom'
         if each.topic == 'odom' and each.stamp > newest:
@@ -60,11 +57,3 @@ def _asked(recording: Recording, settings: PlannerSettings) -> Iterator[int]:
             due = newest if goal else None
     if due is not None:
         yield due
-
-
-def _acceptable(each: Input, settings: PlannerSettings) -> bool:
-    try:
-        READ[each.topic](each.message, settings.problem.dimension, settings.frames)
-    except BadInput:
-        return False
-    return True

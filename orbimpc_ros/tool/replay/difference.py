@@ -1,16 +1,19 @@
-"""How far two answers may be apart, and in which words that is told."""
+"""The differences of two answers, how large they may be, and how they read."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from orbimpc_ros.mpc.geometry.rotations import exp, to_quaternion
-from orbimpc_ros.tool.replay.answer import Answer
+from orbimpc_ros.ros.messages import SECOND
+from orbimpc_ros.ros.parameters.planner import PlannerSettings
+from orbimpc_ros.tool.replay.recording import Published, published
+from orbimpc_ros.tool.replay.resolving import ReplayedTick
 
 # Solvers of other versions, and numba or not, find the same optimum up to these. An objective is
 # flat there: it agrees better than the command that reaches it.
@@ -45,12 +48,24 @@ class Tolerances:
     step: float = 1.0
     order: int = 1
 
-    def of(self, quantity: str, *answers: Answer) -> float:
+    @classmethod
+    def under(cls, settings: PlannerSettings) -> Tolerances:
+        """Return what a planner's answers may differ by."""
+        problem = settings.problem
+        return cls(
+            speed=SPEED * problem.forward,
+            force=SPEED * problem.forward * settings.mass,
+            gap=settings.gap_tolerance,
+            step=problem.step,
+            order=problem.rotation_order,
+        )
+
+    def of(self, quantity: str, *answers: Published) -> float:
         """Return what a quantity of some answers may differ by; words by nothing."""
         allowed = getattr(self, quantity, 0.0)
         if quantity not in TURNS:
             return allowed
-        shares = [share for each in answers for share in each.thrust[1 : self.order + 1]]
+        shares = [share for each in answers for share in each.speed_fraction[1 : self.order + 1]]
         least = min([1.0, *shares])
         return allowed / least if least > 0.0 else math.inf
 
@@ -95,8 +110,24 @@ class Comparison:
         return where + (off if math.isfinite(self.apart) else '')
 
 
+def compared(replayed: Sequence[ReplayedTick], settings: PlannerSettings) -> list[Comparison]:
+    """Return the comparisons of all ticks."""
+    tolerances = Tolerances.under(settings)
+    return [
+        comparison
+        for tick, each in enumerate(replayed)
+        for comparison in comparisons(
+            tick,
+            each.recorded.stamp / SECOND,
+            each.recorded.answer,
+            published(each.messages),
+            tolerances,
+        )
+    ]
+
+
 def comparisons(
-    tick: int, time: float, recorded: Answer, replayed: Answer, tolerances: Tolerances
+    tick: int, time: float, recorded: Published, replayed: Published, tolerances: Tolerances
 ) -> Iterator[Comparison]:
     """Yield a comparison for every quantity that was recorded.
 

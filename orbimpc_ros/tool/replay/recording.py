@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.outcome import Cause
+from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.tool.io import bag, topics
 from orbimpc_ros.tool.io.bag import Message
-from orbimpc_ros.tool.io.stamps import SECOND
-from orbimpc_ros.tool.replay.answer import Answer, Messages, answer_of
+from orbimpc_ros.tool.io.content import fields, point
 
 CLOCK = 'clock'
 INPUTS = tuple(topic.name for topic in topics.INPUTS)
 OUTPUTS = tuple(topic.name for topic in topics.OUTPUTS)
 COMPARED = tuple(name for name in OUTPUTS if name not in ('plan', 'plan_markers'))
+Messages = Mapping[str, Any]  # by topic
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Input:
-    """Something that the planner was told.
+    """A message to the planner, or the time.
 
     Attributes:
         topic: without its namespace, or ``clock``.
@@ -38,20 +44,118 @@ class Input:
 
 
 @dataclass(frozen=True)
-class Recorded:
-    """An answer of the planner.
+class Published:
+    """What the planner published on a tick, recorded or made anew; what is not known is None.
+
+    Attributes:
+        status: ``optimal``, ``feasible``, ``infeasible`` or ``failed``.
+        reason: why it is not ``optimal``.
+        cause: what kept it from being planned; None too for a word that is none of ours.
+        fallback: what stood in for a plan; empty for a plan.
+        speed: commanded [m/s].
+        body_rate: commanded, shape (3,) [rad/s].
+        force: commanded [N].
+        rotation: commanded, as a quaternion, shape (4,).
+        speed_fraction: share of full speed or thrust along the plan, shape (N + 1,); empty without.
+        objective: of the plan; NaN without one.
+        gap: of the plan; NaN without one.
+        goal_stamps: of the goals that it was planned for, by topic [ns].
+        goal_counts: goals that had been taken in by then, by topic.
+        advanced: how far the measurement was advanced to plan from [s].
+        solve_time_ms: what the tick took; 0 if no solver was asked [ms].
+    """
+
+    status: str | None = None
+    reason: str | None = None
+    cause: Cause | None = None
+    fallback: str | None = None
+    speed: float | None = None
+    body_rate: Array | None = None
+    force: float | None = None
+    rotation: Array | None = None
+    speed_fraction: tuple[float, ...] = ()
+    objective: float | None = None
+    gap: float | None = None
+    goal_stamps: Mapping[str, int] = field(default_factory=dict)
+    goal_counts: Mapping[str, int] = field(default_factory=dict)
+    advanced: float | None = None
+    solve_time_ms: float | None = None
+
+    @property
+    def solved(self) -> bool:
+        """Return whether a solver was asked, as far as is known."""
+        return self.solve_time_ms != 0.0
+
+    @property
+    def planned(self) -> bool:
+        """Return whether it came of odometry and goals, be it without a solver, as far as is known.
+
+        Without one it goes on with the plan before, since every goal is old; what is safe for any
+        other reason names no goal.
+        """
+        return self.solved or bool(self.goal_stamps)
+
+
+def published(messages: Messages) -> Published:
+    """Return what messages by topic say."""
+    found: dict[str, Any] = {}
+    if 'cmd_vel' in messages:
+        twist = messages['cmd_vel'].twist
+        found |= {'speed': twist.linear.x, 'body_rate': point(twist.angular)}
+    if 'cmd_thrust' in messages:
+        found['force'] = messages['cmd_thrust'].wrench.force.x
+    if 'rotation' in messages:
+        q = messages['rotation'].quaternion
+        found['rotation'] = np.array([q.w, q.x, q.y, q.z])
+    if 'tick' in messages and messages['tick'].status:
+        values = fields(messages['tick'])
+        found |= {name: read(values[name]) for name, read in READERS.items() if name in values}
+    return Published(**found)
+
+
+def _cause(value: Any) -> Cause | None:
+    return Cause(value) if value in list(Cause) else None
+
+
+def _number(value: Any) -> float | None:
+    good = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return float(value) if good else None
+
+
+def _numbers(value: Any) -> tuple[float, ...]:
+    found = [_number(each) for each in value] if isinstance(value, list) else []
+    return tuple(math.nan if each is None else each for each in found)
+
+
+def _integers(value: Any) -> Mapping[str, int]:
+    good = isinstance(value, dict) and all(isinstance(each, int) for each in value.values())
+    return value if good else {}
+
+
+READERS: dict[str, Callable[[Any], Any]] = {
+    **dict.fromkeys(('status', 'reason', 'fallback'), str),
+    **dict.fromkeys(('objective', 'gap', 'advanced', 'solve_time_ms'), _number),
+    **dict.fromkeys(('goal_stamps', 'goal_counts'), _integers),
+    'cause': _cause,
+    'speed_fraction': _numbers,
+}  # of the keys on ``tick``
+
+
+@dataclass(frozen=True)
+class RecordedTick:
+    """A tick of the planner.
 
     Attributes:
         stamp: of the odometry that it answers [ns].
         sent: when its first message was sent, by the clock of the inputs [ns].
         messages: by topic.
-        answer: what they tell.
+        answer: what they say.
     """
 
     stamp: int
     sent: int
     messages: Messages
-    answer: Answer
+    answer: Published
 
     @property
     def solve_time_ms(self) -> float:
@@ -73,16 +177,16 @@ class Recording:
     path: Path
     namespace: str
     inputs: tuple[Input, ...]
-    answers: tuple[Recorded, ...]
+    answers: tuple[RecordedTick, ...]
 
     @property
     def simulated(self) -> bool:
         """Return whether somebody published simulated time."""
-        return self.told < len(self.inputs)
+        return self.received < len(self.inputs)
 
     @property
-    def told(self) -> int:
-        """Return how many messages the planner was told, beside the time."""
+    def received(self) -> int:
+        """Return how many messages the planner was sent, beside the time."""
         return sum(each.topic != CLOCK for each in self.inputs)
 
 
@@ -93,10 +197,17 @@ def recording_of(path: Path, namespace: str = '') -> Recording:
         BadInput: no bag, or not one with odometry, a goal and the planner's answers.
     """
     found = list(bag.read(path, {CLOCK, *INPUTS, *COMPARED}))
-    own = _by_topic(found, namespace)
+    own: dict[str, list[Message]] = defaultdict(list)
+    for each in found:
+        before, _, name = each.topic.rpartition('/')
+        if each.topic == f'/{CLOCK}' or (before == namespace and name != CLOCK):
+            own[name].append(each)
     _require(own, found, path, namespace)
-    clock = [_input(CLOCK, m) for m in found if m.topic == f'/{CLOCK}']
-    inputs = clock + [_input(topic, m) for topic in INPUTS for m in own[topic]]
+    inputs = [
+        Input(topic, stamp_of(each.content), each.sent, each.content)
+        for topic in (CLOCK, *INPUTS)
+        for each in own[topic]
+    ]
     answers = _answers({topic: own[topic] for topic in COMPARED})
     return Recording(
         path,
@@ -104,15 +215,6 @@ def recording_of(path: Path, namespace: str = '') -> Recording:
         tuple(sorted(inputs, key=lambda each: each.sent)),
         tuple(sorted(answers, key=lambda each: each.sent)),
     )
-
-
-def _by_topic(found: Iterable[Message], namespace: str) -> dict[str, list[Message]]:
-    own: dict[str, list[Message]] = defaultdict(list)
-    for message in found:
-        before, _, name = message.topic.rpartition('/')
-        if before == namespace:
-            own[name].append(message)
-    return own
 
 
 def _require(
@@ -125,7 +227,7 @@ def _require(
     ]
     if missing:
         has = ', '.join(sorted({m.topic for m in found})) or 'none of its topics'
-        raise BadInput(str(path), f'without {missing[0]}', f'a bag of a planner (this has {has})')
+        raise BadInput.stating(str(path), f'without {missing[0]}', f'it has {has}')
 
 
 def stamp_of(message: Any) -> int:
@@ -134,29 +236,24 @@ def stamp_of(message: Any) -> int:
     return int(stamp.sec) * SECOND + int(stamp.nanosec)
 
 
-def _input(topic: str, message: Message) -> Input:
-    return Input(topic, stamp_of(message.content), message.sent, message.content)
-
-
-def _answers(outputs: dict[str, list[Message]]) -> Iterable[Recorded]:
+def _answers(outputs: dict[str, list[Message]]) -> Iterator[RecordedTick]:
     """Yield every answer; one that was merely repeated counts once."""
-    told: dict[int, list[tuple[int, str, Any]]] = defaultdict(list)
+    by_stamp: dict[int, list[tuple[int, str, Any]]] = defaultdict(list)
     for topic, messages in outputs.items():
         for each in messages:
-            told[stamp_of(each.content)].append((each.sent, topic, each.content))
-    for stamp, said in told.items():
-        said.sort(key=lambda each: each[0])
+            by_stamp[stamp_of(each.content)].append((each.sent, topic, each.content))
+    for stamp, sent_messages in by_stamp.items():
         before: Messages = {}
-        for sent, contents in _grouped(said):
+        for sent, contents in _grouped(sorted(sent_messages, key=lambda each: each[0])):
             if any(repr(before.get(topic)) != repr(each) for topic, each in contents.items()):
-                yield Recorded(stamp, sent, contents, answer_of(contents))
+                yield RecordedTick(stamp, sent, contents, published(contents))
             before = contents
 
 
-def _grouped(said: Iterable[tuple[int, str, Any]]) -> Iterable[tuple[int, dict[str, Any]]]:
+def _grouped(messages: Iterable[tuple[int, str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
     """Yield messages by topic, and when the first of them was sent: each topic once an answer."""
     begun, contents = 0, dict[str, Any]()
-    for sent, topic, content in said:
+    for sent, topic, content in messages:
         if topic in contents:
             yield begun, contents
             contents = {}

@@ -7,65 +7,168 @@ really commanded on the tick before: one difference does not cause all that foll
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import takewhile
 
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.outcome import Cause, Reason
+from orbimpc_ros.ros.clock import RosTime
+from orbimpc_ros.ros.messages import SECOND, read_itinerary, read_odometry, read_sighting
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.ros.reports import AFRESH
-from orbimpc_ros.tool.io.stamps import SECOND
-from orbimpc_ros.tool.replay.listener import Listener
-from orbimpc_ros.tool.replay.pilot import Pilot, Told
-from orbimpc_ros.tool.replay.recording import Recorded, Recording
+from orbimpc_ros.tool.replay.offline import OfflinePlanner
+from orbimpc_ros.tool.replay.recording import CLOCK, Input, Messages, RecordedTick, Recording
+
+READ = {'odom': read_odometry, 'goal': read_sighting, 'goal_path': read_itinerary}
 
 
 @dataclass(frozen=True)
-class Replayed:
-    """An answer made anew.
+class ReplayedTick:
+    """A tick made anew.
 
     Attributes:
         recorded: what was answered then.
         messages: what is answered now, by topic.
-        refusals: what the validators said of the inputs since the answer before.
+        refusals: what the validators said of the inputs since the tick before.
     """
 
-    recorded: Recorded
-    messages: Told
+    recorded: RecordedTick
+    messages: Messages
     refusals: tuple[str, ...]
 
 
 def replayed(
     recording: Recording, settings: PlannerSettings, simulated: bool
-) -> Iterator[Replayed]:
-    """Yield an answer for each that was recorded.
+) -> Iterator[ReplayedTick]:
+    """Yield a tick for each that was recorded.
 
     Args:
         recording: the inputs, and when they were answered.
         settings: of the planner.
         simulated: whether its time came from ``/clock``.
     """
-    pilot = Pilot(settings, f'{recording.namespace}/planner')
-    listener = Listener(pilot, recording, simulated, settings)
+    planner = OfflinePlanner(settings, f'{recording.namespace}/planner')
+    feed = Feed(planner, recording, simulated, settings)
     for recorded in recording.answers:
-        refusals = tuple(listener.heard(recorded))
-        told = _answer(pilot, recorded)
+        refusals = tuple(feed.until(recorded))
+        messages = _answer(planner, recorded)
         answer = recorded.answer
         pushed = answer.force if settings.problem.translation_order == 2 else answer.speed
         at = recorded.stamp if simulated else recorded.sent
-        pilot.went_out(at / SECOND, pushed, answer.body_rate)
-        yield Replayed(recorded, told, refusals)
+        planner.went_out(at / SECOND, pushed, answer.body_rate)
+        yield ReplayedTick(recorded, messages, refusals)
 
 
-def before(recording: Recording, tick: int) -> Recording:
-    """Return the recording up to and including a tick."""
-    return replace(recording, answers=recording.answers[: tick + 1])
-
-
-def _answer(pilot: Pilot, recorded: Recorded) -> Told:
-    answer, reason = recorded.answer, recorded.answer.reason or ''
-    if reason == AFRESH:
-        pilot.forget()
+def _answer(planner: OfflinePlanner, recorded: RecordedTick) -> Messages:
+    answer = recorded.answer
+    reason = Reason(answer.cause or Cause.NONE, answer.reason or '')
+    if reason.cause is Cause.AFRESH:
+        planner.forget()
     if not answer.planned:
-        return pilot.be_safe(recorded.stamp, reason)
-    if pilot.stamp != recorded.stamp:
-        return pilot.be_safe(recorded.stamp, 'its odometry was refused, or a goal is missing')
-    return pilot.plan(recorded.sent / SECOND, answer.advanced or 0.0, recorded.solve_time_ms)
+        return planner.be_safe(recorded.stamp, reason)
+    if planner.stamp != recorded.stamp:
+        refused = Reason(Cause.WAITING, 'its odometry was refused, or a goal is missing')
+        return planner.be_safe(recorded.stamp, refused)
+    return planner.plan(recorded.sent / SECOND, answer.advanced or 0.0, recorded.solve_time_ms)
+
+
+class Feed:
+    """The inputs of a recording, given to a planner as it had them.
+
+    Args:
+        planner: takes them in.
+        recording: what there is to take in.
+        simulated: whether the ROS clock is ``/clock``, or the one by which messages were sent.
+        settings: of the planner.
+    """
+
+    def __init__(
+        self,
+        planner: OfflinePlanner,
+        recording: Recording,
+        simulated: bool,
+        settings: PlannerSettings,
+    ) -> None:
+        self._planner, self._inputs = planner, list(recording.inputs)
+        self._simulated, self._settings = simulated, settings
+        self._clock: int | None = None
+        self._counts: Counter[str] = Counter()
+
+    def until(self, recorded: RecordedTick) -> Iterator[str]:
+        """Give what had come when a tick was begun; yield refusals."""
+        sent = list(takewhile(lambda each: each.sent <= recorded.sent, self._inputs))
+        latest = _latest(sent, recorded)
+        came = [each for k, each in enumerate(sent) if k <= latest.get(each.topic, -1)]
+        lost = self._lost(came, recorded.answer.goal_counts)
+        for each in came:
+            refusal = '' if each in lost else self._take(each)
+            if refusal:
+                yield refusal
+        rest = [each for k, each in enumerate(sent) if k > latest.get(each.topic, -1)]
+        self._inputs[: len(sent)] = rest
+
+    def _lost(self, came: Sequence[Input], counts: Mapping[str, int]) -> set[Input]:
+        """Return the goals that the planner never saw, by how many it says that it took.
+
+        Its queues hold one message: of several, the newest are those that it took.
+        """
+        lost: set[Input] = set()
+        for topic, count in counts.items():
+            good = _increasing((each for each in came if each.topic == topic), self._settings)
+            surplus = len(good) - (count - self._counts[topic])
+            lost.update(good[: max(0, surplus)])
+            self._counts[topic] = count
+        return lost
+
+    def _take(self, each: Input) -> str:
+        if each.topic == CLOCK:
+            self._clock = each.stamp
+            return ''
+        step = self._settings.problem.step
+        shown = RosTime(self._clock, step) if self._simulated else RosTime(each.sent)
+        return self._planner.hear(each.topic, each.message, each.sent / SECOND, shown)
+
+
+def _increasing(inputs: Iterable[Input], settings: PlannerSettings) -> list[Input]:
+    """Return the valid inputs, without those that come behind a later stamp or repeat one."""
+    good: list[Input] = []
+    for each in inputs:
+        if (not good or each.stamp > good[-1].stamp) and acceptable(each, settings):
+            good.append(each)
+    return good
+
+
+def acceptable(each: Input, settings: PlannerSettings) -> bool:
+    """Return whether an input is a message that the planner's validators take."""
+    if each.topic not in READ:
+        return False
+    try:
+        READ[each.topic](each.message, settings.problem.dimension, settings.frames)
+    except BadInput:
+        return False
+    return True
+
+
+def _latest(sent: Sequence[Input], recorded: RecordedTick) -> dict[str, int]:
+    """Return the index of the last input that was known, by topic.
+
+    A tick says by its stamps which messages it was made of. Where it does not, when they were
+    sent says it, up to what a message takes on its way.
+    """
+    begun = recorded.sent - round(1e6 * recorded.solve_time_ms)
+    measured = _last(sent, 'odom', recorded.stamp)
+    # By a clock of stamps no time passes: what was sent before odometry came in time.
+    known = begun if measured < 0 else max(begun, sent[measured].sent)
+    latest = {each.topic: k for k, each in enumerate(sent) if each.sent <= known}
+    if measured >= 0 or recorded.answer.solved:  # else it came before, for another answer
+        latest['odom'] = measured
+    for topic, stamp in recorded.answer.goal_stamps.items():
+        latest[topic] = _last(sent, topic, stamp)
+    return latest
+
+
+def _last(sent: Sequence[Input], topic: str, stamp: int) -> int:
+    """Return the last index under which a topic has a stamp; -1 for none."""
+    found = (k for k, each in enumerate(sent) if each.topic == topic and each.stamp == stamp)
+    return max(found, default=-1)

@@ -19,11 +19,13 @@ if TYPE_CHECKING:
     from orbimpc_ros.tool.io.recorder import Recorder
 
 SPIN = 0.05  # [s]
+# A simulator that ends with its flight, and begins once planner and recorder hear it.
+OF_A_RUN = {'exit_when_done': True, 'wait_subscribers': 2}
 QUIET, LAST_WORDS = 0.1, 1.0  # [s] without a message, and at most, until the bag is complete
 
 
 @dataclass(frozen=True)
-class Vehicle:
+class VehicleProcesses:
     """A vehicle that flies: its namespace and its two processes."""
 
     namespace: str
@@ -45,7 +47,7 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = settings.EMPTY
     """
     parameters, namespaces = folder / 'parameters.yaml', tuple(own) or ('',)
     simulated = values['clock'] == 'lockstep'
-    text = settings.text(values | {'use_sim_time': simulated}, own)
+    text = settings.text(values | OF_A_RUN | {'use_sim_time': simulated}, own)
     parameters.write_text(text)
     print(f'ROS_DOMAIN_ID={discovery.isolate(folder)}, results in {folder}')
     with processes.Interruptions() as interruptions:
@@ -61,7 +63,7 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = settings.EMPTY
 @contextmanager
 def _vehicles(
     namespaces: tuple[str, ...], parameters: Path, folder: Path
-) -> Iterator[tuple[Vehicle, ...]]:
+) -> Iterator[tuple[VehicleProcesses, ...]]:
     started: list[Process] = []
 
     def start(node: str, namespace: str) -> Process:
@@ -72,7 +74,7 @@ def _vehicles(
 
     try:
         yield tuple(
-            Vehicle(namespace, start('planner', namespace), start('sim', namespace))
+            VehicleProcesses(namespace, start('planner', namespace), start('sim', namespace))
             for namespace in namespaces
         )
     finally:
@@ -98,7 +100,7 @@ def _recorder(namespaces: tuple[str, ...], folder: Path, parameters: str) -> Ite
 
 
 def _watch(
-    vehicles: tuple[Vehicle, ...],
+    vehicles: tuple[VehicleProcesses, ...],
     recorder: Recorder,
     interruptions: Interruptions,
     values: Values,
@@ -119,7 +121,7 @@ def _watch(
 
 
 def _show(
-    progress: Progress, vehicles: tuple[Vehicle, ...], recorder: Recorder, values: Values
+    progress: Progress, vehicles: tuple[VehicleProcesses, ...], recorder: Recorder, values: Values
 ) -> None:
     ticks = max(recorder.counts[f'{each.namespace}/tick'] for each in vehicles)
     text = f'tick {ticks} of at most {values["max_ticks"]}, t = {ticks * values["step"]:.0f} s'

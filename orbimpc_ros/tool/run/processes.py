@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any
@@ -20,35 +21,23 @@ class ProcessFailure(OrbimpcError):
     """A process of the run ended when it should not have."""
 
 
-class Process:
-    """A node in a process of its own, which ends with this one, however that ends.
+class Child:
+    """A process of its own, which ends with this one, however that ends.
 
     Args:
-        module: to run, such as ``orbimpc_ros.ros.sim.node``.
-        parameters: file of ROS parameters.
+        words: of the command that is run by Python, after :mod:`orbimpc_ros.tool.run.tethered`.
         log: takes what the process prints.
         domain: of ROS; this process's by default.
-        namespace: of the node, such as ``/uav1``.
     """
 
-    def __init__(
-        self,
-        module: str,
-        parameters: Path,
-        log: Path,
-        domain: int | None = None,
-        namespace: str = '',
-    ) -> None:
-        self.name, self._log = module.rpartition('.')[2], log
+    def __init__(self, words: Sequence[str], log: Path, domain: int | None = None) -> None:
+        self._log = log
         tethered = [sys.executable, '-m', 'orbimpc_ros.tool.run.tethered', str(os.getpid())]
-        command = [*tethered, module, '--ros-args', '--params-file', str(parameters)]
-        if namespace:
-            command += ['-r', f'__ns:={namespace}']
         own = {} if domain is None else {'ROS_DOMAIN_ID': str(domain)}
         with log.open('wb') as stream:
             # A session of its own: Ctrl-C reaches the tool alone, which then stops in order.
             self._child = subprocess.Popen(
-                command,
+                [*tethered, *words],
                 stdin=subprocess.DEVNULL,
                 stdout=stream,
                 stderr=subprocess.STDOUT,
@@ -71,17 +60,6 @@ class Process:
         """Return whether the process lives."""
         return self._child.poll() is None
 
-    def require_health(self) -> None:
-        """Raise unless the process lives or has ended well.
-
-        Raises:
-            ProcessFailure: with the last lines of its log.
-        """
-        if self._child.poll():
-            lines = self.output.splitlines()[-LAST_LINES:]
-            print('\n'.join(lines), file=sys.stderr)
-            raise ProcessFailure(f'{self.name} ended with code {self._child.returncode}')
-
     def tell(self, number: int) -> None:
         """Send a signal."""
         self._child.send_signal(number)
@@ -93,14 +71,50 @@ class Process:
         except subprocess.TimeoutExpired:
             return None
 
-    def stop(self) -> None:
-        """Ask the process to end; kill it if it does not."""
+    def stop(self, number: int = signal.SIGINT) -> None:
+        """Ask the process to end by a signal; kill it if it does not."""
         if not self.running:
             return
-        self.tell(signal.SIGINT)
+        self.tell(number)
         if self.wait(PATIENCE) is None:
             self._child.kill()
             self._child.wait()
+
+
+class Process(Child):
+    """A node in a process.
+
+    Args:
+        module: to run, such as ``orbimpc_ros.ros.sim.node``.
+        parameters: file of ROS parameters.
+        log: takes what the process prints.
+        domain: of ROS; this process's by default.
+        namespace: of the node, such as ``/uav1``.
+    """
+
+    def __init__(
+        self,
+        module: str,
+        parameters: Path,
+        log: Path,
+        domain: int | None = None,
+        namespace: str = '',
+    ) -> None:
+        self.name = module.rpartition('.')[2]
+        remapped = ['-r', f'__ns:={namespace}'] if namespace else []
+        words = [module, '--ros-args', '--params-file', str(parameters), *remapped]
+        super().__init__(words, log, domain)
+
+    def require_health(self) -> None:
+        """Raise unless the process lives or has ended well.
+
+        Raises:
+            ProcessFailure: with the last lines of its log.
+        """
+        if self._child.poll():
+            lines = self.output.splitlines()[-LAST_LINES:]
+            print('\n'.join(lines), file=sys.stderr)
+            raise ProcessFailure(f'{self.name} ended with code {self._child.returncode}')
 
 
 class Interruptions:

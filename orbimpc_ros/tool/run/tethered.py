@@ -1,4 +1,4 @@
-"""Runs a module as ``python -m`` does, but not longer than the process that started it."""
+"""A module run as by ``python -m``, or a program, that ends with the process that started it."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ import sys
 from orbimpc_ros.ros.entry import leave_at_signals
 
 PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
+PROGRAM = '--program'  # instead of a module: its path and arguments follow
 
 
 def tether(parent: int) -> None:
-    """Have this process told to stop as soon as its parent is gone, even if that was killed.
+    """Have this process stopped as soon as its parent is gone, even if that was killed.
 
     By SIGTERM: a shell has its background jobs ignore SIGINT, and all that these start.
     """
@@ -29,4 +30,6 @@ def tether(parent: int) -> None:
 if __name__ == '__main__':
     tether(int(sys.argv.pop(1)))
     module = sys.argv.pop(1)
+    if module == PROGRAM:
+        os.execv(sys.argv[1], sys.argv[1:])  # what was arranged for this process stays
     runpy.run_module(module, run_name='__main__', alter_sys=True)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, BinaryIO
 from uuid import uuid4
 
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
-from orbimpc_ros.tool.io.files import require_writable
+from orbimpc_ros.tool.io.files import require_writable, why
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     """Show a bag, or what is running, until somebody asks to stop."""
     if not installed():
         hint = "pip install 'orbimpc_ros[view]'"
-        raise BadInput.stating('orbimpc view', 'rerun-sdk is missing', hint)
+        raise BadInput.stating('orbimpc view', 'needs rerun-sdk', hint)
     from orbimpc_ros.tool.run.processes import Interruptions
 
     with Interruptions() as interruptions:
@@ -85,7 +85,7 @@ def _save(args: argparse.Namespace, going: Going) -> None:
         if args.bag is not None or not file.stat().st_size:
             file.unlink()
         if isinstance(error, OSError):
-            raise OrbimpcError(f'--save {file}: {error.strerror or error}') from None
+            raise OrbimpcError(f'--save {file}: {why(error)}') from None
         raise
     print(f'recording     {file}')
 

@@ -1,4 +1,4 @@
-"""What is where on the page: the world, the set of thrusts, the tick in words, and charts."""
+"""The layout of the page: the world, the set of thrusts, the tick in words, and charts."""
 
 from __future__ import annotations
 

@@ -1,24 +1,22 @@
-"""What runs now, drawn as it comes: a node that only listens."""
+"""A viewer of running nodes: it only listens, and draws messages as they come."""
 
 from __future__ import annotations
 
 import math
 import os
 from collections.abc import Callable
+from contextlib import ExitStack
 from importlib import import_module
 from typing import Any
 
-import rclpy
 import rerun as rr
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from orbimpc_ros.ros.parameters import PLANNER, SIM
-from orbimpc_ros.ros.process import RANGE, qos
+from orbimpc_ros.ros.process import RANGE, attached, qos
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.content import seconds
 from orbimpc_ros.tool.io.topics import VEHICLE, Topic
@@ -53,12 +51,11 @@ class Watcher:
 
     def __init__(self, namespace: str, recordings: Callable[[], rr.RecordingStream]) -> None:
         os.environ.setdefault(RANGE, 'LOCALHOST')
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node('viewer', context=self._context, namespace=namespace or '/')
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._told: dict[str, settings.Values] = {}  # by node
+        self._stack = ExitStack()
+        self._node, self._executor = self._stack.enter_context(
+            attached('viewer', namespace=namespace or '/')
+        )
+        self._learned: dict[str, settings.Values] = {}  # by node
         self._recordings, self._restarts = recordings, Restarts()
         self._scene = Scene(recordings(), self._values)
         for topic in VEHICLE:
@@ -102,15 +99,15 @@ class Watcher:
         response: Any = answer.result()
         if response is None:
             return
-        told = dict(zip(names, map(parameter_value_to_python, response.values), strict=False))
-        if told != self._told.get(name):
-            self._told[name] = told
+        values = dict(zip(names, map(parameter_value_to_python, response.values), strict=False))
+        if values != self._learned.get(name):
+            self._learned[name] = values
             self._scene.configure(self._values)
 
     @property
     def _values(self) -> settings.Values:
         """Return the parameters of planner and simulator, defaults as long as they are silent."""
-        return settings.read('{}') | self._told.get('sim', {}) | self._told.get('planner', {})
+        return settings.read('{}') | self._learned.get('sim', {}) | self._learned.get('planner', {})
 
     def spin(self) -> None:
         """Draw what comes for a while."""
@@ -118,9 +115,7 @@ class Watcher:
 
     def close(self) -> None:
         """Stop listening."""
-        self._executor.shutdown()
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        self._stack.close()
 
 
 def draw(

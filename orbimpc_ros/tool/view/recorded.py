@@ -9,14 +9,11 @@ from typing import Any
 import rerun as rr
 
 from orbimpc_ros.tool.io import bag, settings
-from orbimpc_ros.tool.io.topics import absent
 from orbimpc_ros.tool.view.scene import Scene
-
-NEEDED = ('odom', 'goal')
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordedFlight:
     """A vehicle's flight in a bag.
 
     Attributes:
@@ -24,7 +21,7 @@ class Recorded:
         values: parameters of the run.
     """
 
-    messages: tuple[tuple[str, Any], ...]
+    messages: list[tuple[str, Any]]
     values: settings.Values
 
     def draw(self, recording: rr.RecordingStream) -> None:
@@ -35,20 +32,11 @@ class Recorded:
         recording.flush()
 
 
-def read(path: Path, namespace: str) -> Recorded:
+def read(path: Path, namespace: str) -> RecordedFlight:
     """Return a vehicle's flight in a bag.
 
     Raises:
         BadInput: no bag, or one without odometry and goal of this vehicle.
     """
     values = settings.of_bag(path, namespace) or settings.read('{}')
-    found, heard = [], set()
-    for message in bag.read(path):
-        heard.add(message.topic)
-        before, _, name = message.topic.rpartition('/')
-        if before == namespace:
-            found.append((name, message.content))
-    for topic in NEEDED:
-        if f'{namespace}/{topic}' not in heard:
-            raise absent(path, f'{namespace}/{topic}', heard)
-    return Recorded(tuple(found), values)
+    return RecordedFlight(bag.of_vehicle(path, namespace), values)

@@ -1,4 +1,4 @@
-"""What topics say, drawn at the time of their stamps: the same for a bag and for what runs now."""
+"""Messages, drawn at the time of their stamps: the same for a bag and for running nodes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,6 @@ from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.tool.figures.palette import BLUE, GREEN, GREY, ORANGE, RED, SKY, rgb
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.content import attitude, fields, seconds
-from orbimpc_ros.tool.view import shapes
 from orbimpc_ros.tool.view.layout import THRUST, TICK, TIMELINE, WORLD, blueprint, eye
 
 WALL_CLOCK = 1e8  # [s]: later stamps are dates, earlier ones count from a simulation's start
@@ -47,9 +46,21 @@ SERIES = {
     'time/solve_ms': (ORANGE, 2.0, STEPS),
 }  # colour, width and manner of what charts show
 
+# A paper dart: nose, wing tips, and the keel that tells up from down.
+NOSE, LEFT, RIGHT, TAIL, KEEL = (
+    (0.6, 0.0, 0.0),
+    (-0.4, 0.32, 0.08),
+    (-0.4, -0.32, 0.08),
+    (-0.3, 0.0, 0.08),
+    (-0.4, 0.0, -0.16),
+)
+DART = np.array([NOSE, LEFT, TAIL, NOSE, TAIL, RIGHT, NOSE, TAIL, KEEL])  # three triangles
+SHADES = np.array([[70, 140, 190], [0, 90, 150], [40, 60, 80]], dtype=np.uint8)  # one for each
+DART_COLORS = np.repeat(SHADES, 3, axis=0)
+
 
 class Scene:
-    """Draws what it is told of one vehicle.
+    """Draws the messages of one vehicle.
 
     Args:
         recording: to draw into.
@@ -158,7 +169,7 @@ class Scene:
         ends = np.array([self._way[0], self._swing[0]])
         self._unit = SIZE * max(1.0, float(np.linalg.norm(ends[1] - ends[0])))
         self._look_at(ends)
-        corners, shades = self._unit * shapes.DART, shapes.DART_COLORS
+        corners, shades = self._unit * DART, DART_COLORS
         dart = rr.Mesh3D(vertex_positions=corners, vertex_colors=shades)
         axes = rr.Arrows3D(
             vectors=self._unit * np.eye(3),
@@ -185,11 +196,11 @@ class Scene:
         self._draw_thrust()
 
     def _take_tick(self, message: Any) -> None:
-        told = fields(message)
-        self._shares = seconds(message), _numbers(told.get('speed_fraction'))
-        self._to.log(TICK, rr.TextDocument(_words(told), media_type=rr.MediaType.MARKDOWN))
-        self._chart('time/solve_ms', told.get('solve_time_ms'))
-        for gap in _numbers([told.get('gap')]):
+        values = fields(message)
+        self._shares = seconds(message), _numbers(values.get('speed_fraction'))
+        self._to.log(TICK, rr.TextDocument(_words(values), media_type=rr.MediaType.MARKDOWN))
+        self._chart('time/solve_ms', values.get('solve_time_ms'))
+        for gap in _numbers([values.get('gap')]):
             self._chart('gap/log10', np.log10(max(gap, LEAST_GAP)))
         if len(self._shares[1]) > 1:
             self._chart('speed/commanded', self._shares[1][1])
@@ -253,13 +264,15 @@ def _to_space(dimension: int) -> list[tuple[int, int]]:
     return [(0, 0), (0, 0), (0, 3 - dimension)]
 
 
-def _words(told: dict[str, Any]) -> str:
+def _words(values: dict[str, Any]) -> str:
     """Return what a tick says, as a table in Markdown."""
-    first, *others = [f'| {key} | {_word(value)} |' for key, value in told.items() if _said(value)]
+    first, *others = [
+        f'| {key} | {_word(value)} |' for key, value in values.items() if _is_known(value)
+    ]
     return '\n'.join([first, '| --- | --- |', *others])
 
 
-def _said(value: Any) -> bool:
+def _is_known(value: Any) -> bool:
     return value not in ('', [], {}) and value == value  # NaN stands for nothing
 
 

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import os
+import signal
 import socket
-import subprocess
-import sys
-import tempfile
 import time
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import NamedTuple
 from urllib.parse import quote
 from urllib.request import urlopen
 
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
+from orbimpc_ros.tool.run.processes import Child
+from orbimpc_ros.tool.run.tethered import PROGRAM
 
 HOST = '127.0.0.1'
 PORT = 9090  # of the page, unless it is taken
 PATIENCE = 30.0  # [s] until the page is there
 LOOK = 0.05  # [s]
-FAREWELL = 5.0  # [s] to end
 
 
 class ServerFailure(OrbimpcError):
@@ -74,19 +73,13 @@ class Server:
 
         self.data = f'rerun+http://{HOST}:{ports.data}/proxy'
         self.page = f'http://{HOST}:{ports.page}/?url={quote(self.data, safe="")}'
-        self._log = tempfile.TemporaryFile('w+')  # noqa: SIM115 (closed with the server)
+        self._place = TemporaryDirectory()
         # The program itself, not the wheel's script: that would leave it behind when stopped.
-        program = Path(rerun_cli.__file__).parent / 'rerun'
+        program = str(Path(rerun_cli.__file__).parent / 'rerun')
         words = ('--serve-web', '--bind', HOST, '--hide-welcome-screen')
         numbers = ('--port', str(ports.data), '--web-viewer-port', str(ports.page))
-        tethered = ('-m', 'orbimpc_ros.tool.run.tethered', str(os.getpid()))
-        self._child = subprocess.Popen(
-            [sys.executable, *tethered, 'orbimpc_ros.tool.view.host', program, *words, *numbers],
-            stdin=subprocess.DEVNULL,
-            stdout=self._log,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,  # Ctrl-C is for the tool, which ends it in order
-        )
+        log = Path(self._place.name) / 'log'
+        self._child = Child([PROGRAM, program, *words, *numbers], log)
 
     def require_health(self) -> None:
         """Raise if the server has ended.
@@ -94,9 +87,8 @@ class Server:
         Raises:
             ServerFailure: with the last line that it said.
         """
-        if self._child.poll() is not None:
-            self._log.seek(0)
-            said = self._log.read().splitlines() or ['nothing']
+        if not self._child.running:
+            said = self._child.output.splitlines() or ['nothing']
             raise ServerFailure(f"rerun's server has ended, its last words: {said[-1]}")
 
     def __enter__(self) -> Server:
@@ -129,10 +121,5 @@ class Server:
 
     def close(self) -> None:
         """End the server."""
-        self._child.terminate()
-        try:
-            self._child.wait(FAREWELL)
-        except subprocess.TimeoutExpired:
-            self._child.kill()
-            self._child.wait()
-        self._log.close()
+        self._child.stop(signal.SIGTERM)
+        self._place.cleanup()

@@ -13,11 +13,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool.io.bag import definitions, limits, mcap, sqlite
+from orbimpc_ros.tool.io import topics
+from orbimpc_ros.tool.io.bag import limits, mcap, sqlite
 from orbimpc_ros.tool.io.bag.folder import Folder, folder_of, plain
-from orbimpc_ros.tool.io.bag.raw import Raw, unpacked
+from orbimpc_ros.tool.io.bag.raw import Raw, same, store
 
-__all__ = ['Message', 'notes', 'raw', 'read']
+__all__ = ['Message', 'notes', 'of_vehicle', 'raw', 'read']
+
+NEEDED = ('odom', 'goal')
 
 
 class Message(NamedTuple):
@@ -55,6 +58,26 @@ def read(path: Path, names: Collection[str] = ()) -> Iterator[Message]:
             yield Message(each.topic, each.stamp, each.type, _decoded(each, path), each.sent)
 
 
+def of_vehicle(path: Path, namespace: str, names: Collection[str] = ()) -> list[tuple[str, Any]]:
+    """Return one vehicle's messages, topics named without its namespace, in the order of stamps.
+
+    Args:
+        path: of the bag.
+        namespace: of the vehicle, such as ``/uav1``.
+        names: of the topics wanted; by default all that we know.
+
+    Raises:
+        BadInput: no bag, or one without odometry and goal of this vehicle.
+    """
+    found = list(read(path, names))
+    there = {message.topic for message in found}
+    for topic in NEEDED:
+        if f'{namespace}/{topic}' not in there:
+            raise topics.absent(path, f'{namespace}/{topic}', there)
+    parted = ((*message.topic.rpartition('/'), message.content) for message in found)
+    return [(name, content) for before, _, name, content in parted if before == namespace]
+
+
 def raw(path: Path) -> list[Raw]:
     """Return the messages on the topics that we know, in the order of their stamps, as bytes.
 
@@ -65,8 +88,8 @@ def raw(path: Path) -> list[Raw]:
     with _blamed(path):
         found = _collected(folder)
     if not folder.closed:
-        told = f'{path} was not closed: read up to its last chunk, {len(found)} messages'
-        print(f'orbimpc: {told}', file=sys.stderr)
+        cut = f'{path} was not closed: read up to its last chunk, {len(found)} messages'
+        print(f'orbimpc: {cut}', file=sys.stderr)
     return sorted(found, key=lambda each: each.stamp)
 
 
@@ -93,7 +116,7 @@ def _blamed(path: Path) -> Iterator[None]:
     except BadInput:
         raise
     except Exception as error:
-        raise BadInput(str(path), f'unreadable ({error!r})', limits.ALLOWED) from None
+        raise BadInput.stating(str(path), f'unreadable ({error!r})', limits.ALLOWED) from None
 
 
 def _collected(folder: Folder) -> list[Raw]:
@@ -113,18 +136,18 @@ def _messages(file: Path, folder: Folder) -> Iterator[Raw]:
     storage = sqlite.messages(file) if file.suffix == '.db3' else mcap.messages(file, folder.closed)
     for each in storage:
         if not isinstance(each.stamp, int) or not isinstance(each.data, bytes):
-            raise BadInput(str(file), 'damaged (a message without stamp or bytes)', limits.ALLOWED)
+            problem = 'damaged (a message without stamp or bytes)'
+            raise BadInput.stating(str(file), problem, limits.ALLOWED)
         data = each.data
         if folder.compression == 'message':
-            data = unpacked(data, limits.MAX_MESSAGE, file)
+            data = limits.unpacked(data, limits.MAX_MESSAGE, file)
         limits.require(len(data), limits.MAX_MESSAGE, file, 'bytes in a message')
-        if not definitions.same(each.type, each.definition):
-            raise BadInput(
-                f'{file}: {each.topic}', f'another version of {each.type}', "ROS 2 Jazzy's"
-            )
+        if not same(each.type, each.definition):
+            problem, hint = f'another version of {each.type}', "ROS 2 Jazzy's is needed"
+            raise BadInput.stating(f'{file}: {each.topic}', problem, hint)
         yield each._replace(data=data)
 
 
 def _decoded(each: Raw, path: Path) -> Any:
     with _blamed(path):
-        return definitions.store().deserialize_cdr(each.data, each.type)
+        return store().deserialize_cdr(each.data, each.type)

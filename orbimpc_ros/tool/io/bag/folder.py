@@ -1,4 +1,4 @@
-"""Which files a bag consists of, and what stands in its metadata."""
+"""The files of a bag, and its metadata."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from typing import Any
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.io import document
 from orbimpc_ros.tool.io.bag import limits
-from orbimpc_ros.tool.io.bag.raw import unpacked
 from orbimpc_ros.tool.io.files import inside, listed, opened
 
 METADATA = 'metadata.yaml'
 NEWEST = 9  # version of rosbag2's metadata
 LATEST = 2**63  # [ns]: stamps in metadata
 SUFFIXES = ('.mcap', '.db3')
-COMPRESSIONS = ('', 'none', 'file', 'message')
+NEEDED = "a bag's folder, .mcap or .db3 file is needed"
+COMPRESSIONS = {'none': '', 'file': 'file', 'message': 'message'}
 
 
 @dataclass(frozen=True)
@@ -49,13 +49,13 @@ def folder_of(path: Path) -> Folder:
     """
     if not path.is_dir():
         if path.suffix not in SUFFIXES:
-            raise BadInput(str(path), _nature(path), 'a bag: its folder, a .mcap or a .db3 file')
+            raise BadInput.stating(str(path), _nature(path), NEEDED)
         return Folder(path, (path,), '', (path.parent / METADATA).exists(), {})
     if (path / METADATA).exists() or (path / METADATA).is_symlink():
         return _described(path, _information(path))
     files = [inside(path, f.name) for f in listed(path) if f.suffix in SUFFIXES]
     if not files:
-        raise BadInput(str(path), 'without metadata.yaml and .mcap', 'a folder that holds a bag')
+        raise BadInput.stating(str(path), 'without metadata.yaml and .mcap', NEEDED)
     return Folder(path, tuple(files), '', False, {})
 
 
@@ -68,7 +68,7 @@ def _information(path: Path) -> dict[str, Any]:
     content = document.read(str(file), LATEST)
     found = content.get('rosbag2_bagfile_information') if isinstance(content, dict) else None
     if not isinstance(found, dict):
-        raise BadInput(str(file), 'not the metadata of a bag', limits.ALLOWED)
+        raise BadInput.stating(str(file), 'not the metadata of a bag', limits.ALLOWED)
     version = found.get('version')
     if not isinstance(version, int) or not 1 <= version <= NEWEST:
         raise BadInput(f'{file}: version', version, f'1 to {NEWEST}')
@@ -76,6 +76,12 @@ def _information(path: Path) -> dict[str, Any]:
 
 
 def _described(path: Path, found: dict[str, Any]) -> Folder:
+    notes = found.get('custom_data')
+    notes = {str(k): str(v) for k, v in notes.items()} if isinstance(notes, dict) else {}
+    return Folder(path, _files(path, found), _compression(path, found), True, notes)
+
+
+def _files(path: Path, found: dict[str, Any]) -> tuple[Path, ...]:
     names = found.get('relative_file_paths')
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise BadInput(f'{path / METADATA}: relative_file_paths', names, 'a list of names')
@@ -83,19 +89,17 @@ def _described(path: Path, found: dict[str, Any]) -> Folder:
     files = tuple(inside(path, PurePath(name).name) for name in names)
     for file in files:
         if not file.exists():
-            raise BadInput(str(file), 'missing', 'every file that metadata.yaml names')
-    compression = str(found.get('compression_mode') or '').lower()
-    zipped = str(found.get('compression_format') or 'zstd')
-    if compression not in COMPRESSIONS or zipped != 'zstd':
-        raise BadInput(str(path), f'compressed by {compression} {zipped}', 'zstd, or not at all')
-    notes = found.get('custom_data')
-    return Folder(
-        path,
-        files,
-        '' if compression == 'none' else compression,
-        True,
-        {str(k): str(v) for k, v in notes.items()} if isinstance(notes, dict) else {},
-    )
+            hint = 'every file that metadata.yaml names is needed'
+            raise BadInput.stating(str(file), 'missing', hint)
+    return files
+
+
+def _compression(path: Path, found: dict[str, Any]) -> str:
+    mode = str(found.get('compression_mode') or 'none').lower()
+    by = str(found.get('compression_format') or 'zstd')
+    if mode not in COMPRESSIONS or by != 'zstd':
+        raise BadInput(f'{path}: compression', f'{mode} {by}', 'zstd, or none')
+    return COMPRESSIONS[mode]
 
 
 @contextmanager
@@ -106,5 +110,5 @@ def plain(file: Path, compression: str) -> Iterator[Path]:
         return
     with TemporaryDirectory() as place, opened(file, limits.MAX_BYTES) as stream:
         copy = Path(place) / file.stem
-        copy.write_bytes(unpacked(stream.read(), limits.MAX_KEPT, file))
+        copy.write_bytes(limits.unpacked(stream.read(), limits.MAX_KEPT, file))
         yield copy

@@ -17,7 +17,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.io import topics
 from orbimpc_ros.tool.io.bag import limits
-from orbimpc_ros.tool.io.bag.raw import Raw, unpacked
+from orbimpc_ros.tool.io.bag.raw import Raw
 from orbimpc_ros.tool.io.files import opened
 
 NOTES = 'orbimpc_ros'  # name of the record with the recorder's notes
@@ -68,7 +68,9 @@ def messages(file: Path, closed: bool) -> Iterator[Raw]:
 
 def _raw(message: Message, channel: Channel, schema: Schema, file: Path) -> Raw:
     if channel.message_encoding != 'cdr':
-        raise BadInput(f'{file}: {channel.topic}', repr(channel.message_encoding), 'cdr')
+        raise BadInput(
+            f'{file}: encoding of {channel.topic}', repr(channel.message_encoding), 'cdr'
+        )
     limits.require(len(schema.data), limits.MAX_DEFINITION, file, 'bytes of a definition')
     text = schema.data.decode() if schema.encoding == 'ros2msg' else ''
     definition = channel.metadata.get(HASH) or text
@@ -111,7 +113,7 @@ def _records(file: Path, closed: bool) -> Iterator[McapRecord]:
             _require_intact_summary(stream, file)
         except EndOfFile:
             if closed:
-                raise BadInput(str(file), 'damaged (cut off)', limits.ALLOWED) from None
+                raise BadInput.stating(str(file), 'damaged (cut off)', limits.ALLOWED) from None
 
 
 def _plain(chunk: Chunk, file: Path) -> Chunk:
@@ -119,13 +121,13 @@ def _plain(chunk: Chunk, file: Path) -> Chunk:
     limits.require(chunk.uncompressed_size, limits.MAX_CHUNK, file, 'bytes in a chunk')
     data = chunk.data
     if chunk.compression == 'zstd':
-        data = unpacked(data, limits.MAX_CHUNK, file)
+        data = limits.unpacked(data, limits.MAX_CHUNK, file)
     elif chunk.compression == 'lz4':
         data = lz4.frame.LZ4FrameDecompressor().decompress(data, limits.MAX_CHUNK + 1)
     elif chunk.compression:
-        raise BadInput(str(file), f'compressed by {chunk.compression!r}', 'zstd or lz4')
+        raise BadInput(f'{file}: compression', chunk.compression, 'zstd or lz4')
     if len(data) != chunk.uncompressed_size:
-        raise BadInput(str(file), 'damaged (a chunk of another size)', limits.ALLOWED)
+        raise BadInput.stating(str(file), 'damaged (a chunk of another size)', limits.ALLOWED)
     return replace(chunk, compression='', data=data)
 
 
@@ -138,4 +140,4 @@ def _require_intact_summary(stream: BinaryIO, file: Path) -> None:
     stream.seek(start)
     covered = stream.read(end - start + FOOTER.size - 12)
     if zlib.crc32(covered) != checksum:
-        raise BadInput(str(file), 'damaged (checksum of its index)', limits.ALLOWED)
+        raise BadInput.stating(str(file), 'damaged (checksum of its index)', limits.ALLOWED)

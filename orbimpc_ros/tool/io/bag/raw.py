@@ -1,14 +1,13 @@
-"""What every storage of a bag gives: messages as bytes, and what they say of their type."""
+"""Messages as bytes, and their types as the sender had them: they must be those we decode."""
 
 from __future__ import annotations
 
-import io
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
-import zstandard
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool.io.bag import limits
+HASHED = 'RIHS01_'
 
 
 class Raw(NamedTuple):
@@ -31,16 +30,30 @@ class Raw(NamedTuple):
     definition: str = ''
 
 
-def unpacked(data: bytes, largest: int, where: object) -> bytes:
-    """Return what zstd has compressed, as long as it is not too much.
+@lru_cache(maxsize=1)
+def store() -> Any:
+    """Return the types of ROS 2 Jazzy."""
+    return get_typestore(Stores.ROS2_JAZZY)
 
-    Raises:
-        BadInput: damaged or too large.
-    """
+
+@lru_cache(maxsize=256)
+def same(kind: str, definition: str) -> bool:
+    """Return whether a definition, by text or by hash, is ours; an unknown one is trusted."""
+    if not definition:
+        return True
+    if definition.startswith(HASHED):
+        return bool(definition == store().hash_rihs01(kind))
     try:
-        with zstandard.ZstdDecompressor().stream_reader(io.BytesIO(data)) as stream:
-            content = stream.read(largest + 1)
-    except (zstandard.ZstdError, MemoryError) as error:
-        raise BadInput(str(where), f'damaged ({error})', limits.ALLOWED) from None
-    limits.require(len(content), largest, where, 'bytes or more, decompressed')
-    return content
+        found = get_types_from_msg(definition, kind)
+    except Exception:  # whatever a hostile text makes the parser raise
+        return False
+    return kind in found and all(_fields(found[name]) == _known(name) for name in found)
+
+
+def _known(name: str) -> Any:
+    return _fields(store().fielddefs[name]) if name in store().fielddefs else None
+
+
+def _fields(definition: Any) -> Any:
+    """Return names and types of fields; constants do not change what is sent."""
+    return definition[1]

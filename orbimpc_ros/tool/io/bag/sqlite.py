@@ -44,7 +44,7 @@ def messages(file: Path) -> Iterator[Raw]:
                     name, kind, definition = known[topic]
                     yield Raw(name, kind, stamp, stamp, data, definition)
     except (sqlite3.Error, OverflowError) as error:
-        raise BadInput(str(file), f'damaged ({error})', limits.ALLOWED) from None
+        raise BadInput.stating(str(file), f'damaged ({error})', limits.ALLOWED) from None
 
 
 def _connected(file: Path) -> sqlite3.Connection:
@@ -56,7 +56,7 @@ def _connected(file: Path) -> sqlite3.Connection:
     database.execute('PRAGMA trusted_schema = OFF')
     found = database.execute('PRAGMA quick_check(1)').fetchone()
     if found != ('ok',):
-        raise BadInput(str(file), f'damaged ({found})', limits.ALLOWED)
+        raise BadInput.stating(str(file), f'damaged ({found})', limits.ALLOWED)
     return database
 
 
@@ -68,8 +68,8 @@ def _columns(database: sqlite3.Connection, table: str, file: Path) -> set[str]:
     ).fetchone()[0]
     stored = {row[1] for row in database.execute(f'PRAGMA table_xinfo({table})') if row[6] == 0}
     if not plain or not NEEDED[table] <= stored:
-        wanted = ', '.join(sorted(NEEDED[table]))
-        raise BadInput(str(file), f'without a table {table}', f'a rosbag2 bag: {table}({wanted})')
+        wanted = f'a rosbag2 bag has {table}({", ".join(sorted(NEEDED[table]))})'
+        raise BadInput.stating(str(file), f'without a table {table}', wanted)
     return stored
 
 
@@ -84,6 +84,6 @@ def _topics(
     ):
         if isinstance(name, str) and topics.known(name, kind):
             if encoding != 'cdr':
-                raise BadInput(f'{file}: {name}', repr(encoding), 'cdr')
+                raise BadInput(f'{file}: encoding of {name}', repr(encoding), 'cdr')
             found[number] = name, kind, str(text or '')
     return found

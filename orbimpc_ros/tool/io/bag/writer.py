@@ -11,7 +11,8 @@ import yaml
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
-from orbimpc_ros.tool.io.bag import definitions, mcap
+from orbimpc_ros.tool.io.bag import mcap
+from orbimpc_ros.tool.io.bag.raw import store
 from orbimpc_ros.tool.io.topics import Topic
 
 METADATA_VERSION = 9
@@ -33,7 +34,7 @@ class BagWriter:
         self.folder, self._topics, self._notes = folder, topics, dict(notes)
         self._counts = dict.fromkeys((topic.name for topic in topics), 0)
         self._first, self._last = 0, 0
-        self._store = definitions.store()
+        self._store = store()
         self._stream = (folder / f'{folder.name}.mcap').open('wb')
         self._writer = McapWriter(
             self._stream, CHUNK, compression=CompressionType.ZSTD, enable_data_crcs=True

@@ -1,4 +1,4 @@
-"""The planner without a node: its own ticker and messages, told and asked by whoever flies."""
+"""The planner without a node: its own ticker and messages, given inputs and asked for answers."""
 
 from __future__ import annotations
 
@@ -7,19 +7,18 @@ from dataclasses import replace
 from typing import Any
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.arrival import RosTime
+from orbimpc_ros.mpc.outcome import Reason
+from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.ros.planner import outputs
-from orbimpc_ros.ros.planner.ticker import Answer, Ticker, prepared
-from orbimpc_ros.ros.reports import prices
+from orbimpc_ros.ros.planner.inbox import Inbox
+from orbimpc_ros.ros.planner.outlet import command_messages, report_messages
+from orbimpc_ros.ros.planner.ticker import Ticker, prepared
+from orbimpc_ros.ros.reports import Report, prices
 
-Told = dict[str, Any]  # messages by topic
 
-
-class Pilot:
-    """Takes in messages and answers, when it is told to, with what the planner would publish.
+class OfflinePlanner:
+    """Takes in messages and answers, when asked, with what the planner would publish.
 
     A solve has no deadline here: what it finds must not depend on the machine.
 
@@ -31,9 +30,10 @@ class Pilot:
     def __init__(self, settings: PlannerSettings, node: str = '/planner') -> None:
         self._settings, self._node = settings, node
         timeless = replace(settings, deadline=math.inf)
-        # Simulated: what a tick takes is told, not measured.
+        self._inbox = Inbox(settings)
+        # Simulated: what a tick takes is given, not measured.
         self._ticker = Ticker(*prepared(timeless), simulated=True)
-        self._answer: Answer | None = None
+        self._report: Report | None = None
 
     def hear(self, topic: str, message: Any, now: float, ros: RosTime) -> str:
         """Take in an input; return why it was refused, or an empty string.
@@ -44,26 +44,20 @@ class Pilot:
             now: when it came, on the steady clock [s].
             ros: on the ROS clock.
         """
-        inbox = self._ticker.inbox
-        take = {
-            'odom': inbox.take_odometry,
-            'goal': inbox.take_goal,
-            'goal_path': inbox.take_path,
-        }[topic]
-        return take(message, now, ros)
+        return self._inbox.take(topic, message, now, ros)
 
     def forget(self) -> None:
         """Start afresh."""
-        self._ticker.forget()
+        self._ticker.start_afresh()
+        self._inbox.forget()
 
     @property
     def stamp(self) -> int | None:
         """Return the stamp of the odometry that a plan would start from [ns]; None without."""
-        inbox = self._ticker.inbox
-        known = None if inbox.missing else inbox.odometry
+        known = None if self._inbox.missing else self._inbox.odometry
         return None if known is None else known.stamp.nanoseconds
 
-    def plan(self, now: float, advanced: float, solve_time_ms: float) -> Told:
+    def plan(self, now: float, advanced: float, solve_time_ms: float) -> dict[str, Any]:
         """Answer the latest odometry with a plan, or with what stands in for one.
 
         Args:
@@ -71,22 +65,19 @@ class Pilot:
             advanced: how far the measurement is advanced, to when the answer takes effect [s].
             solve_time_ms: to report.
         """
-        known = self._ticker.inbox.odometry
+        known = self._inbox.odometry
         assert known is not None
         at = RosTime(known.stamp.nanoseconds + round(advanced * SECOND))
-        answer = self._ticker.planned(now, at)
-        report = answer.report
+        report = self._ticker.planned(self._inbox, now, at)
         if report.solve_time_ms:
             report = replace(report, solve_time_ms=solve_time_ms)
-        if answer.tick is not None:
-            report = replace(report, binding=prices(answer.tick))
-        return self._told(known.stamp, replace(answer, report=report))
+        return self._messages(known.stamp, replace(report, binding=prices(report.tick)))
 
-    def be_safe(self, stamp: int, reason: str) -> Told:
+    def be_safe(self, stamp: int, reason: Reason) -> dict[str, Any]:
         """Answer with the safe command, for a reason that is no solver's."""
-        known = self._ticker.inbox.odometry
+        known = self._inbox.odometry
         frames = self._settings.frames if known is None else known.stamp.frames
-        return self._told(Stamp(stamp, frames), self._ticker.safe(reason))
+        return self._messages(Stamp(stamp, frames), self._ticker.safe(self._inbox, reason))
 
     def went_out(self, at: float, pushed: float | None = None, rate: Array | None = None) -> None:
         """Learn what was really commanded; by default the last answer.
@@ -96,19 +87,19 @@ class Pilot:
             pushed: speed [m/s] or, at translation order 2, force [N].
             rate: body rate, shape (3,) [rad/s].
         """
-        assert self._answer is not None
-        problem, command = self._settings.problem, self._answer.command
+        assert self._report is not None
+        problem, command = self._settings.problem, self._report.tick.command
         if pushed is not None:
             weight = 1.0 if problem.translation_order == 1 else self._settings.mass
             command = replace(command, speed_fraction=pushed / (weight * problem.forward))
         if rate is not None:
             command = replace(command, body_rate=rate[-len(command.body_rate) :].copy())
-        self._ticker.went_out(replace(self._answer, command=command), at)
+        self._ticker.went_out(command, at)
 
-    def _told(self, stamp: Stamp, answer: Answer) -> Told:
-        self._answer = answer
-        told = outputs.orders(self._settings, stamp, answer.command)
-        told |= outputs.reports(self._settings, stamp, answer.report, answer.plan, self._node)
-        if self._ticker.inbox.odometry is not None:
-            told['rotation'] = messages.rotation_message(stamp, answer.command)
-        return told
+    def _messages(self, stamp: Stamp, report: Report) -> dict[str, Any]:
+        self._report = report
+        known = self._inbox.odometry is not None
+        return {
+            **command_messages(self._settings, stamp, report.tick.command),
+            **report_messages(self._settings, stamp, report, self._node, oriented=known),
+        }

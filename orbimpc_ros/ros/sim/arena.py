@@ -1,0 +1,189 @@
+"""The simulated world over DDS: a flight in progress, and the messages that show it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TransformStamped, Vector3
+from nav_msgs.msg import Odometry as OdometryMessage
+from nav_msgs.msg import Path
+from rclpy.qos import DurabilityPolicy
+from rclpy.subscription import Subscription
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Bool
+from visualization_msgs.msg import MarkerArray
+
+from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.markers import world_markers
+from orbimpc_ros.ros.messages import SECOND, Stamp
+from orbimpc_ros.ros.parameters import SimSettings
+from orbimpc_ros.ros.process import DONE, FAILED, Guarded, qos
+from orbimpc_ros.ros.reports import ERROR, OK, WARN, diagnostics
+from orbimpc_ros.ros.sim.commands import Order, Orders
+from orbimpc_ros.ros.sim.readers import Readers
+from orbimpc_ros.world.faults import Delivery, View
+from orbimpc_ros.world.flight import Flight, departure
+
+try:
+    from tf2_ros import TransformBroadcaster
+except ImportError:  # the PyPI wheels of ROS have no tf2
+    TransformBroadcaster = None
+
+DEPTH = 10  # in lock-step no message may push another out
+
+
+class Arena:
+    """A flight, shown on topics, that goes on a step at a time.
+
+    Args:
+        node: that publishes.
+        settings: of the simulator.
+        commands: its subscription to ``cmd_vel``.
+
+    Attributes:
+        flight: now.
+        view: what a planner gets to see of it.
+        orders: the commands that have come.
+        refused: commands refused so far, by topic and field.
+        finished: whether the flight has ended.
+    """
+
+    def __init__(self, node: Guarded, settings: SimSettings, commands: Subscription) -> None:
+        self.node, self.settings, self._commands = node, settings, commands
+        self.orders = Orders(settings.scenario.model)
+        self.refused: Counter[str] = Counter()
+        self._create_publishers()
+        self._readers = Readers(node, settings.wait_for, 'cmd_vel')
+        self._begin(settings.begin)
+
+    def _begin(self, time: float) -> None:
+        settings = self.settings
+        self.flight = departure(settings.scenario, time)
+        self.view = View(settings.faults, settings.seed, settings.scenario.model.step)
+        self.finished = False
+
+    def _create_publishers(self) -> None:
+        create = self.node.create_publisher
+        kept = qos(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._captured = create(Bool, 'captured', kept)
+        self._odometry = create(OdometryMessage, 'odom', qos(DEPTH))
+        self._goal = create(PoseStamped, 'goal', qos(DEPTH))
+        self._markers = create(MarkerArray, 'world_markers', qos())
+        self._health = create(DiagnosticArray, '/diagnostics', qos(DEPTH))
+        if self.settings.goal_path_steps:
+            self._goal_path = create(Path, 'goal_path', qos(DEPTH))
+        if self.settings.lockstep:
+            self._time = create(Clock, '/clock', qos(DEPTH))
+        if TransformBroadcaster is not None:
+            self._transforms = TransformBroadcaster(self.node)
+
+    @property
+    def readers_lacking(self) -> str:
+        """Return which readers of the flight are not there yet, in words; empty if all are."""
+        count, wanted = self._odometry.get_subscription_count(), self.settings.wait_subscribers
+        if count < wanted:
+            return f'subscribers of odom: {wanted} (there are {count})'
+        return self._readers.lacking(self.node.steady_now())
+
+    @property
+    def planner_lacking(self) -> str:
+        """Return what of a planner is not there yet, in words; empty if all of it is."""
+        if not self._goal.get_subscription_count():
+            return 'a subscriber of goal'
+        return '' if self._commands.get_publisher_count() else 'a planner on cmd_vel'
+
+    @property
+    def jump(self) -> float:
+        """Return what stamps are off just now, by the faults [s]."""
+        return self.settings.faults.jumped(self.flight.ticks)
+
+    def stamp_of(self, sent: Delivery, now: int) -> int:
+        """Return the stamp of a message that arrives ``now`` [ns], the present tick's stamp."""
+        scenario, ticks = self.settings.scenario, self.flight.ticks
+        jump = self.jump - self.settings.faults.jumped(sent.ticks)
+        age = sent.age + (ticks - sent.ticks) * scenario.model.step
+        return now - round((age + jump) * SECOND)
+
+    def show(self, at: int, seen: Sequence[Delivery]) -> None:
+        """Publish what is seen of the flight at ``at`` [ns]: clock, goals, odometry."""
+        now = Stamp(at, self.settings.frames)
+        if self.settings.lockstep:
+            self._time.publish(Clock(clock=messages.time_message(at)))
+        if self.settings.goal_path_steps:
+            self._goal_path.publish(self._future(now))
+        self._markers.publish(world_markers(now, self.flight))
+        if TransformBroadcaster is not None:
+            truth = messages.odometry_message(now, self.flight.vehicle)
+            self._transforms.sendTransform(_transform(truth))
+        self.deliver(at, seen)
+
+    def deliver(self, at: int, seen: Sequence[Delivery]) -> None:
+        """Publish goals and odometry that arrive at ``at`` [ns]."""
+        for sent in seen:
+            stamp = Stamp(self.stamp_of(sent, at), self.settings.frames)
+            if isinstance(sent.content, Odometry):
+                self._odometry.publish(messages.measurement_message(stamp, sent.content))
+            else:
+                self._goal.publish(messages.goal_message(stamp, sent.content.position))
+
+    def _future(self, stamp: Stamp) -> Path:
+        step, rope = self.settings.scenario.model.step, self.settings.scenario.rope
+        times = self.flight.elapsed + step * np.arange(self.settings.goal_path_steps + 1)
+        return messages.goal_path_message(stamp, step, [rope.at(time) for time in times])
+
+    def fly(self, order: Order | None, held: float) -> None:
+        """Fly a step on an order that is in force for ``held`` [s] of it; on none, stand."""
+        if order is None:
+            self.flight = self.flight.after(0.0, np.zeros(self.settings.scenario.model.rates), 0.0)
+        else:
+            self.flight = self.flight.after(order.fraction, order.body_rate, held)
+
+    def warn(self, at: int, text: str) -> None:
+        """Say, stamped ``at`` [ns], what is wrong."""
+        self.node.get_logger().warning(text, throttle_duration_sec=1.0)
+        self._diagnose(at, ERROR, text, dict(self.refused))
+
+    def finish(self, at: int) -> None:
+        """Say, stamped ``at`` [ns], how the flight ended; leave, or hold until a restart."""
+        flight = self.flight
+        self.finished = True
+        self._captured.publish(Bool(data=flight.captured))
+        ending = f'{outcome(flight)}, after {flight.ticks} ticks'
+        numbers = {'distance': flight.distance, 'speed': flight.speed, 'ticks': flight.ticks}
+        self._diagnose(at, OK if flight.captured else WARN, ending, numbers)
+        self.node.get_logger().info(ending)
+        if self.settings.exit_when_done:
+            self.node.exit_code = DONE if flight.captured else FAILED
+
+    def _diagnose(self, at: int, level: bytes, text: str, values: Mapping[str, object]) -> None:
+        name = self.node.get_fully_qualified_name()
+        self._health.publish(diagnostics(at, name, level, text, values))
+
+    def restart(self) -> None:
+        """Begin again; time goes on, for stamps never go back."""
+        self._begin(self.flight.vehicle.time + self.settings.scenario.model.step)
+        self._captured.publish(Bool(data=False))
+
+
+def outcome(flight: Flight) -> str:
+    """Return in words how a flight has ended."""
+    done = '' if flight.captured else 'not '
+    if flight.scenario.finish == 'arrival':
+        where = f'{flight.distance:.2e} m from the goal at {flight.speed:.2e} m/s'
+        return f'{done}arrived: {where}'
+    if not flight.captured:
+        return 'not captured'
+    when = flight.missed_at - flight.scenario.start.time
+    return f'captured at t = {when:.2f} s, {flight.miss:.3f} m from the goal'
+
+
+def _transform(odometry: OdometryMessage) -> TransformStamped:
+    message = TransformStamped(header=odometry.header, child_frame_id=odometry.child_frame_id)
+    place = odometry.pose.pose.position
+    message.transform.translation = Vector3(x=place.x, y=place.y, z=place.z)
+    message.transform.rotation = odometry.pose.pose.orientation
+    return message

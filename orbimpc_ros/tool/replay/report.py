@@ -1,0 +1,136 @@
+"""A replay from its arguments to its exit code: ticks made anew, compared, and summed up."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros.parameters import PlannerSettings, planner_settings
+from orbimpc_ros.tool.io import settings
+from orbimpc_ros.tool.replay.accept import accept
+from orbimpc_ros.tool.replay.coverage import Coverage, coverage
+from orbimpc_ros.tool.replay.difference import UNITS, Comparison, compared, shown
+from orbimpc_ros.tool.replay.recording import Recording, published, recording_of
+from orbimpc_ros.tool.replay.resolving import ReplayedTick, replayed
+
+LINES = 20  # differences printed one by one
+SAME, DIFFERENT = 0, 1
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replay, print, and return the exit code."""
+    begun = time.perf_counter()
+    path = Path(args.bag)
+    namespace = f'/{args.namespace.strip("/")}' if args.namespace.strip('/') else ''
+    values = _values(path, namespace, args)
+    planner = planner_settings(values)
+    recording = recording_of(path, namespace)
+    if args.tick is not None:
+        wanted = _tick(args, len(recording.answers))
+        recording = replace(recording, answers=recording.answers[: wanted + 1])
+    simulated = bool(values.get('use_sim_time', recording.simulated))
+    answers = list(replayed(recording, planner, simulated))
+    found = compared(answers, planner)
+    if args.tick is not None:
+        found = [each for each in found if each.tick == args.tick]
+        _show(answers[-1], found)
+        return DIFFERENT if any(each.differs for each in found) else SAME
+    whole = coverage(recording, planner)
+    _print(recording, found, answers, whole, time.perf_counter() - begun)
+    if args.update:
+        accept(recording, answers, values)
+        print(f'accepted      {path}')
+        return SAME
+    lacking = whole.unanswered > _may_be_unanswered(args.unanswered, recording, planner)
+    differs = any(each.differs for each in found)
+    return DIFFERENT if differs or lacking or whole.orphans else SAME
+
+
+def _may_be_unanswered(given: int | None, recording: Recording, planner: PlannerSettings) -> float:
+    """Return how many odometry messages may be without an answer.
+
+    In lock-step each is waited for. Elsewhere a busy planner passes over some, and a timer's
+    answers only the last before each tick.
+    """
+    if given is not None:
+        return given
+    return 0 if recording.simulated and planner.on_odometry else math.inf
+
+
+def _tick(args: argparse.Namespace, count: int) -> int:
+    """Return the number of the tick asked for.
+
+    Raises:
+        BadInput: there is no such tick, or the command would accept what it does not show.
+    """
+    if args.update:
+        raise BadInput.stating('--update', 'given with --tick', 'give one of the two')
+    if not 0 <= args.tick < count:
+        raise BadInput('--tick', args.tick, f'0 to {count - 1}')
+    return int(args.tick)
+
+
+def _values(path: Path, namespace: str, args: argparse.Namespace) -> settings.Values:
+    """Return every parameter's value: as given, or as noted in the bag by whoever recorded it."""
+    if args.params is not None:
+        return settings.resolve(Path(args.params), args.set)
+    noted = settings.of_bag(path, namespace)
+    if noted is None and not args.set:
+        raise BadInput.stating(
+            str(path), 'no notes of its parameters', 'give --params FILE or --set'
+        )
+    return settings.changed(settings.read('{}') if noted is None else noted, args.set)
+
+
+def _print(
+    recording: Recording,
+    found: Sequence[Comparison],
+    answers: Sequence[ReplayedTick],
+    whole: Coverage,
+    elapsed: float,
+) -> None:
+    differences = [each for each in found if each.differs]
+    for each in differences[:LINES]:
+        print(each)
+    if len(differences) > LINES:
+        print(f'... and {len(differences) - LINES} more')
+    print(f'replayed      {len(answers)} ticks of {recording.path} in {elapsed:.2f} s')
+    refused = sum(len(each.refusals) for each in answers)
+    print(f'inputs        {recording.received}, {refused} refused')
+    print(f'unanswered    {whole}')
+    counts = Counter(each.quantity for each in found)
+    print(f'compared      {", ".join(f"{n} {quantity}" for quantity, n in counts.items())}')
+    print(f'differences   {_summary(differences)}')
+
+
+def _summary(differences: Sequence[Comparison]) -> str:
+    if not differences:
+        return 'none'
+    worst: dict[str, Comparison] = {}
+    for each in differences:
+        if each.quantity not in worst or each.apart > worst[each.quantity].apart:
+            worst[each.quantity] = each
+    ticks = len({each.tick for each in differences})
+    parts = ', '.join(f'{name} at tick {each.tick}' for name, each in worst.items())
+    return f'{len(differences)} in {ticks} ticks; worst {parts}'
+
+
+def _show(tick: ReplayedTick, found: Sequence[Comparison]) -> None:
+    """Print one tick, recorded and replayed side by side."""
+    then, now = tick.recorded.answer, published(tick.messages)
+    print(f'{f"tick {found[0].tick} at {found[0].time:.3f} s":<22}{"recorded":<34}replayed')
+    for each in found:
+        unit = f' [{UNITS[each.quantity]}]' if each.quantity in UNITS else ''
+        mark = '   differs' if each.differs else ''
+        row = f'{each.quantity + unit:<22}{shown(each.recorded):<34}{shown(each.replayed)}'
+        print(row + mark)
+    if then.reason or now.reason:
+        print(f'{"reason":<22}{shown(then.reason):<34}{shown(now.reason)}')
+    for refusal in tick.refusals:
+        print(refusal)

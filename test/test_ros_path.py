@@ -1,0 +1,92 @@
+"""The way of a command through the package: from odometry to ``cmd_vel`` in few files."""
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from conftest import PATIENCE, ROOT
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.publisher import Publisher
+from rclpy.utilities import get_default_context
+
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.messages import Frames, Stamp
+from orbimpc_ros.ros.planner.node import PlannerNode
+from orbimpc_ros.ros.process import initialised
+from orbimpc_ros.world.vehicle import Model, launched
+
+PACKAGE = ROOT / 'orbimpc_ros'
+FILES = 15  # from odometry to a command; the mathematics is one of them
+MATHEMATICS = 17  # files of formulas and solvers that a tick of the retrieval calls
+FRAMES = Frames('odom', 'base_link')
+
+
+class Trace:
+    """A profiler that keeps the files in which code runs from odometry to ``cmd_vel``."""
+
+    def __init__(self):
+        self._current, self.complete = [], None
+
+    def __call__(self, frame, event, argument):
+        if event != 'call' or self.complete is not None:
+            return
+        file = Path(frame.f_code.co_filename)
+        caller = frame.f_back.f_code.co_filename if frame.f_back else ''
+        if file.is_relative_to(PACKAGE):
+            if '/rclpy/' in caller:
+                self._current = []  # another callback
+            self._current.append(file.relative_to(PACKAGE).as_posix())
+        elif frame.f_code is Publisher.publish.__code__:
+            topic = frame.f_locals['self'].topic_name
+            if topic.endswith('/cmd_vel'):
+                self.complete = list(dict.fromkeys(self._current))
+
+
+@pytest.fixture
+def planner(domain):
+    """The planner's node in this process, as configured for the retrieval, and its inputs."""
+    file = ROOT / 'config' / 'retrieval.yaml'
+    words = ['planner', '--ros-args', '--params-file', str(file), '-p', 'use_sim_time:=false']
+    with initialised(words, domain=domain, context=get_default_context()):
+        node, executor = PlannerNode(), SingleThreadedExecutor()
+        executor.add_node(node)
+        yield node, executor
+        executor.shutdown()
+        node.destroy_node()
+
+
+def files_on_the_way(node, executor):
+    """Return the files from odometry to the command that answers it, in order."""
+    goal = node.create_publisher(PoseStamped, 'goal', 1)
+    odometry = node.create_publisher(Odometry, 'odom', 1)
+    vehicle = launched(Model(), np.zeros(2), np.eye(2))
+    trace, sent, end = Trace(), 0.0, time.monotonic() + PATIENCE
+    sys.setprofile(trace)
+    try:
+        while trace.complete is None:
+            assert time.monotonic() < end, 'no command'
+            if time.monotonic() - sent > 0.1:  # again: the first may be lost in discovery
+                sent, now = time.monotonic(), time.time_ns()
+                # The goal's stamp is older: odometry that has its goal waits for nothing.
+                goal.publish(messages.goal_message(Stamp(now - 1, FRAMES), np.array([5.0, 0.5])))
+                odometry.publish(messages.odometry_message(Stamp(now, FRAMES), vehicle))
+            executor.spin_once(timeout_sec=0.02)
+    finally:
+        sys.setprofile(None)
+    return trace.complete
+
+
+def test_a_command_passes_few_files(planner):
+    files = files_on_the_way(*planner)
+    assert files[0] == 'ros/process.py'  # the guard of every callback
+    mathematics = [f for f in files if f.startswith('mpc/') and not f.startswith('mpc/loop/')]
+    way = [f for f in files if f not in mathematics]
+    assert len(way) + 1 <= FILES, '\n'.join(way)
+    assert len(mathematics) <= MATHEMATICS, '\n'.join(mathematics)
