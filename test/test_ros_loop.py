@@ -117,7 +117,7 @@ def _check_ticks(heard):
         told = values(message)
         assert set(told) == {
             'status', 'reason', 'objective', 'lower_bound', 'gap', 'nodes', 'solve_time_ms',
-            'speed_fraction', 'projection_distance', 'fallback', 'binding', 'advanced',
+            'speed_fraction', 'projection_distance', 'fallback', 'cause', 'binding', 'advanced',
             'goal_stamps', 'goal_counts',
         }  # fmt: skip
         assert told['status'] == 'optimal'

@@ -82,6 +82,7 @@ def test_stale_odometry_brings_the_safe_command_again_and_again(flying):
     assert not any(moving(command) for command in flying.commands[flown:])
     assert told(flying.ticks[-1])['fallback'] == 'safe command'
     assert 'odometry' in told(flying.ticks[-1])['reason']
+    assert told(flying.ticks[-1])['cause'] == 'odometry'
     assert moving(flying.fly(2.0))  # and it goes on
 
 
@@ -90,6 +91,7 @@ def test_disabled_means_the_safe_command_again_and_again(flying):
     response = flying.observer.call(SetBool, '/planner/enable', SetBool.Request(data=False))
     assert response.success
     assert not moving(flying.fly(2.0))
+    flying.until(lambda: told(flying.ticks[-1])['cause'] == 'disabled', 'the cause')
     flying.says('disabled')
     flying.observer.call(SetBool, '/planner/enable', SetBool.Request(data=True))
     assert moving(flying.fly(3.0))
