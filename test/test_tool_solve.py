@@ -126,7 +126,7 @@ BAD = {
     'unknown field': ({'horizont': 5}, 'horizont'),
     'unknown weight': ({'weights.inputs': 1.0}, 'inputs'),
     'unknown model': ({'model': 'hovercraft'}, 'model'),
-    'unknown floor': ({'floor.shape': 'triangle'}, 'none | circle | polygon'),
+    'unknown floor': ({'floor.shape': 'triangle'}, 'none | polygon | circle'),
     'floor is a list': ({'floor.shape': ['none']}, 'floor.shape'),
     'unknown terminal': ({'terminal': 'soft'}, 'penalty | constraint'),
     'terminal is a list': ({'terminal': []}, 'penalty | constraint'),
@@ -327,3 +327,24 @@ def test_a_file_that_is_not_there_is_named_with_the_reason(capsys):
     assert cli.main(['solve', 'nofile.json']) == 2
     complaint = 'nofile.json: no such file; a readable file is needed'
     assert capsys.readouterr().err == f'orbimpc: {complaint}\n'
+
+
+def test_a_search_that_would_take_hours_ends_at_its_limit_with_a_bound(tmp_path, capsys):
+    """Thirty steps, sixty-four faces: more combinations than anybody can look through."""
+    file = tmp_path / 'long.json'
+    floor = {'shape': 'polygon', 'faces': 24, 'fraction': 0.9}
+    limits = {'horizon': 60, 'step': 0.3, 'max_rate': 0.7, 'floor': floor}
+    file.write_text(json.dumps(case(**limits, goal=[0.3, 0.2])))
+    assert cli.main(['solve', str(file), '--time-limit', '1']) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told['status'] == 'feasible'
+    assert 0.0 <= told['lower_bound'] < told['objective']
+
+
+@pytest.mark.parametrize('limit', ['0', '-1', 'nan', 'inf', 'soon'])
+def test_a_limit_that_is_no_time_is_refused_in_one_line(limit, tmp_path, capsys):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(['solve', str(tmp_path), '--time-limit', limit])
+    assert ended.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert '--time-limit' in line

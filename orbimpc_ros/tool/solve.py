@@ -14,6 +14,8 @@ from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool.io import document
 
+LIMIT = 30.0  # [s]
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
@@ -25,13 +27,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='how rotations are made of points of the orbitope (default: %(default)s)',
     )
 
+    parser.add_argument(
+        '--time-limit',
+        type=_seconds,
+        default=LIMIT,
+        metavar='SECONDS',
+        help='search no longer, and print the best plan found by then (default: %(default)g)',
+    )
+
+
+def _seconds(word: str) -> float:
+    seconds = float(word)
+    if not 0.0 < seconds < math.inf:
+        raise ValueError
+    return seconds
+
 
 def run(args: argparse.Namespace) -> int:
     """Solve the problem and print its plan."""
     case = case_of(document.read(args.file))
-    solver = Solver(case.problem, projection=args.projection)
+    solver = Solver(case.problem, projection=args.projection, patient=True)
     begin = time.perf_counter()
-    plan = solver.solve(case.state, case.goals)
+    end = begin + args.time_limit
+    plan = solver.solve(case.state, case.goals, None, lambda: time.perf_counter() > end)
     elapsed = time.perf_counter() - begin
     print(json.dumps(answer(case, plan, 1e3 * elapsed), indent=1, allow_nan=False))
     return 0

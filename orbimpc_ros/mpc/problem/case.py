@@ -53,7 +53,7 @@ def _problem(known: Mapping[str, Any]) -> Problem:
     weights = _fields(known['weights'], 'weights', (), WEIGHTS)
     plain = {name: known[name] for name in (*MODEL, *EXTRAS) if name in known}
     if not isinstance(plain.get('terminal', ''), str):
-        raise BadInput('terminal', plain['terminal'], 'penalty | constraint')
+        raise BadInput.choice('terminal', plain['terminal'], ('penalty', 'constraint'))
     if not isinstance(plain.get('no_corner_cutting', False), bool):
         raise BadInput('no_corner_cutting', plain['no_corner_cutting'], 'true | false')
     return Problem(
@@ -68,7 +68,7 @@ def _floor(value: Any) -> Floor:
     known = _fields(value, 'floor', ('shape',), ('faces', 'fraction'))
     shape = known['shape']
     if not isinstance(shape, str) or shape not in SHAPES:
-        raise BadInput('floor.shape', shape, ' | '.join(SHAPES))
+        raise BadInput.choice('floor.shape', shape, tuple(SHAPES))
     return Floor(**_fields(known, 'floor', ('shape', *SHAPES[shape].parameters), tuple(known)))
 
 

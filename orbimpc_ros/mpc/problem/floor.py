@@ -44,7 +44,7 @@ class Floor:
 
     def __post_init__(self) -> None:
         if not isinstance(self.shape, str) or self.shape not in SHAPES:
-            raise BadInput('floor.shape', self.shape, ' | '.join(SHAPES))
+            raise BadInput.choice('floor.shape', self.shape, tuple(SHAPES))
         whole(self.faces, 'floor.faces', 3, MAX_FACES)
         number(self.fraction, 'floor.fraction', 0.0, 1.0, above=True)
 

@@ -100,7 +100,7 @@ class Problem:
         number(self.step, 'step', 0.0, 1e3, above=True)
         number(self.forward, 'forward', 0.0, 1e3, above=True)
         if self.terminal not in TERMINALS:
-            raise BadInput('terminal', self.terminal, ' | '.join(TERMINALS))
+            raise BadInput.choice('terminal', self.terminal, TERMINALS)
         # Beyond half a turn in a step the direction of turning is lost.
         number(self.max_rate, 'max_rate', 0.0, math.pi / self.step)
         number(self.arrival_weight, 'arrival_weight', 0.0)

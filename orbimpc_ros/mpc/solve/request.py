@@ -34,17 +34,19 @@ class Request:
         guess: a trajectory to start from.
         out_of_time: polled between steps; True makes a method return the best so far. None lets it
             take as long as it needs.
+        patient: whether the deadline leaves time to set up slower methods.
     """
 
     state: State
     goals: Array
     guess: Guess | None = None
     out_of_time: Callable[[], bool] | None = None
+    patient: bool = False
 
     @property
     def hurried(self) -> bool:
-        """Return whether there is a deadline."""
-        return self.out_of_time is not None
+        """Return whether there is a deadline too near for slower methods."""
+        return self.out_of_time is not None and not self.patient
 
     @property
     def late(self) -> bool:

@@ -35,6 +35,8 @@ class Solver:
         projection: ``nearest`` or ``thrust_aligned``, how plans become rotations.
         gap_tolerance: relative gap within which a plan counts as proved optimal.
         coasting: whether states will come with a ``coasted`` rotation (rotation order 2).
+        patient: whether a deadline leaves time to set up slower methods where the first one fails;
+            that takes a second or so.
     """
 
     def __init__(
@@ -44,10 +46,11 @@ class Solver:
         projection: str = 'thrust_aligned',
         gap_tolerance: float = 1e-4,
         coasting: bool = False,
+        patient: bool = False,
     ) -> None:
         self.problem = problem
         self._projection, self._tolerance = projection, gap_tolerance
-        self._units = Units.of(problem)
+        self._units, self._patient = Units.of(problem), patient
         tolerance = SEARCH_SHARE * gap_tolerance
         self._method = method_for(self._units.problem, tolerance, coasting=coasting)
 
@@ -129,7 +132,7 @@ class Solver:
         usable, units = self._usable(state, goals, guess), self._units
         start, targets = units.state(state), units.lengths(goals)
         try:
-            found = self._method.solve(Request(start, targets, usable, out_of_time))
+            found = self._method.solve(Request(start, targets, usable, out_of_time, self._patient))
         except Infeasible:
             raise Infeasible(reason(self.problem, state, goals)) from None
         except SolverFailure as error:
