@@ -1,4 +1,4 @@
-"""What binds at an optimum and its price: against the optimum of the relaxed problem itself."""
+"""Active constraints of an optimum and their prices, against optima of the relaxed problem."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ EPS = 3e-4
 pytestmark = pytest.mark.filterwarnings('ignore:Solution may be inaccurate')
 
 
-class Relaxed:
+class Eased:
     """A problem as the paper writes it, in the branch that a plan chose, each constraint eased.
 
     Stated anew, step by step, to have nothing in common with what it is an oracle for.
@@ -117,7 +117,7 @@ def check(problem, start, targets):
     """Every constraint of a problem costs what relaxing it gains, none at all if not reported."""
     plan = Solver(problem, coasting=start.coasted is not None).solve(start, targets)
     told = explained(problem, start, targets, plan)
-    relaxed = Relaxed(problem, start, targets, plan)
+    relaxed = Eased(problem, start, targets, plan)
     assert relaxed.optimum() == pytest.approx(plan.objective, rel=1e-5, abs=1e-6)
     assert told.unexplained < 1e-3
     prices = {(each.name, each.step): each.price for each in told.binding}

@@ -1,4 +1,4 @@
-"""What Clarabel's answers prove: judged by points that are feasible, whatever the solver says."""
+"""Proofs by Clarabel's answers, judged by points that are feasible, whatever the solver says."""
 
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""What a controller does without a plan or a goal, and with a goal beyond all reach."""
+"""A controller without a plan or a goal, and with a goal beyond all reach."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What is refused, and in which words: the value, what is allowed, who is to blame."""
+"""Refusals and their words: the value, what is allowed, who is to blame."""
 
 import numpy as np
 import pytest

@@ -24,7 +24,7 @@ def solved(proofs):
     """A case with its good answer and a legal trajectory that costs as much."""
     case = proofs.judge.case_of(CASES['uav_circle_0'])
     answer = proofs.by_api(case.mapping, 10.0)
-    return case, answer, proofs.beater.Trajectory(answer.objective, answer.rotations, 'itself')
+    return case, answer, proofs.beater.Rival(answer.objective, answer.rotations, 'itself')
 
 
 def quick_indices(instances, route):

@@ -71,7 +71,7 @@ class FixedWing:
         from orbimpc_ros.ros.messages import Stamp, goal_message
 
         self.bench = Bench(launch, observer, WING)
-        self.flight = flights.Flight(WING, None, None, None, (0.0, 0.0), 60.0)
+        self.flight = flights.AirFlight(WING, None, None, None, (0.0, 0.0), 60.0)
         frame = Airframe(0.8, 0.2, 0.92, np.array([-3.0, 1.0]), 1.5, 0.6)
         self._start, self._kind = Motion(0.0, 0.0, 0.0, 13.0, 0.0), TwistStamped
 

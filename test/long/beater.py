@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import casadi as ca
 import judge
 import numpy as np
-from judge import Array, Case
+from judge import Array, PosedProblem
 
 TIGHT = 1e-8  # by so much constraints are tightened, so that what IPOPT leaves open stays legal
 LEGAL = 1e-9  # violation of a trajectory that counts; of an arrival ten times as much, at its price
@@ -34,7 +34,7 @@ OPTIONS = {
 
 
 @dataclass(frozen=True)
-class Trajectory:
+class Rival:
     """A legal trajectory.
 
     Attributes:
@@ -211,7 +211,7 @@ def along(coasted: Array, least: float) -> Coordinates:
     )
 
 
-def coordinates_of(case: Case, k: int) -> Coordinates:
+def coordinates_of(case: PosedProblem, k: int) -> Coordinates:
     """The parametrisation of R_k."""
     least = case.floor['fraction'] if case.floor['shape'] == 'circle' else 0.0
     if k == 1 and case.rotation_order == 2:
@@ -246,7 +246,7 @@ class _Rows:
 class Beater:
     """Looks for trajectories of one problem."""
 
-    def __init__(self, case: Case, seconds: float) -> None:
+    def __init__(self, case: PosedProblem, seconds: float) -> None:
         self.case = case
         coasting = case.rotation_order == 2 and case.coasted is not None
         self._free = range(1 if coasting else case.first_free, case.horizon + 1)
@@ -372,7 +372,7 @@ class Beater:
 
     # --- a start, and what IPOPT makes of it
 
-    def improved(self, name: str, start: Array) -> Trajectory | None:
+    def improved(self, name: str, start: Array) -> Rival | None:
         """The legal trajectory that IPOPT finds from rotations R_0..R_N, or None."""
         case = self.case
         if self._solver is None:
@@ -429,8 +429,8 @@ class Beater:
 
 
 def judged(
-    case: Case, rotations: Array, name: str, prices: Array | None = None
-) -> Trajectory | None:
+    case: PosedProblem, rotations: Array, name: str, prices: Array | None = None
+) -> Rival | None:
     """A trajectory if it is legal; an arrival that it misses by a little is paid for."""
     broken = judge.violations(case, rotations)
     miss = broken.pop('terminal')
@@ -440,13 +440,15 @@ def judged(
     if prices is not None and len(prices):
         missed = judge.arrival_miss(case, *judge.rollout(case, rotations)) / case.unit
         cost += CAUTION * float(prices @ np.abs(missed))
-    return Trajectory(cost, rotations, name)
+    return Rival(cost, rotations, name)
 
 
 # --- starts
 
 
-def starts(case: Case, plan: Array | None, rng: np.random.Generator) -> Iterator[tuple[str, Array]]:
+def starts(
+    case: PosedProblem, plan: Array | None, rng: np.random.Generator
+) -> Iterator[tuple[str, Array]]:
     """Where to begin, the most promising first."""
     if plan is not None:
         yield 'plan', plan
@@ -463,7 +465,7 @@ def starts(case: Case, plan: Array | None, rng: np.random.Generator) -> Iterator
         yield 'shaken plan', nudged(case, plan, rng, 1.5)
 
 
-def straight(case: Case) -> Array:
+def straight(case: PosedProblem) -> Array:
     """Full speed towards the goal from the first step on."""
     towards = case.goals[-1] - case.position
     size = np.linalg.norm(towards)
@@ -478,7 +480,7 @@ def straight(case: Case) -> Array:
     return _from_second(case, np.tile(judge.nearest_rotation(wanted), (case.horizon, 1, 1)))
 
 
-def nudged(case: Case, rotations: Array, rng: np.random.Generator, size: float) -> Array:
+def nudged(case: PosedProblem, rotations: Array, rng: np.random.Generator, size: float) -> Array:
     """Rotations turned by a smooth random walk of up to a size [rad], at full speed."""
     walk = np.cumsum(rng.normal(size=(case.horizon, 3)), axis=0)
     walk *= size / np.abs(walk).max()
@@ -500,7 +502,7 @@ def _euler(n: int, yaw: float, pitch: float, roll: float) -> Array:
     return about_z @ about_y @ about_x
 
 
-def _from_second(case: Case, later: Array) -> Array:
+def _from_second(case: PosedProblem, later: Array) -> Array:
     """R_0..R_N of R_1..R_N, where the state decides R_1 as it does."""
     rotations = np.concatenate([case.rotation[None], later])
     if case.rotation_order == 2:
@@ -509,8 +511,8 @@ def _from_second(case: Case, later: Array) -> Array:
 
 
 def trajectories(
-    case: Case, plan: Array | None, rng: np.random.Generator, patience: float
-) -> Iterator[Trajectory]:
+    case: PosedProblem, plan: Array | None, rng: np.random.Generator, patience: float
+) -> Iterator[Rival]:
     """Legal trajectories: what needs no solver, then IPOPT's until the patience [s] is over."""
     begun = time.perf_counter()
     for kept in judge.held(case):

@@ -31,7 +31,7 @@ EPOCH = 1_700_000_000 * SECOND
 
 
 @dataclass(frozen=True)
-class Flight:
+class AirFlight:
     """What is flown.
 
     Attributes:
@@ -63,7 +63,7 @@ class Flight:
 
 
 @dataclass
-class Log:
+class AirLog:
     """What came of a flight.
 
     Attributes:
@@ -80,7 +80,7 @@ class Log:
     fastest: float = 0.0
     seconds: float = 0.0
 
-    def note(self, flight: Flight, road: str, speed: float, rate: float) -> None:
+    def note(self, flight: AirFlight, road: str, speed: float, rate: float) -> None:
         limits = flight.parameters
         self.roads[road] += 1
         self.slowest = min(self.slowest, speed / flight.least)
@@ -89,7 +89,7 @@ class Log:
             self.broken[f'{road}: {limit}'] += 1
 
 
-def beyond(flight: Flight, speed: float, rate: float) -> Iterator[str]:
+def beyond(flight: AirFlight, speed: float, rate: float) -> Iterator[str]:
     """Which limits a command breaks."""
     limits = flight.parameters
     if not math.isfinite(speed) or not math.isfinite(rate):
@@ -105,7 +105,7 @@ def beyond(flight: Flight, speed: float, rate: float) -> Iterator[str]:
 # --- drawing a flight
 
 
-def draw(seed: int, index: int) -> Flight:
+def draw(seed: int, index: int) -> AirFlight:
     """A flight from a seed and an index alone; every fourth one has faults."""
     rng = np.random.default_rng([seed, index])
     parameters = _parameters(rng)
@@ -121,7 +121,7 @@ def draw(seed: int, index: int) -> Flight:
         turns=parameters['max_rate'] * rng.uniform(0.7, 1.5),
     )
     reach = forward * rng.uniform(2.0, 30.0)
-    return Flight(
+    return AirFlight(
         parameters,
         frame,
         Motion(0.0, 0.0, rng.uniform(-np.pi, np.pi), rng.uniform(0.0, 1.0) * forward, 0.0),
@@ -223,9 +223,9 @@ class Planner:
         return RosTime(EPOCH + round(now * SECOND))
 
 
-def fly(flight: Flight) -> Log:
+def fly(flight: AirFlight) -> AirLog:
     """Fly, and judge every command."""
-    planner, motion, log = Planner(flight.parameters), flight.start, Log()
+    planner, motion, log = Planner(flight.parameters), flight.start, AirLog()
     begun = time.perf_counter()
     for k in range(round(flight.duration / flight.step)):
         now = k * flight.step
@@ -242,7 +242,7 @@ def fly(flight: Flight) -> Log:
     return log
 
 
-def tell(planner: Planner, flight: Flight, now: float, motion: Motion) -> None:
+def tell(planner: Planner, flight: AirFlight, now: float, motion: Motion) -> None:
     """Send the planner what it hears at a time [s]."""
     present = {kind for kind, (begin, end) in flight.faults.items() if begin <= now < end}
     if now == 0.0 or 'goal lost' not in present:
@@ -252,13 +252,13 @@ def tell(planner: Planner, flight: Flight, now: float, motion: Motion) -> None:
         planner.odometry(now, *shown(flight, present, motion, velocity))
 
 
-def goal_at(flight: Flight, now: float) -> np.ndarray:
+def goal_at(flight: AirFlight, now: float) -> np.ndarray:
     radius, speed = flight.circling
     return flight.goal + radius * np.array([math.cos(speed * now), math.sin(speed * now)])
 
 
 def shown(
-    flight: Flight, present: set[str], motion: Motion, velocity: np.ndarray
+    flight: AirFlight, present: set[str], motion: Motion, velocity: np.ndarray
 ) -> tuple[Motion, np.ndarray]:
     """What odometry says of a motion while faults are present."""
     forward = flight.parameters['forward']

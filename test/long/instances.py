@@ -89,7 +89,7 @@ def floor(rng: np.random.Generator, route: dict[str, Any]) -> dict[str, Any]:
     return known
 
 
-def _bare(n: int, known: dict[str, Any]) -> judge.Case:
+def _bare(n: int, known: dict[str, Any]) -> judge.PosedProblem:
     """A case that has a floor and nothing else."""
     return judge.case_of(
         {
@@ -164,7 +164,7 @@ def _turning(
 # --- where it should go, and what is in the way
 
 
-def witness(rng: np.random.Generator, case: judge.Case) -> Array:
+def witness(rng: np.random.Generator, case: judge.PosedProblem) -> Array:
     """A trajectory that turns at random within its limits, shape (N + 1, n, n)."""
     now = float(np.linalg.norm(case.rotation[:, 0]))
     speed = min(1.0, max(now, judge.widest(case)))

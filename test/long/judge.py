@@ -16,7 +16,7 @@ GOLDEN = (1.0 + np.sqrt(5.0)) / 2.0
 
 
 @dataclass(frozen=True)
-class Case:
+class PosedProblem:
     """One problem, from the mapping that ``orbimpc solve`` takes.
 
     Beyond that mapping its state may have an ``attitude`` and a ``coasted`` rotation.
@@ -71,12 +71,12 @@ class Case:
         )
 
 
-def case_of(mapping: dict[str, Any]) -> Case:
+def case_of(mapping: dict[str, Any]) -> PosedProblem:
     state, n, steps = mapping['state'], mapping['dimension'], mapping['horizon']
     rotation = np.array(state['rotation'], dtype=float)
     goal = np.array(mapping['goal'], dtype=float)
     coasted = state.get('coasted')
-    return Case(
+    return PosedProblem(
         mapping=mapping,
         n=n,
         rotation_order=mapping['rotation_order'],
@@ -112,7 +112,7 @@ def nearest_rotation(matrix: Array) -> Array:
 # --- dynamics and cost
 
 
-def rollout(case: Case, rotations: Array) -> tuple[Array, Array]:
+def rollout(case: PosedProblem, rotations: Array) -> tuple[Array, Array]:
     """s_0..s_N and p_0..p_N of rotations R_0..R_N: explicit Euler, old values on the right."""
     h, z = case.step, case.forward
     s, p = [case.position], [case.velocity]
@@ -123,13 +123,13 @@ def rollout(case: Case, rotations: Array) -> tuple[Array, Array]:
     return np.array(s), np.array(p)
 
 
-def inputs(case: Case, rotations: Array) -> Array:
+def inputs(case: PosedProblem, rotations: Array) -> Array:
     """u_k. At rotation order 2 the last one moves nothing that is seen: it is zero, and absent."""
     rates = np.diff(rotations, axis=0) / case.step
     return rates if case.rotation_order == 1 else np.diff(rates, axis=0) / case.step
 
 
-def cost(case: Case, rotations: Array) -> float:
+def cost(case: PosedProblem, rotations: Array) -> float:
     """The objective of rotations R_0..R_N, shape (N + 1, n, n)."""
     w = case.weights
     miss = np.sum((rollout(case, rotations)[0][1:] - case.goals) ** 2, axis=1)
@@ -167,7 +167,7 @@ def quaternion_moments(r: Array) -> Array:
     return z / 4.0
 
 
-def faces(case: Case) -> Array:
+def faces(case: PosedProblem) -> Array:
     """The unit normals of the floor's faces."""
     if case.n == 2:
         angles = 2.0 * np.pi * np.arange(case.floor['faces']) / case.floor['faces']
@@ -186,7 +186,7 @@ def faces(case: Case) -> Array:
     return np.array([np.array(c) / np.linalg.norm(c) for c in corners])
 
 
-def widest(case: Case) -> float:
+def widest(case: PosedProblem) -> float:
     """The speed at which every heading is beyond the floor: fraction, or fraction / inradius."""
     if case.floor['shape'] != 'polygon':
         return case.floor.get('fraction', 0.0)
@@ -198,7 +198,7 @@ def widest(case: Case) -> float:
     return case.floor['fraction'] / ratio
 
 
-def floor_margin(case: Case, heading: Array) -> float:
+def floor_margin(case: PosedProblem, heading: Array) -> float:
     if not case.has_floor:
         return np.inf
     if case.floor['shape'] == 'circle':
@@ -206,7 +206,7 @@ def floor_margin(case: Case, heading: Array) -> float:
     return float((faces(case) @ heading).max()) - case.floor['fraction']
 
 
-def rate_margin(case: Case, rotations: Array) -> float:
+def rate_margin(case: PosedProblem, rotations: Array) -> float:
     """How far below the rate limit R_0..R_N turn.
 
     With a floor the limit turns and does not brake: the first step may change the speed as it
@@ -236,7 +236,7 @@ def clearances(box: tuple[Array, Array], points: Array) -> Array:
     return np.concatenate([box[0] - points, points - box[1]], axis=1)
 
 
-def box_margin(case: Case, positions: Array) -> float:
+def box_margin(case: PosedProblem, positions: Array) -> float:
     """How far s_1..s_N stay outside of every box [m]."""
     margins = [np.inf]
     for box in case.boxes:
@@ -247,7 +247,7 @@ def box_margin(case: Case, positions: Array) -> float:
     return float(min(margins))
 
 
-def arrival_miss(case: Case, positions: Array, velocities: Array) -> Array:
+def arrival_miss(case: PosedProblem, positions: Array, velocities: Array) -> Array:
     """s_N - g_N and, at translation order 2, h p_N [m]; empty without a terminal constraint."""
     if not case.arrives:
         return np.zeros(0)
@@ -257,7 +257,7 @@ def arrival_miss(case: Case, positions: Array, velocities: Array) -> Array:
     return np.concatenate([miss, case.step * velocities[-1]])
 
 
-def start_error(case: Case, rotations: Array) -> float:
+def start_error(case: PosedProblem, rotations: Array) -> float:
     """How far R_0, and R_1 at rotation order 2, are from what the state decides."""
     error = float(np.abs(rotations[0] - case.rotation).max())
     if case.rotation_order == 1:
@@ -270,7 +270,7 @@ def start_error(case: Case, rotations: Array) -> float:
     return max(error, float(np.abs(rotations[1] - decided).max()))
 
 
-def violations(case: Case, rotations: Array) -> dict[str, float]:
+def violations(case: PosedProblem, rotations: Array) -> dict[str, float]:
     """By how much rotations R_0..R_N break each constraint; lengths in units of a step's.
 
     Positions far from the origin cannot be known better than their last digit.
@@ -288,21 +288,21 @@ def violations(case: Case, rotations: Array) -> dict[str, float]:
     }
 
 
-def worst(case: Case, rotations: Array) -> float:
+def worst(case: PosedProblem, rotations: Array) -> float:
     return max(violations(case, rotations).values())
 
 
 # --- trajectories that need no solver
 
 
-def first_rotation(case: Case, speed: float) -> Array:
+def first_rotation(case: PosedProblem, speed: float) -> Array:
     """R_1 where the state decides its direction: at rotation order 2."""
     if case.coasted is None:
         return case.rotation + case.step * case.rotation_rate
     return speed * case.coasted
 
 
-def held(case: Case) -> list[Array]:
+def held(case: PosedProblem) -> list[Array]:
     """Trajectories that hold the present rotation, at its speed and at the floor's."""
     now = float(np.linalg.norm(case.rotation[:, 0]))
     found = []

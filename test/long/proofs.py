@@ -162,7 +162,7 @@ WAYS = {'api': by_api, 'file': by_file}
 # --- the verdict
 
 
-def verdict(case: judge.Case, answer: Answer, others: Iterable[beater.Trajectory]) -> list[str]:
+def verdict(case: judge.PosedProblem, answer: Answer, others: Iterable[beater.Rival]) -> list[str]:
     """What is wrong with an answer, given legal trajectories of its problem."""
     best = min(others, key=lambda other: other.cost, default=None)
     if answer.rotations is None:
@@ -170,7 +170,7 @@ def verdict(case: judge.Case, answer: Answer, others: Iterable[beater.Trajectory
     return [*_plan_findings(case, answer), *_proof_findings(case, answer, best)]
 
 
-def _without_a_plan(answer: Answer, best: beater.Trajectory | None) -> Iterator[str]:
+def _without_a_plan(answer: Answer, best: beater.Rival | None) -> Iterator[str]:
     if answer.status in ('raised', 'refused', 'endless'):
         yield f'{answer.status}: {answer.reason}'
     elif best is not None:
@@ -178,7 +178,7 @@ def _without_a_plan(answer: Answer, best: beater.Trajectory | None) -> Iterator[
         yield f'{answer.status}, yet {best.start} is legal: {answer.reason} {took}'.rstrip()
 
 
-def _plan_findings(case: judge.Case, answer: Answer) -> Iterator[str]:
+def _plan_findings(case: judge.PosedProblem, answer: Answer) -> Iterator[str]:
     assert answer.rotations is not None
     assert answer.positions is not None
     if not np.isfinite(answer.rotations).all() or not np.isfinite(answer.positions).all():
@@ -196,7 +196,7 @@ def _plan_findings(case: judge.Case, answer: Answer) -> Iterator[str]:
 
 
 def _proof_findings(
-    case: judge.Case, answer: Answer, best: beater.Trajectory | None
+    case: judge.PosedProblem, answer: Answer, best: beater.Rival | None
 ) -> Iterator[str]:
     assert answer.rotations is not None
     cost = judge.cost(case, answer.rotations)
@@ -210,7 +210,7 @@ def _proof_findings(
         yield f'bound: {answer.bound:.9g} above {lower:.9g} of {whose}'
 
 
-def scale(case: judge.Case, cost: float) -> float:
+def scale(case: judge.PosedProblem, cost: float) -> float:
     """What a difference of costs is measured against."""
     return max(abs(cost), NEGLIGIBLE * case.natural_cost)
 

@@ -15,7 +15,7 @@ from orbimpc_ros.lab.bench.result import Result
 from orbimpc_ros.lab.bench.rows import HULLS, BenchRow, growth, of_duel
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.io.files import require_writable
-from orbimpc_ros.tool.run.progress import Progress
+from orbimpc_ros.tool.run.progress import ProgressLine
 
 WARM_UP = 3  # instances solved before the clock counts
 
@@ -101,7 +101,7 @@ def contested(contest: Contest, quick: bool) -> list[BenchRow]:
     cap, count = QUICK_CAP if quick else CAP, contest.counts[0 if quick else 1]
     contenders, absent = _entrants(contest, cap)
     instances = contest.instances(contest.problem, count)
-    progress = Progress(len(instances))
+    progress = ProgressLine(len(instances))
     samples = duel(
         contenders,
         instances,

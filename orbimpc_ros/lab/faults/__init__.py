@@ -85,9 +85,9 @@ def tried(cases: Sequence[FaultCase], long: bool) -> list[MatrixRow]:
 
 
 def _try_all(rows: Sequence[MatrixRow], fixtures: Fixtures, long: bool) -> None:
-    from orbimpc_ros.tool.run.progress import Progress
+    from orbimpc_ros.tool.run.progress import ProgressLine
 
-    progress = Progress(len(rows))
+    progress = ProgressLine(len(rows))
     for number, row in enumerate(rows):
         begin = time.monotonic()
         for outcome in _outcomes(row.case, fixtures, long):

@@ -18,7 +18,7 @@ from orbimpc_ros.lab.faults.network import flooded
 from orbimpc_ros.lab.machine import resident
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Fallback
-from orbimpc_ros.tool.run.progress import Progress
+from orbimpc_ros.tool.run.progress import ProgressLine
 
 STEP = 0.05  # [s]
 ODOMETRY = 1000.0  # [Hz]
@@ -113,7 +113,7 @@ def _soak(harness: Harness, seconds: float) -> Soak:
         harness.until_planned()
         begin, memory = time.monotonic(), []
         warm = begin + min(60.0 * WARM_UP, 0.5 * seconds)
-        progress = Progress(round(seconds))
+        progress = ProgressLine(round(seconds))
         while (elapsed := time.monotonic() - begin) < seconds:
             harness.spin(LOOK)
             if time.monotonic() >= warm:

@@ -121,10 +121,10 @@ def _fly(store: Store, args: argparse.Namespace) -> None:
 def _kept(store: Store, client: Any, missing: Sequence[int], going: Callable[[], bool]) -> int:
     """Return how many runs are done after keeping what comes in."""
     from orbimpc_ros.lab.study.cluster import each_flown
-    from orbimpc_ros.tool.run.progress import Progress
+    from orbimpc_ros.tool.run.progress import ProgressLine
 
     runs = store.study.runs
-    done, progress = runs - len(missing), Progress(runs)
+    done, progress = runs - len(missing), ProgressLine(runs)
     size = min(max(1, runs // PARTS), LARGEST_PART)
     chunks = [missing[i : i + size] for i in range(0, len(missing), size)]
     progress.show(done, f'{done} of {runs} runs')

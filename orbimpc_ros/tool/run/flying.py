@@ -13,7 +13,7 @@ from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.settings import Values
 from orbimpc_ros.tool.run import discovery, processes
 from orbimpc_ros.tool.run.processes import Interruptions, Process
-from orbimpc_ros.tool.run.progress import Progress
+from orbimpc_ros.tool.run.progress import ProgressLine
 
 if TYPE_CHECKING:
     from orbimpc_ros.tool.io.recorder import Recorder
@@ -106,7 +106,7 @@ def _watch(
     values: Values,
 ) -> None:
     """Record until the simulators are done or somebody asks to stop."""
-    progress = Progress(values['max_ticks'])
+    progress = ProgressLine(values['max_ticks'])
     while any(each.sim.running for each in vehicles) and not interruptions.requested:
         recorder.spin(SPIN)
         for each in vehicles:
@@ -121,7 +121,10 @@ def _watch(
 
 
 def _show(
-    progress: Progress, vehicles: tuple[VehicleProcesses, ...], recorder: Recorder, values: Values
+    progress: ProgressLine,
+    vehicles: tuple[VehicleProcesses, ...],
+    recorder: Recorder,
+    values: Values,
 ) -> None:
     ticks = max(recorder.counts[f'{each.namespace}/tick'] for each in vehicles)
     text = f'tick {ticks} of at most {values["max_ticks"]}, t = {ticks * values["step"]:.0f} s'

@@ -9,7 +9,7 @@ WIDTH = 30
 LINES = 5  # where there is no terminal
 
 
-class Progress:
+class ProgressLine:
     """Shows how much of something is done.
 
     Args:
