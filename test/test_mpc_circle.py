@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.annulus import improve
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.problem import Problem, State, Weights
-from orbimpc_ros.mpc.solve.annulus_newton import NOTHING, AnnulusNewton, _Tick
+from orbimpc_ros.mpc.solve.annulus_newton import NOTHING, AnnulusNewton
 from orbimpc_ros.mpc.solve.request import Guess, Request
 from orbimpc_ros.mpc.solve.solver import Solver
 
@@ -86,8 +86,7 @@ def test_no_bound_exceeds_the_best_of_many_local_optima(seed):
 
 
 def tick_of(circle, start, targets, out_of_time=None):
-    q, constant = circle._condensed.affine(start, targets)
-    return _Tick(start, targets, q, constant, circle._left(start, targets), out_of_time)
+    return circle._tick(Request(start, targets, out_of_time=out_of_time))
 
 
 @pytest.mark.parametrize('seed', range(10))

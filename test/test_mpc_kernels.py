@@ -19,7 +19,7 @@ from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.model.cost import position_weights
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem, Weights
-from orbimpc_ros.mpc.solve.annulus_newton import NOTHING, AnnulusNewton, _Tick
+from orbimpc_ros.mpc.solve.annulus_newton import NOTHING, AnnulusNewton
 from orbimpc_ros.mpc.solve.cell_tree import CellSearch
 from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch
 from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
@@ -165,19 +165,20 @@ def test_plain_python_finds_what_machine_code_does(tmp_path):
 
 PLAIN = """
 import json, numpy as np
-from orbimpc_ros.mpc.solve.annulus_newton import Circle
-from orbimpc_ros.mpc.solve.hull_riccati import Hull
+from orbimpc_ros.mpc.solve.annulus_newton import AnnulusNewton
+from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
 from orbimpc_ros.mpc.check import floor_margin
-from orbimpc_ros.mpc.solve.polygon_bnb import Planar
+from orbimpc_ros.mpc.solve.polygon_bnb import PolygonSearch
+from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
-start, targets = State.at([0.0, 0.0], np.eye(2)), np.tile([0.4, 0.3], (3, 1))
-high = State.at(np.zeros(3), np.eye(3)), np.tile([0.4, 0.3, 0.2], (3, 1))
+at = Request(State.at([0.0, 0.0], np.eye(2)), np.tile([0.4, 0.3], (3, 1)))
+high = Request(State.at(np.zeros(3), np.eye(3)), np.tile([0.4, 0.3, 0.2], (3, 1)))
 seen = Weights(input=0.0)
 found = [
-    Circle(Problem(horizon=3, floor=Floor('circle', 4, 0.6)), 1e-6).solve(Request(start, targets)),
-    Circle(Problem(3, horizon=3, weights=seen, floor=Floor('circle')), 1e-6).solve(Request(*high)),
-    Planar(Problem(horizon=3, floor=Floor('polygon', 4, 0.6)), 1e-6).solve(Request(start, targets)),
-    Hull(Problem(horizon=3), 1e-6).solve(Request(start, targets)),
+    AnnulusNewton(Problem(horizon=3, floor=Floor('circle', 4, 0.6)), 1e-6).solve(at),
+    AnnulusNewton(Problem(3, horizon=3, weights=seen, floor=Floor('circle')), 1e-6).solve(high),
+    PolygonSearch(Problem(horizon=3, floor=Floor('polygon', 4, 0.6)), 1e-6).solve(at),
+    HullRiccati(Problem(horizon=3), 1e-6).solve(at),
 ]
 print(json.dumps([number for each in found for number in (each.cost, each.lower_bound)]))
 """
@@ -191,8 +192,7 @@ def passing(rng, problem):
 
 
 def tick_of(circle, start, targets, out_of_time=None):
-    q, constant = circle._condensed.affine(start, targets)
-    return _Tick(start, targets, q, constant, np.zeros(0), out_of_time)
+    return circle._tick(Request(start, targets, out_of_time=out_of_time))
 
 
 @pytest.mark.parametrize('fraction', [np.sqrt(0.3), 1.0])
@@ -245,7 +245,7 @@ def test_the_bound_of_a_search_over_arcs_holds_with_path_length():
     for _ in range(40):
         start, targets = passing(rng, problem)
         tick = tick_of(circle, start, targets)
-        best = circle._headings(tick, None)
+        best = circle._headings(tick)
         bound = circle._by_arcs(tick, replace(best, lower_bound=-np.inf)).lower_bound
         assert 0.0 < bound <= best.cost * (1 + 1e-9)
         length = circle._annulus.length

@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from orbimpc_ros.lab.bench.duel import OURS
 from orbimpc_ros.lab.bench.picture import side_by_side
-from orbimpc_ros.lab.bench.rows import LATE, Row
+from orbimpc_ros.lab.bench.rows import LATE, BenchRow
 from orbimpc_ros.tool import figures
 from orbimpc_ros.tool.demo.arrivals import column, planned_at_start, table, title
 from orbimpc_ros.tool.demo.fleet import resolve
@@ -161,14 +161,14 @@ def test_every_vehicle_of_a_fleet_has_its_name_in_the_picture(count):
 
 def test_times_side_by_side_say_whose_they_are_and_where_they_were_cut_off():
     rows = [
-        Row('hull', OURS, 9, p50_ms=0.1, p99_ms=0.2, ratio_p50=1.0),
-        Row('hull', 'SCIP', 9, p50_ms=6e4, p99_ms=6e4, ratio_p50=720.0, capped=9),
-        Row('hull', 'Gurobi', 9, p50_ms=10.0, p99_ms=20.0, ratio_p50=100.0),
-        Row(f'planners: {LATE}', OURS, 9, p50_ms=4.0, p99_ms=9.0, objective=0.0),
+        BenchRow('hull', OURS, 9, p50_ms=0.1, p99_ms=0.2, ratio_p50=1.0),
+        BenchRow('hull', 'SCIP', 9, p50_ms=6e4, p99_ms=6e4, ratio_p50=720.0, capped=9),
+        BenchRow('hull', 'Gurobi', 9, p50_ms=10.0, p99_ms=20.0, ratio_p50=100.0),
+        BenchRow(f'planners: {LATE}', OURS, 9, p50_ms=4.0, p99_ms=9.0, objective=0.0),
     ]
     figure = side_by_side(rows)
     axes = figure.axes[0]
-    assert {text.get_text() for text in axes.texts} == {'> 720 x', '100 x'}
+    assert {text.get_text() for text in axes.texts} == {'> 720 ×', '100 ×'}
     names = [text.get_text() for text in axes.get_yticklabels()]
     assert names == [f'planners: {OURS}', 'hull: Gurobi', 'hull: SCIP', f'hull: {OURS}']
     assert len(labels(figure)) == 2

@@ -13,7 +13,7 @@ Mathematics: docs/mathematics.md, 1.2.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
@@ -22,8 +22,26 @@ from orbimpc_ros.mpc.geometry.orbitopes import coordinates, frobenius_factor
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.problem import Problem, State
 
-if TYPE_CHECKING:
-    from orbimpc_ros.mpc.plan import Plan
+
+class Flown(Protocol):
+    """A trajectory or a plan: arrays over k = 0..N, and the inputs between them."""
+
+    @property
+    def positions(self) -> Array:
+        """Return s_0..s_N, shape (N + 1, n) [m]."""
+
+    @property
+    def velocities(self) -> Array:
+        """Return p_0..p_N, shape (N + 1, n) [m/s]."""
+
+    @property
+    def rotations(self) -> Array:
+        """Return R_0..R_N, shape (N + 1, n, n)."""
+
+    @property
+    def inputs(self) -> Array:
+        """Return u_0..u_{N-1}, shape (N, n, n)."""
+
 
 KINK = 1e-5  # below it |R e1| counts as zero, where the length has no gradient
 
@@ -82,24 +100,25 @@ def value(
     return float(cost)
 
 
-def gradients(problem: Problem, goals: Array, plan: Plan) -> list[Array]:
+def gradients(problem: Problem, goals: Array, flown: Flown) -> list[Array]:
     """Return the gradient of each term over the coordinates of R_1..R_N, shape (N, d) each."""
     maps, turn = dynamics.maps(problem), dynamics.input_map(problem)[:, 1:]
-    missed = position_weights(problem)[:, None] * (plan.positions[1:] - goals)
-    stopped = velocity_weight(problem) * np.outer(maps.pushed[-1, 1:], plan.velocities[-1])
-    turned = coordinates(plan.inputs[: len(turn)])
+    missed = position_weights(problem)[:, None] * (flown.positions[1:] - goals)
+    stopped = velocity_weight(problem) * np.outer(maps.pushed[-1, 1:], flown.velocities[-1])
+    turned = coordinates(flown.inputs[: len(turn)])
     d = turned.shape[1]
     return [
         on_axes(2.0 * maps.reach[:, 1:].T @ missed, d),
         2.0 * input_weight(problem) * turn.T @ turned,
         on_axes(2.0 * stopped, d),
-        on_axes(_length_gradient(problem, plan), d),
+        on_axes(_length_gradient(problem, flown), d),
     ]
 
 
-def _length_gradient(problem: Problem, plan: Plan) -> Array:
-    sizes = np.maximum(plan.speed_fraction[1:, None], KINK)
-    gradient = length_weight(problem) * plan.rotations[1:, :, 0] / sizes
+def _length_gradient(problem: Problem, flown: Flown) -> Array:
+    axes = flown.rotations[1:, :, 0]
+    sizes = np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), KINK)
+    gradient = length_weight(problem) * axes / sizes
     gradient[-1] = 0.0  # nothing is flown at R_N
     return gradient
 
