@@ -19,6 +19,8 @@ from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.history import History, Planned
 from orbimpc_ros.tool.io.share import config
 
+TIMES = '\N{MULTIPLICATION SIGN}'
+
 
 def run(name, positions, *changes, captured=True, forces=()):
     """Return a run of a scenario along positions, shape (M, 3), its nose along the way."""
@@ -168,7 +170,7 @@ def test_times_side_by_side_say_whose_they_are_and_where_they_were_cut_off():
     ]
     figure = side_by_side(rows)
     axes = figure.axes[0]
-    assert {text.get_text() for text in axes.texts} == {'> 720 ×', '100 ×'}
+    assert {text.get_text() for text in axes.texts} == {f'> 720 {TIMES}', f'100 {TIMES}'}
     names = [text.get_text() for text in axes.get_yticklabels()]
     assert names == [f'planners: {OURS}', 'hull: Gurobi', 'hull: SCIP', f'hull: {OURS}']
     assert len(labels(figure)) == 2
