@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Any
 
-import rclpy
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
-from rclpy.signals import SignalHandlerOptions
 
-from orbimpc_ros.ros.process import qos
+from orbimpc_ros.ros.process import attached, qos
 
 KEPT = 1000  # messages: none may be missed
 
@@ -27,16 +25,9 @@ class TestNode:
     """
 
     def __init__(self, domain: int | None = None) -> None:
-        self._context = rclpy.Context()
-        rclpy.init(
-            args=[],
-            context=self._context,
-            domain_id=domain,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
-        self.node = rclpy.create_node('laboratory', context=self._context, enable_rosout=False)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
+        self._stack = ExitStack()
+        attaching = attached('laboratory', domain=domain, enable_rosout=False)
+        self.node, self._executor = self._stack.enter_context(attaching)
 
     def subscribe(
         self, kind: Any, topic: str, heard: Callable[..., None], profile: QoSProfile | None = None
@@ -55,6 +46,4 @@ class TestNode:
 
     def close(self) -> None:
         """Take the node down."""
-        self._executor.shutdown()
-        self.node.destroy_node()
-        self._context.try_shutdown()
+        self._stack.close()

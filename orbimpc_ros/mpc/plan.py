@@ -5,18 +5,16 @@ Mathematics: docs/mathematics.md, 6.1 and 7.6.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.geometry.rotations import project_all, turned_onto
+from orbimpc_ros.mpc.geometry.rotations import project_all
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.solve.turns import turning
 
 ROUNDING = 1e-14  # of the cost unit: at the goal the cost vanishes, its rounding does not
 
@@ -115,10 +113,6 @@ class Plan(ByContent):
         """Return the Frobenius distance from each R_k to its rotation, shape (N + 1,)."""
         return np.linalg.norm(self.rotations - self.projected, axis=(1, 2))
 
-    def proved(self, proof: Proof) -> Plan:
-        """Return this plan held against another proof."""
-        return replace(self, proof=proof)
-
 
 def assemble(
     problem: Problem, state: State, goals: Array, x: Array, *, projection: str, proof: Proof
@@ -171,55 +165,3 @@ def shifted(
     if len(moved) < problem.horizon:
         return None
     return assemble(problem, state, goals, moved, projection=projection, proof=UNPROVED)
-
-
-def unsought(problem: Problem, state: State, goals: Array, *, projection: str) -> Iterator[Plan]:
-    """Yield the plans that take no search: to go straight on, and straight to the goal.
-
-    Straight on at the present speed, as slowly as the floor allows, and at full speed.
-
-    Args:
-        problem: what is to be solved.
-        state: from where.
-        goals: g_1..g_N, shape (N, n) [m].
-        projection: ``nearest`` or ``thrust_aligned``.
-    """
-    for rotations in _straight(problem, state, goals):
-        x = coordinates(rotations)
-        yield assemble(problem, state, goals, x, projection=projection, proof=UNPROVED)
-
-
-def turns(problem: Problem, state: State, goals: Array, *, projection: str) -> Iterator[Plan]:
-    """Yield plans that turn at an even rate, and meet a terminal constraint.
-
-    Args:
-        problem: what is to be solved.
-        state: from where.
-        goals: g_1..g_N, shape (N, n) [m].
-        projection: ``nearest`` or ``thrust_aligned``.
-    """
-    for rotations in turning(problem, state, goals):
-        x = coordinates(rotations)
-        yield assemble(problem, state, goals, x, projection=projection, proof=UNPROVED)
-
-
-def _straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
-    """Yield R_1..R_N, shape (N, n, n)."""
-    ahead = state.attitude
-    if problem.rotation_order == 2 and state.coasted is not None:
-        ahead = state.coasted
-    if problem.rotation_order == 2 and state.coasted is None:
-        firsts = [state.rotation + problem.step * state.rotation_rate]  # as the state decides
-    else:
-        least = problem.floor.least(ahead[:, 0])
-        present = float(np.linalg.norm(state.rotation[:, 0]))
-        firsts = [share * ahead for share in dict.fromkeys((max(present, least), least, 1.0))]
-    for first in firsts:
-        yield np.tile(first, (problem.horizon, 1, 1))
-    towards = goals[-1] - state.position
-    distance = float(np.linalg.norm(towards))
-    if distance > 0.0:
-        there = np.tile(turned_onto(ahead, towards / distance), (problem.horizon, 1, 1))
-        if problem.rotation_order == 2:
-            there[0] = firsts[-1]
-        yield there

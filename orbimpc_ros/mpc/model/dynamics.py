@@ -38,21 +38,6 @@ def inputs_of(problem: Problem, state: State, rotations: Array) -> Array:
     return inputs
 
 
-def rotation_rollout(problem: Problem, state: State, first_rate: Array, inputs: Array) -> Array:
-    """Return R_0..R_N, shape (N + 1, n, n), that the inputs produce.
-
-    Args:
-        problem: gives the order and the step.
-        state: gives R_0.
-        first_rate: W_0, shape (n, n); used at rotation order 2 only.
-        inputs: u_0..u_{N-1}, shape (N, n, n).
-    """
-    changes = problem.step * inputs
-    if problem.rotation_order == 2:
-        changes = problem.step * _accumulated(first_rate, changes[:-1])
-    return _accumulated(state.rotation, changes)
-
-
 def translation_rollout(problem: Problem, state: State, headings: Array) -> tuple[Array, Array]:
     """Return s_0..s_N and the velocities p_0..p_N, each of shape (N + 1, n).
 
@@ -72,11 +57,6 @@ def translation_rollout(problem: Problem, state: State, headings: Array) -> tupl
     else:
         velocities[:] = problem.forward * headings
     return positions, velocities
-
-
-def _accumulated(first: Array, changes: Array) -> Array:
-    """Return where each change leads from ``first``, which comes first; one entry more."""
-    return np.add.accumulate(np.concatenate([first[None], changes]))
 
 
 def drift(problem: Problem, state: State) -> Array:

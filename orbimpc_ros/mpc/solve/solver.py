@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,16 +15,31 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFailure
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.plan import UNPROVED, Plan, Proof, assemble, turns, unsought
+from orbimpc_ros.mpc.plan import Plan, Proof, assemble
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.feasibility import reason
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.solve.registry import method_for
 from orbimpc_ros.mpc.solve.request import Found, Guess, Request
+from orbimpc_ros.mpc.solve.stand_ins import straight, turning
 
 SEARCH_SHARE = 0.01  # a search stops at this share of the gap that counts as proved
 OUTWARD = 1e-9  # relative: bounds are published lower by what plans may miss constraints by
 NOTHING = Found(None, np.inf, -np.inf, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Query:
+    """What a solver is asked, in the units of its caller; see :meth:`Solver.solve`."""
+
+    state: State
+    goals: Array
+    guess: Plan | None
+    out_of_time: Callable[[], bool] | None
+
+    @property
+    def late(self) -> bool:
+        return self.out_of_time is not None and self.out_of_time()
 
 
 class Solver:
@@ -79,26 +94,22 @@ class Solver:
             Infeasible: no trajectory satisfies the constraints.
             SolverFailure: no trajectory was found, and none was proved not to exist.
         """
+        query = _Query(state, goals, guess, out_of_time)
         try:
-            found = self._found(state, goals, guess, out_of_time)
+            found = self._found(query)
         except Infeasible as error:
             found = replace(NOTHING, reason=f'a plan exists, though the search found: {error}')
-            return self._instead(state, goals, guess, found, error, out_of_time)
+            return self._instead(query, found, error)
         if found.x is None:
-            return self._instead(
-                state, goals, guess, found, SolverFailure(found.reason), out_of_time
-            )
-        plan = self._assembled(state, goals, found.x, self._proof(found))
+            return self._instead(query, found, SolverFailure(found.reason))
+        plan = self._assembled(query, found.x, self._proof(found))
         flaws = violations(self.problem, state, goals, plan)
         if flaws:
             found = replace(NOTHING, reason='the plan found fails its check: ' + '; '.join(flaws))
-            return self._instead(
-                state, goals, guess, found, SolverFailure(found.reason), out_of_time
-            )
+            return self._instead(query, found, SolverFailure(found.reason))
         if plan.gap <= self._tolerance:  # not just as near as rounding allows to tell
             return plan
-        sound = [plan, *self._candidates(state, goals, guess, plan.proof)]
-        return min(sound, key=lambda each: each.objective)
+        return min([plan, *self._unsought(query, plan.proof)], key=_objective)
 
     def propose(
         self,
@@ -114,25 +125,23 @@ class Solver:
             Infeasible: the method proved that no trajectory satisfies the constraints.
             SolverFailure: the method found none.
         """
-        found = self._found(state, goals, guess, out_of_time)
+        query = _Query(state, goals, guess, out_of_time)
+        found = self._found(query)
         if found.x is None:
             raise SolverFailure(found.reason)
-        return self._assembled(state, goals, found.x, self._proof(found))
+        return self._assembled(query, found.x, self._proof(found))
 
-    def _found(
-        self,
-        state: State,
-        goals: Array,
-        guess: Plan | None,
-        out_of_time: Callable[[], bool] | None,
-    ) -> Found:
+    def _found(self, query: _Query) -> Found:
+        state, goals = query.state, query.goals
         wanted = (self.problem.horizon, self.problem.dimension)
         if np.shape(goals) != wanted:
             raise BadInput('goals', np.shape(goals), f'an array of shape {wanted}')
-        usable, units = self._usable(state, goals, guess), self._units
+        usable, units = self._usable(query), self._units
         start, targets = units.state(state), units.lengths(goals)
         try:
-            found = self._method.solve(Request(start, targets, usable, out_of_time, self._patient))
+            found = self._method.solve(
+                Request(start, targets, usable, query.out_of_time, self._patient)
+            )
         except Infeasible:
             raise Infeasible(reason(self.problem, state, goals)) from None
         except SolverFailure as error:
@@ -148,15 +157,20 @@ class Solver:
         """Return whether a guess makes this solver faster."""
         return self._method.takes_guess
 
-    def _usable(self, state: State, goals: Array, guess: Plan | None) -> Guess | None:
+    def _usable(self, query: _Query) -> Guess | None:
+        guess = query.guess
         if guess is None or not self.takes_guess:
             return None
-        if self._method.trusts_guess and violations(self.problem, state, goals, guess):
+        if self._method.trusts_guess and not self._sound(query, guess):
             return None
         return Guess(coordinates(guess.rotations[1:]), guess.objective / self._units.cost)
 
-    def _assembled(self, state: State, goals: Array, x: Array, proof: Proof) -> Plan:
-        return assemble(self.problem, state, goals, x, projection=self._projection, proof=proof)
+    def _sound(self, query: _Query, plan: Plan) -> bool:
+        return not violations(self.problem, query.state, query.goals, plan)
+
+    def _assembled(self, query: _Query, x: Array, proof: Proof) -> Plan:
+        known = self.problem, query.state, query.goals
+        return assemble(*known, x, projection=self._projection, proof=proof)
 
     def _proof(self, found: Found) -> Proof:
         """Return the proof of a bound in natural units; no term of the objective is negative."""
@@ -164,50 +178,38 @@ class Solver:
         known = bound if 0.0 < bound < np.inf else 0.0
         return Proof(known, found.nodes, self._tolerance, self._units.cost, found.reason)
 
-    def _instead(
-        self,
-        state: State,
-        goals: Array,
-        guess: Plan | None,
-        found: Found,
-        failure: OrbimpcError,
-        out_of_time: Callable[[], bool] | None,
-    ) -> Plan:
+    def _instead(self, query: _Query, found: Found, failure: OrbimpcError) -> Plan:
         """Return the cheapest of the plans that can stand in for one that was not found."""
         proof = self._proof(found)
-        sound = list(self._candidates(state, goals, guess, proof))
+        sound = list(self._unsought(query, proof))
         if not sound and isinstance(failure, SolverFailure):
-            sound = self._turns(state, goals, proof, out_of_time)
+            sound = self._turning(query, proof)
         if not sound:
             raise failure
-        return min(sound, key=lambda each: each.objective)
+        return min(sound, key=_objective)
 
-    def _candidates(
-        self, state: State, goals: Array, guess: Plan | None, proof: Proof
-    ) -> Iterator[Plan]:
+    def _unsought(self, query: _Query, proof: Proof) -> Iterator[Plan]:
         """Yield the plans that cost no search and pass the check, held against a proof."""
-        made = unsought(self.problem, state, goals, projection=self._projection)
+        known, guess = (self.problem, query.state, query.goals), query.guess
+        made = straight(*known)
         if guess is not None and guess.horizon == self.problem.horizon:
-            x = coordinates(guess.rotations[1:])  # from this state, whatever it was made for
-            made = itertools.chain([self._assembled(state, goals, x, UNPROVED)], made)
-        for plan in made:
-            held = plan.proved(proof)
-            if not violations(self.problem, state, goals, held):
-                yield held
+            made = itertools.chain([guess.rotations[1:]], made)  # from this state on
+        for rotations in made:
+            plan = self._assembled(query, coordinates(rotations), proof)
+            if self._sound(query, plan):
+                yield plan
 
-    def _turns(
-        self,
-        state: State,
-        goals: Array,
-        proof: Proof,
-        out_of_time: Callable[[], bool] | None,
-    ) -> list[Plan]:
+    def _turning(self, query: _Query, proof: Proof) -> list[Plan]:
         """Return plans that turn, as far as they pass the check; once late, one of them."""
         sound = []
-        for plan in turns(self.problem, state, goals, projection=self._projection):
-            held = plan.proved(proof)
-            if not violations(self.problem, state, goals, held):
-                sound.append(held)
-            if sound and out_of_time is not None and out_of_time():
+        for rotations in turning(self.problem, query.state, query.goals):
+            plan = self._assembled(query, coordinates(rotations), proof)
+            if self._sound(query, plan):
+                sound.append(plan)
+            if sound and query.late:
                 break
         return sound
+
+
+def _objective(plan: Plan) -> float:
+    return plan.objective

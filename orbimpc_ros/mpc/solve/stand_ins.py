@@ -1,4 +1,4 @@
-"""Trajectories that turn at an even rate, and that arrive where they must.
+"""Trajectories that take no search: straight on, straight to the goal, and turns that arrive.
 
 A terminal constraint is linear in the headings z_k = R_k e1. What they miss it by is spread over
 them with the least squares of corrections (Newton's method), each heading then brought back to
@@ -15,7 +15,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, carried
+from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, carried, turned_onto
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.problem import Problem, State
 
@@ -27,6 +27,36 @@ LARGEST = 0.5  # of a heading, in one correction
 MET = 1e-10  # of a step's length
 AT_LIMIT = 1e-9  # of a speed
 SINGULAR = 1e-9
+
+
+def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
+    """Yield R_1..R_N, shape (N, n, n), that go straight on, and straight to the goal.
+
+    Straight on at the present speed, as slowly as the floor allows, and at full speed.
+
+    Args:
+        problem: what is to be solved.
+        state: from where.
+        goals: g_1..g_N, shape (N, n) [m].
+    """
+    ahead = state.attitude
+    if problem.rotation_order == 2 and state.coasted is not None:
+        ahead = state.coasted
+    if problem.rotation_order == 2 and state.coasted is None:
+        firsts = [state.rotation + problem.step * state.rotation_rate]  # as the state decides
+    else:
+        least = problem.floor.least(ahead[:, 0])
+        present = float(np.linalg.norm(state.rotation[:, 0]))
+        firsts = [share * ahead for share in dict.fromkeys((max(present, least), least, 1.0))]
+    for first in firsts:
+        yield np.tile(first, (problem.horizon, 1, 1))
+    towards = goals[-1] - state.position
+    distance = float(np.linalg.norm(towards))
+    if distance > 0.0:
+        there = np.tile(turned_onto(ahead, towards / distance), (problem.horizon, 1, 1))
+        if problem.rotation_order == 2:
+            there[0] = firsts[-1]
+        yield there
 
 
 def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
