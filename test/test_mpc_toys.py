@@ -1,32 +1,42 @@
 """A floor and a model of one file each, unknown to the package: all of it respects them."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-import toy_floor  # noqa: F401  registers itself
 from plans import assembled
 from scipy.optimize import minimize
-from toy_model import DRAG, KEPT
+from toy_floor import Eastward
+from toy_model import DRAG, KEPT, Drag
 
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import Command, flaw
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.loop.safety import safe_command
+from orbimpc_ros.mpc.model.translation import TRANSLATIONS
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.problem.case import case_of
+from orbimpc_ros.mpc.problem.floor import SHAPES
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve.solver import Solver
 
-EAST = Floor('eastward', fraction=0.5)
 BEHIND = np.tile([-3.0, 1.0], (5, 1))
+
+
+@pytest.fixture(autouse=True)
+def registered(monkeypatch):
+    """Register both for the test alone: what is allowed elsewhere depends on what is registered."""
+    monkeypatch.setitem(SHAPES, 'eastward', Eastward())
+    monkeypatch.setitem(TRANSLATIONS, DRAG, Drag())
+
+
+def east(fraction=0.5):
+    return Floor('eastward', fraction=fraction)
 
 
 @pytest.mark.parametrize('dimension', [2, 3])
 @pytest.mark.parametrize('limits', [{}, {'max_rate': 0.5}, {'rotation_order': 2}])
 def test_plans_keep_to_a_new_floor_and_are_proved(dimension, limits):
-    problem = Problem(dimension, floor=EAST, **limits)
+    problem = Problem(dimension, floor=east(), **limits)
     turned = np.eye(dimension)
     start = State.at(np.zeros(dimension), 0.6 * turned, coasted=turned)
     plan = Solver(problem, coasting=True).solve(
@@ -39,7 +49,7 @@ def test_plans_keep_to_a_new_floor_and_are_proved(dimension, limits):
 
 
 def test_the_optimum_under_a_new_floor_is_that_of_an_independent_solver():
-    problem = Problem(floor=EAST)
+    problem = Problem(floor=east())
     start = State.at(np.zeros(2), 0.6 * np.eye(2))
     plan = Solver(problem, gap_tolerance=1e-8).solve(start, BEHIND)
 
@@ -61,7 +71,7 @@ def test_the_optimum_under_a_new_floor_is_that_of_an_independent_solver():
 def test_the_check_the_last_look_and_the_prices_see_a_new_floor():
     start = State.at(np.zeros(2), 0.6 * np.eye(2))
     free = Solver(Problem()).solve(start, BEHIND)
-    problem = Problem(floor=EAST)
+    problem = Problem(floor=east())
     found = violations(problem, start, BEHIND, free)
     assert len(found) == 1
     assert found[0].startswith('floor violated by 1.')
@@ -73,7 +83,7 @@ def test_the_check_the_last_look_and_the_prices_see_a_new_floor():
 
 
 def test_safe_commands_start_up_lines_and_files_know_a_new_floor():
-    problem = Problem(floor=EAST)
+    problem = Problem(floor=east())
     assert safe_command('auto', problem, exp(np.array([2.0])), 0.0).speed_fraction == 1.0
     assert safe_command('hold_rate_zero', problem, np.eye(2), 0.1).speed_fraction == 0.5
     case = case_of(
@@ -90,13 +100,13 @@ def test_safe_commands_start_up_lines_and_files_know_a_new_floor():
             'goal': [1, 1],
         }
     )
-    assert case.problem.floor == EAST
-    assert EAST.outline(2) == ()
-    assert replace(EAST, fraction=0.7).least(np.array([0.6, 0.8])) == pytest.approx(0.7 / 0.6)
+    assert case.problem.floor == east()
+    assert east().outline(2) == ()
+    assert east(0.7).least(np.array([0.6, 0.8])) == pytest.approx(0.7 / 0.6)
 
 
 def test_plans_made_by_hand_are_judged_by_the_new_floor_alone():
-    problem = Problem(floor=EAST)
+    problem = Problem(floor=east())
     start = State.at(np.zeros(2), np.eye(2))
     x = np.tile(coordinates(0.7 * exp(np.array([0.6]))), (5, 1))
     assert violations(problem, start, BEHIND, assembled(problem, start, BEHIND, x)) == []

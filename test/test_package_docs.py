@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from orbimpc_ros.mpc.model.translation import TRANSLATIONS
+from orbimpc_ros.mpc.problem.floor import SHAPES
 from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.cli import _parser
 
@@ -76,11 +78,22 @@ def test_the_tutorials_problem_is_solved(tmp_path, capsys):
     assert yaml.safe_load(capsys.readouterr().out)['status'] == 'optimal'
 
 
+@pytest.fixture
+def registries():
+    """Forget after the test what a page has registered."""
+    known = [(each, dict(each)) for each in (SHAPES, TRANSLATIONS)]
+    yield
+    for registry, before in known:
+        registry.clear()
+        registry.update(before)
+
+
 @pytest.mark.parametrize(
     'page',
     [DOCS / 'library.md', DOCS / 'tutorial.md', ROOT / 'README.md'],
     ids=lambda page: page.name,
 )
+@pytest.mark.usefixtures('registries')
 def test_python_that_needs_no_ros_runs(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     texts = [text for text in blocks(page, 'python') if 'rclpy' not in text]

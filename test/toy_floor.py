@@ -3,7 +3,7 @@
 import numpy as np
 
 from orbimpc_ros.mpc.geometry.cells import Cell
-from orbimpc_ros.mpc.problem.floor import SHAPES, Shape
+from orbimpc_ros.mpc.problem.floor import Shape
 
 
 class Eastward(Shape):
@@ -11,6 +11,3 @@ class Eastward(Shape):
 
     def cells(self, floor, dimension):
         return (Cell(np.eye(dimension)[0], floor.fraction),)
-
-
-SHAPES['eastward'] = Eastward()

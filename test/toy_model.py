@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from orbimpc_ros.mpc.model.translation import TRANSLATIONS, Translation
+from orbimpc_ros.mpc.model.translation import Translation
 
 DRAG = 3  # its translation_order
 KEPT = 0.8  # of the velocity, after a step
@@ -18,6 +18,3 @@ class Drag(Translation):
 
     def push(self, step, forward):
         return np.array([0.0, step * forward])
-
-
-TRANSLATIONS[DRAG] = Drag()
