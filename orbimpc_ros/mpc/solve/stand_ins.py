@@ -106,7 +106,8 @@ def _wanted(problem: Problem, state: State, goals: Array) -> Array:
     """Return what all headings must add up to, shape (1, n), of an inertial vehicle (2, n)."""
     maps = dynamics.maps(problem)
     place = goals[-1] - state.position - maps.drift[-1, 0] * state.velocity
-    return np.stack([place, -maps.carried[-1, 0] * state.velocity][: 1 + problem.inertial])
+    stopped = -maps.carried[-1, 0] * state.velocity
+    return np.array([place, stopped] if problem.inertial else [place])
 
 
 def _headings(problem: Problem, speed: float, axis: Array, towards: Array, turn: float) -> Array:
