@@ -119,8 +119,9 @@ def _headings(problem: Problem, speed: float, axis: Array, towards: Array, turn:
     aside = aside / np.linalg.norm(aside)
     angles = turn * np.arange(1.0, problem.horizon + 1.0) / problem.horizon
     units = np.outer(np.cos(angles), axis) + np.outer(np.sin(angles), aside)
-    speeds = [min(1.0, max(speed, problem.floor.least(unit))) for unit in units]
-    return np.array(speeds)[:, None] * units
+    least = [min(1.0, max(speed, problem.floor.least(unit))) for unit in units]
+    speeds: Array = np.array(least, dtype=float)
+    return speeds[:, None] * units
 
 
 def _corrected(problem: Problem, state: State, goals: Array, z: Array) -> Array | None:
