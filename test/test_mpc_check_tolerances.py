@@ -75,7 +75,12 @@ def beside_the_arrival(error):
 
 def bounded_above_its_cost(error):
     state, plan = resting(FREE)
-    return FREE, state, GOALS, plan.proved(replace(UNPROVED, lower_bound=error, cost_unit=4.0))
+    return (
+        FREE,
+        state,
+        GOALS,
+        replace(plan, proof=replace(UNPROVED, lower_bound=error, cost_unit=4.0)),
+    )
 
 
 def skewed(error):
@@ -124,7 +129,7 @@ def test_a_plan_may_be_off_by_exactly_its_tolerance(made, allowed, complaint):
 
 def test_at_its_goal_a_plan_may_cost_nothing():
     state, plan = resting(Problem())
-    nothing = plan.proved(replace(UNPROVED, lower_bound=0.0))
+    nothing = replace(plan, proof=replace(UNPROVED, lower_bound=0.0))
     assert nothing.objective == 0.0
     assert violations(Problem(), state, GOALS, nothing) == []
     more = replace(nothing, objective=5e-324)

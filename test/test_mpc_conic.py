@@ -1,6 +1,5 @@
 """Proofs by Clarabel's answers, judged by points that are feasible, whatever the solver says."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -137,10 +136,10 @@ def test_a_program_out_of_time_has_no_trajectory_but_a_bound_that_holds():
     for most in (0, 3, 6):
         asked = iter(range(most))
         stopped = program.relax(
-            replace(at, out_of_time=lambda asked=asked: next(asked, None) is None)
+            at._replace(out_of_time=lambda asked=asked: next(asked, None) is None)
         )
         assert stopped.x is None
         assert stopped.bound <= whole.bound + 1e-6
         bounds.append(stopped.bound)
     assert bounds == sorted(bounds)
-    assert program.relax(replace(at, out_of_time=lambda: False)).bound == pytest.approx(whole.bound)
+    assert program.relax(at._replace(out_of_time=lambda: False)).bound == pytest.approx(whole.bound)

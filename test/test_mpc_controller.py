@@ -143,11 +143,11 @@ def test_without_a_plan_the_shifted_one_serves_twice_then_the_vehicle_stops(
 def test_a_plan_that_fails_its_check_is_not_flown(monkeypatch):
     controller = Controller(Problem())
     measured = odometry()
-    honest = Solver._assembled
+    honest, first = Solver._assembled, iter([True])
 
     def corrupted(self, *args, **kwargs):
         plan = honest(self, *args, **kwargs)
-        return replace(plan, positions=plan.positions + 1e-3)
+        return replace(plan, positions=plan.positions + 1e-3) if next(first, False) else plan
 
     monkeypatch.setattr(Solver, '_assembled', corrupted)
     tick = controller.tick(measured, np.tile([9.0, 3.0], (5, 1)))

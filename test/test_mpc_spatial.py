@@ -163,7 +163,7 @@ def test_a_solve_with_a_deadline_does_not_wait_for_the_general_program_to_be_bui
     monkeypatch.setattr(
         'orbimpc_ros.mpc.solve.so3_multipliers.GAP', -1.0
     )  # of two numbers never so small
-    hurried = fast.relax(replace(at, out_of_time=lambda: False))
+    hurried = fast.relax(at._replace(out_of_time=lambda: False))
     assert fast._general is None
     assert margin(matrix(hurried.x)).min() >= -1e-12
     cost, optimum = (
@@ -224,11 +224,11 @@ def test_an_interrupted_solve_keeps_its_bound_and_stays_in_the_orbitopes(monkeyp
     monkeypatch.setattr('orbimpc_ros.mpc.solve.so3_multipliers.SLICE', 1.0)  # a Newton step
     for steps in range(4):
         left = iter(range(steps))
-        early = fast.relax(replace(at, out_of_time=lambda left=left: next(left, None) is None))
+        early = fast.relax(at._replace(out_of_time=lambda left=left: next(left, None) is None))
         assert early.bound <= optimum * (1 + 1e-7)
         assert margin(matrix(early.x)).min() >= -1e-12
         assert trajectory_of(problem, state, goals, early.x).cost >= optimum * (1 - 1e-7)
     polled = iter(range(1000))
-    assert fast.relax(replace(at, out_of_time=lambda: next(polled) < 0)).bound == pytest.approx(
+    assert fast.relax(at._replace(out_of_time=lambda: next(polled) < 0)).bound == pytest.approx(
         optimum, rel=1e-7
     )

@@ -53,8 +53,8 @@ def begun(steps: int, width: int, sigma: float) -> Iterate:
         sigma: the penalty's first parameter.
     """
     numbers = np.array([sigma, -np.inf, np.inf])
-    x, held = np.zeros((2, steps, width))
-    return Iterate(x, held, numbers, np.zeros(2, np.int64))
+    shape = (steps, width)
+    return Iterate(np.zeros(shape), np.zeros(shape), numbers, np.zeros(2, np.int64))
 
 
 @compiled

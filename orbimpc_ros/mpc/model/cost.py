@@ -13,6 +13,7 @@ Mathematics: docs/mathematics.md, 1.2.
 
 from __future__ import annotations
 
+import math
 from typing import Protocol
 
 import numpy as np
@@ -71,7 +72,7 @@ def length_weight(problem: Problem) -> float:
 def first_length(problem: Problem, state: State) -> float:
     """Return the length cost of the first step, which the state alone decides."""
     heading = state.rotation[:, 0]
-    return length_weight(problem) * float(np.sqrt(heading @ heading))
+    return length_weight(problem) * math.sqrt(heading @ heading)
 
 
 def value(
@@ -91,10 +92,13 @@ def value(
         flown: s_0..s_N and p_0..p_N, shape (N + 1, n) each.
     """
     positions, velocities = flown
-    missed, u, last = positions[1:] - goals, inputs.ravel(), velocities[-1]
-    cost = position_weights(problem) @ np.einsum('kc,kc->k', missed, missed)
-    cost += problem.weights.input * (u @ u) + velocity_weight(problem) * (last @ last)
-    if problem.weights.length > 0.0:
+    w, missed, u = problem.weights, positions[1:] - goals, inputs.ravel()
+    every, last = missed.ravel(), missed[-1]
+    cost = w.position * (every @ every) + w.input * (u @ u)
+    cost += (w.terminal + problem.arrival_weight) * (last @ last)
+    if problem.arrival_weight > 0.0:
+        cost += velocity_weight(problem) * (velocities[-1] @ velocities[-1])
+    if w.length > 0.0:
         axes = rotations[:-1, :, 0]
         cost += length_weight(problem) * np.sqrt(np.einsum('kc,kc->k', axes, axes)).sum()
     return float(cost)

@@ -48,14 +48,15 @@ def translation_rollout(problem: Problem, state: State, headings: Array) -> tupl
 
     Without inertia the velocity is z R_k e1, a function of the rotation alone.
     """
-    flown = maps(problem)
-    positions, velocities = np.empty(headings.shape), np.empty(headings.shape)
-    positions[0], velocities[0] = state.position, state.velocity
-    positions[1:] = drift(problem, state) + flown.reach @ headings
-    if problem.inertial:
-        velocities[1:] = flown.carried * state.velocity + flown.pushed @ headings
-    else:
-        velocities[:] = problem.forward * headings
+    flown, positions = maps(problem), np.empty(headings.shape)
+    positions[0] = state.position
+    np.add(flown.reach @ headings, state.position, out=positions[1:])
+    if not problem.inertial:
+        return positions, problem.forward * headings
+    positions[1:] += flown.drift * state.velocity
+    velocities = np.empty(headings.shape)
+    velocities[0] = state.velocity
+    np.add(flown.pushed @ headings, flown.carried * state.velocity, out=velocities[1:])
     return positions, velocities
 
 

@@ -259,7 +259,7 @@ class AnnulusNewton:
         guess = None if found.x is None else Guess(found.x, found.cost)
         asked = iter(range(BRANCHES))
         other = self._general.solve(
-            replace(tick.request, guess=guess, out_of_time=lambda: next(asked, None) is None)
+            tick.request._replace(guess=guess, out_of_time=lambda: next(asked, None) is None)
         )
         best = other if other.cost < found.cost else found
         bound = max(found.lower_bound, other.lower_bound)

@@ -5,8 +5,6 @@ Mathematics: docs/mathematics.md, 4.3.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
@@ -83,7 +81,7 @@ class PolygonSearch:
             return found
         assert found.x is not None
         guess = Guess(found.x, found.cost)
-        return self._general.solve(replace(request, guess=guess))
+        return self._general.solve(request._replace(guess=guess))
 
     def _found(self, q: Array, constant: float) -> Found:
         """Return the best of a search, with the bound that it has proved."""

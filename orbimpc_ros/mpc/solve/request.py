@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem, State
@@ -24,9 +24,8 @@ class Guess:
     cost: float
 
 
-@dataclass(frozen=True, eq=False)
-class Request:
-    """What a method is asked for.
+class Request(NamedTuple):
+    """What a method is asked for; a tuple, for one is made at every tick.
 
     Attributes:
         state: where the plan starts.

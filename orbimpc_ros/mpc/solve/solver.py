@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,8 +29,7 @@ OUTWARD = 1e-9  # relative: bounds are published lower by what plans may miss co
 NOTHING = Found(None, np.inf, -np.inf, 0)
 
 
-@dataclass(frozen=True, eq=False)
-class _Query:
+class _Query(NamedTuple):
     """What a solver is asked, in the units of its caller; see :meth:`Solver.solve`."""
 
     state: State
