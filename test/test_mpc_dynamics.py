@@ -45,7 +45,7 @@ def test_maps_rollouts_and_equations_agree(orders, seed):
     flown = trajectory_of(problem, start, goals(rng, problem), x)
     assert np.allclose(coordinates(flown.rotations[1:]), x)
     assert np.allclose(flown.positions, step_by_step(problem, start, flown.rotations), atol=1e-12)
-    mapped = dynamics.drift(problem, start) + dynamics.maps(problem).reach @ flown.headings
+    mapped = dynamics.drift(problem, start) + problem.maps.reach @ flown.headings
     assert np.allclose(flown.positions[1:], mapped, atol=1e-12)
     first_rate = (flown.rotations[1] - flown.rotations[0]) / problem.step
     turned = turned_step_by_step(problem, flown.rotations[0], first_rate, flown.inputs)

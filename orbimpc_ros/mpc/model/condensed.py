@@ -40,7 +40,7 @@ class Condensed:
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
-        maps, turn = dynamics.maps(problem), dynamics.input_map(problem)
+        maps, turn = problem.maps, dynamics.input_map(problem)
         reach = maps.reach
         weights, turning = position_weights(problem), input_weight(problem)
         miss = np.hstack([reach[:, :1], maps.drift, -np.eye(problem.horizon)])

@@ -106,7 +106,7 @@ def value(
 
 def gradients(problem: Problem, goals: Array, flown: Flown) -> list[Array]:
     """Return the gradient of each term over the coordinates of R_1..R_N, shape (N, d) each."""
-    maps, turn = dynamics.maps(problem), dynamics.input_map(problem)[:, 1:]
+    maps, turn = problem.maps, dynamics.input_map(problem)[:, 1:]
     missed = position_weights(problem)[:, None] * (flown.positions[1:] - goals)
     stopped = velocity_weight(problem) * np.outer(maps.pushed[-1, 1:], flown.velocities[-1])
     turned = coordinates(flown.inputs[: len(turn)])

@@ -11,13 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.model.translation import Maps, maps_of
 from orbimpc_ros.mpc.problem import Problem, State
-
-
-def maps(problem: Problem) -> Maps:
-    """Return the maps of a problem's translation over its horizon."""
-    return maps_of(problem.translation_order, problem.horizon, problem.step, problem.forward)
 
 
 def inputs_of(problem: Problem, state: State, rotations: Array) -> Array:
@@ -48,7 +42,7 @@ def translation_rollout(problem: Problem, state: State, headings: Array) -> tupl
 
     Without inertia the velocity is z R_k e1, a function of the rotation alone.
     """
-    flown, positions = maps(problem), np.empty(headings.shape)
+    flown, positions = problem.maps, np.empty(headings.shape)
     positions[0] = state.position
     np.add(flown.reach @ headings, state.position, out=positions[1:])
     if not problem.inertial:
@@ -62,7 +56,7 @@ def translation_rollout(problem: Problem, state: State, headings: Array) -> tupl
 
 def drift(problem: Problem, state: State) -> Array:
     """Return the positions s_1..s_N, shape (N, n), of a vehicle that coasts without thrust."""
-    return state.position + maps(problem).drift * state.velocity
+    return state.position + problem.maps.drift * state.velocity
 
 
 def input_map(problem: Problem) -> Array:

@@ -48,7 +48,7 @@ def _out_of_reach(problem: Problem, state: State, goals: Array) -> Iterator[str]
     """At full thrust all the way, no point is farther from the coasting one than this."""
     if problem.terminal != 'constraint':
         return
-    reach = dynamics.maps(problem).reach[-1]
+    reach = problem.maps.reach[-1]
     coasted = dynamics.drift(problem, state)[-1] + reach[0] * state.rotation[:, 0]
     beyond = float(np.linalg.norm(goals[-1] - coasted) - reach[1:].sum())
     if beyond > 0.0:
@@ -60,7 +60,7 @@ def _out_of_reach(problem: Problem, state: State, goals: Array) -> Iterator[str]
 
 def _boxed_in(problem: Problem, state: State) -> Iterator[str]:
     """The state alone decides s_1, and s_2 too of an inertial vehicle."""
-    reach = dynamics.maps(problem).reach
+    reach = problem.maps.reach
     decided = dynamics.drift(problem, state) + np.outer(reach[:, 0], state.rotation[:, 0])
     known = int((reach[:, 1:] == 0.0).all(axis=1).sum())
     for i, box in enumerate(problem.obstacles):

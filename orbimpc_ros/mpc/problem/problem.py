@@ -15,11 +15,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Any
 
 from orbimpc_ros.mpc.arrays import number, whole
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.model.translation import TRANSLATIONS, maps_of
+from orbimpc_ros.mpc.model.translation import TRANSLATIONS, Maps, maps_of
 from orbimpc_ros.mpc.problem.floor import Floor
 from orbimpc_ros.mpc.problem.obstacle import Box
 
@@ -142,9 +143,14 @@ class Problem:
     @property
     def length_unit(self) -> float:
         """Return what a step moves a vehicle at most, from rest: h z, or with inertia h^2 z [m]."""
-        return maps_of(self.translation_order, self.horizon, self.step, self.forward).unit
+        return self.maps.unit
 
-    @property
+    @cached_property
+    def maps(self) -> Maps:
+        """Return the maps of the translation model over the horizon."""
+        return maps_of(self.translation_order, self.horizon, self.step, self.forward)
+
+    @cached_property
     def inertial(self) -> bool:
         """Return whether R e1 is a thrust that changes the velocity, instead of the velocity."""
         return TRANSLATIONS[self.translation_order].inertial

@@ -17,7 +17,6 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import turn_margin
 from orbimpc_ros.mpc.geometry.orbitopes import coordinate_count, coordinates, lmi, lmi_parts
-from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.cost import on_axes
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
@@ -113,7 +112,7 @@ def _rates(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
 
 def _chosen(problem: Problem, plan: Plan) -> Iterator[Slack]:
     """The half-spaces that a floor or an obstacle is kept by."""
-    reach = dynamics.maps(problem).reach[:, 1:]
+    reach = problem.maps.reach[:, 1:]
     choices = disjunctions_of(problem)
     boxes = [choice for choice in choices if choice.on == 'position']
     for choice in choices:
@@ -144,7 +143,7 @@ def _arrival(problem: Problem, plan: Plan) -> Iterator[Slack]:
     """s_N - g_N and p_N, axis by axis."""
     if problem.terminal != 'constraint':
         return
-    flown = dynamics.maps(problem)
+    flown = problem.maps
     maps = {'terminal': flown.reach[-1, 1:]}
     if problem.inertial:
         maps['terminal velocity'] = flown.pushed[-1, 1:]

@@ -38,7 +38,6 @@ from orbimpc_ros.mpc.kernels.annulus import (
 )
 from orbimpc_ros.mpc.kernels.dual import BOUND as RAISED
 from orbimpc_ros.mpc.kernels.dual import ascent, climb
-from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.condensed import LONGEST, Condensed
 from orbimpc_ros.mpc.model.cost import first_length, length_weight
 from orbimpc_ros.mpc.problem import Floor, Problem, State
@@ -93,7 +92,7 @@ class AnnulusNewton:
         length, arrival = np.zeros(problem.horizon), np.zeros(problem.horizon)
         length[:-1] = length_weight(problem)  # nothing is flown at R_N
         if self._arrives:
-            arrival = dynamics.maps(problem).reach[-1, 1:].copy()
+            arrival = problem.maps.reach[-1, 1:].copy()
         hessian, floor = self._condensed.hessian, float(problem.floor.fraction)
         self._annulus = Annulus(hessian, length, arrival, floor)
         self._disks = Annulus(hessian, np.zeros(problem.horizon), arrival, 0.0)

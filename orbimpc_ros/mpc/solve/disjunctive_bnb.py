@@ -30,7 +30,6 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.cells import Cell
 from orbimpc_ros.mpc.geometry.orbitopes import margin
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
-from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.model.trajectory import Trajectory, trajectory_of
 from orbimpc_ros.mpc.problem import Problem
@@ -360,7 +359,7 @@ def inverse_curvatures(problem: Problem, disjunctions: Sequence[Disjunction]) ->
     hessian = Condensed(problem).hessian
     if not np.linalg.cond(hessian) <= 1e12:  # of no curvature at all it is not a number
         return [np.full(len(d.steps), np.inf) for d in disjunctions]
-    inverse, rows = np.linalg.inv(hessian), dynamics.maps(problem).reach[:, 1:]
+    inverse, rows = np.linalg.inv(hessian), problem.maps.reach[:, 1:]
     along = np.einsum('ki,ij,kj->k', rows, inverse, rows)
     every = {'heading': np.diag(inverse), 'position': np.where(along > 0.0, along, np.inf)}
     return [every[d.on][np.array(d.steps) - 1] for d in disjunctions]

@@ -10,7 +10,6 @@ import numpy as np
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.penalty import BEST, PAUSED, SETTLED, begun
 from orbimpc_ros.mpc.kernels.riccati import Chain, settle, within
-from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.cost import first_length, input_weight, position_weights
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.general import General
@@ -42,7 +41,7 @@ class HullRiccati:
         self._along = np.array([[1.0, problem.step * problem.forward], [0.0, 1.0]])
         self._turning = input_weight(problem) / problem.step**2
         self._weights = position_weights(problem)
-        reach = dynamics.maps(problem).reach[:, 1:]
+        reach = problem.maps.reach[:, 1:]
         trace = 2.0 * (float(self._weights @ (reach * reach).sum(axis=1)) + self._turning)
         self._stiffness = STIFFNESS * trace
         self._slice = max(1, SLICE // problem.horizon)

@@ -16,7 +16,6 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, carried, turned_onto
-from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.problem import Problem, State
 
 # [rad] over the horizon, positive towards the goal, as far as ``max_rate`` allows.
@@ -104,7 +103,7 @@ def _turns(problem: Problem) -> Iterator[float]:
 
 def _wanted(problem: Problem, state: State, goals: Array) -> Array:
     """Return what all headings must add up to, shape (1, n), of an inertial vehicle (2, n)."""
-    maps = dynamics.maps(problem)
+    maps = problem.maps
     place = goals[-1] - state.position - maps.drift[-1, 0] * state.velocity
     stopped = -maps.carried[-1, 0] * state.velocity
     return np.array([place, stopped] if problem.inertial else [place])
@@ -130,7 +129,7 @@ def _corrected(problem: Problem, state: State, goals: Array, z: Array) -> Array 
     At rotation order 2 the first one is given.
     """
     z, given = z.copy(), problem.rotation_order - 1
-    rows, wanted = dynamics.maps(problem).arrival, _wanted(problem, state, goals)
+    rows, wanted = problem.maps.arrival, _wanted(problem, state, goals)
     wanted = wanted - np.outer(rows[:, 0], state.rotation[:, 0])
     rows = rows[:, 1:]
     for _ in range(CORRECTIONS):

@@ -21,7 +21,7 @@ from orbimpc_ros.mpc.model.cost import (
     position_weights,
     velocity_weight,
 )
-from orbimpc_ros.mpc.model.dynamics import input_map, maps
+from orbimpc_ros.mpc.model.dynamics import input_map
 from orbimpc_ros.mpc.model.translation import TRANSLATIONS
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.disjunction import Slot
@@ -183,7 +183,7 @@ class Statement:
             speed: |p_0| at translation order 2 [m/s].
             spin: the largest entry of W_0 at rotation order 2 [1/s].
         """
-        problem, n, flown = self.problem, self.problem.dimension, maps(self.problem)
+        problem, n, flown = self.problem, self.problem.dimension, self.problem.maps
         moved = flown.drift[:, 0] * speed + flown.reach.sum(axis=1)
         pushed = flown.carried[:, 0] * speed + flown.pushed.sum(axis=1)
         angle = problem.step * problem.max_rate if problem.first_turn_is_an_angle else 0.0

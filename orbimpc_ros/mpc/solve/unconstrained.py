@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.problem import Problem
 
@@ -59,7 +58,7 @@ def _arrival(problem: Problem) -> tuple[Array, Array]:
 
     s_N = g_N and, at translation order 2, p_N = 0.
     """
-    maps = dynamics.maps(problem)
+    maps = problem.maps
     rows = maps.arrival
     if problem.terminal != 'constraint':
         rows = rows[:0]

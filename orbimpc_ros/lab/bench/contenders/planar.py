@@ -16,7 +16,6 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.faces import normals
-from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.problem import Box, Problem, State
 
@@ -62,7 +61,7 @@ class CondensedPlanar:
         condensed, self._advance = Condensed(problem), problem.step * problem.forward
         self.quadratic = 0.5 * condensed.hessian
         self.squares = _factor(self.quadratic)
-        self.reach = dynamics.maps(problem).reach[:, 1:]
+        self.reach = problem.maps.reach[:, 1:]
         self.arrival = self.reach[-1]
         self.disjunctions = [self._beyond(box) for box in problem.obstacles]
         if problem.floor.shape == 'polygon':
