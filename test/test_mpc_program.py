@@ -7,7 +7,7 @@ import pytest
 from problems import ORDERS, goals, state, weights
 
 from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.errors import BadInput, Infeasible
 from orbimpc_ros.mpc.geometry.orbitopes import matrix
 from orbimpc_ros.mpc.geometry.rotations import nearest
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
@@ -175,3 +175,11 @@ def test_the_rate_limit_bounds_every_turn():
     turned = np.linalg.norm(np.diff(x, axis=0), axis=1)
     assert turned.max() <= 2 * np.sin(0.2) + 1e-8
     assert turned.max() >= 2 * np.sin(0.2) - 1e-4
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_a_state_without_the_rotation_that_the_solver_was_made_for_is_refused(n):
+    solver = Solver(Problem(n, rotation_order=2, horizon=3), coasting=True)
+    start = State.at(np.zeros(n), np.eye(n))
+    with pytest.raises(BadInput, match=r'state\.coasted'):
+        solver.solve(start, np.zeros((3, n)))

@@ -66,6 +66,7 @@ class Solver:
         self.problem = problem
         self._projection, self._tolerance = projection, gap_tolerance
         self._units, self._patient = Units.of(problem), patient
+        self._coasting = coasting and problem.rotation_order == 2
         tolerance = SEARCH_SHARE * gap_tolerance
         self._method = method_for(self._units.problem, tolerance, coasting=coasting)
 
@@ -136,6 +137,8 @@ class Solver:
         wanted = (self.problem.horizon, self.problem.dimension)
         if np.shape(goals) != wanted:
             raise BadInput('goals', np.shape(goals), f'an array of shape {wanted}')
+        if self._coasting and state.coasted is None:
+            raise BadInput('state.coasted', None, 'a rotation: the solver was made for coasting')
         usable, units = self._usable(query), self._units
         start, targets = units.state(state), units.lengths(goals)
         try:
