@@ -24,6 +24,9 @@ def test_projected_rotations_are_rotations():
     assert any('orthogonal' in f for f in violations(problem, START, GOALS, skewed))
     mirror = replace(plan, projected=changed(plan.projected, 1, np.diag([1.0, -1.0])))
     assert only_complaint(problem, mirror) == 'a projected rotation has not determinant +1'
+    swapped = np.array([[0.0, 1.0], [1.0, 0.0]])
+    swap = replace(plan, projected=changed(plan.projected, 1, swapped))
+    assert only_complaint(problem, swap) == 'a projected rotation has not determinant +1'
 
 
 def spatial_plan(projection, order=1):

@@ -194,3 +194,26 @@ def test_prices_are_those_of_the_new_model():
         places[-1] = last
         costs.append(dearer.solve(start, places).objective)
     assert prices['terminal x@5'] == pytest.approx(abs(costs[0] - costs[1]) / 2e-4, rel=1e-2)
+
+
+class Midpoint(Drag):
+    """As the toy, but a thrust moves the vehicle within its step, too."""
+
+    def push(self, step, forward):
+        return np.array([0.5 * step**2 * forward, step * forward])
+
+
+@pytest.mark.parametrize('kind', [Drag, Midpoint])
+def test_the_check_rolls_a_new_model_out_by_itself(monkeypatch, kind):
+    monkeypatch.setitem(TRANSLATIONS, DRAG + 1, kind())
+    problem = Problem(2, 1, DRAG + 1, step=0.5, forward=2.0)
+    start = State.at(np.zeros(2), np.eye(2), velocity=np.array([0.3, -0.2]))
+    turning = np.arange(1.0, 6.0)
+    x = np.column_stack([np.cos(turning), np.sin(turning)])
+    plan = assembled(problem, start, BEHIND, x)
+    assert violations(problem, start, BEHIND, plan) == []
+    places, velocities = flown(problem, start, plan.rotations[:, :, 0])
+    pushed = 0.5 * problem.step**2 * problem.forward * plan.rotations[:-1, :, 0]
+    beyond = np.cumsum(pushed, axis=0) if kind is Midpoint else 0.0
+    np.testing.assert_allclose(plan.positions[1:], places[1:] + beyond, atol=1e-12)
+    np.testing.assert_allclose(plan.velocities, velocities, atol=1e-12)

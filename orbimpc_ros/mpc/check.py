@@ -126,7 +126,7 @@ def _length_tolerance(problem: Problem, state: State) -> float:
 
 def _limit_violations(problem: Problem, state: State, plan: Plan) -> list[str]:
     limits = {'conv SO(n)': (float(margin(plan.rotations[1:]).min()), TOLERANCE)}
-    if problem.floor.shape != 'none':
+    if problem.floor.exists:
         least = float(floor_margin(problem, plan.rotations[1:, :, 0]).min())
         limits['floor'] = least, TOLERANCE
     if problem.max_rate > 0.0:

@@ -106,6 +106,6 @@ class Maps:
 
 
 @lru_cache(maxsize=256)
-def maps_of(order: int, horizon: int, step: float, forward: float) -> Maps:
-    """Return the maps of a registered model; made once."""
-    return Maps(TRANSLATIONS[order], horizon, step, forward)
+def maps_of(model: Translation, horizon: int, step: float, forward: float) -> Maps:
+    """Return the maps of a model; made once."""
+    return Maps(model, horizon, step, forward)

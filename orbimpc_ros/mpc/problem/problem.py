@@ -148,7 +148,8 @@ class Problem:
     @cached_property
     def maps(self) -> Maps:
         """Return the maps of the translation model over the horizon."""
-        return maps_of(self.translation_order, self.horizon, self.step, self.forward)
+        model = TRANSLATIONS[self.translation_order]
+        return maps_of(model, self.horizon, self.step, self.forward)
 
     @cached_property
     def inertial(self) -> bool:
