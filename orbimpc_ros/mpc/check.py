@@ -18,7 +18,6 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.orbitopes import margin
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
-from orbimpc_ros.mpc.model.translation import TRANSLATIONS
 from orbimpc_ros.mpc.problem import Problem, State
 
 if TYPE_CHECKING:
@@ -96,7 +95,7 @@ def _rollout(
         changes = h * _summed(first_rate, changes[:-1])
     rotations = _summed(state.rotation, changes)
     thrusts = rotations[:, :, 0]
-    model = TRANSLATIONS[problem.translation_order]
+    model = problem.translation
     a, b = model.transition(h), model.push(h, problem.forward)
     if not problem.inertial:
         return rotations, _summed(state.position, b[0] * thrusts[:-1]), problem.forward * thrusts

@@ -19,7 +19,7 @@ from typing import Protocol
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates, frobenius_factor
+from orbimpc_ros.mpc.geometry.orbitopes import coordinate_count, coordinates, frobenius_factor
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.problem import Problem, State
 
@@ -110,12 +110,11 @@ def gradients(problem: Problem, goals: Array, flown: Flown) -> list[Array]:
     missed = position_weights(problem)[:, None] * (flown.positions[1:] - goals)
     stopped = velocity_weight(problem) * np.outer(maps.pushed[-1, 1:], flown.velocities[-1])
     turned = coordinates(flown.inputs[: len(turn)])
-    d = turned.shape[1]
     return [
-        on_axes(2.0 * maps.reach[:, 1:].T @ missed, d),
+        on_axes(2.0 * maps.reach[:, 1:].T @ missed),
         2.0 * input_weight(problem) * turn.T @ turned,
-        on_axes(2.0 * stopped, d),
-        on_axes(_length_gradient(problem, flown), d),
+        on_axes(2.0 * stopped),
+        on_axes(_length_gradient(problem, flown)),
     ]
 
 
@@ -127,8 +126,9 @@ def _length_gradient(problem: Problem, flown: Flown) -> Array:
     return gradient
 
 
-def on_axes(gradient: Array, d: int) -> Array:
+def on_axes(gradient: Array) -> Array:
     """Return a gradient over thrust axes, shape (N, n), as one over rotations, shape (N, d)."""
-    full = np.zeros((len(gradient), d))
-    full[:, : gradient.shape[1]] = gradient
+    steps, n = gradient.shape
+    full = np.zeros((steps, coordinate_count(n)))
+    full[:, :n] = gradient
     return full

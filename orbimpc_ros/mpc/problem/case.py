@@ -10,7 +10,6 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array, frozen
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
-from orbimpc_ros.mpc.problem.floor import SHAPES
 
 MODEL = ('dimension', 'rotation_order', 'translation_order', 'horizon', 'step', 'forward')
 EXTRAS = ('terminal', 'max_rate', 'no_corner_cutting')
@@ -66,10 +65,8 @@ def _problem(known: Mapping[str, Any]) -> Problem:
 
 def _floor(value: Any) -> Floor:
     known = _fields(value, 'floor', ('shape',), ('faces', 'fraction'))
-    shape = known['shape']
-    if not isinstance(shape, str) or shape not in SHAPES:
-        raise BadInput.choice('floor.shape', shape, tuple(SHAPES))
-    return Floor(**_fields(known, 'floor', ('shape', *SHAPES[shape].parameters), tuple(known)))
+    needed = Floor(known['shape']).parameters  # which refuses a shape that there is not
+    return Floor(**_fields(known, 'floor', ('shape', *needed), tuple(known)))
 
 
 def _boxes(value: Any) -> tuple[Box, ...]:

@@ -20,7 +20,7 @@ from typing import Any
 
 from orbimpc_ros.mpc.arrays import number, whole
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.model.translation import TRANSLATIONS, Maps, maps_of
+from orbimpc_ros.mpc.model.translation import TRANSLATIONS, Maps, Translation, maps_of
 from orbimpc_ros.mpc.problem.floor import Floor
 from orbimpc_ros.mpc.problem.obstacle import Box
 
@@ -148,13 +148,17 @@ class Problem:
     @cached_property
     def maps(self) -> Maps:
         """Return the maps of the translation model over the horizon."""
-        model = TRANSLATIONS[self.translation_order]
-        return maps_of(model, self.horizon, self.step, self.forward)
+        return maps_of(self.translation, self.horizon, self.step, self.forward)
+
+    @property
+    def translation(self) -> Translation:
+        """Return the model that says how R e1 moves the vehicle."""
+        return TRANSLATIONS[self.translation_order]
 
     @cached_property
     def inertial(self) -> bool:
         """Return whether R e1 is a thrust that changes the velocity, instead of the velocity."""
-        return TRANSLATIONS[self.translation_order].inertial
+        return self.translation.inertial
 
 
 def _instance(value: Any, kind: type, culprit: str) -> Any:

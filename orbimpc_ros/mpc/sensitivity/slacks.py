@@ -16,7 +16,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import turn_margin
-from orbimpc_ros.mpc.geometry.orbitopes import coordinate_count, coordinates, lmi, lmi_parts
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates, lmi, lmi_parts
 from orbimpc_ros.mpc.model.cost import on_axes
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
@@ -107,7 +107,7 @@ def _rates(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
             turned = headings[k] - headings[k - 1]
             gradient[k] = -turned / np.linalg.norm(turned)
             gradient[k - 1] = -gradient[k]
-        yield Slack('max_rate', int(k), on_headings(plan, gradient[1:]), wider)
+        yield Slack('max_rate', int(k), on_axes(gradient[1:]), wider)
 
 
 def _chosen(problem: Problem, plan: Plan) -> Iterator[Slack]:
@@ -122,7 +122,7 @@ def _chosen(problem: Problem, plan: Plan) -> Iterator[Slack]:
                 yield Slack('floor', k, _at(plan, k, normal))
             else:
                 box = boxes.index(choice) * len(problem.obstacles) // len(boxes)
-                gradient = on_headings(plan, np.outer(reach[k - 1], normal))
+                gradient = on_axes(np.outer(reach[k - 1], normal))
                 yield Slack(f'obstacle {box}', k, gradient)
 
 
@@ -149,7 +149,7 @@ def _arrival(problem: Problem, plan: Plan) -> Iterator[Slack]:
         maps['terminal velocity'] = flown.pushed[-1, 1:]
     for name, moved in maps.items():
         for axis, unit in zip(AXES, np.eye(problem.dimension), strict=False):
-            gradient = on_headings(plan, np.outer(moved, unit))
+            gradient = on_axes(np.outer(moved, unit))
             yield Slack(f'{name} {axis}', plan.horizon, gradient, signed=True)
 
 
@@ -165,8 +165,3 @@ def _at(plan: Plan, k: int, gradient: Array) -> Array:
     full = np.zeros_like(coordinates(plan.rotations[1:]))
     full[k - 1, : len(gradient)] = gradient
     return full
-
-
-def on_headings(plan: Plan, gradient: Array) -> Array:
-    """Return a gradient over headings, shape (N, n), as one over rotations, shape (N, d)."""
-    return on_axes(gradient, coordinate_count(gradient.shape[1]))

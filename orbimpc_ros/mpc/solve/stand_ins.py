@@ -38,17 +38,15 @@ def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
         state: from where.
         goals: g_1..g_N, shape (N, n) [m].
     """
-    ahead = state.attitude
-    if problem.rotation_order == 2 and state.coasted is not None:
-        ahead = state.coasted
-    if problem.rotation_order == 2 and state.coasted is None:
-        firsts = [state.rotation + problem.step * state.rotation_rate]  # as the state decides
+    ahead, first = _ahead(problem, state)
+    if first is not None:
+        firsts = [first]
     else:
         least = problem.floor.least(ahead[:, 0])
         present = float(np.linalg.norm(state.rotation[:, 0]))
         firsts = [share * ahead for share in dict.fromkeys((max(present, least), least, 1.0))]
-    for first in firsts:
-        yield np.tile(first, (problem.horizon, 1, 1))
+    for each in firsts:
+        yield np.tile(each, (problem.horizon, 1, 1))
     towards = goals[-1] - state.position
     distance = float(np.linalg.norm(towards))
     if distance > 0.0:

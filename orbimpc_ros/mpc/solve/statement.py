@@ -22,7 +22,6 @@ from orbimpc_ros.mpc.model.cost import (
     velocity_weight,
 )
 from orbimpc_ros.mpc.model.dynamics import input_map
-from orbimpc_ros.mpc.model.translation import TRANSLATIONS
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.disjunction import Slot
 
@@ -115,7 +114,7 @@ class Statement:
     def _translation_constraints(self) -> list[cp.Constraint]:
         """The model's steps y_{k+1} = A y_k + b R_k e1, with the displacements v for positions."""
         problem, thrusts = self.problem, self._headings[:-1]
-        model = TRANSLATIONS[problem.translation_order]
+        model = problem.translation
         a, b = model.transition(problem.step), model.push(problem.step, problem.forward)
         flown, rows = b[0] * thrusts, []
         if problem.inertial:

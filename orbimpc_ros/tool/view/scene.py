@@ -204,7 +204,7 @@ class Scene:
             self._chart('gap/log10', np.log10(max(gap, LEAST_GAP)))
         if len(self._shares[1]) > 1:
             self._chart('speed/commanded', self._shares[1][1])
-        if self._problem.floor.shape != 'none':
+        if self._problem.floor.exists:
             self._chart('speed/floor', self._problem.floor.fraction)
         self._draw_thrust()
 
