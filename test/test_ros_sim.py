@@ -250,8 +250,10 @@ def test_a_simulator_says_for_whom_it_has_waited_in_vain(launch):
         assert re.search(rf'waited \d+ s in vain for {said}\(there are 0\)', sim.output)
 
 
-def test_lock_step_with_a_planner_on_a_timer_ends_and_says_why(launch):
+def test_lock_step_with_a_planner_on_a_timer_ends_and_says_why(launch, observer):
+    observer.listen(TwistStamped, 'cmd_vel')
     launch('planner', LOCKSTEP | {'trigger': 'timer'})
+    observer.until_connected('cmd_vel')
     sim = launch('sim', {'wait_timeout': 8.0})
     assert sim.wait() == 1, sim.output
     assert 'in vain for an answer to the odometry on cmd_vel' in sim.output

@@ -123,7 +123,7 @@ def missing(picture):
 
 def awaited(page):
     """Return the first picture that shows everything, or the last one before patience ends."""
-    end = time.monotonic() + 90.0
+    end = time.monotonic() + 300.0  # drawn by a processor, next to whatever else keeps it busy
     while True:
         picture = page.picture()
         if not missing(picture) or time.monotonic() > end:
