@@ -5,7 +5,7 @@ import pytest
 
 from orbimpc_ros.world.air import Air
 
-LONG = 40_000.0  # [s]
+LONG = 10_000.0  # [s]
 
 
 def series(air, every=0.5):

@@ -79,7 +79,7 @@ def test_it_agrees_with_an_integrator_of_any_accuracy(n, order):
         position, velocity, attitude, body_rate, fraction = integrated(plant, vehicle, t, 0.6, rate)
         np.testing.assert_allclose(end.body_rate, body_rate, atol=1e-9)
         assert end.fraction == pytest.approx(fraction, abs=1e-6)
-        np.testing.assert_allclose(end.attitude, attitude, atol=1e-5)
+        np.testing.assert_allclose(end.attitude, attitude, atol=1e-4)
         np.testing.assert_allclose(end.position, position, atol=1e-4)
         np.testing.assert_allclose(end.velocity, velocity, atol=1e-4)
 
@@ -262,10 +262,10 @@ def test_a_flight_catches_between_its_steps_where_it_flew():
     plant = plant_of(step=2.0)
     start = launched(plant, np.zeros(2), np.eye(2))
     trail = plant.flown(start, 2.0, 1.0, np.array([0.5]), 0.0)
-    passed = trail[100].position
+    passed = trail[50].position
     flight = departure(scenario_of(plant, start, passed)).after(1.0, np.array([0.5]))
     assert flight.miss == pytest.approx(0.0, abs=1e-9)
-    assert flight.missed_at == pytest.approx(trail[100].time)
+    assert flight.missed_at == pytest.approx(trail[50].time)
     assert flight.captured
 
 
@@ -277,7 +277,7 @@ def test_a_command_that_ends_within_a_step_leaves_the_vehicle_to_its_lags():
     end = plant.flown(obeyed, 0.3, 0.7, np.array([0.1]), 0.2)[-1]
     np.testing.assert_allclose(after.vehicle.position, end.position, atol=1e-12)
     assert after.vehicle.fraction == pytest.approx(end.fraction)
-    assert len(after.trail) == 50
+    assert len(after.trail) == 25
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,9 @@
-"""A vehicle in continuous time: it lags behind its commands, is limited, and flies in moving air."""
+"""A vehicle in continuous time, with lags and limits, in moving air."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from orbimpc_ros.mpc.geometry.rotations import exp, nearest
 from orbimpc_ros.world.air import Air
 from orbimpc_ros.world.vehicle import Model, Vehicle
 
-SUBSTEP = 0.01  # [s] longest piece of the integration
+SUBSTEP = 0.02  # [s] longest piece of the integration
 SOURCES = ('ground', 'air')  # of a measured velocity
 PLANT_RANGES: dict[str, tuple[float, float]] = {  # by attribute
     'speed_lag': (0.0, 1e3),
@@ -127,7 +128,7 @@ class Plant(Model):
         middle = self._actuated(now, 0.5 * dt, fraction, body_rate)
         end = self._actuated(now, dt, fraction, body_rate)
         winds = [self.air.at(elapsed + after) for after in (0.0, 0.5 * dt, dt)]
-        pushes = [
+        pushes: list[Array] = [
             self._pushed(each) + wind
             for each, wind in zip((begun, middle, end), winds, strict=True)
         ]
@@ -164,7 +165,9 @@ class Plant(Model):
         pushed: Array = self.gain * self.forward * now.fraction * now.attitude[:, 0]
         return pushed
 
-    def _accelerated(self, velocity: Array, pushes: list[Array], dt: float) -> tuple[Array, Array]:
+    def _accelerated(
+        self, velocity: Array, pushes: Sequence[Array], dt: float
+    ) -> tuple[Array, Array]:
         """Return the way [m] and the velocity [m/s] after a time, by Runge and Kutta's method.
 
         Args:

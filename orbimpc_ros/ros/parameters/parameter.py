@@ -11,7 +11,7 @@ import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.parameter import Parameter
 
-from orbimpc_ros.mpc.arrays import ABOVE_ZERO
+from orbimpc_ros.mpc.arrays import ABOVE_ZERO, Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.world.vehicle import RANGES, model_of
@@ -110,6 +110,14 @@ class Row:
 def span(low: float, high: float) -> tuple[float, float]:
     """Return a range as parameters have it: closed, so that a small number stands for zero."""
     return (TINY if low == ABOVE_ZERO else low), high
+
+
+def vector(values: Values, name: str, dimension: int) -> Array:
+    """Return the first n of x, y, z: in the plane z may be left out."""
+    if not dimension <= len(values[name]) <= 3:
+        wanted = '3 numbers' if dimension == 3 else '2 or 3 numbers'
+        raise BadInput(name, list(values[name]), wanted)
+    return np.array(values[name][:dimension], dtype=float)
 
 
 def _shared(name: str, description: str, unit: str = '', *, live: bool = False) -> Row:
