@@ -11,6 +11,7 @@ Mathematics: docs/mathematics.md, 6.2.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +19,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.orbitopes import margin
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
+from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Problem, State
 
 if TYPE_CHECKING:
@@ -95,13 +97,26 @@ def _rollout(
         changes = h * _summed(first_rate, changes[:-1])
     rotations = _summed(state.rotation, changes)
     thrusts = rotations[:, :, 0]
-    model = problem.translation
-    a, b = model.transition(h), model.push(h, problem.forward)
+    a, moved, sped = (
+        step_of(problem.translation, h, problem.forward).transition,
+        *_pushed(problem, state, thrusts),
+    )
     if not problem.inertial:
-        return rotations, _summed(state.position, b[0] * thrusts[:-1]), problem.forward * thrusts
-    velocities = _summed(state.velocity, b[1] * thrusts[:-1], a[1, 1])
-    moved = a[0, 1] * velocities[:-1] + b[0] * thrusts[:-1]
+        velocities = problem.forward * thrusts + state.disturbance
+        return rotations, _summed(state.position, moved), velocities
+    velocities = _summed(state.velocity, sped, a[1, 1])
+    moved = a[0, 1] * velocities[:-1] + moved
     return rotations, _summed(state.position, moved), velocities
+
+
+def _pushed(problem: Problem, state: State, thrusts: Array) -> Iterator[Array]:
+    """Yield what each step adds to the first and to the last part of y, shape (N, n) each."""
+    _, push, follow, blow = step_of(problem.translation, problem.step, problem.forward)
+    for i in (0, -1):
+        added = push[i] * thrusts[:-1]
+        if follow[i]:
+            added = added + follow[i] * thrusts[1:]
+        yield added + blow[i] * state.disturbance
 
 
 def _summed(first: Array, changes: Array, kept: float = 1.0) -> Array:
@@ -211,10 +226,18 @@ def _objective(problem: Problem, goals: Array, plan: Plan) -> float:
     cost = w.position * np.vdot(misses, misses) + w.input * (inputs @ inputs)
     cost += (w.terminal + problem.arrival_weight) * (misses[-1] @ misses[-1])
     if w.length > 0.0:
-        cost += w.length * h * problem.forward * _sizes(plan.rotations[:-1, :, 0]).sum()
+        cost += w.length * h * problem.forward * _flown(problem, plan)
     if problem.inertial:
         cost += problem.arrival_weight * h * h * np.sum(plan.velocities[-1] ** 2)
     return float(cost)
+
+
+def _flown(problem: Problem, plan: Plan) -> float:
+    """Return the steps' speed fractions, added up: at their begin, or in the middle of a chord."""
+    sizes = _sizes(plan.rotations[:, :, 0])
+    _, push, follow, _ = step_of(problem.translation, problem.step, problem.forward)
+    late = float(follow[-1] / (push[-1] + follow[-1]))
+    return float((1.0 - late) * sizes[:-1].sum() + late * sizes[1:].sum())
 
 
 # --- rotations and command
