@@ -11,7 +11,6 @@ Mathematics: docs/mathematics.md, 6.2.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +18,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.orbitopes import margin
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
-from orbimpc_ros.mpc.model.translation import step_of
+from orbimpc_ros.mpc.model.translation import Step, step_of
 from orbimpc_ros.mpc.problem import Problem, State
 
 if TYPE_CHECKING:
@@ -97,26 +96,26 @@ def _rollout(
         changes = h * _summed(first_rate, changes[:-1])
     rotations = _summed(state.rotation, changes)
     thrusts = rotations[:, :, 0]
-    a, moved, sped = (
-        step_of(problem.translation, h, problem.forward).transition,
-        *_pushed(problem, state, thrusts),
-    )
+    once = step_of(problem.translation, h, problem.forward)
+    moved = _pushed(once, state, thrusts, 0)
     if not problem.inertial:
-        velocities = problem.forward * thrusts + state.disturbance
+        velocities = problem.forward * thrusts
+        if state.disturbed:
+            velocities += state.disturbance
         return rotations, _summed(state.position, moved), velocities
-    velocities = _summed(state.velocity, sped, a[1, 1])
-    moved = a[0, 1] * velocities[:-1] + moved
-    return rotations, _summed(state.position, moved), velocities
+    a = once.transition
+    velocities = _summed(state.velocity, _pushed(once, state, thrusts, 1), a[1, 1])
+    return rotations, _summed(state.position, moved + a[0, 1] * velocities[:-1]), velocities
 
 
-def _pushed(problem: Problem, state: State, thrusts: Array) -> Iterator[Array]:
-    """Yield what each step adds to the first and to the last part of y, shape (N, n) each."""
-    _, push, follow, blow = step_of(problem.translation, problem.step, problem.forward)
-    for i in (0, -1):
-        added = push[i] * thrusts[:-1]
-        if follow[i]:
-            added = added + follow[i] * thrusts[1:]
-        yield added + blow[i] * state.disturbance
+def _pushed(once: Step, state: State, thrusts: Array, part: int) -> Array:
+    """Return what each step adds to the position (part 0) or velocity (1), shape (N, n)."""
+    added = once.push[part] * thrusts[:-1]
+    if once.follow[part]:
+        added += once.follow[part] * thrusts[1:]
+    if state.disturbed:
+        added += once.blow[part] * state.disturbance
+    return np.asarray(added)
 
 
 def _summed(first: Array, changes: Array, kept: float = 1.0) -> Array:

@@ -4,10 +4,10 @@ r"""The objective, term by term: weights per step, value and gradient.
     q \sum_{k=1}^{N} \|s_k - g_k\|^2 + m \|s_N - g_N\|^2 + r \sum_{k=0}^{N-1} \|u_k\|_F^2
     + \ell \sum_{k=0}^{N} \lambda_k h z \|R_k e_1\| + w (\|s_N - g_N\|^2 + h^2 \|p_N\|^2)
 
-with the arrival weight w, and with lambda_k how much of a step R_k e_1 pushes: all of it but for
-k = N, when it pushes no more; where thrust moves on a chord, half of the first and of the last. All but the length is quadratic; ``condensed`` has that part as a
-function of the thrust axes alone, ``solve.statement`` the whole in CVXPY. The check evaluates the
-objective by itself.
+with the arrival weight w, and with lambda_k the share of a step that R_k e_1 pushes for: all of it,
+and none for k = N; where thrust moves on a chord, half for the first and the last. All but the
+length is quadratic; ``condensed`` has that part as a function of the thrust axes alone,
+``solve.statement`` the whole in CVXPY. The check evaluates the objective by itself.
 
 Mathematics: docs/mathematics.md, 1.2.
 """
