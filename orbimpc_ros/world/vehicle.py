@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -54,6 +54,11 @@ class Model:
         number(self.failsafe_rate, 'failsafe.rate', -fastest, fastest)
 
     @property
+    def velocity_source(self) -> str:
+        """Return whether odometry measures velocity over ``ground`` or through the ``air``."""
+        return 'ground'
+
+    @property
     def failsafe_turn(self) -> Array:
         """Return the body rate while no command is in force, shape (1,) or (3,) [rad/s]."""
         return np.array([0.0, 0.0, self.failsafe_rate])[-self.rates :]
@@ -62,6 +67,29 @@ class Model:
     def rates(self) -> int:
         """Return how many components a body rate has: 1 in the plane, 3 in space."""
         return 1 if self.dimension == 2 else 3
+
+    def begun(self, vehicle: Vehicle) -> Vehicle:
+        """Return a vehicle at its start, moving as it does in this model."""
+        return vehicle
+
+    def flown(
+        self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array, elapsed: float
+    ) -> tuple[Vehicle, ...]:
+        """Return the vehicle at equal intervals of a time under one command, the last at its end.
+
+        Args:
+            vehicle: where it is.
+            span: how long [s]; here a step, flown in one piece.
+            fraction: commanded share of full speed or thrust.
+            body_rate: commanded, in the body frame, shape (1,) or (3,) [rad/s].
+            elapsed: time since the start of the flight [s].
+        """
+        del elapsed  # nothing changes with time
+        return (advance(replace(self, step=span), vehicle, fraction, body_rate),)
+
+    def released(self, vehicle: Vehicle) -> Vehicle:
+        """Return the vehicle at the moment from which no command is in force."""
+        return failsafe(self, vehicle)
 
 
 def model_of(problem: Problem, mass: float = 1.0) -> Model:
@@ -87,6 +115,7 @@ class Vehicle:
         attitude: Q, body to world, shape (n, n).
         body_rate: omega, in the body frame, shape (1,) or (3,) [rad/s].
         fraction: sigma, share of full speed or thrust now applied, in [0, 1].
+        wind: velocity of the air around it, shape (n,) [m/s]; still air if empty.
     """
 
     time: float
@@ -95,11 +124,14 @@ class Vehicle:
     attitude: Array
     body_rate: Array
     fraction: float
+    wind: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         n = len(np.atleast_1d(self.position))
         if n not in (2, 3):
             raise BadInput('start.position', n, '2 or 3 numbers')
+        if not len(self.wind):
+            object.__setattr__(self, 'wind', np.zeros(n))
         number(self.time, 'start.time')
         number(self.fraction, 'start.speed_fraction', 0.0, 1.0)
         for name, shape in (
@@ -107,8 +139,14 @@ class Vehicle:
             ('velocity', (n,)),
             ('attitude', (n, n)),
             ('body_rate', (1 if n == 2 else 3,)),
+            ('wind', (n,)),
         ):
             object.__setattr__(self, name, frozen(getattr(self, name), shape, f'start.{name}'))
+
+    @property
+    def airspeed(self) -> float:
+        """Return how fast it moves through the air [m/s]."""
+        return float(np.linalg.norm(self.velocity - self.wind))
 
 
 def launched(
@@ -197,12 +235,20 @@ def between(earlier: Vehicle, later: Vehicle, time: float) -> Vehicle:
     )
 
 
-def measured(vehicle: Vehicle) -> Odometry:
-    """Return what perfect odometry says of the vehicle: its twist is in the body frame."""
+def measured(vehicle: Vehicle, velocity_source: str = 'ground') -> Odometry:
+    """Return what perfect odometry says of the vehicle: its twist is in the body frame.
+
+    Args:
+        vehicle: that is measured.
+        velocity_source: whether its velocity is that over ``ground`` or that through the ``air``.
+    """
+    velocity = vehicle.velocity
+    if velocity_source == 'air':
+        velocity = velocity - vehicle.wind
     return Odometry(
         vehicle.time,
         vehicle.position,
         vehicle.attitude,
-        vehicle.attitude.T @ vehicle.velocity,
+        vehicle.attitude.T @ velocity,
         vehicle.body_rate,
     )
