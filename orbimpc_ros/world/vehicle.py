@@ -35,6 +35,10 @@ class Model:
         failsafe_fraction: share of full speed or thrust while no command is in force; a vehicle
             that cannot stand still has one.
         failsafe_rate: turn about the body's z axis meanwhile [rad/s].
+        disturbance: a wind in the world frame [m/s] (translation order 1) or an acceleration
+            [m/s^2] (2), n numbers; none if empty.
+        discretisation: ``euler`` or ``exact``, as in the Problem.
+        source: of the velocity that odometry measures: over ``ground`` or through the ``air``.
     """
 
     dimension: int = 2
@@ -45,8 +49,13 @@ class Model:
     mass: float = 1.0
     failsafe_fraction: float = 0.0
     failsafe_rate: float = 0.0
+    disturbance: tuple[float, ...] = ()
+    discretisation: str = 'euler'
+    source: str = 'ground'
 
     def __post_init__(self) -> None:
+        if self.disturbance:
+            frozen(self.disturbance, (self.dimension,), 'wind')
         number(self.step, 'step', 0.0, 1e3, above=True)
         within(self, RANGES)
         number(self.failsafe_fraction, 'failsafe.fraction', 0.0, 1.0)
@@ -56,7 +65,17 @@ class Model:
     @property
     def velocity_source(self) -> str:
         """Return whether odometry measures velocity over ``ground`` or through the ``air``."""
-        return 'ground'
+        return self.source
+
+    @property
+    def blown(self) -> Array:
+        """Return the disturbance, shape (n,)."""
+        return np.array(self.disturbance or np.zeros(self.dimension))
+
+    @property
+    def wind(self) -> Array:
+        """Return the velocity of the air, shape (n,) [m/s], which a thrust does not know."""
+        return self.blown if self.translation_order == 1 else np.zeros(self.dimension)
 
     @property
     def failsafe_turn(self) -> Array:
@@ -101,6 +120,7 @@ def model_of(problem: Problem, mass: float = 1.0) -> Model:
         problem.step,
         problem.forward,
         mass,
+        discretisation=problem.discretisation,
     )
 
 
@@ -171,11 +191,11 @@ def launched(
         time: at the start [s].
     """
     if model.translation_order == 1:
-        velocity = model.forward * fraction * attitude[:, 0]
+        velocity = model.forward * fraction * attitude[:, 0] + model.wind
     elif velocity is None:
         velocity = np.zeros(model.dimension)
     rate = np.zeros(model.rates) if body_rate is None else body_rate
-    return Vehicle(time, position, velocity, nearest(attitude), rate, fraction)
+    return Vehicle(time, position, velocity, nearest(attitude), rate, fraction, model.wind)
 
 
 def advance(model: Model, vehicle: Vehicle, fraction: float, body_rate: Array) -> Vehicle:
@@ -192,18 +212,36 @@ def advance(model: Model, vehicle: Vehicle, fraction: float, body_rate: Array) -
     turning = body_rate if model.rotation_order == 1 else vehicle.body_rate
     attitude = nearest(vehicle.attitude @ exp(h * turning))  # nearest: no drift off SO(n)
     fraction = float(np.clip(fraction, 0.0, 1.0))
-    if model.translation_order == 1:
-        moving, velocity = pushed, model.forward * fraction * attitude[:, 0]
-    else:
-        moving, velocity = vehicle.velocity, vehicle.velocity + h * pushed
+    way, velocity = _moved(model, vehicle, pushed, model.forward * fraction * attitude[:, 0])
     return Vehicle(
         vehicle.time + h,
-        vehicle.position + h * moving,
+        vehicle.position + way,
         velocity,
         attitude,
         np.array(body_rate),
         fraction,
+        model.wind,
     )
+
+
+def _moved(model: Model, vehicle: Vehicle, old: Array, new: Array) -> tuple[Array, Array]:
+    """Return the way of a step and the velocity at its end, shape (n,) each.
+
+    Args:
+        model: says whether speed or thrust changes at the end of the step, or all the while.
+        vehicle: at its begin.
+        old: speed or thrust at its begin, shape (n,).
+        new: at its end.
+    """
+    h = model.step
+    mean = 0.5 * (old + new) if model.discretisation == 'exact' else old
+    gained = h * (mean + model.blown)
+    if model.translation_order == 1:
+        return gained, new + model.wind
+    way = h * vehicle.velocity
+    if model.discretisation == 'exact':
+        way = way + h * h * (old / 3.0 + new / 6.0 + 0.5 * model.blown)
+    return way, vehicle.velocity + gained
 
 
 def failsafe(model: Model, vehicle: Vehicle) -> Vehicle:
@@ -213,7 +251,7 @@ def failsafe(model: Model, vehicle: Vehicle) -> Vehicle:
     """
     velocity = vehicle.velocity
     if model.translation_order == 1:
-        velocity = model.forward * model.failsafe_fraction * vehicle.attitude[:, 0]
+        velocity = model.forward * model.failsafe_fraction * vehicle.attitude[:, 0] + model.wind
     return replace(
         vehicle,
         velocity=velocity,

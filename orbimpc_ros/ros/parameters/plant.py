@@ -8,13 +8,13 @@ from dataclasses import fields
 import numpy as np
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.parameters.parameter import Row, Value, Values, span, vector
-from orbimpc_ros.world.air import AIR_RANGES, Air, still
-from orbimpc_ros.world.plant import PLANT_RANGES, SOURCES, Plant
+from orbimpc_ros.ros.parameters.parameter import Row, Value, Values, span
+from orbimpc_ros.world.gusts import GUST_RANGES, Gusts
+from orbimpc_ros.world.plant import PLANT_RANGES, Plant
 from orbimpc_ros.world.vehicle import Model
 
 VEHICLES = ('discrete', 'continuous')
-IDEAL = Plant(air=still(2))  # its numbers are the defaults
+IDEAL = Plant()  # its numbers are the defaults
 FASTEST = 1e3  # [Hz]
 
 
@@ -23,9 +23,9 @@ def _row(name: str, attribute: str, description: str, unit: str) -> Row:
     return Row(name, getattr(IDEAL, attribute), description, unit, low, high)
 
 
-def _air_row(name: str, description: str, unit: str) -> Row:
-    low, high = span(*AIR_RANGES[name])
-    return Row(name, getattr(IDEAL.air, name), description, unit, low, high)
+def _gust_row(name: str, attribute: str, description: str, unit: str) -> Row:
+    low, high = span(*GUST_RANGES[attribute])
+    return Row(name, getattr(IDEAL.gusts, attribute), description, unit, low, high)
 
 
 LIMITS = (  # of the planner, too: with a discrete vehicle they are the planner's alone
@@ -37,14 +37,9 @@ LIMITS = (  # of the planner, too: with a discrete vehicle they are the planner'
 CONTINUOUS = (  # has no meaning with a discrete vehicle, and is refused there
     _row('response.speed', 'speed_lag', 'Lag of speed or thrust, first order', 's'),
     _row('response.rate', 'rate_lag', 'Lag of the body rate, first order', 's'),
-    Row('wind', (0.0, 0.0, 0.0), 'Wind in the world frame, at translation order 2 an '
-        'acceleration: x, y, z', 'm/s or m/s^2', -1e3, 1e3),
-    _row('gravity', 'gravity', 'Along -z (dimension 3, translation order 2)', 'm/s^2'),
-    Row('velocity_source', IDEAL.source, 'Whether odom has the velocity over ground or that '
-        'through the air', choices=SOURCES),
-    _air_row('gust', 'Standard deviation of gusts along each axis, in the unit of wind',
+    _gust_row('gust', 'deviation', 'Standard deviation of gusts along each axis, on top of wind',
         'm/s or m/s^2'),
-    _air_row('gust_time', 'Correlation time of gusts', 's'),
+    _gust_row('gust_time', 'memory', 'Correlation time of gusts', 's'),
     _row('drag', 'drag', 'Deceleration by the own velocity (translation order 2)', '1/s'),
     _row('gain', 'gain', 'Speed or thrust that is reached, a share of what is commanded', ''),
     _row('stall_speed', 'stall_speed', 'Airspeed below which a vehicle is counted as stalled on '
@@ -66,7 +61,7 @@ def moved_by(values: Values, model: Model) -> Model:
 
     Args:
         values: a full set of the simulator's parameters.
-        model: the discrete one, whose orders, speed, mass and failsafe a plant has as well.
+        model: the discrete one, with the orders, speed, mass, failsafe and wind of a plant, too.
 
     Raises:
         BadInput: a value, or a combination, is not allowed.
@@ -85,16 +80,9 @@ def moved_by(values: Values, model: Model) -> Model:
         max_acceleration=values['max_acceleration'],
         gain=values['gain'],
         drag=values['drag'],
-        gravity=values['gravity'],
-        air=_air(values),
+        gusts=Gusts(values['gust'], values['gust_time'], values['seed']),
         stall_speed=values['stall_speed'],
-        source=values['velocity_source'],
     )
-
-
-def _air(values: Values) -> Air:
-    wind = vector(values, 'wind', values['dimension'])
-    return Air(wind, values['gust'], values['gust_time'], values['seed'])
 
 
 def _refuse_unused(values: Values) -> None:

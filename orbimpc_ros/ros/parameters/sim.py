@@ -18,6 +18,7 @@ from orbimpc_ros.ros.parameters.parameter import (
     VEHICLE,
     Row,
     Values,
+    disturbance_of,
     span,
     vector,
 )
@@ -211,6 +212,9 @@ def _scenario(values: Values) -> Scenario:
         values['mass'],
         values['failsafe.fraction'],
         values['failsafe.rate'],
+        disturbance=tuple(disturbance_of(values).tolist()),
+        discretisation=values['discretisation'],
+        source=values['velocity_source'],
     )
     model = moved_by(values, steps)
     start = launched(
