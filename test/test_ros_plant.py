@@ -121,7 +121,7 @@ def test_a_vehicle_in_continuous_time_is_caught_over_dds(launch, observer):
     assert {'airspeed', 'least_airspeed', 'stalls', 'wind'} <= told
 
 
-def test_a_bag_tells_how_slow_a_vehicle_became(tmp_path):
+def test_a_bag_tells_how_slow_a_vehicle_became(tmp_path, capsys):
     changes = [f'--set={name}={value}' for name, value in WING.items() if name != 'exit_when_done']
     assert cli.main(['demo', 'retrieval', '--out', str(tmp_path), *changes]) == 0
     (folder,) = tmp_path.glob('*/bag')
@@ -130,3 +130,5 @@ def test_a_bag_tells_how_slow_a_vehicle_became(tmp_path):
     last = fields(said[-1])
     assert last['least_airspeed'] == min(fields(each)['least_airspeed'] for each in said)
     assert (last['stalls'] > 0) == (last['least_airspeed'] < 0.5)
+    told = f'at least {last["least_airspeed"]:.2f} m/s, {last["stalls"]} stalls'
+    assert told in capsys.readouterr().out
