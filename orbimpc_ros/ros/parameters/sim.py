@@ -22,6 +22,7 @@ from orbimpc_ros.ros.parameters.parameter import (
     span,
     vector,
 )
+from orbimpc_ros.ros.parameters.plant import PLANT, moved_by
 from orbimpc_ros.ros.process import LIFE
 from orbimpc_ros.ros.sim.readers import wanted_readers
 from orbimpc_ros.world.faults import FAULT_RANGES, NO_FAULTS, Faults
@@ -46,6 +47,8 @@ ROPE = (
     Row('rope.frequency', FLOWN.rope.frequency, 'Swings in a second', 'Hz', 0.0, FASTEST),
     Row('rope.phase', _triple(FLOWN.rope.phase), 'Phase at the start: x, y, z',
         'rad', -100.0, 100.0),
+    Row('rope.velocity', _triple(FLOWN.rope.velocity), 'Drift of the middle: x, y, z',
+        'm/s', -1e3, 1e3),
 )  # fmt: skip
 
 ENDING = (
@@ -118,6 +121,7 @@ FAULTS = (
 
 SIM: tuple[Row, ...] = (
     *(replace(row, live=False) for row in VEHICLE),
+    *PLANT,
     Row('clock', 'lockstep', 'Whether to wait for each command or run in real time',
         choices=('lockstep', 'wall')),
     *ROPE,
@@ -199,7 +203,7 @@ def _faults(values: Values) -> Faults:
 
 def _scenario(values: Values) -> Scenario:
     n = values['dimension']
-    model = Model(
+    steps = Model(
         n,
         values['rotation_order'],
         values['translation_order'],
@@ -212,6 +216,7 @@ def _scenario(values: Values) -> Scenario:
         discretisation=values['discretisation'],
         source=values['velocity_source'],
     )
+    model = moved_by(values, steps)
     start = launched(
         model,
         vector(values, 'start.position', n),
@@ -225,6 +230,7 @@ def _scenario(values: Values) -> Scenario:
         vector(values, 'rope.amplitude', n),
         values['rope.frequency'],
         vector(values, 'rope.phase', n),
+        vector(values, 'rope.velocity', n),
     )
     ending = ('capture_radius', 'max_ticks', 'finish', 'arrival_radius', 'arrival_speed')
     return Scenario(model, start, rope, **{name: values[name] for name in ending})
