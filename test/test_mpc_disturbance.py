@@ -235,7 +235,7 @@ def test_boxes_stay_where_they_are_in_wind(kind):
     """Each step of a plan may be beyond another side: no side for all of them is cheaper."""
     rng = seeded(kind)
     start = State.at([0.0, 0.0], 0.8 * np.eye(2), velocity=[0.0, 0.0], disturbance=[0.2, 0.3])
-    box = Box([0.9, -0.6], [1.6, 0.9])
+    box = Box([1.2, -0.6], [2.0, 0.9])
     problem = Problem(**kind, horizon=5, step=0.6, forward=1.5, obstacles=(box,))
     goals = np.tile([2.6, 0.4 + 0.1 * rng.random()], (5, 1))
     plan = Solver(problem, gap_tolerance=1e-6).solve(start, goals)
@@ -380,12 +380,12 @@ def test_no_variable_of_the_program_exceeds_what_proofs_take_for_its_most(kind):
         speed = float(np.linalg.norm(start.velocity))
         for variable, most in statement.largest(speed, 0.0).items():
             value = np.abs(variable.value).ravel(order='F')
-            assert (value <= most + 1e-6).all(), variable.name()
+            assert (value <= most * (1.0 + 1e-4)).all(), variable.name()
 
 
 @pytest.mark.parametrize('kind', ALL_KINDS)
 def test_other_units_are_another_way_to_say_the_same(kind):
-    """The same problem in feet and units of ten seconds, disturbance included, has the same plan."""
+    """The same problem in feet and tens of seconds, disturbance included."""
     rng = seeded(kind)
     problem = Problem(
         **kind, horizon=5, floor=Floor('polygon', 4 if kind['dimension'] == 2 else 6, 0.4)
@@ -428,3 +428,18 @@ def test_common_problems_stay_in_machine_code_with_exact_steps(floor):
     method = method_for(exact, 1e-6)
     assert not HullRiccati.solves(exact)
     assert type(method).__name__ != 'DisjunctiveSearch'
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_the_last_step_to_an_arrival_above_a_floor_is_the_states_or_with_exact_steps_not(n):
+    """With old values on the right, R_1 moves nothing: only one goal can be arrived at."""
+    weights = Weights(input=0.0) if n == 3 else Weights()
+    floor = Floor('circle', fraction=0.5)
+    problem = Problem(n, horizon=1, terminal='constraint', floor=floor, weights=weights)
+    start = State.at(np.zeros(n), np.eye(n), disturbance=0.2 * np.eye(n)[1])
+    there = np.eye(n)[:1] + 0.2 * np.eye(n)[1]
+    assert Solver(problem).solve(start, there).status == 'optimal'
+    with pytest.raises(Infeasible):
+        Solver(problem).solve(start, 0.99 * there)
+    exact = replace(problem, discretisation='exact')
+    assert Solver(exact).solve(start, 0.9 * there).status == 'optimal'
