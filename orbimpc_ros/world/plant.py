@@ -18,8 +18,8 @@ from orbimpc_ros.world.vehicle import Model, Vehicle
 SUBSTEP = 0.02  # [s] longest piece of the integration
 CALM = Gusts()
 PLANT_RANGES: dict[str, tuple[float, float]] = {  # by attribute
-    'speed_lag': (0.0, 1e3),
-    'rate_lag': (0.0, 1e3),
+    'speed_lag': (0.0, 10.0),
+    'rate_lag': (0.0, 10.0),
     'max_rate': (0.0, 1e4),
     'max_acceleration': (0.0, 1e6),
     'gain': (0.1, 10.0),
