@@ -12,10 +12,11 @@ from scipy.integrate import solve_ivp
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, skew
 from orbimpc_ros.world.airspeed import Airspeeds
+from orbimpc_ros.world.faults import Faults, View
 from orbimpc_ros.world.flight import departure
 from orbimpc_ros.world.gusts import Gusts
 from orbimpc_ros.world.plant import Plant, lagged
-from orbimpc_ros.world.rope import fixed
+from orbimpc_ros.world.rope import Rope, fixed
 from orbimpc_ros.world.scenario import Scenario
 from orbimpc_ros.world.vehicle import launched, measured
 
@@ -275,6 +276,31 @@ def test_a_command_that_ends_within_a_step_leaves_the_vehicle_to_its_lags():
     np.testing.assert_allclose(after.vehicle.position, end.position, atol=1e-12)
     assert after.vehicle.fraction == pytest.approx(end.fraction)
     assert len(after.trail) == 25
+
+
+def test_late_odometry_shows_the_vehicle_where_it_was_on_its_way():
+    """Between two ticks, too: with the speed and the rate of that moment, not of a step."""
+    plant = plant_of(step=1.0, speed_lag=0.5, rate_lag=0.4)
+    flight = departure(scenario_of(plant, launched(plant, np.zeros(2), np.eye(2), fraction=0.4)))
+    view = View(Faults(delay=0.7), 0, plant.step)
+    for command in ((1.0, 0.2), (0.5, -0.3), (0.8, 0.4)):
+        view.of(flight)
+        flight = flight.after(command[0], np.array(command[1:]))
+    (seen,) = [each.content for each in view.of(flight) if each.is_odometry]
+    was = flight.trail[14]
+    assert seen.time == pytest.approx(was.time)
+    assert was.time == pytest.approx(flight.vehicle.time - 0.7)
+    there = measured(was)
+    for name in ('position', 'attitude', 'body_velocity', 'body_rate'):
+        np.testing.assert_allclose(getattr(seen, name), getattr(there, name), atol=0.05)
+    assert abs(there.body_velocity[0] - measured(flight.vehicle).body_velocity[0]) > 1.0
+
+
+def test_a_goal_drifts_while_it_swings():
+    still = Rope(np.array([1.0, 2.0]), np.array([0.5, 0.0]), 0.1, np.zeros(2))
+    drifting = replace(still, velocity=np.array([0.3, -0.4]))
+    for t in (0.0, 2.5, 40.0):
+        np.testing.assert_allclose(drifting.at(t), still.at(t) + t * np.array([0.3, -0.4]))
 
 
 @pytest.mark.parametrize(
