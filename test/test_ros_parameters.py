@@ -58,6 +58,10 @@ DOCUMENTED = {
     'gap_tolerance': 1e-4,
     'frame_id': 'odom',
     'child_frame_id': 'base_link',
+    'discretisation': 'euler',
+    'wind': (0.0, 0.0, 0.0),
+    'gravity': 0.0,
+    'velocity_source': 'ground',
 }
 
 
@@ -106,7 +110,20 @@ REFUSED = [
     (PLANNER, {'max_rate': 4.0}, 'max_rate'),
     (PLANNER, {'deadline': 0.6}, 'deadline'),
     (PLANNER, {'safe_command': 'loiter', 'translation_order': 2}, 'safe_command'),
+    (PLANNER, {'safe_command': 'hover'}, 'safe_command'),
     (PLANNER, {'goal_prediction': 'oracle'}, 'goal_prediction'),
+    (PLANNER, {'wind': (1.0,)}, 'wind'),
+    (PLANNER, {'wind': (1.0, math.nan)}, 'wind'),
+    (PLANNER, {'wind': (0.0, 2e3, 0.0)}, 'wind'),
+    (PLANNER, {'discretisation': 'trapezoid'}, 'discretisation'),
+    (PLANNER, {'velocity_source': 'pitot'}, 'velocity_source'),
+    (PLANNER, {'velocity_source': 'air', 'translation_order': 2}, 'velocity_source'),
+    (PLANNER, {'gravity': 9.81, 'forward': 20.0}, 'gravity'),
+    (PLANNER, {'gravity': 9.81, 'forward': 20.0, 'dimension': 3}, 'gravity'),
+    (PLANNER, {'gravity': 9.81, 'forward': 20.0, 'translation_order': 2}, 'gravity'),
+    (PLANNER, {'gravity': 9.81, 'forward': 9.0, 'dimension': 3, 'translation_order': 2}, 'gravity'),
+    (SIM, {'gravity': 9.81}, 'gravity'),
+    (SIM, {'wind': (1.0,)}, 'wind'),
     (SIM, {'rope.center': (5.0,)}, 'rope.center'),
     (SIM, {'rope.phase': (0.0, math.inf)}, 'rope.phase'),
     (SIM, {'dimension': 3, 'start.position': (0.0, 0.0)}, 'start.position'),
@@ -381,7 +398,7 @@ def test_what_a_node_holds_can_be_given_back_to_it(running, tmp_path, boxes):
     assert change(running, {'obstacles': boxes})[0] or not boxes
     names = [*(row.name for row in PLANNER if row.live), 'use_sim_time']
     values = {name: value_of(each) for name, each in zip(names, held(running, names), strict=True)}
-    values['obstacles'] = boxes
+    values['obstacles'], values['wind'] = boxes, list(values['wind'])
     file = tmp_path / 'dump.yaml'
     file.write_text(yaml.safe_dump({'/planner': {'ros__parameters': values}}))
     loaded = list(parameter_dict_from_yaml_file(str(file)).values())

@@ -125,6 +125,30 @@ def test_settings_survive_their_file(file, tmp_path):
     }
 
 
+OWN = """
+/**: {ros__parameters: {step: 0.5, forward: 15.0, wind: [1.0, 0.0, 0.0]}}
+/**/planner: {ros__parameters: {horizon: 7}}
+/**/sim: {ros__parameters: {forward: 14.0, step: 0.5, wind: [3.0, 0.0, 0.0], max_ticks: 9}}
+"""
+
+
+def test_a_simulator_may_have_values_of_its_own():
+    """Those that differ from the planner's, however they were given, and through a file."""
+    values = settings.read(OWN)
+    assert {name for name in values if name.startswith('sim.')} == {'sim.forward', 'sim.wind'}
+    assert (values['forward'], values['step'], values['max_ticks']) == (15.0, 0.5, 9)
+    told = settings.of_sim(values)
+    assert (told['forward'], told['wind'], told['horizon']) == (14.0, (3.0, 0.0, 0.0), 7)
+    assert not any(name.startswith('sim.') for name in told)
+    assert settings.read(settings.text(values)) == values
+    for_both = settings.changed(values, ['wind=[2.0, 0.0, 0.0]'])
+    assert settings.of_sim(for_both)['wind'] == for_both['wind'] == (2.0, 0.0, 0.0)
+    alone = settings.changed(values, ['sim.step=0.25'])
+    assert (alone['step'], settings.of_sim(alone)['step']) == (0.5, 0.25)
+    with pytest.raises(BadInput, match=r'sim\.horizon'):
+        settings.changed(values, ['sim.horizon=3'])
+
+
 BAD_CHANGES = {
     'no value': ('step', 'name=value'),
     'unknown': ('flor.shape=circle', 'floor.shape'),

@@ -6,11 +6,12 @@ Mathematics: docs/mathematics.md, 1.5.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orbimpc_ros.mpc.arrays import Array, ByContent, frozen
+from orbimpc_ros.mpc.arrays import Array, ByContent, frozen, sealed
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.orbitopes import MEMBERSHIP_TOLERANCE, margin
 from orbimpc_ros.mpc.geometry.rotations import nearest
@@ -30,6 +31,8 @@ class State(ByContent):
             during the first step. With it (rotation order 2), R_1 = rho * coasted with the
             thrust fraction rho in [0, 1] free, instead of R_1 = R_0 + h W_0, which would
             leave the manifold.
+        disturbance: w, constant over the horizon, shape (n,); at translation order 1 a wind in the
+            world frame [m/s], at order 2 an acceleration, gravity's included [m/s^2].
     """
 
     position: Array
@@ -37,7 +40,8 @@ class State(ByContent):
     velocity: Array
     rotation_rate: Array
     attitude: Array
-    coasted: Array | None = None
+    coasted: Array | None
+    disturbance: Array
 
     @classmethod
     def at(
@@ -49,6 +53,7 @@ class State(ByContent):
         rotation_rate: ArrayLike | None = None,
         attitude: ArrayLike | None = None,
         coasted: ArrayLike | None = None,
+        disturbance: ArrayLike | None = None,
     ) -> State:
         """Return the state at a position and rotation, at rest where nothing else is said.
 
@@ -62,14 +67,11 @@ class State(ByContent):
         return cls(
             frozen(position, (n,), 'state.position'),
             placed,
-            frozen(np.zeros(n) if velocity is None else velocity, (n,), 'state.velocity'),
-            frozen(
-                np.zeros((n, n)) if rotation_rate is None else rotation_rate,
-                (n, n),
-                'state.rotation_rate',
-            ),
+            _given(velocity, (n,), 'state.velocity'),
+            _given(rotation_rate, (n, n), 'state.rotation_rate'),
             _rotation(nearest(placed) if attitude is None else attitude, n, 'state.attitude'),
             None if coasted is None else _rotation(coasted, n, 'state.coasted'),
+            _given(disturbance, (n,), 'state.disturbance'),
         )
 
     def __post_init__(self) -> None:
@@ -83,6 +85,21 @@ class State(ByContent):
     def dimension(self) -> int:
         """Return n."""
         return len(self.position)
+
+    @cached_property
+    def disturbed(self) -> bool:
+        """Return whether there is any disturbance."""
+        return any(self.disturbance.tolist())
+
+
+def _given(value: ArrayLike | None, shape: tuple[int, ...], culprit: str) -> Array:
+    return _zeros(shape) if value is None else frozen(value, shape, culprit)
+
+
+@lru_cache(maxsize=8)
+def _zeros(shape: tuple[int, ...]) -> Array:
+    """Return zeros that all states share: to make and check them anew costs microseconds."""
+    return sealed(np.zeros(shape))
 
 
 def _rotation(value: ArrayLike, n: int, culprit: str) -> Array:

@@ -49,11 +49,20 @@ def _ticks(flown: Sequence[History]) -> dict[str, str]:
 
 def _job(history: History) -> dict[str, str]:
     if history.values['finish'] == 'arrival':
-        return {'arrived': _arrival(history)}
+        return {'arrived': _arrival(history), **_airspeeds(history)}
     return {
         'captured': _capture(history),
         'near misses': _near_misses(history),
+        **_airspeeds(history),
     }
+
+
+def _airspeeds(history: History) -> dict[str, str]:
+    """Return how slow a vehicle in continuous time became, if it has a stall speed."""
+    least, stalls = (history.truth.get(name) for name in ('least_airspeed', 'stalls'))
+    if not isinstance(least, (int, float)) or not history.values['stall_speed']:
+        return {}
+    return {'airspeed': f'at least {least:.2f} m/s, {stalls} stalls'}
 
 
 def _arrival(history: History) -> str:

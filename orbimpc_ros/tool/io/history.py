@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -20,7 +20,7 @@ from orbimpc_ros.tool.io.content import fields, point, seconds
 from orbimpc_ros.world.capture import closest_approach
 
 T = TypeVar('T')
-WANTED = ('captured', 'cmd_thrust', 'goal', 'odom', 'plan', 'tick')
+WANTED = ('captured', 'cmd_thrust', 'goal', 'odom', 'plan', 'tick', 'truth')
 # Keys of a tick that summaries and pictures need.
 NEEDED: dict[str, tuple[type, ...]] = {
     'gap': (int, float),
@@ -69,6 +69,7 @@ class History:
         ticks: times [s] and fields of the topic ``tick``.
         captured: whether the simulator said that the job was done.
         values: parameters of the run, by name.
+        truth: the last fields of the topic ``truth``, which a vehicle in continuous time has.
     """
 
     times: Array
@@ -82,6 +83,7 @@ class History:
     ticks: tuple[tuple[float, dict[str, Any]], ...]
     captured: bool
     values: dict[str, Any]
+    truth: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def headings(self) -> Array:
@@ -176,6 +178,7 @@ def of_bag(path: Path, namespace: str = '') -> History:
         ticks=_ticks(found['tick'], path),
         captured=any(m.data for m in found['captured']),
         values=values,
+        truth=next((fields(m) for m in reversed(found['truth']) if m.status), {}),
     )
 
 

@@ -1,4 +1,8 @@
-"""The parameters of a run: defaults, then the scenario's file, then ``--set``, checked."""
+"""The parameters of a run: defaults, then the scenario's file, then ``--set``, checked.
+
+A value is for both nodes. Where the simulator has another one than the planner, such as a wind that
+the planner is not told of, it stands beside that under a name of its own: ``sim.wind``.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +25,9 @@ from orbimpc_ros.ros.parameters import (
 from orbimpc_ros.tool.io import bag, document
 
 ROWS = {row.name: row for row in (*PLANNER, *SIM)}
+OF_SIM = 'sim.'
+PLANNED = {row.name for row in PLANNER}
+ROWS_OF_SIM = {f'{OF_SIM}{row.name}': row for row in SIM if row.name in PLANNED}  # may differ
 Values = dict[str, Any]
 EMPTY: Mapping[str, Values] = MappingProxyType({})
 
@@ -48,10 +55,20 @@ def changed(values: Values, changes: Sequence[str]) -> Values:
     Raises:
         BadInput: an unknown name, or a value or combination that is not allowed.
     """
-    found = values | dict(_change(each) for each in changes)
+    found = dict(values)
+    for each in changes:
+        name, value = _change(each)
+        found.pop(f'{OF_SIM}{name}', None)
+        found[name] = value
     planner_settings(found)
-    sim_settings(found)
+    sim_settings(of_sim(found))
     return found
+
+
+def of_sim(values: Values) -> Values:
+    """Return the values that the simulator gets."""
+    own = {name.removeprefix(OF_SIM): values[name] for name in ROWS_OF_SIM if name in values}
+    return {name: each for name, each in values.items() if name not in ROWS_OF_SIM} | own
 
 
 def write(file: Path, values: Values, **more: Any) -> str:
@@ -69,7 +86,13 @@ def text(values: Values, own: Mapping[str, Values] = EMPTY) -> str:
         own: values that differ from one namespace, such as ``/uav1``, to another.
     """
     differ = {name for each in own.values() for name in each}
-    sections = {'/**': {name: value for name, value in values.items() if name not in differ}}
+    common = {name: value for name, value in values.items() if name not in differ}
+    of_sim_alone = {
+        name.removeprefix(OF_SIM): common.pop(name) for name in ROWS_OF_SIM if name in common
+    }
+    sections = {'/**': common}
+    if of_sim_alone:
+        sections['/**/sim'] = of_sim_alone
     sections |= {f'{namespace}/**': each for namespace, each in own.items()}
     plain = {name: {'ros__parameters': _plain(each)} for name, each in sections.items()}
     return yaml.safe_dump(plain, sort_keys=False)
@@ -116,23 +139,30 @@ def _completed(content: Any, name: str, namespace: str = '') -> Values:
         content = {key: each for key, each in content.items() if str(key).startswith(wanted)}
     values: Values = {row.name: row.default for row in ROWS.values()}
     for given, value in _sections(content, name):
-        if given in ROWS:
-            values[given] = _typed(ROWS[given], value)
+        row = ROWS_OF_SIM.get(given) or ROWS.get(given)
+        if row is not None:
+            values[given] = _typed(row, value)
         elif given in OF_ROS:
             values[given] = value
         elif not given.startswith('qos_overrides.'):
             raise BadInput.unknown('parameter', given, ROWS, name)
+    for own in ROWS_OF_SIM.keys() & values.keys():
+        if values[own] == values[own.removeprefix(OF_SIM)]:
+            del values[own]
     return values
 
 
 def _sections(content: Any, name: str) -> Iterator[tuple[str, Any]]:
     """Yield the parameters of every section of a parameter file, nested names joined by dots."""
-    for section in content.values() if isinstance(content, dict) else (None,):
+    for title, section in content.items() if isinstance(content, dict) else (('', None),):
         if not isinstance(section, dict) or not isinstance(section.get('ros__parameters'), dict):
             raise BadInput.stating(
                 name, 'not a parameter file', 'sections with ros__parameters are needed'
             )
-        yield from _flat(section['ros__parameters'])
+        for given, value in _flat(section['ros__parameters']):
+            own = f'{OF_SIM}{given}'
+            alone = str(title).rpartition('/')[2] == 'sim' and own in ROWS_OF_SIM
+            yield (own if alone else given), value
 
 
 def _flat(tree: dict[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
@@ -147,9 +177,10 @@ def _change(given: str) -> tuple[str, Any]:
     name, equals, word = given.partition('=')
     if not equals:
         raise BadInput('--set', given, 'name=value')
-    if name not in ROWS:
+    row = ROWS_OF_SIM.get(name) or ROWS.get(name)
+    if row is None:
         raise BadInput.unknown('parameter', name, ROWS, '--set')
-    return name, _typed(ROWS[name], document.parse(word, f'--set {name}'))
+    return name, _typed(row, document.parse(word, f'--set {name}'))
 
 
 def _typed(row: Row, value: Any) -> Any:
