@@ -38,6 +38,7 @@ DOCUMENTED = {
     'weights.input': 0.05,
     'weights.length': 0.0,
     'weights.terminal': 10.0,
+    'weights.scaling': 'paper',
     'terminal': 'penalty',
     'horizon_mode': 'receding',
     'floor.shape': 'none',

@@ -21,6 +21,7 @@ from orbimpc_ros.mpc.problem import (
     Weights,
 )
 from orbimpc_ros.mpc.problem.floor import SHAPES
+from orbimpc_ros.mpc.problem.scaling import SCALINGS, weighed
 from orbimpc_ros.ros.messages import Frames
 from orbimpc_ros.ros.parameters.parameter import FAR, MAX_DURATION, TINY, VEHICLE, Row, Values
 
@@ -37,6 +38,9 @@ PLANNER: tuple[Row, ...] = (
         '1/m', 0.0, 1e6, live=True),
     Row('weights.terminal', 10.0, 'On squared distance to the goal at the last step',
         '1/m^2', 0.0, 1e6, live=True),
+    Row('weights.scaling', 'paper', 'What the weights mean: paper, sums over steps in the units '
+        'above; time, integrals over the horizon, without units: the same at any step and speed',
+        choices=SCALINGS, live=True),
     Row('terminal', 'penalty', 'Whether the last step must reach the goal',
         choices=TERMINALS, live=True),
     Row('horizon_mode', 'receding', 'Whether the horizon moves on or shrinks to its end',
@@ -180,7 +184,7 @@ def _problem(values: Values) -> Problem:
     weights = Weights(
         *(values[f'weights.{name}'] for name in ('position', 'input', 'length', 'terminal'))
     )
-    return Problem(
+    problem = Problem(
         dimension=values['dimension'],
         rotation_order=values['rotation_order'],
         translation_order=values['translation_order'],
@@ -194,6 +198,7 @@ def _problem(values: Values) -> Problem:
         obstacles=_boxes(values['obstacles'], values['dimension']),
         no_corner_cutting=values['no_corner_cutting'],
     )
+    return weighed(problem, values['weights.scaling'])
 
 
 def _boxes(numbers: Sequence[float], dimension: int) -> tuple[Box, ...]:
