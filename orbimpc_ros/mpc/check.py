@@ -18,6 +18,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.orbitopes import margin
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
+from orbimpc_ros.mpc.model.translation import Step, step_of
 from orbimpc_ros.mpc.problem import Problem, State
 
 if TYPE_CHECKING:
@@ -95,13 +96,26 @@ def _rollout(
         changes = h * _summed(first_rate, changes[:-1])
     rotations = _summed(state.rotation, changes)
     thrusts = rotations[:, :, 0]
-    model = problem.translation
-    a, b = model.transition(h), model.push(h, problem.forward)
+    once = step_of(problem.translation, h, problem.forward)
+    moved = _pushed(once, state, thrusts, 0)
     if not problem.inertial:
-        return rotations, _summed(state.position, b[0] * thrusts[:-1]), problem.forward * thrusts
-    velocities = _summed(state.velocity, b[1] * thrusts[:-1], a[1, 1])
-    moved = a[0, 1] * velocities[:-1] + b[0] * thrusts[:-1]
-    return rotations, _summed(state.position, moved), velocities
+        velocities = problem.forward * thrusts
+        if state.disturbed:
+            velocities += state.disturbance
+        return rotations, _summed(state.position, moved), velocities
+    a = once.transition
+    velocities = _summed(state.velocity, _pushed(once, state, thrusts, 1), a[1, 1])
+    return rotations, _summed(state.position, moved + a[0, 1] * velocities[:-1]), velocities
+
+
+def _pushed(once: Step, state: State, thrusts: Array, part: int) -> Array:
+    """Return what each step adds to the position (part 0) or velocity (1), shape (N, n)."""
+    added = once.push[part] * thrusts[:-1]
+    if once.follow[part]:
+        added += once.follow[part] * thrusts[1:]
+    if state.disturbed:
+        added += once.blow[part] * state.disturbance
+    return np.asarray(added)
 
 
 def _summed(first: Array, changes: Array, kept: float = 1.0) -> Array:
@@ -211,10 +225,18 @@ def _objective(problem: Problem, goals: Array, plan: Plan) -> float:
     cost = w.position * np.vdot(misses, misses) + w.input * (inputs @ inputs)
     cost += (w.terminal + problem.arrival_weight) * (misses[-1] @ misses[-1])
     if w.length > 0.0:
-        cost += w.length * h * problem.forward * _sizes(plan.rotations[:-1, :, 0]).sum()
+        cost += w.length * h * problem.forward * _flown(problem, plan)
     if problem.inertial:
         cost += problem.arrival_weight * h * h * np.sum(plan.velocities[-1] ** 2)
     return float(cost)
+
+
+def _flown(problem: Problem, plan: Plan) -> float:
+    """Return the steps' speed fractions, added up: at their begin, or in the middle of a chord."""
+    sizes = _sizes(plan.rotations[:, :, 0])
+    _, push, follow, _ = step_of(problem.translation, problem.step, problem.forward)
+    late = float(follow[-1] / (push[-1] + follow[-1]))
+    return float((1.0 - late) * sizes[:-1].sum() + late * sizes[1:].sum())
 
 
 # --- rotations and command

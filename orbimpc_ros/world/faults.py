@@ -141,15 +141,15 @@ class View:
                 flight.vehicle.time, flight.goal + self._shift(draws, GOAL, flight.goal)
             )
             arriving += self._through(draws, GOAL, Delivery(goal, flight.ticks))
-        odometry = Delivery(self._odometry(draws), flight.ticks, self.faults.delay)
+        seen = measured(self._delayed(), flight.scenario.model.velocity_source)
+        odometry = Delivery(self._noisy(draws, seen), flight.ticks, self.faults.delay)
         return arriving + self._through(draws, ODOMETRY, odometry)
 
     def command_lost(self, ticks: int) -> bool:
         """Return whether the command that answers a tick gets lost."""
         return self._happens(_Draws.of(self._seed, ticks), COMMAND, 'dropout')
 
-    def _odometry(self, draws: _Draws) -> Odometry:
-        seen = measured(self._delayed())
+    def _noisy(self, draws: _Draws, seen: Odometry) -> Odometry:
         n = len(seen.body_rate)
         turned = exp(self.faults.attitude_noise * draws.turn[:n])
         shift = self._shift(draws, ODOMETRY, seen.position)

@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.world.capture import closest_approach
 from orbimpc_ros.world.scenario import Scenario
-from orbimpc_ros.world.vehicle import Vehicle, advance, failsafe, measured
+from orbimpc_ros.world.vehicle import Vehicle, measured
 
 if TYPE_CHECKING:  # the simulator flies without a solver, and starts sooner for it
     from orbimpc_ros.mpc.loop.controller import Tick
@@ -30,6 +30,7 @@ class Flight:
         ticks: steps flown.
         miss: least distance to the goal during the last step [m]; infinite before the first.
         missed_at: when that was [s].
+        trail: the vehicle on its way through the last step, at its end last.
     """
 
     scenario: Scenario
@@ -37,6 +38,7 @@ class Flight:
     ticks: int = 0
     miss: float = np.inf
     missed_at: float = np.nan
+    trail: tuple[Vehicle, ...] = ()
 
     @property
     def elapsed(self) -> float:
@@ -93,31 +95,41 @@ class Flight:
         if held >= step:
             later = self._flown(step, fraction, body_rate)
         else:
-            later = self._cut_short(max(0.0, held), body_rate)
+            later = self._cut_short(max(0.0, held), fraction, body_rate)
         return replace(later, ticks=self.ticks + 1)
 
-    def _cut_short(self, held: float, body_rate: Array) -> Flight:
+    def _cut_short(self, held: float, fraction: float, body_rate: Array) -> Flight:
         model = self.scenario.model
-        obeyed = self._flown(held, 0.0, body_rate) if held > 0.0 else self
-        safe = replace(obeyed, vehicle=failsafe(model, obeyed.vehicle))
+        obeyed = self._flown(held, fraction, body_rate) if held > 0.0 else self
+        safe = replace(obeyed, vehicle=model.released(obeyed.vehicle))
         rest = safe._flown(model.step - held, model.failsafe_fraction, model.failsafe_turn)
-        nearest = min((obeyed, rest) if held > 0.0 else (rest,), key=lambda flight: flight.miss)
-        return replace(rest, miss=nearest.miss, missed_at=nearest.missed_at)
+        if held <= 0.0:
+            return rest
+        nearest = min((obeyed, rest), key=lambda flight: flight.miss)
+        trail = obeyed.trail + rest.trail
+        return replace(rest, miss=nearest.miss, missed_at=nearest.missed_at, trail=trail)
 
     def _flown(self, span: float, fraction: float, body_rate: Array) -> Flight:
-        model = replace(self.scenario.model, step=span)
-        later = replace(self, vehicle=advance(model, self.vehicle, fraction, body_rate))
-        miss, share = closest_approach(
-            (self.vehicle.position, later.vehicle.position), (self.goal, later.goal)
-        )
-        return replace(later, miss=miss, missed_at=self.vehicle.time + share * span)
+        """Return the flight after a time [s] under one command, its goal swinging on."""
+        trail = self.scenario.model.flown(self.vehicle, span, fraction, body_rate, self.elapsed)
+        piece, miss, missed_at = span / len(trail), np.inf, np.nan
+        before = self
+        for vehicle in trail:
+            now = replace(before, vehicle=vehicle)
+            near, share = closest_approach(
+                (before.vehicle.position, vehicle.position), (before.goal, now.goal)
+            )
+            if near < miss:
+                miss, missed_at = near, before.vehicle.time + share * piece
+            before = now
+        return replace(before, miss=miss, missed_at=missed_at, trail=trail)
 
 
 def departure(scenario: Scenario, time: float | None = None) -> Flight:
     """Return the flight before its first step; ``time`` [s] moves the start on the clock."""
-    if time is None:
-        return Flight(scenario, scenario.start)
-    start = replace(scenario.start, time=time)
+    start = scenario.model.begun(scenario.start)
+    if time is not None:
+        start = replace(start, time=time)
     return Flight(replace(scenario, start=start), start)
 
 
@@ -166,7 +178,8 @@ Sensor = Callable[[Flight], tuple[Sighting, Odometry]]
 
 def perfect_sensor(flight: Flight) -> tuple[Sighting, Odometry]:
     """Return what is seen of a flight without noise: its goal and its vehicle."""
-    return Sighting(flight.vehicle.time, flight.goal), measured(flight.vehicle)
+    source = flight.scenario.model.velocity_source
+    return Sighting(flight.vehicle.time, flight.goal), measured(flight.vehicle, source)
 
 
 def fly(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -35,6 +35,10 @@ class Model:
         failsafe_fraction: share of full speed or thrust while no command is in force; a vehicle
             that cannot stand still has one.
         failsafe_rate: turn about the body's z axis meanwhile [rad/s].
+        disturbance: a wind in the world frame [m/s] (translation order 1) or an acceleration
+            [m/s^2] (2), n numbers; none if empty.
+        discretisation: ``euler`` or ``exact``, as in the Problem.
+        source: of the velocity that odometry measures: over ``ground`` or through the ``air``.
     """
 
     dimension: int = 2
@@ -45,13 +49,33 @@ class Model:
     mass: float = 1.0
     failsafe_fraction: float = 0.0
     failsafe_rate: float = 0.0
+    disturbance: tuple[float, ...] = ()
+    discretisation: str = 'euler'
+    source: str = 'ground'
 
     def __post_init__(self) -> None:
+        if self.disturbance:
+            frozen(self.disturbance, (self.dimension,), 'wind')
         number(self.step, 'step', 0.0, 1e3, above=True)
         within(self, RANGES)
         number(self.failsafe_fraction, 'failsafe.fraction', 0.0, 1.0)
         fastest = np.pi / self.step
         number(self.failsafe_rate, 'failsafe.rate', -fastest, fastest)
+
+    @property
+    def velocity_source(self) -> str:
+        """Return whether odometry measures velocity over ``ground`` or through the ``air``."""
+        return self.source
+
+    @property
+    def blown(self) -> Array:
+        """Return the disturbance, shape (n,)."""
+        return np.array(self.disturbance or np.zeros(self.dimension))
+
+    @property
+    def wind(self) -> Array:
+        """Return the velocity of the air, shape (n,) [m/s], which a thrust does not know."""
+        return self.blown if self.translation_order == 1 else np.zeros(self.dimension)
 
     @property
     def failsafe_turn(self) -> Array:
@@ -63,6 +87,29 @@ class Model:
         """Return how many components a body rate has: 1 in the plane, 3 in space."""
         return 1 if self.dimension == 2 else 3
 
+    def begun(self, vehicle: Vehicle) -> Vehicle:
+        """Return a vehicle at its start, moving as it does in this model."""
+        return vehicle
+
+    def flown(
+        self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array, elapsed: float
+    ) -> tuple[Vehicle, ...]:
+        """Return the vehicle at equal intervals of a time under one command, the last at its end.
+
+        Args:
+            vehicle: where it is.
+            span: how long [s]; here a step, flown in one piece.
+            fraction: commanded share of full speed or thrust.
+            body_rate: commanded, in the body frame, shape (1,) or (3,) [rad/s].
+            elapsed: time since the start of the flight [s].
+        """
+        del elapsed  # nothing changes with time
+        return (advance(replace(self, step=span), vehicle, fraction, body_rate),)
+
+    def released(self, vehicle: Vehicle) -> Vehicle:
+        """Return the vehicle at the moment from which no command is in force."""
+        return failsafe(self, vehicle)
+
 
 def model_of(problem: Problem, mass: float = 1.0) -> Model:
     """Return the vehicle that a planning problem believes in."""
@@ -73,6 +120,7 @@ def model_of(problem: Problem, mass: float = 1.0) -> Model:
         problem.step,
         problem.forward,
         mass,
+        discretisation=problem.discretisation,
     )
 
 
@@ -87,6 +135,7 @@ class Vehicle:
         attitude: Q, body to world, shape (n, n).
         body_rate: omega, in the body frame, shape (1,) or (3,) [rad/s].
         fraction: sigma, share of full speed or thrust now applied, in [0, 1].
+        wind: velocity of the air around it, shape (n,) [m/s]; still air if empty.
     """
 
     time: float
@@ -95,11 +144,14 @@ class Vehicle:
     attitude: Array
     body_rate: Array
     fraction: float
+    wind: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         n = len(np.atleast_1d(self.position))
         if n not in (2, 3):
             raise BadInput('start.position', n, '2 or 3 numbers')
+        if not len(self.wind):
+            object.__setattr__(self, 'wind', np.zeros(n))
         number(self.time, 'start.time')
         number(self.fraction, 'start.speed_fraction', 0.0, 1.0)
         for name, shape in (
@@ -107,8 +159,14 @@ class Vehicle:
             ('velocity', (n,)),
             ('attitude', (n, n)),
             ('body_rate', (1 if n == 2 else 3,)),
+            ('wind', (n,)),
         ):
             object.__setattr__(self, name, frozen(getattr(self, name), shape, f'start.{name}'))
+
+    @property
+    def airspeed(self) -> float:
+        """Return how fast it moves through the air [m/s]."""
+        return float(np.linalg.norm(self.velocity - self.wind))
 
 
 def launched(
@@ -133,11 +191,11 @@ def launched(
         time: at the start [s].
     """
     if model.translation_order == 1:
-        velocity = model.forward * fraction * attitude[:, 0]
+        velocity = model.forward * fraction * attitude[:, 0] + model.wind
     elif velocity is None:
         velocity = np.zeros(model.dimension)
     rate = np.zeros(model.rates) if body_rate is None else body_rate
-    return Vehicle(time, position, velocity, nearest(attitude), rate, fraction)
+    return Vehicle(time, position, velocity, nearest(attitude), rate, fraction, model.wind)
 
 
 def advance(model: Model, vehicle: Vehicle, fraction: float, body_rate: Array) -> Vehicle:
@@ -154,18 +212,36 @@ def advance(model: Model, vehicle: Vehicle, fraction: float, body_rate: Array) -
     turning = body_rate if model.rotation_order == 1 else vehicle.body_rate
     attitude = nearest(vehicle.attitude @ exp(h * turning))  # nearest: no drift off SO(n)
     fraction = float(np.clip(fraction, 0.0, 1.0))
-    if model.translation_order == 1:
-        moving, velocity = pushed, model.forward * fraction * attitude[:, 0]
-    else:
-        moving, velocity = vehicle.velocity, vehicle.velocity + h * pushed
+    way, velocity = _moved(model, vehicle, pushed, model.forward * fraction * attitude[:, 0])
     return Vehicle(
         vehicle.time + h,
-        vehicle.position + h * moving,
+        vehicle.position + way,
         velocity,
         attitude,
         np.array(body_rate),
         fraction,
+        model.wind,
     )
+
+
+def _moved(model: Model, vehicle: Vehicle, old: Array, new: Array) -> tuple[Array, Array]:
+    """Return the way of a step and the velocity at its end, shape (n,) each.
+
+    Args:
+        model: says whether speed or thrust changes at the end of the step, or all the while.
+        vehicle: at its begin.
+        old: speed or thrust at its begin, shape (n,).
+        new: at its end.
+    """
+    h = model.step
+    mean = 0.5 * (old + new) if model.discretisation == 'exact' else old
+    gained = h * (mean + model.blown)
+    if model.translation_order == 1:
+        return gained, new + model.wind
+    way = h * vehicle.velocity
+    if model.discretisation == 'exact':
+        way = way + h * h * (old / 3.0 + new / 6.0 + 0.5 * model.blown)
+    return way, vehicle.velocity + gained
 
 
 def failsafe(model: Model, vehicle: Vehicle) -> Vehicle:
@@ -175,7 +251,7 @@ def failsafe(model: Model, vehicle: Vehicle) -> Vehicle:
     """
     velocity = vehicle.velocity
     if model.translation_order == 1:
-        velocity = model.forward * model.failsafe_fraction * vehicle.attitude[:, 0]
+        velocity = model.forward * model.failsafe_fraction * vehicle.attitude[:, 0] + model.wind
     return replace(
         vehicle,
         velocity=velocity,
@@ -197,12 +273,20 @@ def between(earlier: Vehicle, later: Vehicle, time: float) -> Vehicle:
     )
 
 
-def measured(vehicle: Vehicle) -> Odometry:
-    """Return what perfect odometry says of the vehicle: its twist is in the body frame."""
+def measured(vehicle: Vehicle, velocity_source: str = 'ground') -> Odometry:
+    """Return what perfect odometry says of the vehicle: its twist is in the body frame.
+
+    Args:
+        vehicle: that is measured.
+        velocity_source: whether its velocity is that over ``ground`` or that through the ``air``.
+    """
+    velocity = vehicle.velocity
+    if velocity_source == 'air':
+        velocity = velocity - vehicle.wind
     return Odometry(
         vehicle.time,
         vehicle.position,
         vehicle.attitude,
-        vehicle.attitude.T @ vehicle.velocity,
+        vehicle.attitude.T @ velocity,
         vehicle.body_rate,
     )

@@ -298,10 +298,14 @@ class Beater:
         case, self._extra = self.case, []
         goal = (case.goals[-1] - case.position) / case.unit
         s, p = [ca.DM.zeros(case.n)], ca.DM(case.step * case.velocity / case.unit)
+        blown = ca.DM(case.disturbance / case.forward * np.ones(case.n))  # in a step, in units
         for k in range(case.horizon):
-            push = matrices[k][:, 0]
+            old, new = matrices[k][:, 0], matrices[k + 1][:, 0]
+            push = (0.5 * (old + new) if case.exact else old) + blown
             ahead = s[-1] + (push if case.translation_order == 1 else p)
             if case.translation_order == 2:
+                if case.exact:
+                    ahead = ahead + old / 3.0 + new / 6.0 + 0.5 * blown
                 p = self._named(f'p{k}', p + push)
             s.append(self._named(f's{k}', ahead))
         if not case.arrives:
@@ -335,10 +339,17 @@ class Beater:
                 size = ca.sqrt(ca.sumsqr(ahead) + 1e-20)
                 rows.positive(ca.dot(ahead, axis) - np.cos(angle * (1.0 - 1e-6)) * size)
 
+    @property
+    def _avoiding(self) -> range:
+        """The k of those s_k that the state does not decide."""
+        return range(
+            1 if self.case.exact else 1 + self.case.translation_order, self.case.horizon + 1
+        )
+
     def _boxes(self, positions: list[ca.SX]) -> None:
         case = self.case
         for i in range(len(case.boxes)):
-            for k in range(1 + case.translation_order, case.horizon + 1):
+            for k in self._avoiding:
                 side = self._parameter(f'side{i},{k}', case.n)
                 place = self._parameter(f'place{i},{k}', 1)
                 self._rows.positive(ca.dot(side, positions[k]) - place - TIGHT)
@@ -359,8 +370,10 @@ class Beater:
         for u in self._changes(matrices):
             cost += w['input'] / case.step ** (2 * case.rotation_order) * ca.sumsqr(u)
         if w['length']:
-            for m in matrices[:-1]:
-                speed = ca.sqrt(ca.sumsqr(m[:, 0]) + 1e-16)
+            late = 0.5 if case.exact else 0.0
+            for old, new in itertools.pairwise(matrices):
+                speed = (1.0 - late) * ca.sqrt(ca.sumsqr(old[:, 0]) + 1e-16)
+                speed += late * ca.sqrt(ca.sumsqr(new[:, 0]) + 1e-16)
                 cost += w['length'] * case.step * case.forward * speed
         return cost
 
@@ -413,7 +426,7 @@ class Beater:
         normals = np.concatenate([-np.eye(case.n), np.eye(case.n)])
         for box in case.boxes:
             beyond = judge.clearances(box, positions)
-            for k in range(1 + case.translation_order, case.horizon + 1):
+            for k in self._avoiding:
                 before = beyond[k - 1] if case.shares_faces and k > 1 else beyond[k]
                 side = int(np.argmax(np.minimum(before, beyond[k])))
                 edge = box[side // case.n] - case.position

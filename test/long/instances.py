@@ -32,6 +32,7 @@ def draw(seed: int, index: int, *, file: bool = False) -> dict[str, Any]:
     if rng.random() < 0.35:
         mapping['max_rate'] = log_uniform(rng, 0.02, np.pi * 0.999) / mapping['step']
     mapping['state'] = state(rng, mapping, file=file)
+    disturb(np.random.default_rng([seed, index, 2]), mapping)
     mapping['goal'] = [0.0] * route['dimension']
     aim(rng, mapping)
     return mapping
@@ -49,6 +50,8 @@ def route_of(mapping: dict[str, Any]) -> str:
         'rate': mapping.get('max_rate'),
         'boxes': mapping.get('obstacles'),
         'arrival': mapping.get('terminal') == 'constraint',
+        'exact': mapping.get('discretisation') == 'exact',
+        'disturbed': 'disturbance' in mapping['state'],
     }
     orders = f'{mapping["rotation_order"]}{mapping["translation_order"]}'
     return '+'.join(
@@ -159,6 +162,16 @@ def _turning(
     least = min(1.0, judge.widest(_bare(n, mapping['floor'])))
     following = min(1.0, max(speed, least * (1.0 + 1e-6)))  # decided, so no closer than that
     return {'rotation_rate': ((following * turned - speed * attitude) / h).tolist()}
+
+
+def disturb(rng: np.random.Generator, mapping: dict[str, Any]) -> None:
+    """Give some problems a wind or an acceleration, and others exact integration, or both."""
+    if rng.random() < 0.4:
+        size = mapping['forward'] * rng.choice([rng.uniform(0.0, 0.5), rng.uniform(0.5, 1.5)])
+        axis = rng.normal(size=mapping['dimension'])
+        mapping['state']['disturbance'] = (size * axis / np.linalg.norm(axis)).tolist()
+    if rng.random() < 0.4:
+        mapping['discretisation'] = 'exact'
 
 
 # --- where it should go, and what is in the way

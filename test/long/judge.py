@@ -6,6 +6,7 @@ package believes about its own plans is measured against this file.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -42,6 +43,8 @@ class PosedProblem:
     max_rate: float
     boxes: list[tuple[Array, Array]] = field(default_factory=list)
     shares_faces: bool = False
+    disturbance: Array | float = 0.0
+    exact: bool = False
 
     @property
     def unit(self) -> float:
@@ -98,6 +101,8 @@ def case_of(mapping: dict[str, Any]) -> PosedProblem:
         max_rate=mapping.get('max_rate', 0.0),
         boxes=[(np.array(b['min']), np.array(b['max'])) for b in mapping.get('obstacles', [])],
         shares_faces=mapping.get('no_corner_cutting', False),
+        disturbance=np.array(state.get('disturbance', np.zeros(n)), dtype=float),
+        exact=mapping.get('discretisation') == 'exact',
     )
 
 
@@ -113,13 +118,28 @@ def nearest_rotation(matrix: Array) -> Array:
 
 
 def rollout(case: PosedProblem, rotations: Array) -> tuple[Array, Array]:
-    """s_0..s_N and p_0..p_N of rotations R_0..R_N: explicit Euler, old values on the right."""
-    h, z = case.step, case.forward
+    """s_0..s_N and p_0..p_N of rotations R_0..R_N.
+
+    Explicit Euler, old values on the right; or, exact, the integrals over steps in which the thrust
+    axis moves on the chord from the old to the new, by Gauss's rule, which is exact for parabolas.
+    """
+    h, z, w = case.step, case.forward, case.disturbance
     s, p = [case.position], [case.velocity]
-    for r in rotations[:-1]:
-        v = z * r[:, 0] if case.translation_order == 1 else p[-1]
-        s.append(s[-1] + h * v)
-        p.append(p[-1] + h * z * r[:, 0])
+    for old, new in itertools.pairwise(rotations[:, :, 0]):
+        if not case.exact:
+            pushed = z * old + w
+            s.append(s[-1] + h * (pushed if case.translation_order == 1 else p[-1]))
+            p.append(p[-1] + h * pushed)
+            continue
+        points = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
+        pushes = [z * ((1.0 - share) * old + share * new) + w for share in points]
+        gained = 0.5 * h * sum(pushes)
+        if case.translation_order == 1:
+            s.append(s[-1] + gained)
+        else:
+            late = [(1.0 - share) * push for share, push in zip(points, pushes, strict=True)]
+            s.append(s[-1] + h * p[-1] + 0.5 * h * h * sum(late))
+        p.append(p[-1] + gained)
     return np.array(s), np.array(p)
 
 
@@ -133,7 +153,8 @@ def cost(case: PosedProblem, rotations: Array) -> float:
     """The objective of rotations R_0..R_N, shape (N + 1, n, n)."""
     w = case.weights
     miss = np.sum((rollout(case, rotations)[0][1:] - case.goals) ** 2, axis=1)
-    speeds = np.linalg.norm(rotations[:-1, :, 0], axis=1)
+    speeds = np.linalg.norm(rotations[:, :, 0], axis=1)
+    speeds = 0.5 * (speeds[:-1] + speeds[1:]) if case.exact else speeds[:-1]
     return float(
         w['position'] * miss.sum()
         + w['input'] * np.sum(inputs(case, rotations) ** 2)

@@ -86,9 +86,12 @@ class Controller:
             instead of receding.
         gap_tolerance: relative gap within which a plan counts as proved optimal.
         safe: kind of safe command, see :func:`orbimpc_ros.mpc.loop.safety.safe_command`.
+        disturbance: a wind or an acceleration, shape (n,); by default there is none.
+        velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
 
     Attributes:
         history: the commands of late; a tick's command counts as sent unless another is added.
+        disturbance: what the next tick plans with; who estimates more than is known may set it.
     """
 
     def __init__(
@@ -99,8 +102,11 @@ class Controller:
         shrinking: bool = False,
         gap_tolerance: float = 1e-4,
         safe: str = 'auto',
+        disturbance: Array | None = None,
+        velocity_source: str = 'ground',
     ) -> None:
         self.problem, self._safe_kind = problem, safe
+        self.disturbance, self._velocity_source = disturbance, velocity_source
         self._projection, self._shrinking, self._tolerance = projection, shrinking, gap_tolerance
         self._solvers: dict[tuple[int, bool], Solver] = {}
         self._solver(problem.horizon)
@@ -143,7 +149,7 @@ class Controller:
             goals: targets at the ends of the coming steps.
             out_of_time: polled by long searches; True makes them return their best plan.
         """
-        state = state_of(self.problem, odometry, self.history.fraction)
+        state = self._state(odometry)
         if self.remaining == 0:
             reason = Reason(Cause.HORIZON, 'the horizon has run out')
             return self._finish(self._without_plan(state, Status.FEASIBLE, reason))
@@ -152,13 +158,18 @@ class Controller:
         task = self._task(state, goals, out_of_time)
         self._goals = goals
         plan, status, words = _solved(task)
-        words = '; '.join(filter(None, (words, shortened, odd_speed(self.problem, odometry))))
+        measured = self.problem, odometry, self.disturbance, self._velocity_source
+        words = '; '.join(filter(None, (words, shortened, odd_speed(*measured))))
         reason = Reason(Cause.NONE, words)
         if plan is None:
             return self._finish(self._fall_back(task, status, reason))
         self._fallbacks, self._planned = 0, plan.horizon
         self._arriving = True
         return self._finish(self._following(task, plan, status, reason))
+
+    def _state(self, odometry: Odometry) -> State:
+        known = self.history.fraction, self.disturbance, self._velocity_source
+        return state_of(self.problem, odometry, *known)
 
     def _task(
         self, state: State, goals: Array, out_of_time: Callable[[], bool] | None = None
@@ -176,7 +187,7 @@ class Controller:
             words: why there is no goal.
         """
         reason = Reason(Cause.GOAL, words)
-        state = state_of(self.problem, odometry, self.history.fraction)
+        state = self._state(odometry)
         if self._goals is None or self.remaining == 0:
             return self._finish(self._without_plan(state, Status.FAILED, reason))
         moved = np.concatenate([self._goals[1:], self._goals[-1:]])[: self.remaining]
@@ -245,7 +256,7 @@ class Controller:
             RuntimeError: the safe command itself must not be sent, which its own law excludes.
         """
         kind, problem = self._safe_kind, self.problem
-        command = safe_command(kind, problem, attitude, self.history.fraction)
+        command = safe_command(kind, problem, attitude, self.history.fraction, self.disturbance)
         wrong = flaw(problem, command, stopping=may_stop(kind, problem))
         if wrong:
             raise RuntimeError(f'the safe command is not sent: {wrong}')

@@ -76,24 +76,37 @@ class CommandHistory:
         return found
 
 
-def advanced(problem: Problem, odometry: Odometry, intervals: Sequence[Interval]) -> Odometry:
+def advanced(
+    problem: Problem,
+    odometry: Odometry,
+    intervals: Sequence[Interval],
+    disturbance: Array | None = None,
+    velocity_source: str = 'ground',
+) -> Odometry:
     """Return the measurement as it would be after the intervals; the same one without any.
 
     Within an interval body rate and forward speed (or thrust) are constant, so that the vehicle
     flies an arc, integrated exactly. As in the discrete model, a commanded rate applies at once at
     rotation order 1; everything else that a command says is taken over when the next command comes.
-    Until then the vehicle goes on as it was measured.
+    Until then the vehicle goes on as it was measured. Meanwhile the disturbance acts on it: speeds
+    through the air turn with the body, the wind does not.
 
     Args:
         problem: gives the orders and the full speed or thrust.
         odometry: the measurement.
         intervals: in order of time, since the measurement.
+        disturbance: a wind or an acceleration, shape (n,); None for none.
+        velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
     """
     if not intervals:
         return odometry
     position, attitude = odometry.position, odometry.attitude
     body_velocity, rate = odometry.body_velocity, odometry.body_rate
     velocity = attitude @ body_velocity
+    blown = np.zeros(problem.dimension) if disturbance is None else disturbance
+    over_ground = velocity_source == 'ground' and not problem.inertial
+    if over_ground:
+        body_velocity = body_velocity - attitude.T @ blown
     for k, interval in enumerate(intervals):
         if k and interval.before is not None:
             body_velocity = _forward(problem, interval.before.speed_fraction)
@@ -103,16 +116,18 @@ def advanced(problem: Problem, odometry: Odometry, intervals: Sequence[Interval]
             turning = interval.command.body_rate
         time, angle = interval.duration, interval.duration * turning
         if not problem.inertial:
-            position = position + time * (attitude @ _turned(angle, body_velocity)[0])
+            position = position + time * (attitude @ _turned(angle, body_velocity)[0] + blown)
         else:
             before = interval.before
             push = _forward(problem, 0.0 if before is None else before.speed_fraction)
             once, twice = _turned(angle, push)
-            position = position + time * velocity + time * time * (attitude @ twice)
-            velocity = velocity + time * (attitude @ once)
+            position = position + time * velocity + time * time * (attitude @ twice + 0.5 * blown)
+            velocity = velocity + time * (attitude @ once + blown)
         attitude = attitude @ exp(angle)
     if problem.inertial:
         body_velocity = attitude.T @ velocity
+    elif over_ground:
+        body_velocity = body_velocity + attitude.T @ blown
     later = odometry.time + sum(interval.duration for interval in intervals)
     return Odometry(later, position, attitude, np.array(body_velocity), np.array(rate))
 

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Problem, State
 
+SOURCES = ('ground', 'air')  # of a measured velocity
 NOISE = 0.05  # of full speed: by so much a speed may be out of range unsaid
 
 
@@ -24,7 +23,7 @@ class Odometry(ByContent):
         time: stamp [s].
         position: in the world frame, shape (n,) [m].
         attitude: body to world rotation, shape (n, n).
-        body_velocity: in the body frame, shape (n,) [m/s].
+        body_velocity: in the body frame, over ground or through the air, shape (n,) [m/s].
         body_rate: in the body frame, shape (1,) or (3,) [rad/s].
     """
 
@@ -39,7 +38,30 @@ class Odometry(ByContent):
             sealed(array)
 
 
-def state_of(problem: Problem, odometry: Odometry, thrust_fraction: float) -> State:
+def airspeed(odometry: Odometry, wind: Array | None, velocity_source: str = 'ground') -> float:
+    """Return the speed through the air along the thrust axis [m/s].
+
+    What moves a vehicle across that axis is not its own doing, but the wind's or a slip's: it has
+    no part in R_0.
+
+    Args:
+        odometry: the measurement.
+        wind: shape (n,) [m/s]; None for none.
+        velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
+    """
+    speed = float(odometry.body_velocity[0])
+    if wind is None or velocity_source == 'air':
+        return speed
+    return speed - float(wind @ odometry.attitude[:, 0])
+
+
+def state_of(
+    problem: Problem,
+    odometry: Odometry,
+    thrust_fraction: float,
+    disturbance: Array | None = None,
+    velocity_source: str = 'ground',
+) -> State:
     """Return the state that a plan starts from: R_0 = sigma_0 Q_0, always in conv SO(n).
 
     Args:
@@ -47,9 +69,12 @@ def state_of(problem: Problem, odometry: Odometry, thrust_fraction: float) -> St
         odometry: the measurement.
         thrust_fraction: the share of thrust now applied, in [0, 1]; at translation order 2 odometry
             does not show it. At order 1 sigma_0 is the measured share of full speed.
+        disturbance: a wind or an acceleration, shape (n,); None for none.
+        velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
     """
     if not problem.inertial:
-        fraction = float(np.clip(odometry.body_velocity[0] / problem.forward, 0.0, 1.0))
+        speed = airspeed(odometry, disturbance, velocity_source)
+        fraction = min(1.0, max(0.0, speed / problem.forward))
         velocity = None
     else:
         fraction = thrust_fraction
@@ -63,15 +88,22 @@ def state_of(problem: Problem, odometry: Odometry, thrust_fraction: float) -> St
         velocity=velocity,
         attitude=odometry.attitude,
         coasted=coasted,
+        disturbance=disturbance,
     )
 
 
-def odd_speed(problem: Problem, odometry: Odometry) -> str:
+def odd_speed(
+    problem: Problem,
+    odometry: Odometry,
+    disturbance: Array | None = None,
+    velocity_source: str = 'ground',
+) -> str:
     """Return that the measured speed is not one that the model knows, in words; else empty.
 
-    Such a speed counts as the nearest that it does: none, or full speed.
+    Such a speed counts as the nearest that it does: none, or full speed. Arguments as for
+    :func:`state_of`.
     """
-    speed, full = float(odometry.body_velocity[0]), problem.forward
+    speed, full = airspeed(odometry, disturbance, velocity_source), problem.forward
     if problem.inertial or -NOISE * full <= speed <= (1.0 + NOISE) * full:
         return ''
     taken = full if speed > 0.0 else 0.0

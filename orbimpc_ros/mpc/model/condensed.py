@@ -26,14 +26,15 @@ SLIGHT = 1e-10  # share of its diagonal that a singular Hessian is given on top
 class Condensed:
     """The quadratic of one problem; what varies from tick to tick enters linearly.
 
-    What varies are the *knowns*, rows of shape (n,): R_0 e1, p_0, and g_1 - s_0..g_N - s_0.
+    What varies are the *knowns*, rows of shape (n,): R_0 e1, p_0, the
+    disturbance w, and g_1 - s_0..g_N - s_0.
 
     Attributes:
         hessian: H, shape (N, N), without the weight on the last velocity, which only adds to it.
         turning: its part from the input weight, shape (N, N): all that coordinates of R_k other
             than those of R_k e1 are subject to.
-        pulled: q of the knowns, shape (N, N + 2).
-        squared: c of the knowns, a quadratic form, shape (N + 2, N + 2).
+        pulled: q of the knowns, shape (N, N + 3).
+        squared: c of the knowns, a quadratic form, shape (N + 3, N + 3).
         turned: q of the other coordinates of R_0, shape (N, 1).
         turned_squared: c of them, shape (1, 1).
     """
@@ -43,7 +44,7 @@ class Condensed:
         maps, turn = problem.maps, dynamics.input_map(problem)
         reach = maps.reach
         weights, turning = position_weights(problem), input_weight(problem)
-        miss = np.hstack([reach[:, :1], maps.drift, -np.eye(problem.horizon)])
+        miss = np.hstack([reach[:, :1], maps.drift, maps.blown, -np.eye(problem.horizon)])
         pull = 2.0 * reach[:, 1:].T * weights
         self.turning: Array = 2.0 * turning * turn[:, 1:].T @ turn[:, 1:]
         self.turned: Array = 2.0 * turning * turn[:, 1:].T @ turn[:, :1]
@@ -65,10 +66,10 @@ class Condensed:
 
 
 def knowns(state: State, goals: Array) -> Array:
-    """Return what the quadratic depends on, shape (N + 2, n): see :class:`Condensed`."""
-    known = np.empty((len(goals) + 2, goals.shape[1]))
-    known[0], known[1] = state.rotation[:, 0], state.velocity
-    np.subtract(goals, state.position, out=known[2:])
+    """Return what the quadratic depends on, shape (N + 3, n): see :class:`Condensed`."""
+    known = np.empty((len(goals) + 3, goals.shape[1]))
+    known[0], known[1], known[2] = state.rotation[:, 0], state.velocity, state.disturbance
+    np.subtract(goals, state.position, out=known[3:])
     return known
 
 

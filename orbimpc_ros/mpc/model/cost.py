@@ -2,11 +2,12 @@ r"""The objective, term by term: weights per step, value and gradient.
 
 .. math::
     q \sum_{k=1}^{N} \|s_k - g_k\|^2 + m \|s_N - g_N\|^2 + r \sum_{k=0}^{N-1} \|u_k\|_F^2
-    + \ell \sum_{k=0}^{N-1} h z \|R_k e_1\| + w (\|s_N - g_N\|^2 + h^2 \|p_N\|^2)
+    + \ell \sum_{k=0}^{N} \lambda_k h z \|R_k e_1\| + w (\|s_N - g_N\|^2 + h^2 \|p_N\|^2)
 
-with the arrival weight w. All but the length is quadratic; ``condensed`` has that part as a
-function of the thrust axes alone, ``solve.statement`` the whole in CVXPY. The check evaluates the
-objective by itself.
+with the arrival weight w, and with lambda_k the share of a step that R_k e_1 pushes for: all of it,
+and none for k = N; where thrust moves on a chord, half for the first and the last. All but the
+length is quadratic; ``condensed`` has that part as a function of the thrust axes alone,
+``solve.statement`` the whole in CVXPY. The check evaluates the objective by itself.
 
 Mathematics: docs/mathematics.md, 1.2.
 """
@@ -65,14 +66,21 @@ def input_weight(problem: Problem) -> float:
 
 
 def length_weight(problem: Problem) -> float:
-    """Return the weight on |R_k e1|, k = 0..N-1."""
+    """Return the weight on |R_k e1| for a whole step."""
     return problem.weights.length * problem.step * problem.forward
 
 
+def length_weights(problem: Problem) -> Array:
+    """Return the weights on |R_k e1|, k = 0..N, shape (N + 1,)."""
+    return length_weight(problem) * problem.maps.lasting
+
+
 def first_length(problem: Problem, state: State) -> float:
-    """Return the length cost of the first step, which the state alone decides."""
+    """Return the length cost of R_0 e1, which the state alone decides."""
+    if problem.weights.length == 0.0:
+        return 0.0
     heading = state.rotation[:, 0]
-    return length_weight(problem) * math.sqrt(heading @ heading)
+    return float(length_weights(problem)[0]) * math.sqrt(heading @ heading)
 
 
 def value(
@@ -99,8 +107,8 @@ def value(
     if problem.arrival_weight > 0.0:
         cost += velocity_weight(problem) * (velocities[-1] @ velocities[-1])
     if w.length > 0.0:
-        axes = rotations[:-1, :, 0]
-        cost += length_weight(problem) * np.sqrt(np.einsum('kc,kc->k', axes, axes)).sum()
+        axes = rotations[:, :, 0]
+        cost += length_weights(problem) @ np.sqrt(np.einsum('kc,kc->k', axes, axes))
     return float(cost)
 
 
@@ -121,9 +129,7 @@ def gradients(problem: Problem, goals: Array, flown: Flown) -> list[Array]:
 def _length_gradient(problem: Problem, flown: Flown) -> Array:
     axes = flown.rotations[1:, :, 0]
     sizes = np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), KINK)
-    gradient = length_weight(problem) * axes / sizes
-    gradient[-1] = 0.0  # nothing is flown at R_N
-    return gradient
+    return length_weights(problem)[1:, None] * axes / sizes
 
 
 def on_axes(gradient: Array) -> Array:

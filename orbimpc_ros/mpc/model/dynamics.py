@@ -40,23 +40,41 @@ def translation_rollout(problem: Problem, state: State, headings: Array) -> tupl
         state: gives s_0 and, of an inertial model, p_0.
         headings: R_k e1, k = 0..N, shape (N + 1, n).
 
-    Without inertia the velocity is z R_k e1, a function of the rotation alone.
+    Without inertia the velocity is z R_k e1 + w, a function of the rotation alone.
     """
     flown, positions = problem.maps, np.empty(headings.shape)
     positions[0] = state.position
     np.add(flown.reach @ headings, state.position, out=positions[1:])
+    if state.disturbed:
+        positions[1:] += flown.blown * state.disturbance
     if not problem.inertial:
-        return positions, problem.forward * headings
+        velocities = problem.forward * headings
+        return positions, velocities + state.disturbance if state.disturbed else velocities
     positions[1:] += flown.drift * state.velocity
     velocities = np.empty(headings.shape)
     velocities[0] = state.velocity
     np.add(flown.pushed @ headings, flown.carried * state.velocity, out=velocities[1:])
+    if state.disturbed:
+        velocities[1:] += flown.hastened * state.disturbance
     return positions, velocities
 
 
 def drift(problem: Problem, state: State) -> Array:
     """Return the positions s_1..s_N, shape (N, n), of a vehicle that coasts without thrust."""
-    return state.position + problem.maps.drift * state.velocity
+    maps = problem.maps
+    coasting = state.position + maps.drift * state.velocity
+    return coasting + maps.blown * state.disturbance if state.disturbed else coasting
+
+
+def adrift(problem: Problem, state: State) -> Array:
+    """Return where what the state decides at once would have it at s_1..s_N, shape (N, n).
+
+    That is s_0, moved by the disturbance alone: the origin of displacements, in which the dynamics
+    know no disturbance.
+    """
+    if not state.disturbed:
+        return np.broadcast_to(state.position, (problem.horizon, state.dimension))
+    return state.position + problem.maps.blown * state.disturbance
 
 
 def input_map(problem: Problem) -> Array:

@@ -3,10 +3,11 @@
 A model is one class, registered under the value of ``translation_order`` that selects it. Along
 every axis of the world it says
 
-    y_{k+1} = A y_k + b (R_k e1),   y = (s) or (s, p),
+    y_{k+1} = A y_k + b (R_k e1) + c (R_{k+1} e1) + e w,   y = (s) or (s, p),
 
-with A upper triangular and A_11 = 1: where a vehicle is has no influence on how it moves. Rollouts,
-maps, the convex programs, the check and natural units follow from A and b.
+with A upper triangular and A_11 = 1: where a vehicle is has no influence on how it moves. w is the
+disturbance, the same at every step: a wind, or an acceleration. Rollouts, maps, the convex
+programs, the check and natural units follow from A, b, c and e.
 
 Mathematics: docs/mathematics.md, 1.1.
 """
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,9 +45,17 @@ class Translation(ABC):
     def push(self, step: float, forward: float) -> Array:
         """Return b for full speed or thrust z, shape (m,) [m], [m/s]."""
 
+    def follow(self, step: float, forward: float) -> Array:
+        """Return c, shape (m,) [m], [m/s]; zero unless the turn within a step is felt in it."""
+        return np.zeros(len(self.push(step, forward)))
+
+    def blow(self, step: float) -> Array:
+        """Return e, shape (m,) [s], or [s^2], [s]; by default w acts as a steady thrust would."""
+        return self.push(step, 1.0) + self.follow(step, 1.0)
+
 
 class FirstOrder(Translation):
-    """Order 1: s_{k+1} = s_k + h z R_k e1."""
+    """Order 1: s_{k+1} = s_k + h (z R_k e1 + w)."""
 
     inertial = False
 
@@ -59,7 +69,7 @@ class FirstOrder(Translation):
 
 
 class SecondOrder(Translation):
-    """Order 2: p_{k+1} = p_k + h z R_k e1 and s_{k+1} = s_k + h p_k."""
+    """Order 2: p_{k+1} = p_k + h (z R_k e1 + w) and s_{k+1} = s_k + h p_k."""
 
     inertial = True
 
@@ -72,7 +82,61 @@ class SecondOrder(Translation):
         return np.array([0.0, step * forward])
 
 
+class FirstOrderExact(FirstOrder):
+    """Order 1, R e1 on the chord from R_k e1 to R_{k+1} e1 during the step."""
+
+    def push(self, step: float, forward: float) -> Array:
+        """Return (h z / 2)."""
+        return np.array([0.5 * step * forward])
+
+    def follow(self, step: float, forward: float) -> Array:
+        """Return (h z / 2)."""
+        return np.array([0.5 * step * forward])
+
+
+class SecondOrderExact(SecondOrder):
+    """Order 2, R e1 on the chord from R_k e1 to R_{k+1} e1 during the step."""
+
+    def push(self, step: float, forward: float) -> Array:
+        """Return (h^2 z / 3, h z / 2)."""
+        return np.array([step * step * forward / 3.0, 0.5 * step * forward])
+
+    def follow(self, step: float, forward: float) -> Array:
+        """Return (h^2 z / 6, h z / 2)."""
+        return np.array([step * step * forward / 6.0, 0.5 * step * forward])
+
+
 TRANSLATIONS: dict[int, Translation] = {1: FirstOrder(), 2: SecondOrder()}
+EXACT: dict[int, Translation] = {1: FirstOrderExact(), 2: SecondOrderExact()}
+DISCRETISATIONS = {'euler': TRANSLATIONS, 'exact': EXACT}
+
+
+class Step(NamedTuple):
+    """One step of a model: y_{k+1} = A y_k + b (R_k e1) + c (R_{k+1} e1) + e w.
+
+    Attributes:
+        transition: A, shape (m, m).
+        push: b, shape (m,).
+        follow: c, shape (m,).
+        blow: e, shape (m,).
+    """
+
+    transition: Array
+    push: Array
+    follow: Array
+    blow: Array
+
+
+@lru_cache(maxsize=256)
+def step_of(model: Translation, step: float, forward: float) -> Step:
+    """Return a step of a model; made once."""
+    made = (
+        model.transition(step),
+        model.push(step, forward),
+        model.follow(step, forward),
+        model.blow(step),
+    )
+    return Step(*map(sealed, made))
 
 
 class Maps:
@@ -81,28 +145,56 @@ class Maps:
     Attributes:
         reach: what each R_j e1 adds to s_1..s_N, shape (N, N + 1) [m].
         drift: what p_0 adds to s_1..s_N, shape (N, 1) [s]; zeros for a model without inertia.
+        blown: what w adds to s_1..s_N, shape (N, 1) [s] or [s^2].
         arrival: what each R_j e1 adds to y_N, shape (m, N + 1).
         carried: what p_0 adds to p_1..p_N, shape (N, 1).
         pushed: what each R_j e1 adds to p_1..p_N of an inertial model, shape (N, N + 1) [m/s].
-        unit: what a step moves the vehicle at most, from rest [m].
+        hastened: what w adds to p_1..p_N of an inertial model, shape (N, 1) [s].
+        lasting: for how much of a step each R_j e1 pushes, shape (N + 1,).
+        unit: what a step moves the vehicle at most, from rest: h z, or h^2 z with inertia [m].
     """
 
     def __init__(self, model: Translation, horizon: int, step: float, forward: float) -> None:
-        transition, push = model.transition(step), model.push(step, forward)
-        responses, powers = [push], [transition]  # A^k b and A^(k+1), k = 0..N-1
-        for _ in range(horizon - 1):
-            responses.append(transition @ responses[-1])
-            powers.append(transition @ powers[-1])
-        effect, moved = np.array(responses), np.array(powers)
-        lag = np.arange(horizon)[:, None] - np.arange(horizon + 1)[None, :]
-        every = np.where(lag[:, :, None] >= 0, effect[np.maximum(lag, 0)], 0.0)  # (N, N + 1, m)
+        once = step_of(model, step, forward)
+        pushes = [_responses(once.transition, each, horizon) for each in once[1:]]
+        after = np.zeros((horizon, horizon + 1, len(once.push)))
+        after[:, 1:] = _lagged(pushes[1])[:, :horizon]
+        every = _lagged(pushes[0]) + after
         self.reach = sealed(every[:, :, 0].copy())
         self.arrival = sealed(every[-1].T.copy())
         self.pushed = sealed(every[:, :, -1].copy())
+        blown = np.cumsum(pushes[2], axis=0)
+        self.blown = sealed(blown[:, :1].copy())
+        self.hastened = sealed(blown[:, -1:].copy())
         still = np.zeros((horizon, 1))
+        moved = _responses(once.transition, once.transition, horizon)  # A^k, k = 1..N
         self.drift = sealed(moved[:, :1, 1].copy() if model.inertial else still)
         self.carried = sealed(moved[:, 1:, 1].copy() if model.inertial else still)
-        self.unit = float(push[0] or (transition @ push)[0])
+        self.lasting = sealed(_shares(once, horizon))
+        self.unit = step * (step * forward) if model.inertial else step * forward
+
+
+def _responses(transition: Array, first: Array, horizon: int) -> Array:
+    """Return A^k times the first response, k = 0..N-1, shape (N, ...)."""
+    responses = [first]
+    for _ in range(horizon - 1):
+        responses.append(transition @ responses[-1])
+    return np.array(responses)
+
+
+def _lagged(responses: Array) -> Array:
+    """Return what a push at step j = 0..N adds to y_1..y_N, shape (N, N + 1, m)."""
+    horizon = len(responses)
+    lag = np.arange(horizon)[:, None] - np.arange(horizon + 1)[None, :]
+    return np.where(lag[:, :, None] >= 0, responses[np.maximum(lag, 0)], 0.0)
+
+
+def _shares(once: Step, horizon: int) -> Array:
+    """Return for how much of a step each R_j e1 pushes: what it adds to the last entry of y."""
+    late = once.follow[-1] / (once.push[-1] + once.follow[-1])
+    shares = np.ones(horizon + 1)
+    shares[0], shares[-1] = 1.0 - late, late
+    return shares
 
 
 @lru_cache(maxsize=256)

@@ -9,11 +9,12 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, frozen
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.model.translation import DISCRETISATIONS
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.scaling import weighed
 
 MODEL = ('dimension', 'rotation_order', 'translation_order', 'horizon', 'step', 'forward')
-EXTRAS = ('terminal', 'max_rate', 'no_corner_cutting')
+EXTRAS = ('terminal', 'max_rate', 'no_corner_cutting', 'discretisation')
 PARTS = ('weights', 'floor', 'obstacles')
 WEIGHTS = ('position', 'input', 'length', 'terminal')
 
@@ -38,8 +39,9 @@ def case_of(mapping: Any) -> Case:
     Required are ``dimension``, ``rotation_order``, ``translation_order``, ``horizon``, ``step``,
     ``forward``, ``weights``, ``state`` and ``goal``: one point, or one for every step. A weight
     that is absent is 0: what a case does not state does not enter its objective; ``scaling`` among
-    them says what they mean, by default the paper's sums. Without
-    ``terminal``, ``floor``, ``max_rate`` and ``obstacles`` there is a penalty and no limit.
+    them says what they mean, by default the paper's sums. Without ``terminal``, ``floor``,
+    ``max_rate`` and ``obstacles`` there is a penalty and no limit; without ``discretisation`` it is
+    ``euler``, and without a ``disturbance`` of the state there is none.
 
     Raises:
         BadInput: a field is unknown, missing, of another type or out of range.
@@ -56,6 +58,8 @@ def _problem(known: Mapping[str, Any]) -> Problem:
     plain = {name: known[name] for name in (*MODEL, *EXTRAS) if name in known}
     if not isinstance(plain.get('terminal', ''), str):
         raise BadInput.choice('terminal', plain['terminal'], ('penalty', 'constraint'))
+    if not isinstance(plain.get('discretisation', ''), str):
+        raise BadInput.choice('discretisation', plain['discretisation'], DISCRETISATIONS)
     if not isinstance(plain.get('no_corner_cutting', False), bool):
         raise BadInput('no_corner_cutting', plain['no_corner_cutting'], 'true | false')
     problem = Problem(
@@ -85,6 +89,7 @@ def _boxes(value: Any) -> tuple[Box, ...]:
 
 def _state(problem: Problem, value: Any) -> State:
     optional = [
+        'disturbance',
         *(['velocity'] if problem.inertial else []),
         *(['rotation_rate'] if problem.rotation_order == 2 else []),
     ]

@@ -20,7 +20,13 @@ from typing import Any
 
 from orbimpc_ros.mpc.arrays import number, whole
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.model.translation import TRANSLATIONS, Maps, Translation, maps_of
+from orbimpc_ros.mpc.model.translation import (
+    DISCRETISATIONS,
+    TRANSLATIONS,
+    Maps,
+    Translation,
+    maps_of,
+)
 from orbimpc_ros.mpc.problem.floor import Floor
 from orbimpc_ros.mpc.problem.obstacle import Box
 
@@ -73,6 +79,8 @@ class Problem:
         no_corner_cutting: whether consecutive points must share a free face of every box.
         arrival_weight: adds this times |s_N - g_N|^2 (and h^2 |p_N|^2 at translation order 2) to
             the objective: what stands in for an arrival that has become impossible [1/m^2].
+        discretisation: ``euler``, the paper's, or ``exact``: the thrust axis moves on the chord
+            from R_k e1 to R_{k+1} e1 during a step, and what it pushes is integrated exactly.
     """
 
     dimension: int = 2
@@ -88,6 +96,7 @@ class Problem:
     obstacles: tuple[Box, ...] = ()
     no_corner_cutting: bool = False
     arrival_weight: float = 0.0
+    discretisation: str = 'euler'
 
     def __post_init__(self) -> None:
         _instance(self.weights, Weights, 'weights')
@@ -97,6 +106,9 @@ class Problem:
         whole(self.dimension, 'dimension', 2, 3)
         whole(self.rotation_order, 'rotation_order', 1, 2)
         whole(self.translation_order, 'translation_order', 1, max(TRANSLATIONS))
+        if self.translation_order not in self._models:
+            allowed = f'euler at translation_order {self.translation_order}'
+            raise BadInput('discretisation', self.discretisation, allowed)
         whole(self.horizon, 'horizon', 1, MAX_HORIZON)
         number(self.step, 'step', 0.0, 1e3, above=True)
         number(self.forward, 'forward', 0.0, 1e3, above=True)
@@ -153,7 +165,13 @@ class Problem:
     @property
     def translation(self) -> Translation:
         """Return the model that says how R e1 moves the vehicle."""
-        return TRANSLATIONS[self.translation_order]
+        return self._models[self.translation_order]
+
+    @property
+    def _models(self) -> dict[int, Translation]:
+        if self.discretisation not in DISCRETISATIONS:
+            raise BadInput.choice('discretisation', self.discretisation, DISCRETISATIONS)
+        return DISCRETISATIONS[self.discretisation]
 
     @cached_property
     def inertial(self) -> bool:

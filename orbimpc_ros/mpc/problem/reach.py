@@ -17,10 +17,12 @@ BEYOND = 100.0  # times the reach: goals farther away are pulled in to there
 
 def reach(problem: Problem, state: State) -> float:
     """Return a distance that no point within the horizon exceeds [m]."""
-    time = problem.horizon * problem.step
+    time, fastest = problem.horizon * problem.step, problem.forward
+    if state.disturbed:
+        fastest += math.sqrt(state.disturbance @ state.disturbance)
     if not problem.inertial:
-        return problem.forward * time
-    return math.sqrt(state.velocity @ state.velocity) * time + 0.5 * problem.forward * time**2
+        return fastest * time
+    return math.sqrt(state.velocity @ state.velocity) * time + 0.5 * fastest * time**2
 
 
 def pulled_in(problem: Problem, state: State, goals: Array) -> tuple[Array, str]:

@@ -6,6 +6,7 @@ Mathematics: docs/mathematics.md, 1.5.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +31,8 @@ class State(ByContent):
             during the first step. With it (rotation order 2), R_1 = rho * coasted with the
             thrust fraction rho in [0, 1] free, instead of R_1 = R_0 + h W_0, which would
             leave the manifold.
+        disturbance: w, constant over the horizon, shape (n,); at translation order 1 a wind in the
+            world frame [m/s], at order 2 an acceleration, gravity's included [m/s^2].
     """
 
     position: Array
@@ -37,7 +40,8 @@ class State(ByContent):
     velocity: Array
     rotation_rate: Array
     attitude: Array
-    coasted: Array | None = None
+    coasted: Array | None
+    disturbance: Array
 
     @classmethod
     def at(
@@ -49,6 +53,7 @@ class State(ByContent):
         rotation_rate: ArrayLike | None = None,
         attitude: ArrayLike | None = None,
         coasted: ArrayLike | None = None,
+        disturbance: ArrayLike | None = None,
     ) -> State:
         """Return the state at a position and rotation, at rest where nothing else is said.
 
@@ -70,6 +75,7 @@ class State(ByContent):
             ),
             _rotation(nearest(placed) if attitude is None else attitude, n, 'state.attitude'),
             None if coasted is None else _rotation(coasted, n, 'state.coasted'),
+            frozen(np.zeros(n) if disturbance is None else disturbance, (n,), 'state.disturbance'),
         )
 
     def __post_init__(self) -> None:
@@ -83,6 +89,11 @@ class State(ByContent):
     def dimension(self) -> int:
         """Return n."""
         return len(self.position)
+
+    @cached_property
+    def disturbed(self) -> bool:
+        """Return whether there is any disturbance."""
+        return any(self.disturbance.tolist())
 
 
 def _rotation(value: ArrayLike, n: int, culprit: str) -> Array:

@@ -55,9 +55,15 @@ class Units:
             ('position', 1.0 / self.length),
             ('velocity', self.time / self.length),
             ('rotation_rate', self.time),
+            ('disturbance', self.pushing),
         ):
             object.__setattr__(scaled, name, getattr(state, name) * unit)
         return scaled
+
+    @property
+    def pushing(self) -> float:
+        """Return what a disturbance of one is in these units: a speed's, or an acceleration's."""
+        return self.time ** (2 if self.problem.inertial else 1) / self.length
 
     def lengths(self, values: Array) -> Array:
         """Return lengths [m] in these units."""

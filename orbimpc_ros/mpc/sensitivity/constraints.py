@@ -21,7 +21,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.model.cost import KINK
+from orbimpc_ros.mpc.model.cost import KINK, length_weights
 from orbimpc_ros.mpc.model.cost import gradients as gradients_of_cost
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
@@ -129,6 +129,4 @@ def _movable(problem: Problem, state: State, plan: Plan, gradients: Array) -> Ar
 
 def _kinks(problem: Problem, plan: Plan) -> np.ndarray:
     """Return for which of R_1..R_N the length term has no gradient, shape (N,)."""
-    kinks = (plan.speed_fraction[1:] < KINK) & (problem.weights.length > 0.0)
-    kinks[-1] = False  # nothing is flown at R_N
-    return kinks
+    return (plan.speed_fraction[1:] < KINK) & (length_weights(problem)[1:] > 0.0)

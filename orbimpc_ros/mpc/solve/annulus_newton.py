@@ -39,7 +39,8 @@ from orbimpc_ros.mpc.kernels.annulus import (
 from orbimpc_ros.mpc.kernels.dual import BOUND as RAISED
 from orbimpc_ros.mpc.kernels.dual import ascent, climb
 from orbimpc_ros.mpc.model.condensed import LONGEST, Condensed
-from orbimpc_ros.mpc.model.cost import first_length, length_weight
+from orbimpc_ros.mpc.model.cost import first_length, length_weights
+from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.solve.cell_tree import CellSearch
 from orbimpc_ros.mpc.solve.general import General
@@ -89,8 +90,7 @@ class AnnulusNewton:
         self._problem, self._tolerance = problem, tolerance
         self._condensed = Condensed(problem)
         self._arrives = problem.terminal == 'constraint'
-        length, arrival = np.zeros(problem.horizon), np.zeros(problem.horizon)
-        length[:-1] = length_weight(problem)  # nothing is flown at R_N
+        length, arrival = length_weights(problem)[1:], np.zeros(problem.horizon)
         if self._arrives:
             arrival = problem.maps.reach[-1, 1:].copy()
         hessian, floor = self._condensed.hessian, float(problem.floor.fraction)
@@ -182,7 +182,7 @@ class AnnulusNewton:
         problem = self._problem
         if not self._arrives:
             return np.zeros(0)
-        reached = state.position + problem.step * problem.forward * state.rotation[:, 0]
+        reached = adrift(problem, state)[-1] + problem.maps.reach[-1, 0] * state.rotation[:, 0]
         left = np.asarray(goals[-1] - reached)
         reach = float(self._annulus.arrival.sum())
         if np.linalg.norm(left) > reach + OUT_OF_REACH * (reach or 1.0):

@@ -11,6 +11,7 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.penalty import BEST, PAUSED, SETTLED, begun
 from orbimpc_ros.mpc.kernels.riccati import Chain, settle, within
 from orbimpc_ros.mpc.model.cost import first_length, input_weight, position_weights
+from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.general import General
 from orbimpc_ros.mpc.solve.request import Found, Request
@@ -56,6 +57,7 @@ class HullRiccati:
         return (
             COMPILED
             and orders == (2, 1, 1)
+            and problem.discretisation == 'euler'  # a chain in which R_{k+1} moves no s_{k+1}
             and not problem.floor.exists
             and problem.terminal == 'penalty'
             and problem.weights.length == problem.max_rate == problem.arrival_weight == 0.0
@@ -73,7 +75,7 @@ class HullRiccati:
     def relaxed(self, request: Request) -> tuple[Found, bool]:
         """Return the best within the disks and its bound, and whether that is the optimum."""
         state, goals = request.state, request.goals
-        targets = goals - state.position
+        targets = goals - adrift(self._problem, state)
         start = np.zeros((len(self._along), 2))
         start[-1] = state.rotation[:, 0]
         chain = Chain(self._along, start, self._turning, self._weights, targets)

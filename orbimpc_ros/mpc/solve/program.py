@@ -18,7 +18,8 @@ from scipy import sparse
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.geometry.orbitopes import coordinate_count, coordinates
-from orbimpc_ros.mpc.model.cost import first_length, position_weights
+from orbimpc_ros.mpc.model.cost import first_length, position_weights, velocity_weight
+from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.conic import SOLVED, Certifier, run, solver_for
@@ -57,6 +58,7 @@ class Program:
         self._statement = Statement(problem, slots, coasting and problem.rotation_order == 2)
         self._tolerance = tolerance
         self._heaviest = float(position_weights(problem).max())
+        self._stopping = velocity_weight(problem)
         self._scale = 1.0
         self._solver: Any = None
         self._request: Request | None = None
@@ -67,11 +69,14 @@ class Program:
         self._request, state, goals = request, request.state, request.goals
         self._b = self._b_0.copy()
         self._b[self._rows] += self._signs * self._statement.values(state, goals)
-        seen = goals - state.position
+        self._origins = adrift(self.problem, state)
+        seen = goals - self._origins
         weights = position_weights(self.problem)
         constant = float(np.sum(weights[:, None] * seen * seen))
+        hastened = self.problem.maps.hastened[-1, 0] * state.disturbance
+        constant += self._stopping * float(hastened @ hastened)
         self._constant = constant + first_length(self.problem, state)
-        self._bind_cost(-2.0 * weights[:, None] * seen)
+        self._bind_cost(-2.0 * weights[:, None] * seen, 2.0 * self._stopping * hastened)
         if self._statement.coasting:
             assert state.coasted is not None
             self._a_0[self._coasted] = -coordinates(state.coasted)
@@ -89,8 +94,9 @@ class Program:
         a, b = self._a_0.copy(), self._b.copy()
         for slot, normal, offset in halfspaces:
             row, entries = self._slots[slot]
-            if self._statement.slots[slot].on == 'position':  # the variable is s_k - s_0
-                offset -= float(normal @ request.state.position)
+            put = self._statement.slots[slot]
+            if put.on == 'position':  # the variable is the displacement
+                offset -= float(normal @ self._origins[put.step - 1])
             a[entries] = -normal
             b[row] = -offset
         relaxed = self._solve_in_place(a, b, out_of_time)
@@ -170,8 +176,10 @@ class Program:
             largest[first : first + len(sizes)] = sizes
         return largest
 
-    def _bind_cost(self, pull: Array) -> None:
+    def _bind_cost(self, pull: Array, braking: Array) -> None:
         """Put the pull of the goals into q; goals far away are scaled down with the whole cost.
+
+        So is what an arrival weight has against the velocity that the disturbance ends with.
 
         Otherwise a goal 1e4 full horizons away makes a feasible problem look infeasible to an
         interior-point method.
@@ -184,6 +192,7 @@ class Program:
             self._scale = scale
         self._q: Array = self._q_0 / scale
         self._q[self._moved] += pull.ravel() / scale
+        self._q[self._last] += braking[: len(self._last)] / scale
 
     def _compile(self) -> None:
         statement = self._statement
@@ -209,6 +218,7 @@ class Program:
         first = column_of[statement.x.id]
         self._columns = first + np.arange(d, statement.x.size).reshape(-1, d)
         self._moved = column_of[statement.moved.id] + np.arange(statement.moved.size)
+        self._last = statement.last_velocity(column_of)
         self._a_0 = data['A'].data.copy()
         self._slots = []
         for slot, row in enumerate(int(row) for row in slot_rows):

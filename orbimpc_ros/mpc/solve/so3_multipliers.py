@@ -24,7 +24,7 @@ from orbimpc_ros.mpc.kernels.augmented_lagrangian import minimise
 from orbimpc_ros.mpc.kernels.penalty import BEST, PAUSED, SETTLED, Iterate, begun
 from orbimpc_ros.mpc.kernels.penalty_terms import Terms, multipliers, scratch
 from orbimpc_ros.mpc.model.condensed import Condensed, knowns, suits_dense_code
-from orbimpc_ros.mpc.model.cost import first_length, length_weight
+from orbimpc_ros.mpc.model.cost import first_length, length_weight, length_weights
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.disjunction import Slot
 from orbimpc_ros.mpc.solve.relaxation import Halfspace, Relaxation, Relaxed
@@ -75,11 +75,10 @@ class SO3Multipliers:
         for own, maps in zip(self._inverse, (self._thrust, self._others), strict=True):
             own[self._coasting :, self._coasting :] = maps.inverse
         self._start, self._slide = np.zeros((n, 9)), np.zeros((n, 9))
-        self._lengths = np.full(n, self._length)
-        self._lengths[-1] = 0.0  # R_N pushes nothing any more
+        self._lengths = length_weights(self.problem)[-n:].copy()
         if self._coasting:
             self._lengths[0] = 0.0  # linear in rho
-        self._axes = np.zeros((self.problem.horizon + 3, 3))
+        self._axes = np.zeros((self.problem.horizon + 4, 3))
         self._rest = np.zeros((2, 6))
         self._work, self._held = scratch(n), multipliers(n)
         rows, offsets = np.zeros((n, 3)), np.full(n, INERT)

@@ -16,6 +16,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, carried, turned_onto
+from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Problem, State
 
 # [rad] over the horizon, positive towards the goal, as far as ``max_rate`` allows.
@@ -47,7 +48,7 @@ def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
         firsts = [share * ahead for share in dict.fromkeys((max(present, least), least, 1.0))]
     for each in firsts:
         yield np.tile(each, (problem.horizon, 1, 1))
-    towards = goals[-1] - state.position
+    towards = goals[-1] - adrift(problem, state)[-1]
     distance = float(np.linalg.norm(towards))
     if distance > 0.0:
         there = np.tile(turned_onto(ahead, towards / distance), (problem.horizon, 1, 1))
@@ -71,7 +72,8 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
     arrives = problem.terminal == 'constraint'
     for speed in [0.5 * (1.0 + least)] if arrives else dict.fromkeys((least, 1.0)):
         for turn in _turns(problem):
-            z = _headings(problem, speed, ahead[:, 0], goals[-1] - state.position, turn)
+            towards = goals[-1] - adrift(problem, state)[-1]
+            z = _headings(problem, speed, ahead[:, 0], towards, turn)
             if problem.rotation_order == 2:
                 z[0] = speed * ahead[:, 0] if first is None else first[:, 0]
             met = _corrected(problem, state, goals, z) if arrives else z
@@ -102,8 +104,8 @@ def _turns(problem: Problem) -> Iterator[float]:
 def _wanted(problem: Problem, state: State, goals: Array) -> Array:
     """Return what all headings must add up to, shape (1, n), of an inertial vehicle (2, n)."""
     maps = problem.maps
-    place = goals[-1] - state.position - maps.drift[-1, 0] * state.velocity
-    stopped = -maps.carried[-1, 0] * state.velocity
+    place = goals[-1] - adrift(problem, state)[-1] - maps.drift[-1, 0] * state.velocity
+    stopped = -maps.carried[-1, 0] * state.velocity - maps.hastened[-1, 0] * state.disturbance
     return np.array([place, stopped] if problem.inertial else [place])
 
 

@@ -6,7 +6,7 @@ Mathematics: docs/mathematics.md, 4.8.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import cvxpy as cp
@@ -17,11 +17,12 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.orbitopes import constraints, coordinate_count, coordinates
 from orbimpc_ros.mpc.model.cost import (
     input_weight,
-    length_weight,
+    length_weights,
     position_weights,
     velocity_weight,
 )
-from orbimpc_ros.mpc.model.dynamics import input_map
+from orbimpc_ros.mpc.model.dynamics import adrift, input_map
+from orbimpc_ros.mpc.model.translation import Step, step_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.disjunction import Slot
 
@@ -29,9 +30,10 @@ from orbimpc_ros.mpc.solve.disjunction import Slot
 class Statement:
     """The convex program of a problem in CVXPY, parametrised by state and goals.
 
-    Variables are the rotation coordinates x_k of R_k and the displacements v_k = s_k - s_0. With
-    those, the state stands on right-hand sides only, and the goals in one linear term of the cost:
-    q_k |s_k - g_k|^2 = q_k |v_k|^2 + pull_k . v_k + a constant, pull_k = -2 q_k (g_k - s_0).
+    Variables are the rotation coordinates x_k of R_k and the displacements v_k = s_k - d_k from
+    d_k, where the disturbance alone takes s_0; velocities, too, are without what it adds to them.
+    With those, the state stands on right-hand sides only, and the goals in linear terms of the
+    cost: q_k |s_k - g_k|^2 = q_k |v_k|^2 + pull_k . v_k + a constant, pull_k = -2 q_k (g_k - d_k).
 
     Each slot is one linear row over R_k e1 or v_k that a search may fill with a half-space; here
     its coefficients are placeholders that keep a place in the compiled matrix.
@@ -56,7 +58,7 @@ class Statement:
         self._first = cp.Parameter(d)
         self._second = cp.Parameter(d)
         self._velocity = cp.Parameter(n)
-        self._arrival = cp.Parameter(n)
+        self._arrival, self._stopped = cp.Parameter(n), cp.Parameter(n)
         self._velocities: cp.Variable | None = None
         self._lengths: cp.Variable | None = None
         self.slots = tuple(slots)
@@ -73,7 +75,8 @@ class Statement:
             self._first: coordinates(state.rotation),
             self._second: coordinates(state.rotation + self.problem.step * state.rotation_rate),
             self._velocity: state.velocity,
-            self._arrival: goals[-1] - state.position,
+            self._arrival: goals[-1] - adrift(self.problem, state)[-1],
+            self._stopped: -self.problem.maps.hastened[-1, 0] * state.disturbance,
         }
         return np.concatenate([known[parameter] for parameter in self._parameters()])
 
@@ -95,7 +98,7 @@ class Statement:
 
     def _parameters(self) -> list[cp.Parameter]:
         known = {p.id for p in self.program.parameters()}
-        candidates = [self._first, self._second, self._velocity, self._arrival]
+        candidates = [self._first, self._second, self._velocity, self._arrival, self._stopped]
         return [p for p in candidates if p.id in known]
 
     def _rotation_constraints(self) -> list[cp.Constraint]:
@@ -112,19 +115,18 @@ class Statement:
         return given + free
 
     def _translation_constraints(self) -> list[cp.Constraint]:
-        """The model's steps y_{k+1} = A y_k + b R_k e1, with the displacements v for positions."""
-        problem, thrusts = self.problem, self._headings[:-1]
-        model = problem.translation
-        a, b = model.transition(problem.step), model.push(problem.step, problem.forward)
-        flown, rows = b[0] * thrusts, []
+        """The model's steps y_{k+1} = A y_k + b R_k e1 + c R_{k+1} e1, with v for positions."""
+        problem = self.problem
+        once = step_of(problem.translation, problem.step, problem.forward)
+        a, (flown, pushed), rows = once.transition, self._pushes(once), []
         if problem.inertial:
             velocity = cp.Variable((problem.horizon + 1, problem.dimension), name='p')
             self._velocities = velocity
             rows = [
                 velocity[0] == self._velocity,
-                velocity[1:] == a[1, 1] * velocity[:-1] + b[1] * thrusts,
+                velocity[1:] == a[1, 1] * velocity[:-1] + pushed,
             ]
-            flown = a[0, 1] * velocity[:-1] + (flown if b[0] else 0.0)
+            flown = a[0, 1] * velocity[:-1] + flown
         moved = self._displacements
         rows.append(moved[0] == flown[0])
         if problem.horizon > 1:
@@ -132,8 +134,21 @@ class Statement:
         if problem.terminal == 'constraint':
             rows.append(moved[-1] == self._arrival)
             if self._velocities is not None:
-                rows.append(self._velocities[-1] == 0)
+                rows.append(self._velocities[-1] == self._stopped)
         return rows
+
+    def _pushes(self, once: Step) -> list[Any]:
+        """Return what thrust adds to the first and to the last part of y in each step."""
+        before, after = self._headings[:-1], self._headings[1:]
+        terms = [
+            [
+                each * axes
+                for each, axes in ((once.push[i], before), (once.follow[i], after))
+                if each
+            ]
+            for i in (0, -1)
+        ]
+        return [sum(some) if some else 0.0 for some in terms]
 
     def _limits(self) -> list[cp.Constraint]:
         """|(R_{k+1} - R_k) e1| <= 2 sin(h omega / 2), and the cone of a first turn by an angle."""
@@ -173,6 +188,13 @@ class Statement:
             return self.x, range(start, start + n)
         return self.moved, range((wanted.step - 1) * n, wanted.step * n)
 
+    def last_velocity(self, column_of: Mapping[int, int]) -> np.ndarray:
+        """Return the columns of p_N, given where each variable begins; none without inertia."""
+        if self._velocities is None:
+            return np.zeros(0, int)
+        count, n = self._velocities.shape  # column by column, as CVXPY has all matrices
+        return column_of[self._velocities.id] + count * np.arange(1, n + 1) - 1
+
     def largest(self, speed: float, spin: float) -> dict[cp.Variable, Array]:
         """Return the most that each entry of each variable can be in a plan from a state.
 
@@ -195,27 +217,29 @@ class Statement:
             self.across: np.full(n, 1.0 + rho),
         }
         if self._velocities is not None:
-            each[self._velocities] = np.repeat(np.append(speed, pushed), n)
+            each[self._velocities] = np.tile(np.append(speed, pushed), n)  # column by column
         if self._lengths is not None:
             each[self._lengths] = np.ones(self._lengths.size)
         present = {v.id for v in self.program.variables()}
         return {v: size for v, size in each.items() if v.id in present}
 
     def _cost(self) -> tuple[cp.Expression, Sequence[cp.Constraint]]:
-        problem, w, n = self.problem, self.problem.weights, self.problem.dimension
+        problem, n = self.problem, self.problem.dimension
         squares = sparse.diags(np.repeat(position_weights(problem), n)).tocsc()
         cost = cp.quad_form(self.moved, squares, assume_PSD=True) + self.pull @ self.moved
         cost += cp.quad_form(self.x, self._input_form(), assume_PSD=True)
         if self._velocities is not None and problem.arrival_weight > 0.0:
             cost += velocity_weight(problem) * cp.sum_squares(self._velocities[-1])
-        if w.length == 0.0 or problem.horizon == 1:
+        weights = length_weights(problem)[1:]
+        priced = np.flatnonzero(weights)
+        if not len(priced):
             return cost, []
-        length = self._lengths = cp.Variable(problem.horizon - 1, name='|R e1|')
-        epigraph: list[cp.Constraint] = [cp.SOC(length, self._headings[1:-1].T)]
+        length = self._lengths = cp.Variable(len(priced), name='|R e1|')
+        epigraph: list[cp.Constraint] = [cp.SOC(length, self._headings[1 + priced].T)]
         least = problem.floor.clearance(n)
         if least > 0.0:
             epigraph.append(length >= least)  # valid: the floor says the same
-        return cost + length_weight(problem) * cp.sum(length), epigraph
+        return cost + weights[priced] @ length, epigraph
 
     def _input_form(self) -> sparse.csc_matrix:
         n = self.problem.dimension

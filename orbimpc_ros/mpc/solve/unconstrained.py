@@ -62,12 +62,12 @@ def _arrival(problem: Problem) -> tuple[Array, Array]:
     rows = maps.arrival
     if problem.terminal != 'constraint':
         rows = rows[:0]
-    wanted = np.zeros((len(rows), problem.horizon + 3))
+    wanted = np.zeros((len(rows), problem.horizon + 4))
     wanted[:, 0] = -rows[:, 0]
     if len(rows):
-        wanted[0, 1] = -maps.drift[-1, 0]
+        wanted[0, 1:3] = -maps.drift[-1, 0], -maps.blown[-1, 0]
         wanted[0, -2] = 1.0
-        wanted[1:, 1] = -maps.carried[-1, 0]
+        wanted[1:, 1:3] = -maps.carried[-1, 0], -maps.hastened[-1, 0]
     return rows[:, 1:], wanted
 
 

@@ -1,0 +1,298 @@
+"""Laws and oracles of the vehicle in continuous time: lags, limits, wind, drag, gravity."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import airframe
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.rotations import exp, skew
+from orbimpc_ros.world.air import Air
+from orbimpc_ros.world.airspeed import Airspeeds
+from orbimpc_ros.world.flight import departure
+from orbimpc_ros.world.plant import Plant, lagged
+from orbimpc_ros.world.rope import fixed
+from orbimpc_ros.world.scenario import Scenario
+from orbimpc_ros.world.vehicle import launched, measured
+
+ORDERS = list(itertools.product((2, 3), (1, 2)))
+
+
+def plant_of(n=2, order=1, *, wind=None, gust=0.0, gust_time=3.0, seed=0, **others):
+    air = Air(np.zeros(n) if wind is None else np.array(wind, dtype=float), gust, gust_time, seed)
+    values = {'step': 0.5, 'forward': 15.0} | others
+    return Plant(n, 1, order, air=air, **values)
+
+
+def drawn(plant, rng):
+    """Return a vehicle of a plant in a random state."""
+    return plant.begun(
+        launched(
+            plant,
+            10.0 * rng.normal(size=plant.dimension),
+            exp(rng.normal(size=plant.rates)),
+            fraction=rng.uniform(0.2, 1.0),
+            velocity=rng.normal(size=plant.dimension),
+            body_rate=0.3 * rng.normal(size=plant.rates),
+        )
+    )
+
+
+def scenario_of(plant, vehicle, goal=None):
+    n = plant.dimension
+    return Scenario(plant, vehicle, fixed(np.full(n, 1e5) if goal is None else goal), 1.0, 1000)
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_without_lag_and_wind_it_flies_exact_arcs(n):
+    rng = np.random.default_rng(1)
+    plant = plant_of(n)
+    vehicle = drawn(plant, rng)
+    rate, t = rng.normal(size=plant.rates), 0.7
+    end = plant.flown(vehicle, t, 0.8, rate, 0.0)[-1]
+    turned = vehicle.attitude @ exp(t * rate)
+    np.testing.assert_allclose(end.attitude, turned, atol=1e-12)
+    fine = np.linspace(0.0, t, 20001)
+    headings = np.array([(vehicle.attitude @ exp(at * rate))[:, 0] for at in fine])
+    way = 0.8 * plant.forward * np.trapezoid(headings, fine, axis=0)
+    np.testing.assert_allclose(end.position, vehicle.position + way, atol=1e-8)
+    np.testing.assert_allclose(end.velocity, 12.0 * turned[:, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize(('n', 'order'), ORDERS)
+def test_it_agrees_with_an_integrator_of_any_accuracy(n, order):
+    """Lags, gain, wind, gravity, drag and a limit of acceleration at once, any attitude."""
+    rng = np.random.default_rng(2)
+    for _ in range(5):
+        own = {'max_acceleration': 4.0} if order == 1 else {'drag': 0.3}
+        if (n, order) == (3, 2):
+            own['gravity'] = 9.81
+        plant = plant_of(
+            n, order, wind=rng.normal(size=n), speed_lag=0.8, rate_lag=0.3, gain=0.9, **own
+        )
+        vehicle, rate, t = drawn(plant, rng), rng.normal(size=plant.rates), 1.3
+        end = plant.flown(vehicle, t, 0.6, rate, 0.0)[-1]
+        position, velocity, attitude, body_rate, fraction = integrated(plant, vehicle, t, 0.6, rate)
+        np.testing.assert_allclose(end.body_rate, body_rate, atol=1e-9)
+        assert end.fraction == pytest.approx(fraction, abs=1e-6)
+        np.testing.assert_allclose(end.attitude, attitude, atol=1e-5)
+        np.testing.assert_allclose(end.position, position, atol=1e-4)
+        np.testing.assert_allclose(end.velocity, velocity, atol=1e-4)
+
+
+def integrated(plant, vehicle, time, fraction, rate):
+    """Return position, velocity, attitude, body rate and fraction by SciPy, from the equations."""
+    n, order = plant.dimension, plant.translation_order
+    limit = plant.max_acceleration / (plant.forward * plant.gain) or math.inf
+    pull = np.array(plant.air.wind)
+    pull[-1] -= plant.gravity
+
+    def slope(_t, state):
+        velocity, attitude = state[n : 2 * n], state[2 * n : 2 * n + n * n].reshape(n, n)
+        body_rate, share = state[2 * n + n * n : -1], state[-1]
+        pushed = plant.gain * plant.forward * share * attitude[:, 0] + pull
+        return np.concatenate(
+            [
+                pushed if order == 1 else velocity,
+                pushed - plant.drag * velocity,
+                (attitude @ skew(body_rate)).ravel(),
+                (rate - body_rate) / plant.rate_lag,
+                [np.clip((fraction - share) / plant.speed_lag, -limit, limit)],
+            ]
+        )
+
+    start = np.concatenate(
+        [
+            vehicle.position,
+            vehicle.velocity,
+            vehicle.attitude.ravel(),
+            vehicle.body_rate,
+            [vehicle.fraction],
+        ]
+    )
+    end = solve_ivp(slope, (0.0, time), start, rtol=1e-11, atol=1e-11, max_step=0.01).y[:, -1]
+    attitude = end[2 * n : 2 * n + n * n].reshape(n, n)
+    pushed = plant.gain * plant.forward * end[-1] * attitude[:, 0] + pull
+    velocity = pushed if order == 1 else end[n : 2 * n]
+    return end[:n], velocity, attitude, end[2 * n + n * n : -1], end[-1]
+
+
+def test_it_agrees_with_a_vehicle_that_was_written_apart():
+    """The one that the planner's limits are tried on, which takes steps of 10 ms of its own."""
+    rng = np.random.default_rng(3)
+    for speed_lag, rate_lag in ((0.8, 0.3), (0.0, 0.0), (0.3, 0.0)):
+        wind = rng.normal(size=2)
+        plant = plant_of(wind=wind, speed_lag=speed_lag, rate_lag=rate_lag, gain=0.95, max_rate=0.4)
+        frame = airframe.Airframe(speed_lag, rate_lag, 0.95, wind, 0.0, 0.4)
+        vehicle = plant.begun(launched(plant, np.zeros(2), np.eye(2), fraction=0.8))
+        motion = airframe.Motion(0.0, 0.0, 0.0, 0.95 * 12.0, 0.0)
+        for k in range(40):
+            speed, rate = 15.0 * rng.uniform(0.5, 1.0), rng.uniform(-0.6, 0.6)
+            vehicle = plant.flown(vehicle, 0.5, speed / 15.0, np.array([rate]), 0.5 * k)[-1]
+            motion = airframe.flown(frame, motion, speed, rate, 0.5)
+        np.testing.assert_allclose(vehicle.position, [motion.x, motion.y], atol=0.3)  # of 230 m
+        heading = math.atan2(vehicle.attitude[1, 0], vehicle.attitude[0, 0])
+        assert math.remainder(heading - motion.heading, 2 * math.pi) == pytest.approx(0, abs=3e-3)
+        seen = measured(vehicle).body_velocity
+        np.testing.assert_allclose(seen, airframe.over_ground(frame, motion), atol=0.02)
+
+
+@pytest.mark.parametrize(('n', 'order'), ORDERS)
+def test_two_halves_of_a_step_are_the_step(n, order):
+    rng = np.random.default_rng(4)
+    plant = plant_of(n, order, gust=2.0, speed_lag=0.3, rate_lag=0.2)
+    vehicle, rate = drawn(plant, rng), rng.normal(size=plant.rates)
+    whole = plant.flown(vehicle, 1.0, 0.4, rate, 2.0)[-1]
+    half = plant.flown(vehicle, 0.5, 0.4, rate, 2.0)[-1]
+    halves = plant.flown(half, 0.5, 0.4, rate, 2.5)[-1]
+    for name in ('time', 'position', 'velocity', 'attitude', 'body_rate', 'fraction', 'wind'):
+        np.testing.assert_allclose(getattr(whole, name), getattr(halves, name), atol=1e-9)
+
+
+def test_a_lag_takes_its_time_constant():
+    assert lagged(0.0, 1.0, 0.8, 0.8) == pytest.approx(1.0 - math.exp(-1.0))
+    assert lagged(0.2, 1.0, 0.0, 0.0) == 1.0
+    assert lagged(0.2, 1.0, 0.8, 0.0) == pytest.approx(0.2)
+    plant = plant_of(speed_lag=0.8, rate_lag=0.3)
+    slow = launched(plant, np.zeros(2), np.eye(2), fraction=0.0)
+    end = plant.flown(slow, 2.0, 1.0, np.zeros(1), 0.0)[-1]
+    assert end.position[0] == pytest.approx(15.0 * (2.0 - 0.8 * (1.0 - math.exp(-2.5))), abs=1e-8)
+    end = plant.flown(slow, 2.0, 0.0, np.ones(1), 0.0)[-1]
+    heading = 2.0 - 0.3 * (1.0 - math.exp(-2.0 / 0.3))
+    np.testing.assert_allclose(end.attitude, exp(np.array([heading])), atol=1e-12)
+
+
+@pytest.mark.parametrize('lag', [0.0, 0.4])
+def test_a_speed_changes_no_faster_than_the_limit(lag):
+    plant = plant_of(speed_lag=lag, max_acceleration=3.0)
+    slow = launched(plant, np.zeros(2), np.eye(2), fraction=0.2)
+    trail = (slow, *plant.flown(slow, 8.0, 1.0, np.zeros(1), 0.0))
+    speeds, times = np.array([v.airspeed for v in trail]), np.array([v.time for v in trail])
+    gains = np.diff(speeds) / np.diff(times)
+    assert gains.max() <= 3.0 + 1e-9
+    ramped = times[1:] <= (15.0 - 3.0) / 3.0 - lag
+    np.testing.assert_allclose(gains[ramped], 3.0, atol=1e-9)
+    assert speeds[-1] == pytest.approx(15.0, abs=1e-3)
+    fast = replace(slow, fraction=1.0)
+    assert plant.flown(fast, 1.0, 0.0, np.zeros(1), 0.0)[-1].airspeed == pytest.approx(12.0)
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_it_turns_no_faster_than_it_can(n):
+    plant = plant_of(n, max_rate=0.4)
+    rate = np.arange(1.0, plant.rates + 1.0)
+    vehicle = plant.begun(launched(plant, np.zeros(n), np.eye(n)))
+    end = plant.flown(vehicle, 1.0, 1.0, rate, 0.0)[-1]
+    np.testing.assert_allclose(end.body_rate, 0.4 * rate / np.linalg.norm(rate))
+    small = 0.3 * rate / np.linalg.norm(rate)
+    np.testing.assert_allclose(plant.flown(vehicle, 1.0, 1.0, small, 0.0)[-1].body_rate, small)
+
+
+@pytest.mark.parametrize(('n', 'order'), ORDERS)
+def test_a_steady_wind_carries_the_same_flight_along(n, order):
+    """Galileo: in the moving air, or under the constant pull, everything is as in still air."""
+    rng = np.random.default_rng(5)
+    wind, t = rng.normal(size=n), 1.7
+    calm = plant_of(n, order, speed_lag=0.5, rate_lag=0.2)
+    windy = replace(calm, air=Air(wind))
+    still = drawn(calm, rng)
+    rate = rng.normal(size=calm.rates)
+    there = calm.flown(still, t, 0.5, rate, 0.0)[-1]
+    carried = windy.flown(windy.begun(still), t, 0.5, rate, 0.0)[-1]
+    way = t * wind if order == 1 else 0.5 * t * t * wind
+    np.testing.assert_allclose(carried.position - there.position, way, atol=1e-9)
+    gained = wind if order == 1 else t * wind
+    np.testing.assert_allclose(carried.velocity - there.velocity, gained, atol=1e-9)
+    np.testing.assert_array_equal(carried.attitude, there.attitude)
+    if order == 1:
+        assert carried.airspeed == pytest.approx(there.airspeed)
+
+
+def test_drag_ends_acceleration_at_its_terminal_speed():
+    plant = plant_of(3, 2, drag=0.5, forward=2.0, gravity=1.0)
+    vehicle = launched(plant, np.zeros(3), np.eye(3), fraction=1.0)
+    end = plant.flown(vehicle, 60.0, 1.0, np.zeros(3), 0.0)[-1]
+    np.testing.assert_allclose(end.velocity, [4.0, 0.0, -2.0], atol=1e-9)
+    coasting = replace(vehicle, velocity=np.array([3.0, 0.0, 0.0]), fraction=0.0)
+    slower = replace(plant, gravity=0.0).flown(coasting, 2.0, 0.0, np.zeros(3), 0.0)[-1]
+    np.testing.assert_allclose(slower.velocity, [3.0 * math.exp(-1.0), 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(slower.position[0], 6.0 * (1.0 - math.exp(-1.0)), atol=1e-9)
+
+
+def test_without_drag_free_fall_keeps_its_energy():
+    rng = np.random.default_rng(6)
+    plant = plant_of(3, 2, gravity=9.81)
+    vehicle = replace(drawn(plant, rng), fraction=0.0)
+    end = plant.flown(vehicle, 3.0, 0.0, rng.normal(size=3), 0.0)[-1]
+
+    def energy(v):
+        return 0.5 * v.velocity @ v.velocity + 9.81 * v.position[2]
+
+    assert energy(end) == pytest.approx(energy(vehicle), rel=1e-12)
+
+
+def test_odometry_measures_over_ground_or_through_the_air():
+    plant = plant_of(wind=[0.0, 4.0])
+    vehicle = plant.begun(launched(plant, np.zeros(2), np.eye(2), fraction=0.8))
+    vehicle = plant.flown(vehicle, 1.0, 0.8, np.zeros(1), 0.0)[-1]
+    np.testing.assert_allclose(measured(vehicle).body_velocity, [12.0, 4.0])
+    np.testing.assert_allclose(measured(vehicle, 'air').body_velocity, [12.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(vehicle.position, [12.0, 4.0])
+    assert vehicle.airspeed == pytest.approx(12.0)
+
+
+def test_each_fall_below_the_stall_speed_counts_once():
+    plant = plant_of(speed_lag=0.3, stall_speed=10.0)
+    vehicle = plant.begun(launched(plant, np.zeros(2), np.eye(2)))
+    seen = Airspeeds(10.0).seeing([vehicle])
+    for fraction in (1.0, 0.5, 0.4, 1.0, 10.0 / 15.0, 0.5, 1.0):
+        trail = plant.flown(vehicle, 2.0, fraction, np.zeros(1), 0.0)
+        seen, vehicle = seen.seeing(trail), trail[-1]
+    assert (seen.stalls, seen.stalled) == (2, False)
+    assert 6.0 < seen.least < 6.1  # of 0.4 * 15 m/s, after 2 s of a lag of 0.3 s
+    assert seen.seeing(plant.flown(vehicle, 2.0, 0.5, np.zeros(1), 0.0)).stalled
+
+
+def test_a_flight_catches_between_its_steps_where_it_flew():
+    """On an arc, which is 3.7 m off the straight line from one end of the step to the other."""
+    plant = plant_of(step=2.0)
+    start = launched(plant, np.zeros(2), np.eye(2))
+    trail = plant.flown(start, 2.0, 1.0, np.array([0.5]), 0.0)
+    passed = trail[100].position
+    flight = departure(scenario_of(plant, start, passed)).after(1.0, np.array([0.5]))
+    assert flight.miss == pytest.approx(0.0, abs=1e-9)
+    assert flight.missed_at == pytest.approx(trail[100].time)
+    assert flight.captured
+
+
+def test_a_command_that_ends_within_a_step_leaves_the_vehicle_to_its_lags():
+    plant = plant_of(speed_lag=0.5, failsafe_fraction=0.7, failsafe_rate=0.1)
+    flight = departure(scenario_of(plant, launched(plant, np.zeros(2), np.eye(2))))
+    after = flight.after(0.2, np.array([0.3]), held=0.2)
+    obeyed = plant.flown(flight.vehicle, 0.2, 0.2, np.array([0.3]), 0.0)[-1]
+    end = plant.flown(obeyed, 0.3, 0.7, np.array([0.1]), 0.2)[-1]
+    np.testing.assert_allclose(after.vehicle.position, end.position, atol=1e-12)
+    assert after.vehicle.fraction == pytest.approx(end.fraction)
+    assert len(after.trail) == 50
+
+
+@pytest.mark.parametrize(
+    ('values', 'culprit'),
+    [
+        ({'speed_lag': -0.1}, 'speed_lag is -0.1'),
+        ({'gain': 0.0}, 'gain is 0'),
+        ({'gravity': 9.81}, 'gravity is 9.81; allowed: 0 unless dimension is 3'),
+        ({'drag': 0.1}, 'drag is 0.1; allowed: 0 at translation_order 1'),
+        ({'order': 2, 'max_acceleration': 1.0}, 'max_acceleration is 1.0; allowed: 0 at trans'),
+        ({'source': 'sky'}, 'velocity_source is sky; allowed: ground | air'),
+        ({'wind': [1.0, 2.0, 3.0]}, r'wind is \[1.0, 2.0, 3.0\]; allowed: 2 numbers'),
+        ({'gust_time': 0.0}, 'gust_time is 0.0'),
+    ],
+)
+def test_a_plant_that_cannot_be_is_refused_by_name(values, culprit):
+    with pytest.raises(BadInput, match=culprit):
+        plant_of(**values)
