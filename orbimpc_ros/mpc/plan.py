@@ -185,10 +185,10 @@ def shifted(
     if problem.rotation_order == 2:
         return None
     x = coordinates(plan.rotations)
-    knots = np.arange(2, problem.horizon + 2) if knots is None else knots
-    moved = later(x, knots)
+    at = 1.0 + np.arange(1, problem.horizon + 1) if knots is None else knots
+    moved = later(x, at)
     if problem.dimension == 2:
-        sizes = later(np.linalg.norm(x, axis=1, keepdims=True), knots)
+        sizes = later(np.linalg.norm(x, axis=1, keepdims=True), at)
         found = np.linalg.norm(moved, axis=1, keepdims=True)
         moved = moved * np.where(found > 0.0, sizes / np.maximum(found, TINY), 1.0)
     return assemble(problem, state, goals, moved, projection=projection, proof=UNPROVED)

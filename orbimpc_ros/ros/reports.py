@@ -34,7 +34,8 @@ class Report:
         solve_time_ms: of the whole tick, check included [ms].
         binding: price of each constraint that keeps the plan from being better, dearest first, by
             its name and step, such as ``floor@3``; empty if none does or the plan is no optimum.
-        advanced: how far the measured state was moved on before planning [s].
+        advanced: how far the measured state was moved on before planning, for its age [s].
+        led: how far on top of that, for the vehicle's lag [s].
         goal_stamps: of the goals known, by topic: the messages that the plan is made of [ns].
         goal_counts: goals taken in so far, by topic: some may be lost on the way, and a replay
             has to know.
@@ -44,6 +45,7 @@ class Report:
     solve_time_ms: float = 0.0
     binding: Mapping[str, float] = field(default_factory=dict)
     advanced: float = 0.0
+    led: float = 0.0
     goal_stamps: Mapping[str, int] = field(default_factory=dict)
     goal_counts: Mapping[str, int] = field(default_factory=dict)
 

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import ABOVE_ZERO, Array, frozen, sealed, within
+from orbimpc_ros.mpc.arrays import Array, frozen, sealed, within
 
 SAMPLE = 0.02  # [s] between samples of a gust; straight lines between them
 BLOCK = 1024  # samples drawn at a time

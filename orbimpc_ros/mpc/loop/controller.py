@@ -14,6 +14,7 @@ from orbimpc_ros.mpc.command import Command, command_of, flaw
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.loop.delay import CommandHistory
 from orbimpc_ros.mpc.loop.odometry import Odometry, odd_speed, state_of
+from orbimpc_ros.mpc.loop.response import Response, held_back
 from orbimpc_ros.mpc.loop.safety import may_stop, safe_command
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
 from orbimpc_ros.mpc.plan import Plan, later, shifted
@@ -86,7 +87,7 @@ class Controller:
     - the safe command.
 
     Ticks may come as often as they like. How far the previous plan is flown, and what a shrinking
-    horizon has left, is told by the stamps of odometry; stamps that do not increase count as a step.
+    horizon has left, is told by the stamps of odometry; where they do not increase, a step passed.
 
     Args:
         problem: what to solve; compiled here, so that a tick only updates data.
@@ -97,6 +98,7 @@ class Controller:
         safe: kind of safe command, see :func:`orbimpc_ros.mpc.loop.safety.safe_command`.
         disturbance: a wind or an acceleration, shape (n,); by default there is none.
         velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
+        response: lags of the vehicle; odometry then goes through :meth:`settled`.
 
     Attributes:
         history: the commands of late; a tick's command counts as sent unless another is added.
@@ -113,8 +115,10 @@ class Controller:
         safe: str = 'auto',
         disturbance: Array | None = None,
         velocity_source: str = 'ground',
+        response: Response | None = None,
     ) -> None:
         self.problem, self._safe_kind = problem, safe
+        self.response = response or Response()
         self.disturbance, self._velocity_source = disturbance, velocity_source
         self._projection, self._shrinking, self._tolerance = projection, shrinking, gap_tolerance
         self._solvers: dict[tuple[int, float, bool], Solver] = {}
@@ -132,7 +136,9 @@ class Controller:
         self._previous: Plan | None = None
         self._goals: Array | None = None  # of the previous plan
         self._fallbacks = self._planned = 0
-        self._since = self._flown = 0.0  # steps since a plan was found, since the start
+        self._since = 0.0  # steps since a plan was found
+        self._flown = self.response.rate / self.problem.step  # since the start
+        self._due: Command | None = None  # for the step that begins, of a vehicle that lags
         self._last: float | None = None  # stamp of the last tick [s]
         self._pace = self.problem.step  # of the previous plan's steps [s]
         self._arriving = False
@@ -143,7 +149,7 @@ class Controller:
         self.history = other.history
         self._previous, self._goals = other._previous, other._goals
         self._flown, self._last, self._pace = other._flown, other._last, other._pace
-        self._since, self._fallbacks = other._since, other._fallbacks
+        self._since, self._fallbacks, self._due = other._since, other._fallbacks, other._due
         self._planned, self._arriving, self._aim = other._planned, other._arriving, other._aim
 
     @property
@@ -213,8 +219,25 @@ class Controller:
         self._arriving, self._aim = True, goals[-1]
         return self._finish(self._following(task, plan, status, reason))
 
+    def settled(self, odometry: Odometry) -> Odometry:
+        """Return what to plan from: the measurement, moved on by what the vehicle's lags leave."""
+        if not self.response.lags:
+            return odometry
+        applied = self.history.applied(odometry.time, self.response.speed)
+        known = (applied, self._thrust), self.disturbance, self._velocity_source
+        later = self.response.settled(self.problem, odometry, *known)
+        coming = self._due or self.history.last
+        if self.problem.rotation_order == 1 or coming is None:
+            return later
+        return replace(later, body_rate=coming.body_rate)
+
+    @property
+    def _thrust(self) -> float:
+        """Return the share of thrust, or speed, with which the model begins its first step."""
+        return self.history.fraction if self._due is None else self._due.speed_fraction
+
     def _state(self, odometry: Odometry) -> State:
-        known = self.history.fraction, self.disturbance, self._velocity_source
+        known = self._thrust, self.disturbance, self._velocity_source
         return state_of(self.problem, odometry, *known)
 
     def _task(
@@ -263,14 +286,18 @@ class Controller:
         return self._without_plan(task.state, status, reason)
 
     def _arrive_softly(self, task: _Task, reason: Reason) -> Tick:
-        eased = replace(task, solver=self._solver(len(task.knots), self._pace, soft=True), guess=None)
+        eased = replace(
+            task, solver=self._solver(len(task.knots), self._pace, soft=True), guess=None
+        )
         plan, _, _ = _solved(eased)
         if plan is None:
             return self._without_plan(task.state, Status.INFEASIBLE, reason)
         miss = float(np.linalg.norm(plan.positions[-1] - task.goals[-1]))
         jump = float(np.linalg.norm(task.goals[-1] - self._aim))
         if jump > task.problem.length_unit:
-            missing = f'the goal has jumped by {jump:.3g} m, the nearest plan misses by {miss:.3g} m'
+            missing = (
+                f'the goal has jumped by {jump:.3g} m, the nearest plan misses by {miss:.3g} m'
+            )
             return self._without_plan(task.state, Status.INFEASIBLE, reason.and_so(missing))
         self._aim = task.goals[-1]
         reason = reason.and_so(f'the plan misses by {miss:.3g} m')
@@ -290,10 +317,17 @@ class Controller:
         if not wrong and (last_look := flaw(task.problem, command)):
             wrong = f'not sent: {last_look}'
         if wrong:
-            rejected = Reason(Cause.COMMAND, wrong)
-            return self._without_plan(task.state, Status.FAILED, rejected)
+            return self._rejected(task, wrong)
+        if self.response.lags:
+            before, self._due = self._due or self.history.last, command
+            command = held_back(task.problem, plan, before, command)
+            if last_look := flaw(task.problem, command):
+                return self._rejected(task, f'not sent: {last_look}')
         known = task.problem, task.goals, reason.cause
         return Tick(status, reason.words, task.state, plan, command, fallback, *known)
+
+    def _rejected(self, task: _Task, why: str) -> Tick:
+        return self._without_plan(task.state, Status.FAILED, Reason(Cause.COMMAND, why))
 
     def _without_plan(self, state: State, status: Status, reason: Reason) -> Tick:
         return self._safe(state, state.attitude, status, reason)
@@ -304,7 +338,7 @@ class Controller:
         Raises:
             RuntimeError: the safe command itself must not be sent, which its own law excludes.
         """
-        kind, problem = self._safe_kind, self.problem
+        kind, problem, self._due = self._safe_kind, self.problem, None
         command = safe_command(kind, problem, attitude, self.history.fraction, self.disturbance)
         wrong = flaw(problem, command, stopping=may_stop(kind, problem))
         if wrong:

@@ -53,6 +53,22 @@ class CommandHistory:
         """Return the share of full speed or thrust commanded last; 0 before the first command."""
         return 0.0 if self.last is None else self.last.speed_fraction
 
+    def applied(self, time: float, lag: float) -> float:
+        """Return the share of thrust at a time [s], of a vehicle that lags behind commands [s].
+
+        Where nobody said when commands were sent, the last one counts as reached.
+        """
+        if not self._sent or lag == 0.0:
+            return self.fraction
+        reached, commanded, since = 0.0, 0.0, -math.inf
+        for at, command in self._sent:
+            if at > time:
+                break
+            if since > -math.inf:
+                reached = commanded + (reached - commanded) * math.exp((since - at) / lag)
+            commanded, since = command.speed_fraction, at
+        return commanded + (reached - commanded) * math.exp((since - time) / lag)
+
     def add(self, command: Command, at: float) -> None:
         """Note a command sent at a time [s]; times do not decrease."""
         self.last = command

@@ -11,6 +11,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.loop.forecast import FORECASTS
+from orbimpc_ros.mpc.loop.response import Response
 from orbimpc_ros.mpc.loop.safety import SAFE_COMMANDS, decided
 from orbimpc_ros.mpc.problem import (
     MAX_HORIZON,
@@ -61,13 +62,19 @@ PLANNER: tuple[Row, ...] = (
         live=True),
     Row('projection', 'thrust_aligned', 'How a point of the hull becomes a rotation',
         choices=PROJECTIONS, live=True),
-    Row('trigger', 'timer', 'Whether to plan at each odometry or every step',
+    Row('trigger', 'timer', 'Whether to plan at each odometry or every period',
         choices=('timer', 'odom')),
+    Row('plan_period', 0.0, 'How often to plan (trigger timer), or how often odometry comes '
+        '(trigger odom): at most a step; 0 for a step', 's', 0.0, MAX_DURATION),
+    Row('response.speed', 0.0, 'First-order lag of speed or thrust; a vehicle with any lag obeys '
+        'at once, not at the end of a step', 's', 0.0, 10.0, live=True),
+    Row('response.rate', 0.0, 'First-order lag of the body rate', 's', 0.0, 10.0, live=True),
     Row('goal_prediction', 'hold', 'How the goal is expected to move',
         choices=tuple(FORECASTS), live=True),
-    Row('odom_timeout', 0.0, 'Odometry older than this is stale; 0 for 0.2 s; at least 1.5 steps',
+    Row('odom_timeout', 0.0, 'Odometry older than this is stale; 0 for 0.2 s; at least 1.5 '
+        'periods',
         's', 0.0, MAX_DURATION, live=True),
-    Row('goal_timeout', 0.0, 'A goal older than this is stale, at least 1.5 steps; 0 for 1 s once '
+    Row('goal_timeout', 0.0, 'A goal older than this is stale, at least 1.5 periods; 0 for 1 s once '
         'goals stream, never for one sent by hand; below 0 never',
         's', -1.0, MAX_DURATION, live=True),
     Row('future_tolerance', 0.1, 'A stamp this far ahead of the clock is refused; simulated time '
@@ -81,7 +88,8 @@ PLANNER: tuple[Row, ...] = (
         'does not turn; loiter circles; auto circles with a floor at translation_order 1, else '
         'stops',
         choices=SAFE_COMMANDS, live=True),
-    Row('deadline', 0.0, 'Limit of a solve; 0 for half a step, which it must not exceed',
+    Row('deadline', 0.0, 'Limit of a solve; 0 for half a period (plan_period, or a step), which '
+        'it must not exceed',
         's', 0.0, MAX_DURATION, live=True),
     Row('gap_tolerance', 1e-4, 'Relative gap within which a plan counts as proved optimal',
         low=1e-9, high=1.0, live=True),
@@ -105,16 +113,18 @@ class PlannerSettings:
         mass: [kg].
         shrinking: whether the horizon shrinks.
         projection: ``nearest`` or ``thrust_aligned``.
-        on_odometry: whether to plan at each odometry instead of every step.
+        on_odometry: whether to plan at each odometry instead of every period.
+        period: how often to plan, at most a step [s].
+        response: lags of the vehicle.
         goal_prediction: kind of forecast.
-        odom_timeout: after which odometry is stale, at least 1.5 steps [s].
-        goal_timeout: after which a goal is stale, at least 1.5 steps [s].
+        odom_timeout: after which odometry is stale, at least 1.5 periods [s].
+        goal_timeout: after which a goal is stale, at least 1.5 periods [s].
         goal_ageing: which goals get stale.
         future_tolerance: by which a stamp may be ahead of the clock [s].
         goal_jump_limit: distance from one goal to the next; 0 for no limit [m].
         delay_compensation: whether to plan from the state advanced by the odometry's age.
         safe_command: ``stop``, ``hold_rate_zero`` or ``loiter``; ``auto`` is decided.
-        deadline: for a solve, at most half a step [s].
+        deadline: for a solve, at most half a period [s].
         gap_tolerance: relative gap that counts as proved.
         frames: that messages must be in.
     """
@@ -124,6 +134,8 @@ class PlannerSettings:
     shrinking: bool
     projection: str
     on_odometry: bool
+    period: float
+    response: Response
     goal_prediction: str
     odom_timeout: float
     goal_timeout: float
@@ -145,9 +157,9 @@ def planner_settings(values: Values) -> PlannerSettings:
     """
     for row in PLANNER:
         row.check(values[row.name])
-    step = values['step']
-    if values['deadline'] > 0.5 * step:
-        raise BadInput('deadline', values['deadline'], f'at most half a step, {0.5 * step:g} s')
+    period = _period(values)
+    if values['deadline'] > 0.5 * period:
+        raise BadInput('deadline', values['deadline'], f'at most half a period, {0.5 * period:g} s')
     if values['safe_command'] == 'loiter' and values['translation_order'] == 2:
         raise BadInput('safe_command', 'loiter', 'stop | hold_rate_zero at translation_order 2')
     problem = _problem(values)
@@ -157,20 +169,30 @@ def planner_settings(values: Values) -> PlannerSettings:
         shrinking=values['horizon_mode'] == 'shrinking',
         projection=values['projection'],
         on_odometry=values['trigger'] == 'odom',
+        period=period,
+        response=Response(values['response.speed'], values['response.rate']),
         goal_prediction=values['goal_prediction'],
-        odom_timeout=max(values['odom_timeout'] or 0.2, 1.5 * step),
+        odom_timeout=max(values['odom_timeout'] or 0.2, 1.5 * period),
         goal_timeout=max(
-            values['goal_timeout'] if values['goal_timeout'] > 0.0 else 1.0, 1.5 * step
+            values['goal_timeout'] if values['goal_timeout'] > 0.0 else 1.0, 1.5 * period
         ),
         goal_ageing=_ageing(values['goal_timeout'], values['goal_prediction']),
         future_tolerance=values['future_tolerance'],
         goal_jump_limit=values['goal_jump_limit'],
         delay_compensation=values['delay_compensation'],
         safe_command=decided(values['safe_command'], problem),
-        deadline=values['deadline'] or 0.5 * step,
+        deadline=values['deadline'] or 0.5 * period,
         gap_tolerance=values['gap_tolerance'],
         frames=Frames(values['frame_id'], values['child_frame_id']),
     )
+
+
+def _period(values: Values) -> float:
+    """Return how often to plan [s]."""
+    period, step = values['plan_period'], values['step']
+    if period > step:
+        raise BadInput('plan_period', period, f'at most a step, {step:g} s')
+    return float(period or step)
 
 
 def _ageing(timeout: float, prediction: str) -> Ageing:

@@ -18,7 +18,7 @@ from orbimpc_ros.ros.planner.inbox import Inbox, Received
 from orbimpc_ros.ros.reports import Report
 
 RECENT = 15  # ticks
-LATE = 1.5  # steps from one tick to the next
+LATE = 1.5  # periods from one tick to the next
 
 
 def prepared(settings: PlannerSettings) -> tuple[PlannerSettings, Controller]:
@@ -29,6 +29,7 @@ def prepared(settings: PlannerSettings) -> tuple[PlannerSettings, Controller]:
         shrinking=settings.shrinking,
         gap_tolerance=settings.gap_tolerance,
         safe=settings.safe_command,
+        response=settings.response,
     )
     return settings, controller
 
@@ -38,7 +39,7 @@ class Timing:
 
     Attributes:
         misses: ticks that took longer than their deadline.
-        overruns: ticks that took longer than a step.
+        overruns: ticks that took longer than their period.
         late: ticks of the timer that came late, whatever held them up.
     """
 
@@ -52,17 +53,17 @@ class Timing:
         """Return how long a tick usually takes [s]."""
         return statistics.median(self._recent) if self._recent else 0.0
 
-    def began(self, clock: float, step: float) -> None:
+    def began(self, clock: float, period: float) -> None:
         """Note a tick of the timer, at a time of the timer's clock [s]."""
-        if self._last is not None and clock - self._last > LATE * step:
+        if self._last is not None and clock - self._last > LATE * period:
             self.late += 1
         self._last = clock
 
-    def took(self, duration: float, deadline: float, step: float) -> None:
+    def took(self, duration: float, deadline: float, period: float) -> None:
         """Note how long a tick took, and how long it may and must not take [s]."""
         self._recent.append(duration)
         self.misses += duration > deadline
-        self.overruns += duration > step
+        self.overruns += duration > period
 
 
 class Ticker:
@@ -104,21 +105,23 @@ class Ticker:
         received, settings = inbox.odometry, self._settings
         assert received is not None
         odometry = advanced(settings.problem, received.value, self._intervals(received, ros))
+        odometry = self._controller.settled(odometry)
         history, lost = self._controller.history, inbox.stale_goal(now, ros)
         sent = history.last
         if lost:
             tick = self._controller.hold(odometry, lost)
         else:
-            targets = inbox.targets(self._controller.remaining, now, ros, odometry.time)
+            targets = inbox.targets(self._controller.ends(odometry.time), now, ros)
             end = begun + settings.deadline
             tick = self._controller.tick(odometry, targets, lambda: time.perf_counter() > end)
         history.last = sent  # what is commanded now counts once it went out
         took = time.perf_counter() - begun
-        self.timing.took(took, settings.deadline, settings.problem.step)
+        self.timing.took(took, settings.deadline, settings.period)
         return Report(
             tick,
             0.0 if lost else 1e3 * took,
-            advanced=odometry.time - received.value.time,
+            advanced=odometry.time - received.value.time - settings.response.rate,
+            led=settings.response.rate,
             goal_stamps=inbox.goal_stamps,
             goal_counts=dict(inbox.goal_counts),
         )
