@@ -128,11 +128,13 @@ RECORD = """
 def endpoints(shared, tmp_path_factory):
     """Return what three real nodes have, by node and kind of endpoint.
 
-    The spacecraft has every topic of a planner; a forecast adds the simulator's last one.
+    The spacecraft has every topic of a planner; a forecast and a vehicle in continuous time add
+    the simulator's last ones.
     """
     launch, observer = shared
     launch('planner', {}, 'spacecraft')
-    launch('sim', {'wait_subscribers': 9, 'goal_path_steps': 3}, 'spacecraft')
+    sim = {'wait_subscribers': 9, 'goal_path_steps': 3, 'vehicle': 'continuous'}
+    launch('sim', sim, 'spacecraft')
     words = [sys.executable, '-c', textwrap.dedent(RECORD), str(tmp_path_factory.mktemp('r') / 'b')]
     environment = {**os.environ, 'ROS_DOMAIN_ID': str(observer.domain)}
     recorder = subprocess.Popen(words, env=environment)

@@ -11,9 +11,9 @@ from scipy.integrate import solve_ivp
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, skew
-from orbimpc_ros.world.air import Air
 from orbimpc_ros.world.airspeed import Airspeeds
 from orbimpc_ros.world.flight import departure
+from orbimpc_ros.world.gusts import Gusts
 from orbimpc_ros.world.plant import Plant, lagged
 from orbimpc_ros.world.rope import fixed
 from orbimpc_ros.world.scenario import Scenario
@@ -23,9 +23,9 @@ ORDERS = list(itertools.product((2, 3), (1, 2)))
 
 
 def plant_of(n=2, order=1, *, wind=None, gust=0.0, gust_time=3.0, seed=0, **others):
-    air = Air(np.zeros(n) if wind is None else np.array(wind, dtype=float), gust, gust_time, seed)
     values = {'step': 0.5, 'forward': 15.0} | others
-    return Plant(n, 1, order, air=air, **values)
+    blown = () if wind is None else tuple(wind)
+    return Plant(n, 1, order, disturbance=blown, gusts=Gusts(gust, gust_time, seed), **values)
 
 
 def drawn(plant, rng):
@@ -65,12 +65,10 @@ def test_without_lag_and_wind_it_flies_exact_arcs(n):
 
 @pytest.mark.parametrize(('n', 'order'), ORDERS)
 def test_it_agrees_with_an_integrator_of_any_accuracy(n, order):
-    """Lags, gain, wind, gravity, drag and a limit of acceleration at once, any attitude."""
+    """Lags, gain, wind, drag and a limit of acceleration at once, any attitude."""
     rng = np.random.default_rng(2)
     for _ in range(5):
         own = {'max_acceleration': 4.0} if order == 1 else {'drag': 0.3}
-        if (n, order) == (3, 2):
-            own['gravity'] = 9.81
         plant = plant_of(
             n, order, wind=rng.normal(size=n), speed_lag=0.8, rate_lag=0.3, gain=0.9, **own
         )
@@ -79,7 +77,7 @@ def test_it_agrees_with_an_integrator_of_any_accuracy(n, order):
         position, velocity, attitude, body_rate, fraction = integrated(plant, vehicle, t, 0.6, rate)
         np.testing.assert_allclose(end.body_rate, body_rate, atol=1e-9)
         assert end.fraction == pytest.approx(fraction, abs=1e-6)
-        np.testing.assert_allclose(end.attitude, attitude, atol=1e-5)
+        np.testing.assert_allclose(end.attitude, attitude, atol=1e-4)
         np.testing.assert_allclose(end.position, position, atol=1e-4)
         np.testing.assert_allclose(end.velocity, velocity, atol=1e-4)
 
@@ -88,8 +86,7 @@ def integrated(plant, vehicle, time, fraction, rate):
     """Return position, velocity, attitude, body rate and fraction by SciPy, from the equations."""
     n, order = plant.dimension, plant.translation_order
     limit = plant.max_acceleration / (plant.forward * plant.gain) or math.inf
-    pull = np.array(plant.air.wind)
-    pull[-1] -= plant.gravity
+    pull = plant.blown
 
     def slope(_t, state):
         velocity, attitude = state[n : 2 * n], state[2 * n : 2 * n + n * n].reshape(n, n)
@@ -198,7 +195,7 @@ def test_a_steady_wind_carries_the_same_flight_along(n, order):
     rng = np.random.default_rng(5)
     wind, t = rng.normal(size=n), 1.7
     calm = plant_of(n, order, speed_lag=0.5, rate_lag=0.2)
-    windy = replace(calm, air=Air(wind))
+    windy = replace(calm, disturbance=tuple(wind))
     still = drawn(calm, rng)
     rate = rng.normal(size=calm.rates)
     there = calm.flown(still, t, 0.5, rate, 0.0)[-1]
@@ -213,19 +210,19 @@ def test_a_steady_wind_carries_the_same_flight_along(n, order):
 
 
 def test_drag_ends_acceleration_at_its_terminal_speed():
-    plant = plant_of(3, 2, drag=0.5, forward=2.0, gravity=1.0)
+    plant = plant_of(3, 2, wind=[0.0, 0.0, -1.0], drag=0.5, forward=2.0)
     vehicle = launched(plant, np.zeros(3), np.eye(3), fraction=1.0)
     end = plant.flown(vehicle, 60.0, 1.0, np.zeros(3), 0.0)[-1]
     np.testing.assert_allclose(end.velocity, [4.0, 0.0, -2.0], atol=1e-9)
     coasting = replace(vehicle, velocity=np.array([3.0, 0.0, 0.0]), fraction=0.0)
-    slower = replace(plant, gravity=0.0).flown(coasting, 2.0, 0.0, np.zeros(3), 0.0)[-1]
+    slower = replace(plant, disturbance=()).flown(coasting, 2.0, 0.0, np.zeros(3), 0.0)[-1]
     np.testing.assert_allclose(slower.velocity, [3.0 * math.exp(-1.0), 0.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(slower.position[0], 6.0 * (1.0 - math.exp(-1.0)), atol=1e-9)
 
 
 def test_without_drag_free_fall_keeps_its_energy():
     rng = np.random.default_rng(6)
-    plant = plant_of(3, 2, gravity=9.81)
+    plant = plant_of(3, 2, wind=[0.0, 0.0, -9.81])
     vehicle = replace(drawn(plant, rng), fraction=0.0)
     end = plant.flown(vehicle, 3.0, 0.0, rng.normal(size=3), 0.0)[-1]
 
@@ -262,10 +259,10 @@ def test_a_flight_catches_between_its_steps_where_it_flew():
     plant = plant_of(step=2.0)
     start = launched(plant, np.zeros(2), np.eye(2))
     trail = plant.flown(start, 2.0, 1.0, np.array([0.5]), 0.0)
-    passed = trail[100].position
+    passed = trail[50].position
     flight = departure(scenario_of(plant, start, passed)).after(1.0, np.array([0.5]))
     assert flight.miss == pytest.approx(0.0, abs=1e-9)
-    assert flight.missed_at == pytest.approx(trail[100].time)
+    assert flight.missed_at == pytest.approx(trail[50].time)
     assert flight.captured
 
 
@@ -277,7 +274,7 @@ def test_a_command_that_ends_within_a_step_leaves_the_vehicle_to_its_lags():
     end = plant.flown(obeyed, 0.3, 0.7, np.array([0.1]), 0.2)[-1]
     np.testing.assert_allclose(after.vehicle.position, end.position, atol=1e-12)
     assert after.vehicle.fraction == pytest.approx(end.fraction)
-    assert len(after.trail) == 50
+    assert len(after.trail) == 25
 
 
 @pytest.mark.parametrize(
@@ -285,12 +282,10 @@ def test_a_command_that_ends_within_a_step_leaves_the_vehicle_to_its_lags():
     [
         ({'speed_lag': -0.1}, 'speed_lag is -0.1'),
         ({'gain': 0.0}, 'gain is 0'),
-        ({'gravity': 9.81}, 'gravity is 9.81; allowed: 0 unless dimension is 3'),
         ({'drag': 0.1}, 'drag is 0.1; allowed: 0 at translation_order 1'),
         ({'order': 2, 'max_acceleration': 1.0}, 'max_acceleration is 1.0; allowed: 0 at trans'),
-        ({'source': 'sky'}, 'velocity_source is sky; allowed: ground | air'),
-        ({'wind': [1.0, 2.0, 3.0]}, r'wind is \[1.0, 2.0, 3.0\]; allowed: 2 numbers'),
-        ({'gust_time': 0.0}, 'gust_time is 0.0'),
+        ({'wind': [1.0, 2.0, 3.0]}, r'wind is \(1.0, 2.0, 3.0\); allowed: 2 finite numbers'),
+        ({'gust_time': 0.0}, 'gusts.memory is 0'),
     ],
 )
 def test_a_plant_that_cannot_be_is_refused_by_name(values, culprit):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, fields, replace
+from itertools import chain, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.loop.observation import Sighting
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.world.flight import Flight
+from orbimpc_ros.world.plant import Plant
 from orbimpc_ros.world.scenario import MAX_TICKS
 from orbimpc_ros.world.vehicle import Vehicle, between, measured
 
@@ -128,12 +130,12 @@ class View:
 
     def __init__(self, faults: Faults, seed: int, step: float) -> None:
         self.faults, self._seed = faults, seed
-        self._past: deque[Vehicle] = deque(maxlen=2 + math.ceil(faults.delay / step))
+        self._past: deque[tuple[Vehicle, ...]] = deque(maxlen=2 + math.ceil(faults.delay / step))
         self._held_back: list[Delivery] = []
 
     def of(self, flight: Flight) -> list[Delivery]:
         """Return what arrives at this tick, in order; to be asked once a tick."""
-        self._past.append(flight.vehicle)
+        self._past.append(_way(flight))
         arriving, self._held_back = self._held_back, []
         draws = _Draws.of(self._seed, flight.ticks)
         if not self._hidden(flight.elapsed):
@@ -157,11 +159,12 @@ class View:
 
     def _delayed(self) -> Vehicle:
         """Return the vehicle as it was ``delay`` ago; before its start it stood there."""
-        at = self._past[-1].time - self.faults.delay
-        for earlier, later in zip(self._past, list(self._past)[1:], strict=False):
+        past = list(chain.from_iterable(self._past))
+        at = past[-1].time - self.faults.delay
+        for earlier, later in pairwise(past):
             if earlier.time <= at < later.time:
                 return between(earlier, later, at)
-        return self._past[-1] if at >= self._past[-1].time else replace(self._past[0], time=at)
+        return past[-1] if at >= past[-1].time else replace(past[0], time=at)
 
     def _through(self, draws: _Draws, kind: int, sent: Delivery) -> list[Delivery]:
         """Return what of a message arrives now: none of it, once or twice."""
@@ -187,6 +190,13 @@ class View:
         window, into = divmod(elapsed, period)
         begin = (period - length) * np.random.default_rng((self._seed, 1, int(window))).uniform()
         return length > 0.0 and begin <= into < begin + length
+
+
+def _way(flight: Flight) -> tuple[Vehicle, ...]:
+    """Return the vehicle on its way through the last step, as finely as its model moves it."""
+    if isinstance(flight.scenario.model, Plant) and flight.trail:
+        return flight.trail
+    return (flight.vehicle,)
 
 
 class _Draws(NamedTuple):

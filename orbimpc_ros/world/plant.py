@@ -1,9 +1,10 @@
-"""A vehicle in continuous time: it lags behind its commands, is limited, and flies in moving air."""
+"""A vehicle in continuous time, with lags and limits, in moving air."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,11 +12,11 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array, within
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, nearest
-from orbimpc_ros.world.air import Air
+from orbimpc_ros.world.gusts import Gusts
 from orbimpc_ros.world.vehicle import Model, Vehicle
 
-SUBSTEP = 0.01  # [s] longest piece of the integration
-SOURCES = ('ground', 'air')  # of a measured velocity
+SUBSTEP = 0.02  # [s] longest piece of the integration
+CALM = Gusts()
 PLANT_RANGES: dict[str, tuple[float, float]] = {  # by attribute
     'speed_lag': (0.0, 1e3),
     'rate_lag': (0.0, 1e3),
@@ -23,7 +24,6 @@ PLANT_RANGES: dict[str, tuple[float, float]] = {  # by attribute
     'max_acceleration': (0.0, 1e6),
     'gain': (0.1, 10.0),
     'drag': (0.0, 1e3),
-    'gravity': (0.0, 1e3),
     'stall_speed': (0.0, 1e3),
 }
 
@@ -43,10 +43,8 @@ class Plant(Model):
         max_acceleration: its speed changes no faster (order 1) [m/s^2]; 0 for no limit.
         gain: speed or thrust that it reaches, a share of what is commanded.
         drag: deceleration by its own velocity (order 2) [1/s].
-        gravity: along -z (order 2, in space) [m/s^2].
-        air: what it flies in.
+        gusts: on top of the steady wind (order 1) or acceleration (2).
         stall_speed: airspeed below which it is counted as stalled [m/s]; it flies on.
-        source: of the velocity that its odometry measures: over ``ground`` or through the ``air``.
     """
 
     speed_lag: float = 0.0
@@ -55,35 +53,21 @@ class Plant(Model):
     max_acceleration: float = 0.0
     gain: float = 1.0
     drag: float = 0.0
-    gravity: float = 0.0
-    air: Air = field(kw_only=True)
+    gusts: Gusts = CALM
     stall_speed: float = 0.0
-    source: str = 'ground'
 
     def __post_init__(self) -> None:
         super().__post_init__()
         within(self, PLANT_RANGES)
-        if self.source not in SOURCES:
-            raise BadInput.choice('velocity_source', self.source, SOURCES)
-        n = self.dimension
-        if len(self.air.wind) != n:
-            raise BadInput('wind', self.air.wind.tolist(), f'{n} numbers')
-        if self.gravity and (n, self.translation_order) != (3, 2):
-            raise BadInput('gravity', self.gravity, '0 unless dimension is 3, translation_order 2')
         if self.translation_order == 1 and self.drag:
             raise BadInput('drag', self.drag, '0 at translation_order 1, which commands airspeed')
         if self.translation_order == 2 and self.max_acceleration:
             allowed = '0 at translation_order 2, whose thrust is limited by forward'
             raise BadInput('max_acceleration', self.max_acceleration, allowed)
 
-    @property
-    def velocity_source(self) -> str:
-        """Return whether odometry measures velocity over ``ground`` or through the ``air``."""
-        return self.source
-
     def begun(self, vehicle: Vehicle) -> Vehicle:
         """Return a vehicle at its start, moving as it does in the air that there is then."""
-        wind = self.air.at(0.0)
+        wind = self._wind(0.0)
         if self.translation_order == 2:
             return vehicle
         return replace(vehicle, velocity=self._pushed(vehicle) + wind, wind=wind)
@@ -112,6 +96,12 @@ class Plant(Model):
         """Return the vehicle once no command is in force: nothing changes at once."""
         return vehicle
 
+    def _wind(self, elapsed: float) -> Array:
+        """Return the wind [m/s] or acceleration [m/s^2], shape (n,), at a time since the start."""
+        if not self.gusts.deviation:
+            return self.blown
+        return self.blown + self.gusts.at(elapsed, self.dimension)
+
     def _limited(self, body_rate: Array) -> Array:
         size = float(np.linalg.norm(body_rate))
         if self.max_rate and size > self.max_rate:
@@ -126,8 +116,8 @@ class Plant(Model):
         begun = self._actuated(now, 0.0, fraction, body_rate)
         middle = self._actuated(now, 0.5 * dt, fraction, body_rate)
         end = self._actuated(now, dt, fraction, body_rate)
-        winds = [self.air.at(elapsed + after) for after in (0.0, 0.5 * dt, dt)]
-        pushes = [
+        winds = [self._wind(elapsed + after) for after in (0.0, 0.5 * dt, dt)]
+        pushes: list[Array] = [
             self._pushed(each) + wind
             for each, wind in zip((begun, middle, end), winds, strict=True)
         ]
@@ -164,17 +154,17 @@ class Plant(Model):
         pushed: Array = self.gain * self.forward * now.fraction * now.attitude[:, 0]
         return pushed
 
-    def _accelerated(self, velocity: Array, pushes: list[Array], dt: float) -> tuple[Array, Array]:
+    def _accelerated(
+        self, velocity: Array, pushes: Sequence[Array], dt: float
+    ) -> tuple[Array, Array]:
         """Return the way [m] and the velocity [m/s] after a time, by Runge and Kutta's method.
 
         Args:
             velocity: now, shape (n,) [m/s].
-            pushes: accelerations now, after half the time and at its end, without drag and gravity.
+            pushes: accelerations now, after half the time and at its end, without drag.
             dt: [s].
         """
-        down = np.zeros(self.dimension)
-        down[-1] = self.gravity
-        first, second, third = (push - down for push in pushes)
+        first, second, third = pushes
         a = first - self.drag * velocity
         b = second - self.drag * (velocity + 0.5 * dt * a)
         c = second - self.drag * (velocity + 0.5 * dt * b)

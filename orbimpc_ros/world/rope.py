@@ -1,8 +1,8 @@
-"""The goal: a rope that swings, or stands still where its amplitude is zero."""
+"""The goal: a rope that swings and drifts, or stands still where it does neither."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -14,30 +14,34 @@ FASTEST = 1e3  # [Hz]
 
 @dataclass(frozen=True)
 class Rope:
-    """A rope swinging as g(t) = center + amplitude * sin(2 pi f t + phase), axis by axis.
+    """A rope at g(t) = center + velocity t + amplitude * sin(2 pi f t + phase), axis by axis.
 
     Attributes:
         center: shape (n,) [m].
         amplitude: shape (n,) [m].
         frequency: f [Hz].
         phase: shape (n,) [rad].
+        velocity: of the middle of the swing, shape (n,) [m/s]; zero if empty.
     """
 
     center: Array
     amplitude: Array
     frequency: float
     phase: Array
+    velocity: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         n = len(np.atleast_1d(self.center))
-        for name in ('center', 'amplitude', 'phase'):
+        if not len(self.velocity):
+            object.__setattr__(self, 'velocity', np.zeros(n))
+        for name in ('center', 'amplitude', 'phase', 'velocity'):
             object.__setattr__(self, name, frozen(getattr(self, name), (n,), f'rope.{name}'))
         number(self.frequency, 'rope.frequency', 0.0, FASTEST)
 
     def at(self, time: float) -> Array:
         """Return g(t), shape (n,) [m]."""
         angle = 2.0 * np.pi * self.frequency * time + self.phase
-        return self.center + self.amplitude * np.sin(angle)
+        return self.center + self.velocity * time + self.amplitude * np.sin(angle)
 
 
 def fixed(point: Array) -> Rope:

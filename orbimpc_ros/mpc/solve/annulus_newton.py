@@ -120,11 +120,14 @@ class AnnulusNewton:
     @staticmethod
     def solves(problem: Problem) -> bool:
         """Return whether this method applies to a problem."""
-        arrives = problem.terminal == 'constraint' or problem.arrival_weight > 0.0
+        constrained = problem.terminal == 'constraint'
+        arrives = constrained or problem.arrival_weight > 0.0
+        decided = constrained and not problem.maps.reach[-1, 1:].any()  # the state arrives, or not
         return (
             problem.floor.shape == 'circle'
             and problem.rotation_order == 1
             and not (problem.inertial and arrives)
+            and not decided
             and (problem.dimension == 2 or problem.weights.input == 0.0)
             and problem.max_rate == 0.0
             and not problem.obstacles

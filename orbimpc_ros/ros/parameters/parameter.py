@@ -11,8 +11,10 @@ import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.parameter import Parameter
 
-from orbimpc_ros.mpc.arrays import ABOVE_ZERO
+from orbimpc_ros.mpc.arrays import ABOVE_ZERO, Array
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.loop.odometry import SOURCES
+from orbimpc_ros.mpc.model.translation import DISCRETISATIONS
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.world.vehicle import RANGES, model_of
 
@@ -112,6 +114,28 @@ def span(low: float, high: float) -> tuple[float, float]:
     return (TINY if low == ABOVE_ZERO else low), high
 
 
+def vector(values: Values, name: str, dimension: int) -> Array:
+    """Return the first n of x, y, z: in the plane z may be left out."""
+    if not dimension <= len(values[name]) <= 3:
+        wanted = '3 numbers' if dimension == 3 else '2 or 3 numbers'
+        raise BadInput(name, list(values[name]), wanted)
+    return np.array(values[name][:dimension], dtype=float)
+
+
+def disturbance_of(values: Values) -> Array:
+    """Return the known wind or acceleration, gravity's included, shape (n,).
+
+    Raises:
+        BadInput: a vehicle of these orders does not know gravity.
+    """
+    n, gravity = values['dimension'], values['gravity']
+    known = vector(values, 'wind', n)
+    if gravity and (n, values['translation_order']) != (3, 2):
+        raise BadInput('gravity', gravity, '0 unless dimension is 3 and translation_order 2')
+    known[-1] -= gravity
+    return known
+
+
 def _shared(name: str, description: str, unit: str = '', *, live: bool = False) -> Row:
     """Return what planner and simulator must agree on: default and range are the vehicle's."""
     low, high = span(*RANGES[name])
@@ -127,6 +151,14 @@ VEHICLE = (
     Row('step', MODEL.step, 'Length of a step', 's', 1e-3, MAX_DURATION),
     _shared('forward', 'Full speed or thrust acceleration', 'm/s or m/s^2', live=True),
     _shared('mass', 'Turns a thrust acceleration into a force', 'kg', live=True),
+    Row('discretisation', 'euler', 'Whether a step pushes along the old axis alone, as in the '
+        'paper, or is integrated exactly while that turns', choices=tuple(DISCRETISATIONS)),
+    Row('wind', (0.0, 0.0, 0.0), 'Known wind in the world frame, at translation order 2 an '
+        'acceleration: x, y, z', 'm/s or m/s^2', -1e3, 1e3, live=True),
+    Row('gravity', 0.0, 'Along -z (dimension 3, translation order 2); thrust then carries it, '
+        'and cmd_thrust is the whole of it', 'm/s^2', 0.0, 1e3, live=True),
+    Row('velocity_source', 'ground', 'Whether the twist of odom is over ground or through the air',
+        choices=SOURCES),
     Row('frame_id', 'odom', 'World frame of poses; empty accepts any'),
     Row('child_frame_id', 'base_link', 'Body frame of twists; empty accepts any'),
 )  # fmt: skip

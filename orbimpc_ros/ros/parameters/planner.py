@@ -9,6 +9,7 @@ from enum import Enum
 
 import numpy as np
 
+from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.loop.forecast import FORECASTS
 from orbimpc_ros.mpc.loop.response import Response
@@ -24,7 +25,15 @@ from orbimpc_ros.mpc.problem import (
 from orbimpc_ros.mpc.problem.floor import SHAPES
 from orbimpc_ros.mpc.problem.scaling import SCALINGS, weighed
 from orbimpc_ros.ros.messages import Frames
-from orbimpc_ros.ros.parameters.parameter import FAR, MAX_DURATION, TINY, VEHICLE, Row, Values
+from orbimpc_ros.ros.parameters.parameter import (
+    FAR,
+    MAX_DURATION,
+    TINY,
+    VEHICLE,
+    Row,
+    Values,
+    disturbance_of,
+)
 
 PROJECTIONS = ('nearest', 'thrust_aligned')
 
@@ -85,8 +94,8 @@ PLANNER: tuple[Row, ...] = (
         'command comes, not from where it was measured', live=True),
     Row('safe_command', 'auto',
         'Without a plan: stop; hold_rate_zero keeps the speed, at least that of the floor, and '
-        'does not turn; loiter circles; auto circles with a floor at translation_order 1, else '
-        'stops',
+        'does not turn; loiter circles; hover carries the weight at the present attitude; auto '
+        'circles with a floor at translation_order 1, hovers under gravity, else stops',
         choices=SAFE_COMMANDS, live=True),
     Row('deadline', 0.0, 'Limit of a solve; 0 for half a period (plan_period, or a step), which '
         'it must not exceed',
@@ -123,9 +132,12 @@ class PlannerSettings:
         future_tolerance: by which a stamp may be ahead of the clock [s].
         goal_jump_limit: distance from one goal to the next; 0 for no limit [m].
         delay_compensation: whether to plan from the state advanced by the odometry's age.
-        safe_command: ``stop``, ``hold_rate_zero`` or ``loiter``; ``auto`` is decided.
+        safe_command: ``stop``, ``hold_rate_zero``, ``loiter`` or ``hover``; ``auto`` is decided.
         deadline: for a solve, at most half a period [s].
         gap_tolerance: relative gap that counts as proved.
+        disturbance: the known wind or acceleration, gravity's included, shape (n,).
+        gravity: [m/s^2].
+        velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
         frames: that messages must be in.
     """
 
@@ -146,6 +158,9 @@ class PlannerSettings:
     safe_command: str
     deadline: float
     gap_tolerance: float
+    disturbance: Array
+    gravity: float
+    velocity_source: str
     frames: Frames
 
 
@@ -160,8 +175,7 @@ def planner_settings(values: Values) -> PlannerSettings:
     period = _period(values)
     if values['deadline'] > 0.5 * period:
         raise BadInput('deadline', values['deadline'], f'at most half a period, {0.5 * period:g} s')
-    if values['safe_command'] == 'loiter' and values['translation_order'] == 2:
-        raise BadInput('safe_command', 'loiter', 'stop | hold_rate_zero at translation_order 2')
+    _refuse_unfit(values)
     problem = _problem(values)
     return PlannerSettings(
         problem=problem,
@@ -180,9 +194,12 @@ def planner_settings(values: Values) -> PlannerSettings:
         future_tolerance=values['future_tolerance'],
         goal_jump_limit=values['goal_jump_limit'],
         delay_compensation=values['delay_compensation'],
-        safe_command=decided(values['safe_command'], problem),
+        safe_command=decided(values['safe_command'], problem, values['gravity']),
         deadline=values['deadline'] or 0.5 * period,
         gap_tolerance=values['gap_tolerance'],
+        disturbance=sealed(disturbance_of(values)),
+        gravity=values['gravity'],
+        velocity_source=values['velocity_source'],
         frames=Frames(values['frame_id'], values['child_frame_id']),
     )
 
@@ -193,6 +210,22 @@ def _period(values: Values) -> float:
     if period > step:
         raise BadInput('plan_period', period, f'at most a step, {step:g} s')
     return float(period or step)
+
+
+def _refuse_unfit(values: Values) -> None:
+    """Refuse what does not suit the order of translation, and a weight that no thrust carries."""
+    order, gravity, full = values['translation_order'], values['gravity'], values['forward']
+    if values['safe_command'] == 'loiter' and order == 2:
+        allowed = 'stop | hold_rate_zero | hover at translation_order 2'
+        raise BadInput('safe_command', 'loiter', allowed)
+    if values['safe_command'] == 'hover' and order == 1:
+        allowed = 'stop | hold_rate_zero | loiter at translation_order 1'
+        raise BadInput('safe_command', 'hover', allowed)
+    if gravity >= full:
+        raise BadInput('gravity', gravity, f'below the full thrust of forward, {full:g} m/s^2')
+    if values['velocity_source'] == 'air' and order == 2:
+        allowed = 'ground at translation_order 2, where wind is an acceleration'
+        raise BadInput('velocity_source', 'air', allowed)
 
 
 def _ageing(timeout: float, prediction: str) -> Ageing:
@@ -219,6 +252,7 @@ def _problem(values: Values) -> Problem:
         max_rate=values['max_rate'],
         obstacles=_boxes(values['obstacles'], values['dimension']),
         no_corner_cutting=values['no_corner_cutting'],
+        discretisation=values['discretisation'],
     )
     return weighed(problem, values['weights.scaling'])
 

@@ -12,7 +12,17 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion
 from orbimpc_ros.ros.messages import QUATERNION_TOLERANCE, Frames
-from orbimpc_ros.ros.parameters.parameter import FAR, MAX_DURATION, VEHICLE, Row, Values, span
+from orbimpc_ros.ros.parameters.parameter import (
+    FAR,
+    MAX_DURATION,
+    VEHICLE,
+    Row,
+    Values,
+    disturbance_of,
+    span,
+    vector,
+)
+from orbimpc_ros.ros.parameters.plant import PLANT, moved_by
 from orbimpc_ros.ros.process import LIFE
 from orbimpc_ros.ros.sim.readers import wanted_readers
 from orbimpc_ros.world.faults import FAULT_RANGES, NO_FAULTS, Faults
@@ -37,6 +47,8 @@ ROPE = (
     Row('rope.frequency', FLOWN.rope.frequency, 'Swings in a second', 'Hz', 0.0, FASTEST),
     Row('rope.phase', _triple(FLOWN.rope.phase), 'Phase at the start: x, y, z',
         'rad', -100.0, 100.0),
+    Row('rope.velocity', _triple(FLOWN.rope.velocity), 'Drift of the middle: x, y, z',
+        'm/s', -1e3, 1e3),
 )  # fmt: skip
 
 ENDING = (
@@ -109,6 +121,7 @@ FAULTS = (
 
 SIM: tuple[Row, ...] = (
     *(replace(row, live=False) for row in VEHICLE),
+    *PLANT,
     Row('clock', 'lockstep', 'Whether to wait for each command or run in real time',
         choices=('lockstep', 'wall')),
     *ROPE,
@@ -190,7 +203,7 @@ def _faults(values: Values) -> Faults:
 
 def _scenario(values: Values) -> Scenario:
     n = values['dimension']
-    model = Model(
+    steps = Model(
         n,
         values['rotation_order'],
         values['translation_order'],
@@ -199,31 +212,28 @@ def _scenario(values: Values) -> Scenario:
         values['mass'],
         values['failsafe.fraction'],
         values['failsafe.rate'],
+        disturbance=tuple(disturbance_of(values).tolist()),
+        discretisation=values['discretisation'],
+        source=values['velocity_source'],
     )
+    model = moved_by(values, steps)
     start = launched(
         model,
-        _vector(values, 'start.position', n),
+        vector(values, 'start.position', n),
         _orientation(values['start.orientation'], n),
         fraction=values['start.speed_fraction'],
-        velocity=_vector(values, 'start.velocity', n),
-        body_rate=_vector(values, 'start.body_rate', 3)[-model.rates :],
+        velocity=vector(values, 'start.velocity', n),
+        body_rate=vector(values, 'start.body_rate', 3)[-model.rates :],
     )
     rope = Rope(
-        _vector(values, 'rope.center', n),
-        _vector(values, 'rope.amplitude', n),
+        vector(values, 'rope.center', n),
+        vector(values, 'rope.amplitude', n),
         values['rope.frequency'],
-        _vector(values, 'rope.phase', n),
+        vector(values, 'rope.phase', n),
+        vector(values, 'rope.velocity', n),
     )
     ending = ('capture_radius', 'max_ticks', 'finish', 'arrival_radius', 'arrival_speed')
     return Scenario(model, start, rope, **{name: values[name] for name in ending})
-
-
-def _vector(values: Values, name: str, dimension: int) -> Array:
-    """Return the first n of x, y, z: in the plane z may be left out."""
-    if not dimension <= len(values[name]) <= 3:
-        wanted = '3 numbers' if dimension == 3 else '2 or 3 numbers'
-        raise BadInput(name, list(values[name]), wanted)
-    return np.array(values[name][:dimension], dtype=float)
 
 
 def _orientation(numbers: Sequence[float], dimension: int) -> Array:

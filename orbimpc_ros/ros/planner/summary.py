@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.parameters.parameter import Row
 from orbimpc_ros.ros.parameters.planner import PLANNER, Ageing, PlannerSettings
@@ -25,7 +27,9 @@ def summary(settings: PlannerSettings, simulated: bool) -> str:
     return ', '.join(
         (
             *_vehicle(problem, settings.mass),
+            *_surroundings(settings),
             f'{problem.step:g} s x {problem.horizon}',
+            *([] if problem.discretisation == 'euler' else ['integrated exactly']),
             f'{problem.dimension}D',
             f'rotation order {problem.rotation_order}',
             f'translation order {problem.translation_order}',
@@ -57,7 +61,7 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
 
 
 def _vehicle(problem: Problem, mass: float) -> list[str]:
-    unit = 'm/s' if problem.translation_order == 1 else 'm/s^2'
+    unit = _unit(problem)
     parts = [f'{problem.forward:g} {unit}']
     if problem.translation_order == 2:
         parts.append(f'{mass:g} kg')
@@ -67,6 +71,33 @@ def _vehicle(problem: Problem, mass: float) -> list[str]:
     if problem.max_rate:
         parts.append(f'at most {math.degrees(problem.max_rate):.4g} deg/s')
     return parts
+
+
+def _surroundings(settings: PlannerSettings) -> list[str]:
+    """Return what moves the vehicle beside its thrust, and what it cannot do against that."""
+    problem, gravity, parts = settings.problem, settings.gravity, []
+    wind = settings.disturbance.copy()
+    wind[-1] += gravity
+    speed = float(np.linalg.norm(wind))
+    if gravity:
+        parts.append(
+            f'gravity {gravity:g} m/s^2: hovers at {gravity / problem.forward:.3g} of thrust'
+        )
+        if problem.floor.clearance(problem.dimension) * problem.forward > gravity:
+            parts.append('cannot hover, for its least thrust is more')
+    if speed:
+        shown = ', '.join(f'{each:.4g}' for each in wind)
+        known = 'wind' if problem.translation_order == 1 else 'an acceleration of'
+        parts.append(f'{known} ({shown}) {_unit(problem)}')
+        if speed >= problem.forward:
+            parts.append(f'is blown away, for {speed:.4g} {_unit(problem)} is more than its own')
+    if settings.velocity_source == 'air':
+        parts.append('odometry through the air')
+    return parts
+
+
+def _unit(problem: Problem) -> str:
+    return 'm/s' if problem.translation_order == 1 else 'm/s^2'
 
 
 def _ageing(settings: PlannerSettings) -> str:
@@ -79,4 +110,6 @@ def _ageing(settings: PlannerSettings) -> str:
 def _safe_command(settings: PlannerSettings) -> str:
     floored = settings.problem.floor.exists
     below = floored and settings.safe_command == 'stop' and settings.problem.translation_order == 1
+    if settings.gravity and settings.safe_command in ('stop', 'hold_rate_zero'):
+        return f'{settings.safe_command} although that is to fall'
     return f'{settings.safe_command}{" although that is below the floor" if below else ""}'

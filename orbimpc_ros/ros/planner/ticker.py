@@ -30,6 +30,8 @@ def prepared(settings: PlannerSettings) -> tuple[PlannerSettings, Controller]:
         gap_tolerance=settings.gap_tolerance,
         safe=settings.safe_command,
         response=settings.response,
+        disturbance=settings.disturbance,
+        velocity_source=settings.velocity_source,
     )
     return settings, controller
 
@@ -104,7 +106,13 @@ class Ticker:
         begun = time.perf_counter()
         received, settings = inbox.odometry, self._settings
         assert received is not None
-        odometry = advanced(settings.problem, received.value, self._intervals(received, ros))
+        odometry = advanced(
+            settings.problem,
+            received.value,
+            self._intervals(received, ros),
+            self._controller.disturbance,
+            settings.velocity_source,
+        )
         odometry = self._controller.settled(odometry)
         history, lost = self._controller.history, inbox.stale_goal(now, ros)
         sent = history.last

@@ -25,8 +25,10 @@ from orbimpc_ros.ros.process import DONE, FAILED, Guarded, qos
 from orbimpc_ros.ros.reports import ERROR, OK, WARN, diagnostics
 from orbimpc_ros.ros.sim.commands import Order, Orders
 from orbimpc_ros.ros.sim.readers import Readers
+from orbimpc_ros.world.airspeed import Airspeeds
 from orbimpc_ros.world.faults import Delivery, View
 from orbimpc_ros.world.flight import Flight, departure
+from orbimpc_ros.world.plant import Plant
 
 try:
     from tf2_ros import TransformBroadcaster
@@ -50,6 +52,7 @@ class Arena:
         orders: the commands that have come.
         refused: commands refused so far, by topic and field.
         finished: whether the flight has ended.
+        airspeeds: of the flight so far, if its vehicle is one in continuous time.
     """
 
     def __init__(self, node: Guarded, settings: SimSettings, commands: Subscription) -> None:
@@ -65,6 +68,7 @@ class Arena:
         self.flight = departure(settings.scenario, time)
         self.view = View(settings.faults, settings.seed, settings.scenario.model.step)
         self.finished = False
+        self.airspeeds = _airspeeds_of(self.flight)
 
     def _create_publishers(self) -> None:
         create = self.node.create_publisher
@@ -78,6 +82,8 @@ class Arena:
             self._goal_path = create(Path, 'goal_path', qos(DEPTH))
         if self.settings.lockstep:
             self._time = create(Clock, '/clock', qos(DEPTH))
+        if isinstance(self.settings.scenario.model, Plant):
+            self._truth = create(DiagnosticArray, 'truth', qos(DEPTH))
         if TransformBroadcaster is not None:
             self._transforms = TransformBroadcaster(self.node)
 
@@ -116,9 +122,12 @@ class Arena:
         if self.settings.goal_path_steps:
             self._goal_path.publish(self._future(now))
         self._markers.publish(world_markers(now, self.flight))
+        if self.airspeeds is not None:
+            name = f'{self.node.get_fully_qualified_name()}: truth'
+            self._truth.publish(truth_message(at, name, self.flight, self.airspeeds))
         if TransformBroadcaster is not None:
-            truth = messages.odometry_message(now, self.flight.vehicle)
-            self._transforms.sendTransform(_transform(truth))
+            shown = messages.odometry_message(now, self.flight.vehicle)
+            self._transforms.sendTransform(_transform(shown))
         self.deliver(at, seen)
 
     def deliver(self, at: int, seen: Sequence[Delivery]) -> None:
@@ -141,6 +150,8 @@ class Arena:
             self.flight = self.flight.after(0.0, np.zeros(self.settings.scenario.model.rates), 0.0)
         else:
             self.flight = self.flight.after(order.fraction, order.body_rate, held)
+        if self.airspeeds is not None:
+            self.airspeeds = self.airspeeds.seeing(self.flight.trail)
 
     def warn(self, at: int, text: str) -> None:
         """Say, stamped ``at`` [ns], what is wrong."""
@@ -154,6 +165,8 @@ class Arena:
         self._captured.publish(Bool(data=flight.captured))
         ending = f'{outcome(flight)}, after {flight.ticks} ticks'
         numbers = {'distance': flight.distance, 'speed': flight.speed, 'ticks': flight.ticks}
+        if self.airspeeds is not None:
+            numbers |= {'least_airspeed': self.airspeeds.least, 'stalls': self.airspeeds.stalls}
         self._diagnose(at, OK if flight.captured else WARN, ending, numbers)
         self.node.get_logger().info(ending)
         if self.settings.exit_when_done:
@@ -167,6 +180,39 @@ class Arena:
         """Begin again; time goes on, for stamps never go back."""
         self._begin(self.flight.vehicle.time + self.settings.scenario.model.step)
         self._captured.publish(Bool(data=False))
+
+
+def _airspeeds_of(flight: Flight) -> Airspeeds | None:
+    model = flight.scenario.model
+    return (
+        Airspeeds(model.stall_speed).seeing([flight.vehicle]) if isinstance(model, Plant) else None
+    )
+
+
+def truth_message(at: int, name: str, flight: Flight, airspeeds: Airspeeds) -> DiagnosticArray:
+    """Return what a simulated vehicle really does, which its odometry need not show.
+
+    Args:
+        at: the stamp [ns].
+        name: of the status.
+        flight: now.
+        airspeeds: of the flight so far.
+    """
+    vehicle, now = flight.vehicle, flight.vehicle.airspeed
+    values = {
+        'airspeed': now,
+        'least_airspeed': airspeeds.least,
+        'stalls': airspeeds.stalls,
+        'wind': vehicle.wind.tolist(),
+        'position': vehicle.position.tolist(),
+        'velocity': vehicle.velocity.tolist(),
+        'body_rate': vehicle.body_rate.tolist(),
+        'speed_fraction': vehicle.fraction,
+    }
+    if airspeeds.stalled:
+        slow = f'stalled: {now:.3g} m/s, below {airspeeds.stall_speed:g} m/s'
+        return diagnostics(at, name, WARN, slow, values)
+    return diagnostics(at, name, OK, 'flies', values)
 
 
 def outcome(flight: Flight) -> str:

@@ -36,6 +36,7 @@ OUTPUTS = (
 )
 WORLD = (
     Topic('captured', 'std_msgs/msg/Bool', latched=True),
+    Topic('truth', 'diagnostic_msgs/msg/DiagnosticArray'),
     Topic('world_markers', 'visualization_msgs/msg/MarkerArray'),
 )
 NEEDED = 'odom and goal are needed'

@@ -127,7 +127,8 @@ def _show(
     values: Values,
 ) -> None:
     ticks = max(recorder.counts[f'{each.namespace}/tick'] for each in vehicles)
-    text = f'tick {ticks} of at most {values["max_ticks"]}, t = {ticks * values["step"]:.0f} s'
+    time = ticks / values['odom_rate'] if values['odom_rate'] else ticks * values['step']
+    text = f'tick {ticks} of at most {values["max_ticks"]}, t = {time:.0f} s'
     if len(vehicles) > 1:
         done = sum(not each.sim.running for each in vehicles)
         text += f', {done} of {len(vehicles)} done'

@@ -1,0 +1,8 @@
+"""The fixed wing in wind: ros2 launch orbimpc_ros fixed_wing.launch.py."""
+
+from orbimpc_ros.ros.launching import flight
+
+
+def generate_launch_description():
+    """Return both nodes on one parameter file."""
+    return flight('fixed_wing')

@@ -1,0 +1,232 @@
+"""Laws of the loop in wind and under gravity: measurements, delays, safe commands, flights."""
+
+from dataclasses import replace
+
+import numpy as np
+import problems
+import pytest
+
+from orbimpc_ros.mpc.command import Command
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.loop.delay import Interval, advanced
+from orbimpc_ros.mpc.loop.forecast import Hold
+from orbimpc_ros.mpc.loop.odometry import Odometry, odd_speed, state_of
+from orbimpc_ros.mpc.loop.safety import decided, safe_command
+from orbimpc_ros.mpc.model import dynamics
+from orbimpc_ros.mpc.outcome import Cause, Reason
+from orbimpc_ros.mpc.problem import Floor, Problem, State
+from orbimpc_ros.world.flight import fly
+from orbimpc_ros.world.rope import Rope
+from orbimpc_ros.world.scenario import Scenario
+from orbimpc_ros.world.vehicle import Model, advance, launched, measured, model_of
+
+UP = exp(np.array([0.0, -0.5 * np.pi, 0.0]))  # the thrust axis to the zenith
+WEIGHT = np.array([0.0, 0.0, -9.81])
+
+
+def windy(rng, n, order=1, **changes):
+    """A model in wind, and a vehicle of it in a random state."""
+    model = Model(n, 1, order, step=0.4, forward=2.0, disturbance=tuple(rng.normal(size=n)))
+    model = replace(model, **changes)
+    attitude = problems.rotation(rng, n)
+    return model, launched(model, rng.normal(size=n), attitude, fraction=rng.uniform(0.2, 1.0))
+
+
+@pytest.mark.parametrize('n', [2, 3])
+@pytest.mark.parametrize('source', ['ground', 'air'])
+@pytest.mark.parametrize('seed', range(5))
+def test_a_plan_starts_from_the_speed_through_the_air(n, source, seed):
+    rng = np.random.default_rng([seed, n])
+    model, vehicle = windy(rng, n, source=source)
+    problem, wind = Problem(n, forward=2.0), model.blown
+    state = state_of(problem, measured(vehicle, source), 0.0, wind, source)
+    np.testing.assert_allclose(state.rotation, vehicle.fraction * vehicle.attitude, atol=1e-12)
+    np.testing.assert_allclose(state.disturbance, wind)
+    assert odd_speed(problem, measured(vehicle, source), wind, source) == ''
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_no_wind_and_no_slip_makes_a_measurement_illegal(n):
+    rng = np.random.default_rng(n)
+    for _ in range(50):
+        attitude, wind = problems.rotation(rng, n), 30.0 * rng.normal(size=n)
+        still = np.zeros(1 if n == 2 else 3)
+        seen = Odometry(0.0, np.zeros(n), attitude, 20.0 * rng.normal(size=n), still)
+        for source in ('ground', 'air'):
+            state = state_of(Problem(n, forward=5.0), seen, 0.0, wind, source)
+            share = float(np.linalg.norm(state.rotation[:, 0]))
+            assert 0.0 <= share <= 1.0 + 1e-12
+            np.testing.assert_allclose(state.rotation, share * attitude, atol=1e-12)
+
+
+def test_an_odd_speed_is_one_through_the_air():
+    seen = Odometry(0.0, np.zeros(2), np.eye(2), np.array([1.5, 0.0]), np.zeros(1))
+    assert 'measured a forward speed of 1.5 m/s' in odd_speed(Problem(), seen)
+    assert odd_speed(Problem(), seen, np.array([0.7, 0.0])) == ''
+    assert 'of 1.5 m/s' in odd_speed(Problem(), seen, np.array([0.7, 0.0]), 'air')
+
+
+@pytest.mark.parametrize('source', ['ground', 'air'])
+@pytest.mark.parametrize('n', [2, 3])
+def test_seen_from_the_air_a_delay_is_that_of_still_air(n, source):
+    rng = np.random.default_rng(n)
+    model, vehicle = windy(rng, n)
+    rates = rng.normal(size=(3, model.rates))
+    commands = [Command(rng.uniform(), rate, np.eye(n)) for rate in rates]
+    intervals = [Interval(0.3, commands[1], commands[0]), Interval(0.5, commands[2], commands[1])]
+    problem, wind = Problem(n, forward=2.0), model.blown
+    through_air = measured(replace(vehicle, wind=wind), 'air')
+    still = advanced(problem, through_air, intervals)
+    seen = measured(replace(vehicle, wind=wind), source)
+    later = advanced(problem, seen, intervals, wind, source)
+    np.testing.assert_allclose(later.position, still.position + 0.8 * wind, atol=1e-12)
+    np.testing.assert_allclose(later.attitude, still.attitude, atol=1e-12)
+    blown = later.attitude.T @ wind if source == 'ground' else 0.0
+    np.testing.assert_allclose(later.body_velocity, still.body_velocity + blown, atol=1e-12)
+
+
+def test_an_acceleration_acts_while_a_measurement_is_on_its_way():
+    """A fall from rest: half g t^2, and g t."""
+    seen = Odometry(0.0, np.zeros(3), UP, np.zeros(3), np.zeros(3))
+    problem = Problem(3, 1, 2, forward=20.0)
+    later = advanced(problem, seen, [Interval(0.4, None, None)], WEIGHT)
+    np.testing.assert_allclose(later.position, 0.08 * WEIGHT, atol=1e-12)
+    np.testing.assert_allclose(later.attitude @ later.body_velocity, 0.4 * WEIGHT, atol=1e-12)
+    carried = Command(9.81 / 20.0, np.zeros(3), UP)
+    hovering = advanced(problem, seen, [Interval(0.4, carried, carried)], WEIGHT)
+    np.testing.assert_allclose(hovering.position, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize('discretisation', ['euler', 'exact'])
+@pytest.mark.parametrize('n', [2, 3])
+@pytest.mark.parametrize('order', [1, 2])
+def test_the_simulated_vehicle_moves_as_the_planners_dynamics_say(n, order, discretisation):
+    rng = np.random.default_rng([n, order])
+    problem = Problem(n, 1, order, 9, 0.3, 1.7, discretisation=discretisation)
+    w = rng.normal(size=n)
+    model = replace(model_of(problem), disturbance=tuple(w))
+    start = launched(model, rng.normal(size=n), np.eye(n), velocity=rng.normal(size=n))
+    flown = [start]
+    for _ in range(problem.horizon):
+        flown.append(advance(model, flown[-1], rng.uniform(), rng.normal(size=model.rates)))
+    known = {'velocity': start.velocity, 'disturbance': w}
+    state = State.at(start.position, np.eye(n), **known)
+    headings = np.array([v.fraction * v.attitude[:, 0] for v in flown])
+    positions, velocities = dynamics.translation_rollout(problem, state, headings)
+    np.testing.assert_allclose([v.position for v in flown], positions, atol=1e-12)
+    np.testing.assert_allclose([v.velocity for v in flown], velocities, atol=1e-12)
+
+
+# --- safe commands under gravity
+
+
+@pytest.mark.parametrize('tilt', [0.0, 0.5, 1.0])
+def test_hovering_leaves_no_acceleration_along_the_weight(tilt):
+    problem = Problem(3, 1, 2, forward=20.0)
+    attitude = UP @ exp(np.array([0.0, 0.0, tilt]))
+    command = safe_command('hover', problem, attitude, 0.0, WEIGHT)
+    thrust = 20.0 * command.speed_fraction * attitude[:, 0]
+    assert thrust[2] == pytest.approx(9.81)
+    assert not command.body_rate.any()
+
+
+def test_what_tilts_too_far_to_be_carried_is_thrust_least_astray():
+    problem = Problem(3, 1, 2, forward=12.0)
+    for tilt in np.linspace(0.7, np.pi, 9):
+        attitude = UP @ exp(np.array([0.0, 0.0, tilt]))
+        command = safe_command('hover', problem, attitude, 0.0, WEIGHT)
+        left = [
+            np.linalg.norm(12.0 * share * attitude[:, 0] + WEIGHT)
+            for share in (command.speed_fraction, *np.linspace(0.0, 1.0, 101))
+        ]
+        assert left[0] <= min(left) + 1e-9
+    assert safe_command('hover', problem, UP, 0.0).speed_fraction == 0.0  # nothing to carry
+
+
+def test_automatic_is_to_hover_only_where_there_is_weight_and_thrust():
+    craft = Problem(3, 1, 2, forward=20.0)
+    assert decided('auto', craft, 9.81) == 'hover'
+    assert decided('auto', craft) == 'stop'
+    assert decided('stop', craft, 9.81) == 'stop'
+    assert decided('auto', Problem(floor=Floor('circle')), 9.81) == 'loiter'
+
+
+def test_a_vehicle_without_plans_hovers_above_its_least_thrust():
+    problem = Problem(3, 1, 2, forward=20.0, floor=Floor('circle', fraction=0.6))
+    controller = Controller(problem, safe='hover', disturbance=WEIGHT)
+    tick = controller.safe(UP, Reason(Cause.ODOMETRY, 'lost'))
+    assert tick.command.speed_fraction == 0.6
+    free = Controller(replace(problem, floor=Floor()), safe='hover', disturbance=WEIGHT)
+    command = free.safe(UP, Reason(Cause.ODOMETRY, 'lost')).command
+    assert command.speed_fraction == pytest.approx(9.81 / 20.0)
+
+
+# --- flights
+
+
+def at_goal(model, goal, start, ticks=25):
+    """A flight of so many ticks towards a goal that does not move."""
+    still = np.zeros(len(goal))
+    return Scenario(model, start, Rope(goal, still, 0.0, still), 1.0, ticks, finish='arrival')
+
+
+def last_distances(problem, told, model):
+    start = launched(model, np.zeros(2), np.eye(2), fraction=0.5)
+    scenario = at_goal(model, np.array([3.0, 2.0]), start)
+    log = fly(Controller(problem, disturbance=told), scenario, Hold())
+    return [flight.distance for flight in log.flights[-5:]]
+
+
+@pytest.mark.parametrize('discretisation', ['euler', 'exact'])
+def test_a_goal_is_held_in_a_wind_that_is_told(discretisation):
+    problem = Problem(discretisation=discretisation, step=0.5)
+    wind = np.array([0.3, -0.4])
+    model = replace(model_of(problem), disturbance=tuple(wind))
+    assert max(last_distances(problem, wind, model)) < 0.01
+    assert min(last_distances(problem, None, model)) > 0.1
+
+
+def test_a_hover_is_held_where_gravity_is_told():
+    problem = Problem(3, 1, 2, horizon=8, step=0.2, forward=20.0)
+    model = replace(model_of(problem), disturbance=tuple(WEIGHT))
+    start = launched(model, np.zeros(3), UP, fraction=9.81 / 20.0)
+    told = Controller(problem, disturbance=WEIGHT)
+    told.history.add(Command(start.fraction, np.zeros(3), UP), 0.0)  # odometry shows no thrust
+    log = fly(told, at_goal(model, np.zeros(3), start), Hold())
+    assert max(flight.distance for flight in log.flights) < 1e-4
+    fallen = fly(Controller(problem), at_goal(model, np.zeros(3), start), Hold())
+    assert fallen.flights[-1].distance > 1.0
+
+
+@pytest.mark.parametrize('source', ['ground', 'air'])
+def test_no_wind_drives_an_airspeed_below_the_floor(source):
+    """The floor is about the air: in a headwind the ground speed may well fall below it."""
+    problem = Problem(step=0.5, floor=Floor('circle', fraction=0.6))
+    wind = np.array([-0.5, 0.1])
+    model = replace(model_of(problem), disturbance=tuple(wind), source=source)
+    start = launched(model, np.zeros(2), np.eye(2), fraction=0.8)
+    controller = Controller(problem, disturbance=wind, velocity_source=source)
+    log = fly(controller, at_goal(model, np.array([4.0, 0.0]), start), Hold())
+    assert all(tick.status == 'optimal' for tick in log.ticks)
+    assert min(flight.vehicle.fraction for flight in log.flights) >= 0.6 - 1e-9
+    assert min(flight.speed for flight in log.flights) < 0.6
+
+
+def test_an_estimate_may_change_what_is_planned_with_from_tick_to_tick():
+    controller = Controller(Problem())
+    seen = measured(launched(Model(), np.zeros(2), np.eye(2)))
+    goals = np.tile([2.0, 2.0], (5, 1))
+    for wind in ([0.0, 0.0], [0.4, 0.0]):
+        controller.disturbance = np.array(wind)
+        tick = controller.tick(seen, goals)
+        np.testing.assert_allclose(tick.state.disturbance, wind)
+        np.testing.assert_allclose(
+            tick.plan.positions[1], tick.state.rotation[:, 0] + wind, atol=1e-12
+        )
+
+
+def test_a_wind_of_another_dimension_is_refused():
+    with pytest.raises(BadInput, match='wind'):
+        Model(3, disturbance=(1.0, 2.0))
