@@ -40,6 +40,7 @@ DOCUMENTED = {
     'weights.terminal': 10.0,
     'weights.scaling': 'paper',
     'plan_period': 0.0,
+    'disturbance': 'given',
     'response.speed': 0.0,
     'response.rate': 0.0,
     'terminal': 'penalty',

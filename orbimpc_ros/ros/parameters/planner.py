@@ -11,6 +11,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.loop.disturbance import DISTURBANCES, ESTIMATED, GIVEN
 from orbimpc_ros.mpc.loop.forecast import FORECASTS
 from orbimpc_ros.mpc.loop.response import Response
 from orbimpc_ros.mpc.loop.safety import SAFE_COMMANDS, decided
@@ -78,13 +79,15 @@ PLANNER: tuple[Row, ...] = (
     Row('response.speed', 0.0, 'First-order lag of speed or thrust; a vehicle with any lag obeys '
         'at once, not at the end of a step', 's', 0.0, 10.0, live=True),
     Row('response.rate', 0.0, 'First-order lag of the body rate', 's', 0.0, 10.0, live=True),
+    Row('disturbance', GIVEN, 'Whether wind and gravity are all that disturbs, or more is estimated '
+        'from odometry against what was commanded', choices=DISTURBANCES, live=True),
     Row('goal_prediction', 'hold', 'How the goal is expected to move',
         choices=tuple(FORECASTS), live=True),
     Row('odom_timeout', 0.0, 'Odometry older than this is stale; 0 for 0.2 s; at least 1.5 '
         'periods',
         's', 0.0, MAX_DURATION, live=True),
-    Row('goal_timeout', 0.0, 'A goal older than this is stale, at least 1.5 periods; 0 for 1 s once '
-        'goals stream, never for one sent by hand; below 0 never',
+    Row('goal_timeout', 0.0, 'A goal older than this is stale, at least 1.5 periods; 0 for 1 s '
+        'once goals stream, never for one sent by hand; below 0 never',
         's', -1.0, MAX_DURATION, live=True),
     Row('future_tolerance', 0.1, 'A stamp this far ahead of the clock is refused; simulated time '
         'may trail by a step more', 's', 0.0, MAX_DURATION, live=True),
@@ -137,6 +140,7 @@ class PlannerSettings:
         gap_tolerance: relative gap that counts as proved.
         disturbance: the known wind or acceleration, gravity's included, shape (n,).
         gravity: [m/s^2].
+        estimated: whether to estimate what disturbs besides.
         velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
         frames: that messages must be in.
     """
@@ -160,6 +164,7 @@ class PlannerSettings:
     gap_tolerance: float
     disturbance: Array
     gravity: float
+    estimated: bool
     velocity_source: str
     frames: Frames
 
@@ -199,6 +204,7 @@ def planner_settings(values: Values) -> PlannerSettings:
         gap_tolerance=values['gap_tolerance'],
         disturbance=sealed(disturbance_of(values)),
         gravity=values['gravity'],
+        estimated=values['disturbance'] == ESTIMATED,
         velocity_source=values['velocity_source'],
         frames=Frames(values['frame_id'], values['child_frame_id']),
     )

@@ -5,10 +5,12 @@ from __future__ import annotations
 import statistics
 import time
 from collections import deque
+from dataclasses import replace
 
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.loop.delay import Interval, advanced
+from orbimpc_ros.mpc.loop.disturbance import Estimator
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.outcome import Reason
 from orbimpc_ros.ros.clock import UNKNOWN, RosTime
@@ -34,6 +36,10 @@ def prepared(settings: PlannerSettings) -> tuple[PlannerSettings, Controller]:
         velocity_source=settings.velocity_source,
     )
     return settings, controller
+
+
+def _estimator(settings: PlannerSettings) -> Estimator | None:
+    return Estimator(settings.problem, settings.response.speed) if settings.estimated else None
 
 
 class Timing:
@@ -84,16 +90,22 @@ class Ticker:
         self, settings: PlannerSettings, controller: Controller, *, simulated: bool
     ) -> None:
         self._settings, self._controller, self._simulated = settings, controller, simulated
+        self._estimator = _estimator(settings)
         self.timing = Timing()
 
     def install(self, settings: PlannerSettings, controller: Controller) -> None:
         """Go on with other settings and the controller made for them."""
         controller.continue_from(self._controller)
         self._settings, self._controller = settings, controller
+        before, self._estimator = self._estimator, _estimator(settings)
+        if before is not None and self._estimator is not None:
+            self._estimator.continue_from(before)
 
     def start_afresh(self) -> None:
-        """Forget the plan; the command in force stays so."""
+        """Forget the plan; the command in force stays so, and the wind."""
         self._controller.start_afresh()
+        if self._estimator is not None:
+            self._estimator.start_afresh()
 
     def planned(self, inbox: Inbox, now: float, ros: RosTime = UNKNOWN) -> Report:
         """Return a tick by a plan, if there is one; nothing in the inbox may be missing.
@@ -106,6 +118,7 @@ class Ticker:
         begun = time.perf_counter()
         received, settings = inbox.odometry, self._settings
         assert received is not None
+        limited = self._estimate(received.value)
         odometry = advanced(
             settings.problem,
             received.value,
@@ -123,6 +136,8 @@ class Ticker:
             end = begun + settings.deadline
             tick = self._controller.tick(odometry, targets, lambda: time.perf_counter() > end)
         history.last = sent  # what is commanded now counts once it went out
+        if limited:
+            tick = replace(tick, reason='; '.join(filter(None, (tick.reason, limited))))
         took = time.perf_counter() - begun
         self.timing.took(took, settings.deadline, settings.period)
         return Report(
@@ -130,9 +145,21 @@ class Ticker:
             0.0 if lost else 1e3 * took,
             advanced=odometry.time - received.value.time - settings.response.rate,
             led=settings.response.rate,
+            disturbance=self._controller.disturbance,
+            innovation=None if self._estimator is None else self._estimator.innovation,
             goal_stamps=inbox.goal_stamps,
             goal_counts=dict(inbox.goal_counts),
         )
+
+    def _estimate(self, odometry: Odometry) -> str:
+        """Learn the disturbance from a measurement; return that it is limited, if it is."""
+        given, estimator = self._settings.disturbance, self._estimator
+        if estimator is None:
+            return ''
+        estimator.observe(odometry, self._controller.history, given)
+        limited = estimator.limit(given)
+        self._controller.disturbance = given + estimator.disturbance
+        return limited
 
     def safe(self, inbox: Inbox, reason: Reason) -> Report:
         """Return the safe tick."""
