@@ -33,7 +33,9 @@ def test_in_the_end_a_lagging_vehicle_is_where_a_settled_one_went_a_lag_later(di
     rate = rng.normal(size=rates)
     start = at_rest(dimension, 0.4, 0.7, plant)
     start = replace(start, rate=0.5 * rate)
-    settled = Response(lag, lag).settled(Problem(dimension, forward=2.0), measured(0.0, start))
+    settled = Response(lag, lag).settled(
+        Problem(dimension, forward=2.0, discretisation='exact'), measured(0.0, start)
+    )
     assert settled.time == lag
     end = flown(plant, start, 0.7, rate, LONG, 0.002)
     ideal = replace(start, position=settled.position, attitude=settled.attitude)
@@ -41,7 +43,8 @@ def test_in_the_end_a_lagging_vehicle_is_where_a_settled_one_went_a_lag_later(di
     np.testing.assert_allclose(end.attitude, there.attitude, atol=1e-4)
     steady = flown(plant, replace(start, rate=rate), 0.7, rate, lag, 0.0005)
     settled = Response(lag, lag).settled(
-        Problem(dimension, forward=2.0), measured(0.0, replace(start, rate=rate))
+        Problem(dimension, forward=2.0, discretisation='exact'),
+        measured(0.0, replace(start, rate=rate)),
     )
     np.testing.assert_allclose(settled.position, steady.position, atol=1e-4)
 
@@ -51,7 +54,7 @@ def test_in_the_end_a_lagging_thrust_has_done_what_a_settled_one_does(lags):
     """Position and velocity, whatever the thrust was before; gravity acts all the while."""
     plant = Plant(3.0, True, *lags, blown=np.array([0.2, -0.4]))
     start = Motion(np.array([1.0, 2.0]), np.array([0.5, -0.3]), np.eye(2), np.zeros(1), 0.9)
-    problem = Problem(translation_order=2, forward=3.0)
+    problem = Problem(translation_order=2, forward=3.0, discretisation='exact')
     settled = Response(*lags).settled(
         problem, measured(0.0, start), (0.9 if lags[0] else 0.3, 0.3), plant.blown
     )
@@ -64,6 +67,14 @@ def test_in_the_end_a_lagging_thrust_has_done_what_a_settled_one_does(lags):
     )
     np.testing.assert_allclose(end.velocity, there.velocity, atol=5e-3)
     np.testing.assert_allclose(end.position, there.position, atol=2e-2)
+
+
+def test_half_a_step_of_a_lag_is_in_the_euler_model():
+    step = 0.4
+    for lag, exact, euler in ((0.1, 0.1, 0.0), (0.3, 0.3, 0.1)):
+        response = Response(0.0, lag)
+        assert response.lead(Problem(step=step, discretisation='exact')) == exact
+        assert response.lead(Problem(step=step)) == pytest.approx(euler)
 
 
 def test_no_lag_changes_nothing():

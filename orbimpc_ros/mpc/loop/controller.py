@@ -137,7 +137,7 @@ class Controller:
         self._goals: Array | None = None  # of the previous plan
         self._fallbacks = self._planned = 0
         self._since = 0.0  # steps since a plan was found
-        self._flown = self.response.rate / self.problem.step  # since the start
+        self._flown = self.response.lead(self.problem) / self.problem.step  # since the start
         self._due: Command | None = None  # for the step that begins, of a vehicle that lags
         self._last: float | None = None  # stamp of the last tick [s]
         self._pace = self.problem.step  # of the previous plan's steps [s]

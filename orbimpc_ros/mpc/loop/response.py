@@ -50,6 +50,15 @@ class Response:
         """Return whether there is any lag."""
         return self.speed > 0.0 or self.rate > 0.0
 
+    def lead(self, problem: Problem) -> float:
+        """Return by how long a plan starts ahead of the vehicle [s].
+
+        Half a step of it the ``euler`` model has already: it keeps R_k for the whole step in which
+        a vehicle turns on to R_{k+1}.
+        """
+        known = 0.5 * problem.step if problem.discretisation == 'euler' else 0.0
+        return max(0.0, self.rate - known)
+
     def settled(
         self,
         problem: Problem,
@@ -68,7 +77,8 @@ class Response:
             velocity_source: what odometry measures: velocity over ``ground`` or through ``air``.
         """
         if not problem.inertial:
-            coming = [Interval(self.rate, None, None)] if self.rate > 0.0 else []
+            time = self.lead(problem)
+            coming = [Interval(time, None, None)] if time > 0.0 else []
             return advanced(problem, odometry, coming, disturbance, velocity_source)
         return self._settled_thrust(problem, odometry, thrust, disturbance)
 
@@ -85,7 +95,7 @@ class Response:
         looked at; the turn that is left over turns the axis of it meanwhile.
         """
         applied, commanded = thrust
-        time = self.rate
+        time = self.lead(problem)
         pushed = problem.forward * (odometry.attitude @ exp(0.5 * time * odometry.body_rate))[:, 0]
         left = self.speed * (applied - commanded) * pushed
         push = commanded * pushed + (0.0 if disturbance is None else disturbance)

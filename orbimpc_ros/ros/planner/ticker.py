@@ -138,13 +138,14 @@ class Ticker:
         history.last = sent  # what is commanded now counts once it went out
         if limited:
             tick = replace(tick, reason='; '.join(filter(None, (tick.reason, limited))))
+        lead = settings.response.lead(settings.problem)
         took = time.perf_counter() - begun
         self.timing.took(took, settings.deadline, settings.period)
         return Report(
             tick,
             0.0 if lost else 1e3 * took,
-            advanced=odometry.time - received.value.time - settings.response.rate,
-            led=settings.response.rate,
+            advanced=odometry.time - received.value.time - lead,
+            led=lead,
             disturbance=self._controller.disturbance,
             innovation=None if self._estimator is None else self._estimator.innovation,
             goal_stamps=inbox.goal_stamps,
