@@ -281,27 +281,25 @@ class Controller:
             guess = task.guess or self._shifted(task)
             if guess and not violations(task.problem, task.state, task.goals, guess):
                 return self._following(task, guess, status, reason, Fallback.SHIFTED_PLAN)
-        if self._arriving and task.problem.terminal == 'constraint' and status == Status.INFEASIBLE:
-            return self._arrive_softly(task, reason)
+        if self._arriving and task.problem.terminal == 'constraint' and not reason.cause:
+            return self._arrive_softly(task, status, reason)
         return self._without_plan(task.state, status, reason)
 
-    def _arrive_softly(self, task: _Task, reason: Reason) -> Tick:
-        eased = replace(
-            task, solver=self._solver(len(task.knots), self._pace, soft=True), guess=None
-        )
+    def _arrive_softly(self, task: _Task, status: Status, reason: Reason) -> Tick:
+        solver = self._solver(len(task.knots), self._pace, soft=True)
+        eased = replace(task, solver=solver, guess=None)
         plan, _, _ = _solved(eased)
         if plan is None:
-            return self._without_plan(task.state, Status.INFEASIBLE, reason)
+            return self._without_plan(task.state, status, reason)
         miss = float(np.linalg.norm(plan.positions[-1] - task.goals[-1]))
         jump = float(np.linalg.norm(task.goals[-1] - self._aim))
         if jump > task.problem.length_unit:
-            missing = (
-                f'the goal has jumped by {jump:.3g} m, the nearest plan misses by {miss:.3g} m'
-            )
-            return self._without_plan(task.state, Status.INFEASIBLE, reason.and_so(missing))
+            jumped = f'the goal has jumped by {jump:.3g} m'
+            reason = reason.and_so(f'{jumped}, the nearest plan misses by {miss:.3g} m')
+            return self._without_plan(task.state, status, reason)
         self._aim = task.goals[-1]
         reason = reason.and_so(f'the plan misses by {miss:.3g} m')
-        return self._following(eased, plan, Status.INFEASIBLE, reason, Fallback.SOFT_ARRIVAL)
+        return self._following(eased, plan, status, reason, Fallback.SOFT_ARRIVAL)
 
     def _following(
         self,
