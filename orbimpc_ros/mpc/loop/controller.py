@@ -122,6 +122,7 @@ class Controller:
         self.disturbance, self._velocity_source = disturbance, velocity_source
         self._projection, self._shrinking, self._tolerance = projection, shrinking, gap_tolerance
         self._solvers: dict[tuple[int, float, bool], Solver] = {}
+        self._counted = np.arange(1.0, problem.horizon + 1.0)
         self._solver(problem.horizon, problem.step)
         self.reset()
 
@@ -160,7 +161,7 @@ class Controller:
     def ends(self, time: float) -> Array:
         """Return the ends of the steps that a tick at a time [s] plans, shape (N or less,) [s]."""
         count, step = self._steps(self._flown + self._passed(time))
-        return time + step * np.arange(1, count + 1)
+        return np.asarray(time + step * self._counted[:count])
 
     def _steps(self, flown: float) -> tuple[int, float]:
         """Return how many steps are left, and how long they are [s], after so many of the start."""
@@ -189,7 +190,9 @@ class Controller:
         self._since += passed
         count, step = self._steps(self._flown)
         before, self._pace = self._pace, step
-        return (passed * self.problem.step + step * np.arange(1, count + 1)) / before
+        if before == step == self.problem.step:
+            return passed + self._counted[:count]
+        return (passed * self.problem.step + step * self._counted[:count]) / before
 
     def tick(
         self, odometry: Odometry, goals: Array, out_of_time: Callable[[], bool] | None = None
