@@ -425,7 +425,7 @@ def test_what_a_node_holds_can_be_given_back_to_it(running, tmp_path, boxes):
     assert change(running, {'obstacles': boxes})[0] or not boxes
     names = [*(row.name for row in PLANNER if row.live), 'use_sim_time']
     values = {name: value_of(each) for name, each in zip(names, held(running, names), strict=True)}
-    values['obstacles'] = boxes
+    values['obstacles'], values['wind'] = boxes, list(values['wind'])
     file = tmp_path / 'dump.yaml'
     file.write_text(yaml.safe_dump({'/planner': {'ros__parameters': values}}))
     loaded = list(parameter_dict_from_yaml_file(str(file)).values())

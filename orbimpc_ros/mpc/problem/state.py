@@ -6,12 +6,12 @@ Mathematics: docs/mathematics.md, 1.5.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orbimpc_ros.mpc.arrays import Array, ByContent, frozen
+from orbimpc_ros.mpc.arrays import Array, ByContent, frozen, sealed
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.orbitopes import MEMBERSHIP_TOLERANCE, margin
 from orbimpc_ros.mpc.geometry.rotations import nearest
@@ -67,15 +67,11 @@ class State(ByContent):
         return cls(
             frozen(position, (n,), 'state.position'),
             placed,
-            frozen(np.zeros(n) if velocity is None else velocity, (n,), 'state.velocity'),
-            frozen(
-                np.zeros((n, n)) if rotation_rate is None else rotation_rate,
-                (n, n),
-                'state.rotation_rate',
-            ),
+            _given(velocity, (n,), 'state.velocity'),
+            _given(rotation_rate, (n, n), 'state.rotation_rate'),
             _rotation(nearest(placed) if attitude is None else attitude, n, 'state.attitude'),
             None if coasted is None else _rotation(coasted, n, 'state.coasted'),
-            frozen(np.zeros(n) if disturbance is None else disturbance, (n,), 'state.disturbance'),
+            _given(disturbance, (n,), 'state.disturbance'),
         )
 
     def __post_init__(self) -> None:
@@ -94,6 +90,16 @@ class State(ByContent):
     def disturbed(self) -> bool:
         """Return whether there is any disturbance."""
         return any(self.disturbance.tolist())
+
+
+def _given(value: ArrayLike | None, shape: tuple[int, ...], culprit: str) -> Array:
+    return _zeros(shape) if value is None else frozen(value, shape, culprit)
+
+
+@lru_cache(maxsize=8)
+def _zeros(shape: tuple[int, ...]) -> Array:
+    """Return zeros that all states share: to make and check them anew costs microseconds."""
+    return sealed(np.zeros(shape))
 
 
 def _rotation(value: ArrayLike, n: int, culprit: str) -> Array:

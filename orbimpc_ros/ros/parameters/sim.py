@@ -202,7 +202,7 @@ def _faults(values: Values) -> Faults:
 
 
 def _scenario(values: Values) -> Scenario:
-    n = values['dimension']
+    n, known = values['dimension'], disturbance_of(values).tolist()
     steps = Model(
         n,
         values['rotation_order'],
@@ -212,7 +212,7 @@ def _scenario(values: Values) -> Scenario:
         values['mass'],
         values['failsafe.fraction'],
         values['failsafe.rate'],
-        disturbance=tuple(disturbance_of(values).tolist()),
+        disturbance=tuple(known) if any(known) else (),
         discretisation=values['discretisation'],
         source=values['velocity_source'],
     )

@@ -76,25 +76,25 @@ def _vehicle(problem: Problem, mass: float) -> list[str]:
 
 def _surroundings(settings: PlannerSettings) -> list[str]:
     """Return what moves the vehicle beside its thrust, and what it cannot do against that."""
-    problem, gravity, parts = settings.problem, settings.gravity, []
+    problem, gravity, unit = settings.problem, settings.gravity, _unit(settings.problem)
+    parts = [f'gravity {gravity:g} {unit}: {_hovering(problem, gravity)}'] if gravity else []
     wind = settings.disturbance.copy()
     wind[-1] += gravity
     speed = float(np.linalg.norm(wind))
-    if gravity:
-        parts.append(
-            f'gravity {gravity:g} m/s^2: hovers at {gravity / problem.forward:.3g} of thrust'
-        )
-        if problem.floor.clearance(problem.dimension) * problem.forward > gravity:
-            parts.append('cannot hover, for its least thrust is more')
     if speed:
         shown = ', '.join(f'{each:.4g}' for each in wind)
-        known = 'wind' if problem.translation_order == 1 else 'an acceleration of'
-        parts.append(f'{known} ({shown}) {_unit(problem)}')
-        if speed >= problem.forward:
-            parts.append(f'is blown away, for {speed:.4g} {_unit(problem)} is more than its own')
+        beyond = f', {speed:.4g} {unit} in all: too much to hold a goal'
+        parts.append(f'wind ({shown}) {unit}{beyond if speed >= problem.forward else ""}')
     if settings.velocity_source == 'air':
         parts.append('odometry through the air')
     return parts
+
+
+def _hovering(problem: Problem, gravity: float) -> str:
+    least = problem.floor.clearance(problem.dimension) * problem.forward
+    if least > gravity:
+        return f'cannot hover, for its least thrust is {least:.4g}'
+    return f'hovers at {gravity / problem.forward:.3g} of its thrust'
 
 
 def _unit(problem: Problem) -> str:
