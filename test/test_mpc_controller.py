@@ -232,7 +232,7 @@ def test_a_goal_that_jumps_out_of_reach_under_way_is_not_flown_at_softly():
     controller.tick(odometry(), np.tile([3.0, 2.0], (6, 1)))
     tick = controller.tick(odometry((1.0, 0.0), time=1.0), np.tile([30.0, 0.0], (5, 1)))
     assert tick.fallback == 'safe command'
-    assert 'nearest plan misses by' in tick.reason
+    assert 'the goal has jumped by 27.1 m, the nearest plan misses by' in tick.reason
 
 
 def test_the_arrival_weight_brings_second_order_vehicles_to_rest():

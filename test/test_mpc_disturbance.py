@@ -1,445 +1,200 @@
-"""Laws of steady disturbances and of exact integration, against oracles that share no code."""
+"""The estimated disturbance: what it learns, what it does not, and that loops lose their offset."""
 
-import itertools
+import math
 from dataclasses import replace
 
-import cvxpy as cp
 import numpy as np
-import problems
 import pytest
-from scipy.optimize import minimize
+from continuous import Plant, at_rest, flown, turned
 
-from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.errors import BadInput, Infeasible
-from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.model import dynamics
-from orbimpc_ros.mpc.model.condensed import Condensed
-from orbimpc_ros.mpc.model.trajectory import trajectory_of
-from orbimpc_ros.mpc.model.translation import TRANSLATIONS, FirstOrder
-from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
-from orbimpc_ros.mpc.problem.feasibility import reason
-from orbimpc_ros.mpc.sensitivity.constraints import explained
-from orbimpc_ros.mpc.solve.solver import Solver
-from orbimpc_ros.mpc.solve.statement import Statement
+from orbimpc_ros.mpc.command import Command
+from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.loop.delay import CommandHistory
+from orbimpc_ros.mpc.loop.disturbance import GAP, LARGEST, PATIENCE, Estimator
+from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.mpc.loop.response import Response
+from orbimpc_ros.mpc.problem import Floor, Problem
+from orbimpc_ros.mpc.problem.scaling import weighed
 
-KINDS = [
-    {'dimension': n, 'translation_order': t, 'discretisation': d}
-    for n, t, d in itertools.product((2, 3), (1, 2), ('euler', 'exact'))
-]
-ALL_KINDS = [{**kind, 'rotation_order': r} for kind in KINDS for r in (1, 2)]
-PLANE = KINDS[: len(KINDS) // 2]
+STEP = 0.1  # [s]
 
 
-def seeded(kind, seed=0):
-    return np.random.default_rng([seed, *map(ord, str(sorted(kind.items())))])
+def measured(time, motion, noise=0.0):
+    velocity = motion.attitude.T @ motion.velocity
+    return Odometry(time, motion.position + noise, motion.attitude, velocity, motion.rate)
 
 
-def blown(rng, problem, *, full_speed=False):
-    """A random state in a random disturbance of up to 0.6 of full speed or thrust."""
-    start = problems.state(rng, problem, full_speed=full_speed)
-    w = rng.normal(size=problem.dimension)
-    w *= 0.6 * problem.forward * rng.random() / np.linalg.norm(w)
-    return replace(start, disturbance=w)
+class Watched:
+    """A vehicle that flies random commands, and an estimator that watches it."""
 
-
-def moved(problem, start, headings):
-    """Positions and velocities, step by step, as docs/mathematics.md 1.1 has them."""
-    h, z, w = problem.step, problem.forward, start.disturbance
-    s, p = [start.position], [start.velocity]
-    for old, new in itertools.pairwise(headings):
-        mean = 0.5 * (old + new) if problem.discretisation == 'exact' else old
-        way = h * (z * mean + w)
-        if problem.translation_order == 2:
-            way = h * p[-1]
-            if problem.discretisation == 'exact':
-                way = way + h**2 * (z * (old / 3.0 + new / 6.0) + 0.5 * w)
-        s.append(s[-1] + way)
-        p.append(p[-1] + h * (z * mean + w))
-    if problem.translation_order == 1:
-        return np.array(s), z * np.array(headings) + w
-    return np.array(s), np.array(p)
-
-
-@pytest.mark.parametrize('kind', ALL_KINDS)
-def test_rollouts_and_maps_are_the_steps_of_the_model(kind):
-    rng = seeded(kind)
-    problem = Problem(**kind, horizon=6, step=0.4, forward=1.7, weights=problems.weights(rng))
-    start, goals = blown(rng, problem), problems.goals(rng, problem)
-    x = rng.normal(size=(6, 2 if problem.dimension == 2 else 9))
-    flown = trajectory_of(problem, start, goals, x)
-    positions, velocities = moved(problem, start, flown.headings)
-    np.testing.assert_allclose(flown.positions, positions, atol=1e-12)
-    np.testing.assert_allclose(flown.velocities, velocities, atol=1e-12)
-    mapped = dynamics.drift(problem, start) + problem.maps.reach @ flown.headings
-    np.testing.assert_allclose(mapped, positions[1:], atol=1e-12)
-
-
-@pytest.mark.parametrize('kind', PLANE)
-def test_the_condensed_quadratic_knows_the_disturbance(kind):
-    rng = seeded(kind)
-    smooth = replace(problems.weights(rng), length=0.0)
-    problem = Problem(**kind, horizon=5, step=0.4, forward=1.7, weights=smooth)
-    start, goals = blown(rng, problem), problems.goals(rng, problem)
-    z, condensed = rng.normal(size=(5, 2)), Condensed(problem)
-    q, c = condensed.affine(start, goals)
-    cost = 0.5 * np.sum(z * (condensed.hessian @ z)) + np.sum(q * z) + c
-    assert cost == pytest.approx(trajectory_of(problem, start, goals, z).cost)
-
-
-@pytest.mark.parametrize('order', [1, 2])
-def test_exact_steps_follow_a_vehicle_that_turns_evenly(order):
-    """A fine integration of constant thrust on an axis that turns evenly, 0.3 rad in each step."""
-    exact = Problem(2, 1, order, horizon=5, discretisation='exact')
-    fine = Problem(2, 1, order, horizon=500, step=0.01, discretisation='exact')
-    apart = {}
-    for turn in (0.3, 0.15):
-        start = State.at([0.0, 0.0], np.eye(2), velocity=[0.0, 0.0], disturbance=[0.1, -0.2])
-
-        def flown(problem, turn=turn, start=start):
-            angles = turn * problem.step * np.arange(problem.horizon + 1)
-            axes = np.column_stack([np.cos(angles), np.sin(angles)])
-            return dynamics.translation_rollout(problem, start, axes)[0][-1]
-
-        truth = flown(fine)
-        apart[turn] = [
-            np.linalg.norm(flown(each) - truth)
-            for each in (exact, replace(exact, discretisation='euler'))
-        ]
-    (error, paper), (half_error, _) = apart[0.3], apart[0.15]
-    assert error < 0.1 * paper
-    assert error / half_error == pytest.approx(4.0, abs=0.3)  # of second order in the turn
-
-
-# --- optima
-
-
-def convex(problem, start, goals):
-    """The optimal value of the hull, stated anew in CVXPY: inputs and states step by step."""
-    n, steps, h, z = problem.dimension, problem.horizon, problem.step, problem.forward
-    w = problem.weights
-    r = [start.rotation, *(cp.Variable((n, n)) for _ in range(steps))]
-    s, p, rows, cost = [start.position], [start.velocity], [], 0.0
-    for k in range(steps):
-        old, new = r[k][:, 0], r[k + 1][:, 0]
-        late = 0.5 if problem.discretisation == 'exact' else 0.0
-        gained = h * (z * ((1.0 - late) * old + late * new) + start.disturbance)
-        way = gained
-        if problem.translation_order == 2:
-            way = h * p[-1]
-            if late:
-                way = way + h * h * (z * (old / 3.0 + new / 6.0) + start.disturbance / 2.0)
-        s.append(s[-1] + way)
-        p.append(p[-1] + gained)
-        rows += hull(r[k + 1])
-        cost += w.position * cp.sum_squares(s[-1] - goals[k])
-        cost += w.input * cp.sum_squares((r[k + 1] - r[k]) / h)
-        speed = (1.0 - late) * cp.norm(old) + late * cp.norm(new)
-        cost += w.length * h * z * speed
-    cost += w.terminal * cp.sum_squares(s[-1] - goals[-1])
-    if problem.terminal == 'constraint':
-        rows.append(s[-1] == goals[-1])
-        rows += [p[-1] == 0.0] if problem.translation_order == 2 else []
-    program = cp.Problem(cp.Minimize(cost), rows)
-    return program.solve(solver=cp.CLARABEL)
-
-
-def hull(r):
-    """conv SO(n): a disk, or Schur's and Sanyal's linear matrix inequality."""
-    if r.shape == (2, 2):
-        return [r[0, 0] == r[1, 1], r[0, 1] == -r[1, 0], cp.norm(r[:, 0]) <= 1.0]
-    a, b, c = (r[i, i] for i in range(3))
-    s = cp.bmat(
-        [
-            [1 + a + b + c, r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
-            [r[2, 1] - r[1, 2], 1 + a - b - c, r[1, 0] + r[0, 1], r[0, 2] + r[2, 0]],
-            [r[0, 2] - r[2, 0], r[1, 0] + r[0, 1], 1 - a + b - c, r[2, 1] + r[1, 2]],
-            [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[2, 1] + r[1, 2], 1 - a - b + c],
-        ]
-    )
-    return [s >> 0]
-
-
-@pytest.mark.parametrize('arrives', [False, True])
-@pytest.mark.parametrize('length', [0.0, 0.7])
-@pytest.mark.parametrize('kind', KINDS)
-def test_hull_optima_are_those_of_another_formulation(kind, length, arrives):
-    rng = seeded(kind)
-    weights = Weights(1.0, 0.1, length, 3.0)
-    problem = Problem(**kind, horizon=6, step=0.6, forward=1.4, weights=weights)
-    start = blown(rng, problem)
-    goals = problems.goals(rng, problem, distance=1.0)
-    if arrives:  # where some trajectory ends
-        z = 0.5 * np.tile(start.attitude[:, 0], (7, 1))
-        if problem.inertial:
-            gained = moved(problem, start, z)[1][-1] - start.velocity
-            start = replace(start, velocity=-gained)
-        goals = np.tile(
-            moved(problem, start, np.array([start.rotation[:, 0], *z[1:]]))[0][-1], (6, 1)
+    def __init__(self, plant, n, seed=0, given=None):
+        self.rng, self.plant, self.time = np.random.default_rng(seed), plant, 0.0
+        self.given = np.zeros(n) if given is None else given
+        problem = Problem(
+            dimension=n, translation_order=2 if plant.inertial else 1, forward=plant.forward
         )
-        if problem.inertial:
-            end = moved(problem, start, np.array([start.rotation[:, 0], *z[1:]]))[1][-1]
-            start = replace(start, velocity=start.velocity - end)
-            again = moved(problem, start, np.array([start.rotation[:, 0], *z[1:]]))
-            goals = np.tile(again[0][-1], (6, 1))
-        problem = replace(problem, terminal='constraint')
-    plan = Solver(problem, gap_tolerance=1e-7).solve(start, goals)
-    assert plan.status == 'optimal', plan.proof.reason
-    assert plan.objective == pytest.approx(convex(problem, start, goals), rel=2e-6)
+        self.estimator = Estimator(problem, plant.speed_lag)
+        self.history, self.motion = CommandHistory(), at_rest(n, 0.3, 0.0, plant)
+
+    def watch(self, ticks, noise=0.0, moved=0.0):
+        """Fly on; return the innovations. Measured positions are off by noise, and by so much."""
+        innovations = []
+        for _ in range(ticks):
+            error = noise * self.rng.normal(size=len(self.motion.position)) + moved
+            self.estimator.observe(
+                measured(self.time, self.motion, error), self.history, self.given
+            )
+            innovations.append(self.estimator.innovation)
+            rate = 0.4 * self.rng.normal(size=len(self.motion.rate))
+            command = Command(self.rng.uniform(0.5, 1.0), rate, np.eye(len(self.motion.position)))
+            self.history.add(command, self.time)
+            self.motion = flown(self.plant, self.motion, command.speed_fraction, rate, STEP, 0.001)
+            self.time += STEP
+        return np.array(innovations)
+
+    @property
+    def found(self):
+        return self.estimator.disturbance
 
 
-def cheapest(problem, start, goals, *, boxes=()):
-    """The least cost that SLSQP finds over planar headings, from starts all around."""
-    first, w = start.rotation[:, 0], problem.weights
-
-    def positions(x):
-        return moved(problem, start, np.array([first, *x.reshape(-1, 2)]))[0][1:]
-
-    def cost(x):
-        missed = ((positions(x) - goals) ** 2).sum(axis=1)
-        turned = 2.0 * (np.diff([first, *x.reshape(-1, 2)], axis=0) ** 2).sum() / problem.step**2
-        return w.position * missed.sum() + w.terminal * missed[-1] + w.input * turned
-
-    def sizes(x):
-        return (x.reshape(-1, 2) ** 2).sum(axis=1)
-
-    least = problem.floor.clearance(2)
-    limits = [lambda x: 1.0 - sizes(x), lambda x: sizes(x) - least**2]
-    costs = []
-    for sides in itertools.product(range(4), repeat=len(boxes)):
-        beyond = [
-            lambda x, box=box, side=side: box.clearances(positions(x))[:, side]
-            for box, side in zip(boxes, sides, strict=True)
-        ]
-        for angle in np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False):
-            begin = np.tile(0.7 * np.array([np.cos(angle), np.sin(angle)]), problem.horizon)
-            rows = [{'type': 'ineq', 'fun': each} for each in (*limits, *beyond)]
-            end = minimize(cost, begin, constraints=rows, method='SLSQP', tol=1e-12)
-            if min(each['fun'](end.x).min() for each in rows) > -1e-8:
-                costs.append(end.fun)
-    return min(costs)
+PLANTS = [
+    (2, Plant(15.0, speed_lag=0.8, rate_lag=0.3, blown=np.array([3.0, -2.0]))),
+    (3, Plant(2.0, speed_lag=0.3, blown=np.array([0.3, -0.2, 0.1]))),
+    (2, Plant(5.0, inertial=True, speed_lag=0.2, blown=np.array([1.0, -0.5]))),
+    (3, Plant(15.0, inertial=True, speed_lag=0.1, rate_lag=0.1, blown=np.array([1.0, 2.0, -9.0]))),
+]
 
 
-@pytest.mark.parametrize('seed', range(2))
-@pytest.mark.parametrize('kind', PLANE)
-def test_no_local_search_beats_a_floor_in_wind(kind, seed):
-    rng = seeded(kind, seed)
-    problem = Problem(**kind, horizon=4, floor=Floor('circle', fraction=0.5))
-    start, goals = blown(rng, problem), problems.goals(rng, problem, distance=1.5)
-    plan = Solver(problem, gap_tolerance=1e-6).solve(start, goals)
-    assert plan.status == 'optimal'
-    assert plan.objective == pytest.approx(cheapest(problem, start, goals), rel=1e-5)
+@pytest.mark.parametrize(('n', 'plant'), PLANTS)
+def test_a_steady_disturbance_is_found_whatever_is_commanded(n, plant):
+    watched = Watched(plant, n)
+    watched.watch(300)
+    np.testing.assert_allclose(watched.found, plant.blown, atol=0.01 * plant.forward)
 
 
-@pytest.mark.parametrize('kind', PLANE)
-def test_boxes_stay_where_they_are_in_wind(kind):
-    """Each step of a plan may be beyond another side: no side for all of them is cheaper."""
-    rng = seeded(kind)
-    start = State.at([0.0, 0.0], 0.8 * np.eye(2), velocity=[0.0, 0.0], disturbance=[0.2, 0.3])
-    box = Box([1.2, -0.6], [2.0, 0.9])
-    problem = Problem(**kind, horizon=5, step=0.6, forward=1.5, obstacles=(box,))
-    goals = np.tile([2.6, 0.4 + 0.1 * rng.random()], (5, 1))
-    plan = Solver(problem, gap_tolerance=1e-6).solve(start, goals)
-    assert plan.status == 'optimal'
-    assert box.depth(plan.positions[1:]).max() <= 1e-6
-    assert plan.objective <= cheapest(problem, start, goals, boxes=(box,)) * (1.0 + 1e-6)
-    assert box.depth(Solver(replace(problem, obstacles=())).solve(start, goals).positions).max() > 0
-
-
-# --- laws
-
-
-@pytest.mark.parametrize('discretisation', ['euler', 'exact'])
-@pytest.mark.parametrize('n', [2, 3])
-@pytest.mark.parametrize('shape', ['none', 'polygon', 'circle'])
-def test_wind_is_as_good_as_goals_that_drift_against_it(n, shape, discretisation):
-    """Galilei: seen from the air, the goals move by -w, and the rotations are the same."""
-    rng = np.random.default_rng(n)
-    floor = Floor(shape, 4 if n == 2 else 6, 0.5)
-    problem = Problem(n, horizon=4, step=0.7, floor=floor, discretisation=discretisation)
-    start = blown(rng, problem)
-    goals = problems.goals(rng, problem, distance=2.0)
-    ahead = problem.step * np.arange(1.0, 5.0)
-    still = replace(start, disturbance=np.zeros(n))
-    solver = Solver(problem, gap_tolerance=1e-3 if (n, shape) == (3, 'circle') else 1e-7)
-    plan = solver.solve(start, goals)
-    other = solver.solve(still, goals - np.outer(ahead, start.disturbance))
-    assert plan.objective == pytest.approx(other.objective, rel=1e-6)
-    np.testing.assert_allclose(plan.rotations, other.rotations, atol=1e-5)
-
-
-@pytest.mark.parametrize('kind', ALL_KINDS)
-def test_a_plan_for_still_air_does_not_pass_the_check_in_wind(kind):
-    rng = seeded(kind)
-    problem = Problem(**kind)
-    windy, goals = blown(rng, problem), problems.goals(rng, problem)
-    still = replace(windy, disturbance=np.zeros(problem.dimension))
-    solver = Solver(problem, coasting=True)
-    for one, other in ((windy, still), (still, windy)):
-        plan = solver.solve(one, goals)
-        assert violations(problem, one, goals, plan) == []
-        assert any('positions differ' in flaw for flaw in violations(problem, other, goals, plan))
-
-
-@pytest.mark.parametrize('kind', ALL_KINDS)
-def test_a_plan_of_one_discretisation_does_not_pass_the_check_of_the_other(kind):
-    rng = seeded(kind)
-    problem = Problem(**kind)
-    start, goals = blown(rng, problem), problems.goals(rng, problem)
-    plan = Solver(problem, coasting=True).solve(start, goals)
-    kinds = {'euler', 'exact'} - {problem.discretisation}
-    found = violations(replace(problem, discretisation=kinds.pop()), start, goals, plan)
-    assert any('positions differ' in flaw for flaw in found)
-
-
-def test_hovering_under_gravity_costs_nothing_but_turns():
-    """With the weight carried at every step, the vehicle stays where it is: at its goal."""
-    problem = Problem(3, 1, 2, horizon=8, step=0.2, forward=20.0)
-    up = exp(np.array([0.0, -0.5 * np.pi, 0.0]))
-    down = [0.0, 0.0, -9.81]
-    start = State.at(np.ones(3), 9.81 / 20.0 * up, attitude=up, disturbance=down)
-    for each in ('euler', 'exact'):
-        solver = Solver(replace(problem, discretisation=each))
-        plan = solver.solve(start, np.ones((8, 3)))
-        assert plan.status == 'optimal'
-        assert plan.objective < 1e-9
-        np.testing.assert_allclose(plan.positions, 1.0, atol=1e-5)
-        np.testing.assert_allclose(plan.speed_fraction, 9.81 / 20.0, atol=1e-4)
-
-
-def test_steps_of_an_arrival_at_order_2_end_at_rest_under_gravity():
-    problem = Problem(3, 2, 2, horizon=10, step=0.5, forward=20.0, terminal='constraint')
-    up = exp(np.array([0.0, -0.5 * np.pi, 0.0]))
-    known = {'attitude': up, 'coasted': up, 'disturbance': [0.3, 0.0, -9.81]}
-    start = State.at(np.zeros(3), 0.5 * up, velocity=[0.0, 1.0, 0.0], **known)
-    for each in ('euler', 'exact'):
-        solver = Solver(replace(problem, discretisation=each), coasting=True)
-        plan = solver.solve(start, np.tile([3.0, 1.0, 2.0], (10, 1)))
-        assert plan.status == 'optimal'
-        np.testing.assert_allclose(plan.positions[-1], [3.0, 1.0, 2.0], atol=1e-6)
-        np.testing.assert_allclose(plan.velocities[-1], 0.0, atol=1e-6)
+def test_what_is_known_is_not_estimated_again():
+    plant = PLANTS[3][1]
+    watched = Watched(plant, 3, given=np.array([0.0, 0.0, -9.0]))
+    watched.watch(300)
+    np.testing.assert_allclose(watched.found, [1.0, 2.0, 0.0], atol=0.15)
 
 
 @pytest.mark.parametrize('order', [1, 2])
-def test_wind_decides_what_is_out_of_reach(order):
-    problem = Problem(2, 1, order, horizon=4, terminal='constraint')
-    goals = np.tile([0.0, 9.0], (4, 1))
-    start = State.at([0.0, 0.0], np.eye(2), velocity=[0.0, 0.0], disturbance=[0.0, -0.5])
-    with pytest.raises(Infeasible, match='beyond what 4 steps can reach'):
-        Solver(problem).solve(start, goals)
-    assert 'beyond what 4 steps' in reason(problem, start, goals)
+def test_innovations_are_as_large_as_the_model_says(order):
+    """Of a motion drawn from the very model, they are of one standard deviation."""
+    rng, unit = np.random.default_rng(4), 3.0
+    problem = Problem(translation_order=order, forward=unit)
+    estimator, history = Estimator(problem, 0.5), CommandHistory()
+    history.add(Command(0.0, np.zeros(1), np.eye(2)), -1.0)
+    s, p, w = np.zeros(2), np.zeros(2), np.zeros(2)
+    found = []
+    for k in range(3000):
+        for _ in range(10):
+            gust = 0.05 * unit * np.sqrt(0.01) * rng.normal(size=2)
+            w = w + 0.03 * unit * np.sqrt(0.01) * rng.normal(size=2)
+            w = np.clip(w, -2.0, 2.0)
+            if order == 1:
+                s = s + 0.01 * w + gust
+            else:
+                s, p = s + 0.01 * p, p + 0.01 * w + gust
+        seen, speed = (v + 0.01 * unit * rng.normal(size=2) for v in (s, p))
+        at = Odometry(0.1 * (k + 1), seen, np.eye(2), speed, np.zeros(1))
+        estimator.observe(at, history, np.zeros(2))
+        found.append(estimator.innovation)
+    typical = float(np.sqrt(np.mean(np.square(found[50:]))))
+    # The larger of two axes: the mean of the larger of two chi-squares, over their mean.
+    assert typical == pytest.approx(math.sqrt(1.64 if order == 1 else 1.5), rel=0.1)
 
 
-def test_a_box_that_the_wind_drives_into_is_blamed():
-    start = State.at([0.0, 0.0], np.eye(2), disturbance=[0.0, 1.0])
-    problem = Problem(obstacles=(Box([0.5, 0.5], [1.5, 1.5]),))
-    with pytest.raises(Infeasible, match='obstacle 0 holds s_1'):
-        Solver(problem).solve(start, np.zeros((5, 2)))
-    still = replace(start, disturbance=np.zeros(2))
-    assert Solver(problem).solve(still, np.zeros((5, 2))).status == 'optimal'
+def test_a_bad_fix_is_not_taken_for_wind():
+    watched = Watched(PLANTS[0][1], 2)
+    watched.watch(200)
+    before = watched.found
+    bad = watched.watch(1, moved=20.0)
+    assert bad[0] > 5.0
+    np.testing.assert_allclose(watched.found, before, atol=1e-12)
+    watched.watch(5)
+    np.testing.assert_allclose(watched.found, before, atol=0.05)
 
 
-@pytest.mark.parametrize('kind', KINDS)
-def test_the_price_of_a_disturbed_arrival_is_what_another_goal_costs(kind):
-    problem = Problem(**kind, horizon=6, step=0.7, terminal='constraint')
-    n = problem.dimension
-    w, axis = 0.2 * np.arange(1.0, n + 1.0) / n, np.eye(n)[0]
-    start = State.at(np.zeros(n), 0.6 * np.eye(n), velocity=np.zeros(n), disturbance=w)
-    reached = 0.3 * axis + (problem.maps.blown[-1] * w if not problem.inertial else 0.0)
-    goals, solver = np.tile(reached, (6, 1)), Solver(problem, gap_tolerance=1e-9)
-    plan = solver.solve(start, goals)
-    prices = {str(b): b.price for b in explained(problem, start, goals, plan).binding}
-    ends = []
-    for by in (1e-4, -1e-4):
-        there = goals.copy()
-        there[-1] += by * axis
-        ends.append(solver.solve(start, there).objective)
-    assert prices['terminal x@6'] == pytest.approx(abs(ends[0] - ends[1]) / 2e-4, rel=2e-2)
+def test_a_position_that_has_jumped_for_good_is_believed_and_is_no_wind():
+    watched = Watched(PLANTS[0][1], 2)
+    watched.watch(200)
+    before = watched.found
+    innovations = watched.watch(PATIENCE + 50, moved=20.0)
+    assert (innovations[: PATIENCE - 1] > 5.0).all()
+    assert (innovations[PATIENCE:] < 1.0).all()
+    np.testing.assert_allclose(watched.found, before, atol=0.05)
 
 
-@pytest.mark.parametrize('kind', ALL_KINDS)
-def test_an_arrival_that_is_only_weighed_is_weighed_in_wind_too(kind):
-    """The relaxation's bound, where the disturbance adds to the last velocity, meets its cost."""
-    rng = seeded(kind)
-    problem = Problem(**kind, horizon=6, arrival_weight=20.0, step=0.5)
-    start, goals = blown(rng, problem), problems.goals(rng, problem)
-    plan = Solver(problem, coasting=True).solve(start, goals)
-    assert plan.status == 'optimal', plan.proof.reason
+def test_nothing_is_learnt_over_a_gap_or_from_a_stamp_that_does_not_increase():
+    watched = Watched(PLANTS[0][1], 2)
+    watched.watch(200)
+    before, last = watched.found, watched.time - STEP
+    astray = replace(watched.motion, position=watched.motion.position + 500.0)
+    watched.estimator.observe(measured(last, astray), watched.history, watched.given)
+    np.testing.assert_array_equal(watched.found, before)
+    watched.estimator.observe(measured(last + GAP + 0.1, astray), watched.history, watched.given)
+    np.testing.assert_array_equal(watched.found, before)
 
 
-@pytest.mark.parametrize('kind', ALL_KINDS)
-def test_no_variable_of_the_program_exceeds_what_proofs_take_for_its_most(kind):
-    rng = seeded(kind)
-    problem = Problem(**kind, horizon=5, weights=Weights(1.0, 0.1, 0.5, 2.0))
-    statement = Statement(problem, (), False)
-    for _ in range(5):
-        start = replace(blown(rng, problem), coasted=None)
-        goals = problems.goals(rng, problem, distance=20.0)
-        statement.compiled(statement.values(start, goals))
-        statement.pull.value = -2.0 * (goals - start.position).ravel()
-        statement.program.solve(solver=cp.CLARABEL)
-        speed = float(np.linalg.norm(start.velocity))
-        for variable, most in statement.largest(speed, 0.0).items():
-            value = np.abs(variable.value).ravel(order='F')
-            assert (value <= most * (1.0 + 1e-4)).all(), variable.name()
+def test_nothing_is_learnt_before_a_command_is_known():
+    watched = Watched(PLANTS[0][1], 2)
+    for k in range(5):
+        drifting = replace(watched.motion, position=np.array([3.0 * k, 0.0]))
+        watched.estimator.observe(measured(0.1 * k, drifting), watched.history, watched.given)
+    np.testing.assert_array_equal(watched.found, [0.0, 0.0])
 
 
-@pytest.mark.parametrize('kind', ALL_KINDS)
-def test_other_units_are_another_way_to_say_the_same(kind):
-    """The same problem in feet and tens of seconds, disturbance included."""
-    rng = seeded(kind)
-    problem = Problem(
-        **kind, horizon=5, floor=Floor('polygon', 4 if kind['dimension'] == 2 else 6, 0.4)
-    )
-    start, goals = blown(rng, problem), problems.goals(rng, problem)
-    foot, minute = 0.3048, 10.0
-    order = problem.translation_order
-    rate = minute ** (2 * problem.rotation_order)
-    weights = replace(problem.weights, position=foot**2, terminal=10.0 * foot**2, input=0.05 / rate)
-    other = replace(problem, step=1.0 / minute, forward=minute**order / foot, weights=weights)
-    known = replace(
-        start,
-        position=start.position / foot,
-        velocity=start.velocity * minute / foot,
-        disturbance=start.disturbance * minute**order / foot,
-    )
-    plan = Solver(problem, coasting=True).solve(start, goals)
-    again = Solver(other, coasting=True).solve(known, goals / foot)
-    assert again.objective == pytest.approx(plan.objective, rel=1e-4)
+def test_an_estimate_that_runs_away_is_limited_and_told():
+    """Stuck, a vehicle that is commanded full speed seems to meet a wind of that speed."""
+    estimator, history, given = Estimator(Problem(forward=10.0), 0.2), CommandHistory(), np.zeros(2)
+    told = []
+    for k in range(100):
+        history.add(Command(1.0, np.zeros(1), np.eye(2)), 0.1 * k)
+        still = Odometry(0.1 * k + 0.05, np.zeros(2), np.eye(2), np.zeros(2), np.zeros(1))
+        estimator.observe(still, history, given)
+        told.append(estimator.limit(given))
+        assert np.linalg.norm(estimator.disturbance) <= LARGEST * 10.0 + 1e-9
+    assert told[0] == ''
+    assert told[-1].startswith('the disturbance is estimated to be 8.')
+    assert told[-1].endswith('m/s, taken as 8 m/s')
 
 
-def test_models_without_an_exact_form_are_refused_in_one_line(monkeypatch):
-    monkeypatch.setitem(TRANSLATIONS, 3, FirstOrder())
-    with pytest.raises(
-        BadInput, match='discretisation is exact; allowed: euler at translation_order 3'
-    ):
-        Problem(translation_order=3, discretisation='exact')
-    with pytest.raises(BadInput, match=r'discretisation is eular.*did you mean'):
-        Problem(discretisation='eular')
-    with pytest.raises(BadInput, match=r'state\.disturbance'):
-        State.at([0.0, 0.0], np.eye(2), disturbance=[1.0])
+def flight(estimated, *, inertial, time=60.0):
+    """The mean distance from where a vehicle should be, over the last part of a flight [m]."""
+    n, full = (3, 15.0) if inertial else (2, 15.0)
+    given = np.array([0.0, 0.0, -9.81]) if inertial else np.zeros(2)
+    more = np.array([1.0, 0.5, -0.7]) if inertial else np.array([0.0, 4.0])
+    lags = (0.1, 0.1) if inertial else (0.8, 0.3)
+    plant = Plant(full, inertial, *lags, blown=given + more)
+    motion = at_rest(n, 0.0, 0.65 if inertial else 0.9, plant)
+    if inertial:
+        motion = replace(motion, attitude=turned(np.array([0.0, -0.5 * np.pi, 0.0])))
+        problem = Problem(3, 1, 2, horizon=30, step=0.2, forward=full, discretisation='exact')
+    else:
+        problem = Problem(horizon=12, step=0.5, forward=full, floor=Floor('circle', 4, 2.0 / 3.0))
+    problem = weighed(problem, 'time')
+    controller = Controller(problem, disturbance=given, response=Response(*lags))
+    estimator, speed, ahead = Estimator(problem, lags[0]), np.zeros(n), np.zeros(n)
+    speed[0] = 0.0 if inertial else 12.5
+    ahead[0] = 1.0 if inertial else 30.0
+    misses = []
+    for k in range(round(time / problem.step)):
+        at = k * problem.step
+        odometry = measured(at, motion)
+        if estimated:
+            estimator.observe(odometry, controller.history, given)
+            controller.disturbance = given + estimator.disturbance
+        odometry = controller.settled(odometry)
+        goals = np.outer(controller.ends(odometry.time), speed) + ahead
+        command = controller.tick(odometry, goals).command
+        controller.history.add(command, at)
+        motion = flown(plant, motion, command.speed_fraction, command.body_rate, problem.step, 0.02)
+        misses.append(motion.position - (at + problem.step) * speed - ahead)
+    return float(np.linalg.norm(np.mean(misses[len(misses) * 3 // 4 :], axis=0)))
 
 
-@pytest.mark.parametrize('floor', [Floor(), Floor('polygon'), Floor('circle')])
-def test_common_problems_stay_in_machine_code_with_exact_steps(floor):
-    from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
-    from orbimpc_ros.mpc.solve.registry import method_for
-
-    exact = Problem(floor=floor, discretisation='exact')
-    method = method_for(exact, 1e-6)
-    assert not HullRiccati.solves(exact)
-    assert type(method).__name__ != 'DisjunctiveSearch'
-
-
-@pytest.mark.parametrize('n', [2, 3])
-def test_the_last_step_to_an_arrival_above_a_floor_is_the_states_or_with_exact_steps_not(n):
-    """With old values on the right, R_1 moves nothing: only one goal can be arrived at."""
-    weights = Weights(input=0.0) if n == 3 else Weights()
-    floor = Floor('circle', fraction=0.5)
-    problem = Problem(n, horizon=1, terminal='constraint', floor=floor, weights=weights)
-    start = State.at(np.zeros(n), np.eye(n), disturbance=0.2 * np.eye(n)[1])
-    there = np.eye(n)[:1] + 0.2 * np.eye(n)[1]
-    assert Solver(problem).solve(start, there).status == 'optimal'
-    with pytest.raises(Infeasible):
-        Solver(problem).solve(start, 0.99 * there)
-    exact = replace(problem, discretisation='exact')
-    assert Solver(exact).solve(start, 0.9 * there).status == 'optimal'
+@pytest.mark.parametrize('inertial', [False, True], ids=['fixed wing in wind', 'hover'])
+def test_a_steady_disturbance_leaves_no_offset(inertial):
+    assert flight(True, inertial=inertial) < 0.02 * flight(False, inertial=inertial)

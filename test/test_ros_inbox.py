@@ -34,6 +34,12 @@ def inbox():
     return Inbox(planner_settings({**values, **given}))
 
 
+def ahead(inbox, steps, start=None):
+    """The ends of steps from the odometry's stamp on, or from ``start``."""
+    start = inbox.odometry.value.time if start is None else start
+    return start + inbox.settings.problem.step * np.arange(1, steps + 1)
+
+
 def test_what_is_missing_is_said(inbox):
     assert 'odometry' in inbox.missing
     assert 'goal' in inbox.missing
@@ -84,7 +90,7 @@ def test_a_source_stamped_like_the_odometry_is_waited_for(inbox):
     assert not inbox.complete
     inbox.take('goal', goal(2.0, x=6.0), 0.1)
     assert inbox.complete
-    np.testing.assert_array_equal(inbox.targets(3, 0.1), [[6.0, 0.0]] * 3)
+    np.testing.assert_array_equal(inbox.targets(ahead(inbox, 3), 0.1), [[6.0, 0.0]] * 3)
 
 
 def accompanied(inbox, turns, shares):
@@ -132,8 +138,10 @@ def test_a_forecast_from_outside_is_used_while_it_is_fresh(inbox):
     inbox.take('odom', odometry(0.0), 0.0)
     places = [np.array([k, 1.0]) for k in range(5)]
     inbox.take('goal_path', messages.goal_path_message(stamp(0.0), 0.1, places), 0.0)
-    np.testing.assert_allclose(inbox.targets(3, 0.5), [[1.0, 1.0], [2.0, 1.0], [3.0, 1.0]])
-    np.testing.assert_array_equal(inbox.targets(1, 1.5), [[5.0, 0.0]])
+    np.testing.assert_allclose(
+        inbox.targets(ahead(inbox, 3), 0.5), [[1.0, 1.0], [2.0, 1.0], [3.0, 1.0]]
+    )
+    np.testing.assert_array_equal(inbox.targets(ahead(inbox, 1), 1.5), [[5.0, 0.0]])
 
 
 def test_a_malformed_message_changes_nothing(inbox):
@@ -257,7 +265,7 @@ def test_a_timeout_below_zero_is_none():
     path = messages.goal_path_message(stamp(1.3), 0.1, [np.array([7.0, 1.0])])
     assert patient.take('goal_path', path, 1.3) == ''
     assert patient.stale_goal(1e4) == ''
-    np.testing.assert_array_equal(patient.targets(1, 1e4), [[7.0, 1.0]])
+    np.testing.assert_array_equal(patient.targets(ahead(patient, 1), 1e4), [[7.0, 1.0]])
 
 
 def test_stamps_that_nobody_sets_are_told_as_what_they_are(inbox):
@@ -316,7 +324,7 @@ def test_a_path_that_has_really_moved_leaves_what_is_known_of_the_goal(limited):
     limited.take('goal_path', path(1.0, 9.0), 0.0)
     limited.take('goal', goal(2.4, x=5.0), 1.4)
     assert limited.take('goal_path', path(2.5, 20.0), 1.5) == ''
-    np.testing.assert_array_equal(limited.targets(1, 2.7), [[5.0, 0.0]])
+    np.testing.assert_array_equal(limited.targets(ahead(limited, 1), 2.7), [[5.0, 0.0]])
 
 
 def test_by_default_a_goal_may_be_anywhere(inbox):
@@ -328,4 +336,4 @@ def test_targets_begin_where_the_plan_does(inbox):
     inbox.take('odom', odometry(0.0), 0.0)
     places = [np.array([k, 1.0]) for k in range(5)]
     inbox.take('goal_path', messages.goal_path_message(stamp(0.0), 0.1, places), 0.0)
-    np.testing.assert_allclose(inbox.targets(2, 0.1, start=0.05), [[1.5, 1.0], [2.5, 1.0]])
+    np.testing.assert_allclose(inbox.targets(ahead(inbox, 2, 0.05), 0.1), [[1.5, 1.0], [2.5, 1.0]])

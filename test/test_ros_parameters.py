@@ -21,6 +21,7 @@ from rcl_interfaces.srv import (
 from rclpy.parameter import Parameter, parameter_dict_from_yaml_file
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.problem.scaling import weighed
 from orbimpc_ros.ros.parameters import PLANNER, SIM, planner_settings, sim_settings
 from orbimpc_ros.ros.parameters.sections import given, unused_sections
 from orbimpc_ros.world.scenario import retrieval, retrieval_problem
@@ -38,6 +39,11 @@ DOCUMENTED = {
     'weights.input': 0.05,
     'weights.length': 0.0,
     'weights.terminal': 10.0,
+    'weights.scaling': 'paper',
+    'plan_period': 0.0,
+    'disturbance': 'given',
+    'response.speed': 0.0,
+    'response.rate': 0.0,
     'terminal': 'penalty',
     'horizon_mode': 'receding',
     'floor.shape': 'none',
@@ -109,6 +115,13 @@ REFUSED = [
     (PLANNER, {'obstacles': (1.0, math.nan, 2.0, 3.0)}, 'obstacles'),
     (PLANNER, {'max_rate': 4.0}, 'max_rate'),
     (PLANNER, {'deadline': 0.6}, 'deadline'),
+    (PLANNER, {'deadline': 0.06, 'plan_period': 0.1}, 'deadline'),
+    (PLANNER, {'plan_period': 1.5}, 'plan_period'),
+    (PLANNER, {'plan_period': -0.1}, 'plan_period'),
+    (PLANNER, {'response.speed': -0.1}, 'response.speed'),
+    (PLANNER, {'response.rate': math.nan}, 'response.rate'),
+    (PLANNER, {'disturbance': 'guessed'}, 'disturbance'),
+    (PLANNER, {'weights.scaling': 'space'}, 'weights.scaling'),
     (PLANNER, {'safe_command': 'loiter', 'translation_order': 2}, 'safe_command'),
     (PLANNER, {'safe_command': 'hover'}, 'safe_command'),
     (PLANNER, {'goal_prediction': 'oracle'}, 'goal_prediction'),
@@ -209,6 +222,20 @@ def test_timeouts_are_at_least_a_step_and_a_half():
     assert planner_settings(given).odom_timeout == 1.5
     assert planner_settings({**given, 'step': 0.05}).odom_timeout == 0.3
     assert planner_settings({**defaults(PLANNER), 'step': 0.05}).odom_timeout == 0.2
+
+
+def test_deadline_and_timeouts_follow_the_period():
+    every_step = planner_settings({**defaults(PLANNER), 'step': 1.0})
+    assert (every_step.period, every_step.deadline, every_step.odom_timeout) == (1.0, 0.5, 1.5)
+    often = planner_settings({**defaults(PLANNER), 'step': 1.0, 'plan_period': 0.1})
+    assert (often.period, often.deadline, often.odom_timeout) == (0.1, 0.05, 0.2)
+    assert often.problem == every_step.problem
+
+
+def test_weights_over_time_are_the_problems_sums():
+    timed = planner_settings({**defaults(PLANNER), 'weights.scaling': 'time', 'forward': 3.0})
+    sums = planner_settings({**defaults(PLANNER), 'forward': 3.0})
+    assert timed.problem == weighed(sums.problem, 'time') != sums.problem
 
 
 def test_the_configuration_is_the_scenario():

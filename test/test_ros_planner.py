@@ -114,6 +114,16 @@ def test_a_timer_plans_without_new_odometry(launch, observer):
     bench.until(lambda: sum(map(moving, bench.commands)) >= 3, 'commands by the timer')
 
 
+def test_a_timer_may_be_quicker_than_a_step(launch, observer):
+    """With steps of ten minutes, commands come at all."""
+    bench = Bench(launch, observer, {'trigger': 'timer', 'step': 600.0, 'plan_period': 0.1,
+                                     'forward': 0.01, 'odom_timeout': 60.0,
+                                     'goal_timeout': 60.0})  # fmt: skip
+    bench.fly(1.0)
+    bench.until(lambda: sum(map(moving, bench.commands)) >= 4, 'commands by the timer')
+    assert {told(tick)['fallback'] for tick in bench.ticks} == {''}
+
+
 def test_thrust_is_a_force_at_translation_order_2(launch, observer):
     forces = observer.listen(WrenchStamped, 'cmd_thrust')
     bench = Bench(launch, observer, {**QUICK, 'translation_order': 2, 'mass': 3.0, 'forward': 2.0})

@@ -51,6 +51,11 @@ class Driven:
         self.ticker.went_out(report.tick.command, stamp(now) / SECOND)
         return report
 
+    def tick_again(self, now):
+        self.odometry(now, now)
+        self.goal(now, now)
+        return self.tick(now)
+
     def safe(self, cause=Cause.DISABLED):
         return self.ticker.safe(self.inbox, Reason(cause, 'a test wants it'))
 
@@ -294,3 +299,45 @@ def test_loiter_turns_no_faster_than_allowed():
     slow = safe_command('loiter', Problem(max_rate=0.1), ATTITUDE, 0.0)
     assert slow.body_rate.tolist() == [0.1]
     assert slow.speed_fraction == 1.0  # without a floor: full speed
+
+
+def test_an_unknown_wind_is_estimated_planned_with_and_told():
+    """The goal flies downwind with a vehicle that is carried there: as fast as it would without."""
+    driven = Driven(disturbance='estimated', **{'response.speed': 0.1})
+    wind, position, last = np.array([0.0, 0.3]), np.zeros(2), None
+    for k in range(150):
+        now = 0.1 * k
+        driven.odometry(now, now, position=tuple(position))
+        driven.goal(now, now, x=1e3)
+        report = driven.tick(now)
+        share = 0.0 if last is None else last
+        wanted = report.tick.command.speed_fraction
+        left = (share - wanted) * np.exp(-1.0)
+        position = position + 0.1 * wind + [0.1 * wanted + 0.1 * (share - wanted - left), 0.0]
+        last = wanted + left
+    np.testing.assert_allclose(report.disturbance, wind, atol=0.01)
+    np.testing.assert_array_equal(report.tick.state.disturbance, report.disturbance)
+    assert report.values['disturbance'] == tuple(report.disturbance)
+    assert 0.0 <= report.values['innovation'] < 1.0
+    driven.start_afresh()
+    assert driven.tick_again(now + 0.1).disturbance == pytest.approx(wind, abs=0.01)
+
+
+def test_what_is_given_is_planned_with_and_nothing_is_estimated():
+    driven = Driven(wind=(0.1, -0.2, 0.0))
+    driven.odometry(0.0, 0.0)
+    driven.goal(0.0, 0.0)
+    report = driven.tick(0.0)
+    assert report.values['disturbance'] == (0.1, -0.2)
+    assert np.isnan(report.values['innovation'])
+
+
+def test_a_plan_of_a_lagging_vehicle_starts_a_lag_later():
+    """Its stamps say so; how old the measurement was is another matter."""
+    driven = Driven(simulated=True, discretisation='exact', **{'response.rate': 0.05})
+    driven.odometry(0.0, 0.0)
+    driven.goal(0.0, 0.0)
+    report = driven.tick(0.0)
+    assert report.led == 0.05
+    assert report.advanced == pytest.approx(0.0, abs=1e-6)
+    np.testing.assert_allclose(report.tick.state.position, [0.05, 0.0], atol=1e-6)

@@ -16,6 +16,7 @@ from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Problem, State
 
+TINY = 1e-12  # a size that has no direction
 ROUNDING = 1e-14  # of the cost unit: at the goal the cost vanishes, its rounding does not
 
 
@@ -144,24 +145,60 @@ def assemble(
     )
 
 
-def shifted(
-    problem: Problem, state: State, goals: Array, plan: Plan, *, projection: str
-) -> Plan | None:
-    """Return the previous plan moved one step on, its last rotation held, from a new state.
+def later(values: Array, at: Array) -> Array:
+    """Return values between their entries, on the chords, and the last one beyond them.
 
-    None where the shift does not fit: at rotation order 2 the first rotation is given.
+    Args:
+        values: entries 0..M - 1, shape (M, d).
+        at: places among them, counted in entries, at least 0; shape (K,).
+    """
+    if _whole(at):
+        found = values[int(at[0]) : int(at[0]) + len(at)]
+        missing = len(at) - len(found)
+        return np.concatenate([found, *[values[-1:]] * missing]) if missing else found
+    below = np.minimum(at.astype(int), len(values) - 1)
+    share = (at - below)[:, None]
+    above = np.minimum(below + 1, len(values) - 1)
+    return np.asarray(values[below] + share * (values[above] - values[below]))
+
+
+def _whole(at: Array) -> bool:
+    """Return whether evenly spaced places are entries, one after another."""
+    first = float(at[0])
+    return first.is_integer() and float(at[-1]) - first == len(at) - 1
+
+
+def shifted(
+    problem: Problem,
+    state: State,
+    goals: Array,
+    plan: Plan,
+    knots: Array | None = None,
+    *,
+    projection: str,
+) -> Plan | None:
+    """Return the rest of the previous plan, its last rotation held, from a new state.
+
+    Between two steps of the previous plan R e1 turns evenly, as its length changes evenly: on the
+    chord a vehicle would slow down. None where the shift does not fit: at rotation order 2 the
+    first rotation is given.
 
     Args:
         problem: what is to be solved now.
         state: from where.
         goals: g_1..g_N, shape (N, n) [m].
-        plan: the previous one, for a state a step before.
+        plan: the previous one.
+        knots: the ends of the steps of now in steps of the previous plan, shape (N,); by default
+            that is one step old.
         projection: ``nearest`` or ``thrust_aligned``.
     """
     if problem.rotation_order == 2:
         return None
     x = coordinates(plan.rotations)
-    moved = np.concatenate([x[2:], x[-1:]])[: problem.horizon]
-    if len(moved) < problem.horizon:
-        return None
+    at = 1.0 + np.arange(1, problem.horizon + 1) if knots is None else knots
+    moved = later(x, at)
+    if problem.dimension == 2 and not _whole(at):
+        sizes = later(np.linalg.norm(x, axis=1, keepdims=True), at)
+        found = np.linalg.norm(moved, axis=1, keepdims=True)
+        moved = moved * np.where(found > 0.0, sizes / np.maximum(found, TINY), 1.0)
     return assemble(problem, state, goals, moved, projection=projection, proof=UNPROVED)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.ros.messages import header
@@ -34,7 +35,11 @@ class Report:
         solve_time_ms: of the whole tick, check included [ms].
         binding: price of each constraint that keeps the plan from being better, dearest first, by
             its name and step, such as ``floor@3``; empty if none does or the plan is no optimum.
-        advanced: how far the measured state was moved on before planning [s].
+        advanced: how far the measured state was moved on before planning, for its age [s].
+        led: how far on top of that, for the vehicle's lag [s].
+        disturbance: that was planned with, shape (n,) [m/s] or [m/s^2].
+        innovation: how far odometry was from what was expected, in standard deviations; None
+            where no disturbance is estimated.
         goal_stamps: of the goals known, by topic: the messages that the plan is made of [ns].
         goal_counts: goals taken in so far, by topic: some may be lost on the way, and a replay
             has to know.
@@ -44,6 +49,9 @@ class Report:
     solve_time_ms: float = 0.0
     binding: Mapping[str, float] = field(default_factory=dict)
     advanced: float = 0.0
+    led: float = 0.0
+    disturbance: Array | None = None
+    innovation: float | None = None
     goal_stamps: Mapping[str, int] = field(default_factory=dict)
     goal_counts: Mapping[str, int] = field(default_factory=dict)
 
@@ -79,6 +87,8 @@ class Report:
             'cause': tick.cause,
             'binding': self.binding,
             'advanced': self.advanced,
+            'disturbance': () if self.disturbance is None else tuple(self.disturbance.tolist()),
+            'innovation': math.nan if self.innovation is None else self.innovation,
             'goal_stamps': self.goal_stamps,
             'goal_counts': self.goal_counts,
         }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -13,15 +14,17 @@ from orbimpc_ros.mpc.command import Command, command_of, flaw
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.loop.delay import CommandHistory
 from orbimpc_ros.mpc.loop.odometry import Odometry, odd_speed, state_of
+from orbimpc_ros.mpc.loop.response import Response, held_back
 from orbimpc_ros.mpc.loop.safety import may_stop, safe_command
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
-from orbimpc_ros.mpc.plan import Plan, shifted
+from orbimpc_ros.mpc.plan import Plan, later, shifted
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.reach import pulled_in
 from orbimpc_ros.mpc.solve.solver import Solver
 
 FALLBACK_TICKS = 2  # how long the shifted previous plan may stand in for a new one
 ARRIVAL_WEIGHT = 1e4  # on the miss, when an arrival on the spot has become impossible
+SNAP = 1e-3  # of a step: so exact are stamps, and steps begun
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,11 +57,15 @@ class Tick(ByContent):
 
 @dataclass(frozen=True)
 class _Task:
-    """The question that a tick puts to a solver."""
+    """The question that a tick puts to a solver.
+
+    ``knots`` are the ends of its steps, counted in steps of the plan before, from its start.
+    """
 
     solver: Solver
     state: State
     goals: Array
+    knots: Array
     out_of_time: Callable[[], bool] | None = None
     guess: Plan | None = None
 
@@ -76,18 +83,22 @@ class Controller:
     - the shifted previous plan, if it still holds from the new state, for two ticks at most and
       never past its horizon;
     - a *soft arrival*, where a terminal constraint that could be met before no longer can be,
-      because of disturbances: the plan that comes nearest, if that is within a step's reach;
+      because of disturbances: the plan that comes nearest;
     - the safe command.
+
+    Ticks may come as often as they like. How far the previous plan is flown, and what a shrinking
+    horizon has left, is told by the stamps of odometry; where they do not increase, a step passed.
 
     Args:
         problem: what to solve; compiled here, so that a tick only updates data.
         projection: ``nearest`` or ``thrust_aligned``.
-        shrinking: whether the horizon shrinks by a step at every tick (a fixed arrival time)
-            instead of receding.
+        shrinking: whether the horizon ends N steps after the first tick (a fixed arrival time)
+            instead of receding. In between, the steps left are shortened to end with it.
         gap_tolerance: relative gap within which a plan counts as proved optimal.
         safe: kind of safe command, see :func:`orbimpc_ros.mpc.loop.safety.safe_command`.
         disturbance: a wind or an acceleration, shape (n,); by default there is none.
         velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
+        response: lags of the vehicle; odometry then goes through :meth:`settled`.
 
     Attributes:
         history: the commands of late; a tick's command counts as sent unless another is added.
@@ -104,12 +115,15 @@ class Controller:
         safe: str = 'auto',
         disturbance: Array | None = None,
         velocity_source: str = 'ground',
+        response: Response | None = None,
     ) -> None:
         self.problem, self._safe_kind = problem, safe
+        self.response = response or Response()
         self.disturbance, self._velocity_source = disturbance, velocity_source
         self._projection, self._shrinking, self._tolerance = projection, shrinking, gap_tolerance
-        self._solvers: dict[tuple[int, bool], Solver] = {}
-        self._solver(problem.horizon)
+        self._solvers: dict[tuple[int, float, bool], Solver] = {}
+        self._counted = np.arange(1.0, problem.horizon + 1.0)
+        self._solver(problem.horizon, problem.step)
         self.reset()
 
     def reset(self) -> None:
@@ -122,40 +136,81 @@ class Controller:
         self.history.forget()
         self._previous: Plan | None = None
         self._goals: Array | None = None  # of the previous plan
-        self._ticks = self._fallbacks = self._planned = 0
+        self._fallbacks = self._planned = 0
+        self._since = 0.0  # steps since a plan was found
+        self._flown = self.response.lead(self.problem) / self.problem.step  # since the start
+        self._due: Command | None = None  # for the step that begins, of a vehicle that lags
+        self._last: float | None = None  # stamp of the last tick [s]
+        self._pace = self.problem.step  # of the previous plan's steps [s]
         self._arriving = False
+        self._aim = np.zeros(self.problem.dimension)  # where the last plan arrives
 
     def continue_from(self, other: Controller) -> None:
         """Take over what another controller remembers, for instance one with other weights."""
         self.history = other.history
         self._previous, self._goals = other._previous, other._goals
-        self._ticks, self._fallbacks = other._ticks, other._fallbacks
-        self._planned, self._arriving = other._planned, other._arriving
+        self._flown, self._last, self._pace = other._flown, other._last, other._pace
+        self._since, self._fallbacks, self._due = other._since, other._fallbacks, other._due
+        self._planned, self._arriving, self._aim = other._planned, other._arriving, other._aim
 
     @property
     def remaining(self) -> int:
-        """Return the steps left to plan: N, or what a shrinking horizon has left of it."""
+        """Return the steps left to plan a step after the last tick."""
+        return self._steps(self._flown + (self._last is not None))[0]
+
+    def ends(self, time: float) -> Array:
+        """Return the ends of the steps that a tick at a time [s] plans, shape (N or less,) [s]."""
+        count, step = self._steps(self._flown + self._passed(time))
+        return np.asarray(time + step * self._counted[:count])
+
+    def _steps(self, flown: float) -> tuple[int, float]:
+        """Return how many steps are left, and how long they are [s], after so many of the start."""
+        problem = self.problem
         if not self._shrinking:
-            return self.problem.horizon
-        return max(0, self.problem.horizon - self._ticks)
+            return problem.horizon, problem.step
+        left = problem.horizon - flown
+        count = max(0, math.ceil(left - SNAP))
+        whole = count == 0 or abs(left - count) <= SNAP
+        return count, problem.step if whole else problem.step * left / count
+
+    def _passed(self, time: float) -> float:
+        """Return the steps since the last tick, by stamps [s]; one if they do not increase."""
+        if self._last is None:
+            return 0.0
+        steps = (time - self._last) / self.problem.step
+        if steps <= 0.0 or abs(steps - 1.0) <= SNAP:
+            return 1.0
+        return steps
+
+    def _begin(self, odometry: Odometry) -> Array:
+        """Count on to a tick, and return the ends of its steps in those of the plan before."""
+        passed = self._passed(odometry.time)
+        self._last = odometry.time
+        self._flown += passed
+        self._since += passed
+        count, step = self._steps(self._flown)
+        before, self._pace = self._pace, step
+        if before == step == self.problem.step:
+            return passed + self._counted[:count]
+        return (passed * self.problem.step + step * self._counted[:count]) / before
 
     def tick(
         self, odometry: Odometry, goals: Array, out_of_time: Callable[[], bool] | None = None
     ) -> Tick:
-        """Plan from a measurement towards goals g_1..g_N, shape (``remaining``, n) [m].
+        """Plan from a measurement towards goals g_1..g_N at its :meth:`ends`, shape (N, n) [m].
 
         Args:
             odometry: the measurement.
             goals: targets at the ends of the coming steps.
             out_of_time: polled by long searches; True makes them return their best plan.
         """
-        state = self._state(odometry)
-        if self.remaining == 0:
+        state, knots = self._state(odometry), self._begin(odometry)
+        if not len(knots):
             reason = Reason(Cause.HORIZON, 'the horizon has run out')
             return self._finish(self._without_plan(state, Status.FEASIBLE, reason))
         copied = sealed(np.array(goals, dtype=float))
         goals, shortened = pulled_in(self.problem, state, copied)
-        task = self._task(state, goals, out_of_time)
+        task = self._task(state, goals, knots, out_of_time)
         self._goals = goals
         plan, status, words = _solved(task)
         measured = self.problem, odometry, self.disturbance, self._velocity_source
@@ -163,21 +218,41 @@ class Controller:
         reason = Reason(Cause.NONE, words)
         if plan is None:
             return self._finish(self._fall_back(task, status, reason))
-        self._fallbacks, self._planned = 0, plan.horizon
-        self._arriving = True
+        self._fallbacks, self._planned, self._since = 0, plan.horizon, 0.0
+        self._arriving, self._aim = True, goals[-1]
         return self._finish(self._following(task, plan, status, reason))
 
+    def settled(self, odometry: Odometry) -> Odometry:
+        """Return what to plan from: the measurement, moved on by what the vehicle's lags leave."""
+        if not self.response.lags:
+            return odometry
+        applied = self.history.applied(odometry.time, self.response.speed)
+        known = (applied, self._thrust), self.disturbance, self._velocity_source
+        later = self.response.settled(self.problem, odometry, *known)
+        coming = self._due or self.history.last
+        if self.problem.rotation_order == 1 or coming is None:
+            return later
+        return replace(later, body_rate=coming.body_rate)
+
+    @property
+    def _thrust(self) -> float:
+        """Return the share of thrust, or speed, with which the model begins its first step."""
+        return self.history.fraction if self._due is None else self._due.speed_fraction
+
     def _state(self, odometry: Odometry) -> State:
-        known = self.history.fraction, self.disturbance, self._velocity_source
+        known = self._thrust, self.disturbance, self._velocity_source
         return state_of(self.problem, odometry, *known)
 
     def _task(
-        self, state: State, goals: Array, out_of_time: Callable[[], bool] | None = None
+        self,
+        state: State,
+        goals: Array,
+        knots: Array,
+        out_of_time: Callable[[], bool] | None = None,
     ) -> _Task:
-        task = _Task(self._solver(self.remaining), state, goals, out_of_time)
-        if task.solver.takes_guess:
-            return replace(task, guess=self._shifted(task))
-        return task
+        solver = self._solver(len(knots), self._pace)
+        task = _Task(solver, state, goals, knots, out_of_time)
+        return replace(task, guess=self._shifted(task)) if solver.takes_guess else task
 
     def hold(self, odometry: Odometry, words: str) -> Tick:
         """Go on without a goal: by the previous plan as long as the fallback allows, then safely.
@@ -187,12 +262,11 @@ class Controller:
             words: why there is no goal.
         """
         reason = Reason(Cause.GOAL, words)
-        state = self._state(odometry)
-        if self._goals is None or self.remaining == 0:
+        state, knots = self._state(odometry), self._begin(odometry)
+        if self._goals is None or not len(knots):
             return self._finish(self._without_plan(state, Status.FAILED, reason))
-        moved = np.concatenate([self._goals[1:], self._goals[-1:]])[: self.remaining]
-        self._goals = sealed(moved)
-        task = self._task(state, self._goals)
+        self._goals = sealed(later(self._goals, knots - 1.0))
+        task = self._task(state, self._goals, knots)
         return self._finish(self._fall_back(task, Status.FAILED, reason))
 
     def safe(self, attitude: Array, reason: Reason) -> Tick:
@@ -206,26 +280,29 @@ class Controller:
 
     def _fall_back(self, task: _Task, status: Status, reason: Reason) -> Tick:
         self._fallbacks += 1
-        # The n-th tick after a plan was found is its step n: the last is N - 1.
-        if self._fallbacks < min(FALLBACK_TICKS + 1, self._planned):
+        if self._fallbacks <= FALLBACK_TICKS and self._since < self._planned - SNAP:
             guess = task.guess or self._shifted(task)
             if guess and not violations(task.problem, task.state, task.goals, guess):
                 return self._following(task, guess, status, reason, Fallback.SHIFTED_PLAN)
-        if self._arriving and task.problem.terminal == 'constraint' and status == Status.INFEASIBLE:
-            return self._arrive_softly(task, reason)
+        if self._arriving and task.problem.terminal == 'constraint' and not reason.cause:
+            return self._arrive_softly(task, status, reason)
         return self._without_plan(task.state, status, reason)
 
-    def _arrive_softly(self, task: _Task, reason: Reason) -> Tick:
-        eased = replace(task, solver=self._solver(self.remaining, soft=True), guess=None)
+    def _arrive_softly(self, task: _Task, status: Status, reason: Reason) -> Tick:
+        solver = self._solver(len(task.knots), self._pace, soft=True)
+        eased = replace(task, solver=solver, guess=None)
         plan, _, _ = _solved(eased)
         if plan is None:
-            return self._without_plan(task.state, Status.INFEASIBLE, reason)
+            return self._without_plan(task.state, status, reason)
         miss = float(np.linalg.norm(plan.positions[-1] - task.goals[-1]))
-        if miss > task.problem.length_unit:
-            reason = reason.and_so(f'the nearest plan misses by {miss:.3g} m')
-            return self._without_plan(task.state, Status.INFEASIBLE, reason)
+        jump = float(np.linalg.norm(task.goals[-1] - self._aim))
+        if jump > task.problem.length_unit:
+            jumped = f'the goal has jumped by {jump:.3g} m'
+            reason = reason.and_so(f'{jumped}, the nearest plan misses by {miss:.3g} m')
+            return self._without_plan(task.state, status, reason)
+        self._aim = task.goals[-1]
         reason = reason.and_so(f'the plan misses by {miss:.3g} m')
-        return self._following(eased, plan, Status.INFEASIBLE, reason, Fallback.SOFT_ARRIVAL)
+        return self._following(eased, plan, status, reason, Fallback.SOFT_ARRIVAL)
 
     def _following(
         self,
@@ -238,13 +315,20 @@ class Controller:
         """Return the tick that follows a checked plan, if the command made of it may be sent."""
         command = command_of(task.problem, task.state, plan)
         wrong = '; '.join(command_violations(task.problem, plan, command))
-        if not wrong and (last_look := flaw(self.problem, command)):
+        if not wrong and (last_look := flaw(task.problem, command)):
             wrong = f'not sent: {last_look}'
         if wrong:
-            rejected = Reason(Cause.COMMAND, wrong)
-            return self._without_plan(task.state, Status.FAILED, rejected)
+            return self._rejected(task, wrong)
+        if self.response.lags:
+            before, self._due = self._due or self.history.last, command
+            command = held_back(task.problem, plan, before, command)
+            if last_look := flaw(task.problem, command):
+                return self._rejected(task, f'not sent: {last_look}')
         known = task.problem, task.goals, reason.cause
         return Tick(status, reason.words, task.state, plan, command, fallback, *known)
+
+    def _rejected(self, task: _Task, why: str) -> Tick:
+        return self._without_plan(task.state, Status.FAILED, Reason(Cause.COMMAND, why))
 
     def _without_plan(self, state: State, status: Status, reason: Reason) -> Tick:
         return self._safe(state, state.attitude, status, reason)
@@ -255,7 +339,7 @@ class Controller:
         Raises:
             RuntimeError: the safe command itself must not be sent, which its own law excludes.
         """
-        kind, problem = self._safe_kind, self.problem
+        kind, problem, self._due = self._safe_kind, self.problem, None
         command = safe_command(kind, problem, attitude, self.history.fraction, self.disturbance)
         wrong = flaw(problem, command, stopping=may_stop(kind, problem))
         if wrong:
@@ -266,28 +350,33 @@ class Controller:
     def _finish(self, tick: Tick) -> Tick:
         self._previous = tick.plan
         self.history.last = tick.command
-        self._ticks += 1
         return tick
 
     def _shifted(self, task: _Task) -> Plan | None:
         if self._previous is None:
             return None
-        return shifted(
-            task.problem, task.state, task.goals, self._previous, projection=self._projection
-        )
+        known = task.problem, task.state, task.goals, self._previous, task.knots
+        return shifted(*known, projection=self._projection)
 
-    def _solver(self, horizon: int, *, soft: bool = False) -> Solver:
-        if (horizon, soft) not in self._solvers:
-            problem = replace(self.problem, horizon=horizon)
+    def _solver(self, horizon: int, step: float, *, soft: bool = False) -> Solver:
+        key = horizon, step, soft
+        if key not in self._solvers:
+            if step != self.problem.step:  # of steps that are cut short, none comes back
+                self._solvers = {k: s for k, s in self._solvers.items() if k[1] in self._kept(step)}
+            problem = replace(self.problem, horizon=horizon, step=step)
             if soft:
                 problem = replace(problem, terminal='penalty', arrival_weight=ARRIVAL_WEIGHT)
-            self._solvers[horizon, soft] = Solver(
+            self._solvers[key] = Solver(
                 problem,
                 projection=self._projection,
                 gap_tolerance=self._tolerance,
                 coasting=True,
             )
-        return self._solvers[horizon, soft]
+        return self._solvers[key]
+
+    def _kept(self, step: float) -> tuple[float, float]:
+        """Return the lengths of steps whose solvers are kept [s]."""
+        return self.problem.step, step
 
 
 def _solved(task: _Task) -> tuple[Plan | None, Status, str]:

@@ -53,6 +53,34 @@ class CommandHistory:
         """Return the share of full speed or thrust commanded last; 0 before the first command."""
         return 0.0 if self.last is None else self.last.speed_fraction
 
+    def applied(self, time: float, lag: float) -> float:
+        """Return the share of speed or thrust at a time [s], behind commands by a lag [s].
+
+        Where nobody said when commands were sent, the last one counts as reached.
+        """
+        if not self._sent or lag == 0.0:
+            return self.fraction
+        since, first = self._sent[0]
+        reached = 0.0 if len(self._sent) < MEMORY else first.speed_fraction
+        for interval in self.intervals(since, time):
+            assert interval.command is not None
+            reached, _ = _followed(reached, interval.command, interval.duration, lag)
+        return reached
+
+    def mean(self, begin: float, end: float, lag: float) -> float | None:
+        """Return the mean share of speed or thrust from ``begin`` to ``end`` [s]; None if unknown.
+
+        Without a lag a command's speed or thrust is taken over when the next command comes.
+        """
+        flown, reached = 0.0, self.applied(begin, lag)
+        for interval in self.intervals(begin, end):
+            given = interval.before if lag == 0.0 else interval.command
+            if given is None:
+                return None
+            reached, covered = _followed(reached, given, interval.duration, lag)
+            flown += covered
+        return flown / (end - begin)
+
     def add(self, command: Command, at: float) -> None:
         """Note a command sent at a time [s]; times do not decrease."""
         self.last = command
@@ -74,6 +102,15 @@ class CommandHistory:
         if end > since:
             found.append(Interval(end - since, command, before))
         return found
+
+
+def _followed(reached: float, command: Command, duration: float, lag: float) -> tuple[float, float]:
+    """Return the share reached after a command was in force for a time [s], and its integral."""
+    wanted = command.speed_fraction
+    if lag == 0.0:
+        return wanted, wanted * duration
+    left = (reached - wanted) * math.exp(-duration / lag)
+    return wanted + left, wanted * duration + lag * (reached - wanted - left)
 
 
 def advanced(
@@ -116,11 +153,11 @@ def advanced(
             turning = interval.command.body_rate
         time, angle = interval.duration, interval.duration * turning
         if not problem.inertial:
-            position = position + time * (attitude @ _turned(angle, body_velocity)[0] + blown)
+            position = position + time * (attitude @ turned(angle, body_velocity)[0] + blown)
         else:
             before = interval.before
             push = _forward(problem, 0.0 if before is None else before.speed_fraction)
-            once, twice = _turned(angle, push)
+            once, twice = turned(angle, push)
             position = position + time * velocity + time * time * (attitude @ twice + 0.5 * blown)
             velocity = velocity + time * (attitude @ once + blown)
         attitude = attitude @ exp(angle)
@@ -139,7 +176,7 @@ def _forward(problem: Problem, fraction: float) -> Array:
     return vector
 
 
-def _turned(phi: Array, vector: Array) -> tuple[Array, Array]:
+def turned(phi: Array, vector: Array) -> tuple[Array, Array]:
     r"""Return a vector that turns with the body, averaged over an interval, and averaged twice.
 
     :math:`\int_0^1 e^{s\hat\phi} v\, ds` and :math:`\int_0^1 (1-s) e^{s\hat\phi} v\, ds`.

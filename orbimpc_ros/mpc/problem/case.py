@@ -11,6 +11,7 @@ from orbimpc_ros.mpc.arrays import Array, frozen
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.model.translation import DISCRETISATIONS
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem.scaling import weighed
 
 MODEL = ('dimension', 'rotation_order', 'translation_order', 'horizon', 'step', 'forward')
 EXTRAS = ('terminal', 'max_rate', 'no_corner_cutting', 'discretisation')
@@ -37,9 +38,10 @@ def case_of(mapping: Any) -> Case:
 
     Required are ``dimension``, ``rotation_order``, ``translation_order``, ``horizon``, ``step``,
     ``forward``, ``weights``, ``state`` and ``goal``: one point, or one for every step. A weight
-    that is absent is 0: what a case does not state does not enter its objective. Without
-    ``terminal``, ``floor``, ``max_rate`` and ``obstacles`` there is a penalty and no limit; without
-    ``discretisation`` it is ``euler``, and without a ``disturbance`` of the state there is none.
+    that is absent is 0: what a case does not state does not enter its objective; ``scaling`` among
+    them says what they mean, by default the paper's sums. Without ``terminal``, ``floor``,
+    ``max_rate`` and ``obstacles`` there is a penalty and no limit; without ``discretisation`` it is
+    ``euler``, and without a ``disturbance`` of the state there is none.
 
     Raises:
         BadInput: a field is unknown, missing, of another type or out of range.
@@ -51,7 +53,8 @@ def case_of(mapping: Any) -> Case:
 
 
 def _problem(known: Mapping[str, Any]) -> Problem:
-    weights = _fields(known['weights'], 'weights', (), WEIGHTS)
+    weights = dict(_fields(known['weights'], 'weights', (), (*WEIGHTS, 'scaling')))
+    scaling = weights.pop('scaling', 'paper')
     plain = {name: known[name] for name in (*MODEL, *EXTRAS) if name in known}
     if not isinstance(plain.get('terminal', ''), str):
         raise BadInput.choice('terminal', plain['terminal'], ('penalty', 'constraint'))
@@ -59,12 +62,13 @@ def _problem(known: Mapping[str, Any]) -> Problem:
         raise BadInput.choice('discretisation', plain['discretisation'], DISCRETISATIONS)
     if not isinstance(plain.get('no_corner_cutting', False), bool):
         raise BadInput('no_corner_cutting', plain['no_corner_cutting'], 'true | false')
-    return Problem(
+    problem = Problem(
         **plain,
         weights=Weights(**{**dict.fromkeys(WEIGHTS, 0.0), **weights}),
         floor=_floor(known.get('floor', {'shape': 'none'})),
         obstacles=_boxes(known.get('obstacles', [])),
     )
+    return weighed(problem, scaling)
 
 
 def _floor(value: Any) -> Floor:

@@ -11,7 +11,9 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.loop.disturbance import DISTURBANCES, ESTIMATED, GIVEN
 from orbimpc_ros.mpc.loop.forecast import FORECASTS
+from orbimpc_ros.mpc.loop.response import Response
 from orbimpc_ros.mpc.loop.safety import SAFE_COMMANDS, decided
 from orbimpc_ros.mpc.problem import (
     MAX_HORIZON,
@@ -22,6 +24,7 @@ from orbimpc_ros.mpc.problem import (
     Weights,
 )
 from orbimpc_ros.mpc.problem.floor import SHAPES
+from orbimpc_ros.mpc.problem.scaling import SCALINGS, weighed
 from orbimpc_ros.ros.messages import Frames
 from orbimpc_ros.ros.parameters.parameter import (
     FAR,
@@ -46,6 +49,9 @@ PLANNER: tuple[Row, ...] = (
         '1/m', 0.0, 1e6, live=True),
     Row('weights.terminal', 10.0, 'On squared distance to the goal at the last step',
         '1/m^2', 0.0, 1e6, live=True),
+    Row('weights.scaling', 'paper', 'What the weights mean: paper, sums over steps in the units '
+        'above; time, integrals over the horizon, without units: the same at any step and speed',
+        choices=SCALINGS, live=True),
     Row('terminal', 'penalty', 'Whether the last step must reach the goal',
         choices=TERMINALS, live=True),
     Row('horizon_mode', 'receding', 'Whether the horizon moves on or shrinks to its end',
@@ -66,14 +72,22 @@ PLANNER: tuple[Row, ...] = (
         live=True),
     Row('projection', 'thrust_aligned', 'How a point of the hull becomes a rotation',
         choices=PROJECTIONS, live=True),
-    Row('trigger', 'timer', 'Whether to plan at each odometry or every step',
+    Row('trigger', 'timer', 'Whether to plan at each odometry or every period',
         choices=('timer', 'odom')),
+    Row('plan_period', 0.0, 'How often to plan (trigger timer), or how often odometry comes '
+        '(trigger odom): at most a step; 0 for a step', 's', 0.0, MAX_DURATION),
+    Row('response.speed', 0.0, 'First-order lag of speed or thrust; a vehicle with any lag obeys '
+        'at once, not at the end of a step', 's', 0.0, 10.0, live=True),
+    Row('response.rate', 0.0, 'First-order lag of the body rate', 's', 0.0, 10.0, live=True),
+    Row('disturbance', GIVEN, 'Whether wind and gravity are all that disturbs, or more is '
+        'estimated from odometry against what was commanded', choices=DISTURBANCES, live=True),
     Row('goal_prediction', 'hold', 'How the goal is expected to move',
         choices=tuple(FORECASTS), live=True),
-    Row('odom_timeout', 0.0, 'Odometry older than this is stale; 0 for 0.2 s; at least 1.5 steps',
+    Row('odom_timeout', 0.0, 'Odometry older than this is stale; 0 for 0.2 s; at least 1.5 '
+        'periods',
         's', 0.0, MAX_DURATION, live=True),
-    Row('goal_timeout', 0.0, 'A goal older than this is stale, at least 1.5 steps; 0 for 1 s once '
-        'goals stream, never for one sent by hand; below 0 never',
+    Row('goal_timeout', 0.0, 'A goal older than this is stale, at least 1.5 periods; 0 for 1 s '
+        'once goals stream, never for one sent by hand; below 0 never',
         's', -1.0, MAX_DURATION, live=True),
     Row('future_tolerance', 0.1, 'A stamp this far ahead of the clock is refused; simulated time '
         'may trail by a step more', 's', 0.0, MAX_DURATION, live=True),
@@ -86,7 +100,8 @@ PLANNER: tuple[Row, ...] = (
         'does not turn; loiter circles; hover carries the weight at the present attitude; auto '
         'circles with a floor at translation_order 1, hovers under gravity, else stops',
         choices=SAFE_COMMANDS, live=True),
-    Row('deadline', 0.0, 'Limit of a solve; 0 for half a step, which it must not exceed',
+    Row('deadline', 0.0, 'Limit of a solve; 0 for half a period (plan_period, or a step), which '
+        'it must not exceed',
         's', 0.0, MAX_DURATION, live=True),
     Row('gap_tolerance', 1e-4, 'Relative gap within which a plan counts as proved optimal',
         low=1e-9, high=1.0, live=True),
@@ -110,19 +125,22 @@ class PlannerSettings:
         mass: [kg].
         shrinking: whether the horizon shrinks.
         projection: ``nearest`` or ``thrust_aligned``.
-        on_odometry: whether to plan at each odometry instead of every step.
+        on_odometry: whether to plan at each odometry instead of every period.
+        period: how often to plan, at most a step [s].
+        response: lags of the vehicle.
         goal_prediction: kind of forecast.
-        odom_timeout: after which odometry is stale, at least 1.5 steps [s].
-        goal_timeout: after which a goal is stale, at least 1.5 steps [s].
+        odom_timeout: after which odometry is stale, at least 1.5 periods [s].
+        goal_timeout: after which a goal is stale, at least 1.5 periods [s].
         goal_ageing: which goals get stale.
         future_tolerance: by which a stamp may be ahead of the clock [s].
         goal_jump_limit: distance from one goal to the next; 0 for no limit [m].
         delay_compensation: whether to plan from the state advanced by the odometry's age.
         safe_command: ``stop``, ``hold_rate_zero``, ``loiter`` or ``hover``; ``auto`` is decided.
-        deadline: for a solve, at most half a step [s].
+        deadline: for a solve, at most half a period [s].
         gap_tolerance: relative gap that counts as proved.
         disturbance: the known wind or acceleration, gravity's included, shape (n,).
         gravity: [m/s^2].
+        estimated: whether to estimate what disturbs besides.
         velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
         frames: that messages must be in.
     """
@@ -132,6 +150,8 @@ class PlannerSettings:
     shrinking: bool
     projection: str
     on_odometry: bool
+    period: float
+    response: Response
     goal_prediction: str
     odom_timeout: float
     goal_timeout: float
@@ -144,6 +164,7 @@ class PlannerSettings:
     gap_tolerance: float
     disturbance: Array
     gravity: float
+    estimated: bool
     velocity_source: str
     frames: Frames
 
@@ -156,9 +177,9 @@ def planner_settings(values: Values) -> PlannerSettings:
     """
     for row in PLANNER:
         row.check(values[row.name])
-    step = values['step']
-    if values['deadline'] > 0.5 * step:
-        raise BadInput('deadline', values['deadline'], f'at most half a step, {0.5 * step:g} s')
+    period = _period(values)
+    if values['deadline'] > 0.5 * period:
+        raise BadInput('deadline', values['deadline'], f'at most half a period, {0.5 * period:g} s')
     _refuse_unfit(values)
     problem = _problem(values)
     return PlannerSettings(
@@ -167,23 +188,34 @@ def planner_settings(values: Values) -> PlannerSettings:
         shrinking=values['horizon_mode'] == 'shrinking',
         projection=values['projection'],
         on_odometry=values['trigger'] == 'odom',
+        period=period,
+        response=Response(values['response.speed'], values['response.rate']),
         goal_prediction=values['goal_prediction'],
-        odom_timeout=max(values['odom_timeout'] or 0.2, 1.5 * step),
+        odom_timeout=max(values['odom_timeout'] or 0.2, 1.5 * period),
         goal_timeout=max(
-            values['goal_timeout'] if values['goal_timeout'] > 0.0 else 1.0, 1.5 * step
+            values['goal_timeout'] if values['goal_timeout'] > 0.0 else 1.0, 1.5 * period
         ),
         goal_ageing=_ageing(values['goal_timeout'], values['goal_prediction']),
         future_tolerance=values['future_tolerance'],
         goal_jump_limit=values['goal_jump_limit'],
         delay_compensation=values['delay_compensation'],
         safe_command=decided(values['safe_command'], problem, values['gravity']),
-        deadline=values['deadline'] or 0.5 * step,
+        deadline=values['deadline'] or 0.5 * period,
         gap_tolerance=values['gap_tolerance'],
         disturbance=sealed(disturbance_of(values)),
         gravity=values['gravity'],
+        estimated=values['disturbance'] == ESTIMATED,
         velocity_source=values['velocity_source'],
         frames=Frames(values['frame_id'], values['child_frame_id']),
     )
+
+
+def _period(values: Values) -> float:
+    """Return how often to plan [s]."""
+    period, step = values['plan_period'], values['step']
+    if period > step:
+        raise BadInput('plan_period', period, f'at most a step, {step:g} s')
+    return float(period or step)
 
 
 def _refuse_unfit(values: Values) -> None:
@@ -213,7 +245,7 @@ def _problem(values: Values) -> Problem:
     weights = Weights(
         *(values[f'weights.{name}'] for name in ('position', 'input', 'length', 'terminal'))
     )
-    return Problem(
+    problem = Problem(
         dimension=values['dimension'],
         rotation_order=values['rotation_order'],
         translation_order=values['translation_order'],
@@ -228,6 +260,7 @@ def _problem(values: Values) -> Problem:
         no_corner_cutting=values['no_corner_cutting'],
         discretisation=values['discretisation'],
     )
+    return weighed(problem, values['weights.scaling'])
 
 
 def _boxes(numbers: Sequence[float], dimension: int) -> tuple[Box, ...]:

@@ -291,17 +291,11 @@ class Inbox:
             return 0.0
         return received.age(now, ros)
 
-    def targets(
-        self, steps: int, now: float, ros: RosTime = UNKNOWN, start: float | None = None
-    ) -> Array:
-        """Return the goals at the ends of the next ``steps`` steps, shape (steps, n) [m].
+    def targets(self, times: Array, now: float, ros: RosTime = UNKNOWN) -> Array:
+        """Return the goals at ``times``, shape (N,) [s], as shape (N, n) [m].
 
-        A forecast from outside is used while it is fresh; otherwise one's own. The first step
-        begins at ``start`` [s], by default when odometry was measured.
+        A forecast from outside is used while it is fresh; otherwise one's own.
         """
-        assert self.odometry is not None
-        start = self.odometry.value.time if start is None else start
-        times = start + self.settings.problem.step * np.arange(1, steps + 1)
         path = self.latest.get('goal_path')
         if path is None or self._goal_age('goal_path', path, now, ros) > self.settings.goal_timeout:
             return self.forecast.at(times)

@@ -101,13 +101,13 @@ class PlannerNode(Guarded):
         self.create_service(SetBool, '~/enable', self.guard(self._on_enable))
 
     def _create_timers(self) -> None:
-        step = self._settings.problem.step
+        period = self._settings.period
         if not self._settings.on_odometry:
             # In ROS time: simulated time sets the pace. Everything that watches is steady.
-            self.create_timer(step, self.guard(self._on_timer))
+            self.create_timer(period, self.guard(self._on_timer))
         self._patience = self.every(0.5 * GOAL_PATIENCE, self._on_patience)
         self._patience.cancel()
-        self.every(min(WATCH, 0.5 * step), self._watch)
+        self.every(min(WATCH, 0.5 * period), self._watch)
 
     # --- inputs
 
@@ -173,7 +173,7 @@ class PlannerNode(Guarded):
             self._plan_now()
 
     def _on_timer(self) -> None:
-        self._ticker.timing.began(self._time.seconds, self._settings.problem.step)
+        self._ticker.timing.began(self._time.seconds, self._settings.period)
         self._plan_now()
 
     # --- a tick
@@ -228,11 +228,11 @@ class PlannerNode(Guarded):
         self._publish(Stamp(now, frames), self._ticker.safe(self._inbox, reason))
 
     def _watch(self) -> None:
-        """Repeat the safe command every step while it is not safe to follow a plan."""
+        """Repeat the safe command every period while it is not safe to follow a plan."""
         self._neighbours.look()
         self._time.look()
         flying = self._outlet.used or not self._enabled
-        due = self.steady_now() - self._outlet.at >= self._settings.problem.step
+        due = self.steady_now() - self._outlet.at >= self._settings.period
         unsafe = self._unsafe() or self._stuck
         if flying and due and unsafe:
             self._be_safe(unsafe)

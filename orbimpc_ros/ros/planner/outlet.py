@@ -50,7 +50,7 @@ def report_messages(
     """Return the messages to everybody else, by topic.
 
     Args:
-        settings: give the step.
+        settings: give the problem.
         stamp: of the odometry that is answered.
         report: on the tick.
         node: name of the planner.
@@ -59,7 +59,8 @@ def report_messages(
     problem, plan = settings.problem, report.tick.plan
     found: dict[str, Any] = {'tick': tick_message(stamp.nanoseconds, node, report)}
     if plan is not None:
-        found['plan'] = messages.plan_message(stamp, plan, problem.step, report.advanced)
+        step, start = (report.tick.problem or problem).step, report.advanced + report.led
+        found['plan'] = messages.plan_message(stamp, plan, step, start)
         found['plan_markers'] = plan_markers(stamp, problem, plan)
     if oriented:
         found['rotation'] = messages.rotation_message(stamp, report.tick.command)

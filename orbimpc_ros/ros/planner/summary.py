@@ -33,7 +33,8 @@ def summary(settings: PlannerSettings, simulated: bool) -> str:
             f'{problem.dimension}D',
             f'rotation order {problem.rotation_order}',
             f'translation order {problem.translation_order}',
-            'planned at each odometry' if settings.on_odometry else 'planned every step',
+            _pace(settings),
+            *_loop(settings),
             'time of /clock' if simulated else "the system's time",
             f'goals {_ageing(settings)}',
             f'safe command {_safe_command(settings)}',
@@ -98,6 +99,23 @@ def _hovering(problem: Problem, gravity: float) -> str:
 
 def _unit(problem: Problem) -> str:
     return 'm/s' if problem.translation_order == 1 else 'm/s^2'
+
+
+def _pace(settings: PlannerSettings) -> str:
+    if settings.on_odometry:
+        return 'planned at each odometry'
+    every = 'step' if settings.period == settings.problem.step else f'{settings.period:g} s'
+    return f'planned every {every}'
+
+
+def _loop(settings: PlannerSettings) -> list[str]:
+    """Return what is known of the vehicle's response, and of what disturbs it, if anything."""
+    response, parts = settings.response, []
+    if response.lags:
+        parts.append(f'lags {response.speed:g} s (speed), {response.rate:g} s (rate)')
+    if settings.estimated:
+        parts.append('disturbance estimated')
+    return parts
 
 
 def _ageing(settings: PlannerSettings) -> str:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import statistics
 import time
 from collections import deque
+from dataclasses import replace
 
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.loop.delay import Interval, advanced
+from orbimpc_ros.mpc.loop.disturbance import Estimator
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.outcome import Reason
 from orbimpc_ros.ros.clock import UNKNOWN, RosTime
@@ -18,7 +20,7 @@ from orbimpc_ros.ros.planner.inbox import Inbox, Received
 from orbimpc_ros.ros.reports import Report
 
 RECENT = 15  # ticks
-LATE = 1.5  # steps from one tick to the next
+LATE = 1.5  # periods from one tick to the next
 
 
 def prepared(settings: PlannerSettings) -> tuple[PlannerSettings, Controller]:
@@ -29,10 +31,15 @@ def prepared(settings: PlannerSettings) -> tuple[PlannerSettings, Controller]:
         shrinking=settings.shrinking,
         gap_tolerance=settings.gap_tolerance,
         safe=settings.safe_command,
+        response=settings.response,
         disturbance=settings.disturbance,
         velocity_source=settings.velocity_source,
     )
     return settings, controller
+
+
+def _estimator(settings: PlannerSettings) -> Estimator | None:
+    return Estimator(settings.problem, settings.response.speed) if settings.estimated else None
 
 
 class Timing:
@@ -40,7 +47,7 @@ class Timing:
 
     Attributes:
         misses: ticks that took longer than their deadline.
-        overruns: ticks that took longer than a step.
+        overruns: ticks that took longer than their period.
         late: ticks of the timer that came late, whatever held them up.
     """
 
@@ -54,17 +61,17 @@ class Timing:
         """Return how long a tick usually takes [s]."""
         return statistics.median(self._recent) if self._recent else 0.0
 
-    def began(self, clock: float, step: float) -> None:
+    def began(self, clock: float, period: float) -> None:
         """Note a tick of the timer, at a time of the timer's clock [s]."""
-        if self._last is not None and clock - self._last > LATE * step:
+        if self._last is not None and clock - self._last > LATE * period:
             self.late += 1
         self._last = clock
 
-    def took(self, duration: float, deadline: float, step: float) -> None:
+    def took(self, duration: float, deadline: float, period: float) -> None:
         """Note how long a tick took, and how long it may and must not take [s]."""
         self._recent.append(duration)
         self.misses += duration > deadline
-        self.overruns += duration > step
+        self.overruns += duration > period
 
 
 class Ticker:
@@ -83,16 +90,22 @@ class Ticker:
         self, settings: PlannerSettings, controller: Controller, *, simulated: bool
     ) -> None:
         self._settings, self._controller, self._simulated = settings, controller, simulated
+        self._estimator = _estimator(settings)
         self.timing = Timing()
 
     def install(self, settings: PlannerSettings, controller: Controller) -> None:
         """Go on with other settings and the controller made for them."""
         controller.continue_from(self._controller)
         self._settings, self._controller = settings, controller
+        before, self._estimator = self._estimator, _estimator(settings)
+        if before is not None and self._estimator is not None:
+            self._estimator.continue_from(before)
 
     def start_afresh(self) -> None:
-        """Forget the plan; the command in force stays so."""
+        """Forget the plan; the command in force stays so, and the wind."""
         self._controller.start_afresh()
+        if self._estimator is not None:
+            self._estimator.start_afresh()
 
     def planned(self, inbox: Inbox, now: float, ros: RosTime = UNKNOWN) -> Report:
         """Return a tick by a plan, if there is one; nothing in the inbox may be missing.
@@ -105,6 +118,7 @@ class Ticker:
         begun = time.perf_counter()
         received, settings = inbox.odometry, self._settings
         assert received is not None
+        limited = self._estimate(received.value)
         odometry = advanced(
             settings.problem,
             received.value,
@@ -112,24 +126,41 @@ class Ticker:
             self._controller.disturbance,
             settings.velocity_source,
         )
+        odometry = self._controller.settled(odometry)
         history, lost = self._controller.history, inbox.stale_goal(now, ros)
         sent = history.last
         if lost:
             tick = self._controller.hold(odometry, lost)
         else:
-            targets = inbox.targets(self._controller.remaining, now, ros, odometry.time)
+            targets = inbox.targets(self._controller.ends(odometry.time), now, ros)
             end = begun + settings.deadline
             tick = self._controller.tick(odometry, targets, lambda: time.perf_counter() > end)
         history.last = sent  # what is commanded now counts once it went out
+        if limited:
+            tick = replace(tick, reason='; '.join(filter(None, (tick.reason, limited))))
+        lead = settings.response.lead(settings.problem)
         took = time.perf_counter() - begun
-        self.timing.took(took, settings.deadline, settings.problem.step)
+        self.timing.took(took, settings.deadline, settings.period)
         return Report(
             tick,
             0.0 if lost else 1e3 * took,
-            advanced=odometry.time - received.value.time,
+            advanced=odometry.time - received.value.time - lead,
+            led=lead,
+            disturbance=self._controller.disturbance,
+            innovation=None if self._estimator is None else self._estimator.innovation,
             goal_stamps=inbox.goal_stamps,
             goal_counts=dict(inbox.goal_counts),
         )
+
+    def _estimate(self, odometry: Odometry) -> str:
+        """Learn the disturbance from a measurement; return that it is limited, if it is."""
+        given, estimator = self._settings.disturbance, self._estimator
+        if estimator is None:
+            return ''
+        estimator.observe(odometry, self._controller.history, given)
+        limited = estimator.limit(given)
+        self._controller.disturbance = given + estimator.disturbance
+        return limited
 
     def safe(self, inbox: Inbox, reason: Reason) -> Report:
         """Return the safe tick."""

@@ -1,0 +1,201 @@
+r"""The estimated disturbance: what moves a vehicle besides its commands, by a Kalman filter.
+
+The model of the loop with a constant disturbance w for a state, which makes the loop offset-free:
+
+.. math::
+    \dot s = v + w + \xi, \quad \dot w = \zeta \qquad\text{(order 1)}, \qquad
+    \dot s = p, \quad \dot p = a + w + \xi, \quad \dot w = \zeta \qquad\text{(order 2)}
+
+with v or a what was commanded, along the measured attitude. Measured is the position, and at order
+2 the velocity. Every axis has the same covariance, so that one filter does for all of them.
+
+Mathematics: docs/mathematics.md, 7.9.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.rotations import log
+from orbimpc_ros.mpc.loop.delay import CommandHistory, turned
+from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.mpc.problem import Problem
+
+GIVEN, ESTIMATED = 'given', 'estimated'
+DISTURBANCES = (GIVEN, ESTIMATED)
+GATE = 5.0  # standard deviations: what is farther off is no measurement of the model
+PATIENCE = 5  # measurements in a row that are refused, after which the position is believed
+GAP = 2.0  # [s] without odometry, over which nothing is learnt
+LARGEST = 0.8  # of full speed or thrust: what is left steers
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations of the model, as shares of full speed or thrust z.
+
+    Attributes:
+        position: of a measured position, of z s (order 1) or z s^2 (order 2).
+        velocity: of a measured velocity (order 2), of z s.
+        model: of what commands do, over a second: gusts, gains, discretisation; of z.
+        drift: by how much the disturbance changes in a second, of z.
+        prior: of the disturbance before anything is known, of z.
+    """
+
+    position: float = 0.01
+    velocity: float = 0.01
+    model: float = 0.05
+    drift: float = 0.03
+    prior: float = 0.3
+
+
+class Estimator:
+    """Learns a disturbance from odometry and the commands that were in force.
+
+    Args:
+        problem: gives the orders and the full speed or thrust.
+        lag: of speed or thrust [s]; see :class:`orbimpc_ros.mpc.loop.response.Response`.
+        noise: of the model.
+
+    Attributes:
+        innovation: how far the last measurement was from what was expected, in standard
+            deviations; 0 before the second.
+        refused: measurements in a row that were too far off to be believed.
+    """
+
+    def __init__(self, problem: Problem, lag: float = 0.0, noise: Noise | None = None) -> None:
+        self._problem, self._lag, self._noise = problem, lag, noise or Noise()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything, the disturbance too."""
+        self._estimate = np.zeros((3 if self._problem.inertial else 2, self._problem.dimension))
+        self._covariance = np.diag([*self._measured, self._noise.prior**2])
+        self.start_afresh()
+
+    def start_afresh(self) -> None:
+        """Forget where the vehicle was, for instance because the clock jumped."""
+        self._last: Odometry | None = None
+        self.innovation, self.refused = 0.0, 0
+
+    def continue_from(self, other: Estimator) -> None:
+        """Take over what another estimator of the same vehicle knows."""
+        self._estimate, self._covariance = other._estimate, other._covariance
+        self._last, self.innovation, self.refused = other._last, other.innovation, other.refused
+
+    @property
+    def disturbance(self) -> Array:
+        """Return the wind [m/s] or acceleration [m/s^2] beyond the given one, shape (n,)."""
+        return np.array(self._estimate[-1])
+
+    @property
+    def _measured(self) -> tuple[float, ...]:
+        """Return the variances of what is measured."""
+        noise = self._noise
+        return (noise.position**2, noise.velocity**2)[: 1 + self._problem.inertial]
+
+    def observe(self, odometry: Odometry, history: CommandHistory, given: Array) -> None:
+        """Take in a measurement; stamps that do not increase are passed over.
+
+        Args:
+            odometry: as it was measured.
+            history: the commands, with the times when they were sent.
+            given: the disturbance that is known, shape (n,).
+        """
+        last = self._last
+        if last is not None and odometry.time <= last.time:
+            return
+        self._last = odometry
+        moved = None if last is None else self._moved(last, odometry, history, given)
+        if moved is None:
+            self._believe(odometry)
+        else:
+            self._predict(moved, odometry.time - last.time)  # type: ignore[union-attr]
+            self._correct(odometry)
+
+    def limit(self, given: Array) -> str:
+        """Keep the whole disturbance within what the vehicle can work against; tell it if needed.
+
+        Args:
+            given: the disturbance that is known, shape (n,).
+        """
+        problem, whole = self._problem, given + self._estimate[-1]
+        size, most = float(np.linalg.norm(whole)), LARGEST * problem.forward
+        most = max(most, float(np.linalg.norm(given)))
+        if size <= most:
+            return ''
+        self._estimate[-1] = whole * (most / size) - given
+        unit = 'm/s^2' if problem.inertial else 'm/s'
+        return f'the disturbance is estimated to be {size:.3g} {unit}, taken as {most:.3g} {unit}'
+
+    def _seen(self, odometry: Odometry) -> Array:
+        """Return what is measured: the position, and at order 2 the velocity; shape (1 or 2, n)."""
+        if not self._problem.inertial:
+            return odometry.position[None]
+        return np.array([odometry.position, odometry.attitude @ odometry.body_velocity])
+
+    def _believe(self, odometry: Odometry) -> None:
+        """Take the measurement for the state, which says nothing about the disturbance."""
+        seen = self._seen(odometry)
+        self._estimate[: len(seen)] = seen
+        known = self._covariance[-1, -1]
+        self._covariance = np.diag([*self._measured, known])
+        self.innovation, self.refused = 0.0, 0
+
+    def _moved(
+        self, last: Odometry, now: Odometry, history: CommandHistory, given: Array
+    ) -> Array | None:
+        """Return what commands and the given disturbance did since, shape (1 or 2, n); or None."""
+        time = now.time - last.time
+        share = history.mean(last.time, now.time, self._lag)
+        if time > GAP or share is None:
+            return None
+        ahead = np.zeros(self._problem.dimension)
+        ahead[0] = self._problem.forward * share
+        once, twice = turned(log(last.attitude.T @ now.attitude), ahead)
+        if not self._problem.inertial:
+            return np.array([time * (last.attitude @ once + given)])
+        place = time * time * (last.attitude @ twice + 0.5 * given)
+        return np.array([place, time * (last.attitude @ once + given)])
+
+    def _predict(self, moved: Array, time: float) -> None:
+        """Move the state on by so much, and by itself for a time [s]."""
+        step = _transition(len(self._estimate), time)
+        self._estimate = step @ self._estimate
+        self._estimate[: len(moved)] += moved
+        driven = np.array([*_transition(len(self._estimate) - 1, time)[:, -1], 0.0])
+        drift = step[:, -1] * self._noise.drift
+        spread = time * (self._noise.model**2 * np.outer(driven, driven) + np.outer(drift, drift))
+        self._covariance = step @ self._covariance @ step.T + spread
+
+    def _correct(self, odometry: Odometry) -> None:
+        """Learn from a measurement, unless it is out of the question."""
+        seen = self._seen(odometry)
+        count, unit = len(seen), self._problem.forward
+        missed = seen - self._estimate[:count]
+        spread = self._covariance[:count, :count] + np.diag(self._measured)
+        off = np.einsum('in,ij,jn->n', missed, np.linalg.inv(spread), missed) / unit**2
+        self.innovation = float(np.sqrt(off.max() / count))
+        if self.innovation > GATE:
+            self.refused += 1
+            if self.refused >= PATIENCE:
+                self._believe(odometry)
+            return
+        self.refused = 0
+        gain = self._covariance[:, :count] @ np.linalg.inv(spread)
+        self._estimate = self._estimate + gain @ missed
+        kept = np.eye(len(gain)) - gain @ np.eye(count, len(gain))
+        # Joseph's form: symmetric and positive whatever is rounded.
+        self._covariance = kept @ self._covariance @ kept.T + gain * self._measured @ gain.T
+
+
+def _transition(size: int, time: float) -> Array:
+    """Return the transition over a time [s] of an integrator chain, shape (size, size)."""
+    matrix = np.eye(size)
+    if size > 1:
+        matrix += np.diag(np.full(size - 1, time), 1)
+    if size > 2:
+        matrix[0, 2] = 0.5 * time * time
+    return matrix
