@@ -58,6 +58,7 @@ DOCUMENTED = {
     'gap_tolerance': 1e-4,
     'frame_id': 'odom',
     'child_frame_id': 'base_link',
+    'thrust_axis': 'x',
 }
 
 
@@ -417,3 +418,15 @@ def test_descriptors_are_there_for_all_to_see(running):
         row.descriptor.description for row in PLANNER
     ]
     assert [each.read_only for each in described] == [not row.live for row in PLANNER]
+
+
+@pytest.mark.parametrize('settings', [planner_settings, sim_settings])
+def test_a_vehicle_in_the_plane_has_no_axis_to_push_along_but_x(settings):
+    values = settings_of_defaults(settings) | {'thrust_axis': 'z'}
+    with pytest.raises(BadInput, match='thrust_axis is z; allowed: x when dimension is 2'):
+        settings(values)
+    assert settings(values | {'dimension': 3}).frames.thrust_axis == 'z'
+
+
+def settings_of_defaults(settings):
+    return defaults(PLANNER if settings is planner_settings else SIM)

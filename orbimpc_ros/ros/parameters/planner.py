@@ -22,7 +22,15 @@ from orbimpc_ros.mpc.problem import (
 )
 from orbimpc_ros.mpc.problem.floor import SHAPES
 from orbimpc_ros.ros.messages import Frames
-from orbimpc_ros.ros.parameters.parameter import FAR, MAX_DURATION, TINY, VEHICLE, Row, Values
+from orbimpc_ros.ros.parameters.parameter import (
+    FAR,
+    MAX_DURATION,
+    TINY,
+    VEHICLE,
+    Row,
+    Values,
+    frames_of,
+)
 
 PROJECTIONS = ('nearest', 'thrust_aligned')
 
@@ -165,7 +173,7 @@ def planner_settings(values: Values) -> PlannerSettings:
         safe_command=decided(values['safe_command'], problem),
         deadline=values['deadline'] or 0.5 * step,
         gap_tolerance=values['gap_tolerance'],
-        frames=Frames(values['frame_id'], values['child_frame_id']),
+        frames=frames_of(values),
     )
 
 

@@ -12,7 +12,15 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion
 from orbimpc_ros.ros.messages import QUATERNION_TOLERANCE, Frames
-from orbimpc_ros.ros.parameters.parameter import FAR, MAX_DURATION, VEHICLE, Row, Values, span
+from orbimpc_ros.ros.parameters.parameter import (
+    FAR,
+    MAX_DURATION,
+    VEHICLE,
+    Row,
+    Values,
+    frames_of,
+    span,
+)
 from orbimpc_ros.ros.process import LIFE
 from orbimpc_ros.ros.sim.readers import wanted_readers
 from orbimpc_ros.world.faults import FAULT_RANGES, NO_FAULTS, Faults
@@ -180,7 +188,7 @@ def sim_settings(values: Values) -> SimSettings:
         wait_for=wanted_readers(values['wait_for']),
         wait_timeout=values['wait_timeout'] or math.inf,
         seed=values['seed'],
-        frames=Frames(values['frame_id'], values['child_frame_id']),
+        frames=frames_of(values),
     )
 
 
@@ -203,7 +211,7 @@ def _scenario(values: Values) -> Scenario:
     start = launched(
         model,
         _vector(values, 'start.position', n),
-        _orientation(values['start.orientation'], n),
+        frames_of(values).turned(_orientation(values['start.orientation'], n)),
         fraction=values['start.speed_fraction'],
         velocity=_vector(values, 'start.velocity', n),
         body_rate=_vector(values, 'start.body_rate', 3)[-model.rates :],
