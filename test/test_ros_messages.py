@@ -2,6 +2,8 @@
 
 import math
 import random
+from dataclasses import replace
+from operator import attrgetter
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 
+from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.ros import messages
@@ -53,6 +56,30 @@ def test_odometry_comes_back(n):
         for name in ('position', 'attitude', 'body_velocity', 'body_rate'):
             got, wanted = getattr(odometry, name), getattr(meant, name)
             np.testing.assert_allclose(got, wanted, atol=1e-12, err_msg=name)
+
+
+def test_a_body_that_pushes_along_z_is_turned_on_the_way_in_and_back_on_the_way_out():
+    for seed in range(20):
+        message, vehicle = odometry_message(3, np.random.default_rng(seed))
+        stamp, odometry = messages.read_odometry(message, 3, replace(FRAMES, thrust_axis='z'))
+        own, twist = vehicle.attitude, message.twist.twist
+        np.testing.assert_allclose(odometry.attitude[:, 0], own[:, 2], atol=1e-12)
+        along = [twist.linear.z, twist.linear.y, -twist.linear.x]
+        np.testing.assert_allclose(odometry.body_velocity, along, atol=1e-12)
+        # What a body sees of the world is the same, whatever its axes are called.
+        turning = odometry.attitude @ odometry.body_rate
+        meant = measured(vehicle)
+        np.testing.assert_allclose(turning, own @ meant.body_rate, atol=1e-12)
+        again = messages.measurement_message(stamp, odometry)
+        for part in ('pose.pose.orientation', 'twist.twist.linear', 'twist.twist.angular'):
+            for axis in 'xyz':
+                wanted = attrgetter(f'{part}.{axis}')(message)
+                assert attrgetter(f'{part}.{axis}')(again) == pytest.approx(wanted, abs=1e-12)
+        command = Command(0.5, np.zeros(3), odometry.attitude)
+        sent = messages.rotation_message(stamp, command).quaternion
+        same = messages.quaternion(own)
+        for axis in 'wxyz':
+            assert getattr(sent, axis) == pytest.approx(getattr(same, axis), abs=1e-9)
 
 
 def test_goals_come_back():

@@ -68,6 +68,7 @@ DOCUMENTED = {
     'wind': (0.0, 0.0, 0.0),
     'gravity': 0.0,
     'velocity_source': 'ground',
+    'thrust_axis': 'x',
 }
 
 
@@ -461,3 +462,15 @@ def test_descriptors_are_there_for_all_to_see(running):
         row.descriptor.description for row in PLANNER
     ]
     assert [each.read_only for each in described] == [not row.live for row in PLANNER]
+
+
+@pytest.mark.parametrize('settings', [planner_settings, sim_settings])
+def test_a_vehicle_in_the_plane_has_no_axis_to_push_along_but_x(settings):
+    values = settings_of_defaults(settings) | {'thrust_axis': 'z'}
+    with pytest.raises(BadInput, match='thrust_axis is z; allowed: x when dimension is 2'):
+        settings(values)
+    assert settings(values | {'dimension': 3}).frames.thrust_axis == 'z'
+
+
+def settings_of_defaults(settings):
+    return defaults(PLANNER if settings is planner_settings else SIM)

@@ -2,6 +2,8 @@
 
 What comes in is untrusted. A message is taken whole or refused whole, with the field to blame;
 stamps are read as integers, never through rclpy's Time, which raises on negative seconds.
+What the planner calls the body frame has the pushing axis along x; a vehicle that pushes along
+another axis of its own is turned on the way in and back on the way out, here and nowhere else.
 Covariances are not read: many drivers say NaN there for "unknown", which does no harm. In the
 plane (n = 2) poses lie at z = 0 and turn about z.
 """
@@ -28,7 +30,7 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 from std_msgs.msg import Header
 
-from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion, to_quaternion
@@ -43,14 +45,42 @@ STEEPEST = 1e-3  # in the plane: least horizontal share of the body's x axis tha
 LONGEST_PATH = 10_000  # poses
 LONGEST_FRAME = 256  # characters
 SECOND = 1_000_000_000  # [ns]
+# The body axes that may push, each with the rotation that turns x into it.
+THRUST_AXES: dict[str, Array] = {
+    'x': sealed(np.eye(3)),
+    'z': sealed(np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])),
+}
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames that messages must be in; an empty name accepts any."""
+    """Frames that messages must be in; an empty name accepts any.
+
+    Attributes:
+        world: of poses.
+        body: of twists.
+        thrust_axis: the body axis that pushes, ``x`` or, in space, ``z``.
+    """
 
     world: str = ''
     body: str = ''
+    thrust_axis: str = 'x'
+
+    def turned(self, attitude: Array) -> Array:
+        """Return the attitude, shape (n, n), of the frame whose x axis pushes."""
+        return attitude if self.thrust_axis == 'x' else attitude @ THRUST_AXES[self.thrust_axis]
+
+    def own(self, attitude: Array) -> Array:
+        """Return the vehicle's own attitude, shape (n, n): the inverse of :meth:`turned`."""
+        return attitude if self.thrust_axis == 'x' else attitude @ THRUST_AXES[self.thrust_axis].T
+
+    def along(self, vector: Array) -> Array:
+        """Return a vector of the body, shape (3,), in the frame whose x axis pushes."""
+        return vector if self.thrust_axis == 'x' else THRUST_AXES[self.thrust_axis].T @ vector
+
+    def back(self, vector: Array) -> Array:
+        """Return a vector, shape (3,), in the body frame: the inverse of :meth:`along`."""
+        return vector if self.thrust_axis == 'x' else THRUST_AXES[self.thrust_axis] @ vector
 
 
 @dataclass(frozen=True)
@@ -98,11 +128,11 @@ def read_odometry(
     odometry = Odometry(
         at.nanoseconds / SECOND,
         _triple(pose.position, 'pose.position')[:dimension],
-        _attitude(pose.orientation, dimension, 'pose.orientation'),
-        linear[:dimension],
-        _rates(angular, dimension),
+        frames.turned(_attitude(pose.orientation, dimension, 'pose.orientation')),
+        frames.along(linear)[:dimension],
+        _rates(frames.along(angular), dimension),
     )
-    return Stamp(at.nanoseconds, Frames(at.frames.world, child)), odometry
+    return Stamp(at.nanoseconds, Frames(at.frames.world, child, frames.thrust_axis)), odometry
 
 
 def read_sighting(message: PoseStamped, dimension: int, frames: Frames) -> tuple[Stamp, Sighting]:
@@ -131,7 +161,9 @@ def read_itinerary(message: Path, dimension: int, frames: Frames) -> tuple[Stamp
     return at, Itinerary(times, np.array([sighting.position for sighting in seen]))
 
 
-def read_speed_and_rate(message: TwistStamped, dimension: int) -> tuple[int, float, Array]:
+def read_speed_and_rate(
+    message: TwistStamped, dimension: int, frames: Frames
+) -> tuple[int, float, Array]:
     """Return the stamp [ns], forward speed [m/s] and body rate [rad/s] of a commanded twist.
 
     The rate has shape (1,) in the plane and (3,) in space.
@@ -140,13 +172,13 @@ def read_speed_and_rate(message: TwistStamped, dimension: int) -> tuple[int, flo
         BadInput: a stamp or a number is not acceptable.
     """
     at = _stamp(message.header, '')
-    linear = _triple(message.twist.linear, 'twist.linear')
-    angular = _triple(message.twist.angular, 'twist.angular')
+    linear = frames.along(_triple(message.twist.linear, 'twist.linear'))
+    angular = frames.along(_triple(message.twist.angular, 'twist.angular'))
     return at.nanoseconds, float(linear[0]), _rates(angular, dimension)
 
 
-def read_force(message: WrenchStamped) -> tuple[int, float]:
-    """Return the stamp [ns] and the forward force [N] of a commanded wrench.
+def read_force(message: WrenchStamped, frames: Frames) -> tuple[int, float]:
+    """Return the stamp [ns] and the force along the pushing axis [N] of a commanded wrench.
 
     Raises:
         BadInput: a stamp or a number is not acceptable.
@@ -154,7 +186,7 @@ def read_force(message: WrenchStamped) -> tuple[int, float]:
     at = _stamp(message.header, '')
     force = _triple(message.wrench.force, 'wrench.force')
     _triple(message.wrench.torque, 'wrench.torque')
-    return at.nanoseconds, float(force[0])
+    return at.nanoseconds, float(frames.along(force)[0])
 
 
 def _stamp(header: Header, frame: str) -> Stamp:
@@ -225,10 +257,25 @@ def quaternion(rotation: Array) -> Quaternion:
     return Quaternion(x=x, y=y, z=z, w=w)
 
 
-def angular(body_rate: Array) -> Vector3:
-    """Return a body rate, shape (1,) or (3,) [rad/s], as a Vector3."""
-    padded = np.concatenate([np.zeros(3 - len(body_rate)), body_rate])
-    return Vector3(**dict(zip('xyz', map(float, padded), strict=True)))
+def vector(xyz: Array) -> Vector3:
+    """Return a vector of shape (3,) as a Vector3."""
+    x, y, z = map(float, xyz)
+    return Vector3(x=x, y=y, z=z)
+
+
+def angular(body_rate: Array, frames: Frames) -> Vector3:
+    """Return a body rate, shape (1,) or (3,) [rad/s], as a Vector3 of the vehicle's own axes."""
+    return vector(frames.back(np.concatenate([np.zeros(3 - len(body_rate)), body_rate])))
+
+
+def pushing(size: float, frames: Frames) -> Vector3:
+    """Return a speed or force along the pushing axis as a Vector3 of the vehicle's own axes."""
+    return vector(frames.back(np.array([size, 0.0, 0.0])))
+
+
+def pushed(vector: Vector3) -> float:
+    """Return the size of a speed or force that is along whatever body axis pushes."""
+    return vector.x or vector.z
 
 
 def pose(position: Array, rotation: Array) -> Pose:
@@ -239,27 +286,28 @@ def pose(position: Array, rotation: Array) -> Pose:
 def twist_message(stamp: Stamp, speed: float, body_rate: Array) -> TwistStamped:
     """Return a forward speed [m/s] and body rate, shape (1,) or (3,) [rad/s], in the body frame."""
     message = TwistStamped(header=header(stamp.nanoseconds, stamp.frames.body))
-    message.twist.linear.x = float(speed)
-    message.twist.angular = angular(body_rate)
+    message.twist.linear = pushing(speed, stamp.frames)
+    message.twist.angular = angular(body_rate, stamp.frames)
     return message
 
 
 def wrench_message(stamp: Stamp, force: float) -> WrenchStamped:
-    """Return a commanded forward force [N], in the body frame."""
+    """Return a commanded force along the pushing axis [N], in the body frame."""
     message = WrenchStamped(header=header(stamp.nanoseconds, stamp.frames.body))
-    message.wrench.force.x = float(force)
+    message.wrench.force = pushing(force, stamp.frames)
     return message
 
 
 def rotation_message(stamp: Stamp, command: Command) -> QuaternionStamped:
     """Return the attitude commanded for the next step, in the world frame."""
     head = header(stamp.nanoseconds, stamp.frames.world)
-    return QuaternionStamped(header=head, quaternion=quaternion(command.rotation))
+    own = stamp.frames.own(command.rotation)
+    return QuaternionStamped(header=head, quaternion=quaternion(own))
 
 
 def plan_message(stamp: Stamp, plan: Plan, step: float, advanced: float = 0.0) -> Path:
     """Return a plan's N + 1 poses, from ``advanced`` [s] after the stamp on, in the world frame."""
-    poses = zip(plan.positions, plan.projected, strict=True)
+    poses = zip(plan.positions, map(stamp.frames.own, plan.projected), strict=True)
     return path_message(stamp, step, (pose(*each) for each in poses), advanced)
 
 
@@ -300,8 +348,9 @@ def measurement_message(stamp: Stamp, odometry: Odometry) -> OdometryMessage:
     message = OdometryMessage(
         header=header(stamp.nanoseconds, stamp.frames.world), child_frame_id=stamp.frames.body
     )
-    message.pose.pose = pose(odometry.position, odometry.attitude)
-    velocity = dict(zip('xyz', map(float, odometry.body_velocity), strict=False))
-    message.twist.twist.linear = Vector3(**velocity)
-    message.twist.twist.angular = angular(odometry.body_rate)
+    frames, velocity = stamp.frames, np.zeros(3)
+    velocity[: len(odometry.body_velocity)] = odometry.body_velocity
+    message.pose.pose = pose(odometry.position, frames.own(odometry.attitude))
+    message.twist.twist.linear = vector(frames.back(velocity))
+    message.twist.twist.angular = angular(odometry.body_rate, frames)
     return message

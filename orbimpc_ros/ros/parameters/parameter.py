@@ -16,6 +16,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.loop.odometry import SOURCES
 from orbimpc_ros.mpc.model.translation import DISCRETISATIONS
 from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.ros.messages import THRUST_AXES, Frames
 from orbimpc_ros.world.vehicle import RANGES, model_of
 
 Value = bool | int | float | str | tuple[float, ...]
@@ -161,4 +162,18 @@ VEHICLE = (
         choices=SOURCES),
     Row('frame_id', 'odom', 'World frame of poses; empty accepts any'),
     Row('child_frame_id', 'base_link', 'Body frame of twists; empty accepts any'),
+    Row('thrust_axis', 'x', 'Body axis that pushes: x, or in space z, as of a multirotor; '
+        'speed, force and the start-up line are about it', choices=tuple(THRUST_AXES)),
 )  # fmt: skip
+
+
+def frames_of(values: Values) -> Frames:
+    """Return the frames that messages must be in, and the body axis that pushes.
+
+    Raises:
+        BadInput: an axis that a vehicle in the plane cannot push along.
+    """
+    axis = values['thrust_axis']
+    if axis != 'x' and values['dimension'] == 2:
+        raise BadInput('thrust_axis', axis, 'x when dimension is 2')
+    return Frames(values['frame_id'], values['child_frame_id'], axis)

@@ -34,6 +34,7 @@ from orbimpc_ros.ros.parameters.parameter import (
     Row,
     Values,
     disturbance_of,
+    frames_of,
 )
 
 PROJECTIONS = ('nearest', 'thrust_aligned')
@@ -206,7 +207,7 @@ def planner_settings(values: Values) -> PlannerSettings:
         gravity=values['gravity'],
         estimated=values['disturbance'] == ESTIMATED,
         velocity_source=values['velocity_source'],
-        frames=Frames(values['frame_id'], values['child_frame_id']),
+        frames=frames_of(values),
     )
 
 

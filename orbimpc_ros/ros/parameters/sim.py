@@ -19,6 +19,7 @@ from orbimpc_ros.ros.parameters.parameter import (
     Row,
     Values,
     disturbance_of,
+    frames_of,
     span,
     vector,
 )
@@ -193,7 +194,7 @@ def sim_settings(values: Values) -> SimSettings:
         wait_for=wanted_readers(values['wait_for']),
         wait_timeout=values['wait_timeout'] or math.inf,
         seed=values['seed'],
-        frames=Frames(values['frame_id'], values['child_frame_id']),
+        frames=frames_of(values),
     )
 
 
@@ -217,13 +218,14 @@ def _scenario(values: Values) -> Scenario:
         source=values['velocity_source'],
     )
     model = moved_by(values, steps)
+    frames = frames_of(values)
     start = launched(
         model,
         vector(values, 'start.position', n),
-        _orientation(values['start.orientation'], n),
+        frames.turned(_orientation(values['start.orientation'], n)),
         fraction=values['start.speed_fraction'],
         velocity=vector(values, 'start.velocity', n),
-        body_rate=vector(values, 'start.body_rate', 3)[-model.rates :],
+        body_rate=frames.along(vector(values, 'start.body_rate', 3))[-model.rates :],
     )
     rope = Rope(
         vector(values, 'rope.center', n),

@@ -57,7 +57,7 @@ class Arena:
 
     def __init__(self, node: Guarded, settings: SimSettings, commands: Subscription) -> None:
         self.node, self.settings, self._commands = node, settings, commands
-        self.orders = Orders(settings.scenario.model)
+        self.orders = Orders(settings.scenario.model, settings.frames)
         self.refused: Counter[str] = Counter()
         self._create_publishers()
         self._readers = Readers(node, settings.wait_for, 'cmd_vel')

@@ -10,7 +10,7 @@ from geometry_msgs.msg import TwistStamped, WrenchStamped
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.messages import SECOND, read_force, read_speed_and_rate
+from orbimpc_ros.ros.messages import SECOND, Frames, read_force, read_speed_and_rate
 from orbimpc_ros.world.vehicle import Model
 
 SLACK = 1e-3  # of a share or a rate: what rounding may add, and a controller not notice
@@ -35,12 +35,16 @@ class Order:
 class Orders:
     """Makes orders of messages; at translation order 2 of two messages with the same stamp.
 
+    Args:
+        model: of the vehicle.
+        frames: name the body axis that pushes.
+
     Attributes:
         latest: the last complete order, if any.
     """
 
-    def __init__(self, model: Model) -> None:
-        self._model = model
+    def __init__(self, model: Model, frames: Frames) -> None:
+        self._model, self._frames = model, frames
         self._twist: tuple[int, float, Array] | None = None
         self._force: tuple[int, float] | None = None
         self.latest: Order | None = None
@@ -51,7 +55,7 @@ class Orders:
         Raises:
             BadInput: a stamp, a number or a range is not acceptable.
         """
-        stamp, speed, body_rate = read_speed_and_rate(message, self._model.dimension)
+        stamp, speed, body_rate = read_speed_and_rate(message, self._model.dimension, self._frames)
         _require_past(stamp, now)
         fastest = math.pi / self._model.step  # a faster turn looks like a slower one
         if float(np.linalg.norm(body_rate)) > fastest * (1.0 + SLACK):
@@ -59,7 +63,9 @@ class Orders:
             raise BadInput('twist.angular', body_rate.tolist(), allowed)
         if self._model.translation_order == 1:
             full = self._model.forward
-            _require_share(speed / full, 'twist.linear.x', speed, full, 'm/s')
+            _require_share(
+                speed / full, f'twist.linear.{self._frames.thrust_axis}', speed, full, 'm/s'
+            )
         self._twist = stamp, speed, body_rate
         return self._complete()
 
@@ -69,10 +75,10 @@ class Orders:
         Raises:
             BadInput: a stamp, a number or a range is not acceptable.
         """
-        stamp, force = read_force(message)
+        stamp, force = read_force(message, self._frames)
         _require_past(stamp, now)
         full = self._model.mass * self._model.forward
-        _require_share(force / full, 'wrench.force.x', force, full, 'N')
+        _require_share(force / full, f'wrench.force.{self._frames.thrust_axis}', force, full, 'N')
         self._force = stamp, force
         return self._complete()
 

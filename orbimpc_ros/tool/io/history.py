@@ -14,7 +14,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.loop.observation import Sighting
-from orbimpc_ros.ros.messages import Frames, Stamp, read_odometry, read_sighting
+from orbimpc_ros.ros.messages import Frames, Stamp, pushed, read_odometry, read_sighting
 from orbimpc_ros.tool.io import bag, settings
 from orbimpc_ros.tool.io.content import fields, point, seconds
 from orbimpc_ros.world.capture import closest_approach
@@ -159,8 +159,9 @@ def of_bag(path: Path, namespace: str = '') -> History:
     """
     values = settings.of_bag(path, namespace) or settings.read('{}')
     found = _by_topic(bag.of_vehicle(path, namespace, WANTED))
-    measured = _valid(read_odometry, found['odom'])
-    sighted = _valid(read_sighting, found['goal'])
+    frames = Frames(thrust_axis=values['thrust_axis'])
+    measured = _valid(read_odometry, found['odom'], frames)
+    sighted = _valid(read_sighting, found['goal'], frames)
     if not measured or not sighted:
         wrong = 'goal' if measured else 'odom'
         raise BadInput.stating(str(path), f'no valid {wrong}', 'odometry and a goal are needed')
@@ -174,7 +175,7 @@ def of_bag(path: Path, namespace: str = '') -> History:
         rates=np.array([o.body_rate for o in measured]),
         ropes=_at(times, sighted),
         plans=_plans(found['plan']),
-        forces=tuple((seconds(m), m.wrench.force.x) for m in found['cmd_thrust']),
+        forces=tuple((seconds(m), pushed(m.wrench.force)) for m in found['cmd_thrust']),
         ticks=_ticks(found['tick'], path),
         captured=any(m.data for m in found['captured']),
         values=values,
@@ -189,7 +190,9 @@ def _by_topic(messages: Iterable[tuple[str, Any]]) -> dict[str, list[Any]]:
     return found
 
 
-def _valid(read: Callable[..., tuple[Stamp, T]], messages: Iterable[Any]) -> list[T]:
+def _valid(
+    read: Callable[..., tuple[Stamp, T]], messages: Iterable[Any], frames: Frames
+) -> list[T]:
     """Return what the planner, too, would take from messages, in order of time.
 
     In a faulty run that is not all. In lock-step the simulator asks again where an answer is late:
@@ -198,7 +201,7 @@ def _valid(read: Callable[..., tuple[Stamp, T]], messages: Iterable[Any]) -> lis
     found: dict[int, T] = {}
     for message in messages:
         with suppress(BadInput):
-            stamp, value = read(message, 3, Frames())
+            stamp, value = read(message, 3, frames)
             found[stamp.nanoseconds] = value
     return [found[at] for at in sorted(found)]
 

@@ -14,7 +14,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause
-from orbimpc_ros.ros.messages import SECOND
+from orbimpc_ros.ros.messages import SECOND, pushed
 from orbimpc_ros.tool.io import bag, topics
 from orbimpc_ros.tool.io.bag import Message
 from orbimpc_ros.tool.io.content import fields, point
@@ -101,9 +101,9 @@ def published(messages: Messages) -> Published:
     found: dict[str, Any] = {}
     if 'cmd_vel' in messages:
         twist = messages['cmd_vel'].twist
-        found |= {'speed': twist.linear.x, 'body_rate': point(twist.angular)}
+        found |= {'speed': pushed(twist.linear), 'body_rate': point(twist.angular)}
     if 'cmd_thrust' in messages:
-        found['force'] = messages['cmd_thrust'].wrench.force.x
+        found['force'] = pushed(messages['cmd_thrust'].wrench.force)
     if 'rotation' in messages:
         q = messages['rotation'].quaternion
         found['rotation'] = np.array([q.w, q.x, q.y, q.z])

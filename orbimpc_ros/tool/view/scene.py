@@ -100,6 +100,7 @@ class Scene:
             self._problem = planner_settings(values).problem
         except BadInput:
             self._problem = Problem()
+        self._frames = Frames(thrust_axis=values['thrust_axis'])
         self._radius = float(values['capture_radius'])
         self._done = 'caught' if values['finish'] == 'capture' else 'arrived'
         n, floor = self._problem.dimension, self._problem.floor
@@ -122,12 +123,13 @@ class Scene:
             self._takers[topic](message)
 
     def _take_odometry(self, message: Any) -> None:
-        _, odometry = read_odometry(message, 3, Frames())
+        _, odometry = read_odometry(message, 3, self._frames)
         place, turned = odometry.position, odometry.attitude
         self._way.append(place)
         self._point(place, turned[:, 0])
         self._begin()
-        self._to.log(f'{WORLD}/vehicle', rr.Transform3D(translation=place, mat3x3=turned))
+        own = rr.Transform3D(translation=place, mat3x3=self._frames.own(turned))
+        self._to.log(f'{WORLD}/vehicle', own)
         places, along = np.array(self._noses).transpose(1, 0, 2)
         noses = _arrows(places, self._unit * along, BLUE, 0.07 * self._unit)
         way = _lines([np.array(self._way)], SKY, 0.05 * self._unit)
@@ -191,8 +193,8 @@ class Scene:
         places = read_itinerary(message, 3, Frames())[1].positions
         dots = rr.Points3D(places, radii=0.16 * self._unit, colors=[rgb(GREEN)])
         self._to.log(f'{WORLD}/plan', _lines([places], GREEN, 0.08 * self._unit), dots)
-        turned = [attitude(stamped.pose.orientation)[:, 0] for stamped in message.poses]
-        self._pointing = seconds(message), np.array(turned)
+        own = [attitude(stamped.pose.orientation) for stamped in message.poses]
+        self._pointing = seconds(message), self._frames.turned(np.array(own))[:, :, 0]
         self._draw_thrust()
 
     def _take_tick(self, message: Any) -> None:
