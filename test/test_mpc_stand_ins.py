@@ -80,3 +80,15 @@ def test_a_box_ahead_is_passed_without_a_search(n, rate):
     plan = at_once(problem, start, targets)
     assert violations(problem, start, targets, plan) == []
     assert plan.positions[:, 0].max() > 0.0
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_an_arrival_at_the_end_of_its_reach_is_met_without_a_search(n):
+    """All but the first thrust is full: what the disks leave is a single point."""
+    turned = bending(np.random.default_rng(n), Problem(n, horizon=3), np.eye(n))
+    problem = Problem(n, rotation_order=2, horizon=3, terminal='constraint')
+    start = State.at(np.zeros(n), turned[0], coasted=turned[1])
+    reached = translation_rollout(problem, start, turned[:, :, 0])[0][-1]
+    targets = np.tile(reached, (3, 1))
+    plan = at_once(problem, start, targets)
+    assert violations(problem, start, targets, plan) == []

@@ -60,7 +60,8 @@ def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
 def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
     """Yield R_1..R_N, shape (N, n, n), that turn; they pass through anything in their way.
 
-    Slow and fast ones; with a terminal constraint those between, corrected until they meet it.
+    Slow and fast ones; with a terminal constraint those between and the fast ones, for arrivals
+    that only full speed leads to, corrected until they meet it.
 
     Args:
         problem: what is to be solved.
@@ -70,7 +71,7 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
     ahead, first = _ahead(problem, state)
     least = min(1.0, problem.floor.least(ahead[:, 0]))
     arrives = problem.terminal == 'constraint'
-    for speed in [0.5 * (1.0 + least)] if arrives else dict.fromkeys((least, 1.0)):
+    for speed in dict.fromkeys((0.5 * (1.0 + least) if arrives else least, 1.0)):
         for turn in _turns(problem):
             towards = goals[-1] - adrift(problem, state)[-1]
             z = _headings(problem, speed, ahead[:, 0], towards, turn)
