@@ -235,6 +235,34 @@ def test_a_goal_that_jumps_out_of_reach_under_way_is_not_flown_at_softly():
     assert 'the goal has jumped by 27.1 m, the nearest plan misses by' in tick.reason
 
 
+def test_carried_far_away_under_way_a_vehicle_still_comes_as_near_as_it_can():
+    controller = Controller(Problem(horizon=6, terminal='constraint'), shrinking=True)
+    controller.tick(odometry(), np.tile([3.0, 2.0], (6, 1)))
+    tick = controller.tick(odometry((0.0, -6.0), time=1.0), np.tile([3.0, 2.0], (5, 1)))
+    assert (tick.status, tick.fallback) == ('infeasible', 'soft arrival')
+    away = np.array([3.0, 8.0])
+    # One step along x as it was measured, then four straight to the goal.
+    nearest = np.linalg.norm(away - [1.0, 0.0]) - 4.0
+    assert np.linalg.norm(tick.plan.positions[-1] - [3.0, 2.0]) == pytest.approx(nearest, abs=1e-2)
+
+
+def test_a_search_that_fails_under_way_leaves_the_nearest_arrival(monkeypatch):
+    controller = Controller(Problem(horizon=3, terminal='constraint'), shrinking=True)
+    controller.tick(odometry(), np.tile([2.0, 0.5], (3, 1)))
+    solve = Solver.solve
+
+    def fails(self, *arguments):
+        if self.problem.terminal == 'constraint':
+            raise SolverFailure('a test wants it')
+        return solve(self, *arguments)
+
+    monkeypatch.setattr(Solver, 'solve', fails)
+    carried = odometry((1.0, 0.6), time=1.0)  # so that the shifted plan does not arrive
+    tick = controller.tick(carried, np.tile([2.0, 0.5], (2, 1)))
+    assert (tick.status, tick.fallback) == ('failed', 'soft arrival')
+    assert 'a test wants it' in tick.reason
+
+
 def test_the_arrival_weight_brings_second_order_vehicles_to_rest():
     problem = Problem(dimension=3, translation_order=2, horizon=8, arrival_weight=1e4)
     state = State.at([0.0, 0.0, 0.0], np.eye(3), velocity=[0.5, 0.2, 0.0])

@@ -131,10 +131,13 @@ def test_nothing_is_learnt_over_a_gap_or_from_a_stamp_that_does_not_increase():
     watched = Watched(PLANTS[0][1], 2)
     watched.watch(200)
     before, last = watched.found, watched.time - STEP
-    astray = replace(watched.motion, position=watched.motion.position + 500.0)
+    astray = replace(watched.motion, position=watched.motion.position + 3.0)
     watched.estimator.observe(measured(last, astray), watched.history, watched.given)
     np.testing.assert_array_equal(watched.found, before)
-    watched.estimator.observe(measured(last + GAP + 0.1, astray), watched.history, watched.given)
+    given = watched.history.last
+    later = flown(watched.plant, watched.motion, given.speed_fraction, given.body_rate, GAP)
+    drifted = measured(watched.time + GAP, later, np.array([2.0, 0.0]))
+    watched.estimator.observe(drifted, watched.history, watched.given)
     np.testing.assert_array_equal(watched.found, before)
 
 
