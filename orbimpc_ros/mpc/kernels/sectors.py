@@ -1,0 +1,701 @@
+"""Branch and bound over headings within sectors: a floor together with a turn rate.
+
+Headings are unwrapped: a node holds theta_k in [low_k, high_k] at every step. The first heading is
+known and turns are limited, so the root's sectors are narrow to begin with, and what is learnt of
+one step narrows its neighbours. At a node, a sector narrower than half a turn is a convex set: the
+disk, both edges, and what lies beyond the chord between the least speeds along the edges. Pairs of
+steps are held together by half-spaces over both, a.z_k + b.z_{k+1} <= sigma(a, b), with sigma the
+largest value over all pairs of headings that the node allows. The quadratic program over all these
+rows is solved by a dual active-set method, as in :mod:`orbimpc_ros.mpc.kernels.active_set`, whose
+bounds hold at any time and whose children start from their parent's active set.
+
+Every node's headings are also rounded to a trajectory that holds floor and turn rate, from which
+:mod:`orbimpc_ros.mpc.kernels.steering` descends.
+
+Mathematics: docs/mathematics.md, 4.10.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.kernels import compiled
+from orbimpc_ros.mpc.kernels.active_set import FLAT, NODE, OUTSIDE, ROUNDING, Quadratic
+from orbimpc_ros.mpc.kernels.heap import pop, push
+from orbimpc_ros.mpc.kernels.linear import add_product, quadratic, solve_spd
+from orbimpc_ros.mpc.kernels.steering import (
+    Ring,
+    least_speed,
+    set_rounded,
+    steer,
+)
+
+DONE, FULL, PAUSED = 0, 1, 2  # what a call ends with
+GOING, SOLVED, PRUNED, STALLED = 0, 1, 2, 3  # what becomes of a node
+ITERATIONS = 400
+SATISFIED = 1e-8  # a floor or turn missed by less need not be branched on
+PAIRED = 1e-3  # a pair of steps missed by more is held together
+OPEN, MADE, NODES, CURRENT, ROWS_ADDED, STALLS, ACTIVE, STARTS = range(8)  # in Sectors.counts
+VALUE, CLOSED, BOUND, LEAST = range(4)  # in Sectors.numbers
+MARGIN = 0.15  # of a sector: no part is narrower
+HALF = np.pi - 1e-9
+PAIR = 300.0  # multiplications that a look at a pair costs
+
+
+class Sectors(NamedTuple):
+    """A search: its nodes, each with the active set it ended with, and the best trajectory.
+
+    Attributes:
+        rows: the steps of active rows, shape (S, 2N + 2).
+        normals: of rows n.(z_k, z_{k+1}) >= offset, shape (S, 2N + 2, 4).
+        offsets: shape (S, 2N + 2).
+        u: multipliers, >= 0, shape (S, 2N + 2).
+        active: how many there are, shape (S,); the first state is empty, for the root.
+        low: least headings of a node [rad], shape (M, N).
+        high: greatest, shape (M, N).
+        parent: whose active set a node begins with, shape (M,).
+        keys: bounds of the open nodes, a heap, shape (M,).
+        heap: their numbers, shape (M,).
+        chords: rows of the sectors at the node at work, normals and offsets, shape (N, 3).
+        edges: normals of their edges, zero where there are none, shape (N, 2, 2).
+        gram: n_i.H^-1 n_j of its active rows, the lower triangle, shape (2N + 2, 2N + 2).
+        system: what is solved with it, of the same shape.
+        images: H^-1 n_i, shape (2N + 2, N, 2).
+        free: -H^-1 q, shape (N, 2).
+        x: headings of the last node, shape (N, 2).
+        best: the best trajectory, shape (N, 2).
+        speeds: of a trajectory being made, shape (N,).
+        turns: shape (N,).
+        z: shape (N, 2).
+        counts: open nodes; nodes made; nodes solved; the node at work, -1 for none; rows added to
+            it; nodes that could not be settled; rows active in it; local searches, shape (8,).
+        numbers: the value to beat; the least bound given up; the bound of the node at work; that
+            of the whole search, shape (4,).
+    """
+
+    rows: np.ndarray
+    normals: Array
+    offsets: Array
+    u: Array
+    active: np.ndarray
+    low: Array
+    high: Array
+    parent: np.ndarray
+    keys: Array
+    heap: np.ndarray
+    chords: Array
+    edges: Array
+    gram: Array
+    system: Array
+    images: Array
+    free: Array
+    x: Array
+    best: Array
+    speeds: Array
+    turns: Array
+    z: Array
+    counts: np.ndarray
+    numbers: Array
+
+
+def sectors(steps: int, nodes: int) -> Sectors:
+    """Return room for a search over N = ``steps`` steps and so many nodes."""
+    states, made, size = nodes + 1, 1 + 2 * nodes, 2 * steps + 2
+    return Sectors(
+        np.empty((states, size), np.int64),
+        np.empty((states, size, 4)),
+        np.empty((states, size)),
+        np.empty((states, size)),
+        np.zeros(states, np.int64),
+        np.empty((made, steps)),
+        np.empty((made, steps)),
+        np.zeros(made, np.int64),
+        np.empty(made),
+        np.empty(made, np.int64),
+        np.zeros((steps, 3)),
+        np.zeros((steps, 2, 2)),
+        np.zeros((size, size)),
+        np.zeros((size, size)),
+        np.zeros((size, steps, 2)),
+        np.zeros((steps, 2)),
+        np.zeros((steps, 2)),
+        np.zeros((steps, 2)),
+        np.zeros(steps),
+        np.zeros(steps),
+        np.zeros((steps, 2)),
+        np.zeros(8, np.int64),
+        np.zeros(4),
+    )
+
+
+@compiled
+def begin(quad, ring, tree):
+    """Begin a search: all headings that can be reached."""
+    counts, numbers = tree.counts, tree.numbers
+    tree.free[:] = 0.0
+    add_product(quad.inverse, quad.q, -1.0, tree.free)
+    counts[:] = 0
+    counts[OPEN], counts[MADE], counts[CURRENT] = 1, 1, -1
+    numbers[:] = np.inf, np.inf, -np.inf, -np.inf
+    for k in range(len(tree.x)):
+        reach = (k + 1) * ring.widest if ring.widest < HALF else np.pi
+        tree.low[0, k], tree.high[0, k] = ring.first - reach, ring.first + reach
+    tree.parent[0] = 0
+    tree.keys[0], tree.heap[0] = -np.inf, 0
+
+
+@compiled
+def _minimiser(tree, own, count):
+    """Set x to the minimiser of the Lagrangian: H x + q - sum_i u_i n_i = 0."""
+    x, u, images = tree.x, tree.u[own], tree.images
+    x[:] = tree.free
+    for i in range(count):
+        for j in range(len(x)):
+            x[j, 0] += u[i] * images[i, j, 0]
+            x[j, 1] += u[i] * images[i, j, 1]
+
+
+@compiled
+def _set_image(inverse, step, row, image):
+    """Set H^-1 n, shape (N, 2), of a row that begins at a step."""
+    for j in range(len(image)):
+        near = inverse[j, step]
+        image[j, 0], image[j, 1] = near * row[0], near * row[1]
+    if row[2] != 0.0 or row[3] != 0.0:
+        for j in range(len(image)):
+            far = inverse[j, step + 1]
+            image[j, 0] += far * row[2]
+            image[j, 1] += far * row[3]
+
+
+@compiled
+def _along(step, row, z):
+    """Return n.z of a row that begins at a step."""
+    value = row[0] * z[step, 0] + row[1] * z[step, 1]
+    if row[2] != 0.0 or row[3] != 0.0:
+        value += row[2] * z[step + 1, 0] + row[3] * z[step + 1, 1]
+    return value
+
+
+@compiled
+def _lagrangian(quad, rows, normals, offsets, u, count, x):
+    """Return a lower bound on f(z) + sum_i u_i (b_i - n_i.z), |z_k| <= 1, expanded about x."""
+    hessian, q = quad.hessian, quad.q
+    steps = len(q)
+    pull = q.copy()
+    value = magnitude = stray = 0.0
+    for i in range(count):
+        k = rows[i]
+        value += u[i] * offsets[i]
+        magnitude += abs(u[i] * offsets[i])
+        pull[k, 0] -= u[i] * normals[i, 0]
+        pull[k, 1] -= u[i] * normals[i, 1]
+        if k + 1 < steps:
+            pull[k + 1, 0] -= u[i] * normals[i, 2]
+            pull[k + 1, 1] -= u[i] * normals[i, 3]
+    for j in range(steps):
+        a = b = 0.0
+        for k in range(steps):
+            a += hessian[j, k] * x[k, 0]
+            b += hessian[j, k] * x[k, 1]
+        c, d = pull[j, 0], pull[j, 1]
+        value += x[j, 0] * (0.5 * a + c) + x[j, 1] * (0.5 * b + d)
+        magnitude += abs(x[j, 0] * a) + abs(x[j, 1] * b) + abs(x[j, 0] * c) + abs(x[j, 1] * d)
+        size = np.sqrt(x[j, 0] ** 2 + x[j, 1] ** 2)
+        stray += np.sqrt((a + c) ** 2 + (b + d) ** 2) * (1.0 + size)
+    return value - stray - ROUNDING * magnitude
+
+
+@compiled
+def _drop(tree, own, i, count):
+    """Take a row out of the active set, and what is kept of it."""
+    rows, normals, offsets, u = tree.rows[own], tree.normals[own], tree.offsets[own], tree.u[own]
+    gram, images = tree.gram, tree.images
+    for j in range(i, count - 1):
+        rows[j], offsets[j], u[j] = rows[j + 1], offsets[j + 1], u[j + 1]
+        for c in range(4):
+            normals[j, c] = normals[j + 1, c]
+        for k in range(len(tree.x)):
+            images[j, k, 0], images[j, k, 1] = images[j + 1, k, 0], images[j + 1, k, 1]
+        for k in range(i):
+            gram[j, k] = gram[j + 1, k]
+        for k in range(i, j + 1):
+            gram[j, k] = gram[j + 1, k + 1]
+
+
+@compiled
+def _add_row(inverse, tree, own, count, step, row, offset):
+    """Add a violated row to the active set, dropping those in its way.
+
+    Returns:
+        The new count, or -1 where rounding leaves no row to drop or to add; the multiplications
+        that it took.
+    """
+    rows, normals, offsets, u = tree.rows[own], tree.normals[own], tree.offsets[own], tree.u[own]
+    gram, images, x = tree.gram, tree.images, tree.x
+    size, steps = len(rows), len(x)
+    r, held, image = np.empty(size), np.empty(size), np.empty((steps, 2))
+    _set_image(inverse, step, row, image)
+    own_curvature = _along(step, row, image)
+    flat, multiplier, spent = FLAT * own_curvature, 0.0, 0.0
+    for _ in range(4 * size):
+        spent += count * (count * (0.2 * count + 2.0) + 4.0 * steps + 4.0)
+        for i in range(count):
+            held[i] = r[i] = _along(rows[i], normals[i], image)
+            for j in range(i):
+                tree.system[i, j] = gram[i, j]
+            tree.system[i, i] = gram[i, i] * (1.0 + 1e-14)
+        if not solve_spd(tree.system, r, count):
+            return -1, spent
+        curvature, gap = own_curvature, offset - _along(step, row, x)
+        blocking, limit = -1, np.inf
+        for i in range(count):
+            curvature -= held[i] * r[i]
+            if r[i] > FLAT and u[i] < limit * r[i]:
+                blocking, limit = i, u[i] / r[i]
+        whole = gap / curvature if curvature > flat else np.inf
+        move = min(limit, whole)
+        if move == np.inf:
+            return -1, spent
+        multiplier += move
+        for i in range(count):
+            u[i] = max(0.0, u[i] - move * r[i])
+        if curvature > flat:
+            for j in range(steps):
+                x[j, 0] += move * image[j, 0]
+                x[j, 1] += move * image[j, 1]
+            for i in range(count):
+                back = move * r[i]
+                for j in range(steps):
+                    x[j, 0] -= back * images[i, j, 0]
+                    x[j, 1] -= back * images[i, j, 1]
+        if whole <= limit:
+            if count == size:
+                return -1, spent
+            rows[count], offsets[count], u[count] = step, offset, multiplier
+            normals[count], images[count], gram[count, count] = row, image, own_curvature
+            for i in range(count):
+                gram[count, i] = held[i]
+            return count + 1, spent
+        _drop(tree, own, blocking, count)
+        count -= 1
+    return -1, spent
+
+
+@compiled
+def _set_sectors(ring, low, high, chords, edges):
+    """Set the rows of each sector: beyond its chord, n.z_k >= b, and between its edges."""
+    for k in range(len(low)):
+        width = high[k] - low[k]
+        edges[k] = 0.0
+        if width >= 2.0 * np.pi - 1e-9:
+            chords[k] = 0.0, 0.0, -1.0
+        elif width >= HALF:
+            middle = 0.5 * (low[k] + high[k])
+            chords[k] = np.cos(middle), np.sin(middle), np.cos(0.5 * width)
+        else:
+            first, last = least_speed(ring, low[k])[0], least_speed(ring, high[k])[0]
+            ax, ay = first * np.cos(low[k]), first * np.sin(low[k])
+            bx, by = last * np.cos(high[k]), last * np.sin(high[k])
+            nx, ny = by - ay, ax - bx
+            size = np.sqrt(nx * nx + ny * ny)
+            if size > 1e-9:
+                nx, ny = nx / size, ny / size
+            else:
+                nx, ny = np.cos(low[k]), np.sin(low[k])
+            chords[k] = nx, ny, min(nx * ax + ny * ay, nx * bx + ny * by)
+            edges[k, 0, 0], edges[k, 0, 1] = -np.sin(low[k]), np.cos(low[k])
+            edges[k, 1, 0], edges[k, 1, 1] = np.sin(high[k]), -np.cos(high[k])
+
+
+@compiled
+def _most_violated(x, chords, edges, row):
+    """Set the row over one step that is violated most; return its step, -1 if none is, and offset.
+
+    The rows are tangents of the disk, chords, and edges of sectors narrower than half a turn.
+    """
+    worst, step, offset = OUTSIDE, -1, 0.0
+    row[2], row[3] = 0.0, 0.0
+    for k in range(len(x)):
+        square = x[k, 0] * x[k, 0] + x[k, 1] * x[k, 1]
+        if square > 1.0:
+            size = np.sqrt(square)
+            if size - 1.0 > worst:
+                worst, step, offset = size - 1.0, k, -1.0
+                row[0], row[1] = -x[k, 0] / size, -x[k, 1] / size
+        short = chords[k, 2] - chords[k, 0] * x[k, 0] - chords[k, 1] * x[k, 1]
+        if short > worst:
+            worst, step, offset = short, k, chords[k, 2]
+            row[0], row[1] = chords[k, 0], chords[k, 1]
+        for side in range(2):  # all zero where the sector has no edges
+            short = -edges[k, side, 0] * x[k, 0] - edges[k, side, 1] * x[k, 1]
+            if short > worst:
+                worst, step, offset = short, k, 0.0
+                row[0], row[1] = edges[k, side, 0], edges[k, side, 1]
+    return step, offset
+
+
+@compiled
+def _largest_cosine(peak, low, high):
+    """Return the largest cos(theta - peak) over an interval; -inf over an empty one."""
+    if low > high:
+        return -np.inf
+    turns = np.ceil((low - peak) / (2.0 * np.pi))
+    if peak + 2.0 * np.pi * turns <= high:
+        return 1.0
+    return max(np.cos(low - peak), np.cos(high - peak))
+
+
+@compiled
+def _support(a, along, b, beyond, low, high, low_next, high_next, widest):
+    """Return max r a cos(theta - along) + s b cos(psi - beyond) over the turns allowed.
+
+    theta is in [low, high], psi in [low_next, high_next], and |psi - theta| <= widest.
+    """
+    best = -np.inf
+    for side in range(2):  # theta at either end, psi where it likes within its reach
+        end = high if side else low
+        first, last = max(low_next, end - widest), min(high_next, end + widest)
+        if first <= last:
+            value = a * np.cos(end - along) + b * _largest_cosine(beyond, first, last)
+            best = max(best, value)
+        end = high_next if side else low_next
+        first, last = max(low, end - widest), min(high, end + widest)
+        if first <= last:
+            value = b * np.cos(end - beyond) + a * _largest_cosine(along, first, last)
+            best = max(best, value)
+        turn = widest if side else -widest
+        first, last = max(low, low_next - turn), min(high, high_next - turn)
+        if first <= last:  # psi = theta + turn: one cosine
+            x = a * np.cos(along) + b * np.cos(beyond - turn)
+            y = a * np.sin(along) + b * np.sin(beyond - turn)
+            peak = np.arctan2(y, x)
+            best = max(best, np.sqrt(x * x + y * y) * _largest_cosine(peak, first, last))
+    # Both at their best, if some turn between them is allowed.
+    middle = 0.5 * (low + high)
+    theta = along + 2.0 * np.pi * np.round((middle - along) / (2.0 * np.pi))
+    if low <= theta <= high:
+        psi = beyond + 2.0 * np.pi * np.round((theta - beyond) / (2.0 * np.pi))
+        if low_next <= psi <= high_next and abs(psi - theta) <= widest:
+            best = max(best, a + b)
+    return best
+
+
+@compiled
+def pair_support(fraction, widest, normal, sector):
+    """Return the largest a.z + b.z' over pairs of headings, (a, b) = normal, shape (4,).
+
+    Args:
+        fraction: the least |z|.
+        widest: the largest turn [rad].
+        normal: shape (4,).
+        sector: least and greatest heading of either step [rad], shape (4,).
+    """
+    a = np.sqrt(normal[0] ** 2 + normal[1] ** 2)
+    b = np.sqrt(normal[2] ** 2 + normal[3] ** 2)
+    along, beyond = np.arctan2(normal[1], normal[0]), np.arctan2(normal[3], normal[2])
+    best = -np.inf
+    for slow in range(4):
+        r = fraction if slow % 2 else 1.0
+        s = fraction if slow // 2 else 1.0
+        value = _support(
+            r * a, along, s * b, beyond, sector[0], sector[1], sector[2], sector[3], widest
+        )
+        best = max(best, value)
+    return best
+
+
+@compiled
+def _pair(ring, x, low, high, row):
+    """Set the row over two steps that is violated most; return its step, -1 if none is, and offset.
+
+    Where z_{k+1} has turned too far from z_k, the candidates compare how far both lie from a line
+    that turns along: directions psi and psi + delta in the middle between them, or at an end of
+    the sector, where a share of the moduli makes up for what these may differ by.
+    """
+    worst, step, offset = PAIRED, -1, 0.0
+    normal, sector = np.empty(4), np.empty(4)
+    for k in range(len(x) - 1):
+        if high[k] - low[k] >= HALF:
+            continue
+        cross = x[k, 0] * x[k + 1, 1] - x[k, 1] * x[k + 1, 0]
+        dot = x[k, 0] * x[k + 1, 0] + x[k, 1] * x[k + 1, 1]
+        angle = np.arctan2(cross, dot)
+        if abs(angle) <= ring.widest + SATISFIED:
+            continue
+        side = 1.0 if angle > 0.0 else -1.0
+        turn, f = side * ring.widest, ring.fraction
+        sector[0], sector[1], sector[2], sector[3] = low[k], high[k], low[k + 1], high[k + 1]
+        raw = np.arctan2(x[k, 1], x[k, 0]) + 0.5 * (angle - turn)
+        for which in range(4):
+            if which == 0:
+                psi, share = raw, 1.0
+            elif which == 1:
+                psi, share = raw, np.sqrt(dot * dot + cross * cross) / max(
+                    1e-12, x[k, 0] ** 2 + x[k, 1] ** 2
+                )
+                share = min(1.0 / f, max(f, share))
+            elif which == 2:
+                psi, share = low[k], 1.0 / f if side > 0.0 else f
+            else:
+                psi, share = high[k], f if side > 0.0 else 1.0 / f
+            normal[0], normal[1] = side * share * np.sin(psi), -side * share * np.cos(psi)
+            normal[2], normal[3] = -side * np.sin(psi + turn), side * np.cos(psi + turn)
+            value = normal[0] * x[k, 0] + normal[1] * x[k, 1]
+            value += normal[2] * x[k + 1, 0] + normal[3] * x[k + 1, 1]
+            if value <= worst:
+                continue
+            most = pair_support(f, ring.widest, normal, sector)
+            if value - most > worst:
+                worst, step, offset = value - most, k, -most
+                row[:] = -normal
+    return step, offset
+
+
+@compiled
+def _relax(quad, ring, tree, node, own, cutoff, count, added, work):
+    """Solve a node on from an active set and its minimiser.
+
+    Returns what becomes of it, the bound, the active count, the rows added by now, the work left.
+    """
+    rows, normals, offsets, u = tree.rows[own], tree.normals[own], tree.offsets[own], tree.u[own]
+    x, row, begun = tree.x, np.zeros(4), added
+    bound = _lagrangian(quad, rows, normals, offsets, u, count, x)
+    while added < ITERATIONS:
+        if bound >= cutoff:
+            return PRUNED, bound, count, added, work
+        step, offset = _most_violated(x, tree.chords, tree.edges, row)
+        if step < 0 and ring.widest < HALF:
+            step, offset = _pair(ring, x, tree.low[node], tree.high[node], row)
+            work -= PAIR * len(x)
+        if step < 0:
+            return SOLVED, bound, count, added, work
+        if work <= 0.0 and added > begun:
+            return GOING, bound, count, added, work
+        following, spent = _add_row(quad.inverse, tree, own, count, step, row, offset)
+        work -= spent + 4.0 * len(x) ** 2 + NODE
+        if following < 0:
+            return STALLED, bound, 0, added, work
+        count, added = following, added + 1
+        _minimiser(tree, own, count)
+        bound = max(bound, _lagrangian(quad, rows, normals, offsets, u, count, x))
+    return STALLED, bound, count, added, work
+
+
+@compiled
+def _open(quad, ring, tree, node):
+    """Begin to work on a node, from its parent's active set."""
+    counts = tree.counts
+    counts[NODES] += 1
+    own, from_ = counts[NODES], tree.parent[node]
+    count = tree.active[from_]
+    for i in range(count):
+        tree.rows[own, i], tree.u[own, i] = tree.rows[from_, i], tree.u[from_, i]
+        tree.offsets[own, i], tree.normals[own, i] = tree.offsets[from_, i], tree.normals[from_, i]
+        row = tree.normals[own, i]
+        _set_image(quad.inverse, tree.rows[own, i], row, tree.images[i])
+        for j in range(i + 1):
+            tree.gram[i, j] = _along(tree.rows[own, j], tree.normals[own, j], tree.images[i])
+    _minimiser(tree, own, count)
+    _set_sectors(ring, tree.low[node], tree.high[node], tree.chords, tree.edges)
+    counts[CURRENT], counts[ROWS_ADDED], counts[ACTIVE] = node, 0, count
+
+
+@compiled
+def _cut_at(ring, angle, low, high):
+    """Return where to cut a sector: at a corner of the floor inside it, else near an angle."""
+    middle, width = 0.5 * (low + high), high - low
+    if width > HALF:
+        angle = middle
+    angle = angle + 2.0 * np.pi * np.round((middle - angle) / (2.0 * np.pi))
+    angle = min(high - MARGIN * width, max(low + MARGIN * width, angle))
+    if ring.faces > 0:
+        share = 2.0 * np.pi / ring.faces
+        corner = share * (np.round(angle / share - 0.5) + 0.5)
+        if low + 1e-9 < corner < high - 1e-9:
+            return corner
+        above, below = corner + share, corner - share
+        if low + 1e-9 < above < high - 1e-9:
+            return above
+        if low + 1e-9 < below < high - 1e-9:
+            return below
+    return angle
+
+
+@compiled
+def _branching(ring, inverse, x, low, high):
+    """Return the step to branch on, -1 if there is none, and where to cut its sector."""
+    chosen, cut, gain = -1, 0.0, -1.0
+    before, last = ring.first, 1.0
+    for k in range(len(x)):
+        size = np.sqrt(x[k, 0] ** 2 + x[k, 1] ** 2)
+        angle = np.arctan2(x[k, 1], x[k, 0])
+        short = least_speed(ring, angle)[0] - size
+        if short > SATISFIED and high[k] - low[k] > 1e-6:
+            raised = short * short / (2.0 * inverse[k, k])
+            if raised > gain:
+                chosen, gain, cut = k, raised, _cut_at(ring, angle, low[k], high[k])
+        if ring.widest < HALF:
+            turn = angle - before - 2.0 * np.pi * np.round((angle - before) / (2.0 * np.pi))
+            excess = abs(turn) - ring.widest
+            if excess > SATISFIED:
+                half = np.sin(0.5 * min(excess, np.pi))
+                away = np.copysign(0.5 * excess, turn)
+                raised = (size * half) ** 2 / (2.0 * inverse[k, k])
+                if k > 0:
+                    raised = min(raised, (last * half) ** 2 / (2.0 * inverse[k - 1, k - 1]))
+                if k > 0 and high[k - 1] - low[k - 1] > max(1e-6, high[k] - low[k]):
+                    if raised > gain:
+                        chosen, gain = k - 1, raised
+                        cut = _cut_at(ring, before + away, low[k - 1], high[k - 1])
+                elif high[k] - low[k] > 1e-6 and raised > gain:
+                    chosen, gain = k, raised
+                    cut = _cut_at(ring, angle - away, low[k], high[k])
+        before, last = angle, size
+    return chosen, cut
+
+
+@compiled
+def _narrow(ring, low, high, chosen):
+    """Carry what is known of a step's sector to its neighbours."""
+    if ring.widest >= HALF:
+        return
+    for k in range(chosen + 1, len(low)):
+        low[k] = max(low[k], low[k - 1] - ring.widest)
+        high[k] = min(high[k], high[k - 1] + ring.widest)
+    for k in range(chosen - 1, -1, -1):
+        low[k] = max(low[k], low[k + 1] - ring.widest)
+        high[k] = min(high[k], high[k + 1] + ring.widest)
+
+
+@compiled
+def _branch(quad, ring, tree, node):
+    """Open the two children of a node that is solved, or note that it has none."""
+    counts, numbers = tree.counts, tree.numbers
+    bound, low, high = numbers[BOUND], tree.low, tree.high
+    k, cut = _branching(ring, quad.inverse, tree.x, low[node], high[node])
+    if k < 0:
+        numbers[CLOSED] = min(numbers[CLOSED], bound)
+        return
+    for side in range(2):
+        made = counts[MADE]
+        low[made], high[made] = low[node], high[node]
+        if side:
+            low[made, k] = cut
+        else:
+            high[made, k] = cut
+        _narrow(ring, low[made], high[made], k)
+        tree.parent[made] = counts[NODES]
+        push(tree.keys, tree.heap, counts[OPEN], bound, made)
+        counts[OPEN] += 1
+        counts[MADE] += 1
+
+
+@compiled
+def offer(quad, ring, constant, tree, x, low, high, share):
+    """Round headings to a trajectory and descend from it where it is promising.
+
+    Args:
+        quad: what to minimise.
+        ring: floor and turn rate.
+        constant: what costs lack.
+        tree: whose best is replaced by a better one.
+        x: headings, shape (N, 2).
+        low: least headings, shape (N,).
+        high: greatest, shape (N,).
+        share: of the best cost that the rounded one may be worse by, to be worth a descent.
+    """
+    numbers = tree.numbers
+    set_rounded(ring, x, low, high, tree.speeds, tree.turns)
+    rounded = ring_cost(quad, ring, tree)
+    if rounded > numbers[VALUE] + share * abs(numbers[VALUE] + constant):
+        return 0.0
+    cost, taken = steer(quad.hessian, quad.q, ring, constant, tree.speeds, tree.turns, tree.z)
+    tree.counts[STARTS] += 1
+    if cost < numbers[VALUE]:
+        numbers[VALUE], tree.best[:] = cost, tree.z
+    return taken * (2.0 * len(x)) ** 3
+
+
+@compiled
+def ring_cost(quad, ring, tree):
+    """Return the cost of the speeds and turns being worked on."""
+    angle = ring.first
+    for k in range(len(tree.z)):
+        angle += tree.turns[k]
+        rho = least_speed(ring, angle)[0]
+        size = rho + tree.speeds[k] * (1.0 - rho)
+        tree.z[k, 0], tree.z[k, 1] = size * np.cos(angle), size * np.sin(angle)
+    return quadratic(quad.hessian, quad.q, tree.z)
+
+
+@compiled
+def _search(quad, ring, constant, tolerance, tree, room, work):
+    """Do as :func:`search`, but for the bound of the whole."""
+    counts, numbers = tree.counts, tree.numbers
+    while counts[CURRENT] >= 0 or counts[OPEN] > 0:
+        cutoff = numbers[VALUE] - tolerance * max(abs(numbers[VALUE] + constant), 1e-9)
+        if counts[CURRENT] < 0:
+            if tree.keys[0] >= cutoff:
+                break
+            if counts[NODES] >= room:
+                return FULL
+            if work <= 0.0:
+                return PAUSED
+            numbers[BOUND] = tree.keys[0]
+            node = tree.heap[0]
+            pop(tree.keys, tree.heap, counts[OPEN])
+            counts[OPEN] -= 1
+            _open(quad, ring, tree, node)
+            work -= NODE + 2.0 * len(tree.x) ** 2
+        node, own = counts[CURRENT], counts[NODES]
+        status, bound, count, counts[ROWS_ADDED], work = _relax(
+            quad, ring, tree, node, own, cutoff, counts[ACTIVE], counts[ROWS_ADDED], work
+        )
+        counts[ACTIVE] = tree.active[own] = count
+        numbers[BOUND] = max(numbers[BOUND], bound)
+        if status == GOING:
+            return PAUSED
+        counts[CURRENT] = -1
+        if status == SOLVED:
+            # Where the search is young, and ever less often later.
+            share = 0.5 if counts[NODES] & (counts[NODES] - 1) == 0 else 0.0
+            work -= offer(
+                quad, ring, constant, tree, tree.x, tree.low[node], tree.high[node], share
+            )
+            _branch(quad, ring, tree, node)
+        else:
+            numbers[CLOSED] = min(numbers[CLOSED], numbers[BOUND])
+            counts[STALLS] += status == STALLED
+    return DONE
+
+
+@compiled
+def search(quad, ring, constant, tolerance, tree, room, work):
+    """Search best first, on from where the tree is.
+
+    Args:
+        quad: what to minimise, over headings of shape (N, 2).
+        ring: floor and turn rate.
+        constant: what values lack; it only scales the tolerance.
+        tolerance: relative gap at which to stop.
+        tree: begun by :func:`begin`; updated in place.
+        room: nodes to solve in all, at most.
+        work: multiplications to do at most, though no less than one row takes.
+
+    Returns:
+        ``DONE``; ``FULL``, where all nodes that there is room for are solved; ``PAUSED``, where
+        the work has run out.
+    """
+    status = _search(quad, ring, constant, tolerance, tree, room, work)
+    counts, numbers = tree.counts, tree.numbers
+    least = min(numbers[CLOSED], numbers[VALUE])
+    if counts[CURRENT] >= 0:
+        least = min(least, numbers[BOUND])
+    if counts[OPEN] > 0:
+        least = min(least, tree.keys[0])
+    numbers[LEAST] = least
+    return status
