@@ -156,7 +156,7 @@ def _minimiser(inverse, q, rows, normals, u, count, x):
 
 
 @compiled
-def _lagrangian(quad, rows, normals, offsets, u, count, x):
+def lagrangian(quad, rows, normals, offsets, u, count, x):
     """Return a lower bound on f(z) + sum_i u_i (b_i - n_i . z), |z_k| <= 1, expanded about x."""
     hessian, q = quad.hessian, quad.q
     value = magnitude = stray = 0.0
@@ -266,7 +266,7 @@ def _relax(quad, cells, bounds, choice, cutoff, rows, normals, offsets, u, count
 
     Returns what becomes of it, the bound, the active count, the rows added by now, the work left.
     """
-    bound = _lagrangian(quad, rows, normals, offsets, u, count, x)
+    bound = lagrangian(quad, rows, normals, offsets, u, count, x)
     while added < ITERATIONS:
         step, a, b, offset = _most_violated(x, choice, cells, bounds)
         if step < 0:
@@ -281,7 +281,7 @@ def _relax(quad, cells, bounds, choice, cutoff, rows, normals, offsets, u, count
             return STALLED, bound, 0, added, work
         count, added = following, added + 1
         _minimiser(quad.inverse, quad.q, rows, normals, u, count, x)
-        bound = max(bound, _lagrangian(quad, rows, normals, offsets, u, count, x))
+        bound = max(bound, lagrangian(quad, rows, normals, offsets, u, count, x))
         if bound >= cutoff:
             return PRUNED, bound, count, added, work
     return STALLED, bound, count, added, work

@@ -3,11 +3,10 @@
 Headings are unwrapped: a node holds theta_k in [low_k, high_k] at every step. The first heading is
 known and turns are limited, so the root's sectors are narrow to begin with, and what is learnt of
 one step narrows its neighbours. At a node, a sector narrower than half a turn is a convex set: the
-disk, both edges, and what lies beyond the chord between the least speeds along the edges. Pairs of
-steps are held together by half-spaces over both, a.z_k + b.z_{k+1} <= sigma(a, b), with sigma the
-largest value over all pairs of headings that the node allows. The quadratic program over all these
-rows is solved by a dual active-set method, as in :mod:`orbimpc_ros.mpc.kernels.active_set`, whose
-bounds hold at any time and whose children start from their parent's active set.
+disk, both edges, and what lies beyond the chord between the least speeds along the edges. The
+quadratic program over these rows is solved by a dual active-set method, as in
+:mod:`orbimpc_ros.mpc.kernels.active_set`, whose bounds hold at any time and whose children start
+from their parent's active set.
 
 Every node's headings are also rounded to a trajectory that holds floor and turn rate, from which
 :mod:`orbimpc_ros.mpc.kernels.steering` descends.
@@ -22,12 +21,11 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.active_set import FLAT, NODE, OUTSIDE, ROUNDING, Quadratic
+from orbimpc_ros.mpc.kernels import compiled, vectorised
+from orbimpc_ros.mpc.kernels.active_set import FLAT, NODE, OUTSIDE, lagrangian
 from orbimpc_ros.mpc.kernels.heap import pop, push
-from orbimpc_ros.mpc.kernels.linear import add_product, quadratic, solve_spd
+from orbimpc_ros.mpc.kernels.linear import SINGULAR, add_product, quadratic
 from orbimpc_ros.mpc.kernels.steering import (
-    Ring,
     least_speed,
     set_rounded,
     steer,
@@ -37,12 +35,13 @@ DONE, FULL, PAUSED = 0, 1, 2  # what a call ends with
 GOING, SOLVED, PRUNED, STALLED = 0, 1, 2, 3  # what becomes of a node
 ITERATIONS = 400
 SATISFIED = 1e-8  # a floor or turn missed by less need not be branched on
-PAIRED = 1e-3  # a pair of steps missed by more is held together
 OPEN, MADE, NODES, CURRENT, ROWS_ADDED, STALLS, ACTIVE, STARTS = range(8)  # in Sectors.counts
 VALUE, CLOSED, BOUND, LEAST = range(4)  # in Sectors.numbers
 MARGIN = 0.15  # of a sector: no part is narrower
 HALF = np.pi - 1e-9
-PAIR = 300.0  # multiplications that a look at a pair costs
+NARROWEST = 1e-6  # [rad], a sector that is not cut
+SHARE = 1e-2  # of what is missed of the floor, beside the gain that is certain
+SURE = 1.0 - 1e-6  # of a gain
 
 
 class Sectors(NamedTuple):
@@ -50,7 +49,7 @@ class Sectors(NamedTuple):
 
     Attributes:
         rows: the steps of active rows, shape (S, 2N + 2).
-        normals: of rows n.(z_k, z_{k+1}) >= offset, shape (S, 2N + 2, 4).
+        normals: of rows n.z_k >= offset, shape (S, 2N + 2, 2).
         offsets: shape (S, 2N + 2).
         u: multipliers, >= 0, shape (S, 2N + 2).
         active: how many there are, shape (S,); the first state is empty, for the root.
@@ -62,7 +61,13 @@ class Sectors(NamedTuple):
         chords: rows of the sectors at the node at work, normals and offsets, shape (N, 3).
         edges: normals of their edges, zero where there are none, shape (N, 2, 2).
         gram: n_i.H^-1 n_j of its active rows, the lower triangle, shape (2N + 2, 2N + 2).
-        system: what is solved with it, of the same shape.
+        factor: of Cholesky, of the same shape.
+        along: n_i.H^-1 n of another row, shape (2N + 2,).
+        image: H^-1 n, shape (N, 2).
+        row: n, shape (2,).
+        ends: of a part of a sector, shape (2, 1).
+        part_chord: its chord, shape (1, 3).
+        part_edges: its edges, shape (1, 2, 2).
         images: H^-1 n_i, shape (2N + 2, N, 2).
         free: -H^-1 q, shape (N, 2).
         x: headings of the last node, shape (N, 2).
@@ -89,7 +94,13 @@ class Sectors(NamedTuple):
     chords: Array
     edges: Array
     gram: Array
-    system: Array
+    factor: Array
+    along: Array
+    image: Array
+    row: Array
+    ends: Array
+    part_chord: Array
+    part_edges: Array
     images: Array
     free: Array
     x: Array
@@ -106,7 +117,7 @@ def sectors(steps: int, nodes: int) -> Sectors:
     states, made, size = nodes + 1, 1 + 2 * nodes, 2 * steps + 2
     return Sectors(
         np.empty((states, size), np.int64),
-        np.empty((states, size, 4)),
+        np.empty((states, size, 2)),
         np.empty((states, size)),
         np.empty((states, size)),
         np.zeros(states, np.int64),
@@ -119,6 +130,12 @@ def sectors(steps: int, nodes: int) -> Sectors:
         np.zeros((steps, 2, 2)),
         np.zeros((size, size)),
         np.zeros((size, size)),
+        np.zeros(size),
+        np.zeros((steps, 2)),
+        np.zeros(2),
+        np.zeros((2, 1)),
+        np.zeros((1, 3)),
+        np.zeros((1, 2, 2)),
         np.zeros((size, steps, 2)),
         np.zeros((steps, 2)),
         np.zeros((steps, 2)),
@@ -160,53 +177,49 @@ def _minimiser(tree, own, count):
 
 @compiled
 def _set_image(inverse, step, row, image):
-    """Set H^-1 n, shape (N, 2), of a row that begins at a step."""
+    """Set H^-1 n, shape (N, 2), of a row over a step."""
     for j in range(len(image)):
-        near = inverse[j, step]
-        image[j, 0], image[j, 1] = near * row[0], near * row[1]
-    if row[2] != 0.0 or row[3] != 0.0:
-        for j in range(len(image)):
-            far = inverse[j, step + 1]
-            image[j, 0] += far * row[2]
-            image[j, 1] += far * row[3]
+        image[j, 0], image[j, 1] = inverse[j, step] * row[0], inverse[j, step] * row[1]
 
 
-@compiled
-def _along(step, row, z):
-    """Return n.z of a row that begins at a step."""
-    value = row[0] * z[step, 0] + row[1] * z[step, 1]
-    if row[2] != 0.0 or row[3] != 0.0:
-        value += row[2] * z[step + 1, 0] + row[3] * z[step + 1, 1]
-    return value
+@vectorised
+def _extend(gram, factor, first, count):
+    """Set the rows of Cholesky's factor from ``first`` on, diagonals inverted; False if singular.
+
+    Rows before it stay: a row that is added costs no more than solving with it.
+    """
+    for i in range(first, count):
+        for j in range(i):
+            value = gram[i, j]
+            for k in range(j):
+                value -= factor[i, k] * factor[j, k]
+            factor[i, j] = value * factor[j, j]
+        value = gram[i, i] * (1.0 + 1e-14)
+        for k in range(i):
+            value -= factor[i, k] * factor[i, k]
+        if not value > SINGULAR * gram[i, i]:
+            return False
+        factor[i, i] = 1.0 / np.sqrt(value)
+    return True
 
 
-@compiled
-def _lagrangian(quad, rows, normals, offsets, u, count, x):
-    """Return a lower bound on f(z) + sum_i u_i (b_i - n_i.z), |z_k| <= 1, expanded about x."""
-    hessian, q = quad.hessian, quad.q
-    steps = len(q)
-    pull = q.copy()
-    value = magnitude = stray = 0.0
+@vectorised
+def _solve(factor, right, count):
+    """Solve with Cholesky's factor in place; return |L^-1 right|^2."""
+    square = 0.0
     for i in range(count):
-        k = rows[i]
-        value += u[i] * offsets[i]
-        magnitude += abs(u[i] * offsets[i])
-        pull[k, 0] -= u[i] * normals[i, 0]
-        pull[k, 1] -= u[i] * normals[i, 1]
-        if k + 1 < steps:
-            pull[k + 1, 0] -= u[i] * normals[i, 2]
-            pull[k + 1, 1] -= u[i] * normals[i, 3]
-    for j in range(steps):
-        a = b = 0.0
-        for k in range(steps):
-            a += hessian[j, k] * x[k, 0]
-            b += hessian[j, k] * x[k, 1]
-        c, d = pull[j, 0], pull[j, 1]
-        value += x[j, 0] * (0.5 * a + c) + x[j, 1] * (0.5 * b + d)
-        magnitude += abs(x[j, 0] * a) + abs(x[j, 1] * b) + abs(x[j, 0] * c) + abs(x[j, 1] * d)
-        size = np.sqrt(x[j, 0] ** 2 + x[j, 1] ** 2)
-        stray += np.sqrt((a + c) ** 2 + (b + d) ** 2) * (1.0 + size)
-    return value - stray - ROUNDING * magnitude
+        value = right[i]
+        for k in range(i):
+            value -= factor[i, k] * right[k]
+        value *= factor[i, i]
+        right[i] = value
+        square += value * value
+    for i in range(count - 1, -1, -1):
+        value = right[i] * factor[i, i]
+        right[i] = value
+        for k in range(i):
+            right[k] -= factor[i, k] * value
+    return square
 
 
 @compiled
@@ -216,8 +229,7 @@ def _drop(tree, own, i, count):
     gram, images = tree.gram, tree.images
     for j in range(i, count - 1):
         rows[j], offsets[j], u[j] = rows[j + 1], offsets[j + 1], u[j + 1]
-        for c in range(4):
-            normals[j, c] = normals[j + 1, c]
+        normals[j, 0], normals[j, 1] = normals[j + 1, 0], normals[j + 1, 1]
         for k in range(len(tree.x)):
             images[j, k, 0], images[j, k, 1] = images[j + 1, k, 0], images[j + 1, k, 1]
         for k in range(i):
@@ -239,21 +251,16 @@ def _add_row(inverse, tree, own, count, step, row, offset):
     size, steps = len(rows), len(x)
     r, held, image = np.empty(size), np.empty(size), np.empty((steps, 2))
     _set_image(inverse, step, row, image)
-    own_curvature = _along(step, row, image)
+    own_curvature = row[0] * image[step, 0] + row[1] * image[step, 1]
     flat, multiplier, spent = FLAT * own_curvature, 0.0, 0.0
     for _ in range(4 * size):
-        spent += count * (count * (0.2 * count + 2.0) + 4.0 * steps + 4.0)
+        spent += count * (2.0 * count + 4.0 * steps + 4.0)
         for i in range(count):
-            held[i] = r[i] = _along(rows[i], normals[i], image)
-            for j in range(i):
-                tree.system[i, j] = gram[i, j]
-            tree.system[i, i] = gram[i, i] * (1.0 + 1e-14)
-        if not solve_spd(tree.system, r, count):
-            return -1, spent
-        curvature, gap = own_curvature, offset - _along(step, row, x)
+            held[i] = r[i] = normals[i, 0] * image[rows[i], 0] + normals[i, 1] * image[rows[i], 1]
+        curvature = own_curvature - _solve(tree.factor, r, count)
+        gap = offset - row[0] * x[step, 0] - row[1] * x[step, 1]
         blocking, limit = -1, np.inf
         for i in range(count):
-            curvature -= held[i] * r[i]
             if r[i] > FLAT and u[i] < limit * r[i]:
                 blocking, limit = i, u[i] / r[i]
         whole = gap / curvature if curvature > flat else np.inf
@@ -279,9 +286,14 @@ def _add_row(inverse, tree, own, count, step, row, offset):
             normals[count], images[count], gram[count, count] = row, image, own_curvature
             for i in range(count):
                 gram[count, i] = held[i]
+            if not _extend(gram, tree.factor, count, count + 1):
+                return -1, spent
             return count + 1, spent
         _drop(tree, own, blocking, count)
         count -= 1
+        spent += (count - blocking) * count * (0.5 * count + 4.0 * steps)
+        if not _extend(gram, tree.factor, blocking, count):
+            return -1, spent
     return -1, spent
 
 
@@ -318,7 +330,6 @@ def _most_violated(x, chords, edges, row):
     The rows are tangents of the disk, chords, and edges of sectors narrower than half a turn.
     """
     worst, step, offset = OUTSIDE, -1, 0.0
-    row[2], row[3] = 0.0, 0.0
     for k in range(len(x)):
         square = x[k, 0] * x[k, 0] + x[k, 1] * x[k, 1]
         if square > 1.0:
@@ -339,138 +350,18 @@ def _most_violated(x, chords, edges, row):
 
 
 @compiled
-def _largest_cosine(peak, low, high):
-    """Return the largest cos(theta - peak) over an interval; -inf over an empty one."""
-    if low > high:
-        return -np.inf
-    turns = np.ceil((low - peak) / (2.0 * np.pi))
-    if peak + 2.0 * np.pi * turns <= high:
-        return 1.0
-    return max(np.cos(low - peak), np.cos(high - peak))
-
-
-@compiled
-def _support(a, along, b, beyond, low, high, low_next, high_next, widest):
-    """Return max r a cos(theta - along) + s b cos(psi - beyond) over the turns allowed.
-
-    theta is in [low, high], psi in [low_next, high_next], and |psi - theta| <= widest.
-    """
-    best = -np.inf
-    for side in range(2):  # theta at either end, psi where it likes within its reach
-        end = high if side else low
-        first, last = max(low_next, end - widest), min(high_next, end + widest)
-        if first <= last:
-            value = a * np.cos(end - along) + b * _largest_cosine(beyond, first, last)
-            best = max(best, value)
-        end = high_next if side else low_next
-        first, last = max(low, end - widest), min(high, end + widest)
-        if first <= last:
-            value = b * np.cos(end - beyond) + a * _largest_cosine(along, first, last)
-            best = max(best, value)
-        turn = widest if side else -widest
-        first, last = max(low, low_next - turn), min(high, high_next - turn)
-        if first <= last:  # psi = theta + turn: one cosine
-            x = a * np.cos(along) + b * np.cos(beyond - turn)
-            y = a * np.sin(along) + b * np.sin(beyond - turn)
-            peak = np.arctan2(y, x)
-            best = max(best, np.sqrt(x * x + y * y) * _largest_cosine(peak, first, last))
-    # Both at their best, if some turn between them is allowed.
-    middle = 0.5 * (low + high)
-    theta = along + 2.0 * np.pi * np.round((middle - along) / (2.0 * np.pi))
-    if low <= theta <= high:
-        psi = beyond + 2.0 * np.pi * np.round((theta - beyond) / (2.0 * np.pi))
-        if low_next <= psi <= high_next and abs(psi - theta) <= widest:
-            best = max(best, a + b)
-    return best
-
-
-@compiled
-def pair_support(fraction, widest, normal, sector):
-    """Return the largest a.z + b.z' over pairs of headings, (a, b) = normal, shape (4,).
-
-    Args:
-        fraction: the least |z|.
-        widest: the largest turn [rad].
-        normal: shape (4,).
-        sector: least and greatest heading of either step [rad], shape (4,).
-    """
-    a = np.sqrt(normal[0] ** 2 + normal[1] ** 2)
-    b = np.sqrt(normal[2] ** 2 + normal[3] ** 2)
-    along, beyond = np.arctan2(normal[1], normal[0]), np.arctan2(normal[3], normal[2])
-    best = -np.inf
-    for slow in range(4):
-        r = fraction if slow % 2 else 1.0
-        s = fraction if slow // 2 else 1.0
-        value = _support(
-            r * a, along, s * b, beyond, sector[0], sector[1], sector[2], sector[3], widest
-        )
-        best = max(best, value)
-    return best
-
-
-@compiled
-def _pair(ring, x, low, high, row):
-    """Set the row over two steps that is violated most; return its step, -1 if none is, and offset.
-
-    Where z_{k+1} has turned too far from z_k, the candidates compare how far both lie from a line
-    that turns along: directions psi and psi + delta in the middle between them, or at an end of
-    the sector, where a share of the moduli makes up for what these may differ by.
-    """
-    worst, step, offset = PAIRED, -1, 0.0
-    normal, sector = np.empty(4), np.empty(4)
-    for k in range(len(x) - 1):
-        if high[k] - low[k] >= HALF:
-            continue
-        cross = x[k, 0] * x[k + 1, 1] - x[k, 1] * x[k + 1, 0]
-        dot = x[k, 0] * x[k + 1, 0] + x[k, 1] * x[k + 1, 1]
-        angle = np.arctan2(cross, dot)
-        if abs(angle) <= ring.widest + SATISFIED:
-            continue
-        side = 1.0 if angle > 0.0 else -1.0
-        turn, f = side * ring.widest, ring.fraction
-        sector[0], sector[1], sector[2], sector[3] = low[k], high[k], low[k + 1], high[k + 1]
-        raw = np.arctan2(x[k, 1], x[k, 0]) + 0.5 * (angle - turn)
-        for which in range(4):
-            if which == 0:
-                psi, share = raw, 1.0
-            elif which == 1:
-                psi, share = raw, np.sqrt(dot * dot + cross * cross) / max(
-                    1e-12, x[k, 0] ** 2 + x[k, 1] ** 2
-                )
-                share = min(1.0 / f, max(f, share))
-            elif which == 2:
-                psi, share = low[k], 1.0 / f if side > 0.0 else f
-            else:
-                psi, share = high[k], f if side > 0.0 else 1.0 / f
-            normal[0], normal[1] = side * share * np.sin(psi), -side * share * np.cos(psi)
-            normal[2], normal[3] = -side * np.sin(psi + turn), side * np.cos(psi + turn)
-            value = normal[0] * x[k, 0] + normal[1] * x[k, 1]
-            value += normal[2] * x[k + 1, 0] + normal[3] * x[k + 1, 1]
-            if value <= worst:
-                continue
-            most = pair_support(f, ring.widest, normal, sector)
-            if value - most > worst:
-                worst, step, offset = value - most, k, -most
-                row[:] = -normal
-    return step, offset
-
-
-@compiled
 def _relax(quad, ring, tree, node, own, cutoff, count, added, work):
     """Solve a node on from an active set and its minimiser.
 
     Returns what becomes of it, the bound, the active count, the rows added by now, the work left.
     """
     rows, normals, offsets, u = tree.rows[own], tree.normals[own], tree.offsets[own], tree.u[own]
-    x, row, begun = tree.x, np.zeros(4), added
-    bound = _lagrangian(quad, rows, normals, offsets, u, count, x)
+    x, row, begun = tree.x, np.zeros(2), added
+    bound = lagrangian(quad, rows, normals, offsets, u, count, x)
     while added < ITERATIONS:
         if bound >= cutoff:
             return PRUNED, bound, count, added, work
         step, offset = _most_violated(x, tree.chords, tree.edges, row)
-        if step < 0 and ring.widest < HALF:
-            step, offset = _pair(ring, x, tree.low[node], tree.high[node], row)
-            work -= PAIR * len(x)
         if step < 0:
             return SOLVED, bound, count, added, work
         if work <= 0.0 and added > begun:
@@ -481,7 +372,7 @@ def _relax(quad, ring, tree, node, own, cutoff, count, added, work):
             return STALLED, bound, 0, added, work
         count, added = following, added + 1
         _minimiser(tree, own, count)
-        bound = max(bound, _lagrangian(quad, rows, normals, offsets, u, count, x))
+        bound = max(bound, lagrangian(quad, rows, normals, offsets, u, count, x))
     return STALLED, bound, count, added, work
 
 
@@ -498,7 +389,10 @@ def _open(quad, ring, tree, node):
         row = tree.normals[own, i]
         _set_image(quad.inverse, tree.rows[own, i], row, tree.images[i])
         for j in range(i + 1):
-            tree.gram[i, j] = _along(tree.rows[own, j], tree.normals[own, j], tree.images[i])
+            step, other = tree.rows[own, j], tree.normals[own, j]
+            tree.gram[i, j] = other[0] * tree.images[i, step, 0] + other[1] * tree.images[i, step, 1]
+    if not _extend(tree.gram, tree.factor, 0, count):
+        count = 0  # nothing is lost but a start
     _minimiser(tree, own, count)
     _set_sectors(ring, tree.low[node], tree.high[node], tree.chords, tree.edges)
     counts[CURRENT], counts[ROWS_ADDED], counts[ACTIVE] = node, 0, count
@@ -526,36 +420,93 @@ def _cut_at(ring, angle, low, high):
 
 
 @compiled
-def _branching(ring, inverse, x, low, high):
-    """Return the step to branch on, -1 if there is none, and where to cut its sector."""
-    chosen, cut, gain = -1, 0.0, -1.0
-    before, last = ring.first, 1.0
+def _excess(ring, x, k):
+    """Return by how much the turn to step k, from what is before it, is too wide, with its sign."""
+    angle, before = np.arctan2(x[k, 1], x[k, 0]), ring.first
+    if k > 0:
+        before = np.arctan2(x[k - 1, 1], x[k - 1, 0])
+    turn = angle - before - 2.0 * np.pi * np.round((angle - before) / (2.0 * np.pi))
+    return np.copysign(max(0.0, abs(turn) - ring.widest), turn)
+
+
+@compiled
+def _gain(quad, tree, own, count, step, row, offset):
+    """Return by how much one dual step along a row raises the bound of the node at work."""
+    short = offset - row[0] * tree.x[step, 0] - row[1] * tree.x[step, 1]
+    if short <= 0.0:
+        return 0.0
+    rows, normals, u, r = tree.rows[own], tree.normals[own], tree.u[own], tree.along
+    _set_image(quad.inverse, step, row, tree.image)
+    for i in range(count):
+        image = tree.image[rows[i]]
+        r[i] = normals[i, 0] * image[0] + normals[i, 1] * image[1]
+    curvature = quad.inverse[step, step] - _solve(tree.factor, r, count)
+    limit = np.inf
+    for i in range(count):
+        if r[i] > FLAT and u[i] < limit * r[i]:
+            limit = u[i] / r[i]
+    move = min(limit, short / max(curvature, FLAT * quad.inverse[step, step]))
+    return move * (short - 0.5 * move * max(0.0, curvature))
+
+
+@compiled
+def _part_gain(quad, ring, tree, own, count, step, low, high):
+    """Return by how much the bound rises at least where a step is held in a smaller sector."""
+    ends, row = tree.ends, tree.row
+    ends[0, 0], ends[1, 0] = low, high
+    _set_sectors(ring, ends[0], ends[1], tree.part_chord, tree.part_edges)
+    x, worst, offset = tree.x[step], OUTSIDE, 0.0
+    chord = tree.part_chord[0]
+    short = chord[2] - chord[0] * x[0] - chord[1] * x[1]
+    if short > worst:
+        worst, row[0], row[1], offset = short, chord[0], chord[1], chord[2]
+    for side in range(2):
+        edge = tree.part_edges[0, side]
+        short = -edge[0] * x[0] - edge[1] * x[1]
+        if short > worst:
+            worst, row[0], row[1], offset = short, edge[0], edge[1], 0.0
+    if worst == OUTSIDE:
+        return 0.0
+    return _gain(quad, tree, own, count, step, row, offset)
+
+
+@compiled
+def _branching(quad, ring, tree, node, own, count, most):
+    """Return the step to branch on, -1 if there is none, where to cut its sector, and the gains.
+
+    Args:
+        quad: what is minimised.
+        ring: floor and turn rate.
+        tree: the search.
+        node: at work.
+        own: its state.
+        count: active rows.
+        most: a gain beyond which a part is pruned, so that more is not worth more.
+    """
+    x, low, high = tree.x, tree.low[node], tree.high[node]
+    chosen, cut, score, first, last = -1, 0.0, -1.0, 0.0, 0.0
     for k in range(len(x)):
-        size = np.sqrt(x[k, 0] ** 2 + x[k, 1] ** 2)
+        width = high[k] - low[k]
+        if width < NARROWEST:
+            continue
         angle = np.arctan2(x[k, 1], x[k, 0])
-        short = least_speed(ring, angle)[0] - size
-        if short > SATISFIED and high[k] - low[k] > 1e-6:
-            raised = short * short / (2.0 * inverse[k, k])
-            if raised > gain:
-                chosen, gain, cut = k, raised, _cut_at(ring, angle, low[k], high[k])
+        short = least_speed(ring, angle)[0] - np.sqrt(x[k, 0] ** 2 + x[k, 1] ** 2)
+        away = 0.0
         if ring.widest < HALF:
-            turn = angle - before - 2.0 * np.pi * np.round((angle - before) / (2.0 * np.pi))
-            excess = abs(turn) - ring.widest
-            if excess > SATISFIED:
-                half = np.sin(0.5 * min(excess, np.pi))
-                away = np.copysign(0.5 * excess, turn)
-                raised = (size * half) ** 2 / (2.0 * inverse[k, k])
-                if k > 0:
-                    raised = min(raised, (last * half) ** 2 / (2.0 * inverse[k - 1, k - 1]))
-                if k > 0 and high[k - 1] - low[k - 1] > max(1e-6, high[k] - low[k]):
-                    if raised > gain:
-                        chosen, gain = k - 1, raised
-                        cut = _cut_at(ring, before + away, low[k - 1], high[k - 1])
-                elif high[k] - low[k] > 1e-6 and raised > gain:
-                    chosen, gain = k, raised
-                    cut = _cut_at(ring, angle - away, low[k], high[k])
-        before, last = angle, size
-    return chosen, cut
+            away = -_excess(ring, x, k)
+            if k + 1 < len(x) and abs(away) <= SATISFIED:
+                away = _excess(ring, x, k + 1)
+        if short <= SATISFIED and abs(away) <= SATISFIED:
+            continue
+        at = _cut_at(ring, angle + 0.5 * away, low[k], high[k])
+        below = min(most, _part_gain(quad, ring, tree, own, count, k, low[k], at))
+        above = min(most, _part_gain(quad, ring, tree, own, count, k, at, high[k]))
+        # Small gains tell little; what is missed of the floor tells what finer parts will ask.
+        missed = max(short, 0.0) ** 2 / (2.0 * quad.inverse[k, k])
+        merit = (below + SHARE * missed) * (above + SHARE * missed) + 1e-30 * width
+        if merit > score:
+            chosen, cut, score, first, last = k, at, merit, below, above
+    return chosen, cut, first, last
 
 
 @compiled
@@ -572,15 +523,21 @@ def _narrow(ring, low, high, chosen):
 
 
 @compiled
-def _branch(quad, ring, tree, node):
-    """Open the two children of a node that is solved, or note that it has none."""
+def _branch(quad, ring, tree, node, own, cutoff):
+    """Open the two children of a node, or note that it has none."""
     counts, numbers = tree.counts, tree.numbers
     bound, low, high = numbers[BOUND], tree.low, tree.high
-    k, cut = _branching(ring, quad.inverse, tree.x, low[node], high[node])
+    k, cut, below, above = _branching(
+        quad, ring, tree, node, own, counts[ACTIVE], max(0.0, cutoff - bound)
+    )
     if k < 0:
         numbers[CLOSED] = min(numbers[CLOSED], bound)
         return
     for side in range(2):
+        key = bound + SURE * (above if side else below)
+        if key >= cutoff:
+            numbers[CLOSED] = min(numbers[CLOSED], key)
+            continue
         made = counts[MADE]
         low[made], high[made] = low[node], high[node]
         if side:
@@ -588,8 +545,8 @@ def _branch(quad, ring, tree, node):
         else:
             high[made, k] = cut
         _narrow(ring, low[made], high[made], k)
-        tree.parent[made] = counts[NODES]
-        push(tree.keys, tree.heap, counts[OPEN], bound, made)
+        tree.parent[made] = own
+        push(tree.keys, tree.heap, counts[OPEN], key, made)
         counts[OPEN] += 1
         counts[MADE] += 1
 
@@ -666,10 +623,13 @@ def _search(quad, ring, constant, tolerance, tree, room, work):
             work -= offer(
                 quad, ring, constant, tree, tree.x, tree.low[node], tree.high[node], share
             )
-            _branch(quad, ring, tree, node)
+            _branch(quad, ring, tree, node, own, cutoff)
+        elif status == STALLED:  # what arithmetic cannot settle, its parts may
+            counts[STALLS] += 1
+            counts[ACTIVE] = tree.active[own] = 0
+            _branch(quad, ring, tree, node, own, cutoff)
         else:
             numbers[CLOSED] = min(numbers[CLOSED], numbers[BOUND])
-            counts[STALLS] += status == STALLED
     return DONE
 
 
