@@ -40,7 +40,6 @@ VALUE, CLOSED, BOUND, LEAST = range(4)  # in Sectors.numbers
 MARGIN = 0.15  # of a sector: no part is narrower
 HALF = np.pi - 1e-9
 NARROWEST = 1e-6  # [rad], a sector that is not cut
-SHARE = 1e-2  # of what is missed of the floor, beside the gain that is certain
 SURE = 1.0 - 1e-6  # of a gain
 
 
@@ -420,16 +419,6 @@ def _cut_at(ring, angle, low, high):
 
 
 @compiled
-def _excess(ring, x, k):
-    """Return by how much the turn to step k, from what is before it, is too wide, with its sign."""
-    angle, before = np.arctan2(x[k, 1], x[k, 0]), ring.first
-    if k > 0:
-        before = np.arctan2(x[k - 1, 1], x[k - 1, 0])
-    turn = angle - before - 2.0 * np.pi * np.round((angle - before) / (2.0 * np.pi))
-    return np.copysign(max(0.0, abs(turn) - ring.widest), turn)
-
-
-@compiled
 def _gain(quad, tree, own, count, step, row, offset):
     """Return by how much one dual step along a row raises the bound of the node at work."""
     short = offset - row[0] * tree.x[step, 0] - row[1] * tree.x[step, 1]
@@ -450,7 +439,7 @@ def _gain(quad, tree, own, count, step, row, offset):
 
 
 @compiled
-def _part_gain(quad, ring, tree, own, count, step, low, high):
+def _part_gain(quad, ring, tree, own, step, low, high):
     """Return by how much the bound rises at least where a step is held in a smaller sector."""
     ends, row = tree.ends, tree.row
     ends[0, 0], ends[1, 0] = low, high
@@ -467,46 +456,42 @@ def _part_gain(quad, ring, tree, own, count, step, low, high):
             worst, row[0], row[1], offset = short, edge[0], edge[1], 0.0
     if worst == OUTSIDE:
         return 0.0
-    return _gain(quad, tree, own, count, step, row, offset)
+    return _gain(quad, tree, own, tree.active[own], step, row, offset)
 
 
 @compiled
-def _branching(quad, ring, tree, node, own, count, most):
-    """Return the step to branch on, -1 if there is none, where to cut its sector, and the gains.
+def _branching(ring, inverse, x, low, high):
+    """Return the step to branch on, -1 if there is none, and where to cut its sector.
 
-    Args:
-        quad: what is minimised.
-        ring: floor and turn rate.
-        tree: the search.
-        node: at work.
-        own: its state.
-        count: active rows.
-        most: a gain beyond which a part is pruned, so that more is not worth more.
+    What a step misses of the floor, finer sectors will ask of it. Where a turn is too wide, the
+    wider of its two sectors is cut such that either part leaves the one heading or the other out.
     """
-    x, low, high = tree.x, tree.low[node], tree.high[node]
-    chosen, cut, score, first, last = -1, 0.0, -1.0, 0.0, 0.0
+    chosen, cut, gain = -1, 0.0, -1.0
+    before, last = ring.first, 1.0
     for k in range(len(x)):
-        width = high[k] - low[k]
-        if width < NARROWEST:
-            continue
+        size = np.sqrt(x[k, 0] ** 2 + x[k, 1] ** 2)
         angle = np.arctan2(x[k, 1], x[k, 0])
-        short = least_speed(ring, angle)[0] - np.sqrt(x[k, 0] ** 2 + x[k, 1] ** 2)
-        away = 0.0
-        if ring.widest < HALF:
-            away = -_excess(ring, x, k)
-            if k + 1 < len(x) and abs(away) <= SATISFIED:
-                away = _excess(ring, x, k + 1)
-        if short <= SATISFIED and abs(away) <= SATISFIED:
-            continue
-        at = _cut_at(ring, angle + 0.5 * away, low[k], high[k])
-        below = min(most, _part_gain(quad, ring, tree, own, count, k, low[k], at))
-        above = min(most, _part_gain(quad, ring, tree, own, count, k, at, high[k]))
-        # Small gains tell little; what is missed of the floor tells what finer parts will ask.
-        missed = max(short, 0.0) ** 2 / (2.0 * quad.inverse[k, k])
-        merit = (below + SHARE * missed) * (above + SHARE * missed) + 1e-30 * width
-        if merit > score:
-            chosen, cut, score, first, last = k, at, merit, below, above
-    return chosen, cut, first, last
+        width, wider = high[k] - low[k], -1.0
+        short = least_speed(ring, angle)[0] - size
+        if short > SATISFIED and width > NARROWEST:
+            raised = short * short / (2.0 * inverse[k, k])
+            if raised > gain:
+                chosen, gain, cut = k, raised, _cut_at(ring, angle, low[k], high[k])
+        turn = angle - before - 2.0 * np.pi * np.round((angle - before) / (2.0 * np.pi))
+        excess = abs(turn) - ring.widest
+        if excess > SATISFIED:
+            half, away = np.sin(0.5 * excess), np.copysign(0.5 * excess, turn)
+            raised = (size * half) ** 2 / (2.0 * inverse[k, k])
+            if k > 0:
+                raised = min(raised, (last * half) ** 2 / (2.0 * inverse[k - 1, k - 1]))
+                wider = high[k - 1] - low[k - 1]
+            if wider > max(NARROWEST, width) and raised > gain:
+                chosen, gain = k - 1, raised
+                cut = _cut_at(ring, before + away, low[k - 1], high[k - 1])
+            elif width > NARROWEST and raised > gain:
+                chosen, gain, cut = k, raised, _cut_at(ring, angle - away, low[k], high[k])
+        before, last = angle, size
+    return chosen, cut
 
 
 @compiled
@@ -527,14 +512,13 @@ def _branch(quad, ring, tree, node, own, cutoff):
     """Open the two children of a node, or note that it has none."""
     counts, numbers = tree.counts, tree.numbers
     bound, low, high = numbers[BOUND], tree.low, tree.high
-    k, cut, below, above = _branching(
-        quad, ring, tree, node, own, counts[ACTIVE], max(0.0, cutoff - bound)
-    )
+    k, cut = _branching(ring, quad.inverse, tree.x, low[node], high[node])
     if k < 0:
         numbers[CLOSED] = min(numbers[CLOSED], bound)
         return
     for side in range(2):
-        key = bound + SURE * (above if side else below)
+        ends = (cut, high[node, k]) if side else (low[node, k], cut)
+        key = bound + SURE * _part_gain(quad, ring, tree, own, k, ends[0], ends[1])
         if key >= cutoff:
             numbers[CLOSED] = min(numbers[CLOSED], key)
             continue

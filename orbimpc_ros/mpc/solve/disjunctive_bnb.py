@@ -37,6 +37,7 @@ from orbimpc_ros.mpc.solve.disjunction import Disjunction, Slot, disjunctions_of
 from orbimpc_ros.mpc.solve.relaxation import Halfspace, Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.request import Found, Request
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
+from orbimpc_ros.mpc.solve.turns import Turns
 
 SATISFIED = 1e-7  # a cell missed by less holds; a tenth of what the plan's check allows
 ACCURATE = 1e-6  # on the orbitope, and on an arrival in units of a step's length: as the check's
@@ -66,6 +67,9 @@ class DisjunctiveSearch:
         self.exchangeable = _steps_are_exchangeable(problem)
         self.curvature = inverse_curvatures(problem, self.disjunctions)
         slots = [slot for d in self.disjunctions for slot in d.slots]
+        self.turns = Turns(problem) if problem.turns_are_angles else None
+        if self.turns is not None:
+            slots += self.turns.slots
         self.program = _program(problem, slots, coasting)
 
     @staticmethod
@@ -159,6 +163,8 @@ class _Run:
         if not missed:
             self._closed = min(self._closed, bound)
             self._accept(relaxed.x, trajectory)
+            if self._is_too_wide(trajectory):
+                self._turn(node.choice, trajectory)
             return
         if self._best is None or self._is_nearly_round(missed):
             self._dive(node.choice, trajectory, missed)
@@ -179,9 +185,16 @@ class _Run:
     def _flown(self, x: Array) -> Trajectory:
         return trajectory_of(self._search.problem, self._request.state, self._request.goals, x)
 
+    def _is_too_wide(self, trajectory: Trajectory) -> bool:
+        """Return whether a turn, which the relaxation bounds by its chord, is too wide an angle."""
+        turns = self._search.turns
+        return turns is not None and not turns.hold(self._request.state, trajectory.headings)
+
     def _accept(self, x: Array, trajectory: Trajectory) -> None:
-        if trajectory.cost < self._cost and _is_accurate(
-            self._search.problem, self._request.goals, trajectory
+        if (
+            trajectory.cost < self._cost
+            and not self._is_too_wide(trajectory)
+            and _is_accurate(self._search.problem, self._request.goals, trajectory)
         ):
             self._best, self._cost = x, trajectory.cost
 
@@ -192,6 +205,7 @@ class _Run:
                 if cell is not None:
                     yield slot, cell.normal, cell.offset
                 slot += 1
+        yield from self._first_turn()
 
     def _missed(self, trajectory: Trajectory) -> dict[int, tuple[float, Array]]:
         """Return, by disjunction that is not satisfied, by how much and the values it sees."""
@@ -212,6 +226,9 @@ class _Run:
         self, choice: Choice, trajectory: Trajectory, missed: dict[int, tuple[float, Array]]
     ) -> None:
         """Look for a trajectory: hold whatever is missed at its nearest cell, and solve again."""
+        if self._search.turns is not None:
+            self._turn(choice, trajectory)
+            return
         held = list(choice)
         for _ in range(DIVE_STEPS):
             for j, (_, values) in missed.items():
@@ -231,6 +248,49 @@ class _Run:
                 missed = self._round_floors(trajectory)  # tangents there may descend further
                 if not missed:
                     return
+
+    def _turn(self, choice: Choice, trajectory: Trajectory) -> None:
+        """Look for a trajectory that turns in time.
+
+        Every step is held at a cell of the floor in the direction of a heading that can be reached,
+        and consecutive ones so close to each other that no angle between them is too wide.
+        """
+        turns, held = self._search.turns, list(choice)
+        assert turns is not None
+        state, around = self._request.state, turns.reached(self._request.state, trajectory.headings)
+        for _ in range(DIVE_STEPS):
+            missed = self._missed(trajectory)
+            for j, disjunction in enumerate(self._search.disjunctions):
+                if disjunction.on == 'heading':
+                    held[j] = around[disjunction.steps[0] - 1]
+                elif j in missed:
+                    held[j] = _nearest_cell(disjunction, missed[j][1], held[j])
+            if self._is_late:
+                return
+            close = [*self._halfspaces(tuple(held))][: -len(turns.slots) or None]
+            close += self._first_turn(narrow=True)
+            self._nodes += 1
+            try:
+                x = self._search.program.relax(self._request, close, turns.close(around)).x
+            except Infeasible:
+                return
+            if x is None:
+                return
+            trajectory = self._flown(x)
+            if not self._missed(trajectory):
+                self._accept(x, trajectory)
+            if not turns.hold(state, trajectory.headings):
+                return
+            around = turns.kept(trajectory.headings)
+
+    def _first_turn(self, *, narrow: bool = False) -> list[Halfspace]:
+        """Return the half-space of a first turn that is no cone, for the slot after all others."""
+        turns = self._search.turns
+        if turns is None or not turns.slots:
+            return []
+        count = sum(len(d.steps) for d in self._search.disjunctions)
+        ahead: Array = self._request.state.attitude[:, 0]
+        return [(count, ahead, turns.ahead(narrow=narrow))]
 
     def _round_floors(self, trajectory: Trajectory) -> dict[int, tuple[float, Array]]:
         return {

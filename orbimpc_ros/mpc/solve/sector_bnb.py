@@ -80,10 +80,9 @@ class SectorSearch:
         ring = Ring(*self._floor, math.atan2(ahead[1], ahead[0]))
         quadratic, tree = Quadratic(self._hessian, self._inverse, q), self._tree
         begin(quadratic, ring, tree)
-        if request.guess is not None:
-            # A copy: code for arrays that are read-only or strided would be compiled in a tick.
-            guess = np.array(request.guess.x, order='C')
-            offer(quadratic, ring, constant, tree, guess, tree.low[0], tree.high[0], np.inf)
+        # A copy: code for arrays that are read-only or strided would be compiled in a tick.
+        start = tree.free if request.guess is None else np.array(request.guess.x, order='C')
+        offer(quadratic, ring, constant, tree, start, tree.low[0], tree.high[0], np.inf)
         asked = quadratic, ring, constant, self._tolerance, tree, MOST, SLICE
         while search(*asked) == PAUSED and not request.late:
             pass
