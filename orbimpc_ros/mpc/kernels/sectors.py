@@ -27,6 +27,7 @@ from orbimpc_ros.mpc.kernels.heap import pop, push
 from orbimpc_ros.mpc.kernels.linear import SINGULAR, add_product, quadratic
 from orbimpc_ros.mpc.kernels.steering import (
     least_speed,
+    set_headings,
     set_rounded,
     steer,
 )
@@ -149,7 +150,13 @@ def sectors(steps: int, nodes: int) -> Sectors:
 
 @compiled
 def begin(quad, ring, tree):
-    """Begin a search: all headings that can be reached."""
+    """Begin a search: all headings that can be reached.
+
+    Args:
+        quad: what to minimise.
+        ring: floor and turn rate.
+        tree: updated in place.
+    """
     counts, numbers = tree.counts, tree.numbers
     tree.free[:] = 0.0
     add_product(quad.inverse, quad.q, -1.0, tree.free)
@@ -389,7 +396,9 @@ def _open(quad, ring, tree, node):
         _set_image(quad.inverse, tree.rows[own, i], row, tree.images[i])
         for j in range(i + 1):
             step, other = tree.rows[own, j], tree.normals[own, j]
-            tree.gram[i, j] = other[0] * tree.images[i, step, 0] + other[1] * tree.images[i, step, 1]
+            tree.gram[i, j] = (
+                other[0] * tree.images[i, step, 0] + other[1] * tree.images[i, step, 1]
+            )
     if not _extend(tree.gram, tree.factor, 0, count):
         count = 0  # nothing is lost but a start
     _minimiser(tree, own, count)
@@ -548,10 +557,14 @@ def offer(quad, ring, constant, tree, x, low, high, share):
         low: least headings, shape (N,).
         high: greatest, shape (N,).
         share: of the best cost that the rounded one may be worse by, to be worth a descent.
+
+    Returns:
+        The multiplications that it took.
     """
     numbers = tree.numbers
     set_rounded(ring, x, low, high, tree.speeds, tree.turns)
-    rounded = ring_cost(quad, ring, tree)
+    set_headings(ring, tree.speeds, tree.turns, tree.z)
+    rounded = quadratic(quad.hessian, quad.q, tree.z)
     if rounded > numbers[VALUE] + share * abs(numbers[VALUE] + constant):
         return 0.0
     cost, taken = steer(quad.hessian, quad.q, ring, constant, tree.speeds, tree.turns, tree.z)
@@ -559,18 +572,6 @@ def offer(quad, ring, constant, tree, x, low, high, share):
     if cost < numbers[VALUE]:
         numbers[VALUE], tree.best[:] = cost, tree.z
     return taken * (2.0 * len(x)) ** 3
-
-
-@compiled
-def ring_cost(quad, ring, tree):
-    """Return the cost of the speeds and turns being worked on."""
-    angle = ring.first
-    for k in range(len(tree.z)):
-        angle += tree.turns[k]
-        rho = least_speed(ring, angle)[0]
-        size = rho + tree.speeds[k] * (1.0 - rho)
-        tree.z[k, 0], tree.z[k, 1] = size * np.cos(angle), size * np.sin(angle)
-    return quadratic(quad.hessian, quad.q, tree.z)
 
 
 @compiled

@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.kernels.linear import quadratic, solve_spd
 
@@ -25,6 +24,7 @@ SETTLED = 1e-9  # relative decrease of the cost at which it ends
 DAMPED, CALMED, STIFFENED = 1e-6, 0.2, 8.0  # the damping to begin with, and how it changes
 STIFFEST = 1e8
 AT_BOUND = 1e-12
+WITHIN = 1.0 - 1e-9  # of the largest turn, which rounding is not to exceed
 SMALL = 1e-12  # a heading shorter than this has no direction
 
 
@@ -46,7 +46,12 @@ class Ring(NamedTuple):
 
 @compiled
 def least_speed(ring, angle):
-    """Return rho, the least speed along an angle, its slope and its second derivative."""
+    """Return rho, the least speed along an angle, its slope and its second derivative.
+
+    Args:
+        ring: gives the floor.
+        angle: [rad].
+    """
     if ring.faces == 0:
         return ring.fraction, 0.0, 0.0
     share = 2.0 * np.pi / ring.faces
@@ -56,8 +61,15 @@ def least_speed(ring, angle):
 
 
 @compiled
-def _set_headings(ring, speeds, turns, z):
-    """Set headings, shape (N, 2), from speeds t and turns d, shape (N,)."""
+def set_headings(ring, speeds, turns, z):
+    """Set headings of speeds and turns.
+
+    Args:
+        ring: floor and turn rate.
+        speeds: t, shape (N,).
+        turns: d, shape (N,).
+        z: headings, shape (N, 2), set.
+    """
     angle = ring.first
     for k in range(len(turns)):
         angle += turns[k]
@@ -87,7 +99,7 @@ def set_rounded(ring, x, low, high, speeds, turns):
             middle = min(high[k], max(low[k], before))
             angle = raw + 2.0 * np.pi * np.round((middle - raw) / (2.0 * np.pi))
         angle = min(high[k], max(low[k], angle))
-        turns[k] = min(ring.widest, max(-ring.widest, angle - before))
+        turns[k] = min(WITHIN * ring.widest, max(-WITHIN * ring.widest, angle - before))
         before += turns[k]
         rho = least_speed(ring, before)[0]
         along = np.cos(before) * x[k, 0] + np.sin(before) * x[k, 1]
@@ -187,8 +199,8 @@ def steer(hessian, q, ring, constant, speeds, turns, z):
     curved, there = np.empty((2 * count, 2 * count)), np.empty((count, 2))
     y[:count], y[count:] = speeds, turns
     bounds[:count, 0], bounds[:count, 1] = 0.0, 1.0
-    bounds[count:, 0], bounds[count:, 1] = -ring.widest, ring.widest
-    _set_headings(ring, speeds, turns, z)
+    bounds[count:, 0], bounds[count:, 1] = -WITHIN * ring.widest, WITHIN * ring.widest
+    set_headings(ring, speeds, turns, z)
     cost, damping, taken = quadratic(hessian, q, z), DAMPED, 0
     while taken < STEPS:
         taken += 1
@@ -200,7 +212,7 @@ def steer(hessian, q, ring, constant, speeds, turns, z):
             if _set_step(curved, gradient, y, bounds, damping, scale, step):
                 for i in range(2 * count):
                     trial[i] = min(bounds[i, 1], max(bounds[i, 0], y[i] + step[i]))
-                _set_headings(ring, trial[:count], trial[count:], there)
+                set_headings(ring, trial[:count], trial[count:], there)
                 reached = quadratic(hessian, q, there)
                 if reached < cost:
                     y[:], z[:], cost = trial, there, reached

@@ -155,9 +155,7 @@ class Problem:
 
         That is the cone around Q_0 e1, up to a quarter turn.
         """
-        return (
-            self.rotation_order == 1 and self.turns_are_angles and self.widest_turn < WIDEST_CONE
-        )
+        return self.rotation_order == 1 and self.turns_are_angles and self.widest_turn < WIDEST_CONE
 
     @property
     def length_unit(self) -> float:

@@ -127,7 +127,7 @@ class _Run:
         self._nodes = self._made = 0
 
     def run(self) -> Found:
-        while self._open and self._open[0].bound < self._cutoff:
+        while self._open and self._open[0].bound < self._limit:
             if self._nodes >= MAX_NODES or (self._nodes and self._is_late):
                 break
             self._expand(heapq.heappop(self._open))
@@ -146,6 +146,16 @@ class _Run:
         if self._best is None:
             return np.inf
         return self._cost - self._search.tolerance * max(abs(self._cost), 1e-9)
+
+    @property
+    def _limit(self) -> float:
+        """Return the bound from which on a node can neither improve the plan nor the bound.
+
+        What turns too wide leave open at a leaf, no other leaf makes up for.
+        """
+        if self._best is None or self._search.turns is None:
+            return self._cutoff
+        return min(self._cutoff, self._closed)
 
     def _expand(self, node: _Node) -> None:
         try:
@@ -198,14 +208,15 @@ class _Run:
         ):
             self._best, self._cost = x, trajectory.cost
 
-    def _halfspaces(self, choice: Choice) -> Iterator[Halfspace]:
+    def _halfspaces(self, choice: Choice, *, narrow: bool = False) -> Iterator[Halfspace]:
+        """Yield what holds at a choice; if narrow, with a first turn that is surely in time."""
         slot = 0
         for disjunction, cell in zip(self._search.disjunctions, choice, strict=True):
             for _ in disjunction.steps:
                 if cell is not None:
                     yield slot, cell.normal, cell.offset
                 slot += 1
-        yield from self._first_turn()
+        yield from self._turned(slot, narrow=narrow)
 
     def _missed(self, trajectory: Trajectory) -> dict[int, tuple[float, Array]]:
         """Return, by disjunction that is not satisfied, by how much and the values it sees."""
@@ -267,8 +278,7 @@ class _Run:
                     held[j] = _nearest_cell(disjunction, missed[j][1], held[j])
             if self._is_late:
                 return
-            close = [*self._halfspaces(tuple(held))][: -len(turns.slots) or None]
-            close += self._first_turn(narrow=True)
+            close = self._halfspaces(tuple(held), narrow=True)
             self._nodes += 1
             try:
                 x = self._search.program.relax(self._request, close, turns.close(around)).x
@@ -283,14 +293,13 @@ class _Run:
                 return
             around = turns.kept(trajectory.headings)
 
-    def _first_turn(self, *, narrow: bool = False) -> list[Halfspace]:
-        """Return the half-space of a first turn that is no cone, for the slot after all others."""
-        turns = self._search.turns
-        if turns is None or not turns.slots:
-            return []
-        count = sum(len(d.steps) for d in self._search.disjunctions)
-        ahead: Array = self._request.state.attitude[:, 0]
-        return [(count, ahead, turns.ahead(narrow=narrow))]
+    def _turned(self, slot: int, *, narrow: bool) -> Iterator[Halfspace]:
+        """Yield the half-spaces of all turns so far, for the slots after those of disjunctions."""
+        turns, ahead = self._search.turns, self._request.state.attitude[:, 0]
+        for i, each in enumerate(turns.slots if turns else ()):
+            assert turns is not None
+            first = narrow and each.step == 1
+            yield slot + i, ahead, turns.narrow if first else turns.ahead(each.step)
 
     def _round_floors(self, trajectory: Trajectory) -> dict[int, tuple[float, Array]]:
         return {

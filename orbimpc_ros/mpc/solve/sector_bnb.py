@@ -34,7 +34,6 @@ from orbimpc_ros.mpc.solve.request import Found, Request
 MOST = 20_000  # nodes of a search
 SLICE = 3e5  # multiplications between two looks at the time: about a millisecond
 SETTLED = 90.0  # tolerances at which a search may stop
-WITHIN = 1.0 - 1e-9  # of the turn rate
 
 
 class SectorSearch:
@@ -52,7 +51,7 @@ class SectorSearch:
         self._condensed = Condensed(problem)
         self._hessian, self._inverse, self._excess = regular(self._condensed.hessian)
         faces = problem.floor.faces if problem.floor.shape == 'polygon' else 0
-        widest = WITHIN * problem.step * problem.max_rate
+        widest = problem.step * problem.max_rate
         self._floor = float(problem.floor.fraction), faces, widest
         self._tree = sectors(problem.horizon, MOST)
         # The first call compiles, or loads what was compiled before: at start-up, not in a tick.

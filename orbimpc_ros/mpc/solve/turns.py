@@ -32,7 +32,8 @@ class Turns:
         problem: gives both.
 
     Attributes:
-        slots: of half-spaces that bound a first turn too wide for a cone; one, or none.
+        slots: of half-spaces that hold for all that the vehicle can have turned by a step, from
+            the measured heading; none at rotation order 2, nor for a first turn within a cone.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -43,8 +44,10 @@ class Turns:
         self._speed = floor.circling(n)
         half = self._least * math.sin(0.5 * self._widest) / self._speed
         self._turn = 2.0 * math.asin(min(1.0, half))
-        wide = problem.rotation_order == 1 and not problem.first_turn_is_a_cone
-        self.slots = [Slot('heading', 1)] if wide else []
+        first = 2 if problem.first_turn_is_a_cone else 1
+        most = min(problem.horizon, math.ceil(math.pi / problem.widest_turn) - 1)
+        steps = range(first, most + 1) if problem.rotation_order == 1 else ()
+        self.slots = [Slot('heading', k) for k in steps]
 
     def hold(self, state: State, headings: Array) -> bool:
         """Return whether no turn of headings R_0 e1..R_N e1, shape (N + 1, n), is too wide."""
@@ -55,11 +58,16 @@ class Turns:
         widest = self._problem.widest_turn + ACCURATE
         return bool((2.0 * np.arcsin(np.minimum(1.0, 0.5 * chords[decided:])) <= widest).all())
 
-    def ahead(self, *, narrow: bool = False) -> float:
-        """Return what Q_0 e1 . R_1 e1 is at least; if narrow, what no turn too wide has."""
-        share = math.cos(self._widest if narrow else self._problem.widest_turn)
-        both = share, self._least * share
-        return max(both) if narrow else min(both)
+    def ahead(self, step: int) -> float:
+        """Return what Q_0 e1 . R_k e1 is at least, k turns on."""
+        share = math.cos(step * self._problem.widest_turn)
+        return min(share, self._least * share)
+
+    @property
+    def narrow(self) -> float:
+        """Return a value of Q_0 e1 . R_1 e1 from which on no first turn is too wide."""
+        share = math.cos(self._widest)
+        return max(share, self._least * share)
 
     def reached(self, state: State, headings: Array) -> list[Cell]:
         """Return a cell for each step around headings that can be reached from the present one.
@@ -97,9 +105,9 @@ class Turns:
 
     def _first(self) -> float:
         """Return a first turn that the cone, or the half-space of a wider one, allows."""
-        if not self.slots:
+        if self._problem.first_turn_is_a_cone:
             return self._turn
-        return min(self._turn, math.acos(max(-1.0, min(1.0, self.ahead(narrow=True) / self._speed))))
+        return min(self._turn, math.acos(max(-1.0, min(1.0, self.narrow / self._speed))))
 
     def _cell(self, unit: Array) -> Cell:
         """Return the tangent of a round floor, or the face nearest to a direction, shape (n,)."""
