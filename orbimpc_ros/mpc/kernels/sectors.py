@@ -22,7 +22,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, vectorised
-from orbimpc_ros.mpc.kernels.active_set import FLAT, NODE, OUTSIDE, lagrangian
+from orbimpc_ros.mpc.kernels.active_set import FLAT, NODE, lagrangian
 from orbimpc_ros.mpc.kernels.heap import pop, push
 from orbimpc_ros.mpc.kernels.linear import SINGULAR, add_product, quadratic
 from orbimpc_ros.mpc.kernels.steering import (
@@ -35,6 +35,7 @@ from orbimpc_ros.mpc.kernels.steering import (
 DONE, FULL, PAUSED = 0, 1, 2  # what a call ends with
 GOING, SOLVED, PRUNED, STALLED = 0, 1, 2, 3  # what becomes of a node
 ITERATIONS = 400
+OUTSIDE = 3e-6  # a row violated by less holds: what a node lacks for it, its bound lacks as well
 SATISFIED = 1e-8  # a floor or turn missed by less need not be branched on
 OPEN, MADE, NODES, CURRENT, ROWS_ADDED, STALLS, ACTIVE, STARTS = range(8)  # in Sectors.counts
 VALUE, CLOSED, BOUND, LEAST = range(4)  # in Sectors.numbers

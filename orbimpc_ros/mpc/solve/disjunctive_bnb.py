@@ -239,7 +239,8 @@ class _Run:
         """Look for a trajectory: hold whatever is missed at its nearest cell, and solve again."""
         if self._search.turns is not None:
             self._turn(choice, trajectory)
-            return
+            if self._best is not None:
+                return
         held = list(choice)
         for _ in range(DIVE_STEPS):
             for j, (_, values) in missed.items():
