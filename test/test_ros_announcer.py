@@ -1,5 +1,7 @@
 """The planner's voice: what is said once, again later, or not at all; a line on the vehicle."""
 
+import math
+
 import pytest
 
 pytest.importorskip('rclpy')
@@ -118,3 +120,18 @@ def test_what_is_hardly_meant_is_doubted():
     ]
     assert doubted(**{'floor.fraction': Floor().fraction}) == []  # a file of all defaults
     assert doubted(**{'floor.faces': 8, 'floor.shape': 'polygon'}) == []
+
+
+@pytest.mark.parametrize(
+    ('horizon', 'shape', 'told'),
+    [
+        (10, 'circle', ['a horizon of 5 s turns by 125 deg at most']),
+        (10, 'none', []),
+        (15, 'circle', []),
+    ],
+)
+def test_a_horizon_too_short_to_turn_round_is_doubted(horizon, shape, told):
+    given = {'step': 0.5, 'horizon': horizon, 'max_rate': math.radians(25.0), 'floor.shape': shape}
+    found = doubts(described(**given), given)
+    assert [doubt.split(':')[0] for doubt in found] == told
+    assert all(doubt.endswith('half a turn takes a horizon of 15') for doubt in found)

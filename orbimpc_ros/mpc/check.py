@@ -159,19 +159,22 @@ def floor_margin(problem: Problem, headings: Array) -> Array:
 def turn_margin(problem: Problem, state: State, rotations: Array) -> Array:
     """Return how far the turns of R_0..R_N, shape (N + 1, n, n), stay below the limit, shape (N,).
 
-    As chords of the unit circle: 2 sin(h omega / 2) less |R_{k+1} e1 - R_k e1|. The first turn of
-    a vehicle with a floor is an angle, the chord that of its unit vectors.
+    With a floor as angles [rad]: h omega less that from R_k e1 to R_{k+1} e1, the first one from
+    the measured axis; it counts as zero where the state has decided it. Without a floor as chords:
+    2 sin(h omega / 2) less |R_{k+1} e1 - R_k e1|.
     """
     if problem.max_rate == 0.0:
         return np.full(len(rotations) - 1, np.inf)
-    headings = rotations[:, :, 0]
-    chords = np.linalg.norm(np.diff(headings, axis=0), axis=1)
+    headings, turn = rotations[:, :, 0], problem.step * problem.max_rate
+    if not problem.floor.exists:
+        return 2.0 * math.sin(0.5 * turn) - _sizes(np.diff(headings, axis=0))
+    units = headings / np.maximum(_sizes(headings), HEADING_UNDEFINED)[:, None]
+    units[0] = state.attitude[:, 0]
+    before, after = units[:-1], units[1:]
+    angles: Array = 2.0 * np.arctan2(_sizes(after - before), _sizes(after + before))
     if problem.first_turn_is_decided:
-        chords[0] = 0.0
-    elif problem.first_turn_is_an_angle:
-        size = max(float(np.linalg.norm(headings[1])), HEADING_UNDEFINED)
-        chords[0] = np.linalg.norm(headings[1] / size - state.attitude[:, 0])
-    return problem.chord - chords
+        angles[0] = 0.0
+    return turn - angles
 
 
 def obstacle_margin(problem: Problem, positions: Array) -> float:

@@ -90,8 +90,9 @@ def command_of(problem: Problem, state: State, plan: Plan, step: int = 0) -> Com
 
     Rotation order 1: body rate log(Q_k^T Q_{k+1})/h. Order 2: the present body rate already carries
     Q_k to Q_{k+1} in this step, so the rate taken over at its end is log(Q_{k+1}^T Q_{k+2})/h. The
-    rate never exceeds ``max_rate``; where it has to be cut, the commanded rotation is the one then
-    reached.
+    rate never exceeds ``max_rate``. In the plane a floor makes sure that plans do not either; where
+    they do (without a floor by a wide angle of a short chord, in space by a roll) the rate is cut,
+    and the commanded rotation is the one then reached.
 
     Args:
         problem: gives step and limits.

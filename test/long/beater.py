@@ -330,14 +330,15 @@ class Beater:
             return
         angle = case.step * case.max_rate * (1.0 - TIGHT)
         chord = 4.0 * np.sin(angle / 2.0) ** 2
+        if case.has_floor:
+            axes = [ca.DM(case.attitude[:, 0]), *headings[1:]][case.rotation_order - 1 :]
+            for before, after in itertools.pairwise(axes):
+                sizes = ca.sqrt(ca.sumsqr(before) * ca.sumsqr(after) + 1e-20)
+                rows.positive(ca.dot(before, after) - np.cos(angle * (1.0 - 1e-6)) * sizes)
+            return
         for k in range(case.horizon):
-            if k or not case.has_floor:
-                if k + 1 in self._parts:
-                    rows.positive(chord - ca.sumsqr(headings[k + 1] - headings[k]) - TIGHT * chord)
-            elif case.rotation_order == 1:
-                ahead, axis = headings[1], ca.DM(case.attitude[:, 0])
-                size = ca.sqrt(ca.sumsqr(ahead) + 1e-20)
-                rows.positive(ca.dot(ahead, axis) - np.cos(angle * (1.0 - 1e-6)) * size)
+            if k + 1 in self._parts:
+                rows.positive(chord - ca.sumsqr(headings[k + 1] - headings[k]) - TIGHT * chord)
 
     @property
     def _avoiding(self) -> range:

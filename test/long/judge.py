@@ -230,20 +230,19 @@ def floor_margin(case: PosedProblem, heading: Array) -> float:
 def rate_margin(case: PosedProblem, rotations: Array) -> float:
     """How far below the rate limit R_0..R_N turn.
 
-    With a floor the limit turns and does not brake: the first step may change the speed as it
-    likes, and only the angle from the attitude's own axis counts; at rotation order 2 the body's
-    rate has decided that angle already. A limit of 1.4 rad a step and more is on the chord.
+    With a floor the limit turns and does not brake: steps may change the speed as they like, and
+    only angles count, the first one from the attitude's own axis; at rotation order 2 the body's
+    rate has decided that angle already.
     """
     if not case.max_rate:
         return np.inf
     angle = case.step * case.max_rate
     headings = rotations[:, :, 0]
-    margins = list(2.0 * np.sin(angle / 2.0) - np.linalg.norm(np.diff(headings, axis=0), axis=1))
-    if case.has_floor and case.rotation_order == 2:
-        margins[0] = np.inf
-    elif case.has_floor and angle < 1.4:
-        margins[0] = angle - angle_between(case.attitude[:, 0], headings[1])
-    return float(min(margins))
+    if not case.has_floor:
+        chords = np.linalg.norm(np.diff(headings, axis=0), axis=1)
+        return float(2.0 * np.sin(angle / 2.0) - chords.max())
+    axes = [case.attitude[:, 0], *headings[1:]][case.rotation_order - 1 :]
+    return min((angle - angle_between(a, b) for a, b in itertools.pairwise(axes)), default=np.inf)
 
 
 def angle_between(a: Array, b: Array) -> float:

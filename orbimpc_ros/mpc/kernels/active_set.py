@@ -28,6 +28,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
+from orbimpc_ros.mpc.kernels.heap import pop, push
 from orbimpc_ros.mpc.kernels.linear import quadratic, solve_spd
 
 DONE, FULL, PAUSED = 0, 1, 2  # what a call ends with
@@ -155,7 +156,7 @@ def _minimiser(inverse, q, rows, normals, u, count, x):
 
 
 @compiled
-def _lagrangian(quad, rows, normals, offsets, u, count, x):
+def lagrangian(quad, rows, normals, offsets, u, count, x):
     """Return a lower bound on f(z) + sum_i u_i (b_i - n_i . z), |z_k| <= 1, expanded about x."""
     hessian, q = quad.hessian, quad.q
     value = magnitude = stray = 0.0
@@ -265,7 +266,7 @@ def _relax(quad, cells, bounds, choice, cutoff, rows, normals, offsets, u, count
 
     Returns what becomes of it, the bound, the active count, the rows added by now, the work left.
     """
-    bound = _lagrangian(quad, rows, normals, offsets, u, count, x)
+    bound = lagrangian(quad, rows, normals, offsets, u, count, x)
     while added < ITERATIONS:
         step, a, b, offset = _most_violated(x, choice, cells, bounds)
         if step < 0:
@@ -280,7 +281,7 @@ def _relax(quad, cells, bounds, choice, cutoff, rows, normals, offsets, u, count
             return STALLED, bound, 0, added, work
         count, added = following, added + 1
         _minimiser(quad.inverse, quad.q, rows, normals, u, count, x)
-        bound = max(bound, _lagrangian(quad, rows, normals, offsets, u, count, x))
+        bound = max(bound, lagrangian(quad, rows, normals, offsets, u, count, x))
         if bound >= cutoff:
             return PRUNED, bound, count, added, work
     return STALLED, bound, count, added, work
@@ -334,40 +335,6 @@ def _branching(x, choice, cells, bounds, halves, roots, radius, inverse):
 
 
 @compiled
-def _push(keys, heap, count, key, node):
-    """Put a node into a heap of ``count``."""
-    i = count
-    while i > 0:
-        up = (i - 1) // 2
-        if keys[up] < key or (keys[up] == key and heap[up] > node):
-            break
-        keys[i], heap[i] = keys[up], heap[up]
-        i = up
-    keys[i], heap[i] = key, node
-
-
-@compiled
-def _pop(keys, heap, count):
-    """Take the first node out of a heap of ``count``."""
-    count -= 1
-    key, node, i = keys[count], heap[count], 0
-    while True:
-        down = 2 * i + 1
-        if down >= count:
-            break
-        other = down + 1
-        if other < count and (
-            keys[other] < keys[down] or (keys[other] == keys[down] and heap[other] > heap[down])
-        ):
-            down = other
-        if key < keys[down] or (key == keys[down] and node > heap[down]):
-            break
-        keys[i], heap[i] = keys[down], heap[down]
-        i = down
-    keys[i], heap[i] = key, node
-
-
-@compiled
 def _open(quad, tree, node):
     """Begin to work on a node, from its parent's active set."""
     counts = tree.counts
@@ -413,7 +380,7 @@ def _branch(quad, table, tree, node, cutoff):
         choice[made] = choice[node]
         choice[made, k] = first + i
         tree.parent[made] = counts[NODES]
-        _push(tree.keys, tree.heap, counts[OPEN], gains[i], made)
+        push(tree.keys, tree.heap, counts[OPEN], gains[i], made)
         counts[OPEN] += 1
         counts[MADE] += 1
 
@@ -433,7 +400,7 @@ def _search(quad, table, constant, tolerance, tree, room, work):
                 return PAUSED
             numbers[BOUND] = tree.keys[0]
             node = tree.heap[0]
-            _pop(tree.keys, tree.heap, counts[OPEN])
+            pop(tree.keys, tree.heap, counts[OPEN])
             counts[OPEN] -= 1
             _open(quad, tree, node)
             work -= NODE + 2.0 * len(tree.x) ** 2

@@ -73,8 +73,8 @@ class Problem:
         terminal: ``penalty``, or ``constraint``: s_N = g_N (and p_N = 0 at order 2).
         floor: minimum speed fraction.
         max_rate: limit on the body rate [rad/s], 0 for none. Without a floor it bounds the chord
-            |R_{k+1} e1 - R_k e1|. With one it turns the vehicle and never brakes it: see
-            :attr:`first_turn_is_an_angle`.
+            |R_{k+1} e1 - R_k e1|. With one it bounds the angle from R_k e1 to R_{k+1} e1, whatever
+            the speeds: see :attr:`turns_are_angles`.
         obstacles: boxes to stay outside of.
         no_corner_cutting: whether consecutive points must share a free face of every box.
         arrival_weight: adds this times |s_N - g_N|^2 (and h^2 |p_N|^2 at translation order 2) to
@@ -125,9 +125,32 @@ class Problem:
                 raise BadInput('obstacles.min', box.minimum.tolist(), f'{self.dimension} numbers')
 
     @property
+    def turns_are_angles(self) -> bool:
+        """Return whether ``max_rate`` bounds the angle of each turn, at any speeds.
+
+        With a floor it does: the plan is flown as it is planned. Without one, where a heading may
+        vanish, it bounds the chord |R_{k+1} e1 - R_k e1|, which limits changes of speed as well.
+        """
+        return self.floor.exists and self.max_rate > 0.0
+
+    @property
+    def widest_turn(self) -> float:
+        """Return the largest angle of a turn, h max_rate <= pi [rad]; pi without a limit."""
+        return min(math.pi, self.step * self.max_rate) if self.max_rate else math.pi
+
+    @property
     def chord(self) -> float:
-        """Return how far R e1 may move in a step: 2 sin(h max_rate / 2), infinity without one."""
-        return 2.0 * math.sin(0.5 * self.step * self.max_rate) if self.max_rate else math.inf
+        """Return how far R e1 moves at most in a step from k >= 1 on; infinity without a limit.
+
+        2 sin(h max_rate / 2), or with a floor f what a turn by h max_rate between the speeds f and
+        1 comes to, if that is more.
+        """
+        if not self.max_rate:
+            return math.inf
+        turned, least = self.widest_turn, self.floor.clearance(self.dimension)
+        uneven = 1.0 + least * least - 2.0 * least * math.cos(turned)
+        at_speed = 2.0 * math.sin(0.5 * turned)
+        return max(at_speed, math.sqrt(uneven)) if self.floor.exists else at_speed
 
     @property
     def first_turn_is_decided(self) -> bool:
@@ -139,18 +162,12 @@ class Problem:
         return self.rotation_order == 2 and self.floor.exists
 
     @property
-    def first_turn_is_an_angle(self) -> bool:
-        """Return whether ``max_rate`` bounds the angle from Q_0 e1 to R_1 e1, whatever the speed.
+    def first_turn_is_a_cone(self) -> bool:
+        """Return whether the headings R_1 e1 that ``max_rate`` allows with a floor are convex.
 
-        With a floor it must: against the measured R_0 e1 a chord would limit the change of speed
-        too, and a vehicle measured to be slow would be told to fly slowly. A cone is convex up to
-        a quarter turn; a wider turn than that is bounded by the chord from R_0 e1.
+        That is the cone around Q_0 e1, up to a quarter turn.
         """
-        return (
-            self.rotation_order == 1
-            and self.floor.exists
-            and 0.0 < self.step * self.max_rate < WIDEST_CONE
-        )
+        return self.rotation_order == 1 and self.turns_are_angles and self.widest_turn < WIDEST_CONE
 
     @property
     def length_unit(self) -> float:

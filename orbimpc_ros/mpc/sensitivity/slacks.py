@@ -89,25 +89,32 @@ def _face(plan: Plan, k: int, kernel: Array) -> Iterator[Slack]:
 
 
 def _rates(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
-    """2 sin(h omega / 2) - |(R_k - R_{k-1}) e1|, charged to omega; the first turn may be an angle.
+    """2 sin(h omega / 2) - |(R_k - R_{k-1}) e1|, charged to omega; with a floor of the angle.
 
-    Of an angle the chord is that of unit vectors, which changes across R_1 e1 alone.
+    An angle changes across the headings alone, against the turn at its beginning and with it at
+    its end, by the inverse of their lengths.
     """
-    headings = plan.rotations[:, :, 0]
+    headings = plan.rotations[:, :, 0].copy()
     wider = problem.step * math.cos(0.5 * problem.step * problem.max_rate)
+    if problem.turns_are_angles:
+        headings[0], wider = state.attitude[:, 0], problem.step
     for k in 1 + np.flatnonzero(turn_margin(problem, state, plan.rotations) < ACTIVE):
         gradient = np.zeros((plan.horizon + 1, headings.shape[1]))
-        if k == 1 and problem.first_turn_is_an_angle:
-            size = np.linalg.norm(headings[1])
-            unit = headings[1] / size
-            turned = unit - state.attitude[:, 0]
-            away = turned / np.linalg.norm(turned)
-            gradient[1] = -(away - (away @ unit) * unit) / size
+        before, after = headings[k - 1], headings[k]
+        if problem.turns_are_angles:
+            gradient[k] = -_across(after, before)
+            gradient[k - 1] = -_across(before, after)
         else:
-            turned = headings[k] - headings[k - 1]
-            gradient[k] = -turned / np.linalg.norm(turned)
+            gradient[k] = -(after - before) / np.linalg.norm(after - before)
             gradient[k - 1] = -gradient[k]
         yield Slack('max_rate', int(k), on_axes(gradient[1:]), wider)
+
+
+def _across(heading: Array, other: Array) -> Array:
+    """Return the gradient of the angle to another heading, shape (n,), in the first one."""
+    unit = heading / np.linalg.norm(heading)
+    across = (other @ unit) * unit - other
+    return across / (np.linalg.norm(across) * np.linalg.norm(heading))
 
 
 def _chosen(problem: Problem, plan: Plan) -> Iterator[Slack]:

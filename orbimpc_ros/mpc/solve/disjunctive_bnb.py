@@ -37,6 +37,7 @@ from orbimpc_ros.mpc.solve.disjunction import Disjunction, Slot, disjunctions_of
 from orbimpc_ros.mpc.solve.relaxation import Halfspace, Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.request import Found, Request
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
+from orbimpc_ros.mpc.solve.turns import Turns
 
 SATISFIED = 1e-7  # a cell missed by less holds; a tenth of what the plan's check allows
 ACCURATE = 1e-6  # on the orbitope, and on an arrival in units of a step's length: as the check's
@@ -66,6 +67,9 @@ class DisjunctiveSearch:
         self.exchangeable = _steps_are_exchangeable(problem)
         self.curvature = inverse_curvatures(problem, self.disjunctions)
         slots = [slot for d in self.disjunctions for slot in d.slots]
+        self.turns = Turns(problem) if problem.turns_are_angles else None
+        if self.turns is not None:
+            slots += self.turns.slots
         self.program = _program(problem, slots, coasting)
 
     @staticmethod
@@ -123,7 +127,7 @@ class _Run:
         self._nodes = self._made = 0
 
     def run(self) -> Found:
-        while self._open and self._open[0].bound < self._cutoff:
+        while self._open and self._open[0].bound < self._limit:
             if self._nodes >= MAX_NODES or (self._nodes and self._is_late):
                 break
             self._expand(heapq.heappop(self._open))
@@ -143,6 +147,16 @@ class _Run:
             return np.inf
         return self._cost - self._search.tolerance * max(abs(self._cost), 1e-9)
 
+    @property
+    def _limit(self) -> float:
+        """Return the bound from which on a node can neither improve the plan nor the bound.
+
+        What turns too wide leave open at a leaf, no other leaf makes up for.
+        """
+        if self._best is None or self._search.turns is None:
+            return self._cutoff
+        return min(self._cutoff, self._closed)
+
     def _expand(self, node: _Node) -> None:
         try:
             relaxed = self._relaxed(node.choice)
@@ -159,6 +173,8 @@ class _Run:
         if not missed:
             self._closed = min(self._closed, bound)
             self._accept(relaxed.x, trajectory)
+            if self._is_too_wide(trajectory):
+                self._turn(node.choice, trajectory)
             return
         if self._best is None or self._is_nearly_round(missed):
             self._dive(node.choice, trajectory, missed)
@@ -179,19 +195,28 @@ class _Run:
     def _flown(self, x: Array) -> Trajectory:
         return trajectory_of(self._search.problem, self._request.state, self._request.goals, x)
 
+    def _is_too_wide(self, trajectory: Trajectory) -> bool:
+        """Return whether a turn, which the relaxation bounds by its chord, is too wide an angle."""
+        turns = self._search.turns
+        return turns is not None and not turns.hold(self._request.state, trajectory.headings)
+
     def _accept(self, x: Array, trajectory: Trajectory) -> None:
-        if trajectory.cost < self._cost and _is_accurate(
-            self._search.problem, self._request.goals, trajectory
+        if (
+            trajectory.cost < self._cost
+            and not self._is_too_wide(trajectory)
+            and _is_accurate(self._search.problem, self._request.goals, trajectory)
         ):
             self._best, self._cost = x, trajectory.cost
 
-    def _halfspaces(self, choice: Choice) -> Iterator[Halfspace]:
+    def _halfspaces(self, choice: Choice, *, narrow: bool = False) -> Iterator[Halfspace]:
+        """Yield what holds at a choice; if narrow, with a first turn that is surely in time."""
         slot = 0
         for disjunction, cell in zip(self._search.disjunctions, choice, strict=True):
             for _ in disjunction.steps:
                 if cell is not None:
                     yield slot, cell.normal, cell.offset
                 slot += 1
+        yield from self._turned(slot, narrow=narrow)
 
     def _missed(self, trajectory: Trajectory) -> dict[int, tuple[float, Array]]:
         """Return, by disjunction that is not satisfied, by how much and the values it sees."""
@@ -212,6 +237,10 @@ class _Run:
         self, choice: Choice, trajectory: Trajectory, missed: dict[int, tuple[float, Array]]
     ) -> None:
         """Look for a trajectory: hold whatever is missed at its nearest cell, and solve again."""
+        if self._search.turns is not None:
+            self._turn(choice, trajectory)
+            if self._best is not None:
+                return
         held = list(choice)
         for _ in range(DIVE_STEPS):
             for j, (_, values) in missed.items():
@@ -231,6 +260,47 @@ class _Run:
                 missed = self._round_floors(trajectory)  # tangents there may descend further
                 if not missed:
                     return
+
+    def _turn(self, choice: Choice, trajectory: Trajectory) -> None:
+        """Look for a trajectory that turns in time.
+
+        Every step is held at a cell of the floor in the direction of a heading that can be reached,
+        and consecutive ones so close to each other that no angle between them is too wide.
+        """
+        turns, held = self._search.turns, list(choice)
+        assert turns is not None
+        state, around = self._request.state, turns.reached(self._request.state, trajectory.headings)
+        for _ in range(DIVE_STEPS):
+            missed = self._missed(trajectory)
+            for j, disjunction in enumerate(self._search.disjunctions):
+                if disjunction.on == 'heading':
+                    held[j] = around[disjunction.steps[0] - 1]
+                elif j in missed:
+                    held[j] = _nearest_cell(disjunction, missed[j][1], held[j])
+            if self._is_late:
+                return
+            close = self._halfspaces(tuple(held), narrow=True)
+            self._nodes += 1
+            try:
+                x = self._search.program.relax(self._request, close, turns.close(around)).x
+            except Infeasible:
+                return
+            if x is None:
+                return
+            trajectory = self._flown(x)
+            if not self._missed(trajectory):
+                self._accept(x, trajectory)
+            if not turns.hold(state, trajectory.headings):
+                return
+            around = turns.kept(trajectory.headings)
+
+    def _turned(self, slot: int, *, narrow: bool) -> Iterator[Halfspace]:
+        """Yield the half-spaces of all turns so far, for the slots after those of disjunctions."""
+        turns, ahead = self._search.turns, self._request.state.attitude[:, 0]
+        for i, each in enumerate(turns.slots if turns else ()):
+            assert turns is not None
+            first = narrow and each.step == 1
+            yield slot + i, ahead, turns.narrow if first else turns.ahead(each.step)
 
     def _round_floors(self, trajectory: Trajectory) -> dict[int, tuple[float, Array]]:
         return {

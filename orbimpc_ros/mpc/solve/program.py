@@ -80,18 +80,26 @@ class Program:
         if self._statement.coasting:
             assert state.coasted is not None
             self._a_0[self._coasted] = -coordinates(state.coasted)
-        if self.problem.first_turn_is_an_angle:
+        if self.problem.first_turn_is_a_cone:
             self._a_0[self._ahead] = state.attitude[:, 0]
         at_rest, per_speed, per_spin = self._limits
         speed = float(np.linalg.norm(state.velocity))
         self._largest = at_rest + speed * per_speed + np.abs(state.rotation_rate).max() * per_spin
 
-    def relax(self, request: Request, halfspaces: Iterable[Halfspace] = ()) -> Relaxation:
+    def relax(
+        self,
+        request: Request,
+        halfspaces: Iterable[Halfspace] = (),
+        chords: Array | None = None,
+    ) -> Relaxation:
         """See :meth:`orbimpc_ros.mpc.solve.relaxation.Relaxed.relax`."""
         if request is not self._request:
             self._bind(request)
         out_of_time = request.out_of_time
         a, b = self._a_0.copy(), self._b.copy()
+        if chords is not None:
+            rows = slice(len(self._rows) - self._statement.chords, None)
+            b[self._rows[rows]] = self._b_0[self._rows[rows]] + self._signs[rows] * chords
         for slot, normal, offset in halfspaces:
             row, entries = self._slots[slot]
             put = self._statement.slots[slot]
@@ -231,7 +239,7 @@ class Program:
         if statement.coasting:
             column = column_of[statement.fraction.id]
             self._coasted = _shared_entries(data['A'], column, first + d + np.arange(d))
-        if self.problem.first_turn_is_an_angle:
+        if self.problem.first_turn_is_a_cone:
             column = column_of[statement.along.id]
             across = column_of[statement.across.id] + np.arange(self.problem.dimension)
             self._ahead = _shared_entries(data['A'], column, across)

@@ -15,6 +15,7 @@ from orbimpc_ros.mpc.solve.request import Method
 METHODS = [
     ('hull_riccati', 'HullRiccati'),
     ('polygon_bnb', 'PolygonSearch'),
+    ('sector_bnb', 'SectorSearch'),
     ('annulus_newton', 'AnnulusNewton'),
     ('disjunctive_bnb', 'DisjunctiveSearch'),
 ]

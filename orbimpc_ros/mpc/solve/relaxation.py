@@ -38,10 +38,21 @@ class Relaxation:
 class Relaxed(Protocol):
     """A convex program of a problem, to be solved with half-spaces in some of its slots."""
 
-    def relax(self, request: Request, halfspaces: Iterable[Halfspace] = ()) -> Relaxation:
+    def relax(
+        self,
+        request: Request,
+        halfspaces: Iterable[Halfspace] = (),
+        chords: Array | None = None,
+    ) -> Relaxation:
         """Solve for a state and goals with some slots filled, the others inert, until time is up.
 
         What depends on state and goals alone is worked out once for a request.
+
+        Args:
+            request: state, goals and deadline.
+            halfspaces: what slots are filled with.
+            chords: how far R e1 may move in the steps that a chord bounds, shape (K,), where that
+                is to be less than the problem says.
 
         Raises:
             Infeasible: proved that no trajectory satisfies the constraints.

@@ -157,8 +157,13 @@ class SO3Multipliers:
         self._slide[1:, 3:] = np.outer(self._others.minimiser[1:, -1], first[3:])
         self._slide /= np.sqrt(curvature)
 
-    def relax(self, request: Request, halfspaces: Iterable[Halfspace] = ()) -> Relaxation:
-        """See :meth:`orbimpc_ros.mpc.solve.relaxation.Relaxed.relax`.
+    def relax(
+        self,
+        request: Request,
+        halfspaces: Iterable[Halfspace] = (),
+        chords: Array | None = None,
+    ) -> Relaxation:
+        """See :meth:`orbimpc_ros.mpc.solve.relaxation.Relaxed.relax`; chords bound nothing here.
 
         When time is up, rotations are in their orbitopes and need not satisfy anything else.
         """

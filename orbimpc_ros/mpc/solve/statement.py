@@ -59,6 +59,7 @@ class Statement:
         self._second = cp.Parameter(d)
         self._velocity = cp.Parameter(n)
         self._arrival, self._stopped = cp.Parameter(n), cp.Parameter(n)
+        self._chords = self._chord_parameter()
         self._velocities: cp.Variable | None = None
         self._lengths: cp.Variable | None = None
         self.slots = tuple(slots)
@@ -78,6 +79,8 @@ class Statement:
             self._arrival: goals[-1] - adrift(self.problem, state)[-1],
             self._stopped: -self.problem.maps.hastened[-1, 0] * state.disturbance,
         }
+        if self._chords is not None:
+            known[self._chords] = np.full(self._chords.size, self.problem.chord)
         return np.concatenate([known[parameter] for parameter in self._parameters()])
 
     def compiled(self, values: Array | None = None, offsets: Array | None = None) -> dict[str, Any]:
@@ -99,7 +102,19 @@ class Statement:
     def _parameters(self) -> list[cp.Parameter]:
         known = {p.id for p in self.program.parameters()}
         candidates = [self._first, self._second, self._velocity, self._arrival, self._stopped]
+        if self._chords is not None:
+            candidates.append(self._chords)
         return [p for p in candidates if p.id in known]
+
+    @property
+    def chords(self) -> int:
+        """Return how many turns a chord bounds: the last of :meth:`values`."""
+        return 0 if self._chords is None else self._chords.size
+
+    def _chord_parameter(self) -> cp.Parameter | None:
+        """With a floor the first turn is measured from an attitude, not from R_0 e1."""
+        count = self.problem.horizon - int(self.problem.turns_are_angles)
+        return cp.Parameter(count) if self.problem.max_rate > 0.0 and count > 0 else None
 
     def _rotation_constraints(self) -> list[cp.Constraint]:
         problem, x = self.problem, self._rotations
@@ -151,16 +166,13 @@ class Statement:
         return [sum(some) if some else 0.0 for some in terms]
 
     def _limits(self) -> list[cp.Constraint]:
-        """|(R_{k+1} - R_k) e1| <= 2 sin(h omega / 2), and the cone of a first turn by an angle."""
-        problem = self.problem
-        if problem.max_rate <= 0.0:
-            return []
-        first = self._first_turn() if problem.first_turn_is_an_angle else []
-        begin = int(problem.first_turn_is_an_angle or problem.first_turn_is_decided)
-        if problem.horizon == begin:
-            return first
-        turned = self._headings[begin + 1 :] - self._headings[begin:-1]
-        return [*first, cp.SOC(np.full(problem.horizon - begin, problem.chord), turned.T)]
+        """|(R_{k+1} - R_k) e1| <= the chords, and the cone of a first turn by an angle."""
+        limits = self._first_turn() if self.problem.first_turn_is_a_cone else []
+        if self._chords is not None:
+            begin = int(self.problem.turns_are_angles)
+            turned = self._headings[begin + 1 :] - self._headings[begin:-1]
+            limits.append(cp.SOC(self._chords, turned.T))
+        return limits
 
     def _first_turn(self) -> list[cp.Constraint]:
         """|R_1 e1 - rho Q_0 e1| <= rho sin(h omega) for some rho >= 0: the cone around Q_0 e1."""
@@ -207,7 +219,7 @@ class Statement:
         problem, n, flown = self.problem, self.problem.dimension, self.problem.maps
         moved = flown.drift[:, 0] * speed + flown.reach.sum(axis=1)
         pushed = flown.carried[:, 0] * speed + flown.pushed.sum(axis=1)
-        angle = problem.step * problem.max_rate if problem.first_turn_is_an_angle else 0.0
+        angle = problem.step * problem.max_rate if problem.first_turn_is_a_cone else 0.0
         rho = 1.0 / math.cos(angle)
         each = {
             self.x: np.full(self.x.size, 1.0 + problem.step * spin),

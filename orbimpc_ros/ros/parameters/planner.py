@@ -65,8 +65,8 @@ PLANNER: tuple[Row, ...] = (
         low=TINY, high=1.0, live=True),
     Row('max_rate', 0.0, 'Limit of the body rate; 0 for none, at most pi/step. Without a floor it '
         'limits changes of speed as well: R e1 moves by at most 2 sin(step * max_rate / 2) in a '
-        'step. With a floor (and step * max_rate below 1.4) the first step of a plan is limited in '
-        'its angle alone', 'rad/s', 0.0, 1e4, live=True),
+        'step. With a floor it limits the angle of each step, at any speeds',
+        'rad/s', 0.0, 1e4, live=True),
     Row('obstacles', (), 'Boxes to stay out of: lower, then upper corner of each',
         'm', -FAR, FAR, live=True),
     Row('no_corner_cutting', False, 'Whether the path between two steps stays out as well',

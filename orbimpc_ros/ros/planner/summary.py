@@ -54,11 +54,25 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
     if rate > BRISK:
         asked = f'{math.radians(rate):.4g} rad/s if {rate:g} deg/s is meant'
         found.append(f'max_rate is {rate:g} rad/s, {math.degrees(rate):.4g} deg/s: {asked}')
+    found += _short_sight(settings.problem)
     for name in ('floor.fraction', 'floor.faces'):
         unused = name.removeprefix('floor.') not in settings.problem.floor.parameters
         if unused and given.get(name, DEFAULTS[name].default) != DEFAULTS[name].default:
             found.append(f'{name} is {given[name]:g} and floor.shape {shape}: it has no effect')
     return found
+
+
+def _short_sight(problem: Problem) -> list[str]:
+    """Say that a vehicle which cannot stop never sees itself turned round at the horizon's end."""
+    turned = problem.horizon * problem.step * problem.max_rate
+    if not problem.turns_are_angles or turned >= math.pi:
+        return []
+    needed = math.ceil(math.pi / (problem.step * problem.max_rate))
+    return [
+        f'a horizon of {problem.horizon * problem.step:.4g} s turns by '
+        f'{math.degrees(turned):.4g} deg at most: past a goal behind it the vehicle may not turn '
+        f'round; half a turn takes a horizon of {needed}'
+    ]
 
 
 def _vehicle(problem: Problem, mass: float) -> list[str]:

@@ -2,7 +2,8 @@ r"""Nonlinear MPC: CasADi and IPOPT on the very problem, exact derivatives, warm
 
 Circle: :math:`f^2 \le |z_k|^2 \le 1`. Polygon, without integers: beyond one of the faces means that
 some convex combination of their normals, its shares variables too, gives a half-space that holds,
-:math:`\sum_i \lambda_{ki} n_i \cdot z_k \ge f`. Rate limit: as the planner has it, a longest chord.
+:math:`\sum_i \lambda_{ki} n_i \cdot z_k \ge f`. Rate limit: as the planner has it, an angle with a
+floor, else a longest chord.
 IPOPT is a local solver: it finds a stationary point, and does not say whether it is the best.
 """
 
@@ -22,6 +23,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 QUIET: dict[str, Any] = {'print_time': False, 'ipopt.print_level': 0, 'ipopt.sb': 'yes'}
 # Bounds are not relaxed, as is IPOPT's habit: a cost below that of every legal plan says nothing.
 OPTIONS = {'ipopt.tol': 1e-9, 'ipopt.bound_relax_factor': 0.0, 'ipopt.max_iter': 500}
+TINY = 1e-20  # keeps a root smooth
 
 
 class Nonlinear(Baseline):
@@ -73,8 +75,7 @@ class NonlinearProgram:
             beyond = ca.sum2((z @ ca.DM(self._faces).T) * shares)
             limits += [(beyond, problem.floor.fraction, np.inf), (ca.sum2(shares), 1.0, 1.0)]
         if problem.max_rate > 0.0:
-            turns = z - ca.vertcat(first, z[:-1, :])
-            limits.append((ca.sum2(turns * turns), -np.inf, problem.chord**2))
+            limits.append(_turns(problem, ca.vertcat(first, z[:-1, :]), z))
         self._low = np.repeat([low for _, low, _ in limits], steps)
         self._high = np.repeat([high for *_, high in limits], steps)
         program = {
@@ -83,8 +84,13 @@ class NonlinearProgram:
             'f': cost,
             'g': ca.vertcat(*(limit for limit, _, _ in limits)),
         }
+        self._angular = problem.turns_are_angles
         self._solver = ca.nlpsol('plan', 'ipopt', program, {**QUIET, **options})
         self._free = 2 * steps  # variables without bounds of their own
+
+    def _before(self, state: State) -> Array:
+        """Return the axis that the first turn is measured from, shape (2,)."""
+        return state.attitude[:, 0] if self._angular else state.rotation[:, 0]
 
     def solve(self, state: State, goals: Array, start: Array) -> tuple[Array | None, float]:
         """Return axes z_1..z_N, shape (N, 2), and their cost; None and NaN without convergence.
@@ -106,7 +112,7 @@ class NonlinearProgram:
             x0=x_0,
             lbx=low,
             ubx=high,
-            p=np.append(linear.ravel(order='F'), state.rotation[:, 0]),
+            p=np.append(linear.ravel(order='F'), self._before(state)),
             lbg=self._low,
             ubg=self._high,
         )
@@ -114,3 +120,13 @@ class NonlinearProgram:
             return None, np.nan
         axes = np.asarray(found['x'])[: self._free].reshape(2, -1).T
         return axes, float(found['f']) + constant
+
+
+def _turns(problem: Problem, before: Any, z: Any) -> tuple[Any, float, float]:
+    """Return what the rate limit bounds at each step, and its least and largest value."""
+    import casadi as ca
+
+    if not problem.turns_are_angles:
+        return ca.sum2((z - before) ** 2), -np.inf, problem.chord**2
+    sizes = ca.sqrt(ca.sum2(z * z) * ca.sum2(before * before) + TINY)
+    return ca.sum2(z * before) - np.cos(problem.widest_turn) * sizes, 0.0, np.inf

@@ -1,0 +1,647 @@
+"""Branch and bound over headings within sectors: a floor together with a turn rate.
+
+Headings are unwrapped: a node holds theta_k in [low_k, high_k] at every step. The first heading is
+known and turns are limited, so the root's sectors are narrow to begin with, and what is learnt of
+one step narrows its neighbours. At a node, a sector narrower than half a turn is a convex set: the
+disk, both edges, and what lies beyond the chord between the least speeds along the edges. The
+quadratic program over these rows is solved by a dual active-set method, as in
+:mod:`orbimpc_ros.mpc.kernels.active_set`, whose bounds hold at any time and whose children start
+from their parent's active set.
+
+Every node's headings are also rounded to a trajectory that holds floor and turn rate, from which
+:mod:`orbimpc_ros.mpc.kernels.steering` descends.
+
+Mathematics: docs/mathematics.md, 4.10.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.kernels import compiled, vectorised
+from orbimpc_ros.mpc.kernels.active_set import FLAT, NODE, lagrangian
+from orbimpc_ros.mpc.kernels.heap import pop, push
+from orbimpc_ros.mpc.kernels.linear import SINGULAR, add_product, quadratic
+from orbimpc_ros.mpc.kernels.steering import (
+    least_speed,
+    set_headings,
+    set_rounded,
+    steer,
+)
+
+DONE, FULL, PAUSED = 0, 1, 2  # what a call ends with
+GOING, SOLVED, PRUNED, STALLED = 0, 1, 2, 3  # what becomes of a node
+ITERATIONS = 400
+OUTSIDE = 3e-6  # a row violated by less holds: what a node lacks for it, its bound lacks as well
+SATISFIED = 1e-8  # a floor or turn missed by less need not be branched on
+OPEN, MADE, NODES, CURRENT, ROWS_ADDED, STALLS, ACTIVE, STARTS = range(8)  # in Sectors.counts
+VALUE, CLOSED, BOUND, LEAST = range(4)  # in Sectors.numbers
+MARGIN = 0.15  # of a sector: no part is narrower
+HALF = np.pi - 1e-9
+NARROWEST = 1e-6  # [rad], a sector that is not cut
+SURE = 1.0 - 1e-6  # of a gain
+
+
+class Sectors(NamedTuple):
+    """A search: its nodes, each with the active set it ended with, and the best trajectory.
+
+    Attributes:
+        rows: the steps of active rows, shape (S, 2N + 2).
+        normals: of rows n.z_k >= offset, shape (S, 2N + 2, 2).
+        offsets: shape (S, 2N + 2).
+        u: multipliers, >= 0, shape (S, 2N + 2).
+        active: how many there are, shape (S,); the first state is empty, for the root.
+        low: least headings of a node [rad], shape (M, N).
+        high: greatest, shape (M, N).
+        parent: whose active set a node begins with, shape (M,).
+        keys: bounds of the open nodes, a heap, shape (M,).
+        heap: their numbers, shape (M,).
+        chords: rows of the sectors at the node at work, normals and offsets, shape (N, 3).
+        edges: normals of their edges, zero where there are none, shape (N, 2, 2).
+        gram: n_i.H^-1 n_j of its active rows, the lower triangle, shape (2N + 2, 2N + 2).
+        factor: of Cholesky, of the same shape.
+        along: n_i.H^-1 n of another row, shape (2N + 2,).
+        image: H^-1 n, shape (N, 2).
+        row: n, shape (2,).
+        ends: of a part of a sector, shape (2, 1).
+        part_chord: its chord, shape (1, 3).
+        part_edges: its edges, shape (1, 2, 2).
+        images: H^-1 n_i, shape (2N + 2, N, 2).
+        free: -H^-1 q, shape (N, 2).
+        x: headings of the last node, shape (N, 2).
+        best: the best trajectory, shape (N, 2).
+        speeds: of a trajectory being made, shape (N,).
+        turns: shape (N,).
+        z: shape (N, 2).
+        counts: open nodes; nodes made; nodes solved; the node at work, -1 for none; rows added to
+            it; nodes that could not be settled; rows active in it; local searches, shape (8,).
+        numbers: the value to beat; the least bound given up; the bound of the node at work; that
+            of the whole search, shape (4,).
+    """
+
+    rows: np.ndarray
+    normals: Array
+    offsets: Array
+    u: Array
+    active: np.ndarray
+    low: Array
+    high: Array
+    parent: np.ndarray
+    keys: Array
+    heap: np.ndarray
+    chords: Array
+    edges: Array
+    gram: Array
+    factor: Array
+    along: Array
+    image: Array
+    row: Array
+    ends: Array
+    part_chord: Array
+    part_edges: Array
+    images: Array
+    free: Array
+    x: Array
+    best: Array
+    speeds: Array
+    turns: Array
+    z: Array
+    counts: np.ndarray
+    numbers: Array
+
+
+def sectors(steps: int, nodes: int) -> Sectors:
+    """Return room for a search over N = ``steps`` steps and so many nodes."""
+    states, made, size = nodes + 1, 1 + 2 * nodes, 2 * steps + 2
+    return Sectors(
+        np.empty((states, size), np.int64),
+        np.empty((states, size, 2)),
+        np.empty((states, size)),
+        np.empty((states, size)),
+        np.zeros(states, np.int64),
+        np.empty((made, steps)),
+        np.empty((made, steps)),
+        np.zeros(made, np.int64),
+        np.empty(made),
+        np.empty(made, np.int64),
+        np.zeros((steps, 3)),
+        np.zeros((steps, 2, 2)),
+        np.zeros((size, size)),
+        np.zeros((size, size)),
+        np.zeros(size),
+        np.zeros((steps, 2)),
+        np.zeros(2),
+        np.zeros((2, 1)),
+        np.zeros((1, 3)),
+        np.zeros((1, 2, 2)),
+        np.zeros((size, steps, 2)),
+        np.zeros((steps, 2)),
+        np.zeros((steps, 2)),
+        np.zeros((steps, 2)),
+        np.zeros(steps),
+        np.zeros(steps),
+        np.zeros((steps, 2)),
+        np.zeros(8, np.int64),
+        np.zeros(4),
+    )
+
+
+@compiled
+def begin(quad, ring, tree):
+    """Begin a search: all headings that can be reached.
+
+    Args:
+        quad: what to minimise.
+        ring: floor and turn rate.
+        tree: updated in place.
+    """
+    counts, numbers = tree.counts, tree.numbers
+    tree.free[:] = 0.0
+    add_product(quad.inverse, quad.q, -1.0, tree.free)
+    counts[:] = 0
+    counts[OPEN], counts[MADE], counts[CURRENT] = 1, 1, -1
+    numbers[:] = np.inf, np.inf, -np.inf, -np.inf
+    for k in range(len(tree.x)):
+        reach = (k + 1) * ring.widest if ring.widest < HALF else np.pi
+        tree.low[0, k], tree.high[0, k] = ring.first - reach, ring.first + reach
+    tree.parent[0] = 0
+    tree.keys[0], tree.heap[0] = -np.inf, 0
+
+
+@compiled
+def _minimiser(tree, own, count):
+    """Set x to the minimiser of the Lagrangian: H x + q - sum_i u_i n_i = 0."""
+    x, u, images = tree.x, tree.u[own], tree.images
+    x[:] = tree.free
+    for i in range(count):
+        for j in range(len(x)):
+            x[j, 0] += u[i] * images[i, j, 0]
+            x[j, 1] += u[i] * images[i, j, 1]
+
+
+@compiled
+def _set_image(inverse, step, row, image):
+    """Set H^-1 n, shape (N, 2), of a row over a step."""
+    for j in range(len(image)):
+        image[j, 0], image[j, 1] = inverse[j, step] * row[0], inverse[j, step] * row[1]
+
+
+@vectorised
+def _extend(gram, factor, first, count):
+    """Set the rows of Cholesky's factor from ``first`` on, diagonals inverted; False if singular.
+
+    Rows before it stay: a row that is added costs no more than solving with it.
+    """
+    for i in range(first, count):
+        for j in range(i):
+            value = gram[i, j]
+            for k in range(j):
+                value -= factor[i, k] * factor[j, k]
+            factor[i, j] = value * factor[j, j]
+        value = gram[i, i] * (1.0 + 1e-14)
+        for k in range(i):
+            value -= factor[i, k] * factor[i, k]
+        if not value > SINGULAR * gram[i, i]:
+            return False
+        factor[i, i] = 1.0 / np.sqrt(value)
+    return True
+
+
+@vectorised
+def _solve(factor, right, count):
+    """Solve with Cholesky's factor in place; return |L^-1 right|^2."""
+    square = 0.0
+    for i in range(count):
+        value = right[i]
+        for k in range(i):
+            value -= factor[i, k] * right[k]
+        value *= factor[i, i]
+        right[i] = value
+        square += value * value
+    for i in range(count - 1, -1, -1):
+        value = right[i] * factor[i, i]
+        right[i] = value
+        for k in range(i):
+            right[k] -= factor[i, k] * value
+    return square
+
+
+@compiled
+def _drop(tree, own, i, count):
+    """Take a row out of the active set, and what is kept of it."""
+    rows, normals, offsets, u = tree.rows[own], tree.normals[own], tree.offsets[own], tree.u[own]
+    gram, images = tree.gram, tree.images
+    for j in range(i, count - 1):
+        rows[j], offsets[j], u[j] = rows[j + 1], offsets[j + 1], u[j + 1]
+        normals[j, 0], normals[j, 1] = normals[j + 1, 0], normals[j + 1, 1]
+        for k in range(len(tree.x)):
+            images[j, k, 0], images[j, k, 1] = images[j + 1, k, 0], images[j + 1, k, 1]
+        for k in range(i):
+            gram[j, k] = gram[j + 1, k]
+        for k in range(i, j + 1):
+            gram[j, k] = gram[j + 1, k + 1]
+
+
+@compiled
+def _add_row(inverse, tree, own, count, step, row, offset):
+    """Add a violated row to the active set, dropping those in its way.
+
+    Returns:
+        The new count, or -1 where rounding leaves no row to drop or to add; the multiplications
+        that it took.
+    """
+    rows, normals, offsets, u = tree.rows[own], tree.normals[own], tree.offsets[own], tree.u[own]
+    gram, images, x = tree.gram, tree.images, tree.x
+    size, steps = len(rows), len(x)
+    r, held, image = np.empty(size), np.empty(size), np.empty((steps, 2))
+    _set_image(inverse, step, row, image)
+    own_curvature = row[0] * image[step, 0] + row[1] * image[step, 1]
+    flat, multiplier, spent = FLAT * own_curvature, 0.0, 0.0
+    for _ in range(4 * size):
+        spent += count * (2.0 * count + 4.0 * steps + 4.0)
+        for i in range(count):
+            held[i] = r[i] = normals[i, 0] * image[rows[i], 0] + normals[i, 1] * image[rows[i], 1]
+        curvature = own_curvature - _solve(tree.factor, r, count)
+        gap = offset - row[0] * x[step, 0] - row[1] * x[step, 1]
+        blocking, limit = -1, np.inf
+        for i in range(count):
+            if r[i] > FLAT and u[i] < limit * r[i]:
+                blocking, limit = i, u[i] / r[i]
+        whole = gap / curvature if curvature > flat else np.inf
+        move = min(limit, whole)
+        if move == np.inf:
+            return -1, spent
+        multiplier += move
+        for i in range(count):
+            u[i] = max(0.0, u[i] - move * r[i])
+        if curvature > flat:
+            for j in range(steps):
+                x[j, 0] += move * image[j, 0]
+                x[j, 1] += move * image[j, 1]
+            for i in range(count):
+                back = move * r[i]
+                for j in range(steps):
+                    x[j, 0] -= back * images[i, j, 0]
+                    x[j, 1] -= back * images[i, j, 1]
+        if whole <= limit:
+            if count == size:
+                return -1, spent
+            rows[count], offsets[count], u[count] = step, offset, multiplier
+            normals[count], images[count], gram[count, count] = row, image, own_curvature
+            for i in range(count):
+                gram[count, i] = held[i]
+            if not _extend(gram, tree.factor, count, count + 1):
+                return -1, spent
+            return count + 1, spent
+        _drop(tree, own, blocking, count)
+        count -= 1
+        spent += (count - blocking) * count * (0.5 * count + 4.0 * steps)
+        if not _extend(gram, tree.factor, blocking, count):
+            return -1, spent
+    return -1, spent
+
+
+@compiled
+def _set_sectors(ring, low, high, chords, edges):
+    """Set the rows of each sector: beyond its chord, n.z_k >= b, and between its edges."""
+    for k in range(len(low)):
+        width = high[k] - low[k]
+        edges[k] = 0.0
+        if width >= 2.0 * np.pi - 1e-9:
+            chords[k] = 0.0, 0.0, -1.0
+        elif width >= HALF:
+            middle = 0.5 * (low[k] + high[k])
+            chords[k] = np.cos(middle), np.sin(middle), np.cos(0.5 * width)
+        else:
+            first, last = least_speed(ring, low[k])[0], least_speed(ring, high[k])[0]
+            ax, ay = first * np.cos(low[k]), first * np.sin(low[k])
+            bx, by = last * np.cos(high[k]), last * np.sin(high[k])
+            nx, ny = by - ay, ax - bx
+            size = np.sqrt(nx * nx + ny * ny)
+            if size > 1e-9:
+                nx, ny = nx / size, ny / size
+            else:
+                nx, ny = np.cos(low[k]), np.sin(low[k])
+            chords[k] = nx, ny, min(nx * ax + ny * ay, nx * bx + ny * by)
+            edges[k, 0, 0], edges[k, 0, 1] = -np.sin(low[k]), np.cos(low[k])
+            edges[k, 1, 0], edges[k, 1, 1] = np.sin(high[k]), -np.cos(high[k])
+
+
+@compiled
+def _most_violated(x, chords, edges, row):
+    """Set the row over one step that is violated most; return its step, -1 if none is, and offset.
+
+    The rows are tangents of the disk, chords, and edges of sectors narrower than half a turn.
+    """
+    worst, step, offset = OUTSIDE, -1, 0.0
+    for k in range(len(x)):
+        square = x[k, 0] * x[k, 0] + x[k, 1] * x[k, 1]
+        if square > 1.0:
+            size = np.sqrt(square)
+            if size - 1.0 > worst:
+                worst, step, offset = size - 1.0, k, -1.0
+                row[0], row[1] = -x[k, 0] / size, -x[k, 1] / size
+        short = chords[k, 2] - chords[k, 0] * x[k, 0] - chords[k, 1] * x[k, 1]
+        if short > worst:
+            worst, step, offset = short, k, chords[k, 2]
+            row[0], row[1] = chords[k, 0], chords[k, 1]
+        for side in range(2):  # all zero where the sector has no edges
+            short = -edges[k, side, 0] * x[k, 0] - edges[k, side, 1] * x[k, 1]
+            if short > worst:
+                worst, step, offset = short, k, 0.0
+                row[0], row[1] = edges[k, side, 0], edges[k, side, 1]
+    return step, offset
+
+
+@compiled
+def _relax(quad, ring, tree, node, own, cutoff, count, added, work):
+    """Solve a node on from an active set and its minimiser.
+
+    Returns what becomes of it, the bound, the active count, the rows added by now, the work left.
+    """
+    rows, normals, offsets, u = tree.rows[own], tree.normals[own], tree.offsets[own], tree.u[own]
+    x, row, begun = tree.x, np.zeros(2), added
+    bound = lagrangian(quad, rows, normals, offsets, u, count, x)
+    while added < ITERATIONS:
+        if bound >= cutoff:
+            return PRUNED, bound, count, added, work
+        step, offset = _most_violated(x, tree.chords, tree.edges, row)
+        if step < 0:
+            return SOLVED, bound, count, added, work
+        if work <= 0.0 and added > begun:
+            return GOING, bound, count, added, work
+        following, spent = _add_row(quad.inverse, tree, own, count, step, row, offset)
+        work -= spent + 4.0 * len(x) ** 2 + NODE
+        if following < 0:
+            return STALLED, bound, 0, added, work
+        count, added = following, added + 1
+        _minimiser(tree, own, count)
+        bound = max(bound, lagrangian(quad, rows, normals, offsets, u, count, x))
+    return STALLED, bound, count, added, work
+
+
+@compiled
+def _open(quad, ring, tree, node):
+    """Begin to work on a node, from its parent's active set."""
+    counts = tree.counts
+    counts[NODES] += 1
+    own, from_ = counts[NODES], tree.parent[node]
+    count = tree.active[from_]
+    for i in range(count):
+        tree.rows[own, i], tree.u[own, i] = tree.rows[from_, i], tree.u[from_, i]
+        tree.offsets[own, i], tree.normals[own, i] = tree.offsets[from_, i], tree.normals[from_, i]
+        row = tree.normals[own, i]
+        _set_image(quad.inverse, tree.rows[own, i], row, tree.images[i])
+        for j in range(i + 1):
+            step, other = tree.rows[own, j], tree.normals[own, j]
+            tree.gram[i, j] = (
+                other[0] * tree.images[i, step, 0] + other[1] * tree.images[i, step, 1]
+            )
+    if not _extend(tree.gram, tree.factor, 0, count):
+        count = 0  # nothing is lost but a start
+    _minimiser(tree, own, count)
+    _set_sectors(ring, tree.low[node], tree.high[node], tree.chords, tree.edges)
+    counts[CURRENT], counts[ROWS_ADDED], counts[ACTIVE] = node, 0, count
+
+
+@compiled
+def _cut_at(ring, angle, low, high):
+    """Return where to cut a sector: at a corner of the floor inside it, else near an angle."""
+    middle, width = 0.5 * (low + high), high - low
+    if width > HALF:
+        angle = middle
+    angle = angle + 2.0 * np.pi * np.round((middle - angle) / (2.0 * np.pi))
+    angle = min(high - MARGIN * width, max(low + MARGIN * width, angle))
+    if ring.faces > 0:
+        share = 2.0 * np.pi / ring.faces
+        corner = share * (np.round(angle / share - 0.5) + 0.5)
+        if low + 1e-9 < corner < high - 1e-9:
+            return corner
+        above, below = corner + share, corner - share
+        if low + 1e-9 < above < high - 1e-9:
+            return above
+        if low + 1e-9 < below < high - 1e-9:
+            return below
+    return angle
+
+
+@compiled
+def _gain(quad, tree, own, count, step, row, offset):
+    """Return by how much one dual step along a row raises the bound of the node at work."""
+    short = offset - row[0] * tree.x[step, 0] - row[1] * tree.x[step, 1]
+    if short <= 0.0:
+        return 0.0
+    rows, normals, u, r = tree.rows[own], tree.normals[own], tree.u[own], tree.along
+    _set_image(quad.inverse, step, row, tree.image)
+    for i in range(count):
+        image = tree.image[rows[i]]
+        r[i] = normals[i, 0] * image[0] + normals[i, 1] * image[1]
+    curvature = quad.inverse[step, step] - _solve(tree.factor, r, count)
+    limit = np.inf
+    for i in range(count):
+        if r[i] > FLAT and u[i] < limit * r[i]:
+            limit = u[i] / r[i]
+    move = min(limit, short / max(curvature, FLAT * quad.inverse[step, step]))
+    return move * (short - 0.5 * move * max(0.0, curvature))
+
+
+@compiled
+def _part_gain(quad, ring, tree, own, step, low, high):
+    """Return by how much the bound rises at least where a step is held in a smaller sector."""
+    ends, row = tree.ends, tree.row
+    ends[0, 0], ends[1, 0] = low, high
+    _set_sectors(ring, ends[0], ends[1], tree.part_chord, tree.part_edges)
+    x, worst, offset = tree.x[step], OUTSIDE, 0.0
+    chord = tree.part_chord[0]
+    short = chord[2] - chord[0] * x[0] - chord[1] * x[1]
+    if short > worst:
+        worst, row[0], row[1], offset = short, chord[0], chord[1], chord[2]
+    for side in range(2):
+        edge = tree.part_edges[0, side]
+        short = -edge[0] * x[0] - edge[1] * x[1]
+        if short > worst:
+            worst, row[0], row[1], offset = short, edge[0], edge[1], 0.0
+    if worst == OUTSIDE:
+        return 0.0
+    return _gain(quad, tree, own, tree.active[own], step, row, offset)
+
+
+@compiled
+def _branching(ring, inverse, x, low, high):
+    """Return the step to branch on, -1 if there is none, and where to cut its sector.
+
+    What a step misses of the floor, finer sectors will ask of it. Where a turn is too wide, the
+    wider of its two sectors is cut such that either part leaves the one heading or the other out.
+    """
+    chosen, cut, gain = -1, 0.0, -1.0
+    before, last = ring.first, 1.0
+    for k in range(len(x)):
+        size = np.sqrt(x[k, 0] ** 2 + x[k, 1] ** 2)
+        angle = np.arctan2(x[k, 1], x[k, 0])
+        width, wider = high[k] - low[k], -1.0
+        short = least_speed(ring, angle)[0] - size
+        if short > SATISFIED and width > NARROWEST:
+            raised = short * short / (2.0 * inverse[k, k])
+            if raised > gain:
+                chosen, gain, cut = k, raised, _cut_at(ring, angle, low[k], high[k])
+        turn = angle - before - 2.0 * np.pi * np.round((angle - before) / (2.0 * np.pi))
+        excess = abs(turn) - ring.widest
+        if excess > SATISFIED:
+            half, away = np.sin(0.5 * excess), np.copysign(0.5 * excess, turn)
+            raised = (size * half) ** 2 / (2.0 * inverse[k, k])
+            if k > 0:
+                raised = min(raised, (last * half) ** 2 / (2.0 * inverse[k - 1, k - 1]))
+                wider = high[k - 1] - low[k - 1]
+            if wider > max(NARROWEST, width) and raised > gain:
+                chosen, gain = k - 1, raised
+                cut = _cut_at(ring, before + away, low[k - 1], high[k - 1])
+            elif width > NARROWEST and raised > gain:
+                chosen, gain, cut = k, raised, _cut_at(ring, angle - away, low[k], high[k])
+        before, last = angle, size
+    return chosen, cut
+
+
+@compiled
+def _narrow(ring, low, high, chosen):
+    """Carry what is known of a step's sector to its neighbours."""
+    if ring.widest >= HALF:
+        return
+    for k in range(chosen + 1, len(low)):
+        low[k] = max(low[k], low[k - 1] - ring.widest)
+        high[k] = min(high[k], high[k - 1] + ring.widest)
+    for k in range(chosen - 1, -1, -1):
+        low[k] = max(low[k], low[k + 1] - ring.widest)
+        high[k] = min(high[k], high[k + 1] + ring.widest)
+
+
+@compiled
+def _branch(quad, ring, tree, node, own, cutoff):
+    """Open the two children of a node, or note that it has none."""
+    counts, numbers = tree.counts, tree.numbers
+    bound, low, high = numbers[BOUND], tree.low, tree.high
+    k, cut = _branching(ring, quad.inverse, tree.x, low[node], high[node])
+    if k < 0:
+        numbers[CLOSED] = min(numbers[CLOSED], bound)
+        return
+    for side in range(2):
+        ends = (cut, high[node, k]) if side else (low[node, k], cut)
+        key = bound + SURE * _part_gain(quad, ring, tree, own, k, ends[0], ends[1])
+        if key >= cutoff:
+            numbers[CLOSED] = min(numbers[CLOSED], key)
+            continue
+        made = counts[MADE]
+        low[made], high[made] = low[node], high[node]
+        if side:
+            low[made, k] = cut
+        else:
+            high[made, k] = cut
+        _narrow(ring, low[made], high[made], k)
+        tree.parent[made] = own
+        push(tree.keys, tree.heap, counts[OPEN], key, made)
+        counts[OPEN] += 1
+        counts[MADE] += 1
+
+
+@compiled
+def offer(quad, ring, constant, tree, x, low, high, share):
+    """Round headings to a trajectory and descend from it where it is promising.
+
+    Args:
+        quad: what to minimise.
+        ring: floor and turn rate.
+        constant: what costs lack.
+        tree: whose best is replaced by a better one.
+        x: headings, shape (N, 2).
+        low: least headings, shape (N,).
+        high: greatest, shape (N,).
+        share: of the best cost that the rounded one may be worse by, to be worth a descent.
+
+    Returns:
+        The multiplications that it took.
+    """
+    numbers = tree.numbers
+    set_rounded(ring, x, low, high, tree.speeds, tree.turns)
+    set_headings(ring, tree.speeds, tree.turns, tree.z)
+    rounded = quadratic(quad.hessian, quad.q, tree.z)
+    if rounded > numbers[VALUE] + share * abs(numbers[VALUE] + constant):
+        return 0.0
+    cost, taken = steer(quad.hessian, quad.q, ring, constant, tree.speeds, tree.turns, tree.z)
+    tree.counts[STARTS] += 1
+    if cost < numbers[VALUE]:
+        numbers[VALUE], tree.best[:] = cost, tree.z
+    return taken * (2.0 * len(x)) ** 3
+
+
+@compiled
+def _search(quad, ring, constant, tolerance, tree, room, work):
+    """Do as :func:`search`, but for the bound of the whole."""
+    counts, numbers = tree.counts, tree.numbers
+    while counts[CURRENT] >= 0 or counts[OPEN] > 0:
+        cutoff = numbers[VALUE] - tolerance * max(abs(numbers[VALUE] + constant), 1e-9)
+        if counts[CURRENT] < 0:
+            if tree.keys[0] >= cutoff:
+                break
+            if counts[NODES] >= room:
+                return FULL
+            if work <= 0.0:
+                return PAUSED
+            numbers[BOUND] = tree.keys[0]
+            node = tree.heap[0]
+            pop(tree.keys, tree.heap, counts[OPEN])
+            counts[OPEN] -= 1
+            _open(quad, ring, tree, node)
+            work -= NODE + 2.0 * len(tree.x) ** 2
+        node, own = counts[CURRENT], counts[NODES]
+        status, bound, count, counts[ROWS_ADDED], work = _relax(
+            quad, ring, tree, node, own, cutoff, counts[ACTIVE], counts[ROWS_ADDED], work
+        )
+        counts[ACTIVE] = tree.active[own] = count
+        numbers[BOUND] = max(numbers[BOUND], bound)
+        if status == GOING:
+            return PAUSED
+        counts[CURRENT] = -1
+        if status == SOLVED:
+            # Where the search is young, and ever less often later.
+            share = 0.5 if counts[NODES] & (counts[NODES] - 1) == 0 else 0.0
+            work -= offer(
+                quad, ring, constant, tree, tree.x, tree.low[node], tree.high[node], share
+            )
+            _branch(quad, ring, tree, node, own, cutoff)
+        elif status == STALLED:  # what arithmetic cannot settle, its parts may
+            counts[STALLS] += 1
+            counts[ACTIVE] = tree.active[own] = 0
+            _branch(quad, ring, tree, node, own, cutoff)
+        else:
+            numbers[CLOSED] = min(numbers[CLOSED], numbers[BOUND])
+    return DONE
+
+
+@compiled
+def search(quad, ring, constant, tolerance, tree, room, work):
+    """Search best first, on from where the tree is.
+
+    Args:
+        quad: what to minimise, over headings of shape (N, 2).
+        ring: floor and turn rate.
+        constant: what values lack; it only scales the tolerance.
+        tolerance: relative gap at which to stop.
+        tree: begun by :func:`begin`; updated in place.
+        room: nodes to solve in all, at most.
+        work: multiplications to do at most, though no less than one row takes.
+
+    Returns:
+        ``DONE``; ``FULL``, where all nodes that there is room for are solved; ``PAUSED``, where
+        the work has run out.
+    """
+    status = _search(quad, ring, constant, tolerance, tree, room, work)
+    counts, numbers = tree.counts, tree.numbers
+    least = min(numbers[CLOSED], numbers[VALUE])
+    if counts[CURRENT] >= 0:
+        least = min(least, numbers[BOUND])
+    if counts[OPEN] > 0:
+        least = min(least, tree.keys[0])
+    numbers[LEAST] = least
+    return status

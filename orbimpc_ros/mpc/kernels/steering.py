@@ -1,0 +1,225 @@
+"""A local optimum over speeds and turns: trajectories that hold floor and turn rate all the way.
+
+In the plane a heading is z_k = m_k (cos theta_k, sin theta_k). With the modulus written as
+m = rho(theta) + t (1 - rho(theta)), rho being the least speed in that direction, and
+theta_k = theta_0 + d_1 + ... + d_k, floor, disk and turn rate are the box 0 <= t_k <= 1,
+|d_k| <= delta. Newton's method with damping descends in it: variables at a bound that the gradient
+pushes against are held, all others move, and steps are projected back into the box.
+
+Mathematics: docs/mathematics.md, 4.10.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.kernels import compiled
+from orbimpc_ros.mpc.kernels.linear import quadratic, solve_spd
+
+STEPS = 40  # of Newton's method
+HALVINGS = 12
+SETTLED = 1e-9  # relative decrease of the cost at which it ends
+DAMPED, CALMED, STIFFENED = 1e-6, 0.2, 8.0  # the damping to begin with, and how it changes
+STIFFEST = 1e8
+AT_BOUND = 1e-12
+WITHIN = 1.0 - 1e-9  # of the largest turn, which rounding is not to exceed
+SMALL = 1e-12  # a heading shorter than this has no direction
+
+
+class Ring(NamedTuple):
+    """A planar floor with its turn rate.
+
+    Attributes:
+        fraction: the least |z|: radius of the circle, or of the circle inside the polygon.
+        faces: of the polygon, 0 for the circle.
+        widest: delta, the largest turn in a step [rad]; at least pi where nothing limits it.
+        first: theta_0, the heading at the start [rad].
+    """
+
+    fraction: float
+    faces: int
+    widest: float
+    first: float
+
+
+@compiled
+def least_speed(ring, angle):
+    """Return rho, the least speed along an angle, its slope and its second derivative.
+
+    Args:
+        ring: gives the floor.
+        angle: [rad].
+    """
+    if ring.faces == 0:
+        return ring.fraction, 0.0, 0.0
+    share = 2.0 * np.pi / ring.faces
+    off = angle - share * np.round(angle / share)
+    rho, slope = ring.fraction / np.cos(off), np.tan(off)
+    return rho, rho * slope, rho * (1.0 + 2.0 * slope * slope)
+
+
+@compiled
+def set_headings(ring, speeds, turns, z):
+    """Set headings of speeds and turns.
+
+    Args:
+        ring: floor and turn rate.
+        speeds: t, shape (N,).
+        turns: d, shape (N,).
+        z: headings, shape (N, 2), set.
+    """
+    angle = ring.first
+    for k in range(len(turns)):
+        angle += turns[k]
+        rho = least_speed(ring, angle)[0]
+        size = rho + speeds[k] * (1.0 - rho)
+        z[k, 0], z[k, 1] = size * np.cos(angle), size * np.sin(angle)
+
+
+@compiled
+def set_rounded(ring, x, low, high, speeds, turns):
+    """Set speeds and turns of the trajectory next to headings x within sectors.
+
+    Args:
+        ring: floor and turn rate.
+        x: headings, shape (N, 2).
+        low: least heading of each step [rad], shape (N,).
+        high: greatest, shape (N,).
+        speeds: t, shape (N,), set.
+        turns: d, shape (N,), set.
+    """
+    before = ring.first
+    for k in range(len(x)):
+        size = np.sqrt(x[k, 0] ** 2 + x[k, 1] ** 2)
+        angle = before
+        if size > SMALL:
+            raw = np.arctan2(x[k, 1], x[k, 0])
+            middle = min(high[k], max(low[k], before))
+            angle = raw + 2.0 * np.pi * np.round((middle - raw) / (2.0 * np.pi))
+        angle = min(high[k], max(low[k], angle))
+        turns[k] = min(WITHIN * ring.widest, max(-WITHIN * ring.widest, angle - before))
+        before += turns[k]
+        rho = least_speed(ring, before)[0]
+        along = np.cos(before) * x[k, 0] + np.sin(before) * x[k, 1]
+        speeds[k] = min(1.0, max(0.0, (along - rho) / max(SMALL, 1.0 - rho)))
+
+
+@compiled
+def _set_model(hessian, q, ring, speeds, turns, z, gradient, curved):
+    """Set the gradient, shape (2N,), and the Hessian, shape (2N, 2N), in speeds and then turns."""
+    count = len(q)
+    curved[:] = 0.0
+    by = np.empty((count, 2, 2))  # derivatives of z_k in t_k and theta_k
+    angle = ring.first
+    for k in range(count):
+        angle += turns[k]
+        c, s = np.cos(angle), np.sin(angle)
+        rho, slope, bend = least_speed(ring, angle)
+        size, rest = rho + speeds[k] * (1.0 - rho), 1.0 - speeds[k]
+        along = rest * slope
+        by[k, 0, 0], by[k, 0, 1] = (1.0 - rho) * c, (1.0 - rho) * s
+        by[k, 1, 0], by[k, 1, 1] = along * c - size * s, along * s + size * c
+        a, b = q[k, 0], q[k, 1]
+        for j in range(count):
+            a += hessian[k, j] * z[j, 0]
+            b += hessian[k, j] * z[j, 1]
+        gradient[k] = a * by[k, 0, 0] + b * by[k, 0, 1]
+        gradient[count + k] = a * by[k, 1, 0] + b * by[k, 1, 1]
+        ahead, aside = a * c + b * s, b * c - a * s
+        curved[count + k, k] = -slope * ahead + (1.0 - rho) * aside
+        curved[count + k, count + k] = (rest * bend - size) * ahead + 2.0 * along * aside
+    for k in range(count):
+        for j in range(count):
+            same = 1.0 if j == k else 0.0
+            for e in range(2):
+                for f in range(2):
+                    inner = by[k, e, 0] * by[j, f, 0] + by[k, e, 1] * by[j, f, 1]
+                    if e >= f:
+                        held = same * curved[e * count + k, f * count + j]
+                        curved[e * count + k, f * count + j] = held + hessian[k, j] * inner
+    # theta_k is the sum of the turns up to k, so turns see the sums from k on.
+    for k in range(count - 2, -1, -1):
+        gradient[count + k] += gradient[count + k + 1]
+        for j in range(2 * count):
+            curved[count + k, j] += curved[count + k + 1, j]
+    for k in range(count - 2, -1, -1):
+        for j in range(count):
+            curved[count + j, count + k] += curved[count + j, count + k + 1]
+
+
+@compiled
+def _set_step(curved, gradient, y, bounds, damping, scale, step):
+    """Set Newton's step of the variables that are free; return whether there is one."""
+    size = len(y)
+    free, count = np.empty(size, np.int64), 0
+    for i in range(size):
+        step[i] = 0.0
+        pushed = (y[i] <= bounds[i, 0] + AT_BOUND and gradient[i] > 0.0) or (
+            y[i] >= bounds[i, 1] - AT_BOUND and gradient[i] < 0.0
+        )
+        if not pushed:
+            free[count] = i
+            count += 1
+    if count == 0:
+        return True
+    matrix, right = np.empty((count, count)), np.empty(count)
+    for i in range(count):
+        right[i] = -gradient[free[i]]
+        for j in range(i + 1):
+            matrix[i, j] = curved[free[i], free[j]]
+        matrix[i, i] += damping * scale
+    if not solve_spd(matrix, right, count):
+        return False
+    for i in range(count):
+        step[free[i]] = right[i]
+    return True
+
+
+@compiled
+def steer(hessian, q, ring, constant, speeds, turns, z):
+    """Descend to a local optimum.
+
+    Args:
+        hessian: H, shape (N, N).
+        q: linear terms, shape (N, 2).
+        ring: floor and turn rate.
+        constant: what costs lack; it only scales the accuracy.
+        speeds: t to begin with, shape (N,), updated.
+        turns: d to begin with, shape (N,), updated.
+        z: headings, shape (N, 2), set.
+
+    Returns:
+        The cost without the constant, and the Newton steps taken.
+    """
+    count = len(q)
+    y, trial, step = np.empty(2 * count), np.empty(2 * count), np.empty(2 * count)
+    bounds, gradient = np.empty((2 * count, 2)), np.empty(2 * count)
+    curved, there = np.empty((2 * count, 2 * count)), np.empty((count, 2))
+    y[:count], y[count:] = speeds, turns
+    bounds[:count, 0], bounds[:count, 1] = 0.0, 1.0
+    bounds[count:, 0], bounds[count:, 1] = -WITHIN * ring.widest, WITHIN * ring.widest
+    set_headings(ring, speeds, turns, z)
+    cost, damping, taken = quadratic(hessian, q, z), DAMPED, 0
+    while taken < STEPS:
+        taken += 1
+        _set_model(hessian, q, ring, y[:count], y[count:], z, gradient, curved)
+        scale, before = 1e-300, cost
+        for i in range(2 * count):
+            scale = max(scale, abs(curved[i, i]))
+        while damping <= STIFFEST:
+            if _set_step(curved, gradient, y, bounds, damping, scale, step):
+                for i in range(2 * count):
+                    trial[i] = min(bounds[i, 1], max(bounds[i, 0], y[i] + step[i]))
+                set_headings(ring, trial[:count], trial[count:], there)
+                reached = quadratic(hessian, q, there)
+                if reached < cost:
+                    y[:], z[:], cost = trial, there, reached
+                    damping = max(1e-10, CALMED * damping)
+                    break
+            damping *= STIFFENED
+        if before - cost <= SETTLED * abs(cost + constant):
+            break
+    speeds[:], turns[:] = y[:count], y[count:]
+    return cost, taken

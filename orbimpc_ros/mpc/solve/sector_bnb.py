@@ -1,0 +1,95 @@
+"""The planar floor with a turn rate: branch and bound over headings within sectors.
+
+A search begins from the trajectories that the previous plan and its own relaxations round to, and
+proves by sectors how good the best of them is (:mod:`orbimpc_ros.mpc.kernels.sectors`). Whatever
+it is stopped at, its best trajectory holds floor and turn rate, and its bound holds.
+
+Mathematics: docs/mathematics.md, 4.10.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.kernels.active_set import Quadratic
+from orbimpc_ros.mpc.kernels.sectors import (
+    LEAST,
+    NODES,
+    PAUSED,
+    VALUE,
+    begin,
+    offer,
+    search,
+    sectors,
+)
+from orbimpc_ros.mpc.kernels.steering import Ring
+from orbimpc_ros.mpc.model.condensed import LONGEST, Condensed, regular
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.solve.request import Found, Request
+
+MOST = 20_000  # nodes of a search
+SLICE = 3e5  # multiplications between two looks at the time: about a millisecond
+SETTLED = 90.0  # tolerances at which a search may stop
+
+
+class SectorSearch:
+    """Solves planar problems of rotation order 1 whose only limits are a floor and a turn rate.
+
+    Args:
+        problem: what to solve.
+        tolerance: relative gap at which a plan is good enough to stop.
+    """
+
+    takes_guess, trusts_guess = True, False  # anywhere is good enough to start from
+
+    def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
+        self._tolerance = SETTLED * tolerance
+        self._condensed = Condensed(problem)
+        self._hessian, self._inverse, self._excess = regular(self._condensed.hessian)
+        faces = problem.floor.faces if problem.floor.shape == 'polygon' else 0
+        widest = problem.step * problem.max_rate
+        self._floor = float(problem.floor.fraction), faces, widest
+        self._tree = sectors(problem.horizon, MOST)
+        # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
+        start = State.at(np.zeros(2), np.eye(2))
+        self.solve(Request(start, np.ones((problem.horizon, 2)), out_of_time=lambda: True))
+
+    @staticmethod
+    def solves(problem: Problem) -> bool:
+        """Return whether this method applies to a problem, and is fast on this machine."""
+        return (
+            COMPILED
+            and (problem.dimension, problem.rotation_order) == (2, 1)
+            and problem.floor.shape in ('polygon', 'circle')
+            and problem.max_rate > 0.0
+            and problem.terminal == 'penalty'
+            and problem.weights.length == problem.arrival_weight == 0.0
+            and not problem.obstacles
+            and problem.horizon <= LONGEST
+        )
+
+    def solve(self, request: Request) -> Found:
+        """Return the best trajectory found, with the best bound proved."""
+        q, constant = self._condensed.affine(request.state, request.goals)
+        ahead = request.state.attitude[:, 0]
+        ring = Ring(*self._floor, math.atan2(ahead[1], ahead[0]))
+        quadratic, tree = Quadratic(self._hessian, self._inverse, q), self._tree
+        begin(quadratic, ring, tree)
+        # A copy: code for arrays that are read-only or strided would be compiled in a tick.
+        start = tree.free if request.guess is None else np.array(request.guess.x, order='C')
+        offer(quadratic, ring, constant, tree, start, tree.low[0], tree.high[0], np.inf)
+        asked = quadratic, ring, constant, self._tolerance, tree, MOST, SLICE
+        while search(*asked) == PAUSED and not request.late:
+            pass
+        return self._found(q, constant)
+
+    def _found(self, q: Array, constant: float) -> Found:
+        """Return the best of a search, with the bound that it has proved."""
+        numbers = self._tree.numbers
+        best, cost = self._tree.best.copy(), float(numbers[VALUE]) + constant
+        bound = float(numbers[LEAST]) - self._excess + constant
+        return Found(best, cost, bound, int(self._tree.counts[NODES]))
