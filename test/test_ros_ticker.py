@@ -332,6 +332,22 @@ def test_what_is_given_is_planned_with_and_nothing_is_estimated():
     assert np.isnan(report.values['innovation'])
 
 
+def test_a_lagging_vehicle_does_not_turn_at_once_while_its_odometry_is_late():
+    """Measured straight ahead, it is planned for straight ahead, whatever was commanded since."""
+    prompt, lagging = Driven(simulated=True), Driven(simulated=True, **{'response.speed': 0.4})
+    turned = []
+    for driven in (prompt, lagging):
+        for k in range(3):
+            driven.odometry(0.1 * k, 0.1 * k + 0.05)
+            driven.goal(0.1 * k, 0.1 * k + 0.05, x=-5.0)
+            report = driven.tick(0.1 * k + 0.05)
+        assert report.advanced == pytest.approx(0.05, abs=1e-6)
+        assert report.tick.command.body_rate[0] != 0.0
+        turned.append(report.tick.state.attitude[1, 0])
+    assert abs(turned[0]) > 0.01
+    assert turned[1] == pytest.approx(0.0, abs=1e-12)
+
+
 def test_a_plan_of_a_lagging_vehicle_starts_a_lag_later():
     """Its stamps say so; how old the measurement was is another matter."""
     driven = Driven(simulated=True, discretisation='exact', **{'response.rate': 0.05})

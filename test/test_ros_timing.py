@@ -43,7 +43,7 @@ def test_misses_and_overruns_are_counted_and_a_stray_one_is_not_expected():
     timing = Timing()
     assert timing.expected == 0.0
     for duration in (0.01, 0.01, 0.3, 0.06, 0.01):
-        timing.took(duration, deadline=0.05, step=0.1)
+        timing.took(duration, deadline=0.05, period=0.1)
     assert (timing.misses, timing.overruns) == (2, 1)
     assert timing.expected == 0.01
 
@@ -51,7 +51,7 @@ def test_misses_and_overruns_are_counted_and_a_stray_one_is_not_expected():
 def test_ticks_that_come_late_are_counted():
     timing = Timing()
     for clock in (1.0, 1.1, 1.2, 1.45, 1.55):
-        timing.began(clock, step=0.1)
+        timing.began(clock, period=0.1)
     assert timing.late == 1
 
 

@@ -176,4 +176,9 @@ class Ticker:
             return []
         now = ros.nanoseconds / SECOND
         taking = 0.0 if self._simulated else self.timing.expected
-        return self._controller.history.intervals(now - received.delay(ros), now + taking)
+        history = self._controller.history
+        found = history.intervals(now - received.delay(ros), now + taking)
+        if not found or not self._settings.response.lags:
+            return found
+        # For a time that is short against its lags, a vehicle goes on as it was measured.
+        return [Interval(sum(each.duration for each in found), None, history.last)]
