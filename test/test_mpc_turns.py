@@ -15,7 +15,8 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
-from orbimpc_ros.mpc.problem import Box, Problem, Weights
+from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
+from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.sector_bnb import SectorSearch
@@ -227,3 +228,21 @@ def test_a_fixed_wing_flies_its_plans(shape, faces):
             place = place + 0.02 * speed * np.array([np.cos(heading), np.sin(heading)])
         speed = problem.forward * tick.command.speed_fraction
         assert speed >= 10.0 - 1e-6
+
+
+@needs_machine_code
+@pytest.mark.parametrize(('shape', 'faces'), [('circle', 4), ('polygon', 8)])
+def test_the_prices_of_turns_are_what_a_faster_turn_saves(shape, faces):
+    problem = Problem(horizon=4, floor=floor(shape, 0.6, faces), max_rate=0.4)
+    start, targets = State.at([0.0, 0.0], 0.8 * np.eye(2)), np.tile([0.5, 2.5], (4, 1))
+
+    def best(rate):
+        solver = Solver(replace(problem, max_rate=rate), gap_tolerance=1e-7)
+        return solver.solve(start, targets)
+
+    told = explained(problem, start, targets, best(0.4))
+    saved = (best(0.4 - 1e-4).objective - best(0.4 + 1e-4).objective) / 2e-4
+    prices = [each.price for each in told.binding if each.name == 'max_rate']
+    assert len(prices) == 3
+    assert sum(prices) == pytest.approx(saved, rel=1e-4)
+    assert told.unexplained < 1e-6

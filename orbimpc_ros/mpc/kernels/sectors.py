@@ -66,9 +66,6 @@ class Sectors(NamedTuple):
         along: n_i.H^-1 n of another row, shape (2N + 2,).
         image: H^-1 n, shape (N, 2).
         row: n, shape (2,).
-        ends: of a part of a sector, shape (2, 1).
-        part_chord: its chord, shape (1, 3).
-        part_edges: its edges, shape (1, 2, 2).
         images: H^-1 n_i, shape (2N + 2, N, 2).
         free: -H^-1 q, shape (N, 2).
         x: headings of the last node, shape (N, 2).
@@ -99,9 +96,6 @@ class Sectors(NamedTuple):
     along: Array
     image: Array
     row: Array
-    ends: Array
-    part_chord: Array
-    part_edges: Array
     images: Array
     free: Array
     x: Array
@@ -134,9 +128,6 @@ def sectors(steps: int, nodes: int) -> Sectors:
         np.zeros(size),
         np.zeros((steps, 2)),
         np.zeros(2),
-        np.zeros((2, 1)),
-        np.zeros((1, 3)),
-        np.zeros((1, 2, 2)),
         np.zeros((size, steps, 2)),
         np.zeros((steps, 2)),
         np.zeros((steps, 2)),
@@ -449,27 +440,6 @@ def _gain(quad, tree, own, count, step, row, offset):
 
 
 @compiled
-def _part_gain(quad, ring, tree, own, step, low, high):
-    """Return by how much the bound rises at least where a step is held in a smaller sector."""
-    ends, row = tree.ends, tree.row
-    ends[0, 0], ends[1, 0] = low, high
-    _set_sectors(ring, ends[0], ends[1], tree.part_chord, tree.part_edges)
-    x, worst, offset = tree.x[step], OUTSIDE, 0.0
-    chord = tree.part_chord[0]
-    short = chord[2] - chord[0] * x[0] - chord[1] * x[1]
-    if short > worst:
-        worst, row[0], row[1], offset = short, chord[0], chord[1], chord[2]
-    for side in range(2):
-        edge = tree.part_edges[0, side]
-        short = -edge[0] * x[0] - edge[1] * x[1]
-        if short > worst:
-            worst, row[0], row[1], offset = short, edge[0], edge[1], 0.0
-    if worst == OUTSIDE:
-        return 0.0
-    return _gain(quad, tree, own, tree.active[own], step, row, offset)
-
-
-@compiled
 def _branching(ring, inverse, x, low, high):
     """Return the step to branch on, -1 if there is none, and where to cut its sector.
 
@@ -527,11 +497,6 @@ def _branch(quad, ring, tree, node, own, cutoff):
         numbers[CLOSED] = min(numbers[CLOSED], bound)
         return
     for side in range(2):
-        ends = (cut, high[node, k]) if side else (low[node, k], cut)
-        key = bound + SURE * _part_gain(quad, ring, tree, own, k, ends[0], ends[1])
-        if key >= cutoff:
-            numbers[CLOSED] = min(numbers[CLOSED], key)
-            continue
         made = counts[MADE]
         low[made], high[made] = low[node], high[node]
         if side:
@@ -539,6 +504,14 @@ def _branch(quad, ring, tree, node, own, cutoff):
         else:
             high[made, k] = cut
         _narrow(ring, low[made], high[made], k)
+        _set_sectors(ring, low[made], high[made], tree.chords, tree.edges)
+        step, offset = _most_violated(tree.x, tree.chords, tree.edges, tree.row)
+        key = bound
+        if step >= 0:
+            key += SURE * _gain(quad, tree, own, tree.active[own], step, tree.row, offset)
+        if key >= cutoff:
+            numbers[CLOSED] = min(numbers[CLOSED], key)
+            continue
         tree.parent[made] = own
         push(tree.keys, tree.heap, counts[OPEN], key, made)
         counts[OPEN] += 1

@@ -262,14 +262,21 @@ class _Run:
                     return
 
     def _turn(self, choice: Choice, trajectory: Trajectory) -> None:
-        """Look for a trajectory that turns in time.
-
-        Every step is held at a cell of the floor in the direction of a heading that can be reached,
-        and consecutive ones so close to each other that no angle between them is too wide.
-        """
-        turns, held = self._search.turns, list(choice)
+        """Look for a trajectory that turns in time, near this one's headings, then its speeds."""
+        turns = self._search.turns
         assert turns is not None
-        state, around = self._request.state, turns.reached(self._request.state, trajectory.headings)
+        reached = turns.reached(self._request.state, trajectory.headings)
+        for around in (reached, turns.kept(trajectory.headings)):
+            if not self._is_late:
+                self._turn_from(choice, trajectory, around)
+
+    def _turn_from(self, choice: Choice, trajectory: Trajectory, around: list[Cell]) -> None:
+        """Look for a trajectory that turns in time, near cells of the floor, one for each step.
+
+        Consecutive headings are held so close to each other that no angle is too wide.
+        """
+        turns, held, state = self._search.turns, list(choice), self._request.state
+        assert turns is not None
         for _ in range(DIVE_STEPS):
             missed = self._missed(trajectory)
             for j, disjunction in enumerate(self._search.disjunctions):

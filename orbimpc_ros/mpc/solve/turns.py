@@ -90,7 +90,7 @@ class Turns:
         """Return a cell for each step that headings R_0 e1..R_N e1 are in, nearly as fast."""
         cells = []
         for heading in headings[1:]:
-            cell = self._cell(heading / np.linalg.norm(heading))
+            cell = self._cell(heading / max(float(np.linalg.norm(heading)), HEADING_UNDEFINED))
             fast = KEPT * float(cell.normal @ heading)
             cells.append(Cell(cell.normal, max(cell.offset, fast)))
         return cells
