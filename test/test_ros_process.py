@@ -173,7 +173,7 @@ def test_a_bad_start_says_one_line_and_no_command(launch, observer):
     process = launch('planner', {'safe_command': 'panic', 'trigger': 'odom'})
     observer.until(lambda: process.ended, 'the end')
     assert process.wait() == 2
-    wanted = r'safe_command is panic; allowed: auto \| stop \| hold_rate_zero \| loiter'
+    wanted = r'safe_command is panic; allowed: auto \| stop \| hold_rate_zero \| loiter \| hover'
     assert re.fullmatch(wanted, process.output.strip())
     assert heard == []
 
