@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +22,7 @@ MEMORY = 32  # commands; whatever was sent before them is taken as measured
 SMALL = 1e-2  # [rad] below it series are more exact than the closed forms
 
 
-@dataclass(frozen=True)
-class Interval:
+class Interval(NamedTuple):
     """An interval of time with one command in force.
 
     Attributes:
@@ -137,36 +136,53 @@ def advanced(
     """
     if not intervals:
         return odometry
-    position, attitude = odometry.position, odometry.attitude
-    body_velocity, rate = odometry.body_velocity, odometry.body_rate
-    velocity = attitude @ body_velocity
+    attitude, body_velocity = odometry.attitude, odometry.body_velocity
     blown = np.zeros(problem.dimension) if disturbance is None else disturbance
-    over_ground = velocity_source == 'ground' and not problem.inertial
-    if over_ground:
-        body_velocity = body_velocity - attitude.T @ blown
+    # Of a vehicle without inertia, what turns with the body is its velocity through the air.
+    still = velocity_source == 'air' or problem.inertial
+    carrying = np.zeros(problem.dimension) if still else blown
+    through_air, velocity = body_velocity - attitude.T @ carrying, attitude @ body_velocity
+    motion = _Motion(odometry.position, attitude, velocity, through_air, odometry.body_rate)
     for k, interval in enumerate(intervals):
         if k and interval.before is not None:
-            body_velocity = _forward(problem, interval.before.speed_fraction)
-            rate = interval.before.body_rate
-        turning = rate
-        if problem.rotation_order == 1 and interval.command is not None:
-            turning = interval.command.body_rate
-        time, angle = interval.duration, interval.duration * turning
-        if not problem.inertial:
-            position = position + time * (attitude @ turned(angle, body_velocity)[0] + blown)
-        else:
-            before = interval.before
-            push = _forward(problem, 0.0 if before is None else before.speed_fraction)
-            once, twice = turned(angle, push)
-            position = position + time * velocity + time * time * (attitude @ twice + 0.5 * blown)
-            velocity = velocity + time * (attitude @ once + blown)
-        attitude = attitude @ exp(angle)
+            taken_over = _forward(problem, interval.before.speed_fraction)
+            motion = motion._replace(through_air=taken_over, rate=interval.before.body_rate)
+        motion = _flown(problem, motion, interval, blown)
+    body_velocity = motion.through_air + motion.attitude.T @ carrying
     if problem.inertial:
-        body_velocity = attitude.T @ velocity
-    elif over_ground:
-        body_velocity = body_velocity + attitude.T @ blown
+        body_velocity = motion.attitude.T @ motion.velocity
     later = odometry.time + sum(interval.duration for interval in intervals)
-    return Odometry(later, position, attitude, np.array(body_velocity), np.array(rate))
+    place = motion.position, motion.attitude
+    return Odometry(later, *place, np.array(body_velocity), np.array(motion.rate))
+
+
+class _Motion(NamedTuple):
+    """A vehicle's motion: over ground, but for its velocity through the air in the body frame."""
+
+    position: Array
+    attitude: Array
+    velocity: Array
+    through_air: Array
+    rate: Array
+
+
+def _flown(problem: Problem, motion: _Motion, interval: Interval, blown: Array) -> _Motion:
+    """Return the motion after an interval, flown along an arc."""
+    time, command, before = interval
+    turning = motion.rate
+    if command is not None and problem.rotation_order == 1:
+        turning = command.body_rate
+    angle = time * turning
+    attitude, position, velocity = motion.attitude, motion.position, motion.velocity
+    if problem.inertial:
+        push = _forward(problem, 0.0 if before is None else before.speed_fraction)
+        once, twice = turned(angle, push)
+        position = position + time * velocity + time * time * (attitude @ twice + 0.5 * blown)
+        velocity = velocity + time * (attitude @ once + blown)
+    else:
+        flown, _ = turned(angle, motion.through_air)
+        position = position + time * (attitude @ flown + blown)
+    return _Motion(position, attitude @ exp(angle), velocity, motion.through_air, motion.rate)
 
 
 def _forward(problem: Problem, fraction: float) -> Array:

@@ -1,4 +1,4 @@
-r"""What the weights of a problem mean: the paper's sums, or integrals without a unit.
+r"""The meaning of a problem's weights: the paper's sums, or integrals without a unit.
 
 The paper adds up steps, so that the same weights ask for something else at another step or speed.
 As integrals over the horizon, with lengths measured by what the vehicle flies in a unit of time,

@@ -175,12 +175,21 @@ def of_bag(path: Path, namespace: str = '') -> History:
         rates=np.array([o.body_rate for o in measured]),
         ropes=_at(times, sighted),
         plans=_plans(found['plan']),
-        forces=tuple((seconds(m), pushed(m.wrench.force)) for m in found['cmd_thrust']),
+        forces=_forces(found['cmd_thrust']),
         ticks=_ticks(found['tick'], path),
         captured=any(m.data for m in found['captured']),
         values=values,
-        truth=next((fields(m) for m in reversed(found['truth']) if m.status), {}),
+        truth=_last(found['truth']),
     )
+
+
+def _forces(messages: Iterable[Any]) -> tuple[tuple[float, float], ...]:
+    return tuple((seconds(m), pushed(m.wrench.force)) for m in messages)
+
+
+def _last(messages: Sequence[Any]) -> dict[str, str]:
+    """Return what the last of some diagnostics says; nothing without any."""
+    return next((fields(m) for m in reversed(messages) if m.status), {})
 
 
 def _by_topic(messages: Iterable[tuple[str, Any]]) -> dict[str, list[Any]]:
