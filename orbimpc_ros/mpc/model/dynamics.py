@@ -70,10 +70,10 @@ def adrift(problem: Problem, state: State) -> Array:
     """Return where what the state decides at once would have it at s_1..s_N, shape (N, n).
 
     That is s_0, moved by the disturbance alone: the origin of displacements, in which the dynamics
-    know no disturbance.
+    know no disturbance. Without any it is s_0 all along, shape (1, n).
     """
     if not state.disturbed:
-        return np.broadcast_to(state.position, (problem.horizon, state.dimension))
+        return state.position[None]
     return state.position + problem.maps.blown * state.disturbance
 
 

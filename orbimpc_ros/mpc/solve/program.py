@@ -69,7 +69,7 @@ class Program:
         self._request, state, goals = request, request.state, request.goals
         self._b = self._b_0.copy()
         self._b[self._rows] += self._signs * self._statement.values(state, goals)
-        self._origins = adrift(self.problem, state)
+        self._origins = np.broadcast_to(adrift(self.problem, state), goals.shape)
         seen = goals - self._origins
         weights = position_weights(self.problem)
         constant = float(np.sum(weights[:, None] * seen * seen))
