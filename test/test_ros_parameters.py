@@ -69,6 +69,8 @@ DOCUMENTED = {
     'gravity': 0.0,
     'velocity_source': 'ground',
     'thrust_axis': 'x',
+    'objective': 'track',
+    'capture_radius': 0.2,
 }
 
 

@@ -87,11 +87,21 @@ class Report:
             'cause': tick.cause,
             'binding': self.binding,
             'advanced': self.advanced,
+            **_catch(tick),
             'disturbance': () if self.disturbance is None else tuple(self.disturbance.tolist()),
             'innovation': math.nan if self.innovation is None else self.innovation,
             'goal_stamps': self.goal_stamps,
             'goal_counts': self.goal_counts,
         }
+
+
+def _catch(tick: Tick) -> dict[str, object]:
+    """Return when the plan catches the goal, and before when nothing can, from its start on [s]."""
+    if tick.catch is None or tick.problem is None:
+        return {'earliest_catch': math.nan, 'catch_bound': math.nan}
+    step, found = tick.problem.step, tick.catch
+    caught = step * found.step if found.step else math.nan
+    return {'earliest_catch': caught, 'catch_bound': step * found.bound}
 
 
 def _farthest(plan: Plan) -> float:

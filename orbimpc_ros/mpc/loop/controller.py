@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
+from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed
 from orbimpc_ros.mpc.check import command_violations, violations
 from orbimpc_ros.mpc.command import Command, command_of, flaw
-from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
+from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
 from orbimpc_ros.mpc.loop.delay import CommandHistory
+from orbimpc_ros.mpc.loop.interception import Catch, Interception
 from orbimpc_ros.mpc.loop.odometry import Odometry, odd_speed, state_of
 from orbimpc_ros.mpc.loop.response import Response, held_back
 from orbimpc_ros.mpc.loop.safety import may_stop, safe_command
@@ -42,6 +43,7 @@ class Tick(ByContent):
         problem: what the plan solves; None without a plan, as is the next.
         goals: g_1..g_N that it was made for, shape (N, n) [m].
         cause: what kept the tick from being planned on fresh inputs, if anything did.
+        catch: how soon the goal can be caught; None where none is looked for.
     """
 
     status: Status
@@ -53,6 +55,7 @@ class Tick(ByContent):
     problem: Problem | None = None
     goals: Array | None = None
     cause: Cause = Cause.NONE
+    catch: Catch | None = None
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,9 @@ class Controller:
         disturbance: a wind or an acceleration, shape (n,); by default there is none.
         velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
         response: lags of the vehicle; odometry then goes through :meth:`settled`.
+        capture_radius: within which the goal is caught [m]. Above 0 the earliest catch within the
+            horizon is flown, and the problem's own objective where there is none; that takes a
+            receding horizon and a terminal penalty.
 
     Attributes:
         history: the commands of late; a tick's command counts as sent unless another is added.
@@ -116,6 +122,7 @@ class Controller:
         disturbance: Array | None = None,
         velocity_source: str = 'ground',
         response: Response | None = None,
+        capture_radius: float = 0.0,
     ) -> None:
         self.problem, self._safe_kind = problem, safe
         self.response = response or Response()
@@ -124,6 +131,12 @@ class Controller:
         self._solvers: dict[tuple[int, float, bool], Solver] = {}
         self._counted = np.arange(1.0, problem.horizon + 1.0)
         self._solver(problem.horizon, problem.step)
+        self._interception: Interception | None = None
+        if number(capture_radius, 'capture_radius', 0.0) > 0.0:
+            if shrinking or problem.terminal != 'penalty':
+                raise BadInput('capture_radius', capture_radius, '0 with an arrival in time')
+            self._interception = Interception(problem, capture_radius)
+            self._catchers = tuple(map(self._made, self._interception.problems))
         self.reset()
 
     def reset(self) -> None:
@@ -212,7 +225,11 @@ class Controller:
         goals, shortened = pulled_in(self.problem, state, copied)
         task = self._task(state, goals, knots, out_of_time)
         self._goals = goals
-        plan, status, words = _solved(task)
+        catch = None
+        if self._interception is None or shortened:
+            plan, status, words = _solved(task)
+        else:
+            task, (plan, status, words), catch = self._caught(task, self._interception)
         measured = self.problem, odometry, self.disturbance, self._velocity_source
         words = '; '.join(filter(None, (words, shortened, odd_speed(*measured))))
         reason = Reason(Cause.NONE, words)
@@ -220,7 +237,26 @@ class Controller:
             return self._finish(self._fall_back(task, status, reason))
         self._fallbacks, self._planned, self._since = 0, plan.horizon, 0.0
         self._arriving, self._aim = True, goals[-1]
-        return self._finish(self._following(task, plan, status, reason))
+        tick = self._following(task, plan, status, reason)
+        return self._finish(tick if catch is None else replace(tick, catch=catch))
+
+    def _caught(self, task: _Task, interception: Interception) -> tuple[_Task, _Answer, Catch]:
+        """Return the task of the earliest catch and its answer; the given one's without any."""
+        tried: dict[int, tuple[_Task, _Answer]] = {}
+
+        def solved(step: int) -> Plan | None:
+            solver, goals = self._catchers[step - 1], sealed(task.goals[:step].copy())
+            sooner = replace(task, solver=solver, goals=goals, knots=task.knots[:step], guess=None)
+            if solver.takes_guess:
+                sooner = replace(sooner, guess=self._shifted(sooner))
+            tried[step] = sooner, _solved(sooner)
+            return tried[step][1][0]
+
+        late = task.out_of_time or (lambda: False)
+        plan, catch = interception.earliest(task.state, task.goals, solved, late)
+        if plan is None:
+            return task, _solved(task), catch
+        return *tried[catch.step], catch
 
     def settled(self, odometry: Odometry) -> Odometry:
         """Return what to plan from: the measurement, moved on by what the vehicle's lags leave."""
@@ -366,20 +402,22 @@ class Controller:
             problem = replace(self.problem, horizon=horizon, step=step)
             if soft:
                 problem = replace(problem, terminal='penalty', arrival_weight=ARRIVAL_WEIGHT)
-            self._solvers[key] = Solver(
-                problem,
-                projection=self._projection,
-                gap_tolerance=self._tolerance,
-                coasting=True,
-            )
+            self._solvers[key] = self._made(problem)
         return self._solvers[key]
+
+    def _made(self, problem: Problem) -> Solver:
+        projection, tolerance = self._projection, self._tolerance
+        return Solver(problem, projection=projection, gap_tolerance=tolerance, coasting=True)
 
     def _kept(self, step: float) -> tuple[float, float]:
         """Return the lengths of steps whose solvers are kept [s]."""
         return self.problem.step, step
 
 
-def _solved(task: _Task) -> tuple[Plan | None, Status, str]:
+_Answer = tuple[Plan | None, Status, str]
+
+
+def _solved(task: _Task) -> _Answer:
     """Return a checked plan, or None, with status and reason."""
     try:
         plan = task.solver.solve(task.state, task.goals, task.guess, task.out_of_time)

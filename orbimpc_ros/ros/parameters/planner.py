@@ -35,9 +35,12 @@ from orbimpc_ros.ros.parameters.parameter import (
     Values,
     disturbance_of,
     frames_of,
+    span,
 )
+from orbimpc_ros.world.scenario import LIMITS, retrieval
 
 PROJECTIONS = ('nearest', 'thrust_aligned')
+OBJECTIVES = ('track', 'intercept')
 
 PLANNER: tuple[Row, ...] = (
     *VEHICLE,
@@ -73,6 +76,10 @@ PLANNER: tuple[Row, ...] = (
         live=True),
     Row('projection', 'thrust_aligned', 'How a point of the hull becomes a rotation',
         choices=PROJECTIONS, live=True),
+    Row('objective', 'track', 'Whether to be near the goal on average, or to catch it as soon as '
+        'it can be within the horizon', choices=OBJECTIVES, live=True),
+    Row('capture_radius', retrieval().capture_radius, 'The goal is caught within it (objective '
+        'intercept)', 'm', *span(*LIMITS['capture_radius']), live=True),
     Row('trigger', 'timer', 'Whether to plan at each odometry or every period',
         choices=('timer', 'odom')),
     Row('plan_period', 0.0, 'How often to plan (trigger timer), or how often odometry comes '
@@ -136,6 +143,7 @@ class PlannerSettings:
         future_tolerance: by which a stamp may be ahead of the clock [s].
         goal_jump_limit: distance from one goal to the next; 0 for no limit [m].
         delay_compensation: whether to plan from the state advanced by the odometry's age.
+        capture_radius: within which the goal is caught; 0 where it is not to be [m].
         safe_command: ``stop``, ``hold_rate_zero``, ``loiter`` or ``hover``; ``auto`` is decided.
         deadline: for a solve, at most half a period [s].
         gap_tolerance: relative gap that counts as proved.
@@ -160,6 +168,7 @@ class PlannerSettings:
     future_tolerance: float
     goal_jump_limit: float
     delay_compensation: bool
+    capture_radius: float
     safe_command: str
     deadline: float
     gap_tolerance: float
@@ -200,6 +209,7 @@ def planner_settings(values: Values) -> PlannerSettings:
         future_tolerance=values['future_tolerance'],
         goal_jump_limit=values['goal_jump_limit'],
         delay_compensation=values['delay_compensation'],
+        capture_radius=_capture_radius(values),
         safe_command=decided(values['safe_command'], problem, values['gravity']),
         deadline=values['deadline'] or 0.5 * period,
         gap_tolerance=values['gap_tolerance'],
@@ -233,6 +243,15 @@ def _refuse_unfit(values: Values) -> None:
     if values['velocity_source'] == 'air' and order == 2:
         allowed = 'ground at translation_order 2, where wind is an acceleration'
         raise BadInput('velocity_source', 'air', allowed)
+
+
+def _capture_radius(values: Values) -> float:
+    if values['objective'] == 'track':
+        return 0.0
+    for name, wanted in (('terminal', 'penalty'), ('horizon_mode', 'receding')):
+        if values[name] != wanted:
+            raise BadInput('objective', 'intercept', f'track with {name} {values[name]}')
+    return float(values['capture_radius'])
 
 
 def _ageing(timeout: float, prediction: str) -> Ageing:

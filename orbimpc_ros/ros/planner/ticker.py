@@ -34,6 +34,7 @@ def prepared(settings: PlannerSettings) -> tuple[PlannerSettings, Controller]:
         response=settings.response,
         disturbance=settings.disturbance,
         velocity_source=settings.velocity_source,
+        capture_radius=settings.capture_radius,
     )
     return settings, controller
 

@@ -1,0 +1,122 @@
+"""Interception: catches are what they are said to be, and steps that are excluded have none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from problems import floor, rotation
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.loop.interception import AIM, EFFORT, catching
+from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.mpc.model.trajectory import trajectory_of
+from orbimpc_ros.mpc.problem import Problem, State, Weights
+
+RADIUS = 3.0
+WING = Problem(
+    horizon=8, step=0.5, forward=15.0, floor=floor('circle', 2.0 / 3.0), max_rate=np.radians(25.0)
+)
+needs_speed = pytest.mark.skipif(not COMPILED, reason='takes minutes in plain Python; needs numba')
+
+
+def measured(position, heading, speed, time=0.0):
+    attitude = exp(np.array([heading]))
+    return Odometry(time, np.array(position), attitude, np.array([speed, 0.0]), np.zeros(1))
+
+
+def turned_at_random(rng, problem, start):
+    """Headings of a trajectory that keeps to floor and turn rate, as rotation coordinates."""
+    angles = np.cumsum(
+        rng.choice([-1.0, 1.0, rng.uniform(-1, 1)], problem.horizon)
+        * problem.step * problem.max_rate
+    )  # fmt: skip
+    if rng.random() < 0.5:
+        angles = np.linspace(0.0, angles[-1], problem.horizon + 1)[1:]
+    sizes = rng.uniform(problem.floor.fraction, 1.0, problem.horizon)
+    begin = np.arctan2(*start.attitude[::-1, 0])
+    return sizes[:, None] * np.column_stack([np.cos(begin + angles), np.sin(begin + angles)])
+
+
+@needs_speed
+def test_no_trajectory_catches_before_the_bound_and_the_plan_does_at_its_step():
+    rng = np.random.default_rng(7)
+    controller, found = Controller(WING, capture_radius=RADIUS), 0
+    for _ in range(25):
+        controller.reset()
+        place, course = rng.uniform(-40.0, 40.0, 2), rng.uniform(-3.0, 3.0, 2)
+        goals = place + 0.5 * np.arange(1, 9)[:, None] * course
+        tick = controller.tick(measured([0.0, 0.0], 0.3, 12.0), goals)
+        catch = tick.catch
+        if catch.step:
+            found += 1
+            miss = np.linalg.norm(tick.plan.positions[-1] - goals[catch.step - 1])
+            assert tick.plan.horizon == catch.step >= catch.bound
+            assert miss <= AIM * RADIUS
+        for _ in range(300):
+            x = turned_at_random(rng, WING, tick.state)
+            flown = trajectory_of(WING, tick.state, goals, x).positions[1:]
+            caught = np.flatnonzero(np.linalg.norm(flown - goals, axis=1) <= RADIUS)
+            assert not len(caught) or caught[0] + 1 >= catch.bound
+    assert 5 < found < 25
+
+
+@pytest.mark.parametrize('order', [1, 2])
+@pytest.mark.parametrize('n', [2, 3])
+def test_no_inputs_cost_more_than_their_share_of_the_squared_radius(n, order):
+    rng = np.random.default_rng(n)
+    problem = catching(Problem(n, rotation_order=order, horizon=6, step=0.2), RADIUS, 4)
+    assert problem.horizon == 4
+    start = State.at(np.zeros(n), rotation(rng, n))
+    worst = 0.0
+    for _ in range(200):
+        half = exp(np.pi * np.eye(1 if n == 2 else 3)[0])
+        turned = [start.rotation]
+        for _ in range(4):
+            turned.append(turned[-1] @ (half if rng.random() < 0.7 else rotation(rng, n)))
+        x = np.array(turned)[1:]
+        still = replace(problem, weights=replace(problem.weights, terminal=0.0))
+        worst = max(worst, trajectory_of(still, start, np.zeros((4, n)), coordinates(x)).cost)
+    assert 0.3 * EFFORT * RADIUS**2 < worst <= EFFORT * RADIUS**2 * (1.0 + 1e-9)
+
+
+@needs_speed
+def test_a_goal_that_is_circled_by_who_tracks_it_is_caught_by_who_intercepts_it():
+    caught = {}
+    for radius in (0.0, 2.0):
+        controller = Controller(WING, capture_radius=radius)
+        position, heading, least = np.zeros(2), 0.0, np.inf
+        for k in range(60):
+            goal = np.tile([60.0, 60.0], (8, 1))
+            tick = controller.tick(measured(position, heading, 12.0, 0.5 * k), goal)
+            assert tick.plan is not None
+            turn = 0.5 * tick.command.body_rate[0]
+            speed = 15.0 * tick.command.speed_fraction
+            mid = heading + 0.5 * turn
+            position = position + 0.5 * speed * np.array([np.cos(mid), np.sin(mid)])
+            heading += turn
+            least = min(least, np.linalg.norm(position - goal[0]))
+        caught[radius] = bool(least <= 2.0)
+    assert caught == {0.0: False, 2.0: True}
+
+
+def test_what_has_to_arrive_in_time_does_not_intercept():
+    for options in ({'shrinking': True}, {}):
+        problem = Problem(terminal='penalty' if options else 'constraint')
+        with pytest.raises(BadInput, match='capture_radius is 1.0; allowed: 0 with an arrival'):
+            Controller(problem, capture_radius=1.0, **options)
+
+
+def test_without_a_catch_the_weights_say_what_is_flown():
+    problem = Problem(weights=Weights(1.0, 0.05, 0.0, 10.0))
+    goals = np.tile([0.3, 40.0], (5, 1))
+    here = measured([0.0, 0.0], 0.0, 1.0)
+    tracked = Controller(problem).tick(here, goals)
+    missed = Controller(problem, capture_radius=0.5).tick(here, goals)
+    assert missed.catch.step == 0
+    assert missed.catch.bound == 6
+    assert missed.command == tracked.command
+    assert tracked.catch is None
