@@ -106,7 +106,7 @@ def test_a_goal_that_is_circled_by_who_tracks_it_is_caught_by_who_intercepts_it(
 def test_what_has_to_arrive_in_time_does_not_intercept():
     for options in ({'shrinking': True}, {}):
         problem = Problem(terminal='penalty' if options else 'constraint')
-        with pytest.raises(BadInput, match='capture_radius is 1.0; allowed: 0 with an arrival'):
+        with pytest.raises(BadInput, match=r'capture_radius is 1\.0; allowed: 0 with an arrival'):
             Controller(problem, capture_radius=1.0, **options)
 
 
