@@ -15,7 +15,7 @@ SUBSTEP = 0.01  # [s]
 
 
 @dataclass(frozen=True)
-class Plant:
+class Craft:
     """What a vehicle is.
 
     Attributes:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from continuous import Plant, at_rest, flown, turned
+from continuous import Craft, at_rest, flown, turned
 
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.loop.controller import Controller
@@ -58,10 +58,10 @@ class Watched:
 
 
 PLANTS = [
-    (2, Plant(15.0, speed_lag=0.8, rate_lag=0.3, blown=np.array([3.0, -2.0]))),
-    (3, Plant(2.0, speed_lag=0.3, blown=np.array([0.3, -0.2, 0.1]))),
-    (2, Plant(5.0, inertial=True, speed_lag=0.2, blown=np.array([1.0, -0.5]))),
-    (3, Plant(15.0, inertial=True, speed_lag=0.1, rate_lag=0.1, blown=np.array([1.0, 2.0, -9.0]))),
+    (2, Craft(15.0, speed_lag=0.8, rate_lag=0.3, blown=np.array([3.0, -2.0]))),
+    (3, Craft(2.0, speed_lag=0.3, blown=np.array([0.3, -0.2, 0.1]))),
+    (2, Craft(5.0, inertial=True, speed_lag=0.2, blown=np.array([1.0, -0.5]))),
+    (3, Craft(15.0, inertial=True, speed_lag=0.1, rate_lag=0.1, blown=np.array([1.0, 2.0, -9.0]))),
 ]
 
 
@@ -170,7 +170,7 @@ def flight(estimated, *, inertial, time=60.0):
     given = np.array([0.0, 0.0, -9.81]) if inertial else np.zeros(2)
     more = np.array([1.0, 0.5, -0.7]) if inertial else np.array([0.0, 4.0])
     lags = (0.1, 0.1) if inertial else (0.8, 0.3)
-    plant = Plant(full, inertial, *lags, blown=given + more)
+    plant = Craft(full, inertial, *lags, blown=given + more)
     motion = at_rest(n, 0.0, 0.65 if inertial else 0.9, plant)
     if inertial:
         motion = replace(motion, attitude=turned(np.array([0.0, -0.5 * np.pi, 0.0])))

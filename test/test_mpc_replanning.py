@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from continuous import Plant, at_rest, flown
+from continuous import Craft, at_rest, flown
 from problems import floor
 
 from orbimpc_ros.mpc.check import violations
@@ -63,7 +63,7 @@ def test_a_shrinking_horizon_ends_when_it_ended_before(period):
 
 def test_an_arrival_is_on_time_with_four_ticks_a_step():
     problem = Problem(horizon=6, terminal='constraint', discretisation='exact')
-    controller, plant = Controller(problem, shrinking=True), Plant()
+    controller, plant = Controller(problem, shrinking=True), Craft()
     motion, goal = at_rest(2, 0.0, 1.0, plant), np.array([3.0, 2.0])
     for k in range(24):
         ends = controller.ends(0.25 * k)
@@ -74,7 +74,7 @@ def test_an_arrival_is_on_time_with_four_ticks_a_step():
 
 
 def test_a_plan_of_long_steps_stands_in_for_two_ticks_however_short_they_are(monkeypatch):
-    controller, plant = Controller(Problem(horizon=5)), Plant()
+    controller, plant = Controller(Problem(horizon=5)), Craft()
     motion, goals = at_rest(2, 0.0, 1.0, plant), np.tile([4.0, 1.0], (5, 1))
     first = controller.tick(measured(0.0, motion), goals)
     assert first.fallback == ''
@@ -101,7 +101,7 @@ def test_planned_ten_times_a_step_a_swinging_goal_is_caught(shape):
     problem = weighed(
         Problem(horizon=8, step=1.0, forward=speed, floor=floor(shape, fraction)), 'time'
     )
-    controller, plant, time = Controller(problem), Plant(speed), 0.0
+    controller, plant, time = Controller(problem), Craft(speed), 0.0
     motion, nearest = at_rest(2, 2.0, 1.0, plant), math.inf
 
     def goal(times):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from continuous import Motion, Plant, at_rest, flown, turned
+from continuous import Craft, Motion, at_rest, flown, turned
 
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
@@ -29,7 +29,7 @@ def test_in_the_end_a_lagging_vehicle_is_where_a_settled_one_went_a_lag_later(di
     """About one axis, and at a steady rate, exactly: attitude and position."""
     rng = np.random.default_rng(1)
     lag, rates = 0.3, 1 if dimension == 2 else 3
-    plant = Plant(2.0, speed_lag=lag, rate_lag=lag)
+    plant = Craft(2.0, speed_lag=lag, rate_lag=lag)
     rate = rng.normal(size=rates)
     start = at_rest(dimension, 0.4, 0.7, plant)
     start = replace(start, rate=0.5 * rate)
@@ -39,7 +39,7 @@ def test_in_the_end_a_lagging_vehicle_is_where_a_settled_one_went_a_lag_later(di
     assert settled.time == lag
     end = flown(plant, start, 0.7, rate, LONG, 0.002)
     ideal = replace(start, position=settled.position, attitude=settled.attitude)
-    there = flown(Plant(2.0), ideal, 0.7, rate, LONG - lag, 0.002)
+    there = flown(Craft(2.0), ideal, 0.7, rate, LONG - lag, 0.002)
     np.testing.assert_allclose(end.attitude, there.attitude, atol=1e-4)
     steady = flown(plant, replace(start, rate=rate), 0.7, rate, lag, 0.0005)
     settled = Response(lag, lag).settled(
@@ -52,7 +52,7 @@ def test_in_the_end_a_lagging_vehicle_is_where_a_settled_one_went_a_lag_later(di
 @pytest.mark.parametrize('lags', LAGS)
 def test_in_the_end_a_lagging_thrust_has_done_what_a_settled_one_does(lags):
     """Position and velocity, whatever the thrust was before; gravity acts all the while."""
-    plant = Plant(3.0, True, *lags, blown=np.array([0.2, -0.4]))
+    plant = Craft(3.0, True, *lags, blown=np.array([0.2, -0.4]))
     start = Motion(np.array([1.0, 2.0]), np.array([0.5, -0.3]), np.eye(2), np.zeros(1), 0.9)
     problem = Problem(translation_order=2, forward=3.0, discretisation='exact')
     settled = Response(*lags).settled(
@@ -63,7 +63,7 @@ def test_in_the_end_a_lagging_thrust_has_done_what_a_settled_one_does(lags):
         settled.position, settled.attitude @ settled.body_velocity, np.eye(2), np.zeros(1), 0.3
     )
     there = flown(
-        Plant(3.0, True, blown=plant.blown), ideal, 0.3, np.zeros(1), LONG - lags[1], 0.002
+        Craft(3.0, True, blown=plant.blown), ideal, 0.3, np.zeros(1), LONG - lags[1], 0.002
     )
     np.testing.assert_allclose(end.velocity, there.velocity, atol=5e-3)
     np.testing.assert_allclose(end.position, there.position, atol=2e-2)
@@ -94,7 +94,7 @@ def test_the_applied_thrust_follows_what_was_commanded():
     sent = [(0.0, 0.2), (0.5, 1.0), (0.9, 0.4)]
     for at, fraction in sent:
         history.add(Command(fraction, np.zeros(1), np.eye(2)), at)
-    plant, motion = Plant(1.0, True, speed_lag=lag), at_rest(2)
+    plant, motion = Craft(1.0, True, speed_lag=lag), at_rest(2)
     shares = []
     for (_, fraction), time in zip(sent, (0.5, 0.4, 0.3), strict=True):
         before = motion.velocity[0]
@@ -126,7 +126,7 @@ def test_a_lagging_spacecraft_arrives_at_rest(seed, gain):
     """The paper's spacecraft in continuous time: thrust lag 0.2 s, rate lag 0.3 s, thrust off."""
     rng = np.random.default_rng(seed)
     problem = replace(spacecraft_problem(), rotation_order=1, discretisation='exact')
-    plant = Plant(1.0, True, 0.2, 0.3, gain)
+    plant = Craft(1.0, True, 0.2, 0.3, gain)
     motion = replace(at_rest(3), attitude=turned(np.array([0.0, 0.0, np.pi])))
     goal = np.array([5.0, 10.0, 25.0]) + rng.uniform(-2.0, 2.0, 3)
     miss, speed, ticks = arrived(problem, plant, motion, goal, Response(0.2, 0.3))
@@ -141,7 +141,7 @@ def test_a_lagging_car_arrives_on_time(floor):
     problem = replace(dubins_problem(floor), discretisation='exact')
     for _ in range(2):
         lags = rng.uniform(0.1, 0.3, 2)
-        plant = Plant(1.0, False, *lags)
+        plant = Craft(1.0, False, *lags)
         motion = at_rest(2, rng.uniform(-np.pi, np.pi), 1.0, plant)
         miss, _, ticks = arrived(problem, plant, motion, np.array([5.0, 10.0]), Response(*lags))
         assert miss < 0.05

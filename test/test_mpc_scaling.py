@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from continuous import Plant, at_rest, flown
+from continuous import Craft, at_rest, flown
 from problems import ORDERS, weights
 
 from orbimpc_ros.mpc.errors import BadInput
@@ -85,7 +85,7 @@ def caught_after(scaling, step, speed, seed, patience=15.0, fine=0.05):
         swing = np.sin(2.0 * np.pi * frequency * np.asarray(times)[..., None] + phase)
         return middle + 0.5 * speed * swing
 
-    plant, problem = Plant(speed), weighed(Problem(step=step, forward=speed), scaling)
+    plant, problem = Craft(speed), weighed(Problem(step=step, forward=speed), scaling)
     controller, time = Controller(problem), 0.0
     motion = at_rest(2, rng.uniform(-np.pi, np.pi), 1.0, plant)
     while time < patience:
