@@ -132,7 +132,7 @@ PROBLEMS = {
 def test_configurations_say_what_the_scenarios_say(name):
     values = settings.resolve(config(f'{name}.yaml'))
     assert planner_settings(values).problem == PROBLEMS[name]()
-    found, known = sim_settings(values).scenario, getattr(scenarios, name)()
+    found, known = sim_settings(settings.of_sim(values)).scenario, getattr(scenarios, name)()
     assert found.model == known.model
     for part in ('start', 'rope'):
         for field, value in vars(getattr(known, part)).items():

@@ -132,6 +132,12 @@ OWN = """
 """
 
 
+def test_a_goal_is_caught_within_the_simulators_radius():
+    assert history([1.0], True, capture_radius=0.3).capture_radius == 0.3
+    own = {'capture_radius': 5.0, 'sim.capture_radius': 0.1}
+    assert history([1.0], True, **own).capture_radius == 0.1
+
+
 def test_a_simulator_may_have_values_of_its_own():
     """Those that differ from the planner's, however they were given, and through a file."""
     values = settings.read(OWN)

@@ -202,7 +202,7 @@ def test_frames_pass_every_sighting_and_end_with_the_capture(caught):
     assert np.allclose(seen[-1].way[-1], caught.capture.vehicle)
     assert np.allclose(seen[-1].rope, caught.capture.rope)
     apart = np.linalg.norm(seen[-1].way[-1] - seen[-1].rope)
-    assert apart <= caught.values['capture_radius']
+    assert apart <= caught.capture_radius
 
 
 def test_the_plan_in_a_frame_starts_where_the_vehicle_was(caught):

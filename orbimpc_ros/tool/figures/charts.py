@@ -46,7 +46,7 @@ def _aim(history: History) -> tuple[float, str, str]:
     """Return how near is near enough [m], what that is called, and what the goal is."""
     if history.values['finish'] == 'arrival':
         return history.values['arrival_radius'], 'arrival', 'goal'
-    return history.values['capture_radius'], 'capture', 'rope'
+    return history.capture_radius, 'capture', 'rope'
 
 
 def draw_speed(axes: Axes, history: History) -> None:

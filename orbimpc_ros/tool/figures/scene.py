@@ -134,7 +134,7 @@ def draw_reach(axes: Axes, history: History) -> None:
     capture = history.capture
     if capture is None:
         return
-    radius = history.values['capture_radius']
+    radius = history.capture_radius
     reach = Circle(
         (capture.rope[0], capture.rope[1]), radius, fill=False, ec=GREEN, ls='--', lw=1.2
     )

@@ -104,7 +104,7 @@ def _outcome(axes: Axes, history: History, tick: int) -> str:
     capture = history.capture
     if capture is not None and begun < capture.time <= ended:
         _mark(axes, capture, GREEN, '*', 'caught')
-        radius = history.values['capture_radius']
+        radius = history.capture_radius
         axes.add_patch(Circle(tuple(capture.rope[:2]), radius, fill=False, ec=GREEN, ls='--'))
         return f': caught at {capture.time - history.times[0]:.1f} s'
     for miss in history.near_misses:

@@ -86,6 +86,11 @@ class History:
     truth: Mapping[str, Any] = field(default_factory=dict)
 
     @property
+    def capture_radius(self) -> float:
+        """Return within what the goal is caught [m]: the simulator's word, not the planner's."""
+        return float(settings.of_sim(self.values)['capture_radius'])
+
+    @property
     def headings(self) -> Array:
         """Return the body's x axis in the world, shape (M, 3)."""
         return self.attitudes[:, :, 0]
@@ -127,7 +132,7 @@ class History:
     @property
     def near_misses(self) -> list[Approach]:
         """Return the local minima of the distance that came near and yet caught nothing."""
-        radius, moments = self.values['capture_radius'], self.moments
+        radius, moments = self.capture_radius, self.moments
         return [
             now
             for before, now, after in zip(moments, moments[1:], moments[2:], strict=False)

@@ -101,7 +101,7 @@ class Scene:
         except BadInput:
             self._problem = Problem()
         self._frames = Frames(thrust_axis=values['thrust_axis'])
-        self._radius = float(values['capture_radius'])
+        self._radius = float(settings.of_sim(values)['capture_radius'])
         self._done = 'caught' if values['finish'] == 'capture' else 'arrived'
         n, floor = self._problem.dimension, self._problem.floor
         self._to.log(f'{THRUST}/hull', _lines(sphere(n, 1.0), GREY, 0.008), static=True)
