@@ -8,6 +8,7 @@ import pytest
 from continuous import Craft, at_rest, flown, turned
 
 from orbimpc_ros.mpc.command import Command
+from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.loop.delay import CommandHistory
 from orbimpc_ros.mpc.loop.disturbance import GAP, LARGEST, PATIENCE, Estimator
@@ -198,6 +199,7 @@ def flight(estimated, *, inertial, time=60.0):
     return float(np.linalg.norm(np.mean(misses[len(misses) * 3 // 4 :], axis=0)))
 
 
+@pytest.mark.skipif(not COMPILED, reason='flies for minutes in plain Python: pip install numba')
 @pytest.mark.parametrize('inertial', [False, True], ids=['fixed wing in wind', 'hover'])
 def test_a_steady_disturbance_leaves_no_offset(inertial):
     assert flight(True, inertial=inertial) < 0.02 * flight(False, inertial=inertial)
