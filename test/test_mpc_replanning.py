@@ -9,6 +9,7 @@ from problems import floor
 
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import SolverFailure
+from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.plan import later, shifted
@@ -97,6 +98,8 @@ def test_a_plan_of_long_steps_stands_in_for_two_ticks_however_short_they_are(mon
 
 @pytest.mark.parametrize('shape', ['none', 'polygon', 'circle'])
 def test_planned_ten_times_a_step_a_swinging_goal_is_caught(shape):
+    if shape != 'none' and not COMPILED:
+        pytest.skip('takes minutes in plain Python: pip install numba')
     speed, fraction = 2.0, math.sqrt(0.3)
     problem = weighed(
         Problem(horizon=8, step=1.0, forward=speed, floor=floor(shape, fraction)), 'time'
