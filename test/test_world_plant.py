@@ -7,7 +7,7 @@ from dataclasses import replace
 import airframe
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import solve_ivp, trapezoid
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, skew
@@ -59,7 +59,7 @@ def test_without_lag_and_wind_it_flies_exact_arcs(n):
     np.testing.assert_allclose(end.attitude, turned, atol=1e-12)
     fine = np.linspace(0.0, t, 20001)
     headings = np.array([(vehicle.attitude @ exp(at * rate))[:, 0] for at in fine])
-    way = 0.8 * plant.forward * np.trapezoid(headings, fine, axis=0)
+    way = 0.8 * plant.forward * trapezoid(headings, fine, axis=0)
     np.testing.assert_allclose(end.position, vehicle.position + way, atol=1e-8)
     np.testing.assert_allclose(end.velocity, 12.0 * turned[:, 0], atol=1e-12)
 
