@@ -15,10 +15,11 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
+from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch
-from orbimpc_ros.mpc.solve.request import Request
+from orbimpc_ros.mpc.solve.request import Enough, Request
 from orbimpc_ros.mpc.solve.sector_bnb import SectorSearch
 from orbimpc_ros.mpc.solve.solver import Solver
 
@@ -246,3 +247,23 @@ def test_the_prices_of_turns_are_what_a_faster_turn_saves(shape, faces):
     assert len(prices) == 3
     assert sum(prices) == pytest.approx(saved, rel=1e-4)
     assert told.unexplained < 1e-6
+
+
+@needs_machine_code
+def test_a_search_ends_with_what_is_enough_and_its_bound_holds():
+    rng, sooner = np.random.default_rng(23), {'cost': 0, 'bound': 0}
+    for _ in range(40):
+        problem = replace(random_problem(rng, 'circle', 4, horizon=12), max_rate=0.3)
+        start, targets = random_start(rng, problem)
+        whole = Solver(problem, gap_tolerance=1e-4).solve(start, targets)
+        for name in sooner:
+            settled = 1.5 * whole.objective if name == 'cost' else 0.5 * whole.objective
+            solver = Solver(problem, gap_tolerance=1e-4, enough=Enough(**{name: settled}))
+            plan = solver.solve(start, targets)
+            assert plan.lower_bound <= whole.objective * (1.0 + 1e-9)
+            assert plan.objective >= whole.lower_bound * (1.0 - 1e-9)
+            if plan.gap > 1e-4:  # not just as good as without
+                sooner[name] += plan.nodes < whole.nodes
+                assert plan.status == Status.FEASIBLE
+                assert plan.objective <= settled if name == 'cost' else plan.lower_bound > settled
+    assert min(sooner.values()) > 3

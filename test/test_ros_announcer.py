@@ -135,3 +135,4 @@ def test_a_horizon_too_short_to_turn_round_is_doubted(horizon, shape, told):
     found = doubts(described(**given), given)
     assert [doubt.split(':')[0] for doubt in found] == told
     assert all(doubt.endswith('half a turn takes a horizon of 15') for doubt in found)
+    assert doubts(described(**given, objective='intercept'), given) == []  # it looks beyond

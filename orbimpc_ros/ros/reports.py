@@ -97,11 +97,9 @@ class Report:
 
 def _catch(tick: Tick) -> dict[str, object]:
     """Return when the plan catches the goal, and before when nothing can, from its start on [s]."""
-    if tick.catch is None or tick.problem is None:
+    if tick.catch is None:
         return {'earliest_catch': math.nan, 'catch_bound': math.nan}
-    step, found = tick.problem.step, tick.catch
-    caught = step * found.step if found.step else math.nan
-    return {'earliest_catch': caught, 'catch_bound': step * found.bound}
+    return {'earliest_catch': tick.catch.time, 'catch_bound': tick.catch.bound}
 
 
 def _farthest(plan: Plan) -> float:

@@ -13,7 +13,7 @@ from orbimpc_ros.mpc.check import command_violations, violations
 from orbimpc_ros.mpc.command import Command, command_of, flaw
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
 from orbimpc_ros.mpc.loop.delay import CommandHistory
-from orbimpc_ros.mpc.loop.interception import Catch, Interception
+from orbimpc_ros.mpc.loop.interception import Catch, Hunt, Interception
 from orbimpc_ros.mpc.loop.odometry import Odometry, odd_speed, state_of
 from orbimpc_ros.mpc.loop.response import Response, held_back
 from orbimpc_ros.mpc.loop.safety import may_stop, safe_command
@@ -21,6 +21,7 @@ from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
 from orbimpc_ros.mpc.plan import Plan, later, shifted
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.reach import pulled_in
+from orbimpc_ros.mpc.solve.request import NEVER_ENOUGH, Enough
 from orbimpc_ros.mpc.solve.solver import Solver
 
 FALLBACK_TICKS = 2  # how long the shifted previous plan may stand in for a new one
@@ -131,12 +132,14 @@ class Controller:
         self._solvers: dict[tuple[int, float, bool], Solver] = {}
         self._counted = np.arange(1.0, problem.horizon + 1.0)
         self._solver(problem.horizon, problem.step)
+        self._catchers: dict[int, Solver] = {}
         self._interception: Interception | None = None
         if number(capture_radius, 'capture_radius', 0.0) > 0.0:
             if shrinking or problem.terminal != 'penalty':
                 raise BadInput('capture_radius', capture_radius, '0 with an arrival in time')
             self._interception = Interception(problem, capture_radius)
-            self._catchers = tuple(map(self._made, self._interception.problems))
+            for end in range(1, problem.horizon + 1):
+                self._catcher(end)
         self.reset()
 
     def reset(self) -> None:
@@ -156,6 +159,7 @@ class Controller:
         self._last: float | None = None  # stamp of the last tick [s]
         self._pace = self.problem.step  # of the previous plan's steps [s]
         self._arriving = False
+        self._catch = 0.0  # when the goal is to be caught [s]
         self._aim = np.zeros(self.problem.dimension)  # where the last plan arrives
 
     def continue_from(self, other: Controller) -> None:
@@ -165,6 +169,7 @@ class Controller:
         self._flown, self._last, self._pace = other._flown, other._last, other._pace
         self._since, self._fallbacks, self._due = other._since, other._fallbacks, other._due
         self._planned, self._arriving, self._aim = other._planned, other._arriving, other._aim
+        self._catch = other._catch
 
     @property
     def remaining(self) -> int:
@@ -208,7 +213,11 @@ class Controller:
         return (passed * self.problem.step + step * self._counted[:count]) / before
 
     def tick(
-        self, odometry: Odometry, goals: Array, out_of_time: Callable[[], bool] | None = None
+        self,
+        odometry: Odometry,
+        goals: Array,
+        out_of_time: Callable[[], bool] | None = None,
+        ahead: Callable[[Array], Array] | None = None,
     ) -> Tick:
         """Plan from a measurement towards goals g_1..g_N at its :meth:`ends`, shape (N, n) [m].
 
@@ -216,6 +225,8 @@ class Controller:
             odometry: the measurement.
             goals: targets at the ends of the coming steps.
             out_of_time: polled by long searches; True makes them return their best plan.
+            ahead: returns where the goal will be at times, shape (M,) [s], as shape (M, n) [m]:
+                what is to be intercepted can then be met beyond the horizon.
         """
         state, knots = self._state(odometry), self._begin(odometry)
         if not len(knots):
@@ -229,7 +240,7 @@ class Controller:
         if self._interception is None or shortened:
             plan, status, words = _solved(task)
         else:
-            task, (plan, status, words), catch = self._caught(task, self._interception)
+            task, (plan, status, words), catch = self._caught(task, self._interception, ahead)
         measured = self.problem, odometry, self.disturbance, self._velocity_source
         words = '; '.join(filter(None, (words, shortened, odd_speed(*measured))))
         reason = Reason(Cause.NONE, words)
@@ -238,25 +249,56 @@ class Controller:
         self._fallbacks, self._planned, self._since = 0, plan.horizon, 0.0
         self._arriving, self._aim = True, goals[-1]
         tick = self._following(task, plan, status, reason)
-        return self._finish(tick if catch is None else replace(tick, catch=catch))
+        return self._finish(replace(tick, catch=catch) if catch and tick.plan else tick)
 
-    def _caught(self, task: _Task, interception: Interception) -> tuple[_Task, _Answer, Catch]:
+    def _caught(
+        self,
+        task: _Task,
+        interception: Interception,
+        ahead: Callable[[Array], Array] | None,
+    ) -> tuple[_Task, _Answer, Catch]:
         """Return the task of the earliest catch and its answer; the given one's without any."""
-        tried: dict[int, tuple[_Task, _Answer]] = {}
+        now, tried = self._last or 0.0, []  # type: float, list[tuple[_Task, _Answer]]
 
-        def solved(step: int) -> Plan | None:
-            solver, goals = self._catchers[step - 1], sealed(task.goals[:step].copy())
-            sooner = replace(task, solver=solver, goals=goals, knots=task.knots[:step], guess=None)
-            if solver.takes_guess:
-                sooner = replace(sooner, guess=self._shifted(sooner))
-            tried[step] = sooner, _solved(sooner)
-            return tried[step][1][0]
+        def goals(end: int) -> Array:
+            if end <= len(task.goals) or ahead is None:
+                return task.goals[:end]
+            return ahead(now + interception.problem(end).step * self._counted)
 
+        def solved(end: int, goals: Array) -> Plan | None:
+            chosen = self._catching(task, self._catcher(end), goals)
+            tried.append((chosen, _solved(chosen)))
+            return tried[-1][1][0]
+
+        farthest = len(task.goals) if ahead is None else interception.farthest
         late = task.out_of_time or (lambda: False)
-        plan, catch = interception.earliest(task.state, task.goals, solved, late)
+        expected = max(0, math.ceil((self._catch - now) / task.problem.step - SNAP))
+        hunt = Hunt(task.state, goals, solved, late, farthest, expected)
+        plan, catch = interception.earliest(hunt)
         if plan is None:
             return task, _solved(task), catch
-        return *tried[catch.step], catch
+        chosen, answer = next(each for each in tried if each[1][0] is plan)
+        self._catch = now + catch.time
+        self._pace, self._goals = chosen.problem.step, chosen.goals
+        return chosen, answer, catch
+
+    def _catcher(self, end: int) -> Solver:
+        """Return the solver of catching the goal at an end, in steps."""
+        if end not in self._catchers:
+            assert self._interception is not None
+            problem, enough = self._interception.problem(end), self._interception.enough(end)
+            self._catchers[end] = self._made(problem, enough)
+        return self._catchers[end]
+
+    def _catching(self, task: _Task, solver: Solver, goals: Array) -> _Task:
+        """Return the task of coming close within a number of steps, perhaps of longer ones."""
+        knots, step = task.knots[: len(goals)], solver.problem.step
+        if step != task.problem.step:
+            each = task.knots[1] - task.knots[0]
+            stretched = step / task.problem.step * self._counted[: len(goals)]
+            knots = task.knots[0] - each + each * stretched
+        chosen = replace(task, solver=solver, goals=sealed(goals.copy()), knots=knots, guess=None)
+        return replace(chosen, guess=self._shifted(chosen)) if solver.takes_guess else chosen
 
     def settled(self, odometry: Odometry) -> Odometry:
         """Return what to plan from: the measurement, moved on by what the vehicle's lags leave."""
@@ -405,9 +447,14 @@ class Controller:
             self._solvers[key] = self._made(problem)
         return self._solvers[key]
 
-    def _made(self, problem: Problem) -> Solver:
-        projection, tolerance = self._projection, self._tolerance
-        return Solver(problem, projection=projection, gap_tolerance=tolerance, coasting=True)
+    def _made(self, problem: Problem, enough: Enough = NEVER_ENOUGH) -> Solver:
+        return Solver(
+            problem,
+            projection=self._projection,
+            gap_tolerance=self._tolerance,
+            coasting=True,
+            enough=enough,
+        )
 
     def _kept(self, step: float) -> tuple[float, float]:
         """Return the lengths of steps whose solvers are kept [s]."""

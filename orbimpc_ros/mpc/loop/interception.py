@@ -9,12 +9,18 @@ with r so small that the inputs of no trajectory cost more than a share of the s
 Whatever catches the goal at step k then costs at most (1 + share) radius^2: a greater lower bound
 proves that nothing does. The first step whose plan comes well within the radius is aimed at.
 
+Where no step of the horizon has a catch, one is looked for beyond it, by as many steps that are
+longer. A vehicle that cannot stop finds so the way out and back to a goal inside its smallest
+circle. It keeps to the time at which it means to catch the goal, unless it can be sooner: whoever
+looks anew each time for any way that leads there may put it off for ever.
+
 Mathematics: docs/mathematics.md, 7.10.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,10 +29,13 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State, Weights
+from orbimpc_ros.mpc.solve.request import Enough
 
 AIM = 0.5  # of the radius: what a plan must come within, so that gusts leave some of it
 EFFORT = 0.1  # of the squared radius: what the inputs of a plan cost at most
 LARGEST_CHANGE = 8.0  # of a rotation, |R' - R|_F^2, that of half a turn
+FARTHEST = 4  # times the horizon, to look beyond it
+SHARPEST = 0.5 * math.pi  # turn within a step: beyond it the way is a caricature
 
 
 @dataclass(frozen=True)
@@ -34,79 +43,175 @@ class Catch:
     """How soon the goal can be caught, as far as it is known.
 
     Attributes:
-        step: k, at whose end the plan catches the goal; 0 if none does within the horizon.
-        bound: no trajectory catches it at the end of any step before this one.
+        time: when the plan catches it, from its start [s]; nan if no plan was found that does.
+        bound: no trajectory of the problem's own steps catches it at the end of one before this
+            time [s]; that of the first step past the horizon if none catches it at all.
     """
 
-    step: int
-    bound: int
+    time: float
+    bound: float
 
 
-def catching(problem: Problem, radius: float, step: int) -> Problem:
-    """Return the problem of coming as close as possible to the goal within so many steps.
+def catching(problem: Problem, radius: float, end: int) -> Problem:
+    """Return the problem of coming as close as possible to the goal at a time.
 
     Args:
         problem: what is solved where nothing is to be caught.
         radius: within which the goal is caught [m].
-        step: k, at whose end.
+        end: when, counted in steps of ``problem``; beyond its horizon as many steps are longer,
+            and turns within them are integrated, however the shorter ones are.
     """
-    change = LARGEST_CHANGE / problem.step**2
+    steps = min(end, problem.horizon)
+    length, how = problem.step, problem.discretisation
+    if end > steps:
+        length, how = problem.step * end / steps, 'exact'
+    change = LARGEST_CHANGE / length**2
     if problem.rotation_order == 2:
-        change *= 4.0 / problem.step**2  # a change, and back
-    effort = EFFORT * radius**2 / (step * change)
-    return replace(problem, horizon=step, weights=Weights(0.0, effort, 0.0, 1.0))
+        change *= 4.0 / length**2  # a change, and back
+    weights = Weights(0.0, EFFORT * radius**2 / (steps * change), 0.0, 1.0)
+    return replace(problem, horizon=steps, step=length, discretisation=how, weights=weights)
+
+
+@dataclass(frozen=True)
+class Hunt:
+    """What an interception is looked for with, ends being counted in steps from the start.
+
+    Attributes:
+        state: where the plan starts.
+        goals: returns where the goal is at the ends of the steps that lead to an end, shape
+            (N or less, n) [m].
+        solved: returns a checked plan for the problem of an end and its goals, if there is one.
+        late: returns whether time is up; what is found by then counts.
+        farthest: the last end that the goal is known at.
+        expected: the end at which the goal was to be caught so far; 0 if none.
+    """
+
+    state: State
+    goals: Callable[[int], Array]
+    solved: Callable[[int, Array], Plan | None]
+    late: Callable[[], bool]
+    farthest: int
+    expected: int = 0
 
 
 class Interception:
     """Looks for the earliest catch.
 
     Args:
-        problem: what is solved where nothing is caught within the horizon.
+        problem: what is solved where no catch is found.
         radius: within which the goal is caught [m].
+
+    Attributes:
+        farthest: the last end at which a catch is looked for.
     """
 
     def __init__(self, problem: Problem, radius: float) -> None:
-        self._radius = radius
-        self._reach = np.abs(problem.maps.reach).sum(axis=1)
-        self.problems = tuple(
-            catching(problem, radius, step) for step in range(1, problem.horizon + 1)
-        )
+        self._radius, self._step, self._horizon = radius, problem.step, problem.horizon
+        self.farthest = _farthest(problem)
+        ends = range(1, self.farthest + 1)
+        self._problems = [catching(problem, radius, end) for end in ends]
+        self._reach = [float(np.abs(each.maps.reach[-1]).sum()) for each in self._problems]
 
-    def earliest(
-        self,
-        state: State,
-        goals: Array,
-        solved: Callable[[int], Plan | None],
-        late: Callable[[], bool],
-    ) -> tuple[Plan | None, Catch]:
-        """Return the plan of the earliest catch, if one is found, and how early one can be.
+    def problem(self, end: int) -> Problem:
+        """Return the problem of :func:`catching` the goal at an end."""
+        return self._problems[end - 1]
 
-        Args:
-            state: where the plan starts.
-            goals: g_1..g_N, shape (N, n) [m].
-            solved: returns a checked plan for the problem of so many steps, if there is one.
-            late: returns whether time is up; what is found by then counts.
+    def enough(self, end: int) -> Enough:
+        """Return what settles whether the goal is caught at an end.
+
+        Past the horizon any way will do; within it the best one is wanted.
         """
-        bound, open_ = 1, True
-        for step in range(1, len(goals) + 1):
-            plan = None
-            if self._within_reach(state, goals, step):
-                plan = None if late() else solved(step)
-                if plan is not None and self._miss(plan, goals) <= AIM * self._radius:
-                    return plan, Catch(step, bound)
-                open_ = open_ and plan is not None and self._excluded(plan)
-            bound = step + 1 if open_ else bound
-        return None, Catch(0, bound)
+        squared = self._radius**2
+        well = AIM**2 * squared if end > self._horizon else -math.inf
+        return Enough(well, (1.0 + EFFORT) * squared)
 
-    def _within_reach(self, state: State, goals: Array, step: int) -> bool:
-        """Return whether the goal is not too far away, whatever the headings."""
-        coasted = drift(self.problems[-1], state)[step - 1]
-        away = float(np.linalg.norm(goals[step - 1] - coasted))
-        return away <= self._reach[step - 1] + self._radius
+    def earliest(self, hunt: Hunt) -> tuple[Plan | None, Catch]:
+        """Return the plan of the earliest catch, if one is found, and how early one can be."""
+        kept = self._kept(hunt)  # first of all: time may run out
+        bound, excluded = 1, True
+        for end in range(1, self._horizon + 1):
+            plan, never = self._tried(hunt, end)
+            if plan is not None:
+                return plan, Catch(self._step * end, self._step * bound)
+            excluded = excluded and never
+            bound = end + 1 if excluded else bound
+        if kept is not None:
+            plan, end = self._sooner(hunt, kept, hunt.expected)
+        else:
+            plan, end = self._beyond(hunt)
+        caught = math.nan if plan is None else self._step * end
+        return plan, Catch(caught, self._step * bound)
 
-    def _miss(self, plan: Plan, goals: Array) -> float:
-        return float(np.linalg.norm(plan.positions[-1] - goals[plan.horizon - 1]))
+    def _kept(self, hunt: Hunt) -> Plan | None:
+        """Return a plan that catches the goal past the horizon when it was to be caught so far."""
+        awaited = self._horizon < hunt.expected <= hunt.farthest
+        return self._tried(hunt, hunt.expected)[0] if awaited else None
 
-    def _excluded(self, plan: Plan) -> bool:
-        """Return whether a plan's lower bound is more than any catch costs."""
-        return plan.lower_bound > (1.0 + EFFORT) * self._radius**2
+    def _beyond(self, hunt: Hunt) -> tuple[Plan | None, int]:
+        """Return a plan that catches the goal past the horizon, and when.
+
+        How much later than so far is doubled until a catch is found, and then halved.
+        """
+        missed = max(self._horizon, min(hunt.expected, hunt.farthest))
+        for end in _doubling(missed, hunt.farthest):
+            plan, _ = self._tried(hunt, end)
+            if plan is not None:
+                return self._between(hunt, missed, plan, end)
+            missed = end
+        return None, 0
+
+    def _sooner(self, hunt: Hunt, plan: Plan, end: int) -> tuple[Plan, int]:
+        """Return the plan of an end before this one, by twice as much each time, or the given."""
+        for away in (1, 2, 4, 8):
+            sooner = self._tried(hunt, end - away)[0] if end - away > self._horizon else None
+            if sooner is None:
+                break
+            plan, end = sooner, end - away
+        return plan, end
+
+    def _between(self, hunt: Hunt, missed: int, plan: Plan, end: int) -> tuple[Plan, int]:
+        """Return the plan of the first end that is found by halving, or the given."""
+        while end - missed > 1:
+            middle = (missed + end) // 2
+            sooner, _ = self._tried(hunt, middle)
+            if sooner is None:
+                missed = middle
+            else:
+                plan, end = sooner, middle
+        return plan, end
+
+    def _tried(self, hunt: Hunt, end: int) -> tuple[Plan | None, bool]:
+        """Return a plan that catches the goal at an end, or whether it is proved that none does."""
+        goals = hunt.goals(end)
+        coasted = drift(self.problem(end), hunt.state)[-1]
+        if np.linalg.norm(goals[-1] - coasted) > self._reach[end - 1] + self._radius:
+            return None, True  # too far away, whatever the headings
+        plan = None if hunt.late() else hunt.solved(end, goals)
+        if plan is None:
+            return None, False
+        if np.linalg.norm(plan.positions[-1] - goals[-1]) <= AIM * self._radius:
+            return plan, False
+        return None, plan.lower_bound > self.enough(end).bound
+
+
+def _farthest(problem: Problem) -> int:
+    """Return the last end, in steps, at which a catch is looked for.
+
+    Steps get no longer where a box between their ends would not be seen.
+    """
+    if problem.rotation_order == 2 or problem.obstacles:
+        return problem.horizon
+    longest = FARTHEST * problem.step
+    if problem.max_rate:
+        longest = min(longest, max(problem.step, SHARPEST / problem.max_rate))
+    return int(problem.horizon * longest / problem.step)
+
+
+def _doubling(first: int, last: int) -> Iterator[int]:
+    """Return ends after ``first``, twice as far away each, and the last of all."""
+    away = 1
+    while first + away < last:
+        yield first + away
+        away *= 2
+    if first < last:
+        yield last

@@ -24,6 +24,25 @@ class Guess:
     cost: float
 
 
+class Enough(NamedTuple):
+    """When a search may stop before it is proved how good its trajectory is.
+
+    Attributes:
+        cost: a trajectory that costs no more is good enough.
+        bound: where none costs less than this, it no longer matters how much the best one does.
+    """
+
+    cost: float = -math.inf
+    bound: float = math.inf
+
+    def met(self, found: Found) -> bool:
+        """Return whether a search that has found so much may stop."""
+        return found.cost <= self.cost or found.lower_bound > self.bound
+
+
+NEVER_ENOUGH = Enough()
+
+
 class Request(NamedTuple):
     """What a method is asked for; a tuple, for one is made at every tick.
 
@@ -34,6 +53,7 @@ class Request(NamedTuple):
         out_of_time: polled between steps; True makes a method return the best so far. None lets it
             take as long as it needs.
         patient: whether the deadline leaves time to set up slower methods.
+        enough: what may end a search sooner; a method is free to go on.
     """
 
     state: State
@@ -41,6 +61,7 @@ class Request(NamedTuple):
     guess: Guess | None = None
     out_of_time: Callable[[], bool] | None = None
     patient: bool = False
+    enough: Enough = NEVER_ENOUGH
 
     @property
     def hurried(self) -> bool:

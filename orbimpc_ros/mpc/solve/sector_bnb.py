@@ -13,7 +13,6 @@ import math
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.active_set import Quadratic
 from orbimpc_ros.mpc.kernels.sectors import (
@@ -84,11 +83,12 @@ class SectorSearch:
         offer(quadratic, ring, constant, tree, start, tree.low[0], tree.high[0], np.inf)
         asked = quadratic, ring, constant, self._tolerance, tree, MOST, SLICE
         while search(*asked) == PAUSED and not request.late:
-            pass
-        return self._found(q, constant)
+            if request.enough.met(self._found(constant)):
+                break
+        return self._found(constant)
 
-    def _found(self, q: Array, constant: float) -> Found:
-        """Return the best of a search, with the bound that it has proved."""
+    def _found(self, constant: float) -> Found:
+        """Return the best of a search so far, with the bound that it has proved."""
         numbers = self._tree.numbers
         best, cost = self._tree.best.copy(), float(numbers[VALUE]) + constant
         bound = float(numbers[LEAST]) - self._excess + constant

@@ -21,7 +21,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.feasibility import reason
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.solve.registry import method_for
-from orbimpc_ros.mpc.solve.request import Found, Guess, Request
+from orbimpc_ros.mpc.solve.request import NEVER_ENOUGH, Enough, Found, Guess, Request
 from orbimpc_ros.mpc.solve.stand_ins import straight, turning
 
 SEARCH_SHARE = 0.01  # a search stops at this share of the gap that counts as proved
@@ -52,6 +52,7 @@ class Solver:
         coasting: whether states will come with a ``coasted`` rotation (rotation order 2).
         patient: whether a deadline leaves time to set up slower methods where the first one fails;
             that takes a second or so.
+        enough: costs at which a search may stop, whether or not it has closed the gap.
     """
 
     def __init__(
@@ -62,6 +63,7 @@ class Solver:
         gap_tolerance: float = 1e-4,
         coasting: bool = False,
         patient: bool = False,
+        enough: Enough = NEVER_ENOUGH,
     ) -> None:
         self.problem = problem
         self._projection, self._tolerance = projection, gap_tolerance
@@ -69,6 +71,7 @@ class Solver:
         self._coasting = coasting and problem.rotation_order == 2
         tolerance = SEARCH_SHARE * gap_tolerance
         self._method = method_for(self._units.problem, tolerance, coasting=coasting)
+        self._enough = Enough(*(each / self._units.cost for each in enough))
 
     def solve(
         self,
@@ -143,7 +146,7 @@ class Solver:
         start, targets = units.state(state), units.lengths(goals)
         try:
             found = self._method.solve(
-                Request(start, targets, usable, query.out_of_time, self._patient)
+                Request(start, targets, usable, query.out_of_time, self._patient, self._enough)
             )
         except Infeasible:
             raise Infeasible(reason(self.problem, state, goals)) from None

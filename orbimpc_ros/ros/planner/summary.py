@@ -54,7 +54,8 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
     if rate > BRISK:
         asked = f'{math.radians(rate):.4g} rad/s if {rate:g} deg/s is meant'
         found.append(f'max_rate is {rate:g} rad/s, {math.degrees(rate):.4g} deg/s: {asked}')
-    found += _short_sight(settings.problem)
+    if not settings.capture_radius:  # whoever intercepts looks beyond the horizon
+        found += _short_sight(settings.problem)
     for name in ('floor.fraction', 'floor.faces'):
         unused = name.removeprefix('floor.') not in settings.problem.floor.parameters
         if unused and given.get(name, DEFAULTS[name].default) != DEFAULTS[name].default:

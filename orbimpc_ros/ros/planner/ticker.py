@@ -6,6 +6,7 @@ import statistics
 import time
 from collections import deque
 from dataclasses import replace
+from functools import partial
 
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.loop.controller import Controller
@@ -133,9 +134,11 @@ class Ticker:
         if lost:
             tick = self._controller.hold(odometry, lost)
         else:
-            targets = inbox.targets(self._controller.ends(odometry.time), now, ros)
-            end = begun + settings.deadline
-            tick = self._controller.tick(odometry, targets, lambda: time.perf_counter() > end)
+            targets = partial(inbox.targets, now=now, ros=ros)
+            ends, end = self._controller.ends(odometry.time), begun + settings.deadline
+            tick = self._controller.tick(
+                odometry, targets(ends), lambda: time.perf_counter() > end, targets
+            )
         history.last = sent  # what is commanded now counts once it went out
         if limited:
             tick = replace(tick, reason='; '.join(filter(None, (tick.reason, limited))))
