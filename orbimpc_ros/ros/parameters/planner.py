@@ -77,7 +77,7 @@ PLANNER: tuple[Row, ...] = (
     Row('projection', 'thrust_aligned', 'How a point of the hull becomes a rotation',
         choices=PROJECTIONS, live=True),
     Row('objective', 'track', 'Whether to be near the goal on average, or to catch it as soon as '
-        'it can be within the horizon', choices=OBJECTIVES, live=True),
+        'it can be', choices=OBJECTIVES, live=True),
     Row('capture_radius', retrieval().capture_radius, 'The goal is caught within it (objective '
         'intercept)', 'm', *span(*LIMITS['capture_radius']), live=True),
     Row('trigger', 'timer', 'Whether to plan at each odometry or every period',
