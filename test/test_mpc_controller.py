@@ -290,3 +290,22 @@ def test_forecasts():
     assert np.array_equal(hold.at(np.array([2.0, 9.0])), [[3.0, 4.0], [3.0, 4.0]])
     path = Itinerary(np.array([0.0, 2.0]), np.array([[0.0, 0.0], [2.0, 4.0]]))
     assert np.allclose(path.at(np.array([-1.0, 1.0, 5.0])), [[0, 0], [1, 2], [2, 4]])
+
+
+@pytest.mark.parametrize(('band', 'drift'), [(0.2, 0.0), (0.0, -0.3), (0.0, 0.0)])
+def test_a_rover_in_a_dead_band_or_a_drift_gets_under_way(band, drift):
+    controller = Controller(Problem(step=0.1, forward=1.5, max_rate=1.0))
+    position, heading, speed, least = np.zeros(2), 0.0, 0.0, np.inf
+    commanded = [0.0]
+    for k in range(80):
+        attitude = exp(np.array([heading]))
+        seen = Odometry(0.1 * k, position, attitude, np.array([speed + drift, 0.0]), np.zeros(1))
+        command = controller.tick(seen, np.tile([5.0, 1.0], (5, 1))).command
+        commanded.append(1.5 * command.speed_fraction)
+        speed = commanded[-1] if commanded[-1] >= band else 0.0
+        heading += 0.1 * command.body_rate[0]
+        position = position + 0.1 * (speed + drift) * exp(np.array([heading]))[:, 0]
+        least = min(least, float(np.linalg.norm(position - [5.0, 1.0])))
+    assert least < 0.15
+    # What the limit allows, at any measured speed: R e1 moves by 2 sin(0.05) in a step.
+    assert np.max(np.abs(np.diff(commanded))) <= 1.5 * 2.0 * np.sin(0.05) * (1.0 + 1e-6)

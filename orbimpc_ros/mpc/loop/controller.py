@@ -305,7 +305,7 @@ class Controller:
         if not self.response.lags:
             return odometry
         applied = self.history.applied(odometry.time, self.response.speed)
-        known = (applied, self._thrust), self.disturbance, self._velocity_source
+        known = (applied, self._applied or 0.0), self.disturbance, self._velocity_source
         later = self.response.settled(self.problem, odometry, *known)
         coming = self._due or self.history.last
         if self.problem.rotation_order == 1 or coming is None:
@@ -313,12 +313,13 @@ class Controller:
         return replace(later, body_rate=coming.body_rate)
 
     @property
-    def _thrust(self) -> float:
+    def _applied(self) -> float | None:
         """Return the share of thrust, or speed, with which the model begins its first step."""
-        return self.history.fraction if self._due is None else self._due.speed_fraction
+        command = self._due or self.history.last
+        return None if command is None else command.speed_fraction
 
     def _state(self, odometry: Odometry) -> State:
-        known = self._thrust, self.disturbance, self._velocity_source
+        known = self._applied, self.disturbance, self._velocity_source
         return state_of(self.problem, odometry, *known)
 
     def _task(

@@ -58,27 +58,33 @@ def airspeed(odometry: Odometry, wind: Array | None, velocity_source: str = 'gro
 def state_of(
     problem: Problem,
     odometry: Odometry,
-    thrust_fraction: float,
+    applied: float | None,
     disturbance: Array | None = None,
     velocity_source: str = 'ground',
 ) -> State:
     """Return the state that a plan starts from: R_0 = sigma_0 Q_0, always in conv SO(n).
 
+    At translation order 1 sigma_0 is the measured share of full speed, but for one case: where
+    ``max_rate`` limits changes of speed, from what was commanded. A vehicle in a dead band, in a
+    drift or uphill would never be told more than a step from the speed that it has.
+
     Args:
         problem: gives the orders, the step and the full speed.
         odometry: the measurement.
-        thrust_fraction: the share of thrust now applied, in [0, 1]; at translation order 2 odometry
-            does not show it. At order 1 sigma_0 is the measured share of full speed.
+        applied: the share of thrust or speed that is commanded now, in [0, 1]; None before the
+            first command.
         disturbance: a wind or an acceleration, shape (n,); None for none.
         velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
     """
-    if not problem.inertial:
+    if problem.inertial:
+        fraction = applied or 0.0
+        velocity = odometry.attitude @ odometry.body_velocity
+    else:
         speed = airspeed(odometry, disturbance, velocity_source)
         fraction = min(1.0, max(0.0, speed / problem.forward))
         velocity = None
-    else:
-        fraction = thrust_fraction
-        velocity = odometry.attitude @ odometry.body_velocity
+        if applied is not None and problem.max_rate and not problem.turns_are_angles:
+            fraction = applied
     coasted = None
     if problem.rotation_order == 2:
         coasted = odometry.attitude @ exp(problem.step * odometry.body_rate)
