@@ -252,7 +252,8 @@ def test_a_simulator_says_for_whom_it_has_waited_in_vain(launch):
 
 def test_lock_step_with_a_planner_on_a_timer_ends_and_says_why(launch, observer):
     observer.listen(TwistStamped, 'cmd_vel')
-    launch('planner', LOCKSTEP | {'trigger': 'timer'})
+    # Its period is longer than the simulator's step: else it may happen to keep up.
+    launch('planner', LOCKSTEP | {'trigger': 'timer', 'step': 10.0})
     observer.until_connected('cmd_vel')
     sim = launch('sim', {'wait_timeout': 8.0})
     assert sim.wait() == 1, sim.output
