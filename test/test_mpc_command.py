@@ -8,6 +8,7 @@ import pytest
 from plans import assembled, straight
 from problems import floor, rotation
 
+from orbimpc_ros.mpc.check import command_violations
 from orbimpc_ros.mpc.command import Command, command_of, flaw, stop
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
@@ -175,9 +176,27 @@ def test_a_rate_is_cut_on_the_shortest_way_to_the_plan(n, step):
             command = command_of(limited, start, plan)
             np.testing.assert_allclose(command.body_rate, share * turn / step, atol=1e-9)
             np.testing.assert_allclose(command.rotation, exp(share * turn), atol=1e-9)
+            along = max(0.0, exp(turn)[:, 0] @ command.rotation[:, 0])
+            assert command.speed_fraction == pytest.approx(along, abs=1e-12)
+            assert command_violations(limited, plan, command) == []
+            told = ['the commanded speed is not that of the plan']
+            quick = replace(command, speed_fraction=along + 1e-4)
+            assert command_violations(limited, plan, quick) == told
         at_the_limit = replace(problem, max_rate=math.sqrt(whole.body_rate @ whole.body_rate))
         same = command_of(at_the_limit, start, plan)
         np.testing.assert_array_equal(same.rotation, plan.projected[1])
+
+
+@pytest.mark.parametrize(('order', 'shape'), [(1, 'circle'), (1, 'polygon'), (2, 'none')])
+def test_a_cut_turn_keeps_the_speed_with_a_floor_or_where_turns_come_later(order, shape):
+    problem = Problem(3, rotation_order=order, max_rate=0.2, floor=floor(shape, 0.5, 6))
+    start = State.at(np.zeros(3), np.eye(3))
+    turns = [exp(k * np.array([0.0, 0.0, 0.9])) for k in range(1, 6)]
+    plan = assembled(problem, start, np.zeros((5, 3)), 0.8 * coordinates(np.array(turns)))
+    command = command_of(problem, start, plan)
+    assert np.linalg.norm(command.body_rate) == pytest.approx(0.2)
+    assert command.speed_fraction == pytest.approx(0.8)
+    assert command_violations(problem, plan, command) == []
 
 
 @pytest.mark.parametrize('order', [1, 2])

@@ -310,17 +310,21 @@ def _strays(plan: Plan, known: int) -> float:
 def command_violations(problem: Problem, plan: Plan, command: Command) -> list[str]:
     """Return why a command is not that of a plan's first step; empty if it is.
 
-    The speed must be that of R_1. The rotation must be where the rate leads in a step, and that
-    must be as far on the way to the planned rotation as ``max_rate`` allows.
+    The speed must be that of R_1; without a floor, what of it is along the axis commanded. The
+    rotation must be where the rate leads in a step, and that must be as far on the way to the
+    planned rotation as ``max_rate`` allows.
     """
     parts = (command.speed_fraction, command.body_rate, command.rotation)
     if not all(np.isfinite(part).all() for part in parts):
         return ['command is not finite']
     found = []
-    if abs(command.speed_fraction - plan.speed_fraction[1]) > TOLERANCE:
-        found.append('the commanded speed is not that of the plan')
     first = problem.rotation_order - 1
     start, end = plan.projected[first], plan.projected[min(first + 1, plan.horizon)]
+    planned = plan.speed_fraction[1]
+    if problem.rotation_order == 1 and problem.max_rate and not problem.floor.exists:
+        planned *= max(0.0, command.rotation[:, 0] @ end[:, 0])
+    if abs(command.speed_fraction - planned) > TOLERANCE:
+        found.append('the commanded speed is not that of the plan')
     turned = start @ _rotation_by(problem.step * command.body_rate)
     if np.abs(turned - command.rotation).max() > ORTHOGONAL:
         found.append('the commanded rotation is not where the commanded rate leads')

@@ -92,7 +92,9 @@ def command_of(problem: Problem, state: State, plan: Plan, step: int = 0) -> Com
     Q_k to Q_{k+1} in this step, so the rate taken over at its end is log(Q_{k+1}^T Q_{k+2})/h. The
     rate never exceeds ``max_rate``. In the plane a floor makes sure that plans do not either; where
     they do (without a floor by a wide angle of a short chord, in space by a roll) the rate is cut,
-    and the commanded rotation is the one then reached.
+    and the commanded rotation is the one then reached. Without a floor the vehicle then gets as
+    much of the planned speed or thrust as is along the axis reached: at full speed it would miss
+    the turn, and could circle its goal for ever.
 
     Args:
         problem: gives step and limits.
@@ -109,5 +111,7 @@ def command_of(problem: Problem, state: State, plan: Plan, step: int = 0) -> Com
     size = math.sqrt(rate @ rate)
     if problem.max_rate > 0.0 and size > problem.max_rate:
         rate = rate * (problem.max_rate / size)
-        end = start @ exp(rate * problem.step)
+        planned, end = end, start @ exp(rate * problem.step)
+        if problem.rotation_order == 1 and not problem.floor.exists:
+            fraction *= max(0.0, float(planned[:, 0] @ end[:, 0]))
     return Command(fraction, rate, np.array(end))

@@ -17,7 +17,6 @@ from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.ros.reports import Report
 
 EPOCH = 1_700_000_000 * SECOND
-FRAMES = messages.Frames('odom', 'base_link')
 
 
 class Planner:
@@ -25,12 +24,17 @@ class Planner:
 
     Args:
         parameters: of the planner, by name.
+
+    Attributes:
+        period: how often to plan [s].
     """
 
     def __init__(self, parameters: dict[str, Any]) -> None:
         settings = planner_settings({row.name: row.default for row in PLANNER} | parameters)
         self._inbox = Inbox(settings)
         self._ticker = Ticker(*prepared(settings), simulated=True)
+        self._frames = messages.Frames('odom', 'base_link', settings.frames.thrust_axis)
+        self.period = settings.period
 
     def goal(self, now: float, place: np.ndarray) -> None:
         """Hear where the goal is at a time [s]."""
@@ -59,7 +63,7 @@ class Planner:
         self._inbox.take(topic, message, now, self._ros(now))
 
     def _stamp(self, now: float) -> messages.Stamp:
-        return messages.Stamp(self._ros(now).nanoseconds, FRAMES)
+        return messages.Stamp(self._ros(now).nanoseconds, self._frames)
 
     @staticmethod
     def _ros(now: float) -> RosTime:

@@ -1,0 +1,90 @@
+"""The vehicles that the documentation sets up, flown with lags, wind and faults."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from continuous import Craft, at_rest, flown, turned
+
+from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.loop.odometry import Odometry
+
+pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
+
+PAGE = Path(__file__).parents[1] / 'docs' / 'vehicles.md'
+BLOCK = re.compile(r'^```yaml\n(.*?)^```', re.DOTALL | re.MULTILINE)
+needs_machine_code = pytest.mark.skipif(not COMPILED, reason='takes minutes without numba')
+
+
+def recipe(name):
+    """The parameters that the page gives under a heading that begins so."""
+    (section,) = (each for each in PAGE.read_text().split('\n## ') if name in each.splitlines()[0])
+    (text,) = BLOCK.findall(section)
+    return yaml.safe_load(text)['/**/planner']['ros__parameters']
+
+
+def flight(parameters, craft, motion, goal, seconds, band=0.0):
+    """Motions at every tick, with the commands, of a vehicle that sets off from a motion."""
+    from onboard import Planner
+
+    planner, log = Planner(parameters), []
+    for k in range(round(seconds / planner.period)):
+        now = k * planner.period
+        velocity = motion.velocity
+        if parameters.get('velocity_source') == 'air':
+            velocity = velocity - craft.blown
+        seen = motion.attitude.T @ velocity
+        planner.goal(now, goal(now))
+        planner.odometry(now, Odometry(now, motion.position, motion.attitude, seen, motion.rate))
+        _, report = planner.report(now)
+        command = report.tick.command
+        log.append((now, motion, command, report.tick))
+        wanted = command.speed_fraction
+        held = wanted if wanted * craft.forward >= band else 0.0
+        motion = flown(craft, motion, held, command.body_rate, planner.period)
+    return log
+
+
+@pytest.mark.parametrize('name', ['rover', 'fixed wing', 'multirotor'])
+def test_a_recipe_is_a_vehicle_without_doubts(name):
+    from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
+    from orbimpc_ros.ros.planner.summary import doubts
+
+    given = recipe(name)
+    settings = planner_settings({row.name: row.default for row in PLANNER} | given)
+    assert doubts(settings, given) == []
+
+
+@needs_machine_code
+def test_a_rover_comes_to_rest_at_its_goal_against_a_current():
+    craft = Craft(1.5, False, 0.3, 0.15, 0.93, np.array([0.15, 0.1]), turns=1.5)
+    place = np.array([-6.0, 4.0])
+    log = flight(recipe('rover'), craft, at_rest(plant=craft), lambda now: place, 30.0, band=0.1)
+    late = [motion.position for now, motion, *_ in log if now > 22.0]
+    assert np.max(np.linalg.norm(np.array(late) - place, axis=1)) < 0.15
+
+
+@needs_machine_code
+@pytest.mark.parametrize('course', [0.3, 2.4])
+def test_a_fixed_wing_meets_what_drifts_and_never_flies_too_slowly(course):
+    craft = Craft(15.0, False, 0.8, 0.3, 1.0, np.array([-3.0, 2.0]), turns=0.4363)
+    start = at_rest(heading=course, fraction=0.8, plant=craft)
+    log = flight(recipe('fixed wing'), craft, start, lambda now: [60.0 + now, 30.0 - now], 40.0)
+    away = [np.linalg.norm(motion.position - [60.0 + now, 30.0 - now]) for now, motion, *_ in log]
+    assert min(away) < 3.0
+    assert min(command.speed_fraction for *_, command, _ in log) >= 0.6667
+    assert max(abs(command.body_rate[0]) for *_, command, _ in log) <= 0.4363 * (1.0 + 1e-9)
+
+
+@needs_machine_code
+def test_a_multirotor_hovers_at_its_goal_in_an_unknown_push():
+    craft = Craft(19.6, True, 0.05, 0.05, 0.96, np.array([0.6, -0.4, -9.81]))
+    upright = turned(np.array([0.0, -0.5 * np.pi, 0.0]))  # what pushes is the first axis
+    start = at_rest(3, fraction=0.5)
+    start = type(start)(start.position, start.velocity, upright, start.rate, 0.5)
+    place = np.array([3.0, -2.0, 4.0])
+    log = flight(recipe('multirotor'), craft, start, lambda now: place, 14.0)
+    late = [motion.position for now, motion, *_ in log if now > 10.0]
+    assert np.max(np.linalg.norm(np.array(late) - place, axis=1)) < 0.1
