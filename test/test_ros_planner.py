@@ -1,5 +1,6 @@
 """The planner as a process: what it says while it waits, what it refuses, how it stops."""
 
+import itertools
 import json
 import signal
 import time
@@ -9,8 +10,9 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from geometry_msgs.msg import TwistStamped, WrenchStamped
-from nav_msgs.msg import Odometry
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from nav_msgs.msg import Odometry, Path
 from planners import FRAMES, QUICK, Bench, goal, moving, odometry, told
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
@@ -122,6 +124,30 @@ def test_a_timer_may_be_quicker_than_a_step(launch, observer):
     bench.fly(1.0)
     bench.until(lambda: sum(map(moving, bench.commands)) >= 4, 'commands by the timer')
     assert {told(tick)['fallback'] for tick in bench.ticks} == {''}
+
+
+@pytest.mark.parametrize('order', [1, 2])
+def test_a_dry_run_plans_and_reports_and_commands_nothing(launch, observer, order):
+    node, ticks = observer.node, observer.listen(DiagnosticArray, 'tick')
+    plans = observer.listen(Path, 'plan')
+    senders = [node.create_publisher(Odometry, 'odom', qos())]
+    senders.append(node.create_publisher(PoseStamped, 'goal', qos()))
+    planner = launch('planner', QUICK | {'dry_run': True, 'translation_order': order})
+    observer.until_connected('tick', 'plan')
+    stamps = (0.1 * k for k in itertools.count(1))
+
+    def reported():
+        now = next(stamps)
+        for sender, message in zip(senders, (odometry(now), goal(now)), strict=True):
+            sender.publish(message)
+        return len(plans) >= 3 and len(ticks) >= 3
+
+    observer.until(reported, 'plans')
+    assert told(ticks[-1])['status'] == 'optimal'
+    for topic in ('cmd_vel', 'cmd_thrust', 'rotation'):
+        assert node.count_publishers(topic) == 0
+    assert planner.stop() == 0
+    assert 'commands nothing: a dry run' in planner.output
 
 
 def test_thrust_is_a_force_at_translation_order_2(launch, observer):

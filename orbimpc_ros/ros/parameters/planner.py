@@ -91,6 +91,8 @@ PLANNER: tuple[Row, ...] = (
         'estimated from odometry against what was commanded', choices=DISTURBANCES, live=True),
     Row('goal_prediction', 'hold', 'How the goal is expected to move',
         choices=tuple(FORECASTS), live=True),
+    Row('dry_run', False, 'Whether to plan and report, and command nothing: there is no publisher '
+        'of commands then'),
     Row('odom_timeout', 0.0, 'Odometry older than this is stale; 0 for 0.2 s; at least 1.5 '
         'periods',
         's', 0.0, MAX_DURATION, live=True),
@@ -151,6 +153,7 @@ class PlannerSettings:
         gravity: [m/s^2].
         estimated: whether to estimate what disturbs besides.
         velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
+        dry_run: whether nothing is to be commanded.
         frames: that messages must be in.
     """
 
@@ -176,6 +179,7 @@ class PlannerSettings:
     gravity: float
     estimated: bool
     velocity_source: str
+    dry_run: bool
     frames: Frames
 
 
@@ -217,6 +221,7 @@ def planner_settings(values: Values) -> PlannerSettings:
         gravity=values['gravity'],
         estimated=values['disturbance'] == ESTIMATED,
         velocity_source=values['velocity_source'],
+        dry_run=values['dry_run'],
         frames=frames_of(values),
     )
 

@@ -22,10 +22,10 @@ class Neighbours:
     Args:
         node: whose topics to look at.
         odometry: its subscription to odometry.
-        velocity: its publisher of commands.
+        velocity: its publisher of commands; None if it commands nothing.
     """
 
-    def __init__(self, node: Node, odometry: Subscription, velocity: Publisher) -> None:
+    def __init__(self, node: Node, odometry: Subscription, velocity: Publisher | None) -> None:
         self._node, self._odometry, self._velocity = node, odometry, velocity
         self._rota: list[Any] = []
         self._mismatched: dict[str, str] = {}
@@ -40,6 +40,8 @@ class Neighbours:
     @property
     def rivals(self) -> str:
         """Return that somebody else commands the vehicle as well, in words; empty if nobody."""
+        if self._velocity is None:
+            return ''
         where = self._velocity.topic_name
         count = self._node.count_publishers(where)
         return f'{count} publishers on {where}: the vehicle hears them all' if count > 1 else ''

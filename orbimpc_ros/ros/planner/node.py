@@ -58,7 +58,8 @@ class PlannerNode(Guarded):
         self._inbox = Inbox(self._settings, names)
         self._ticker = Ticker(self._settings, controller, simulated=self._time.simulated)
         self._report: Report | None = None  # on the last tick
-        self._outlet = Outlet(self, thrust=self._settings.problem.translation_order == 2)
+        inertial, dry = self._settings.problem.inertial, self._settings.dry_run
+        self._outlet = Outlet(self, thrust=inertial, dry=dry)
         self._health = Health(self, self._condition, self._counts)
         self._create_subscriptions()
         self._create_timers()
@@ -206,7 +207,8 @@ class PlannerNode(Guarded):
     def _publish(self, stamp: Stamp, report: Report) -> None:
         command, name = report.tick.command, self.get_fully_qualified_name()
         self._outlet.begin(command_messages(self._settings, stamp, command))
-        self._ticker.went_out(command, self._time.seconds)
+        if not self._settings.dry_run:
+            self._ticker.went_out(command, self._time.seconds)
         report = replace(report, binding=prices(report.tick))  # the vehicle did not wait for it
         known = self._inbox.odometry is not None
         self._outlet.add(report_messages(self._settings, stamp, report, name, oriented=known))

@@ -22,12 +22,11 @@ from orbimpc_ros.ros.process import LIFE, Guarded, qos
 from orbimpc_ros.ros.reports import Report, tick_message
 
 KINDS: dict[str, type] = {
-    'cmd_vel': TwistStamped,
-    'rotation': QuaternionStamped,
     'plan': Path,
     'plan_markers': MarkerArray,
     'tick': DiagnosticArray,
 }
+COMMANDS: dict[str, type] = {'cmd_vel': TwistStamped, 'rotation': QuaternionStamped}
 # Who is connected is watched instead: every event handler makes every wait of the node longer.
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 
@@ -73,20 +72,22 @@ class Outlet:
     Args:
         node: that publishes.
         thrust: whether the vehicle is commanded a thrust, too.
+        dry: whether it is commanded nothing at all.
 
     Attributes:
-        velocity: the publisher of ``cmd_vel``.
+        velocity: the publisher of ``cmd_vel``, if there is one.
         at: when something went out last, on the steady clock [s]; -inf before.
     """
 
-    def __init__(self, node: Guarded, thrust: bool) -> None:
-        kinds = KINDS | ({'cmd_thrust': WrenchStamped} if thrust else {})
+    def __init__(self, node: Guarded, thrust: bool, dry: bool) -> None:
+        told = COMMANDS | ({'cmd_thrust': WrenchStamped} if thrust else {})
+        kinds = KINDS if dry else KINDS | told
         self._node = node
         self._publishers: dict[str, Publisher] = {
             topic: node.create_publisher(kind, topic, qos(lease=LIFE), event_callbacks=NO_EVENTS)
             for topic, kind in kinds.items()
         }
-        self.velocity = self._publishers['cmd_vel']
+        self.velocity = self._publishers.get('cmd_vel')
         self.at = -math.inf
         self._last: Mapping[str, Any] = {}
 
@@ -111,5 +112,6 @@ class Outlet:
 
     def _send(self, sent: Mapping[str, Any]) -> None:
         for topic, message in sent.items():
-            self._publishers[topic].publish(message)
+            if topic in self._publishers:  # of commands, none on a dry run
+                self._publishers[topic].publish(message)
         self.at = self._node.steady_now()

@@ -38,6 +38,7 @@ def summary(settings: PlannerSettings, simulated: bool) -> str:
             'time of /clock' if simulated else "the system's time",
             f'goals {_ageing(settings)}',
             f'safe command {_safe_command(settings)}',
+            *(['commands nothing: a dry run'] if settings.dry_run else []),
         )
     )
 

@@ -159,7 +159,7 @@ class Ticker:
     def _estimate(self, odometry: Odometry) -> str:
         """Learn the disturbance from a measurement; return that it is limited, if it is."""
         given, estimator = self._settings.disturbance, self._estimator
-        if estimator is None:
+        if estimator is None or self._settings.dry_run:  # who else commands is not known
             return ''
         estimator.observe(odometry, self._controller.history, given)
         limited = estimator.limit(given)
