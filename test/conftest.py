@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from orbimpc_ros.tool.run.discovery import free
+from orbimpc_ros.tool.run.discovery import claimed
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
@@ -52,7 +52,7 @@ def new_domain() -> int:
     drawn = (
         1 + own + workers * ((13 * os.getpid() + next(_numbers)) % count) for _ in range(count)
     )
-    return next(filter(free, drawn))
+    return next(filter(claimed, drawn))
 
 
 @pytest.fixture

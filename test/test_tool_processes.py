@@ -72,3 +72,24 @@ def test_a_node_obeys_whatever_was_ignored_when_it_was_started(started, number):
     os.kill(pid, number)
     wait_for(lambda: not alive(pid))
     assert f'received {number.name}, stopping' in log.read_text()
+
+
+def test_a_domain_belongs_to_who_claims_it_first_until_that_process_ends(domain):
+    script = 'import sys; from orbimpc_ros.tool.run.discovery import claimed'
+    script += '; print(claimed(int(sys.argv[1])), flush=True); input()'
+
+    def claim(number):
+        words = [sys.executable, '-c', script, str(number)]
+        process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        return process, process.stdout.readline()
+
+    theirs = 102  # beyond those that tests draw from
+    holder, answer = claim(theirs)
+    assert answer == 'True\n'
+    answers = [claim(theirs), claim(domain)]
+    assert [answer for _, answer in answers] == ['False\n', 'False\n']
+    holder.communicate('\n')
+    later = claim(theirs)
+    assert later[1] == 'True\n'
+    for process, _ in (*answers, later):
+        process.communicate('\n')

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import random
 import socket
+from collections import deque
 from pathlib import Path
 
 DOMAINS = range(1, 102)  # beyond them DDS ports meet those that Linux hands out
@@ -20,6 +21,7 @@ PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
 </profiles>
 """
 LOG_VARIABLES = ('ROS_LOG_DIR', 'ROS_HOME')
+_CLAIMS: deque[socket.socket] = deque(maxlen=12)
 PROFILE_VARIABLES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')  # 2.x, 3.x
 
 
@@ -31,7 +33,7 @@ def isolate(folder: Path) -> int:
             folder is needed.
     """
     candidates = random.sample(DOMAINS, len(DOMAINS))
-    domain = next((d for d in candidates if free(d)), candidates[0])
+    domain = next((d for d in candidates if claimed(d)), candidates[0])
     os.environ['ROS_DOMAIN_ID'] = str(domain)
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     profile = folder / 'fastdds.xml'
@@ -41,6 +43,27 @@ def isolate(folder: Path) -> int:
     if not any(os.environ.get(variable) for variable in LOG_VARIABLES):
         os.environ[LOG_VARIABLES[0]] = str(folder / 'log')
     return domain
+
+
+def claimed(domain: int) -> bool:
+    """Return whether a domain is free, and if so keep others of this package from it.
+
+    From the choice of a domain to its first participant takes a while, in which somebody else might
+    choose it as well. A TCP port of the same number as the domain's UDP port, which DDS leaves
+    alone, is held until this process ends or has claimed many more.
+    """
+    if not free(domain):
+        return False
+    claim = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        claim.bind(('127.0.0.1', 7400 + 250 * domain))
+    except OSError:
+        claim.close()
+        return False
+    if len(_CLAIMS) == _CLAIMS.maxlen:
+        _CLAIMS.popleft().close()
+    _CLAIMS.append(claim)
+    return True
 
 
 def free(domain: int) -> bool:
