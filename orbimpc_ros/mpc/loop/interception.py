@@ -7,7 +7,8 @@ problem of k steps asks for the least miss |s_k - g_k|, and next to nothing else
 
 with r so small that the inputs of no trajectory cost more than a share of the squared radius.
 Whatever catches the goal at step k then costs at most (1 + share) radius^2: a greater lower bound
-proves that nothing does. The first step whose plan comes well within the radius is aimed at.
+proves that nothing does. The first step whose plan comes well within the radius is aimed at, or
+else the one whose plan comes closest, if that is within the radius.
 
 Where no step of the horizon has a catch, one is looked for beyond it, by as many steps that are
 longer. A vehicle that cannot stop finds so the way out and back to a goal inside its smallest
@@ -22,6 +23,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -128,70 +131,89 @@ class Interception:
     def earliest(self, hunt: Hunt) -> tuple[Plan | None, Catch]:
         """Return the plan of the earliest catch, if one is found, and how early one can be."""
         kept = self._kept(hunt)  # first of all: time may run out
-        bound, excluded = 1, True
+        bound, excluded, best = 1, True, MISSED
         for end in range(1, self._horizon + 1):
-            plan, never = self._tried(hunt, end)
-            if plan is not None:
-                return plan, Catch(self._step * end, self._step * bound)
-            excluded = excluded and never
+            attempt = self._tried(hunt, end)
+            best = min(best, attempt, key=_miss)
+            if best.miss <= AIM * self._radius:
+                break
+            excluded = excluded and attempt.never
             bound = end + 1 if excluded else bound
-        if kept is not None:
-            plan, end = self._sooner(hunt, kept, hunt.expected)
-        else:
-            plan, end = self._beyond(hunt)
-        caught = math.nan if plan is None else self._step * end
-        return plan, Catch(caught, self._step * bound)
+        if best.miss > self._radius:  # not even nearly
+            best = self._sooner(hunt, kept) if kept.plan else self._beyond(hunt)
+        caught = self._step * best.end if best.plan else math.nan
+        return best.plan, Catch(caught, self._step * bound)
 
-    def _kept(self, hunt: Hunt) -> Plan | None:
-        """Return a plan that catches the goal past the horizon when it was to be caught so far."""
+    def _kept(self, hunt: Hunt) -> _Attempt:
+        """Try to catch the goal past the horizon when it was to be caught so far."""
         awaited = self._horizon < hunt.expected <= hunt.farthest
-        return self._tried(hunt, hunt.expected)[0] if awaited else None
+        return self._surely(hunt, hunt.expected) if awaited else MISSED
 
-    def _beyond(self, hunt: Hunt) -> tuple[Plan | None, int]:
-        """Return a plan that catches the goal past the horizon, and when.
+    def _beyond(self, hunt: Hunt) -> _Attempt:
+        """Try to catch the goal past the horizon.
 
         How much later than so far is doubled until a catch is found, and then halved.
         """
         missed = max(self._horizon, min(hunt.expected, hunt.farthest))
         for end in _doubling(missed, hunt.farthest):
-            plan, _ = self._tried(hunt, end)
-            if plan is not None:
-                return self._between(hunt, missed, plan, end)
+            found = self._surely(hunt, end)
+            if found.plan is not None:
+                return self._between(hunt, missed, found)
             missed = end
-        return None, 0
+        return MISSED
 
-    def _sooner(self, hunt: Hunt, plan: Plan, end: int) -> tuple[Plan, int]:
-        """Return the plan of an end before this one, by twice as much each time, or the given."""
+    def _sooner(self, hunt: Hunt, found: _Attempt) -> _Attempt:
+        """Return a sooner catch than the one found, by twice as much each time, if there is one."""
         for away in (1, 2, 4, 8):
-            sooner = self._tried(hunt, end - away)[0] if end - away > self._horizon else None
-            if sooner is None:
+            sooner = self._surely(hunt, max(self._horizon, found.end - away))
+            if sooner.plan is None:
                 break
-            plan, end = sooner, end - away
-        return plan, end
+            found = sooner
+        return found
 
-    def _between(self, hunt: Hunt, missed: int, plan: Plan, end: int) -> tuple[Plan, int]:
-        """Return the plan of the first end that is found by halving, or the given."""
-        while end - missed > 1:
-            middle = (missed + end) // 2
-            sooner, _ = self._tried(hunt, middle)
-            if sooner is None:
+    def _between(self, hunt: Hunt, missed: int, found: _Attempt) -> _Attempt:
+        """Return the first catch that halving finds between a miss and a catch."""
+        while found.end - missed > 1:
+            middle = (missed + found.end) // 2
+            sooner = self._surely(hunt, middle)
+            if sooner.plan is None:
                 missed = middle
             else:
-                plan, end = sooner, middle
-        return plan, end
+                found = sooner
+        return found
 
-    def _tried(self, hunt: Hunt, end: int) -> tuple[Plan | None, bool]:
-        """Return a plan that catches the goal at an end, or whether it is proved that none does."""
+    def _surely(self, hunt: Hunt, end: int) -> _Attempt:
+        """Try to come well within the radius at an end past the horizon."""
+        attempt = self._tried(hunt, end) if end > self._horizon else MISSED
+        return attempt if attempt.miss <= AIM * self._radius else MISSED
+
+    def _tried(self, hunt: Hunt, end: int) -> _Attempt:
+        """Try to catch the goal at an end."""
         goals = hunt.goals(end)
         coasted = drift(self.problem(end), hunt.state)[-1]
         if np.linalg.norm(goals[-1] - coasted) > self._reach[end - 1] + self._radius:
-            return None, True  # too far away, whatever the headings
+            return MISSED._replace(never=True)  # too far away, whatever the headings
         plan = None if hunt.late() else hunt.solved(end, goals)
         if plan is None:
-            return None, False
-        if np.linalg.norm(plan.positions[-1] - goals[-1]) <= AIM * self._radius:
-            return plan, False
-        return None, plan.lower_bound > self.enough(end).bound
+            return MISSED
+        miss = float(np.linalg.norm(plan.positions[-1] - goals[-1]))
+        return _Attempt(plan, end, miss, plan.lower_bound > self.enough(end).bound)
+
+
+class _Attempt(NamedTuple):
+    """A plan that comes as close to the goal at an end as was found, and whether none catches it.
+
+    Without a plan, it misses by infinity, and the end is 0.
+    """
+
+    plan: Plan | None = None
+    end: int = 0
+    miss: float = math.inf
+    never: bool = False
+
+
+MISSED = _Attempt()
+_miss = attrgetter('miss')
 
 
 def _farthest(problem: Problem) -> int:
