@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import airframe
+import jobs
 import missions
 import numpy as np
 from airframe import Airframe, Motion
@@ -286,20 +287,22 @@ def arguments() -> argparse.Namespace:
     parser.add_argument('--first', type=int, default=0, help='index of the first flight')
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--jobs', type=int, default=1, help='flights at a time')
-    parser.add_argument('--mission', choices=missions.MISSIONS, help='a configuration and its job')
+    parser.add_argument('--mission', choices=jobs.MISSIONS, help='a configuration and its job')
     parser.add_argument('--at-least', type=float, default=0.0, help='share of jobs to be done')
     parser.add_argument('--set', action='append', default=[], metavar='NAME=VALUE')
+    parser.add_argument('--patient', action='store_true', help='solves have no deadline')
     parser.add_argument('--out', type=Path, help='default: out/<mission or flights>-<seed>.jsonl')
     args = parser.parse_args()
-    if not args.mission and (args.set or args.at_least):
-        parser.error('--set and --at-least need a --mission')
+    if not args.mission and (args.set or args.at_least or args.patient):
+        parser.error('--set, --at-least and --patient need a --mission')
     return args
 
 
 def flight_of(args: argparse.Namespace) -> Callable[[int], dict[str, Any]]:
     """What flies the flight of an index."""
     if args.mission:
-        return partial(missions.row, args.mission, args.seed, changes=tuple(args.set))
+        known = {'changes': tuple(args.set), 'patient': args.patient}
+        return partial(missions.row, args.mission, args.seed, **known)
     return partial(row, args.seed)
 
 

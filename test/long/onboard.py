@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,6 @@ from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.ros.reports import Report
 
 EPOCH = 1_700_000_000 * SECOND
-FRAMES = messages.Frames('odom', 'base_link')
 
 
 class Planner:
@@ -25,11 +26,14 @@ class Planner:
 
     Args:
         parameters: of the planner, by name.
+        patient: whether solves have no deadline.
     """
 
-    def __init__(self, parameters: dict[str, Any]) -> None:
+    def __init__(self, parameters: dict[str, Any], *, patient: bool = False) -> None:
         settings = planner_settings({row.name: row.default for row in PLANNER} | parameters)
-        self._inbox = Inbox(settings)
+        if patient:
+            settings = replace(settings, deadline=math.inf)
+        self._inbox, self._frames = Inbox(settings), settings.frames
         self._ticker = Ticker(*prepared(settings), simulated=True)
 
     def goal(self, now: float, place: np.ndarray) -> None:
@@ -59,7 +63,7 @@ class Planner:
         self._inbox.take(topic, message, now, self._ros(now))
 
     def _stamp(self, now: float) -> messages.Stamp:
-        return messages.Stamp(self._ros(now).nanoseconds, FRAMES)
+        return messages.Stamp(self._ros(now).nanoseconds, self._frames)
 
     @staticmethod
     def _ros(now: float) -> RosTime:
