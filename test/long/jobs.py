@@ -34,9 +34,7 @@ class Mission:
     drawn: Callable[[np.random.Generator, Values], Values]
 
 
-def drawn(
-    name: str, seed: int, index: int, changes: Sequence[str] = ()
-) -> tuple[Values, Values]:
+def drawn(name: str, seed: int, index: int, changes: Sequence[str] = ()) -> tuple[Values, Values]:
     """Return the values of a mission's flight, and of these what was drawn.
 
     Args:
@@ -133,15 +131,21 @@ def _turned(heading: float) -> tuple[float, float, float, float]:
 CONTINUOUS = ('vehicle=continuous', 'discretisation=exact')
 LEARNING = (*CONTINUOUS, 'disturbance=estimated')
 HELD = ('finish=arrival', 'weights.scaling=time', 'weights.position=1.0', 'weights.terminal=10.0')
+TRACKING = ('discretisation=exact', 'objective=track', 'finish=arrival', 'max_ticks=240')
 MULTIROTOR = (
     *('rotation_order=1', 'thrust_axis=z', 'gravity=9.81', 'forward=20.0', 'step=0.2'),
     *('horizon=20', 'horizon_mode=receding', 'terminal=penalty', 'max_ticks=100'),
-    *('weights.input=1.0', 'weights.length=0.0', 'max_rate=4.0', 'start.orientation=[0.0, 0.0, 0.0, 1.0]'),
+    *(
+        'weights.input=1.0',
+        'weights.length=0.0',
+        'max_rate=4.0',
+        'start.orientation=[0.0, 0.0, 0.0, 1.0]',
+    ),
     *('response.speed=0.1', 'response.rate=0.1'),
 )
 MISSIONS = {
     'fixed_wing': Mission('fixed_wing', (), _fixed_wing),
-    'tracking': Mission('fixed_wing', ('objective=track', 'finish=arrival'), _tracking),
+    'tracking': Mission('fixed_wing', TRACKING, _tracking),
     'hover': Mission('spacecraft', (*LEARNING, *HELD, *MULTIROTOR), _hover),
     'spacecraft': Mission(
         'spacecraft',

@@ -35,8 +35,7 @@ class Tally:
 
     Attributes:
         roads: commands by the road that they came.
-        unproved: plans that are not proved optimal.
-        gaps: of these.
+        gaps: of plans that are not proved optimal.
         solved: what ticks took [ms].
         slowest, fastest: least and largest share of full speed or thrust that was commanded.
         turned: largest rate that was commanded [rad/s].
@@ -45,7 +44,6 @@ class Tally:
     """
 
     roads: Counter[str] = field(default_factory=Counter)
-    unproved: int = 0
     gaps: list[float] = field(default_factory=list)
     solved: list[float] = field(default_factory=list)
     slowest: float = math.inf
@@ -60,15 +58,37 @@ class Tally:
         return float(np.mean(self.distances[len(self.distances) // 2 :]))
 
     def note(self, road: str, report: Report) -> None:
+        """Note a tick, and the road that its command came."""
         tick = report.tick
-        self.roads[road] += 1
-        self.slowest = min(self.slowest, tick.command.speed_fraction)
-        self.fastest = max(self.fastest, tick.command.speed_fraction)
-        self.turned = max(self.turned, float(np.linalg.norm(tick.command.body_rate)))
-        self.solved.append(report.solve_time_ms)
+        self.sent(tick.command.speed_fraction, tick.command.body_rate)
+        self.ticked(road, report.solve_time_ms)
         if tick.plan is not None and tick.status is not Status.OPTIMAL:
-            self.unproved += 1
             self.gaps.append(tick.plan.gap)
+
+    def sent(self, fraction: float, body_rate: Sequence[float] | np.ndarray) -> None:
+        """Note a command: its share of full speed or thrust, and its body rate [rad/s]."""
+        self.slowest = min(self.slowest, fraction)
+        self.fastest = max(self.fastest, fraction)
+        self.turned = max(self.turned, float(np.linalg.norm(body_rate)))
+
+    def ticked(self, road: str, solved: float) -> None:
+        """Note the road that a command came, and what its tick took [ms]."""
+        self.roads[road] += 1
+        self.solved.append(solved)
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """What the record of a flight says of its ticks."""
+        return {
+            'offset': self.offset,
+            'turned': self.turned,
+            'ticks': sum(self.roads.values()),
+            'roads': dict(self.roads),
+            'unproved': len(self.gaps),
+            'gap': float(np.median(self.gaps)) if self.gaps else 0.0,
+            'p50_ms': float(np.median(self.solved)),
+            'p99_ms': float(np.percentile(self.solved, 99)),
+        }
 
 
 def row(
@@ -87,7 +107,6 @@ def row(
     simulated = sim_settings(settings.of_sim(values))
     begun = time.perf_counter()
     flight, airspeeds, tally = flown(Planner(values, patient=patient), simulated)
-    solved = np.array(tally.solved)
     return {
         'mission': name,
         'seed': seed,
@@ -96,17 +115,10 @@ def row(
         'when': flight.missed_at - flight.scenario.start.time if flight.captured else None,
         'miss': tally.miss if flight.scenario.finish == 'capture' else flight.distance,
         'speed': flight.speed,
-        'offset': tally.offset,
         'least_airspeed': airspeeds.least,
         'stalls': airspeeds.stalls,
-        'turned': tally.turned,
-        'broken': broken(values, tally),
-        'ticks': flight.ticks,
-        'roads': dict(tally.roads),
-        'unproved': tally.unproved,
-        'gap': float(np.median(tally.gaps)) if tally.gaps else 0.0,
-        'p50_ms': float(np.median(solved)),
-        'p99_ms': float(np.percentile(solved, 99)),
+        'broken': broken(values, tally, airspeeds.stalls),
+        **tally.record,
         'seconds': time.perf_counter() - begun,
         'drawn': drawn,
     }
@@ -140,8 +152,8 @@ def tell(planner: Planner, flight: Flight, ahead: int) -> None:
     planner.odometry(now, odometry)
 
 
-def broken(values: Values, tally: Tally) -> list[str]:
-    """Which limits of the planner its commands have broken."""
+def broken(values: Values, tally: Tally, stalls: int) -> list[str]:
+    """Which limits of the planner its commands have broken, and whether the vehicle stalled."""
     least = values['floor.fraction'] if values['floor.shape'] != 'none' else 0.0
     found = []
     if tally.slowest < least * (1.0 - ROUNDING):
@@ -150,6 +162,8 @@ def broken(values: Values, tally: Tally) -> list[str]:
         found.append('above full speed')
     if values['max_rate'] and tally.turned > values['max_rate'] * (1.0 + ROUNDING):
         found.append('beyond max_rate')
+    if stalls:
+        found.append('stalled')
     return found
 
 
