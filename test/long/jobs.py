@@ -107,10 +107,10 @@ def _car(rng: np.random.Generator, values: Values) -> Values:
 def _retrieval(rng: np.random.Generator, values: Values) -> Values:
     """A rope some 5 s away that swings by half a second's flight, half a minute to catch it."""
     full, step = values['forward'], values['step']
-    middle = full * (np.array([5.0, 0.0, 0.0]) + (*rng.uniform(-1.0, 1.0, size=2), 0.0))
+    along, across = rng.uniform(-1.0, 1.0, size=2)
     return {
         'start.orientation': _turned(rng.uniform(-math.pi, math.pi)),
-        'rope.center': tuple(middle.tolist()),
+        'rope.center': ((5.0 + along) * full, across * full, 0.0),
         'rope.amplitude': (0.5 * full, 0.5 * full, 0.0),
         'rope.frequency': rng.uniform(0.07, 0.15),
         'rope.phase': (*rng.uniform(0.0, 2.0 * math.pi, size=2).tolist(), 0.0),
