@@ -14,6 +14,7 @@ import numpy as np
 
 from orbimpc_ros.lab.bench.instances import SEED, Instance
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.loop.response import Response
@@ -22,7 +23,7 @@ from orbimpc_ros.world.plant import Plant
 from orbimpc_ros.world.rope import Rope
 from orbimpc_ros.world.vehicle import Vehicle, launched, measured
 
-SECONDS = 20.0  # of each flight
+CIRCLING, CROSSING = 20.0, 4.0  # [s] of each flight
 GRAVITY = np.array([0.0, 0.0, -9.81])  # [m/s^2]
 UP = exp(np.array([0.0, -0.5 * math.pi, 0.0]))  # the thrust axis points upwards
 SHORT = 8  # steps that a pilot looks ahead who is not to be slow
@@ -34,12 +35,12 @@ def winged(problem: Problem, count: int) -> list[Instance]:
     It lags behind its commands, and its goals are slower than it can fly: after the approach it
     circles. Every flight has a wind and a goal of its own.
     """
-    return _of_flights(problem, count, _wing)
+    return _of_flights(problem, count, _wing, CIRCLING)
 
 
 def rotored(problem: Problem, count: int) -> list[Instance]:
     """Return consecutive ticks of multirotors that fly among boxes to places behind them."""
-    return _of_flights(problem, count, _multirotor)
+    return _of_flights(problem, count, _multirotor, CROSSING)
 
 
 def landings(problem: Problem, count: int) -> list[Instance]:
@@ -58,8 +59,8 @@ def landings(problem: Problem, count: int) -> list[Instance]:
 def spread(count: int) -> tuple[Box, ...]:
     """Return boxes in space, in the way of whoever flies 10 m along x, the same for every count."""
     rng = np.random.default_rng(SEED)
-    middles = rng.uniform([2.0, -1.5, -1.5], [8.0, 1.5, 1.5], size=(16, 3))
-    half = rng.uniform(0.3, 0.7, size=(16, 3))
+    middles = rng.uniform([1.5, -0.8, -1.6], [8.0, 0.8, 0.4], size=(16, 3))
+    half = rng.uniform(0.4, 1.0, size=(16, 3))
     return tuple(Box(m - d, m + d) for m, d in zip(middles[:count], half[:count], strict=True))
 
 
@@ -67,11 +68,12 @@ def _of_flights(
     problem: Problem,
     count: int,
     departure: Callable[[Problem, np.random.Generator], tuple[Plant, Vehicle, Rope]],
+    seconds: float,
 ) -> list[Instance]:
     rng, found = np.random.default_rng(SEED), list[Instance]()
     while len(found) < count:
         flown = _flown(problem, *departure(problem, rng))
-        found += islice(flown, min(count - len(found), round(SECONDS / problem.step)))
+        found += islice(flown, min(count - len(found), round(seconds / problem.step)))
     return found
 
 
@@ -85,6 +87,8 @@ def _flown(problem: Problem, plant: Plant, vehicle: Vehicle, goal: Rope) -> Iter
         velocity_source=plant.velocity_source,
         response=Response(plant.speed_lag, plant.rate_lag),
     )
+    now = Command(vehicle.fraction, np.zeros(plant.rates), vehicle.attitude)
+    controller.history.add(now, vehicle.time)  # odometry does not show a thrust
     ahead = problem.step * np.arange(1.0, problem.horizon + 1.0)
     while True:
         odometry = controller.settled(measured(vehicle, plant.velocity_source))

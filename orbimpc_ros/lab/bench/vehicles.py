@@ -19,8 +19,8 @@ from orbimpc_ros.mpc.problem.scaling import weighed
 FULL, RATE = 15.0, 0.4363  # [m/s], [rad/s] of the wing in config/fixed_wing.yaml
 ROUND, OCTAGON = Floor('circle', fraction=2.0 / 3.0), Floor('polygon', 8, 2.0 / 3.0)
 EVERYBODY = (GUROBI, SCIP, IPOPT)
-# As the configurations of such vehicles have them.
-MULTIROTOR, LANDER = Weights(1.0, 1.0, 0.0, 10.0), Weights(0.0, 1.0, 1.0, 0.0)
+# Turning costs a multirotor, and fuel a lander, whose thrust then keeps to its limits.
+MULTIROTOR, LANDER = Weights(1.0, 1.0, 0.0, 10.0), Weights(0.0, 0.01, 1.0, 0.0)
 
 
 def _wing(
