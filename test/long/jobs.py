@@ -41,11 +41,16 @@ def drawn(name: str, seed: int, index: int, changes: Sequence[str] = ()) -> tupl
         name: of the mission.
         seed: with ``index``, of everything that is drawn.
         index: of the flight.
-        changes: ``name=value``, of the configuration.
+        changes: ``name=value``, of the configuration; what they name is not drawn.
     """
     mission = MISSIONS[name]
     values = settings.resolve(config(f'{mission.file}.yaml'), [*mission.told, *changes])
-    found = mission.drawn(np.random.default_rng([seed, index]), values)
+    fixed = {change.partition('=')[0] for change in changes}
+    found = {
+        parameter: value
+        for parameter, value in mission.drawn(np.random.default_rng([seed, index]), values).items()
+        if parameter not in fixed and parameter.removeprefix(settings.OF_SIM) not in fixed
+    }
     return values | found, found
 
 
