@@ -86,7 +86,7 @@ def test_with_a_scaled_retrieval_lengths_grow_with_the_speed(missions):
     assert slow['max_ticks'] == fast['max_ticks'] == 300
 
 
-def test_a_patient_planner_has_no_deadline(missions):
+def test_a_patient_planner_takes_its_time(missions):
     """With a millionth of a second for a solve no plan is proved, but by one that may wait."""
     hurried = ('max_ticks=3', 'deadline=0.000001')
     proved = {

@@ -290,7 +290,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument('--mission', choices=jobs.MISSIONS, help='a configuration and its job')
     parser.add_argument('--at-least', type=float, default=0.0, help='share of jobs to be done')
     parser.add_argument('--set', action='append', default=[], metavar='NAME=VALUE')
-    parser.add_argument('--patient', action='store_true', help='solves have no deadline')
+    parser.add_argument('--patient', action='store_true', help='a solve may take a minute')
     parser.add_argument(
         '--over',
         choices=('process', 'dds'),

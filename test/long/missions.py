@@ -101,7 +101,7 @@ def row(
         seed: with ``index``, of what is drawn.
         index: of the flight.
         changes: ``name=value``, of the configuration.
-        patient: whether solves have no deadline, so that the machine's load does not count.
+        patient: whether a solve may take a minute, so that the machine's load hardly counts.
     """
     values, drawn = jobs.drawn(name, seed, index, changes)
     simulated = sim_settings(settings.of_sim(values))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -18,6 +17,7 @@ from orbimpc_ros.ros.planner.inbox import Inbox
 from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.ros.reports import Report
 
+PATIENCE = 60.0  # [s]
 EPOCH = 1_700_000_000 * SECOND
 
 
@@ -26,13 +26,13 @@ class Planner:
 
     Args:
         parameters: of the planner, by name.
-        patient: whether solves have no deadline.
+        patient: whether a solve may take a minute.
     """
 
     def __init__(self, parameters: dict[str, Any], *, patient: bool = False) -> None:
         settings = planner_settings({row.name: row.default for row in PLANNER} | parameters)
         if patient:
-            settings = replace(settings, deadline=math.inf)
+            settings = replace(settings, deadline=PATIENCE)
         self._inbox, self._frames = Inbox(settings), settings.frames
         self._ticker = Ticker(*prepared(settings), simulated=True)
 
