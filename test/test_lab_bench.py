@@ -9,10 +9,12 @@ import pytest
 from problems import reference
 
 from orbimpc_ros.lab import bench
-from orbimpc_ros.lab.bench import contests, picture, table
+from orbimpc_ros.lab.bench import contest as parts
+from orbimpc_ros.lab.bench import picture, table
 from orbimpc_ros.lab.bench.contenders.contender import Declined, Solution
 from orbimpc_ros.lab.bench.contenders.planar import CondensedPlanar
-from orbimpc_ros.lab.bench.contests import CONTESTS, CVXPY, GUROBI, IPOPT, SCIP
+from orbimpc_ros.lab.bench.contest import CVXPY, GUROBI, IPOPT, SCIP
+from orbimpc_ros.lab.bench.contests import CONTESTS
 from orbimpc_ros.lab.bench.duel import OURS, Samples, duel
 from orbimpc_ros.lab.bench.rows import LATE, BenchRow, growth, of_duel
 from orbimpc_ros.mpc.solve.solver import Solver
@@ -31,8 +33,8 @@ def contest(key):
 def solved(key, name, count=2):
     """The objectives of a contender on the first instances; skips where it is not installed."""
     each = contest(key)
-    if name in contests.PACKAGES:
-        pytest.importorskip(contests.PACKAGES[name])
+    if name in parts.PACKAGES:
+        pytest.importorskip(parts.PACKAGES[name])
     contender = each.contender(name, 600.0)  # [s]: on a busy machine too
     answers = []
     for instance in each.instances(each.problem, count):

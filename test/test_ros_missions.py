@@ -1,6 +1,7 @@
 """Missions: configurations flown in process on the simulator's vehicle in continuous time."""
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -17,12 +18,15 @@ def missions():
     return missions
 
 
-@pytest.mark.parametrize('name', ['fixed_wing', 'spacecraft'])
+NAMES = ['fixed_wing', 'tracking', 'hover', 'spacecraft', 'car', 'retrieval']
+
+
+@pytest.mark.parametrize('name', NAMES)
 def test_a_mission_is_one_line_and_its_commands_keep_their_limits(missions, name):
     flown = json.loads(json.dumps(missions.row(name, 1, 0, SHORT)))
     assert flown['broken'] == []
     assert flown['stalls'] == 0
-    assert sum(flown['roads'].values()) == flown['ticks'] == 8
+    assert 1 < sum(flown['roads'].values()) == flown['ticks'] <= 8
     assert flown['drawn'] == json.loads(json.dumps(missions.row(name, 1, 0, SHORT)))['drawn']
     assert flown['drawn'] != json.loads(json.dumps(missions.row(name, 1, 1, SHORT)))['drawn']
 
@@ -31,12 +35,12 @@ def test_what_is_drawn_is_not_told_to_the_planner(missions):
     """It hears of its surroundings by odometry and goals alone: the wind moves it all the same."""
     from onboard import Planner
 
-    from orbimpc_ros.ros.parameters import sim_settings
+    from orbimpc_ros.ros.parameters import planner_settings, sim_settings
     from orbimpc_ros.tool.io import settings
-    from orbimpc_ros.tool.io.share import config
 
-    values = settings.resolve(config('fixed_wing.yaml'), SHORT)
-    assert values['wind'] == (0.0, 0.0, 0.0)
+    values, drawn = missions.jobs.drawn('fixed_wing', 1, 0, SHORT)
+    assert np.linalg.norm(drawn['sim.wind']) > 0.1
+    assert not planner_settings(values).disturbance.any()
     ends = {}
     for wind in ((0.0, 0.0, 0.0), (0.0, 4.0, 0.0)):
         told = settings.of_sim(values) | {'wind': wind, 'gust': 0.0}
@@ -49,12 +53,62 @@ def test_what_is_drawn_is_not_told_to_the_planner(missions):
 def test_each_limit_is_judged(missions):
     values = {'floor.shape': 'circle', 'floor.fraction': 0.5, 'max_rate': 0.4}
 
-    def found(**changes):
+    def found(stalls=0, **changes):
         fine = {'slowest': 0.5, 'fastest': 1.0, 'turned': 0.4}
-        return missions.broken(values, missions.Tally(**(fine | changes)))
+        return missions.broken(values, missions.Tally(**(fine | changes)), stalls)
 
     assert found() == []
     assert found(slowest=0.499) == ['below the floor']
     assert found(fastest=1.001) == ['above full speed']
     assert found(turned=0.401) == ['beyond max_rate']
-    assert missions.broken(values | {'floor.shape': 'none'}, missions.Tally()) == []
+    assert found(stalls=1) == ['stalled']
+    assert missions.broken(values | {'floor.shape': 'none'}, missions.Tally(), 0) == []
+
+
+def test_what_is_set_is_not_drawn(missions):
+    known = missions.jobs.drawn
+    values, drawn = known('fixed_wing', 1, 0, ('sim.wind=[1.0, 0.0, 0.0]', 'gust=0.0'))
+    assert (values['sim.wind'], values['gust']) == ((1.0, 0.0, 0.0), 0.0)
+    assert not {'sim.wind', 'gust'} & drawn.keys()
+    told, _ = known('fixed_wing', 1, 0, ('wind=[1.0, 0.0, 0.0]',))
+    assert 'sim.wind' not in told
+    assert drawn['seed'] == known('fixed_wing', 1, 0)[1]['seed']
+
+
+def test_with_a_scaled_retrieval_lengths_grow_with_the_speed(missions):
+    """In steps of another length or at another speed the job is the same one."""
+    slow, fast = (
+        missions.jobs.drawn('retrieval', 1, 0, (f'forward={speed}', 'step=0.1', 'deadline=0.02'))[1]
+        for speed in (1.0, 50.0)
+    )
+    for name in ('rope.center', 'rope.amplitude', 'capture_radius'):
+        np.testing.assert_allclose(fast[name], 50.0 * np.array(slow[name]))
+    assert slow['max_ticks'] == fast['max_ticks'] == 300
+
+
+def test_a_patient_planner_takes_its_time(missions):
+    """With a millionth of a second for a solve no plan is proved, but by one that may wait."""
+    hurried = ('max_ticks=3', 'deadline=0.000001')
+    proved = {
+        patient: missions.row('fixed_wing', 1, 0, hurried, patient=patient)['unproved'] == 0
+        for patient in (False, True)
+    }
+    assert proved == {False: False, True: True}
+
+
+def test_over_dds_the_nodes_are_judged_by_what_they_have_said(missions, tmp_path, monkeypatch):
+    """The same flight as in process, by two processes that know it from parameters alone."""
+    import over_dds
+
+    for name in ('ROS_DOMAIN_ID', 'ROS_LOG_DIR', 'ROS_AUTOMATIC_DISCOVERY_RANGE'):
+        monkeypatch.setenv(name, os.environ.get(name, ''))  # a flight isolates its process
+    patient = ('max_ticks=6', 'deadline=0.25')
+    flown = over_dds.row('fixed_wing', 1, 0, patient, folder=tmp_path)
+    alone = missions.row('fixed_wing', 1, 0, patient)
+    assert flown['broken'] == []
+    assert flown['drawn'] == alone['drawn']
+    assert 10.0 * (1.0 - 1e-6) <= flown['least_airspeed'] <= 15.0
+    assert sum(flown['roads'].values()) == flown['ticks'] >= 6
+    assert 0.0 < flown['turned'] <= 0.4363 * (1.0 + 1e-6)
+    assert (tmp_path / 'fixed_wing-1-0' / 'bag').is_dir()
+    assert flown.keys() == alone.keys()

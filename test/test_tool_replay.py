@@ -16,6 +16,7 @@ pytest.importorskip('rclpy')
 
 from rclpy.serialization import deserialize_message, serialize_message
 
+from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause
 from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.tool import cli
@@ -24,7 +25,10 @@ from orbimpc_ros.tool.replay.difference import Tolerances, comparisons
 from orbimpc_ros.tool.replay.recording import Published, published, recording_of
 from orbimpc_ros.tool.replay.resolving import replayed
 
-FLIGHTS = ('retrieval', 'dubins', 'spacecraft', 'obstacles', 'disturbed', 'faulty')
+FLIGHTS = (
+    *('retrieval', 'dubins', 'spacecraft', 'obstacles'),
+    *('disturbed', 'faulty', 'fixed_wing'),
+)
 RETRIEVAL = GOLDEN / 'retrieval'
 
 
@@ -60,7 +64,14 @@ def without(*topics):
 # --- golden bags
 
 
-@pytest.mark.parametrize('name', FLIGHTS)
+def quickly(name):
+    """A flight of that name, marked where plain Python would search for minutes."""
+    reason = 'searched for minutes in plain Python: pip install numba'
+    slow = name == 'fixed_wing' and not COMPILED
+    return pytest.param(name, marks=pytest.mark.skipif(slow, reason=reason))
+
+
+@pytest.mark.parametrize('name', map(quickly, FLIGHTS))
 def test_a_golden_bag_is_answered_as_it_was(replay, name):
     code, out, err = replay(GOLDEN / name)
     assert code == 0, out + err
@@ -78,6 +89,8 @@ def test_golden_bags_hold_what_they_are_for():
     assert any(a.fallback == 'soft arrival' for a in answers['disturbed'])
     assert any(not a.solved and a.reason == 'disabled' for a in answers['faulty'])
     assert all(a.force is not None for a in answers['spacecraft'])
+    assert all(a.status == 'optimal' for a in answers['fixed_wing'])
+    assert any(each.topic == 'goal_path' for each in recording_of(GOLDEN / 'fixed_wing').inputs)
     assert max(f.stat().st_size for f in GOLDEN.rglob('*.mcap')) < 100_000
 
 

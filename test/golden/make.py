@@ -14,6 +14,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+from nav_msgs.msg import Path as GoalPath
 from rosgraph_msgs.msg import Clock
 
 from orbimpc_ros.mpc.loop.odometry import Odometry
@@ -29,7 +30,7 @@ from orbimpc_ros.tool.io.topics import TYPES, topics_of
 from orbimpc_ros.tool.replay.accept import serialised
 from orbimpc_ros.tool.replay.offline import OfflinePlanner
 from orbimpc_ros.world.faults import View
-from orbimpc_ros.world.flight import departure
+from orbimpc_ros.world.flight import Flight, departure
 
 FLIGHTS = {
     'retrieval': ('retrieval', ()),
@@ -48,6 +49,7 @@ FLIGHTS = {
             'faults.position_noise=0.05',
         ),
     ),
+    'fixed_wing': ('fixed_wing', ()),
     'disturbed': ('dubins', ('floor.shape=none', 'faults.position_noise=0.05')),
     'faulty': (
         'retrieval',
@@ -87,7 +89,8 @@ class Loop:
     """
 
     def __init__(self, values: settings.Values, bag: BagWriter, hostile: bool) -> None:
-        self._planner, self._sim = planner_settings(values), sim_settings(values)
+        self._planner = planner_settings(values)
+        self._sim = sim_settings(settings.of_sim(values))
         self._pilot, self._bag, self._hostile = OfflinePlanner(self._planner), bag, hostile
         self._view = View(self._sim.faults, self._sim.seed, self._sim.scenario.model.step)
         self._order = (0.0, np.zeros(self._sim.scenario.model.rates))
@@ -100,6 +103,8 @@ class Loop:
         while True:
             self._at = self._said = round(flight.vehicle.time * SECOND)
             self._say('clock', Clock(clock=messages.time_message(self._at)))
+            if self._sim.goal_path_steps:
+                self._hear('goal_path', self._future(flight))
             self._tell(self._view.of(flight))
             self._answer(flight.ticks)
             if flight.over:
@@ -109,6 +114,12 @@ class Loop:
     def _say(self, topic: str, message: object) -> None:
         self._said += LATER
         self._bag.write(f'/{topic}', self._at, serialised(message, TYPES[topic]), self._said)
+
+    def _future(self, flight: Flight) -> GoalPath:
+        step, rope = self._sim.scenario.model.step, self._sim.scenario.rope
+        times = flight.elapsed + step * np.arange(self._sim.goal_path_steps + 1)
+        stamp = Stamp(self._at, self._sim.frames)
+        return messages.goal_path_message(stamp, step, [rope.at(time) for time in times])
 
     def _tell(self, arriving: Iterable) -> None:
         """Let the planner know what is seen, each under the stamp of its measurement."""

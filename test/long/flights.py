@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import airframe
+import jobs
 import missions
 import numpy as np
 from airframe import Airframe, Motion
@@ -286,39 +287,58 @@ def arguments() -> argparse.Namespace:
     parser.add_argument('--first', type=int, default=0, help='index of the first flight')
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--jobs', type=int, default=1, help='flights at a time')
-    parser.add_argument('--mission', choices=missions.MISSIONS, help='a configuration and its job')
+    parser.add_argument('--mission', choices=jobs.MISSIONS, help='a configuration and its job')
     parser.add_argument('--at-least', type=float, default=0.0, help='share of jobs to be done')
     parser.add_argument('--set', action='append', default=[], metavar='NAME=VALUE')
-    parser.add_argument('--out', type=Path, help='default: out/<mission or flights>-<seed>.jsonl')
+    parser.add_argument('--patient', action='store_true', help='a solve may take a minute')
+    parser.add_argument(
+        '--over',
+        choices=('process', 'dds'),
+        default='process',
+        help='dds: the real nodes fly, each flight leaves its bag beside --out',
+    )
+    parser.add_argument(
+        '--out', type=Path, help='default: out/<mission or flights>[-dds]-<seed>.jsonl'
+    )
     args = parser.parse_args()
-    if not args.mission and (args.set or args.at_least):
-        parser.error('--set and --at-least need a --mission')
+    of_missions = (args.set, args.at_least, args.patient, args.over == 'dds')
+    if not args.mission and any(of_missions):
+        parser.error('--set, --at-least, --patient and --over dds need a --mission')
+    if args.patient and args.over == 'dds':
+        parser.error('--patient: nodes keep their deadline, --set deadline=... changes it')
+    name = f'{args.mission or "flights"}{"-dds" if args.over == "dds" else ""}-{args.seed}'
+    args.out = args.out or Path('out') / f'{name}.jsonl'
     return args
 
 
 def flight_of(args: argparse.Namespace) -> Callable[[int], dict[str, Any]]:
     """What flies the flight of an index."""
     if args.mission:
-        return partial(missions.row, args.mission, args.seed, changes=tuple(args.set))
+        flight = partial(missions.row, args.mission, args.seed, changes=tuple(args.set))
+        if args.over == 'process':
+            return partial(flight, patient=args.patient)
+        import over_dds
+
+        return partial(over_dds.row, *flight.args, **flight.keywords, folder=args.out.parent)
     return partial(row, args.seed)
 
 
 def in_order(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """The flights asked for, so many at a time."""
     indices, fly_one = range(args.first, args.first + args.count), flight_of(args)
-    if args.jobs == 1:
+    if args.jobs == 1 and args.over == 'process':
         yield from map(fly_one, indices)
         return
-    with get_context('spawn').Pool(args.jobs) as pool:
+    # Over DDS each flight has a domain of its own, which a process keeps for good.
+    with get_context('spawn').Pool(args.jobs, maxtasksperchild=1) as pool:
         yield from pool.imap(fly_one, indices)
 
 
 def main() -> int:
     args = arguments()
-    out = args.out or Path('out') / f'{args.mission or "flights"}-{args.seed}.jsonl'
-    out.parent.mkdir(parents=True, exist_ok=True)
+    args.out.parent.mkdir(parents=True, exist_ok=True)
     rows = []
-    with out.open('w') as file:
+    with args.out.open('w') as file:
         for each in in_order(args):
             rows.append(each)
             print(json.dumps(each), file=file, flush=True)
@@ -326,7 +346,7 @@ def main() -> int:
                 print(f'flight {each["index"]}: {each["broken"]}', flush=True)
             if len(rows) % 10 == 0:
                 print(f'{len(rows)} of {args.count}', file=sys.stderr, flush=True)
-    print(missions.table(rows) if args.mission else table(rows), f'\nall records: {out}')
+    print(missions.table(rows) if args.mission else table(rows), f'\nall records: {args.out}')
     done = sum(each.get('caught', True) for each in rows)
     good = done >= args.at_least * len(rows) and not any(each['broken'] for each in rows)
     return 0 if good else 1

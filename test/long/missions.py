@@ -1,8 +1,7 @@
-"""Missions of the package's own vehicle in continuous time: the configurations, drawn at random.
+"""Missions of the package's own vehicle in continuous time, flown in process.
 
-A mission is a configuration file, flown in process: the planner's path from messages to commands,
-and the simulator's vehicle, each with the parameters that its node would get. What is drawn is told
-to the simulator alone: wind, gusts, gain, and where the goal is.
+The planner's path from messages to commands flies the simulator's vehicle, each of the two with the
+parameters that its node would get.
 """
 
 from __future__ import annotations
@@ -10,60 +9,24 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import jobs
 import numpy as np
+from jobs import Values
 from onboard import Planner
 
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.ros.parameters import SimSettings, sim_settings
 from orbimpc_ros.ros.reports import Report
 from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.io.share import config
 from orbimpc_ros.world.airspeed import Airspeeds
 from orbimpc_ros.world.flight import Flight, departure, perfect_sensor
 from orbimpc_ros.world.plant import Plant
 
 ROUNDING = 1e-6  # relative
-Values = dict[str, Any]
-
-
-def fixed_wing(rng: np.random.Generator) -> Values:
-    """A goal 80 m away in any direction, that drifts and swings, in wind of up to 5 m/s."""
-    coming, bearing, course = rng.uniform(-math.pi, math.pi, size=3)
-    return {
-        'wind': (*_towards(coming, rng.uniform(0.0, 5.0)), 0.0),
-        'gust': rng.uniform(0.0, 1.0),
-        'rope.center': (*_towards(bearing, 80.0), 0.0),
-        'rope.velocity': (*_towards(course, rng.uniform(0.0, 2.0)), 0.0),
-        'rope.amplitude': (*rng.uniform(0.0, 3.0, size=2).tolist(), 0.0),
-        'rope.frequency': rng.uniform(0.02, 0.1),
-        'rope.phase': tuple(rng.uniform(0.0, 2.0 * math.pi, size=3).tolist()),
-        'seed': int(rng.integers(2**31)),
-    }
-
-
-def spacecraft(rng: np.random.Generator) -> Values:
-    """A goal within 2 m of (5, 10, 25), lags of 0.2 and 0.3 s, a gain off by up to 3 %."""
-    return {
-        'vehicle': 'continuous',
-        'response.speed': 0.2,
-        'response.rate': 0.3,
-        'gain': rng.uniform(0.97, 1.03),
-        'rope.center': tuple((np.array([5.0, 10.0, 25.0]) + rng.uniform(-2.0, 2.0, 3)).tolist()),
-    }
-
-
-MISSIONS: dict[str, Callable[[np.random.Generator], Values]] = {
-    'fixed_wing': fixed_wing,
-    'spacecraft': spacecraft,
-}
-
-
-def _towards(angle: float, length: float) -> tuple[float, float]:
-    return length * math.cos(angle), length * math.sin(angle)
 
 
 @dataclass
@@ -72,43 +35,78 @@ class Tally:
 
     Attributes:
         roads: commands by the road that they came.
-        unproved: plans that are not proved optimal.
-        gaps: of these.
+        gaps: of plans that are not proved optimal.
         solved: what ticks took [ms].
         slowest, fastest: least and largest share of full speed or thrust that was commanded.
         turned: largest rate that was commanded [rad/s].
         miss: least distance to the goal [m].
+        distances: to the goal, at every tick [m].
     """
 
     roads: Counter[str] = field(default_factory=Counter)
-    unproved: int = 0
     gaps: list[float] = field(default_factory=list)
     solved: list[float] = field(default_factory=list)
     slowest: float = math.inf
     fastest: float = 0.0
     turned: float = 0.0
     miss: float = math.inf
+    distances: list[float] = field(default_factory=list)
+
+    @property
+    def offset(self) -> float:
+        """The mean distance to the goal in the second half of the flight [m]."""
+        return float(np.mean(self.distances[len(self.distances) // 2 :]))
 
     def note(self, road: str, report: Report) -> None:
+        """Note a tick, and the road that its command came."""
         tick = report.tick
-        self.roads[road] += 1
-        self.slowest = min(self.slowest, tick.command.speed_fraction)
-        self.fastest = max(self.fastest, tick.command.speed_fraction)
-        self.turned = max(self.turned, float(np.linalg.norm(tick.command.body_rate)))
-        self.solved.append(report.solve_time_ms)
+        self.sent(tick.command.speed_fraction, tick.command.body_rate)
+        self.ticked(road, report.solve_time_ms)
         if tick.plan is not None and tick.status is not Status.OPTIMAL:
-            self.unproved += 1
             self.gaps.append(tick.plan.gap)
 
+    def sent(self, fraction: float, body_rate: Sequence[float] | np.ndarray) -> None:
+        """Note a command: its share of full speed or thrust, and its body rate [rad/s]."""
+        self.slowest = min(self.slowest, fraction)
+        self.fastest = max(self.fastest, fraction)
+        self.turned = max(self.turned, float(np.linalg.norm(body_rate)))
 
-def row(name: str, seed: int, index: int, changes: Sequence[str] = ()) -> dict[str, Any]:
-    """Fly a mission of a name, a seed and an index; ``changes`` are ``name=value``."""
-    values = settings.resolve(config(f'{name}.yaml'), changes)
-    drawn = MISSIONS[name](np.random.default_rng([seed, index]))
-    simulated = sim_settings(settings.of_sim(values) | drawn)
+    def ticked(self, road: str, solved: float) -> None:
+        """Note the road that a command came, and what its tick took [ms]."""
+        self.roads[road] += 1
+        self.solved.append(solved)
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """What the record of a flight says of its ticks."""
+        return {
+            'offset': self.offset,
+            'turned': self.turned,
+            'ticks': sum(self.roads.values()),
+            'roads': dict(self.roads),
+            'unproved': len(self.gaps),
+            'gap': float(np.median(self.gaps)) if self.gaps else 0.0,
+            'p50_ms': float(np.median(self.solved)),
+            'p99_ms': float(np.percentile(self.solved, 99)),
+        }
+
+
+def row(
+    name: str, seed: int, index: int, changes: Sequence[str] = (), *, patient: bool = False
+) -> dict[str, Any]:
+    """Fly a mission of a name, a seed and an index.
+
+    Args:
+        name: of the mission.
+        seed: with ``index``, of what is drawn.
+        index: of the flight.
+        changes: ``name=value``, of the configuration.
+        patient: whether a solve may take a minute, so that the machine's load hardly counts.
+    """
+    values, drawn = jobs.drawn(name, seed, index, changes)
+    simulated = sim_settings(settings.of_sim(values))
     begun = time.perf_counter()
-    flight, airspeeds, tally = flown(Planner(values), simulated)
-    solved = np.array(tally.solved)
+    flight, airspeeds, tally = flown(Planner(values, patient=patient), simulated)
     return {
         'mission': name,
         'seed': seed,
@@ -119,14 +117,8 @@ def row(name: str, seed: int, index: int, changes: Sequence[str] = ()) -> dict[s
         'speed': flight.speed,
         'least_airspeed': airspeeds.least,
         'stalls': airspeeds.stalls,
-        'turned': tally.turned,
-        'broken': broken(values, tally),
-        'ticks': flight.ticks,
-        'roads': dict(tally.roads),
-        'unproved': tally.unproved,
-        'gap': float(np.median(tally.gaps)) if tally.gaps else 0.0,
-        'p50_ms': float(np.median(solved)),
-        'p99_ms': float(np.percentile(solved, 99)),
+        'broken': broken(values, tally, airspeeds.stalls),
+        **tally.record,
         'seconds': time.perf_counter() - begun,
         'drawn': drawn,
     }
@@ -146,6 +138,7 @@ def flown(planner: Planner, simulated: SimSettings) -> tuple[Flight, Airspeeds, 
         flight = flight.after(report.tick.command.speed_fraction, report.tick.command.body_rate)
         airspeeds = airspeeds.seeing(flight.trail)
         tally.miss = min(tally.miss, flight.miss)
+        tally.distances.append(flight.distance)
     return flight, airspeeds, tally
 
 
@@ -159,8 +152,8 @@ def tell(planner: Planner, flight: Flight, ahead: int) -> None:
     planner.odometry(now, odometry)
 
 
-def broken(values: Values, tally: Tally) -> list[str]:
-    """Which limits of the planner its commands have broken."""
+def broken(values: Values, tally: Tally, stalls: int) -> list[str]:
+    """Which limits of the planner its commands have broken, and whether the vehicle stalled."""
     least = values['floor.fraction'] if values['floor.shape'] != 'none' else 0.0
     found = []
     if tally.slowest < least * (1.0 - ROUNDING):
@@ -169,6 +162,8 @@ def broken(values: Values, tally: Tally) -> list[str]:
         found.append('above full speed')
     if values['max_rate'] and tally.turned > values['max_rate'] * (1.0 + ROUNDING):
         found.append('beyond max_rate')
+    if stalls:
+        found.append('stalled')
     return found
 
 
@@ -183,6 +178,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         f'miss: median {_percentile(rows, "miss", 50):.3g} m, '
         f'95 % {_percentile(rows, "miss", 95):.3g} m; '
         f'speed left: 95 % {_percentile(rows, "speed", 95):.3g} m/s',
+        f'distance in the second half: mean {np.mean([each["offset"] for each in rows]):.3g} m',
         f'least airspeed {min(each["least_airspeed"] for each in rows):.6g} m/s, '
         f'{sum(each["stalls"] for each in rows)} stalls; '
         f'largest rate {max(each["turned"] for each in rows):.6g} rad/s; '

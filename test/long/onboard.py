@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from orbimpc_ros.ros.planner.inbox import Inbox
 from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.ros.reports import Report
 
+PATIENCE = 60.0  # [s]
 EPOCH = 1_700_000_000 * SECOND
 
 
@@ -24,16 +26,18 @@ class Planner:
 
     Args:
         parameters: of the planner, by name.
+        patient: whether a solve may take a minute.
 
     Attributes:
         period: how often to plan [s].
     """
 
-    def __init__(self, parameters: dict[str, Any]) -> None:
+    def __init__(self, parameters: dict[str, Any], *, patient: bool = False) -> None:
         settings = planner_settings({row.name: row.default for row in PLANNER} | parameters)
-        self._inbox = Inbox(settings)
+        if patient:
+            settings = replace(settings, deadline=PATIENCE)
+        self._inbox, self._frames = Inbox(settings), settings.frames
         self._ticker = Ticker(*prepared(settings), simulated=True)
-        self._frames = messages.Frames('odom', 'base_link', settings.frames.thrust_axis)
         self.period = settings.period
 
     def goal(self, now: float, place: np.ndarray) -> None:

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from orbimpc_ros.lab.bench import live
 from orbimpc_ros.lab.bench.contenders.contender import Contender
-from orbimpc_ros.lab.bench.contests import CAP, CONTESTS, PACKAGES, QUICK_CAP, Contest
+from orbimpc_ros.lab.bench.contest import CAP, PACKAGES, QUICK_CAP, Contest
+from orbimpc_ros.lab.bench.contests import CONTESTS
 from orbimpc_ros.lab.bench.duel import OURS, duel
 from orbimpc_ros.lab.bench.result import Result
 from orbimpc_ros.lab.bench.rows import HULLS, BenchRow, growth, of_duel
@@ -106,11 +107,12 @@ def contested(contest: Contest, quick: bool) -> list[BenchRow]:
         contenders,
         instances,
         warm_up=WARM_UP,
-        budget=cap,
+        budget=contest.budget(cap),
+        every=contest.every,
         show=lambda done: progress.show(done, contest.title),
     )
     progress.close()
-    return [*of_duel(contest.title, samples, contest.required), *absent]
+    return [*of_duel(contest.title, samples, contest.required, contest.gap), *absent]
 
 
 def _entrants(contest: Contest, cap: float) -> tuple[dict[str, Contender], list[BenchRow]]:

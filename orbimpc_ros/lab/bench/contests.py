@@ -1,86 +1,29 @@
-"""The problems that are solved side by side, the contenders, and what is required of us.
-
-Everybody gets the same problem, the same instances, the same relative gap and one thread.
-"""
+"""The problems that are solved side by side, the contenders, and what is required of us."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 
-from orbimpc_ros.lab.bench.contenders.contender import Contender
+from orbimpc_ros.lab.bench.contest import (
+    CVXPY,
+    GUROBI,
+    GUROBI_CUT,
+    IPOPT,
+    QOCO,
+    SCIP,
+    Contest,
+)
 from orbimpc_ros.lab.bench.duel import OURS
 from orbimpc_ros.lab.bench.instances import Instance, arrivals, boxes, circling, scattered
+from orbimpc_ros.lab.bench.vehicles import lifted, wings
 from orbimpc_ros.mpc.problem import Floor, Problem, Weights
 
-GUROBI, SCIP, IPOPT = 'Gurobi', 'SCIP', 'IPOPT (local)'
-GUROBI_CUT = 'Gurobi + our cut'
-CVXPY, QOCO = 'CVXPY + Clarabel', 'CVXPY + QOCO'
-PACKAGES = {
-    GUROBI: 'gurobipy',
-    GUROBI_CUT: 'gurobipy',
-    SCIP: 'pyscipopt',
-    IPOPT: 'casadi',
-    QOCO: 'qoco',
-}
-CAP, QUICK_CAP = 60.0, 5.0  # [s] for one solve
 HORIZONS, BOXES = (5, 10, 20, 50, 100), (1, 2, 4, 8, 16)
 ARRIVAL: dict[str, Any] = {'horizon': 20, 'terminal': 'constraint'}
-DEFAULTS = 'dubins'  # where SCIP's defaults prove more in a minute than its fast settings
 RIM, NO_FLOOR = math.sqrt(0.5), Floor('none')
-
-
-@dataclass(frozen=True)
-class Contest:
-    """A problem with its instances and contenders.
-
-    Attributes:
-        key: short name, for ``--only``.
-        title: what it is.
-        problem: what to solve.
-        instances: makes that many.
-        counts: how many to measure, quickly or not.
-        gap: relative gap that everybody has to prove.
-        rivals: names of the contenders beside ours.
-        required: limits by contender.
-        closed_loop: whether instances follow each other.
-    """
-
-    key: str
-    title: str
-    problem: Problem
-    instances: Callable[[Problem, int], list[Instance]]
-    counts: tuple[int, int]
-    gap: float = 1e-4
-    rivals: tuple[str, ...] = ()
-    required: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    closed_loop: bool = False
-
-    def contender(self, name: str, cap: float) -> Contender:
-        """Return a contender set up for the problem.
-
-        Raises:
-            ImportError: it is not installed.
-        """
-        mixed = {'gap': self.gap, 'cap': cap, 'closed_loop': self.closed_loop}
-        # Module, class and what its constructor takes.
-        known: dict[str, tuple[str, str, Mapping[str, Any]]] = {
-            OURS: ('ours', 'Ours', mixed),
-            GUROBI: ('gurobi', 'Gurobi', mixed),
-            GUROBI_CUT: ('gurobi', 'Gurobi', {**mixed, 'cut': True}),
-            SCIP: ('scip', 'Scip', {**mixed, 'fast': self.key != DEFAULTS}),
-            IPOPT: ('ipopt', 'Ipopt', {'tolerance': self.gap}),
-            CVXPY: ('resolve', 'Resolve', {}),
-            QOCO: ('resolve', 'Resolve', {'solver': 'QOCO'}),
-        }
-        module, kind, options = known[name]
-        found = import_module(f'orbimpc_ros.lab.bench.contenders.{module}')
-        return getattr(found, kind)(self.problem, **options)
 
 
 def _p50(ratio: float) -> dict[str, float]:
@@ -170,4 +113,4 @@ def _sizes() -> list[Contest]:
     return [*hulls, *strewn]
 
 
-CONTESTS = (*_planar(), *_dubins(), *_space(), *_sizes())
+CONTESTS = (*_planar(), *_dubins(), *_space(), *_sizes(), *wings(), *lifted())

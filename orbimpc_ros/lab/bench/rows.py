@@ -81,16 +81,27 @@ class BenchRow:
 
 
 def of_duel(
-    problem: str, samples: Mapping[str, Samples], required: Mapping[str, Mapping[str, float]]
+    problem: str,
+    samples: Mapping[str, Samples],
+    required: Mapping[str, Mapping[str, float]],
+    gap: float = 0.0,
 ) -> list[BenchRow]:
-    """Return a row per contender, ours first."""
-    ours = samples[OURS]
-    return [_row(problem, name, each, ours, required.get(name)) for name, each in samples.items()]
+    """Return a row per contender, ours first; objectives agree that are no farther than ``gap``."""
+    ours, same = samples[OURS], max(SAME, gap)
+    return [
+        _row(problem, name, (each, ours), required.get(name), same)
+        for name, each in samples.items()
+    ]
 
 
 def _row(
-    problem: str, name: str, theirs: Samples, ours: Samples, required: Mapping[str, float] | None
+    problem: str,
+    name: str,
+    sides: tuple[Samples, Samples],
+    required: Mapping[str, float] | None,
+    same: float,
 ) -> BenchRow:
+    theirs, ours = sides
     common = sorted(theirs.times.keys() & ours.times.keys())
     broken = theirs is ours and bool(ours.refused)
     if not common:
@@ -110,8 +121,8 @@ def _row(
         ratio_p50=p50 / base_50,
         ratio_p99=p99 / base_99,
         required=required,
-        note=_note(theirs, ours),
-        beaten=bool((differences(theirs, ours) < -SAME).any()),
+        note=_note(theirs, ours, same),
+        beaten=not _relaxed(theirs) and bool((differences(theirs, ours) < -same).any()),
         failed=broken,
         capped=sum(each.capped for each in solutions),
     )
@@ -122,13 +133,19 @@ def _largest(gaps: list[float]) -> float:
     return max(known) if known else math.nan
 
 
-def _note(theirs: Samples, ours: Samples) -> str:
+def _relaxed(samples: Samples) -> bool:
+    """Return whether a contender solves the relaxation: what it finds is a bound."""
+    return any(each.relaxed for each in samples.solutions.values())
+
+
+def _note(theirs: Samples, ours: Samples, same: float) -> str:
     """Return what has to be said about its objectives and its time limit."""
     if theirs is ours:
         return theirs.refused
     apart, notes = differences(theirs, ours), []
-    failed, worse, better = np.isnan(apart).sum(), (apart > SAME).sum(), (apart < -SAME).sum()
-    for count, what in ((failed, 'no solution'), (worse, 'worse'), (better, 'BETTER than ours')):
+    failed, worse, better = np.isnan(apart).sum(), (apart > same).sum(), (apart < -same).sum()
+    below = 'relaxed: a bound, lower' if _relaxed(theirs) else 'BETTER than ours'
+    for count, what in ((failed, 'no solution'), (worse, 'worse'), (better, below)):
         if count:
             notes.append(f'{what} on {count}')
     capped = sum(each.capped for each in theirs.solutions.values())

@@ -23,11 +23,13 @@ class Solution:
         objective: of its trajectory; NaN if it found none.
         gap: relative, as it proved it; NaN if it proves nothing.
         capped: whether it ran into its time limit.
+        relaxed: whether it is of the convex relaxation: a bound, below every trajectory's.
     """
 
     objective: float
     gap: float = math.nan
     capped: bool = False
+    relaxed: bool = False
 
 
 class Contender(Protocol):

@@ -1,7 +1,8 @@
 """Gurobi: condensed model, rotations and binaries alone, quadratic disks, least big M.
 
-Built once; a tick changes the linear objective (and an arrival's right-hand side). The previous
-solution moved one step on is its MIP start. One thread.
+A round floor and turns are quadratic and not convex; the first turn is from an axis whose bounds
+fix it. Built once; a tick changes the linear objective (and an arrival's right-hand side, and the
+axis). The previous solution moved one step on is its MIP start. One thread.
 """
 
 from __future__ import annotations
@@ -13,13 +14,13 @@ import numpy as np
 from gurobipy import GRB
 
 from orbimpc_ros.lab.bench.contenders.contender import Declined, Solution
-from orbimpc_ros.lab.bench.contenders.planar import BigM, CondensedPlanar
+from orbimpc_ros.lab.bench.contenders.planar import BigM, CondensedPlanar, slope_of
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem, State
 
 
 class Gurobi:
-    """The mixed-integer program of a planar problem with a polygon floor or boxes.
+    """The mixed-integer program of a planar problem with a floor, a turn rate or boxes.
 
     Args:
         problem: what to solve.
@@ -38,12 +39,26 @@ class Gurobi:
         self._z: Any = self._model.addMVar((problem.horizon, 2), lb=-1.0, ub=1.0)
         for k in range(problem.horizon):
             self._model.addConstr(self._z[k] @ self._z[k] <= 1.0)
+            if problem.floor.shape == 'circle':
+                self._model.addConstr(self._z[k] @ self._z[k] >= problem.floor.fraction**2)
+        self._before: Any = self._turns(problem) if problem.turns_are_angles else None
         self._chosen = [self._choose(each) for each in self._planar.disjunctions]
         self._model.setObjective(self._cost(problem, cut))
         self._arrival: Any = None
         if problem.terminal == 'constraint':
             self._arrival = self._model.addConstr(self._planar.arrival @ self._z == np.zeros(2))
         self._model.update()
+
+    def _turns(self, problem: Problem) -> Any:
+        """Limit the angle of every turn, and return the axis that the first one is from."""
+        before, slope = self._model.addMVar(2, lb=-1.0, ub=1.0), slope_of(problem)
+        for k in range(problem.horizon):
+            x, y = (before if k == 0 else self._z[k - 1]).tolist()
+            ahead = x * self._z[k, 0] + y * self._z[k, 1]
+            aside = x * self._z[k, 1] - y * self._z[k, 0]
+            for side in (aside, -aside):
+                self._model.addConstr(side <= slope * ahead)
+        return before
 
     def _choose(self, disjunction: BigM) -> tuple[Any, Any]:
         """Return the binaries of a disjunction, and its rows, whose right sides move."""
@@ -68,6 +83,8 @@ class Gurobi:
         self._z.Obj, self._model.ObjCon = self._planar.linear(state, goals)
         if self._arrival is not None:
             self._arrival.RHS = self._planar.to_go(state, goals)
+        if self._before is not None:
+            self._before.LB = self._before.UB = state.attitude[:, 0]
         for disjunction, (_, rows) in zip(self._planar.disjunctions, self._chosen, strict=True):
             rows.RHS = np.broadcast_to(disjunction.offsets(state) - disjunction.big, rows.shape)
         if not self._closed_loop:

@@ -1,6 +1,7 @@
 """The planar problem in z_k = R_k e1, k = 1..N, as mixed-integer solvers take it.
 
-For n = 2 and orders (1, 1), with s_k = s_1 + h z sum_{j<k} R_j e1,
+For n = 2 and orders (1, 1), with s_k = s_1 + h z sum_{j<k} R_j e1 (and, without boxes and an
+arrival, with a wind),
 
     cost = sum_i z_i^T Q z_i + q_i^T z_i + c + l h z sum_{k=1..N-1} |z_k|    (i: coordinates),
 
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orbimpc_ros.lab.bench.contenders.contender import Declined
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.model.condensed import Condensed
@@ -39,6 +41,17 @@ class BigM:
     moved: Array
     big: float
     offsets: Callable[[State], Array]
+
+
+def slope_of(problem: Problem) -> float:
+    """Return the tangent t of the widest turn a < pi / 2: from x to y, |x cross y| <= t x . y.
+
+    Raises:
+        Declined: wider turns are no such pair of quadratic limits.
+    """
+    if problem.widest_turn >= 0.5 * np.pi:
+        raise Declined('turns of a quarter and more are not stated')
+    return float(np.tan(problem.widest_turn))
 
 
 class CondensedPlanar:

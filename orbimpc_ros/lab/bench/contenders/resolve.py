@@ -12,6 +12,7 @@ import numpy as np
 
 from orbimpc_ros.lab.bench.contenders.contender import Solution
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Problem, State
 
 
@@ -19,7 +20,7 @@ class Resolve:
     """The relaxed problem as the paper states it, in CVXPY's words.
 
     Args:
-        problem: what to solve; its floor is left out.
+        problem: what to solve; its floor and boxes are left out.
         solver: by the name that CVXPY knows it by.
     """
 
@@ -30,7 +31,7 @@ class Resolve:
         self._options = {'max_threads': 1} if solver == cp.CLARABEL else {}
         self._problem, n, steps = problem, problem.dimension, problem.horizon
         self._s_0, self._p_0 = cp.Parameter(n), cp.Parameter(n)
-        self._goals = cp.Parameter((steps, n))
+        self._goals, self._wind = cp.Parameter((steps, n)), cp.Parameter(n)
         self._x_0, self._w_0 = cp.Parameter(n * n), cp.Parameter(n * n)
         # R_k, column by column, in row k: the first n entries are R_k e1.
         self._x = cp.Variable((steps + 1, n * n))
@@ -53,14 +54,21 @@ class Resolve:
         return rows
 
     def _translations(self) -> list[cp.Constraint]:
-        problem, s = self._problem, self._s
-        h, pushed = problem.step, problem.forward * self._x[:-1, : problem.dimension]
+        problem, s, n = self._problem, self._s, self._problem.dimension
+        once = step_of(problem.translation, problem.step, problem.forward)
+        before, after = self._x[:-1, :n], self._x[1:, :n]
+        blown = cp.reshape(self._wind, (1, n), order='C')
+        pushed = [
+            push * before + follow * after + np.ones((problem.horizon, 1)) @ (blow * blown)
+            for push, follow, blow in zip(once.push, once.follow, once.blow, strict=True)
+        ]
         rows = [s[0] == self._s_0]
         if problem.translation_order == 1:
-            rows.append(s[1:] == s[:-1] + h * pushed)
+            rows.append(s[1:] == s[:-1] + pushed[0])
         else:
             p = cp.Variable(s.shape)
-            rows += [p[0] == self._p_0, p[1:] == p[:-1] + h * pushed, s[1:] == s[:-1] + h * p[:-1]]
+            rows += [p[0] == self._p_0, p[1:] == p[:-1] + pushed[1]]
+            rows.append(s[1:] == s[:-1] + problem.step * p[:-1] + pushed[0])
             if problem.terminal == 'constraint':
                 rows.append(p[-1] == 0)
         if problem.terminal == 'constraint':
@@ -75,13 +83,14 @@ class Resolve:
         if w.terminal:
             cost += w.terminal * cp.sum_squares(self._s[-1] - self._goals[-1])
         if w.length:
-            lengths = cp.norm(self._x[:-1, :n], axis=1)
-            cost += w.length * problem.step * problem.forward * cp.sum(lengths)
+            lengths = cp.norm(self._x[:, :n], axis=1)
+            cost += w.length * problem.step * problem.forward * (problem.maps.lasting @ lengths)
         return cost
 
     def solve(self, state: State, goals: Array) -> None:
         """Set the parameters and solve."""
         self._s_0.value, self._p_0.value, self._goals.value = state.position, state.velocity, goals
+        self._wind.value = state.disturbance
         self._x_0.value = state.rotation.ravel(order='F')
         self._w_0.value = state.rotation_rate.ravel(order='F')
         with warnings.catch_warnings():
@@ -91,7 +100,9 @@ class Resolve:
 
     def solution(self) -> Solution:
         """Return the optimal value, which the solver's duality proves to its tolerance."""
-        return Solution(self._value, 1e-8 if self._solver == cp.CLARABEL else 1e-7)
+        relaxed = self._problem.floor.exists or bool(self._problem.obstacles)
+        tolerance = 1e-8 if self._solver == cp.CLARABEL else 1e-7
+        return Solution(self._value, tolerance, relaxed=relaxed)
 
 
 def _orbitope(x: cp.Expression, n: int) -> list[cp.Constraint]:

@@ -1,25 +1,27 @@
 """SCIP: the same condensed model; the quadratic cost, which never changes, in one constraint.
 
-Built once; a tick changes the linear objective and its offset (and an arrival's sides). SCIP's
-gap then counts the whole cost, as everybody's here. The previous solution moved one step on is
-offered to it. SCIP runs on one thread.
+A round floor and turns are quadratic and not convex; the first turn is from an axis whose bounds
+fix it. Built once; a tick changes the linear objective and its offset (and an arrival's sides, and
+the axis). SCIP's gap then counts the whole cost, as everybody's here. The previous solution moved
+one step on is offered to it. SCIP runs on one thread.
 """
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
 from pyscipopt import SCIP_PARAMSETTING, Model, quicksum
 
 from orbimpc_ros.lab.bench.contenders.contender import Solution
-from orbimpc_ros.lab.bench.contenders.planar import BigM, CondensedPlanar
+from orbimpc_ros.lab.bench.contenders.planar import BigM, CondensedPlanar, slope_of
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem, State
 
 
 class Scip:
-    """The mixed-integer program of a planar problem with a polygon floor or boxes.
+    """The mixed-integer program of a planar problem with a floor, a turn rate or boxes.
 
     Args:
         problem: what to solve.
@@ -47,6 +49,9 @@ class Scip:
         self._add_cost()
         for x, y in self._z:
             model.addCons(x * x + y * y <= 1.0)
+            if problem.floor.shape == 'circle':
+                model.addCons(x * x + y * y >= problem.floor.fraction**2)
+        self._before = self._turns(problem) if problem.turns_are_angles else []
         self._chosen = [self._choose(each) for each in self._planar.disjunctions]
         self._arrival = self._arrives() if problem.terminal == 'constraint' else []
         self._variables = [self._z, *(binaries for binaries, _ in self._chosen)]
@@ -69,6 +74,15 @@ class Scip:
                 model.addCons(quicksum(row[k] * z[i] for k, z in enumerate(self._z)) == term)
                 squares.append(term * term)
         model.addCons(quicksum(squares) <= self._quadratic)
+
+    def _turns(self, problem: Problem) -> list[Any]:
+        """Limit the angle of every turn, and return the axis that the first one is from."""
+        before, slope = [self._model.addVar(lb=-1.0, ub=1.0) for _ in range(2)], slope_of(problem)
+        for (x, y), (u, v) in itertools.pairwise([before, *self._z]):
+            ahead, aside = x * u + y * v, x * v - y * u
+            for side in (aside, -aside):
+                self._model.addCons(side <= slope * ahead)
+        return before
 
     def _choose(self, disjunction: BigM) -> tuple[list[list[Any]], list[list[Any]]]:
         """Return the binaries of a disjunction, and its rows, whose left sides move, by step."""
@@ -102,6 +116,10 @@ class Scip:
             model.chgLhs(row, -model.infinity())  # never above the right-hand side on the way
             model.chgRhs(row, side)
             model.chgLhs(row, side)
+        for variable, value in zip(self._before, state.attitude[:, 0], strict=False):
+            model.chgVarLb(variable, -1.0)  # never above the upper bound on the way
+            model.chgVarUb(variable, float(value))
+            model.chgVarLb(variable, float(value))
         for disjunction, (_, rows) in zip(self._planar.disjunctions, self._chosen, strict=True):
             sides = disjunction.offsets(state) - disjunction.big
             for row, side in ((r, s) for step in rows for r, s in zip(step, sides, strict=True)):
