@@ -20,6 +20,7 @@ from orbimpc_ros.mpc.loop.safety import may_stop, safe_command
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
 from orbimpc_ros.mpc.plan import Plan, later, shifted
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem.cones import told
 from orbimpc_ros.mpc.problem.reach import pulled_in
 from orbimpc_ros.mpc.solve.solver import Solver
 
@@ -34,8 +35,9 @@ class Tick(ByContent):
 
     Attributes:
         status: of the solve.
-        reason: why, where it is not ``optimal``, and what was done about a goal too far away or a
-            measured speed that the model does not know; else empty.
+        reason: why, where it is not ``optimal``, and what was done about a goal too far away, a
+            state outside of the cones of a descent, or a measured speed that the model does not
+            know; else empty.
         state: the state that the plan starts from; None if nothing was to be planned.
         plan: the checked plan behind the command; None if the command is the safe one.
         command: what to do next.
@@ -231,7 +233,8 @@ class Controller:
         else:
             task, (plan, status, words), catch = self._caught(task, self._interception)
         measured = self.problem, odometry, self.disturbance, self._velocity_source
-        words = '; '.join(filter(None, (words, shortened, odd_speed(*measured))))
+        outside = told(task.problem, state, task.goals)
+        words = '; '.join(filter(None, (words, shortened, outside, odd_speed(*measured))))
         reason = Reason(Cause.NONE, words)
         if plan is None:
             return self._finish(self._fall_back(task, status, reason))

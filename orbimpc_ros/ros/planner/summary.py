@@ -85,6 +85,10 @@ def _vehicle(problem: Problem, mass: float) -> list[str]:
         parts.append(f'at least {least:.4g} {unit} ({problem.floor})')
     if problem.max_rate:
         parts.append(f'at most {math.degrees(problem.max_rate):.4g} deg/s')
+    if problem.tilt:
+        parts.append(f'tilted by at most {math.degrees(problem.tilt):.4g} deg')
+    if problem.glide_slope:
+        parts.append(f'above a glide slope of {math.degrees(problem.glide_slope):.4g} deg')
     return parts
 
 
