@@ -36,7 +36,7 @@ class Tick(ByContent):
     Attributes:
         status: of the solve.
         reason: why, where it is not ``optimal``, and what was done about a goal too far away, a
-            state outside of the cones of a descent, or a measured speed that the model does not
+            plan outside of the cones of a descent, or a measured speed that the model does not
             know; else empty.
         state: the state that the plan starts from; None if nothing was to be planned.
         plan: the checked plan behind the command; None if the command is the safe one.
@@ -233,8 +233,7 @@ class Controller:
         else:
             task, (plan, status, words), catch = self._caught(task, self._interception)
         measured = self.problem, odometry, self.disturbance, self._velocity_source
-        outside = told(task.problem, state, task.goals)
-        words = '; '.join(filter(None, (words, shortened, outside, odd_speed(*measured))))
+        words = '; '.join(filter(None, (words, shortened, odd_speed(*measured))))
         reason = Reason(Cause.NONE, words)
         if plan is None:
             return self._finish(self._fall_back(task, status, reason))
@@ -330,6 +329,7 @@ class Controller:
     def _arrive_softly(self, task: _Task, status: Status, reason: Reason) -> Tick:
         solver = self._solver(len(task.knots), self._pace, soft=True)
         eased = replace(task, solver=solver, guess=None)
+        eased = replace(eased, guess=self._shifted(eased))
         plan, _, _ = _solved(eased)
         if plan is None:
             return self._without_plan(task.state, status, reason)
@@ -428,7 +428,8 @@ def _solved(task: _Task) -> _Answer:
         return None, Status.INFEASIBLE, str(error)
     except SolverFailure as error:
         return None, Status.FAILED, str(error)
+    outside = told(task.problem, task.goals, plan)
     if plan.status == Status.OPTIMAL:
-        return plan, Status.OPTIMAL, ''
+        return plan, Status.OPTIMAL, outside
     unproved = f'not proved optimal: gap {plan.gap:.2g}'
-    return plan, plan.status, '; '.join(filter(None, (unproved, plan.proof.reason)))
+    return plan, plan.status, '; '.join(filter(None, (unproved, plan.proof.reason, outside)))

@@ -2,9 +2,10 @@
 
 Both are demanded of every step of a plan. A state that is outside already, or that is bound to leave
 the cone, must not make a problem infeasible: such a vehicle needs a plan the most. What is demanded
-of it is what a *climb* achieves, which turns upright as fast as the vehicle can and thrusts fully:
-no step may be farther outside than the climb's. That is nothing less than the cone from the step on
-at which the climb is back inside, and all along for a state whose climb never leaves it.
+of it is what a *climb* achieves, which thrusts fully and turns upright as fast as the vehicle can,
+but for a lean that brings it above the goal: no step may be farther outside than the climb's. That
+is the cone itself from the step on at which the climb is back inside, and all along for a state
+whose climb never leaves it.
 
 Mathematics: docs/mathematics.md, 3.9.
 """
@@ -12,18 +13,24 @@ Mathematics: docs/mathematics.md, 3.9.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.model import dynamics
+from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem.problem import Problem
 from orbimpc_ros.mpc.problem.state import State
 
+if TYPE_CHECKING:
+    from orbimpc_ros.mpc.plan import Plan
+
 ROUNDING = 1e-9  # relative, of the climb: it is itself to be allowed
-NOTHING = 1e-6  # outside by less, as fractions and in lengths of a step, is inside
+NOTHING = 2e-6  # outside by less, as fractions and in lengths of a step, is inside
+SETTLING = 4.0  # steps in which a climb comes above the goal, as far as its lean allows
+LEAN = 0.5  # [rad] of a climb, where the tilt is not limited
 
 
 class Relief(NamedTuple):
@@ -57,6 +64,12 @@ def strayed(problem: Problem, away: Array) -> Array:
     )
 
 
+def slope_sides(problem: Problem) -> Array:
+    """Return what a glide slope scales x, y and z by: its cone is then |(x, y)| <= z, shape (3,)."""
+    sine, cosine = math.sin(problem.glide_slope), math.cos(problem.glide_slope)
+    return np.array([sine, sine, cosine])
+
+
 def relief(problem: Problem, state: State, goals: Array) -> Relief:
     """Return how far outside of its cones each step may be: as far as the climb's.
 
@@ -65,7 +78,7 @@ def relief(problem: Problem, state: State, goals: Array) -> Relief:
         state: where the plan starts.
         goals: g_1..g_N, shape (N, 3) [m].
     """
-    headings = climb(problem, state)
+    headings = climb(problem, state, goals)
     positions, _ = dynamics.translation_rollout(problem, state, headings)
     away = positions[1:] - goals
     tilt, slope = leaning(problem, headings[1:]), strayed(problem, away)
@@ -75,33 +88,52 @@ def relief(problem: Problem, state: State, goals: Array) -> Relief:
     )
 
 
-def climb(problem: Problem, state: State) -> Array:
-    """Return R_0 e1..R_N e1, shape (N + 1, 3), that turn upright at once, as far as they can.
+def climb(problem: Problem, state: State, goals: Array) -> Array:
+    """Return R_0 e1..R_N e1, shape (N + 1, 3), of a climb above the goal, as steep as may be.
 
-    With full thrust, but for what the state decides and what ``max_rate`` allows without a floor.
+    At full thrust, but for what the state decides and what ``max_rate`` allows without a floor.
     """
-    z = np.empty((problem.horizon + 1, 3))
-    z[0], decided = state.rotation[:, 0], problem.rotation_order - 1
+    z, decided = np.empty((problem.horizon + 1, 3)), problem.rotation_order - 1
+    z[0], first = state.rotation[:, 0], state.coasted
     if decided:
-        first = state.coasted
-        z[1] = (state.rotation + problem.step * state.rotation_rate if first is None else first)[
-            :, 0
-        ]
-    begin = z[1] if decided else z[0] if not problem.turns_are_angles else state.attitude[:, 0]
-    for k in range(1 + decided, problem.horizon + 1):
-        begin = z[k] = _raised(problem, begin)
+        given = state.rotation + problem.step * state.rotation_rate if first is None else first
+        z[1] = given[:, 0]
+    pointing = state.attitude[:, 0] if problem.turns_are_angles and not decided else z[decided]
+    once = step_of(problem.translation, problem.step, problem.forward)
+    blown = np.outer(once.blow, state.disturbance)
+    y = np.array([state.position, state.velocity][: len(once.push)])
+    for k in range(problem.horizon):
+        if k >= decided:
+            away = y[0] - goals[max(k - 1, 0)]
+            pointing = z[k + 1] = _raised(problem, pointing, _upward(problem, away, y[1:]))
+        y = once.transition @ y + np.outer(once.push, z[k]) + np.outer(once.follow, z[k + 1]) + blown
     return z
 
 
-def _raised(problem: Problem, heading: Array) -> Array:
-    """Return the heading that is upright, or nearest to it within one step's turn."""
-    up = np.array([0.0, 0.0, 1.0])
+def _upward(problem: Problem, away: Array, velocity: Array) -> Array:
+    """Return the direction to climb in, shape (3,): up, leaning against what leads aside.
+
+    Args:
+        problem: limits the lean.
+        away: from the goal, shape (3,) [m].
+        velocity: shape (1, 3) [m/s]; (0, 3) without inertia, where nothing leads aside for long.
+    """
+    if not len(velocity):
+        return np.array([0.0, 0.0, 1.0])
+    time = SETTLING * problem.step
+    wanted = -(away[:2] / time + 2.0 * velocity[0, :2]) / (time * problem.forward)
+    lean = wanted * min(1.0, math.sin(problem.tilt or LEAN) / max(_size(wanted), NOTHING))
+    return np.array([*lean, math.sqrt(1.0 - lean @ lean)])
+
+
+def _raised(problem: Problem, heading: Array, wanted: Array) -> Array:
+    """Return the heading wanted, or the one nearest to it within one step's turn."""
     if not problem.max_rate:
-        return up
+        return wanted
     if not problem.floor.exists:  # the chord limits changes of speed as well
-        way = up - heading
+        way = wanted - heading
         return np.asarray(heading + way * min(1.0, problem.chord / max(_size(way), NOTHING)))
-    return _turned(heading / max(_size(heading), HEADING_UNDEFINED), up, problem.widest_turn)
+    return _turned(heading / max(_size(heading), HEADING_UNDEFINED), wanted, problem.widest_turn)
 
 
 def _turned(unit: Array, towards: Array, most: float) -> Array:
@@ -119,21 +151,20 @@ def _size(vector: Array) -> float:
     return float(np.linalg.norm(vector))
 
 
-def told(problem: Problem, state: State, goals: Array) -> str:
-    """Return in words what is demanded less of a state that is outside; empty if nothing is."""
+def told(problem: Problem, goals: Array, plan: Plan) -> str:
+    """Return in words how far a plan is outside of the cones, where it has to be; else empty."""
     if not problem.has_cones:
         return ''
-    eased = relief(problem, state, goals)
-    found = []
-    if problem.tilt and eased.tilt.max() > NOTHING:
-        found.append(f'tilted too far: the limit holds from {_since(eased.tilt, NOTHING)} on')
-    small = NOTHING * problem.length_unit
-    if problem.glide_slope and eased.slope.max() > small:
-        outside = f'up to {eased.slope.max():.2g} m outside the glide slope'
-        found.append(f'{outside}, which holds from {_since(eased.slope, small)} on')
+    found, small = [], NOTHING * problem.length_unit
+    tilt = leaning(problem, plan.rotations[1:, :, 0])
+    slope = strayed(problem, plan.positions[1:] - goals)
+    if problem.tilt and tilt.max() > NOTHING:
+        found.append(f'tilted too far {_until(tilt, NOTHING)}')
+    if problem.glide_slope and slope.max() > small:
+        found.append(f'{slope.max():.2g} m outside the glide slope {_until(slope, small)}')
     return '; '.join(found)
 
 
-def _since(eased: Array, nothing: float) -> str:
-    last = int(np.flatnonzero(eased > nothing)[-1]) + 1
-    return f'step {last + 1}' if last < len(eased) else 'beyond the horizon'
+def _until(outside: Array, nothing: float) -> str:
+    last = int(np.flatnonzero(outside > nothing)[-1]) + 1
+    return f'until step {last}' if last < len(outside) else 'to the end of the plan'

@@ -58,7 +58,7 @@ def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
             there[0] = firsts[-1]
         yield there
     if problem.has_cones:
-        upright = carried(ahead, climb(problem, state)[1:])
+        upright = carried(ahead, climb(problem, state, goals)[1:])
         if first is not None:
             upright[0] = first
         yield upright

@@ -24,14 +24,8 @@ from orbimpc_ros.mpc.model.cost import (
 from orbimpc_ros.mpc.model.dynamics import adrift, input_map
 from orbimpc_ros.mpc.model.translation import Step, step_of
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.problem.cones import relief
+from orbimpc_ros.mpc.problem.cones import relief, slope_sides
 from orbimpc_ros.mpc.solve.disjunction import Slot
-
-
-def slope_sides(problem: Problem) -> Array:
-    """Return what a glide slope scales x, y and z by: its cone is then |(x, y)| <= z, shape (3,)."""
-    sine, cosine = math.sin(problem.glide_slope), math.cos(problem.glide_slope)
-    return np.array([sine, sine, cosine])
 
 
 class Statement:
@@ -115,6 +109,15 @@ class Statement:
         if self._offsets is not None:
             self._offsets.value = np.zeros(len(self.slots)) if offsets is None else offsets
         return self.program.get_problem_data(cp.CLARABEL, enforce_dpp=True)[0]
+
+    @property
+    def width(self) -> int:
+        """Return the coordinates of a rotation."""
+        return coordinate_count(self.problem.dimension)
+
+    def coordinates(self, x: Array, state: State) -> Array:
+        """Return rotation coordinates, shape (N, d), of x_1..x_N: these are."""
+        return x
 
     @property
     def size(self) -> int:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.parameters.parameter import Row
 from orbimpc_ros.ros.parameters.planner import PLANNER, Ageing, PlannerSettings
@@ -103,9 +104,20 @@ def _surroundings(settings: PlannerSettings) -> list[str]:
         shown = ', '.join(f'{each:.4g}' for each in wind)
         beyond = f', {speed:.4g} {unit} in all: too much to hold a goal'
         parts.append(f'wind ({shown}) {unit}{beyond if speed >= problem.forward else ""}')
+        parts += _leaning(problem, settings.disturbance)
     if settings.velocity_source == 'air':
         parts.append('odometry through the air')
     return parts
+
+
+def _leaning(problem: Problem, disturbance: Array) -> list[str]:
+    """Return that a goal cannot be held because it takes more tilt than is allowed, if it does."""
+    if not problem.tilt:
+        return []
+    needed = math.atan2(math.hypot(*disturbance[:2]), -disturbance[2])
+    if needed <= problem.tilt:
+        return []
+    return [f'to hold a goal takes a tilt of {math.degrees(needed):.4g} deg: more than is allowed']
 
 
 def _hovering(problem: Problem, gravity: float) -> str:
