@@ -167,9 +167,7 @@ def _cone_limits(
     return limits
 
 
-def cone_margins(
-    problem: Problem, state: State, goals: Array, plan: Plan
-) -> tuple[Array, Array]:
+def cone_margins(problem: Problem, state: State, goals: Array, plan: Plan) -> tuple[Array, Array]:
     """Return how far inside of what is demanded of them R_k e1 and s_k are, shape (N,) each.
 
     Args:

@@ -40,8 +40,9 @@ def case_of(mapping: Any) -> Case:
     ``forward``, ``weights``, ``state`` and ``goal``: one point, or one for every step. A weight
     that is absent is 0: what a case does not state does not enter its objective; ``scaling`` among
     them says what they mean, by default the paper's sums. Without ``terminal``, ``floor``,
-    ``max_rate``, ``obstacles``, ``tilt`` and ``glide_slope`` there is a penalty and no limit; without ``discretisation`` it is
-    ``euler``, and without a ``disturbance`` of the state there is none.
+    ``max_rate``, ``obstacles``, ``tilt`` and ``glide_slope`` there is a penalty and no limit;
+    without ``discretisation`` it is ``euler``, and without a ``disturbance`` of the state there is
+    none.
 
     Raises:
         BadInput: a field is unknown, missing, of another type or out of range.

@@ -1,11 +1,11 @@
 """The cones of a descent: how far the thrust axis may lean, and the glide slope above the goal.
 
-Both are demanded of every step of a plan. A state that is outside already, or that is bound to leave
-the cone, must not make a problem infeasible: such a vehicle needs a plan the most. What is demanded
-of it is what a *climb* achieves, which thrusts fully and turns upright as fast as the vehicle can,
-but for a lean that brings it above the goal: no step may be farther outside than the climb's. That
-is the cone itself from the step on at which the climb is back inside, and all along for a state
-whose climb never leaves it.
+Both are demanded of every step of a plan. A state that is outside already, or is bound to leave the
+cone, must not make a problem infeasible: such a vehicle needs a plan the most. What is demanded of
+it is what a *climb* achieves, which thrusts fully and turns upright as fast as the vehicle can, but
+for a lean that brings it above the goal: no step may be farther outside than the climb's. That is
+the cone itself from the step on at which the climb is back inside, and all along for a state whose
+climb never leaves it.
 
 Mathematics: docs/mathematics.md, 3.9.
 """
@@ -65,7 +65,7 @@ def strayed(problem: Problem, away: Array) -> Array:
 
 
 def slope_sides(problem: Problem) -> Array:
-    """Return what a glide slope scales x, y and z by: its cone is then |(x, y)| <= z, shape (3,)."""
+    """Return what a glide slope scales x, y and z by: then |(x, y)| <= z, shape (3,)."""
     sine, cosine = math.sin(problem.glide_slope), math.cos(problem.glide_slope)
     return np.array([sine, sine, cosine])
 
@@ -106,7 +106,8 @@ def climb(problem: Problem, state: State, goals: Array) -> Array:
         if k >= decided:
             away = y[0] - goals[max(k - 1, 0)]
             pointing = z[k + 1] = _raised(problem, pointing, _upward(problem, away, y[1:]))
-        y = once.transition @ y + np.outer(once.push, z[k]) + np.outer(once.follow, z[k + 1]) + blown
+        pushed = np.outer(once.push, z[k]) + np.outer(once.follow, z[k + 1])
+        y = once.transition @ y + pushed + blown
     return z
 
 

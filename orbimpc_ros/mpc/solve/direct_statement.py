@@ -74,9 +74,7 @@ class _Rows:
 
     def matrix(self, columns: int) -> tuple[sparse.csc_matrix, Array]:
         """Return A and b."""
-        rows, places, values = (
-            np.concatenate(each) for each in zip(*self._entries, strict=True)
-        )
+        rows, places, values = (np.concatenate(each) for each in zip(*self._entries, strict=True))
         shape = (self.count, columns)
         return sparse.csc_matrix((values, (rows, places)), shape=shape), np.concatenate(self._b)
 
@@ -102,15 +100,15 @@ class DirectStatement:
         self.moved = Block('s - s_0', 3 * steps)
         self._velocities = Block('p', 3 * (steps + 1) * problem.inertial)
         self._sizes = Block('|R e1|', steps)
-        blocks = (self.x, self.moved, self._velocities, self._sizes)
-        ends = np.cumsum([block.size for block in blocks])
-        self._begin = {block.id: int(end) - block.size for block, end in zip(blocks, ends, strict=True)}
-        self._columns = int(ends[-1])
+        self._begin, self._columns = {}, 0
+        for block in (self.x, self.moved, self._velocities, self._sizes):
+            self._begin[block.id] = self._columns
+            self._columns += block.size
         self._z = np.arange(steps + 1)[:, None] * self.width + np.arange(3)
         self._v = self._begin[self.moved.id] + np.arange(3 * steps).reshape(steps, 3)
         self._p = self._begin[self._velocities.id] + np.arange(3 * steps + 3).reshape(-1, 3)
         self._t = self._begin[self._sizes.id] + np.arange(steps)
-        self._known: list[tuple[np.ndarray, float]] = []  # rows of each value, and its sign
+        self._known: list[np.ndarray] = []  # the rows of each of the values
         self._data = self._compiled()
 
     @staticmethod
@@ -126,7 +124,7 @@ class DirectStatement:
     @property
     def size(self) -> int:
         """Return the length of :meth:`values`."""
-        return sum(len(rows) for rows, _ in self._known)
+        return sum(map(len, self._known))
 
     def values(self, state: State, goals: Array) -> Array:
         """Return what a state and goals g_1..g_N, shape (N, 3), put on right-hand sides."""
@@ -151,9 +149,7 @@ class DirectStatement:
         """Return Clarabel's data for :meth:`values` and offsets of slots; both zero by default."""
         b = self._data['b'].copy()
         if values is not None:
-            ends = np.cumsum([len(rows) for rows, _ in self._known])
-            for (rows, sign), each in zip(self._known, np.split(values, ends), strict=False):
-                b[rows] += sign * each
+            b[np.concatenate(self._known)] += values
         if offsets is not None and self.slots:
             b[self._slot_rows] -= offsets
         return {**self._data, 'b': b}
@@ -216,27 +212,23 @@ class DirectStatement:
         """Write down x_0, the model's steps, and an arrival."""
         problem, steps = self.problem, self.problem.horizon
         first = np.arange(self.width)
-        self._state(rows.add(np.zeros(self.width), (first, first, 1.0)))
-        once, lines = step_of(problem.translation, problem.step, problem.forward), np.arange(3 * steps)
-        lines, three = lines.reshape(steps, 3), np.arange(3)
+        self._known.append(rows.add(np.zeros(self.width), (first, first, 1.0)))
+        once = step_of(problem.translation, problem.step, problem.forward)
+        lines, three = np.arange(3 * steps).reshape(steps, 3), np.arange(3)
         flown = [(lines, self._z[:-1], -once.push[0]), (lines, self._z[1:], -once.follow[0])]
         moved = [(lines, self._v, 1.0), (lines[1:], self._v[:-1], -1.0)]
         if problem.inertial:
             a = once.transition
-            self._state(rows.add(np.zeros(3), (three, self._p[0], 1.0)))
+            self._known.append(rows.add(np.zeros(3), (three, self._p[0], 1.0)))
             gained = [(lines, self._z[:-1], -once.push[1]), (lines, self._z[1:], -once.follow[1])]
             kept = [(lines, self._p[1:], 1.0), (lines, self._p[:-1], -a[1, 1])]
             rows.add(np.zeros(3 * steps), *kept, *gained)
             flown.append((lines, self._p[:-1], -a[0, 1]))
         rows.add(np.zeros(3 * steps), *moved, *flown)
         if problem.terminal == 'constraint':
-            self._state(rows.add(np.zeros(3), (three, self._v[-1], 1.0)))
+            self._known.append(rows.add(np.zeros(3), (three, self._v[-1], 1.0)))
             if problem.inertial:
-                self._state(rows.add(np.zeros(3), (three, self._p[-1], 1.0)))
-
-    def _state(self, rows: np.ndarray, sign: float = 1.0) -> None:
-        """Say which rows the next of :meth:`values` belong to."""
-        self._known.append((rows, sign))
+                self._known.append(rows.add(np.zeros(3), (three, self._p[-1], 1.0)))
 
     def _inequalities(self, rows: _Rows) -> None:
         """Write down floor <= t <= 1, z_3 >= cos(tilt) t, and the slots."""
@@ -248,7 +240,9 @@ class DirectStatement:
         if problem.tilt:
             lean = math.cos(problem.tilt)
             up = self._z[1:, 2]
-            self._state(rows.add(np.zeros(len(every)), (every, up, -1.0), (every, self._t, lean)))
+            self._known.append(
+                rows.add(np.zeros(len(every)), (every, up, -1.0), (every, self._t, lean))
+            )
         places = [self._slot_columns(slot) for slot in range(len(self.slots))]
         count = np.arange(len(places))[:, None]
         if places:
@@ -271,7 +265,7 @@ class DirectStatement:
         places = [(heads + 1, self._v[:, 0], x), (heads + 2, self._v[:, 1], y)]
         numbers = rows.add(np.zeros(3 * steps), (heads, self._v[:, 2], z), *places)
         for place in (1, 2, 0):
-            self._state(numbers[place::3])
+            self._known.append(numbers[place::3])
 
     def _semidefinite(self, rows: _Rows) -> None:
         """Write down S(R_k) >= 0: upper triangles by columns, off the diagonal times sqrt(2)."""
@@ -282,11 +276,10 @@ class DirectStatement:
         scale = np.where(low == high, 1.0, math.sqrt(2.0))
         picked = ORDER * high + low
         parts = -scale[:, None] * linear.reshape(ORDER * ORDER, 9)[picked]
-        count, steps = len(low), self.problem.horizon
-        lines = (count * np.arange(steps))[:, None, None] + np.arange(count)[:, None] + 0 * np.arange(9)
-        places = (9 * np.arange(1, steps + 1))[:, None, None] + np.arange(9) + 0 * lines
-        offsets = np.tile(scale * np.asarray(constant).ravel()[picked], steps)
-        rows.add(offsets, (lines, places, np.broadcast_to(parts, lines.shape)))
+        steps = self.problem.horizon
+        each = sparse.kron(sparse.eye(steps), parts).tocoo()
+        offsets = np.tile(scale * constant[picked], steps)
+        rows.add(offsets, (each.row, self.width + each.col, each.data))
 
     def _cost(self) -> tuple[sparse.csc_matrix, Array]:
         """Return P and c: distances and inputs squared; lengths."""

@@ -194,7 +194,7 @@ class Statement:
     def _limits(self) -> list[cp.Constraint]:
         """|(R_{k+1} - R_k) e1| <= the chords, the cone of a first turn by an angle, and others."""
         limits = self._first_turn() if self.problem.first_turn_is_a_cone else []
-        limits += self._tilted() if self.problem.tilt else []
+        limits += [] if self._eased is None else self._tilted(self._eased)
         if self._sloped:
             x, y, z = slope_sides(self.problem)
             moved = self._displacements
@@ -216,7 +216,7 @@ class Statement:
             cp.SOC(widest * self.along, self.across),
         ]
 
-    def _tilted(self) -> list[cp.Constraint]:
+    def _tilted(self, eased: cp.Parameter) -> list[cp.Constraint]:
         """z_3 >= cos(tilt) t for some t >= |z|, and of at least the floor: |z| itself, if need be.
 
         Where a floor is in force, that is the hull of the headings allowed.
@@ -224,7 +224,7 @@ class Statement:
         up, least = self._headings[1:, -1], self.problem.floor.clearance(self.problem.dimension)
         rows: list[cp.Constraint] = [
             cp.SOC(self._steep, self._headings[1:].T),
-            up - math.cos(self.problem.tilt) * self._steep >= -self._eased,
+            up - math.cos(self.problem.tilt) * self._steep >= -eased,
         ]
         return rows if least == 0.0 else [*rows, self._steep >= least]
 

@@ -75,7 +75,8 @@ PLANNER: tuple[Row, ...] = (
         'translation_order 2); 0 for any',
         'rad', 0.0, 0.5 * math.pi, live=True),
     Row('glide_slope', 0.0, 'Stay in a cone above the goal, of this angle between its side and the '
-        'horizontal: at least tan(glide_slope) m up for each m aside (dimension 3); 0 for anywhere', 'rad', 0.0, STEEPEST_GLIDE, live=True),
+        'horizontal: at least tan(glide_slope) m up for each m aside (dimension 3); 0 for none',
+        'rad', 0.0, STEEPEST_GLIDE, live=True),
     Row('obstacles', (), 'Boxes to stay out of: lower, then upper corner of each',
         'm', -FAR, FAR, live=True),
     Row('no_corner_cutting', False, 'Whether the path between two steps stays out as well',
