@@ -10,9 +10,9 @@ from plans import assembled, only_complaint, only_complaint_but_the_cost
 from problems import goals, rotation
 
 from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.errors import BadInput, SolverFailure
+from orbimpc_ros.mpc.errors import BadInput, Infeasible
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.geometry.rotations import exp, turned_onto
+from orbimpc_ros.mpc.geometry.rotations import carried, exp, turned_onto
 from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.plan import UNPROVED, assemble
@@ -143,16 +143,17 @@ def test_a_vehicle_with_body_rates_keeps_them_from_the_first_step_that_it_can():
     start = falling([9.0, -7.0, 15.0], attitude=leaning, coasted=leaning)
     plan = Solver(problem, coasting=True).solve(start, PAD)
     assert tilts(plan)[1:].max() <= 0.2 + 1e-5
-    assert tilts(plan)[0] == pytest.approx(0.5)
+    assert relief(problem, start, PAD).tilt[0] > 0.1
 
 
 def test_a_speed_has_a_glide_slope_too():
-    problem = Problem(dimension=3, horizon=8, glide_slope=0.6)
-    start = State.at([9.0, 0.0, 7.0], np.eye(3))
+    smooth = Weights(position=0.0, input=3.0, terminal=1.0)
+    problem = Problem(dimension=3, horizon=8, glide_slope=0.66, weights=smooth)
+    start = State.at([9.0, 0.0, 8.3], turned_onto(np.eye(3), -UP))
     plan = Solver(problem).solve(start, PAD)
     assert plan.status == 'optimal'
-    assert slopes(plan).min() >= 0.6 - 1e-5
-    assert slopes(Solver(replace(problem, glide_slope=0.0)).solve(start, PAD)).min() < 0.55
+    assert slopes(plan).min() >= 0.66 - 1e-5
+    assert slopes(Solver(replace(problem, glide_slope=0.0)).solve(start, PAD)).min() < 0.65
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -216,14 +217,14 @@ def test_no_trajectory_above_the_least_thrust_costs_less_than_the_bound(weight):
     plan = Solver(problem, gap_tolerance=1e-3).solve(start, PAD)
     assert plan.status == 'optimal'
     legal = 0
-    for _ in range(300):
-        turn = exp(rng.normal(scale=0.02, size=3))
-        share = np.clip(1.0 + rng.normal(scale=0.02, size=(8, 1, 1)), 0.9, 1.1)
-        moved = share * plan.rotations[1:] @ turn
+    for _ in range(100):
+        share, weight = rng.uniform(0.4, 0.9, (8, 1, 1)), rng.uniform(0.5, 1.0)
+        hovering = share * UPRIGHT @ exp(0.1 * rng.normal(size=3))
+        moved = weight * plan.rotations[1:] + (1.0 - weight) * hovering
         other = assembled(problem, start, PAD, coordinates(moved))
         if not violations(problem, start, PAD, other):
             legal += 1
-            assert other.objective >= plan.lower_bound - 1e-9
+            assert other.objective >= plan.lower_bound
     assert legal > 10
 
 
@@ -254,7 +255,7 @@ def test_a_climb_is_legal_from_anywhere(rotation_order, max_rate, floor, transla
 
 def anywhere(rng, problem):
     attitude = rotation(rng, 3, 2.5)
-    turned = attitude @ exp(rng.normal(scale=0.2, size=3))
+    turned = attitude @ exp(rng.uniform(-0.2, 0.2, size=3))
     second = problem.translation_order == 2
     return State.at(
         rng.normal(scale=8.0, size=3),
@@ -268,8 +269,6 @@ def anywhere(rng, problem):
 
 def climbing(problem, start, targets):
     """R_1..R_N of a climb; at order 2 the coasted rotation first."""
-    from orbimpc_ros.mpc.geometry.rotations import carried
-
     headings = climb(problem, start, targets)[1:]
     begin = start.attitude if problem.rotation_order == 1 else start.coasted
     return carried(begin, headings)
@@ -317,17 +316,15 @@ def test_an_arrival_that_became_impossible_as_time_ran_out_goes_on_as_planned():
     controller = Controller(problem, shrinking=True, gap_tolerance=1e-3, disturbance=pushed)
     places = on([0.0, 0.0, 0.0], 12)
     at = Odometry(0.0, np.array([3.0, 0.0, 30.0]), UPRIGHT, np.array([-3.0, 0.0, 0.0]), np.zeros(3))
-    first = controller.tick(at, places)
-    assert first.status == 'optimal'
-    for _ in range(3):  # past the ticks for which the plan itself stands in
-        moved = first.plan.positions[1] + np.array([0.0, 0.0, 0.3])
-        velocity = UPRIGHT.T @ first.plan.velocities[1]
-        late = Odometry(at.time + 1.0, moved, UPRIGHT, velocity, np.zeros(3))
-        tick = controller.tick(late, places[:-1], lambda: True)
-        if tick.fallback == 'soft arrival':
-            break
+    tick = controller.tick(at, places)
+    for k in range(1, 10):  # with three steps left, two metres too high
+        place = tick.plan.positions[1] + (k == 9) * np.array([0.0, 0.0, 2.0])
+        attitude = tick.plan.projected[1]
+        velocity = attitude.T @ tick.plan.velocities[1]
+        at = Odometry(float(k), place, attitude, velocity, np.zeros(3))
+        tick = controller.tick(at, places[k:], (lambda: True) if k == 9 else None)
     assert tick.fallback == 'soft arrival'
-    assert np.linalg.norm(tick.plan.positions[-1]) < 10.0
+    assert np.linalg.norm(tick.plan.positions[-1]) < 2.5
 
 
 # --- the check
@@ -375,5 +372,5 @@ def test_a_price_is_what_easing_a_cone_saves(name, weight):
 
 def test_an_arrival_that_no_descent_makes_is_still_proved_infeasible():
     problem = lander(terminal='constraint', floor=FLOOR)
-    with pytest.raises((BadInput, SolverFailure, Exception), match='beyond what 8 steps can reach'):
+    with pytest.raises(Infeasible, match='beyond what 8 steps can reach'):
         Solver(problem).solve(falling([0.0, 0.0, 500.0]), PAD)

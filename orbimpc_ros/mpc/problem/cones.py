@@ -27,7 +27,7 @@ from orbimpc_ros.mpc.problem.state import State
 if TYPE_CHECKING:
     from orbimpc_ros.mpc.plan import Plan
 
-ROUNDING = 1e-9  # relative, of the climb: it is itself to be allowed
+SPARE = 1e-3  # by so much of a step's length, or of full thrust, more than the climb's is allowed
 NOTHING = 2e-6  # outside by less, as fractions and in lengths of a step, is inside
 SETTLING = 4.0  # steps in which a climb comes above the goal, as far as its lean allows
 LEAN = 0.5  # [rad] of a climb, where the tilt is not limited
@@ -82,9 +82,9 @@ def relief(problem: Problem, state: State, goals: Array) -> Relief:
     positions, _ = dynamics.translation_rollout(problem, state, headings)
     away = positions[1:] - goals
     tilt, slope = leaning(problem, headings[1:]), strayed(problem, away)
-    rounding = ROUNDING * (problem.length_unit + np.abs(away).max(axis=1))
+    spare = SPARE * problem.length_unit
     return Relief(
-        np.where(tilt > 0.0, tilt + ROUNDING, 0.0), np.where(slope > 0.0, slope + rounding, 0.0)
+        np.where(tilt > 0.0, tilt + SPARE, 0.0), np.where(slope > 0.0, slope + spare, 0.0)
     )
 
 
@@ -94,10 +94,9 @@ def climb(problem: Problem, state: State, goals: Array) -> Array:
     At full thrust, but for what the state decides and what ``max_rate`` allows without a floor.
     """
     z, decided = np.empty((problem.horizon + 1, 3)), problem.rotation_order - 1
-    z[0], first = state.rotation[:, 0], state.coasted
+    z[0] = state.rotation[:, 0]
     if decided:
-        given = state.rotation + problem.step * state.rotation_rate if first is None else first
-        z[1] = given[:, 0]
+        z[1] = _coasted(problem, state)
     pointing = state.attitude[:, 0] if problem.turns_are_angles and not decided else z[decided]
     once = step_of(problem.translation, problem.step, problem.forward)
     blown = np.outer(once.blow, state.disturbance)
@@ -109,6 +108,18 @@ def climb(problem: Problem, state: State, goals: Array) -> Array:
         pushed = np.outer(once.push, z[k]) + np.outer(once.follow, z[k + 1])
         y = once.transition @ y + pushed + blown
     return z
+
+
+def _coasted(problem: Problem, state: State) -> Array:
+    """Return R_1 e1, which a body rate decides but for its length, as long as it may be."""
+    if state.coasted is None:
+        return np.asarray((state.rotation + problem.step * state.rotation_rate)[:, 0])
+    unit, heading = state.coasted[:, 0], state.rotation[:, 0]
+    if not problem.max_rate or problem.floor.exists:
+        return unit
+    along = float(unit @ heading)  # and from there as far as the chord leads
+    more = math.sqrt(max(0.0, problem.chord**2 - _size(heading - along * unit) ** 2))
+    return np.asarray(min(1.0, along + more) * unit)
 
 
 def _upward(problem: Problem, away: Array, velocity: Array) -> Array:
