@@ -317,14 +317,14 @@ def test_an_arrival_that_became_impossible_as_time_ran_out_goes_on_as_planned():
     places = on([0.0, 0.0, 0.0], 12)
     at = Odometry(0.0, np.array([3.0, 0.0, 30.0]), UPRIGHT, np.array([-3.0, 0.0, 0.0]), np.zeros(3))
     tick = controller.tick(at, places)
-    for k in range(1, 10):  # with three steps left, two metres too high
-        place = tick.plan.positions[1] + (k == 9) * np.array([0.0, 0.0, 2.0])
+    for k in range(1, 6):  # and then 25 m too high to arrive
+        place = tick.plan.positions[1] + (k == 5) * np.array([0.0, 0.0, 25.0])
         attitude = tick.plan.projected[1]
         velocity = attitude.T @ tick.plan.velocities[1]
         at = Odometry(float(k), place, attitude, velocity, np.zeros(3))
-        tick = controller.tick(at, places[k:], (lambda: True) if k == 9 else None)
+        tick = controller.tick(at, places[k:], (lambda: True) if k == 5 else None)
     assert tick.fallback == 'soft arrival'
-    assert np.linalg.norm(tick.plan.positions[-1]) < 2.5
+    assert np.linalg.norm(tick.plan.positions[-1]) == pytest.approx(25.0, abs=1e-3)
 
 
 # --- the check
