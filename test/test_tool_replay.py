@@ -24,7 +24,7 @@ from orbimpc_ros.tool.replay.difference import Tolerances, comparisons
 from orbimpc_ros.tool.replay.recording import Published, published, recording_of
 from orbimpc_ros.tool.replay.resolving import replayed
 
-FLIGHTS = ('retrieval', 'dubins', 'spacecraft', 'obstacles', 'disturbed', 'faulty')
+FLIGHTS = ('retrieval', 'dubins', 'spacecraft', 'obstacles', 'lander', 'disturbed', 'faulty')
 RETRIEVAL = GOLDEN / 'retrieval'
 
 
@@ -78,6 +78,8 @@ def test_golden_bags_hold_what_they_are_for():
     assert any(a.fallback == 'soft arrival' for a in answers['disturbed'])
     assert any(not a.solved and a.reason == 'disabled' for a in answers['faulty'])
     assert all(a.force is not None for a in answers['spacecraft'])
+    assert all(a.gap < 1e-3 for a in answers['lander'] if a.status == 'optimal')
+    assert sum(a.status == 'optimal' for a in answers['lander']) > 25
     assert max(f.stat().st_size for f in GOLDEN.rglob('*.mcap')) < 100_000
 
 
