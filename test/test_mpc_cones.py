@@ -15,7 +15,7 @@ from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import carried, exp, turned_onto
 from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.loop.odometry import Odometry
-from orbimpc_ros.mpc.plan import UNPROVED, assemble
+from orbimpc_ros.mpc.plan import UNPROVED, assemble, shifted
 from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import case_of
 from orbimpc_ros.mpc.problem.cones import climb, relief, told
@@ -325,6 +325,28 @@ def test_an_arrival_that_became_impossible_as_time_ran_out_goes_on_as_planned():
         tick = controller.tick(at, places[k:], (lambda: True) if k == 5 else None)
     assert tick.fallback == 'soft arrival'
     assert np.linalg.norm(tick.plan.positions[-1]) == pytest.approx(25.0, abs=1e-3)
+
+
+def test_a_descent_begins_with_the_nearest_arrival_where_there_is_none():
+    """To wait for one is to fall."""
+    problem = lander(floor=FLOOR, terminal='constraint')
+    pushed = np.array([0.0, 0.0, -1.62])
+    controller = Controller(problem, shrinking=True, gap_tolerance=1e-3, disturbance=pushed)
+    high = Odometry(0.0, np.array([3.0, 0.0, 90.0]), UPRIGHT, np.zeros(3), np.zeros(3))
+    tick = controller.tick(high, PAD)
+    assert (tick.status, tick.fallback) == ('infeasible', 'soft arrival')
+    assert tick.plan.gap < 1e-3
+
+
+def test_the_rest_of_a_plan_keeps_the_least_thrust_where_a_share_of_a_step_has_passed():
+    """Between two directions of the least thrust a chord leads below it."""
+    problem = lander(floor=FLOOR, tilt=0.0, glide_slope=0.0)
+    start = falling([0.0, 0.0, 30.0], fraction=0.3)
+    turns = np.array([UPRIGHT @ exp(np.array([0.0, 0.1 * k, 0.0])) for k in range(1, 9)])
+    plan = assembled(problem, start, PAD, coordinates(0.3 * turns))
+    rest = shifted(problem, start, PAD, plan, 0.5 + np.arange(1, 9), projection='thrust_aligned')
+    assert violations(problem, start, PAD, rest) == []
+    assert rest.speed_fraction[1:] == pytest.approx(0.3)
 
 
 # --- the check

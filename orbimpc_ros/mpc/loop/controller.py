@@ -88,7 +88,7 @@ class Controller:
     - the shifted previous plan, if it still holds from the new state, for two ticks at most and
       never past its horizon;
     - a *soft arrival*, where a terminal constraint that could be met before no longer can be,
-      because of disturbances: the plan that comes nearest;
+      because of disturbances: the plan that comes nearest; in a descent from the start on;
     - the safe command.
 
     Ticks may come as often as they like. How far the previous plan is flown, and what a shrinking
@@ -322,7 +322,8 @@ class Controller:
             guess = task.guess or self._shifted(task)
             if guess and not violations(task.problem, task.state, task.goals, guess):
                 return self._following(task, guess, status, reason, Fallback.SHIFTED_PLAN)
-        if self._arriving and task.problem.terminal == 'constraint' and not reason.cause:
+        arriving = self._arriving or task.problem.has_cones  # to wait is to fall
+        if arriving and task.problem.terminal == 'constraint' and not reason.cause:
             return self._arrive_softly(task, status, reason)
         return self._without_plan(task.state, status, reason)
 
@@ -334,7 +335,7 @@ class Controller:
         if plan is None:
             return self._without_plan(task.state, status, reason)
         miss = float(np.linalg.norm(plan.positions[-1] - task.goals[-1]))
-        jump = float(np.linalg.norm(task.goals[-1] - self._aim))
+        jump = float(np.linalg.norm(task.goals[-1] - self._aim)) if self._arriving else 0.0
         if jump > task.problem.length_unit:
             jumped = f'the goal has jumped by {jump:.3g} m'
             reason = reason.and_so(f'{jumped}, the nearest plan misses by {miss:.3g} m')
