@@ -11,6 +11,7 @@ from problems import goals, rotation
 
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible
+from orbimpc_ros.mpc.geometry.cells import cap_cells
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import carried, exp, turned_onto
 from orbimpc_ros.mpc.loop.controller import Controller
@@ -21,6 +22,7 @@ from orbimpc_ros.mpc.problem.case import case_of
 from orbimpc_ros.mpc.problem.cones import climb, relief, told
 from orbimpc_ros.mpc.problem.feasibility import constraints_in_force
 from orbimpc_ros.mpc.sensitivity.constraints import explained
+from orbimpc_ros.mpc.solve.disjunction import shortfall
 from orbimpc_ros.mpc.solve.solver import Solver
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -396,3 +398,36 @@ def test_an_arrival_that_no_descent_makes_is_still_proved_infeasible():
     problem = lander(terminal='constraint', floor=FLOOR)
     with pytest.raises(Infeasible, match='beyond what 8 steps can reach'):
         Solver(problem).solve(falling([0.0, 0.0, 500.0]), PAD)
+
+
+# --- the search
+
+
+def test_the_patches_of_a_cap_cover_it_at_every_level():
+    rng = np.random.default_rng(2)
+    for tilt in (0.05, 0.2618, 1.0):
+        angles, around = tilt * np.sqrt(rng.uniform(0, 1, 500)), rng.uniform(0, 2 * np.pi, 500)
+        angles[:50] = tilt
+        across = np.column_stack([np.cos(around), np.sin(around)]) * np.sin(angles)[:, None]
+        axes = 0.3 * np.column_stack([across, np.cos(angles)])
+        cells = cap_cells(tilt, 0.3)
+        for _ in range(3):
+            assert (shortfall(cells, axes).min(axis=0) <= 1e-12).all()
+            cells = tuple(part for cell in cells for part in cell.parts())
+
+
+def test_a_descent_that_leans_at_the_least_thrust_is_searched_to_its_optimum():
+    """Where the relaxation is below the floor: too much thrust to come down in time, and aside."""
+    problem = lander(
+        floor=FLOOR,
+        horizon=6,
+        weights=Weights(position=1.0, input=0.05, length=0.0, terminal=1.0),
+        glide_slope=0.0,
+        tilt=0.6,
+    )
+    start, places = falling([6.0, 2.0, 40.0], fraction=0.3), on([0.0, 0.0, 0.0], 6)
+    found = Solver(problem, gap_tolerance=1e-4).solve(start, places)
+    assert found.status == 'optimal'
+    assert found.nodes > 1
+    wide = Solver(replace(problem, tilt=1.5), gap_tolerance=1e-3).solve(start, places)
+    assert wide.lower_bound <= found.objective

@@ -83,8 +83,9 @@ def draw_thrust(axes: Axes, history: History, plan: Plan) -> None:
     full = values['mass'] * values['forward']
     times = values['step'] * np.arange(plan.horizon)
     steps(axes, times, plan.speed_fraction[1:], 'planned at the start', PLANNED)
-    sent = np.array([(t - begun, force / full) for t, force in history.forces if t < history.end])
-    steps(axes, *sent.T, 'commanded', FLOWN)
+    sent = [(t - begun, force / full) for t, force in history.forces if t < history.end]
+    at, shares = np.reshape(sent, (-1, 2)).T
+    steps(axes, at, shares, 'commanded', FLOWN)
     if values['floor.shape'] != 'none':
         floor = values['floor.fraction']
         axes.axhline(floor, color=RED, lw=1.2, ls='--', label=f'least: {floor:.2g}')
