@@ -50,6 +50,8 @@ DOCUMENTED = {
     'floor.faces': 4,
     'floor.fraction': 0.5477225575,
     'max_rate': 0.0,
+    'tilt': 0.0,
+    'glide_slope': 0.0,
     'obstacles': (),
     'projection': 'thrust_aligned',
     'trigger': 'timer',

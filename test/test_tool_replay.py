@@ -27,7 +27,7 @@ from orbimpc_ros.tool.replay.resolving import replayed
 
 FLIGHTS = (
     *('retrieval', 'dubins', 'spacecraft', 'obstacles'),
-    *('disturbed', 'faulty', 'fixed_wing'),
+    *('disturbed', 'faulty', 'fixed_wing', 'lander'),
 )
 RETRIEVAL = GOLDEN / 'retrieval'
 
@@ -91,6 +91,7 @@ def test_golden_bags_hold_what_they_are_for():
     assert all(a.force is not None for a in answers['spacecraft'])
     assert all(a.status == 'optimal' for a in answers['fixed_wing'])
     assert any(each.topic == 'goal_path' for each in recording_of(GOLDEN / 'fixed_wing').inputs)
+    assert all(a.status == 'optimal' and a.gap < 1e-6 for a in answers['lander'])
     assert max(f.stat().st_size for f in GOLDEN.rglob('*.mcap')) < 100_000
 
 

@@ -20,6 +20,7 @@ from orbimpc_ros.mpc.geometry.orbitopes import margin
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.model.translation import Step, step_of
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem.cones import leaning, relief, strayed
 
 if TYPE_CHECKING:
     from orbimpc_ros.mpc.command import Command
@@ -46,7 +47,7 @@ def violations(problem: Problem, state: State, goals: Array, plan: Plan) -> list
         return ['plan is not finite']
     return [
         *_dynamics_violations(problem, state, plan),
-        *_limit_violations(problem, state, plan),
+        *_limit_violations(problem, state, goals, plan),
         *_terminal_violations(problem, goals, plan),
         *_proof_violations(problem, goals, plan),
         *_rotation_violations(problem, state, plan),
@@ -137,7 +138,7 @@ def _length_tolerance(problem: Problem, state: State) -> float:
 # --- limits
 
 
-def _limit_violations(problem: Problem, state: State, plan: Plan) -> list[str]:
+def _limit_violations(problem: Problem, state: State, goals: Array, plan: Plan) -> list[str]:
     limits = {'conv SO(n)': (float(margin(plan.rotations[1:]).min()), TOLERANCE)}
     if problem.floor.exists:
         least = float(floor_margin(problem, plan.rotations[1:, :, 0]).min())
@@ -148,7 +149,36 @@ def _limit_violations(problem: Problem, state: State, plan: Plan) -> list[str]:
     if problem.obstacles:
         length = _length_tolerance(problem, state)
         limits['obstacle'] = obstacle_margin(problem, plan.positions), length
+    if problem.has_cones:
+        limits |= _cone_limits(problem, state, goals, plan)
     return [f'{name} violated by {-m:.2g}' for name, (m, most) in limits.items() if m < -most]
+
+
+def _cone_limits(
+    problem: Problem, state: State, goals: Array, plan: Plan
+) -> dict[str, tuple[float, float]]:
+    """Return the least margins to the cones of a descent, and by how much each may be missed."""
+    tilt, slope = cone_margins(problem, state, goals, plan)
+    limits = {}
+    if problem.tilt:
+        limits['tilt'] = float(tilt.min()), TOLERANCE
+    if problem.glide_slope:
+        limits['glide_slope'] = float(slope.min()), _length_tolerance(problem, state)
+    return limits
+
+
+def cone_margins(problem: Problem, state: State, goals: Array, plan: Plan) -> tuple[Array, Array]:
+    """Return how far inside of what is demanded of them R_k e1 and s_k are, shape (N,) each.
+
+    Args:
+        problem: gives the cones.
+        state: says how far outside they may be, if it is itself.
+        goals: g_1..g_N, shape (N, 3) [m].
+        plan: gives rotations and positions.
+    """
+    eased = relief(problem, state, goals)
+    headings, away = plan.rotations[1:, :, 0], plan.positions[1:] - goals
+    return eased.tilt - leaning(problem, headings), eased.slope - strayed(problem, away)
 
 
 def floor_margin(problem: Problem, headings: Array) -> Array:

@@ -197,8 +197,19 @@ def shifted(
     x = coordinates(plan.rotations)
     at = 1.0 + np.arange(1, problem.horizon + 1) if knots is None else knots
     moved = later(x, at)
-    if problem.dimension == 2 and not _whole(at):
-        sizes = later(np.linalg.norm(x, axis=1, keepdims=True), at)
-        found = np.linalg.norm(moved, axis=1, keepdims=True)
-        moved = moved * np.where(found > 0.0, sizes / np.maximum(found, TINY), 1.0)
+    if not _whole(at):
+        moved = _as_long(problem, x, moved, at)
     return assemble(problem, state, goals, moved, projection=projection, proof=UNPROVED)
+
+
+def _as_long(problem: Problem, x: Array, moved: Array, at: Array) -> Array:
+    """Return rotations on chords, shape (K, d), with |R e1| as long as in between the ends.
+
+    In space the orbitope leaves no room for that at full speed: there it is kept up to the floor.
+    """
+    n = problem.dimension
+    sizes = later(np.linalg.norm(x[:, :n], axis=1, keepdims=True), at)
+    found = np.linalg.norm(moved[:, :n], axis=1, keepdims=True)
+    if n == 3:
+        sizes = np.maximum(found, np.minimum(sizes, problem.floor.radius))
+    return np.asarray(moved * np.where(found > 0.0, sizes / np.maximum(found, TINY), 1.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -51,7 +52,7 @@ def open_loop(problem: Problem, scenario: Scenario, projection: str) -> OpenLoop
         Infeasible: no trajectory satisfies the constraints.
     """
     start, goal = scenario.start, scenario.rope.at(0.0)
-    state = state_of(problem, measured(start), start.fraction)
+    state = state_of(problem, measured(start), start.fraction, scenario.model.blown)
     solver = Solver(problem, projection=projection, coasting=True)
     plan = solver.solve(state, np.tile(goal, (problem.horizon, 1)))
     missed = float(np.linalg.norm(plan.positions[-1] - goal))
@@ -71,7 +72,8 @@ def flown_to_the_end(
         vehicle: what ``state`` was measured on.
         goal: shape (n,) [m].
     """
-    model, turned = model_of(problem), 0.0
+    blown = tuple(state.disturbance.tolist())
+    model, turned = replace(model_of(problem), disturbance=blown), 0.0
     for step in range(plan.horizon):
         turned = max(turned, _angle(plan.rotations[step, :, 0], vehicle.attitude[:, 0]))
         command = command_of(problem, state, plan, step)

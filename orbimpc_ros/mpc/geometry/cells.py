@@ -6,6 +6,7 @@ Mathematics: docs/mathematics.md, 3.5.
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -15,6 +16,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.geometry.faces import normals
 
+TOUCH = 1e-4  # [rad]
 QUARTERS, LEVELS = 4, 8  # of a circle: arcs to begin with, and how often they are halved
 
 
@@ -128,6 +130,25 @@ def round_cells(dimension: int, floor: float) -> tuple[Cell, ...]:
     else:
         corners = _icosahedron_triangles()
     return tuple(Patch.over(sealed(c), floor) for c in corners)
+
+
+@lru_cache(maxsize=16)
+def cap_cells(tilt: float, floor: float) -> tuple[Cell, ...]:
+    """Return patches that together cover the sphere as far as an angle [rad] from +z.
+
+    Four triangles that share the corner +z. Their outer sides touch the circle at that angle; they
+    are a little wider, for rounding.
+    """
+    wide = math.atan(math.tan(tilt + TOUCH) / math.cos(math.pi / QUARTERS))
+    around = 2.0 * np.pi * np.arange(QUARTERS + 1) / QUARTERS
+    height = np.full(len(around), math.cos(wide))
+    outer = np.column_stack(
+        [math.sin(wide) * np.cos(around), math.sin(wide) * np.sin(around), height]
+    )
+    up = np.array([0.0, 0.0, 1.0])
+    return tuple(
+        Patch.over(sealed(np.array([up, outer[i], outer[i + 1]])), floor) for i in range(QUARTERS)
+    )
 
 
 def _icosahedron_triangles() -> list[Array]:

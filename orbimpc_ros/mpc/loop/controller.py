@@ -20,6 +20,7 @@ from orbimpc_ros.mpc.loop.safety import may_stop, safe_command
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
 from orbimpc_ros.mpc.plan import Plan, later, shifted
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem.cones import told
 from orbimpc_ros.mpc.problem.reach import pulled_in
 from orbimpc_ros.mpc.solve.request import NEVER_ENOUGH, Enough
 from orbimpc_ros.mpc.solve.solver import Solver
@@ -35,8 +36,9 @@ class Tick(ByContent):
 
     Attributes:
         status: of the solve.
-        reason: why, where it is not ``optimal``, and what was done about a goal too far away or a
-            measured speed that the model does not know; else empty.
+        reason: why, where it is not ``optimal``, and what was done about a goal too far away, a
+            plan outside of the cones of a descent, or a measured speed that the model does not
+            know; else empty.
         state: the state that the plan starts from; None if nothing was to be planned.
         plan: the checked plan behind the command; None if the command is the safe one.
         command: what to do next.
@@ -87,7 +89,7 @@ class Controller:
     - the shifted previous plan, if it still holds from the new state, for two ticks at most and
       never past its horizon;
     - a *soft arrival*, where a terminal constraint that could be met before no longer can be,
-      because of disturbances: the plan that comes nearest;
+      because of disturbances: the plan that comes nearest; in a descent from the start on;
     - the safe command.
 
     Ticks may come as often as they like. How far the previous plan is flown, and what a shrinking
@@ -363,18 +365,20 @@ class Controller:
             guess = task.guess or self._shifted(task)
             if guess and not violations(task.problem, task.state, task.goals, guess):
                 return self._following(task, guess, status, reason, Fallback.SHIFTED_PLAN)
-        if self._arriving and task.problem.terminal == 'constraint' and not reason.cause:
+        arriving = self._arriving or task.problem.has_cones  # to wait is to fall
+        if arriving and task.problem.terminal == 'constraint' and not reason.cause:
             return self._arrive_softly(task, status, reason)
         return self._without_plan(task.state, status, reason)
 
     def _arrive_softly(self, task: _Task, status: Status, reason: Reason) -> Tick:
         solver = self._solver(len(task.knots), self._pace, soft=True)
         eased = replace(task, solver=solver, guess=None)
+        eased = replace(eased, guess=self._shifted(eased))
         plan, _, _ = _solved(eased)
         if plan is None:
             return self._without_plan(task.state, status, reason)
         miss = float(np.linalg.norm(plan.positions[-1] - task.goals[-1]))
-        jump = float(np.linalg.norm(task.goals[-1] - self._aim))
+        jump = float(np.linalg.norm(task.goals[-1] - self._aim)) if self._arriving else 0.0
         if jump > task.problem.length_unit:
             jumped = f'the goal has jumped by {jump:.3g} m'
             reason = reason.and_so(f'{jumped}, the nearest plan misses by {miss:.3g} m')
@@ -473,7 +477,8 @@ def _solved(task: _Task) -> _Answer:
         return None, Status.INFEASIBLE, str(error)
     except SolverFailure as error:
         return None, Status.FAILED, str(error)
+    outside = told(task.problem, task.goals, plan)
     if plan.status == Status.OPTIMAL:
-        return plan, Status.OPTIMAL, ''
+        return plan, Status.OPTIMAL, outside
     unproved = f'not proved optimal: gap {plan.gap:.2g}'
-    return plan, plan.status, '; '.join(filter(None, (unproved, plan.proof.reason)))
+    return plan, plan.status, '; '.join(filter(None, (unproved, plan.proof.reason, outside)))

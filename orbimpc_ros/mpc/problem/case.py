@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.scaling import weighed
 
 MODEL = ('dimension', 'rotation_order', 'translation_order', 'horizon', 'step', 'forward')
-EXTRAS = ('terminal', 'max_rate', 'no_corner_cutting', 'discretisation')
+EXTRAS = ('terminal', 'max_rate', 'no_corner_cutting', 'discretisation', 'tilt', 'glide_slope')
 PARTS = ('weights', 'floor', 'obstacles')
 WEIGHTS = ('position', 'input', 'length', 'terminal')
 
@@ -40,8 +40,9 @@ def case_of(mapping: Any) -> Case:
     ``forward``, ``weights``, ``state`` and ``goal``: one point, or one for every step. A weight
     that is absent is 0: what a case does not state does not enter its objective; ``scaling`` among
     them says what they mean, by default the paper's sums. Without ``terminal``, ``floor``,
-    ``max_rate`` and ``obstacles`` there is a penalty and no limit; without ``discretisation`` it is
-    ``euler``, and without a ``disturbance`` of the state there is none.
+    ``max_rate``, ``obstacles``, ``tilt`` and ``glide_slope`` there is a penalty and no limit;
+    without ``discretisation`` it is ``euler``, and without a ``disturbance`` of the state there is
+    none.
 
     Raises:
         BadInput: a field is unknown, missing, of another type or out of range.

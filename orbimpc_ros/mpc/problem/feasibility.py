@@ -40,6 +40,8 @@ def constraints_in_force(problem: Problem) -> list[str]:
         f'the {floor.shape} floor of {floor.fraction:.4g}': floor.exists,
         f'max_rate {problem.max_rate:.4g}': problem.max_rate > 0.0,
         f'{len(problem.obstacles)} obstacles': bool(problem.obstacles),
+        f'tilt {problem.tilt:.4g}': problem.tilt > 0.0,
+        f'glide_slope {problem.glide_slope:.4g}': problem.glide_slope > 0.0,
     }
     return [name for name, in_force in named.items() if in_force]
 

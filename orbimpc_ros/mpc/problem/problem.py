@@ -33,6 +33,7 @@ from orbimpc_ros.mpc.problem.obstacle import Box
 TERMINALS = ('penalty', 'constraint')
 MAX_HORIZON = 500
 MAX_OBSTACLES = 64
+STEEPEST_GLIDE = 1.5  # [rad]: 14 m up for a metre aside
 WIDEST_CONE = 1.4  # [rad] beyond it the cone of a turn is nearly a half-space, and ill-conditioned
 
 
@@ -81,6 +82,11 @@ class Problem:
             the objective: what stands in for an arrival that has become impossible [1/m^2].
         discretisation: ``euler``, the paper's, or ``exact``: the thrust axis moves on the chord
             from R_k e1 to R_{k+1} e1 during a step, and what it pushes is integrated exactly.
+        tilt: largest angle of the thrust axis R_k e1 from the vertical, +z [rad], 0 for none;
+            dimension 3, translation order 2.
+        glide_slope: angle of a cone above the goal that s_k stays in, between its side and the
+            horizontal [rad], 0 for none; dimension 3. How both hold from a state that is outside
+            says :mod:`orbimpc_ros.mpc.problem.cones`.
     """
 
     dimension: int = 2
@@ -97,6 +103,8 @@ class Problem:
     no_corner_cutting: bool = False
     arrival_weight: float = 0.0
     discretisation: str = 'euler'
+    tilt: float = 0.0
+    glide_slope: float = 0.0
 
     def __post_init__(self) -> None:
         _instance(self.weights, Weights, 'weights')
@@ -118,11 +126,27 @@ class Problem:
         number(self.max_rate, 'max_rate', 0.0, math.pi / self.step)
         number(self.arrival_weight, 'arrival_weight', 0.0)
         self.floor.validate(self.dimension)
+        self._validate_cones()
         if len(self.obstacles) > MAX_OBSTACLES:
             raise BadInput('obstacles', len(self.obstacles), f'at most {MAX_OBSTACLES} boxes')
         for box in self.obstacles:
             if box.dimension != self.dimension:
                 raise BadInput('obstacles.min', box.minimum.tolist(), f'{self.dimension} numbers')
+
+    def _validate_cones(self) -> None:
+        number(self.tilt, 'tilt', 0.0, 0.5 * math.pi)
+        number(self.glide_slope, 'glide_slope', 0.0, STEEPEST_GLIDE)
+        if self.dimension == 2:
+            for name in ('tilt', 'glide_slope'):
+                if getattr(self, name):
+                    raise BadInput(name, getattr(self, name), '0 when dimension is 2')
+        if self.tilt and not self.inertial:  # which then is where it flies to, not what it leans by
+            raise BadInput('tilt', self.tilt, f'0 at translation_order {self.translation_order}')
+
+    @property
+    def has_cones(self) -> bool:
+        """Return whether the tilt is limited, or a glide slope set."""
+        return self.tilt > 0.0 or self.glide_slope > 0.0
 
     @property
     def turns_are_angles(self) -> bool:

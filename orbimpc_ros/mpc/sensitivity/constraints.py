@@ -36,11 +36,13 @@ class Binding:
     """A constraint without slack whose relaxation would pay.
 
     Attributes:
-        name: ``hull``, ``floor``, ``max_rate``, ``obstacle 0`` (its number), ``thrust`` (a coasting
-            body's cannot be negative), ``terminal x`` or ``terminal velocity x`` (or y, z).
+        name: ``hull``, ``floor``, ``max_rate``, ``tilt``, ``glide_slope``, ``obstacle 0`` (its
+            number), ``thrust`` (a coasting body's cannot be negative), ``terminal x`` or
+            ``terminal velocity x`` (or y, z).
         step: k in 1..N: of R_k, of s_k, or of the turn from R_{k-1} to R_k.
         price: what the cost falls by per unit of relaxation: of speed fraction for ``hull``,
-            ``floor`` and ``thrust``, of rad/s for ``max_rate``, of m or m/s for the others.
+            ``floor`` and ``thrust``, of rad/s for ``max_rate``, of rad for ``tilt`` and
+            ``glide_slope``, of m or m/s for the others.
     """
 
     name: str
@@ -74,7 +76,7 @@ def explained(problem: Problem, state: State, goals: Array, plan: Plan) -> Expla
         goals: g_1..g_N, shape (N, n) [m].
         plan: the optimum.
     """
-    slacks = list(slacks_of(problem, state, plan))
+    slacks = list(slacks_of(problem, state, goals, plan))
     terms = gradients_of_cost(problem, goals, plan)
     scale = max(sum(map(np.linalg.norm, terms)), ROUNDING * plan.objective, TINY)
     gradients = np.array([sum(terms), *(slack.gradient for slack in slacks)])

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.check import turn_margin
+from orbimpc_ros.mpc.check import cone_margins, turn_margin
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates, lmi, lmi_parts
 from orbimpc_ros.mpc.model.cost import on_axes
 from orbimpc_ros.mpc.plan import Plan
@@ -45,17 +45,20 @@ class Slack:
     signed: bool = False
 
 
-def slacks_of(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
+def slacks_of(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[Slack]:
     """Yield every slack that has run out at a plan.
 
     Args:
         problem: what was solved.
         state: from where.
+        goals: g_1..g_N, shape (N, n) [m].
         plan: a plan that meets all constraints.
     """
     yield from _hull(plan)
     yield from _rates(problem, state, plan)
     yield from _chosen(problem, plan)
+    if problem.has_cones:
+        yield from _cones(problem, state, goals, plan)
     yield from _arrival(problem, plan)
     if problem.rotation_order == 2 and state.coasted is not None:
         yield from _thrust(state.coasted, plan)
@@ -131,6 +134,33 @@ def _chosen(problem: Problem, plan: Plan) -> Iterator[Slack]:
                 box = boxes.index(choice) * len(problem.obstacles) // len(boxes)
                 gradient = on_axes(np.outer(reach[k - 1], normal))
                 yield Slack(f'obstacle {box}', k, gradient)
+
+
+def _cones(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[Slack]:
+    """z_3 - cos(tilt) |z|, and the distance to the glide slope, charged to their angles."""
+    tilt, slope = cone_margins(problem, state, goals, plan)
+    if problem.tilt:
+        for k in 1 + np.flatnonzero(tilt < ACTIVE):
+            yield _leaning(problem.tilt, plan, int(k))
+    if problem.glide_slope:
+        for k in 1 + np.flatnonzero(slope < ACTIVE * problem.length_unit):
+            yield _gliding(problem, plan.positions[k] - goals[k - 1], int(k))
+
+
+def _leaning(tilt: float, plan: Plan, k: int) -> Slack:
+    heading = plan.rotations[k, :, 0]
+    size = float(np.linalg.norm(heading))
+    gradient = np.array([0.0, 0.0, 1.0]) - math.cos(tilt) * heading / max(size, ACTIVE)
+    return Slack('tilt', k, _at(plan, k, gradient), math.sin(tilt) * size)
+
+
+def _gliding(problem: Problem, away: Array, k: int) -> Slack:
+    """The cone has no gradient at its tip: there it is taken as upwards."""
+    sine, cosine = math.sin(problem.glide_slope), math.cos(problem.glide_slope)
+    aside = float(np.hypot(away[0], away[1]))
+    outward = away[:2] / max(aside, ACTIVE * problem.length_unit)
+    gradient = np.outer(problem.maps.reach[k - 1, 1:], np.array([*(-sine * outward), cosine]))
+    return Slack('glide_slope', k, on_axes(gradient), cosine * aside + sine * float(away[2]))
 
 
 def _run_out(choice: Disjunction, values: Array) -> Iterator[tuple[int, Array]]:

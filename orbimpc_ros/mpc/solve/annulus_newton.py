@@ -131,6 +131,7 @@ class AnnulusNewton:
             and (problem.dimension == 2 or problem.weights.input == 0.0)
             and problem.max_rate == 0.0
             and not problem.obstacles
+            and not problem.has_cones
         )
 
     def settles(self, found: Found) -> bool:

@@ -15,8 +15,10 @@ from typing import Literal
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.cells import Cell
+from orbimpc_ros.mpc.geometry.cells import Cell, cap_cells
 from orbimpc_ros.mpc.problem import Problem
+
+STEEPEST_CAP = 1.0  # [rad]: patches that share a corner are too long for a wider one
 
 
 @dataclass(frozen=True)
@@ -36,12 +38,15 @@ class Disjunction:
         steps: the k (1..N) that must agree on a cell.
         cells: the alternatives; for a round floor they cover it and can be cut finer.
         radius: of a round floor; zero for one of flat faces.
+        upright: the alternatives where v_k is within the tilt that is allowed; empty where those
+            are no fewer.
     """
 
     on: Literal['heading', 'position']
     steps: tuple[int, ...]
     cells: tuple[Cell, ...]
     radius: float = 0.0
+    upright: tuple[Cell, ...] = ()
 
     @property
     def slots(self) -> tuple[Slot, ...]:
@@ -78,7 +83,10 @@ def disjunctions_of(problem: Problem) -> tuple[Disjunction, ...]:
 def _floor(problem: Problem) -> list[Disjunction]:
     cells, radius = problem.floor.cells(problem.dimension), problem.floor.radius
     steps = range(1, problem.horizon + 1) if cells else ()
-    return [Disjunction('heading', (k,), cells, radius) for k in steps]
+    upright: tuple[Cell, ...] = ()
+    if radius and 0.0 < problem.tilt <= STEEPEST_CAP:
+        upright = cap_cells(problem.tilt, radius)
+    return [Disjunction('heading', (k,), cells, radius, upright) for k in steps]
 
 
 def _obstacles(problem: Problem) -> list[Disjunction]:

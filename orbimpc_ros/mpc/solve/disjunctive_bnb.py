@@ -33,6 +33,7 @@ from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.model.trajectory import Trajectory, trajectory_of
 from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.problem.cones import relief
 from orbimpc_ros.mpc.solve.disjunction import Disjunction, Slot, disjunctions_of, shortfall
 from orbimpc_ros.mpc.solve.relaxation import Halfspace, Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.request import Found, Request
@@ -45,6 +46,7 @@ ROUNDING = 1e-15  # of the coordinates of goals far from the origin
 NEAR = 0.05  # a round floor missed by less is worth a dive
 DIVE_STEPS = 4
 MAX_NODES = 20_000
+HALFWAY = 50.0  # times the tolerance, for descents: half of the gap that counts as proved
 
 Choice = tuple[Cell | None, ...]
 
@@ -61,7 +63,8 @@ class DisjunctiveSearch:
     trusts_guess = True
 
     def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
-        self.problem, self.tolerance = problem, tolerance
+        self.problem = problem
+        self.tolerance = (HALFWAY if problem.has_cones else 1.0) * tolerance
         self.disjunctions = disjunctions_of(problem)
         self.takes_guess = bool(self.disjunctions)  # one relaxation needs none
         self.exchangeable = _steps_are_exchangeable(problem)
@@ -125,6 +128,9 @@ class _Run:
         self._closed = np.inf
         self._open = [_Node(-np.inf, 0, (None,) * len(search.disjunctions))]
         self._nodes = self._made = 0
+        problem = search.problem
+        eased = relief(problem, request.state, request.goals).tilt if problem.tilt else ()
+        self._upright = [not each for each in eased]
 
     def run(self) -> Found:
         while self._open and self._open[0].bound < self._limit:
@@ -185,8 +191,15 @@ class _Run:
         if self._nodes > 1 or self._is_late:
             self._closed = min(self._closed, bound)
             return
-        for cell in self._search.disjunctions[0].cells:
+        for cell in self._cells(0):
             self._push((cell, *choice[1:]), bound)
+
+    def _cells(self, j: int) -> Sequence[Cell]:
+        """Return the alternatives of a disjunction: fewer where the tilt is limited."""
+        disjunction = self._search.disjunctions[j]
+        if disjunction.upright and self._upright[disjunction.steps[0] - 1]:
+            return disjunction.upright
+        return disjunction.cells
 
     def _relaxed(self, choice: Choice) -> Relaxation:
         self._nodes += 1
@@ -333,7 +346,7 @@ class _Run:
         options: dict[int, Sequence[Cell]] = {}
         for j in missed:
             cell = choice[j]
-            cells = self._search.disjunctions[j].cells if cell is None else cell.parts()
+            cells = self._cells(j) if cell is None else cell.parts()
             if cells:
                 options[j] = cells
         if not options:  # a chosen face is missed: the solve was not accurate enough

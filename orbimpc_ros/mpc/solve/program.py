@@ -17,16 +17,16 @@ from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
-from orbimpc_ros.mpc.geometry.orbitopes import coordinate_count, coordinates
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.model.cost import first_length, position_weights, velocity_weight
 from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.conic import SOLVED, Certifier, run, solver_for
+from orbimpc_ros.mpc.solve.direct_statement import DirectStatement
 from orbimpc_ros.mpc.solve.disjunction import Slot
 from orbimpc_ros.mpc.solve.relaxation import Halfspace, Relaxation
 from orbimpc_ros.mpc.solve.request import Request
-from orbimpc_ros.mpc.solve.statement import Statement
 
 SMALL = 1e-2  # a cost below this is solved once more, scaled up
 TINY = 1e-11  # well below the 1e-9 that gaps are measured against at the least
@@ -55,7 +55,7 @@ class Program:
         tolerance: float = 1e-9,
     ) -> None:
         self.problem = problem
-        self._statement = Statement(problem, slots, coasting and problem.rotation_order == 2)
+        self._statement = _statement(problem, slots, coasting and problem.rotation_order == 2)
         self._tolerance = tolerance
         self._heaviest = float(position_weights(problem).max())
         self._stopping = velocity_weight(problem)
@@ -173,8 +173,11 @@ class Program:
             return Relaxation(None, -np.inf)
         proved = self._certifier.lower_bound(answer, a, b, q, scale, self._largest)
         bound = scale * proved + self._constant
+        if not (status in SOLVED or _is_near(answer)):
+            return Relaxation(None, bound)
+        assert self._request is not None
         x = np.asarray(answer.x)[self._columns]
-        return Relaxation(x if status in SOLVED or _is_near(answer) else None, bound)
+        return Relaxation(self._statement.coordinates(x, self._request.state), bound)
 
     def _limits_of(self, speed: float, spin: float) -> Array:
         """Return the most that each column's variable can be, of a state's speed and spin."""
@@ -221,7 +224,7 @@ class Program:
 
     def _locate(self, data: dict[str, Any], slot_rows: np.ndarray) -> None:
         """Find where rotations, positions, slots and the coasted rotation sit in the data."""
-        statement, d = self._statement, coordinate_count(self.problem.dimension)
+        statement, d = self._statement, self._statement.width
         column_of = data['param_prob'].var_id_to_col
         first = column_of[statement.x.id]
         self._columns = first + np.arange(d, statement.x.size).reshape(-1, d)
@@ -258,6 +261,15 @@ class Program:
         if not np.allclose(np.abs(numbered[order]), numbers):
             raise SolverFailure('CVXPY compiled the program in a way that is not understood')
         return order[:size], np.sign(numbered[order[:size]]), order[size:]
+
+
+def _statement(problem: Problem, slots: Sequence[Slot], coasting: bool) -> Any:
+    """Return a problem's cone program, without CVXPY where that is possible."""
+    if DirectStatement.states(problem, coasting):
+        return DirectStatement(problem, slots)
+    from orbimpc_ros.mpc.solve.statement import Statement  # brings CVXPY, half of a start-up
+
+    return Statement(problem, slots, coasting)
 
 
 def _is_near(answer: Any) -> bool:

@@ -110,6 +110,7 @@ class SO3Multipliers:
             and problem.dimension == 3
             and problem.weights.input > 0.0
             and problem.max_rate == problem.arrival_weight == 0.0
+            and not problem.has_cones
             and all(slot.on == 'heading' for slot in slots)
             and problem.horizon >= 2 * max(problem.rotation_order, problem.translation_order)
             and suits_dense_code(problem)

@@ -1,4 +1,4 @@
-"""Trajectories that take no search: straight on, straight to the goal, and turns that arrive.
+"""Trajectories that take no search: straight on, straight to the goal, up, and turns that arrive.
 
 A terminal constraint is linear in the headings z_k = R_k e1. What they miss it by is spread over
 them with the least squares of corrections (Newton's method), each heading then brought back to
@@ -18,6 +18,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, carried, turned_onto
 from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem.cones import climb
 
 # [rad] over the horizon, positive towards the goal, as far as ``max_rate`` allows.
 TURNS = (0.0, 0.5, -1.5, 1.5, 3.0, -4.0, 5.0, -6.3, 6.3)
@@ -32,7 +33,8 @@ SINGULAR = 1e-9
 def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
     """Yield R_1..R_N, shape (N, n, n), that go straight on, and straight to the goal.
 
-    Straight on at the present speed, as slowly as the floor allows, and at full speed.
+    Straight on at the present speed, as slowly as the floor allows, and at full speed. Where cones
+    limit a descent, straight up as well: what they demand of a state outside is made for that.
 
     Args:
         problem: what is to be solved.
@@ -55,6 +57,11 @@ def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
         if problem.rotation_order == 2:
             there[0] = firsts[-1]
         yield there
+    if problem.has_cones:
+        upright = carried(ahead, climb(problem, state, goals)[1:])
+        if first is not None:
+            upright[0] = first
+        yield upright
 
 
 def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array]:

@@ -24,6 +24,7 @@ from orbimpc_ros.mpc.model.cost import (
 from orbimpc_ros.mpc.model.dynamics import adrift, input_map
 from orbimpc_ros.mpc.model.translation import Step, step_of
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem.cones import relief, slope_sides
 from orbimpc_ros.mpc.solve.disjunction import Slot
 
 
@@ -60,6 +61,9 @@ class Statement:
         self._velocity = cp.Parameter(n)
         self._arrival, self._stopped = cp.Parameter(n), cp.Parameter(n)
         self._chords = self._chord_parameter()
+        self._eased = cp.Parameter(steps) if problem.tilt else None
+        self._sloped = [cp.Parameter(steps) for _ in range(n)] if problem.glide_slope else []
+        self._steep = cp.Variable(steps, name='|R e1| or the floor')
         self._velocities: cp.Variable | None = None
         self._lengths: cp.Variable | None = None
         self.slots = tuple(slots)
@@ -79,9 +83,21 @@ class Statement:
             self._arrival: goals[-1] - adrift(self.problem, state)[-1],
             self._stopped: -self.problem.maps.hastened[-1, 0] * state.disturbance,
         }
+        if self.problem.has_cones:
+            known |= self._cone_values(state, goals)
         if self._chords is not None:
             known[self._chords] = np.full(self._chords.size, self.problem.chord)
         return np.concatenate([known[parameter] for parameter in self._parameters()])
+
+    def _cone_values(self, state: State, goals: Array) -> dict[cp.Parameter, Array]:
+        """Return what is demanded of a state, and where the cone's tip is in displacements."""
+        eased = relief(self.problem, state, goals)
+        known = {} if self._eased is None else {self._eased: eased.tilt}
+        if self._sloped:
+            sides = slope_sides(self.problem) * (adrift(self.problem, state) - goals)
+            sides[:, -1] += eased.slope
+            known |= dict(zip(self._sloped, sides.T, strict=True))
+        return known
 
     def compiled(self, values: Array | None = None, offsets: Array | None = None) -> dict[str, Any]:
         """Return Clarabel's data for :meth:`values` and offsets of slots; both zero by default."""
@@ -95,6 +111,15 @@ class Statement:
         return self.program.get_problem_data(cp.CLARABEL, enforce_dpp=True)[0]
 
     @property
+    def width(self) -> int:
+        """Return the coordinates of a rotation."""
+        return coordinate_count(self.problem.dimension)
+
+    def coordinates(self, x: Array, state: State) -> Array:
+        """Return rotation coordinates, shape (N, d), of x_1..x_N: these are."""
+        return x
+
+    @property
     def size(self) -> int:
         """Return the length of :meth:`values`."""
         return sum(parameter.size for parameter in self._parameters())
@@ -102,6 +127,7 @@ class Statement:
     def _parameters(self) -> list[cp.Parameter]:
         known = {p.id for p in self.program.parameters()}
         candidates = [self._first, self._second, self._velocity, self._arrival, self._stopped]
+        candidates += [*([] if self._eased is None else [self._eased]), *self._sloped]
         if self._chords is not None:
             candidates.append(self._chords)
         return [p for p in candidates if p.id in known]
@@ -166,8 +192,14 @@ class Statement:
         return [sum(some) if some else 0.0 for some in terms]
 
     def _limits(self) -> list[cp.Constraint]:
-        """|(R_{k+1} - R_k) e1| <= the chords, and the cone of a first turn by an angle."""
+        """|(R_{k+1} - R_k) e1| <= the chords, the cone of a first turn by an angle, and others."""
         limits = self._first_turn() if self.problem.first_turn_is_a_cone else []
+        limits += [] if self._eased is None else self._tilted(self._eased)
+        if self._sloped:
+            x, y, z = slope_sides(self.problem)
+            moved = self._displacements
+            aside = [x * moved[:, 0] + self._sloped[0], y * moved[:, 1] + self._sloped[1]]
+            limits.append(cp.SOC(z * moved[:, 2] + self._sloped[2], cp.vstack(aside)))
         if self._chords is not None:
             begin = int(self.problem.turns_are_angles)
             turned = self._headings[begin + 1 :] - self._headings[begin:-1]
@@ -183,6 +215,18 @@ class Statement:
             self.across == self._headings[1] - self.along * placeholder,
             cp.SOC(widest * self.along, self.across),
         ]
+
+    def _tilted(self, eased: cp.Parameter) -> list[cp.Constraint]:
+        """z_3 >= cos(tilt) t for some t >= |z|, and of at least the floor: |z| itself, if need be.
+
+        Where a floor is in force, that is the hull of the headings allowed.
+        """
+        up, least = self._headings[1:, -1], self.problem.floor.clearance(self.problem.dimension)
+        rows: list[cp.Constraint] = [
+            cp.SOC(self._steep, self._headings[1:].T),
+            up - math.cos(self.problem.tilt) * self._steep >= -eased,
+        ]
+        return rows if least == 0.0 else [*rows, self._steep >= least]
 
     def _slot_rows(self) -> list[cp.Constraint]:
         if self._offsets is None:
@@ -225,6 +269,7 @@ class Statement:
             self.x: np.full(self.x.size, 1.0 + problem.step * spin),
             self.moved: np.repeat(moved, n),
             self.fraction: np.ones(1),
+            self._steep: np.ones(self._steep.size),
             self.along: np.array([rho]),
             self.across: np.full(n, 1.0 + rho),
         }

@@ -24,6 +24,7 @@ from orbimpc_ros.mpc.problem import (
     Weights,
 )
 from orbimpc_ros.mpc.problem.floor import SHAPES
+from orbimpc_ros.mpc.problem.problem import STEEPEST_GLIDE
 from orbimpc_ros.mpc.problem.scaling import SCALINGS, weighed
 from orbimpc_ros.ros.messages import Frames
 from orbimpc_ros.ros.parameters.parameter import (
@@ -70,6 +71,12 @@ PLANNER: tuple[Row, ...] = (
         'limits changes of speed as well: R e1 moves by at most 2 sin(step * max_rate / 2) in a '
         'step. With a floor it limits the angle of each step, at any speeds',
         'rad/s', 0.0, 1e4, live=True),
+    Row('tilt', 0.0, 'Largest angle of the pushing axis from the vertical (dimension 3, '
+        'translation_order 2); 0 for any',
+        'rad', 0.0, 0.5 * math.pi, live=True),
+    Row('glide_slope', 0.0, 'Stay in a cone above the goal, of this angle between its side and the '
+        'horizontal: at least tan(glide_slope) m up for each m aside (dimension 3); 0 for none',
+        'rad', 0.0, STEEPEST_GLIDE, live=True),
     Row('obstacles', (), 'Boxes to stay out of: lower, then upper corner of each',
         'm', -FAR, FAR, live=True),
     Row('no_corner_cutting', False, 'Whether the path between two steps stays out as well',
@@ -284,6 +291,8 @@ def _problem(values: Values) -> Problem:
         obstacles=_boxes(values['obstacles'], values['dimension']),
         no_corner_cutting=values['no_corner_cutting'],
         discretisation=values['discretisation'],
+        tilt=values['tilt'],
+        glide_slope=values['glide_slope'],
     )
     return weighed(problem, values['weights.scaling'])
 

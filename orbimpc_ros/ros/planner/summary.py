@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.parameters.parameter import Row
 from orbimpc_ros.ros.parameters.planner import PLANNER, Ageing, PlannerSettings
@@ -87,6 +88,10 @@ def _vehicle(problem: Problem, mass: float) -> list[str]:
         parts.append(f'at least {least:.4g} {unit} ({problem.floor})')
     if problem.max_rate:
         parts.append(f'at most {math.degrees(problem.max_rate):.4g} deg/s')
+    if problem.tilt:
+        parts.append(f'tilted by at most {math.degrees(problem.tilt):.4g} deg')
+    if problem.glide_slope:
+        parts.append(f'above a glide slope of {math.degrees(problem.glide_slope):.4g} deg')
     return parts
 
 
@@ -101,9 +106,20 @@ def _surroundings(settings: PlannerSettings) -> list[str]:
         shown = ', '.join(f'{each:.4g}' for each in wind)
         beyond = f', {speed:.4g} {unit} in all: too much to hold a goal'
         parts.append(f'wind ({shown}) {unit}{beyond if speed >= problem.forward else ""}')
+        parts += _leaning(problem, settings.disturbance)
     if settings.velocity_source == 'air':
         parts.append('odometry through the air')
     return parts
+
+
+def _leaning(problem: Problem, disturbance: Array) -> list[str]:
+    """Return that a goal cannot be held because it takes more tilt than is allowed, if it does."""
+    if not problem.tilt:
+        return []
+    needed = math.atan2(math.hypot(*disturbance[:2]), -disturbance[2])
+    if needed <= problem.tilt:
+        return []
+    return [f'to hold a goal takes a tilt of {math.degrees(needed):.4g} deg: more than is allowed']
 
 
 def _hovering(problem: Problem, gravity: float) -> str:

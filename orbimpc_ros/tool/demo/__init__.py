@@ -14,7 +14,15 @@ if TYPE_CHECKING:
     from orbimpc_ros.tool.io.history import History
     from orbimpc_ros.tool.io.settings import Values
 
-SCENARIOS = ('retrieval', 'retrieval3d', 'dubins', 'spacecraft', 'fixed_wing', 'fleet')
+SCENARIOS = (
+    'retrieval',
+    'retrieval3d',
+    'dubins',
+    'spacecraft',
+    'fixed_wing',
+    'lander',
+    'fleet',
+)
 # The paper shows the Dubins car with and without minimum speed. Flights of a demo, by name.
 VARIANTS = {'dubins': {'none': ('floor.shape=none',), 'polygon': ('floor.shape=polygon',)}}
 

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from orbimpc_ros.tool.demo.arrivals import planned_at_start
 from orbimpc_ros.tool.figures.dubins import dubins
+from orbimpc_ros.tool.figures.lander import lander
 from orbimpc_ros.tool.figures.numbers import data, solver
 from orbimpc_ros.tool.figures.retrieval import retrieval
 from orbimpc_ros.tool.figures.retrieval3d import retrieval3d
@@ -20,6 +21,7 @@ __all__ = [
     'TRAJECTORY',
     'data',
     'dubins',
+    'lander',
     'look',
     'moments',
     'of_flight',
@@ -56,8 +58,9 @@ def _of_runs(flown: Mapping[str, History]) -> dict[str, Figure]:
     first = next(iter(flown.values()))
     space = first.values['dimension'] == 3
     if first.values['finish'] == 'arrival' and space:
+        draw = lander if first.values['tilt'] or first.values['glide_slope'] else spacecraft
         plan = planned_at_start(first.values)
-        return {TRAJECTORY: spacecraft(first, plan), 'data.png': data(first)}
+        return {TRAJECTORY: draw(first, plan), 'data.png': data(first)}
     if first.values['finish'] == 'arrival':
         return {TRAJECTORY: dubins(flown)}
     if space:
