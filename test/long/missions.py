@@ -2,7 +2,7 @@
 
 A mission is a configuration file, flown in process: the planner's path from messages to commands,
 and the simulator's vehicle, each with the parameters that its node would get. What is drawn is told
-to the simulator alone: wind, gusts, gain, and where the goal is.
+to the simulator alone: wind, gusts, gain, and where the goal is. Of boxes the planner knows.
 """
 
 from __future__ import annotations
@@ -56,10 +56,47 @@ def spacecraft(rng: np.random.Generator) -> Values:
     }
 
 
+def multirotor(rng: np.random.Generator) -> Values:
+    """Eight boxes on the way to a goal 10 m away, in a wind of up to 2 m/s^2, and gusts."""
+    goal = (10.0, *rng.uniform(-2.0, 2.0, size=2).tolist())
+    return {
+        'wind': _in_space(rng, rng.uniform(0.0, 2.0)),
+        'gust': rng.uniform(0.0, 0.3),
+        'rope.center': goal,
+        'obstacles': _boxes(rng, np.array(goal), 8),
+        'seed': int(rng.integers(2**31)),
+    }
+
+
+def _in_space(rng: np.random.Generator, length: float) -> tuple[float, ...]:
+    way = rng.normal(size=3)
+    return tuple((way * length / np.linalg.norm(way)).tolist())
+
+
+def _boxes(rng: np.random.Generator, goal: np.ndarray, count: int) -> tuple[float, ...]:
+    """Boxes about the way to the goal, a metre and more from either end of it."""
+    numbers: list[float] = []
+    while len(numbers) < 6 * count:
+        middle = rng.uniform(0.15, 0.85) * goal + rng.uniform(-2.5, 2.5, size=3)
+        half = rng.uniform(0.2, 0.9, size=3)
+        ends = np.array([np.zeros(3), goal])
+        if (np.abs(ends - middle) - half).max(axis=1).min() > 1.0:
+            numbers += [*(middle - half).tolist(), *(middle + half).tolist()]
+    return tuple(numbers)
+
+
+def larger(numbers: Sequence[float], margin: float) -> tuple[float, ...]:
+    """Boxes with so much more on each side [m]: those of the planner."""
+    sides = np.array([-margin] * 3 + [margin] * 3)
+    return tuple((np.reshape(numbers, (-1, 6)) + sides).ravel().tolist())
+
+
 MISSIONS: dict[str, Callable[[np.random.Generator], Values]] = {
     'fixed_wing': fixed_wing,
     'spacecraft': spacecraft,
+    'multirotor': multirotor,
 }
+MARGIN = 0.4  # [m] by which boxes are larger for the planner, as in config/multirotor.yaml
 
 
 def _towards(angle: float, length: float) -> tuple[float, float]:
@@ -106,6 +143,8 @@ def row(name: str, seed: int, index: int, changes: Sequence[str] = ()) -> dict[s
     values = settings.resolve(config(f'{name}.yaml'), changes)
     drawn = MISSIONS[name](np.random.default_rng([seed, index]))
     simulated = sim_settings(settings.of_sim(values) | drawn)
+    if 'obstacles' in drawn:
+        values = values | {'obstacles': larger(drawn['obstacles'], MARGIN)}
     begun = time.perf_counter()
     flight, airspeeds, tally = flown(Planner(values), simulated)
     solved = np.array(tally.solved)
@@ -117,6 +156,7 @@ def row(name: str, seed: int, index: int, changes: Sequence[str] = ()) -> dict[s
         'when': flight.missed_at - flight.scenario.start.time if flight.captured else None,
         'miss': tally.miss if flight.scenario.finish == 'capture' else flight.distance,
         'speed': flight.speed,
+        'touched': len(flight.touched),
         'least_airspeed': airspeeds.least,
         'stalls': airspeeds.stalls,
         'turned': tally.turned,
@@ -186,7 +226,8 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         f'least airspeed {min(each["least_airspeed"] for each in rows):.6g} m/s, '
         f'{sum(each["stalls"] for each in rows)} stalls; '
         f'largest rate {max(each["turned"] for each in rows):.6g} rad/s; '
-        f'broken limits in {sum(bool(each["broken"]) for each in rows)}',
+        f'broken limits in {sum(bool(each["broken"]) for each in rows)}; '
+        f'boxes touched in {sum(each["touched"] > 0 for each in rows)}',
         f'ticks {ticks}, unproved {sum(each["unproved"] for each in rows)}, '
         f'p50 {_percentile(rows, "p50_ms", 50):.3g} ms, '
         f'p99 {_percentile(rows, "p99_ms", 50):.3g} ms (medians of flights)',

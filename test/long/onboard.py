@@ -17,7 +17,6 @@ from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.ros.reports import Report
 
 EPOCH = 1_700_000_000 * SECOND
-FRAMES = messages.Frames('odom', 'base_link')
 
 
 class Planner:
@@ -30,6 +29,7 @@ class Planner:
     def __init__(self, parameters: dict[str, Any]) -> None:
         settings = planner_settings({row.name: row.default for row in PLANNER} | parameters)
         self._inbox = Inbox(settings)
+        self._frames = settings.frames
         self._ticker = Ticker(*prepared(settings), simulated=True)
 
     def goal(self, now: float, place: np.ndarray) -> None:
@@ -59,7 +59,7 @@ class Planner:
         self._inbox.take(topic, message, now, self._ros(now))
 
     def _stamp(self, now: float) -> messages.Stamp:
-        return messages.Stamp(self._ros(now).nanoseconds, FRAMES)
+        return messages.Stamp(self._ros(now).nanoseconds, self._frames)
 
     @staticmethod
     def _ros(now: float) -> RosTime:

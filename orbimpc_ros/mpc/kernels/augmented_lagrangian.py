@@ -50,6 +50,7 @@ from orbimpc_ros.mpc.kernels.penalty import (
 from orbimpc_ros.mpc.kernels.penalty_terms import (
     multipliers,
     project,
+    refuted,
     set_columns,
     set_forces,
     value_of,
@@ -220,7 +221,7 @@ def minimise(terms, start, held, limits, work, progress, budget):
 
     Returns:
         The cost of ``progress.x`` above that of x_0, and ``SETTLED``, ``STALLED``, ``PAUSED`` or
-        ``PROVED``.
+        ``PROVED``, also where there is no solution.
     """
     precision, proportion, least, rounding, largest, enough = limits
     x, held_force, numbers, counts = progress
@@ -255,6 +256,9 @@ def minimise(terms, start, held, limits, work, progress, budget):
         if near or counts[TAKEN] == STUCK:
             if near:
                 _keep(new, held)
+            if len(new.sides) and refuted(terms, new.sides):
+                numbers[BEST] = np.inf
+                return cost, PROVED
             stiffen(progress, near, largest)
             value, moved, worst = project(terms, x, held, numbers[SIGMA], new, work)
             continue

@@ -25,7 +25,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.kernels.augmented_lagrangian import minimise
 from orbimpc_ros.mpc.kernels.heap import pop, push
-from orbimpc_ros.mpc.kernels.penalty import BEST, PROVED, SETTLED, Iterate
+from orbimpc_ros.mpc.kernels.penalty import BEST, PROVED, SETTLED, STALLED, Iterate
 from orbimpc_ros.mpc.kernels.penalty_terms import Multipliers, Scratch, Terms
 
 DONE, FULL, PAUSED = range(3)  # what a call ends with
@@ -295,7 +295,9 @@ def _gain(space, choices, g, cell, places):
         if short <= 0.0:
             continue
         place = choices.places[g, i]
-        gain = max(gain, 0.5 * short * short / space.inverse[0, place, place])
+        curvature = space.inverse[0, place, place]
+        if curvature > 0.0:  # not where the state decides
+            gain = max(gain, 0.5 * short * short / curvature)
         if place >= n:
             left = choices.offsets[cell] - space.farthest[place - n]
             for c in range(3):
@@ -340,12 +342,16 @@ def _preferred(choices, guide, g, bounds):
 
 
 @compiled
-def _branch(space, choices, guide, tree, node, g, places, bound, cutoff):
-    """Open the children of a node that is solved; a plunge goes on with one of them."""
+def _branch(space, choices, guide, tree, node, g, places, bound, cutoff, settled):
+    """Open the children of a node; a plunge goes on with one of them.
+
+    Where the node is not settled, its point shows where to branch, and not what that gains.
+    """
     counts, numbers, first = tree.counts, tree.numbers, choices.first[g]
     bounds = np.empty(choices.count[g])
     for i in range(len(bounds)):
-        bounds[i] = bound + _gain(space, choices, g, first + i, places)
+        gain = _gain(space, choices, g, first + i, places)
+        bounds[i] = bound + (gain if settled or gain == UNREACHED else 0.0)
         if bounds[i] >= cutoff:
             numbers[CLOSED] = min(numbers[CLOSED], bounds[i])
             bounds[i] = np.inf
@@ -389,18 +395,22 @@ def _solve(space, choices, guide, tree, limits, work, budget):
     counts, numbers = tree.counts, tree.numbers
     node, key = _take(tree)
     cutoff = limits[5]
-    status, value, bound = _relax(
-        space, choices, tree.choice[node], tree, tree.parent[node], limits, work, budget
-    )
+    choice, kept = tree.choice[node], tree.parent[node]
+    status, value, bound = _relax(space, choices, choice, tree, kept, limits, work, budget)
     key = max(key, bound)
-    if status == SETTLED and key < cutoff:
+    if status == STALLED and kept > 0:  # what was held misled: once more without
+        status, value, bound = _relax(space, choices, choice, tree, 0, limits, work, budget)
+        key = max(key, bound)
+    # A root that is not settled has children that may be.
+    if (status == SETTLED or (status == STALLED and node == 0)) and key < cutoff:
         places = np.empty((2 * len(tree.x), 3))
         _set_places(space, tree.x, places)
-        g = _branching(space, choices, tree.choice[node], places)
+        g = _branching(space, choices, choice, places)
         if g >= 0:
-            _branch(space, choices, guide, tree, node, g, places, key, cutoff)
+            settled = status == SETTLED
+            _branch(space, choices, guide, tree, node, g, places, key, cutoff, settled)
             return
-        if value < numbers[VALUE]:
+        if status == SETTLED and value < numbers[VALUE]:
             numbers[VALUE], tree.best[:] = value, tree.x
     numbers[CLOSED] = min(numbers[CLOSED], key)
     counts[STALLS] += status != SETTLED and status != PROVED

@@ -21,6 +21,7 @@ from orbimpc_ros.mpc.kernels.linear import diagonalise, is_positive
 from orbimpc_ros.mpc.kernels.orbitope import add_adjoint, set_lmi, set_pair
 
 NEGLIGIBLE = 1e-12  # share of sigma at which a part of the Hessian is left out
+REFUTED = 1e-9  # share of what cancels from which on a refutation is one
 ROOM = 14  # parts of the Hessian for a step: ten of the orbitope, three of the length, a row
 
 
@@ -175,6 +176,33 @@ def _short_of_side(terms, i, x):
             along += terms.sides[i, c] * x[k, c]
         short -= terms.reach[terms.steps[i], k] * along
     return short
+
+
+@compiled
+def refuted(terms, sides):
+    """Return whether multipliers prove that no headings in their balls meet the rows on positions.
+
+    Whatever the headings z_k are, the rows' shortfalls, weighed by the multipliers, add up to at
+    least what they are at z = 0, less the length of what pulls at each z_k (Farkas).
+
+    Args:
+        terms: give the rows.
+        sides: their multipliers, shape (m,).
+    """
+    value = magnitude = 0.0
+    for i in range(len(sides)):
+        value += sides[i] * terms.heights[i]
+        magnitude += abs(sides[i] * terms.heights[i])
+    for k in range(terms.reach.shape[1]):
+        a = b = c = 0.0
+        for i in range(len(sides)):
+            pulled = sides[i] * terms.reach[terms.steps[i], k]
+            a += pulled * terms.sides[i, 0]
+            b += pulled * terms.sides[i, 1]
+            c += pulled * terms.sides[i, 2]
+        size = np.sqrt(a * a + b * b + c * c)
+        value, magnitude = value - size, magnitude + size
+    return value > REFUTED * magnitude
 
 
 @compiled

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-
-import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput
@@ -18,7 +15,6 @@ from orbimpc_ros.mpc.loop.safety import SAFE_COMMANDS, decided
 from orbimpc_ros.mpc.problem import (
     MAX_HORIZON,
     TERMINALS,
-    Box,
     Floor,
     Problem,
     Weights,
@@ -29,10 +25,12 @@ from orbimpc_ros.ros.messages import Frames
 from orbimpc_ros.ros.parameters.parameter import (
     FAR,
     MAX_DURATION,
+    OBSTACLES,
     TINY,
     VEHICLE,
     Row,
     Values,
+    boxes_of,
     disturbance_of,
     frames_of,
     span,
@@ -70,8 +68,7 @@ PLANNER: tuple[Row, ...] = (
         'limits changes of speed as well: R e1 moves by at most 2 sin(step * max_rate / 2) in a '
         'step. With a floor it limits the angle of each step, at any speeds',
         'rad/s', 0.0, 1e4, live=True),
-    Row('obstacles', (), 'Boxes to stay out of: lower, then upper corner of each',
-        'm', -FAR, FAR, live=True),
+    OBSTACLES,
     Row('no_corner_cutting', False, 'Whether the path between two steps stays out as well',
         live=True),
     Row('projection', 'thrust_aligned', 'How a point of the hull becomes a rotation',
@@ -276,15 +273,8 @@ def _problem(values: Values) -> Problem:
         terminal=values['terminal'],
         floor=Floor(values['floor.shape'], values['floor.faces'], values['floor.fraction']),
         max_rate=values['max_rate'],
-        obstacles=_boxes(values['obstacles'], values['dimension']),
+        obstacles=boxes_of(values),
         no_corner_cutting=values['no_corner_cutting'],
         discretisation=values['discretisation'],
     )
     return weighed(problem, values['weights.scaling'])
-
-
-def _boxes(numbers: Sequence[float], dimension: int) -> tuple[Box, ...]:
-    if len(numbers) % (2 * dimension):
-        raise BadInput('obstacles', list(numbers), f'{2 * dimension} numbers for each box')
-    corners = np.array(numbers, dtype=float).reshape(-1, 2, dimension)
-    return tuple(Box(low, high) for low, high in corners)

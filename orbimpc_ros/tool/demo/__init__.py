@@ -14,7 +14,9 @@ if TYPE_CHECKING:
     from orbimpc_ros.tool.io.history import History
     from orbimpc_ros.tool.io.settings import Values
 
-SCENARIOS = ('retrieval', 'retrieval3d', 'dubins', 'spacecraft', 'fixed_wing', 'fleet')
+SCENARIOS = (
+    'retrieval', 'retrieval3d', 'dubins', 'spacecraft', 'fixed_wing', 'multirotor', 'fleet',
+)  # fmt: skip
 # The paper shows the Dubins car with and without minimum speed. Flights of a demo, by name.
 VARIANTS = {'dubins': {'none': ('floor.shape=none',), 'polygon': ('floor.shape=polygon',)}}
 
@@ -93,7 +95,7 @@ def report(folder: Path, places: Mapping[str, Path]) -> int:
         print(f'{name}:\n{summary.text(each)}' if name else summary.text(each))
     for place in places.values():
         print(f'bag           {place / "bag"}')
-    if any(each.values['finish'] == 'arrival' for each in flown.values()):
+    if all(each.in_time for each in flown.values()):
         print(_arrivals(flown))
     for name, figure in figures.of_runs(flown).items():
         figures.save(figure, folder / name)
