@@ -92,6 +92,8 @@ def _retrieval(history: History) -> str:
 def _arrival(history: History) -> str:
     missed, speed = history.missed
     vehicle = 'Spacecraft' if history.values['dimension'] == 3 else 'Dubins car'
+    if history.values['gravity']:
+        vehicle = 'Multirotor'
     at = f' at {speed:.1e} m/s' if history.values['translation_order'] == 2 else ''
     done = 'arrives' if history.captured else 'does not arrive'
     return f'{vehicle} {done}: {missed:.1e} m from the goal{at}'
