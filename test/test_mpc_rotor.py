@@ -122,24 +122,22 @@ def test_what_no_thrust_avoids_is_infeasible():
     assert search.solve(Request(units.state(slow), goals, out_of_time=lambda: False)).x is not None
 
 
-def test_a_guess_leads_to_a_trajectory_on_its_side():
-    """Round a box that is in the middle, the side of the guess is the first one found."""
-    box = Box(np.array([1.5, -1.0, -1.0]), np.array([2.5, 1.0, 1.0]))
-    given = problem([box], horizon=12, step=0.15)
-    units, goals = Units.of(given), np.tile([4.0, 0.0, 0.0], (12, 1))
-    state = State.at(np.zeros(3), 0.5 * UP, attitude=UP, disturbance=[0.0, 0.0, -9.81])
-    search = SpatialSearch(units.problem, 1e-5)
-    for side in (-1.0, 1.0):
-        aside = np.tile([4.0, side * 4.0, 0.0], (12, 1))
-        guess = Solver(given, gap_tolerance=1e-3).solve(state, aside)
-        known = Guess(guess.rotations[1:].transpose(0, 2, 1).reshape(12, 9), guess.objective)
-        looks = iter(range(100))
-        request = Request(
-            units.state(state), units.lengths(goals), known, lambda looks=looks: next(looks) >= 1
-        )
-        found = search.solve(request)
-        assert found.x is not None
-        assert side * found.x[:4, 1].sum() > 0.05
+@pytest.mark.parametrize(('seed', 'batches'), [(0, 1), (1, 1), (11, 2)])
+def test_a_guess_shows_the_way_to_a_trajectory(seed, batches):
+    """A search that is stopped early has one, on the sides of the guess, and none without."""
+    rng = np.random.default_rng([66, seed])
+    given = problem(boxes(rng, 8), horizon=20, step=0.1)
+    units, state = Units.of(given), hovering(rng)
+    search = SpatialSearch(units.problem, 1e-6)
+    asked = units.state(state), units.lengths(np.tile(GOAL, (20, 1)))
+    whole = search.solve(Request(*asked, out_of_time=lambda: False))
+    costs = []
+    for guess in (None, Guess(whole.x, whole.cost)):
+        looks = itertools.count(1)
+        stopped = Request(*asked, guess, lambda looks=looks: next(looks) >= batches)
+        costs.append(search.solve(stopped).cost)
+    assert costs[0] == np.inf
+    assert costs[1] == pytest.approx(whole.cost, rel=1e-3)
 
 
 def test_a_search_that_is_stopped_has_a_bound():

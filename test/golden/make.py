@@ -48,6 +48,7 @@ FLIGHTS = {
             'faults.position_noise=0.05',
         ),
     ),
+    'multirotor': ('multirotor', ('max_ticks=30',)),
     'disturbed': ('dubins', ('floor.shape=none', 'faults.position_noise=0.05')),
     'faulty': (
         'retrieval',
@@ -157,7 +158,7 @@ class Loop:
         twist = told['cmd_vel'].twist
         pushed = twist.linear.x
         if model.translation_order == 2:
-            pushed = told['cmd_thrust'].wrench.force.x
+            pushed = messages.pushed(told['cmd_thrust'].wrench.force)
         self._pilot.went_out(self._at / SECOND)
         full = model.forward * (1.0 if model.translation_order == 1 else model.mass)
         rate = [twist.angular.x, twist.angular.y, twist.angular.z]

@@ -245,6 +245,8 @@ def minimise(terms, start, held, limits, work, progress, budget):
         gap = abs(cost - numbers[BEST])
         if worst <= precision and gap <= proportion * abs(least + cost) + rounding:
             return cost, SETTLED
+        if len(new.sides) and refuted(terms, new.sides):
+            numbers[BEST] = np.inf
         if numbers[BEST] >= enough:
             return cost, PROVED
         if counts[STEPS] >= LIMIT:
@@ -256,9 +258,6 @@ def minimise(terms, start, held, limits, work, progress, budget):
         if near or counts[TAKEN] == STUCK:
             if near:
                 _keep(new, held)
-            if len(new.sides) and refuted(terms, new.sides):
-                numbers[BEST] = np.inf
-                return cost, PROVED
             stiffen(progress, near, largest)
             value, moved, worst = project(terms, x, held, numbers[SIGMA], new, work)
             continue

@@ -25,8 +25,8 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.kernels.augmented_lagrangian import minimise
 from orbimpc_ros.mpc.kernels.heap import pop, push
-from orbimpc_ros.mpc.kernels.penalty import BEST, PROVED, SETTLED, STALLED, Iterate
-from orbimpc_ros.mpc.kernels.penalty_terms import Multipliers, Scratch, Terms
+from orbimpc_ros.mpc.kernels.penalty import BEST, PROVED, SETTLED, Iterate
+from orbimpc_ros.mpc.kernels.penalty_terms import Multipliers, Terms
 
 DONE, FULL, PAUSED = range(3)  # what a call ends with
 OPEN, MADE, NODES, NEXT, STALLS, PLUNGING = range(6)  # in Tree.counts
@@ -67,14 +67,14 @@ class Choices(NamedTuple):
 
     Attributes:
         first: half-space of each group, shape (G,).
-        count: of half-spaces of each group, shape (G,).
+        sizes: how many half-spaces each group has, shape (G,).
         places: of each group, -1 for none, shape (G, 2).
         normals: of the half-spaces, shape (C, 3).
         offsets: shape (C,).
     """
 
     first: np.ndarray
-    count: np.ndarray
+    sizes: np.ndarray
     places: np.ndarray
     normals: Array
     offsets: Array
@@ -315,7 +315,7 @@ def _branching(space, choices, choice, places):
         if choice[g] >= 0:
             continue
         missed = promise = np.inf
-        for cell in range(choices.first[g], choices.first[g] + choices.count[g]):
+        for cell in range(choices.first[g], choices.first[g] + choices.sizes[g]):
             short = max(_short(choices, g, 0, cell, places), _short(choices, g, 1, cell, places))
             missed = min(missed, short)
             if missed <= MISSED:
@@ -348,7 +348,7 @@ def _branch(space, choices, guide, tree, node, g, places, bound, cutoff, settled
     Where the node is not settled, its point shows where to branch, and not what that gains.
     """
     counts, numbers, first = tree.counts, tree.numbers, choices.first[g]
-    bounds = np.empty(choices.count[g])
+    bounds = np.empty(choices.sizes[g])
     for i in range(len(bounds)):
         gain = _gain(space, choices, g, first + i, places)
         bounds[i] = bound + (gain if settled or gain == UNREACHED else 0.0)
@@ -398,11 +398,13 @@ def _solve(space, choices, guide, tree, limits, work, budget):
     choice, kept = tree.choice[node], tree.parent[node]
     status, value, bound = _relax(space, choices, choice, tree, kept, limits, work, budget)
     key = max(key, bound)
-    if status == STALLED and kept > 0:  # what was held misled: once more without
+    if (
+        status != SETTLED and status != PROVED and kept > 0
+    ):  # what was held misled: once more without
         status, value, bound = _relax(space, choices, choice, tree, 0, limits, work, budget)
         key = max(key, bound)
     # A root that is not settled has children that may be.
-    if (status == SETTLED or (status == STALLED and node == 0)) and key < cutoff:
+    if (status == SETTLED or (status != PROVED and node == 0)) and key < cutoff:
         places = np.empty((2 * len(tree.x), 3))
         _set_places(space, tree.x, places)
         g = _branching(space, choices, choice, places)

@@ -108,9 +108,7 @@ def multipliers(n, m):
         n: how many steps they are for.
         m: how many rows on positions.
     """
-    return Multipliers(
-        np.zeros((n, 4, 4)), np.zeros((n, 3)), np.zeros(n), np.zeros(1), np.zeros(m)
-    )
+    return Multipliers(np.zeros((n, 4, 4)), np.zeros((n, 3)), np.zeros(n), np.zeros(1), np.zeros(m))
 
 
 def scratch(n: int, m: int = 0) -> Scratch:

@@ -9,6 +9,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.geometry.cells import Cell
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.annulus import SLICE
 from orbimpc_ros.mpc.kernels.half_spaces import (
@@ -36,7 +37,7 @@ from orbimpc_ros.mpc.solve.unconstrained import other_axes, thrust_axis
 
 MOST = 6400  # nodes of a search
 TOGETHER = 4  # nodes from one look at the time to the next
-BUDGET = 20.0 * SLICE  # multiplications of a node
+BUDGET = 100.0 * SLICE  # multiplications of a node
 FARTHEST = 12.0  # |R - R'|_F^2 of any two rotations
 UNGUIDED = np.empty((0, 3))
 
@@ -62,7 +63,7 @@ class SpatialSearch:
         self._general = General(problem, tolerance)
         self._choices, self._offsets, self._positions = _choices(problem)
         self._space = _space(problem, self._thrust.inverse, self._others.inverse)
-        groups, most = len(self._choices.first), int(self._choices.count.max())
+        groups, most = len(self._choices.first), int(self._choices.sizes.max())
         self._tree = tree(n, groups, MOST, most)
         self._work = scratch(n, 2 * groups)
         # The first call compiles, or loads what was compiled before: at start-up, not in a tick.
@@ -180,7 +181,9 @@ def _choices(problem: Problem) -> tuple[Choices, Array, np.ndarray]:
 
     Groups with the same alternatives share half-spaces.
     """
-    cells, first, disjunctions = [], {}, disjunctions_of(problem)
+    disjunctions = disjunctions_of(problem)
+    cells: list[tuple[bool, Cell]] = []
+    first: dict[int, int] = {}
     for each in disjunctions:
         if id(each.cells) not in first:
             first[id(each.cells)] = len(cells)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -68,12 +70,13 @@ def draw_view(axes: Axes, history: History, up: int, title: str) -> None:
     for low, high in boxes(history):
         draw_box(axes, low[[0, up]], high[[0, up]])
     for low, high in boxes(history, planned=True):
-        look = {'fill': False, 'ec': GREY, 'ls': ':', 'lw': 0.9}
+        look: Any = {'fill': False, 'ec': GREY, 'ls': ':', 'lw': 0.9}
         axes.add_patch(Rectangle(low[[0, up]], *(high - low)[[0, up]], **look))
     axes.plot(*history.positions[:, [0, up]].T, '.-', color=INK, lw=1.2, ms=4, zorder=4)
     for arrow in thrusts(history):
         axes.plot(*arrow[:, [0, up]].T, color=BLUE, lw=1.2, zorder=3)
-    star(axes, *map(float, history.ropes[-1][[0, up]]), 'goal')
+    goal = history.ropes[-1]
+    star(axes, float(goal[0]), float(goal[up]), 'goal')
     axes.set(xlabel='x [m]', ylabel=f'{"xyz"[up]} [m]', title=title)
     axes.set_aspect('equal', adjustable='datalim')
 
