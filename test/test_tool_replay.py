@@ -24,7 +24,7 @@ from orbimpc_ros.tool.replay.difference import Tolerances, comparisons
 from orbimpc_ros.tool.replay.recording import Published, published, recording_of
 from orbimpc_ros.tool.replay.resolving import replayed
 
-FLIGHTS = ('retrieval', 'dubins', 'spacecraft', 'obstacles', 'disturbed', 'faulty')
+FLIGHTS = ('retrieval', 'dubins', 'spacecraft', 'multirotor', 'obstacles', 'disturbed', 'faulty')
 RETRIEVAL = GOLDEN / 'retrieval'
 
 
@@ -78,6 +78,7 @@ def test_golden_bags_hold_what_they_are_for():
     assert any(a.fallback == 'soft arrival' for a in answers['disturbed'])
     assert any(not a.solved and a.reason == 'disabled' for a in answers['faulty'])
     assert all(a.force is not None for a in answers['spacecraft'])
+    assert sum(a.status == 'optimal' and a.force > 0.0 for a in answers['multirotor']) > 25
     assert max(f.stat().st_size for f in GOLDEN.rglob('*.mcap')) < 100_000
 
 
