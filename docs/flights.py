@@ -28,7 +28,7 @@ OBSTACLES = {  # as on the page that shows it, docs/look.md
     'goal_prediction': 'harmonic',
     'horizon': '8',
 }
-DEMOS = ('retrieval', 'obstacles', 'dubins', 'spacecraft', 'lander', 'fleet')
+DEMOS = ('retrieval', 'obstacles', 'dubins', 'spacecraft', 'multirotor', 'lander', 'fleet')
 
 
 def drawn(flown: Mapping[str, History]) -> Callable[[bool], Figure]:

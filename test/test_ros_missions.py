@@ -18,7 +18,7 @@ def missions():
     return missions
 
 
-NAMES = ['fixed_wing', 'tracking', 'hover', 'spacecraft', 'car', 'retrieval']
+NAMES = ['fixed_wing', 'tracking', 'hover', 'multirotor', 'spacecraft', 'car', 'retrieval']
 
 
 @pytest.mark.parametrize('name', NAMES)
@@ -48,6 +48,26 @@ def test_what_is_drawn_is_not_told_to_the_planner(missions):
         ends[wind] = flight.vehicle.position
         assert airspeeds.least >= 10.0 * (1.0 - 1e-6)
     assert np.linalg.norm(np.subtract(*ends.values())) > 4.0
+
+
+def test_a_multirotor_hears_of_the_boxes_and_keeps_clear_of_them(missions):
+    """Told of none, it flies through: the simulator judges by its own."""
+    from onboard import Planner
+
+    from orbimpc_ros.ros.parameters import sim_settings
+    from orbimpc_ros.tool.io import settings
+    from orbimpc_ros.tool.io.share import config
+
+    values = settings.resolve(config('multirotor.yaml'), ('max_ticks=25',))
+    touched = {}
+    for told in (values['obstacles'], ()):
+        flight, _, _ = missions.flown(
+            Planner(values | {'obstacles': told}), sim_settings(settings.of_sim(values))
+        )
+        assert flight.distance < 1.0
+        touched[told] = flight.touched
+    assert not touched[values['obstacles']]
+    assert touched[()]
 
 
 def test_each_limit_is_judged(missions):

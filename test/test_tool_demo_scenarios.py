@@ -33,7 +33,9 @@ def demo_of(name):
     return fixture
 
 
-dubins, spacecraft, retrieval3d = map(demo_of, ('dubins', 'spacecraft', 'retrieval3d'))
+dubins, spacecraft, retrieval3d, multirotor = map(
+    demo_of, ('dubins', 'spacecraft', 'retrieval3d', 'multirotor')
+)
 
 
 def check_topics(found, *more):
@@ -139,3 +141,22 @@ def test_configurations_say_what_the_scenarios_say(name):
             assert np.allclose(getattr(getattr(found, part), field), value, atol=1e-12), field
     for field in ('capture_radius', 'max_ticks', 'finish', 'arrival_radius', 'arrival_speed'):
         assert getattr(found, field) == getattr(known, field)
+
+
+def test_the_multirotor_arrives_and_touches_no_box(multirotor):
+    done, folder = multirotor
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert 'arrived       yes' in done.stdout
+    assert 'touched       no box' in done.stdout
+    check_pictures(folder, 'trajectory.png', 'data.png')
+    found = messages_of(folder)
+    assert set(found['cmd_thrust']) == set(found['odom'])
+    assert all(m.wrench.force.x == 0.0 for m in found['cmd_thrust'].values())  # along z
+
+
+def test_a_multirotor_through_a_box_has_failed(tmp_path):
+    """A box that its planner does not know of, on the way that it takes."""
+    unknown = 'sim.obstacles=[4.0, -3.0, -3.0, 4.5, 3.0, 3.0]'
+    done = run('multirotor', tmp_path, '--set', unknown, '--set', 'max_ticks=20')
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert 'touched       box 1' in done.stdout

@@ -26,7 +26,7 @@ from orbimpc_ros.tool.replay.recording import Published, published, recording_of
 from orbimpc_ros.tool.replay.resolving import replayed
 
 FLIGHTS = (
-    *('retrieval', 'dubins', 'spacecraft', 'obstacles'),
+    *('retrieval', 'dubins', 'spacecraft', 'obstacles', 'multirotor'),
     *('disturbed', 'faulty', 'fixed_wing', 'lander'),
 )
 RETRIEVAL = GOLDEN / 'retrieval'
@@ -92,6 +92,7 @@ def test_golden_bags_hold_what_they_are_for():
     assert all(a.status == 'optimal' for a in answers['fixed_wing'])
     assert any(each.topic == 'goal_path' for each in recording_of(GOLDEN / 'fixed_wing').inputs)
     assert all(a.status == 'optimal' and a.gap < 1e-6 for a in answers['lander'])
+    assert sum(a.status == 'optimal' and a.force > 0.0 for a in answers['multirotor']) > 25
     assert max(f.stat().st_size for f in GOLDEN.rglob('*.mcap')) < 100_000
 
 

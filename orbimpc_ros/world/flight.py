@@ -13,6 +13,7 @@ from orbimpc_ros.mpc.loop.forecast import Forecast, Sighting
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.world.capture import closest_approach
+from orbimpc_ros.world.contact import touched
 from orbimpc_ros.world.scenario import Scenario
 from orbimpc_ros.world.vehicle import Vehicle, measured
 
@@ -31,6 +32,7 @@ class Flight:
         miss: least distance to the goal during the last step [m]; infinite before the first.
         missed_at: when that was [s].
         trail: the vehicle on its way through the last step, at its end last.
+        touched: numbers of the boxes that it has been in so far.
     """
 
     scenario: Scenario
@@ -39,6 +41,7 @@ class Flight:
     miss: float = np.inf
     missed_at: float = np.nan
     trail: tuple[Vehicle, ...] = ()
+    touched: frozenset[int] = frozenset()
 
     @property
     def elapsed(self) -> float:
@@ -62,7 +65,12 @@ class Flight:
 
     @property
     def captured(self) -> bool:
-        """Return whether the job is done: the goal caught by the last step, or arrived at."""
+        """Return whether the job is done: the goal caught by the last step, or arrived at.
+
+        Who has touched a box has not done it.
+        """
+        if self.touched:
+            return False
         if self.scenario.finish == 'arrival':
             return self._arrived
         return self.miss <= self.scenario.capture_radius
@@ -121,8 +129,11 @@ class Flight:
             )
             if near < miss:
                 miss, missed_at = near, before.vehicle.time + share * piece
-            before = now
+            before = replace(now, touched=now.touched | self._touched(before.vehicle, vehicle))
         return replace(before, miss=miss, missed_at=missed_at, trail=trail)
+
+    def _touched(self, before: Vehicle, after: Vehicle) -> frozenset[int]:
+        return touched(self.scenario.obstacles, before.position, after.position)
 
 
 def departure(scenario: Scenario, time: float | None = None) -> Flight:

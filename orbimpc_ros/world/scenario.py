@@ -13,7 +13,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import ABOVE_ZERO, within
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.problem import Floor, Problem, Weights
+from orbimpc_ros.mpc.problem import Box, Floor, Problem, Weights
 from orbimpc_ros.world.rope import Rope, fixed
 from orbimpc_ros.world.vehicle import Model, Vehicle, launched, model_of
 
@@ -41,6 +41,7 @@ class Scenario:
             ``max_ticks`` and has to be at the goal then.
         arrival_radius: how far from the goal a vehicle that has arrived may be [m].
         arrival_speed: and how fast [m/s]; 0 for any speed.
+        obstacles: boxes; who touches one has not done the job.
     """
 
     model: Model
@@ -51,6 +52,7 @@ class Scenario:
     finish: str = 'capture'
     arrival_radius: float = 0.05
     arrival_speed: float = 0.0
+    obstacles: tuple[Box, ...] = ()
 
     def __post_init__(self) -> None:
         n = self.model.dimension

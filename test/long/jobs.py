@@ -17,6 +17,7 @@ from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.share import config
 
 Values = dict[str, Any]
+MARGIN = 0.4  # [m] by which boxes are larger for the planner, as in config/multirotor.yaml
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,44 @@ def _tracking(rng: np.random.Generator, values: Values) -> Values:
         'rope.velocity': (*(wind + _towards(course, cruise)).tolist(), 0.0),
         'rope.amplitude': (0.0, 0.0, 0.0),
     }
+
+
+def _multirotor(rng: np.random.Generator, values: Values) -> Values:
+    """Eight boxes on the way to a goal 10 m away, in a wind of up to 2 m/s^2, and gusts."""
+    goal = (10.0, *rng.uniform(-2.0, 2.0, size=2).tolist())
+    wind, gust = _in_space(rng, rng.uniform(0.0, 2.0)), rng.uniform(0.0, 0.3)
+    boxes = _boxes(rng, np.array(goal), 8)
+    return {
+        'sim.wind': wind,
+        'gust': gust,
+        'rope.center': goal,
+        'obstacles': _larger(boxes, MARGIN),
+        'sim.obstacles': boxes,
+        'seed': int(rng.integers(2**31)),
+    }
+
+
+def _in_space(rng: np.random.Generator, length: float) -> tuple[float, ...]:
+    way = rng.normal(size=3)
+    return tuple((way * length / np.linalg.norm(way)).tolist())
+
+
+def _boxes(rng: np.random.Generator, goal: np.ndarray, count: int) -> tuple[float, ...]:
+    """Boxes about the way to the goal, a metre and more from either end of it."""
+    numbers: list[float] = []
+    while len(numbers) < 6 * count:
+        middle = rng.uniform(0.15, 0.85) * goal + rng.uniform(-2.5, 2.5, size=3)
+        half = rng.uniform(0.2, 0.9, size=3)
+        ends = np.array([np.zeros(3), goal])
+        if (np.abs(ends - middle) - half).max(axis=1).min() > 1.0:
+            numbers += [*(middle - half).tolist(), *(middle + half).tolist()]
+    return tuple(numbers)
+
+
+def _larger(numbers: Sequence[float], margin: float) -> tuple[float, ...]:
+    """Boxes with so much more on each side [m]: those of the planner."""
+    sides = np.array([-margin] * 3 + [margin] * 3)
+    return tuple((np.reshape(numbers, (-1, 6)) + sides).ravel().tolist())
 
 
 def _hover(rng: np.random.Generator, values: Values) -> Values:
@@ -152,6 +191,7 @@ MISSIONS = {
     'fixed_wing': Mission('fixed_wing', (), _fixed_wing),
     'tracking': Mission('fixed_wing', TRACKING, _tracking),
     'hover': Mission('spacecraft', (*LEARNING, *HELD, *MULTIROTOR), _hover),
+    'multirotor': Mission('multirotor', (), _multirotor),
     'spacecraft': Mission(
         'spacecraft',
         (*LEARNING, 'rotation_order=1', 'response.speed=0.2', 'response.rate=0.3'),

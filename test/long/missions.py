@@ -115,6 +115,7 @@ def row(
         'when': flight.missed_at - flight.scenario.start.time if flight.captured else None,
         'miss': tally.miss if flight.scenario.finish == 'capture' else flight.distance,
         'speed': flight.speed,
+        'touched': len(flight.touched),
         'least_airspeed': airspeeds.least,
         'stalls': airspeeds.stalls,
         'broken': broken(values, tally, airspeeds.stalls),
@@ -182,7 +183,8 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         f'least airspeed {min(each["least_airspeed"] for each in rows):.6g} m/s, '
         f'{sum(each["stalls"] for each in rows)} stalls; '
         f'largest rate {max(each["turned"] for each in rows):.6g} rad/s; '
-        f'broken limits in {sum(bool(each["broken"]) for each in rows)}',
+        f'broken limits in {sum(bool(each["broken"]) for each in rows)}; '
+        f'boxes touched in {sum(each["touched"] > 0 for each in rows)}',
         f'ticks {ticks}, unproved {sum(each["unproved"] for each in rows)}, '
         f'p50 {_percentile(rows, "p50_ms", 50):.3g} ms, '
         f'p99 {_percentile(rows, "p99_ms", 50):.3g} ms (medians of flights)',

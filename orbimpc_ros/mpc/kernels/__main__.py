@@ -1,12 +1,15 @@
 """``python -m orbimpc_ros.mpc.kernels``: compile the machine code now, so that no start waits."""
 
+import numpy as np
+
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.problem import Floor, Problem
+from orbimpc_ros.mpc.problem import Box, Floor, Problem
 from orbimpc_ros.mpc.solve.annulus_newton import AnnulusNewton
 from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
 from orbimpc_ros.mpc.solve.polygon_bnb import PolygonSearch
 from orbimpc_ros.mpc.solve.sector_bnb import SectorSearch
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
+from orbimpc_ros.mpc.solve.spatial_bnb import SpatialSearch
 
 if COMPILED:
     HullRiccati(Problem(), 1e-6)
@@ -14,3 +17,4 @@ if COMPILED:
     AnnulusNewton(Problem(floor=Floor('circle')), 1e-6)
     SectorSearch(Problem(floor=Floor('circle'), max_rate=1.0), 1e-6)
     SO3Multipliers(Problem(dimension=3))
+    SpatialSearch(Problem(dimension=3, obstacles=(Box(np.ones(3), 2.0 * np.ones(3)),)), 1e-6)

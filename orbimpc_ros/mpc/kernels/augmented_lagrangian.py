@@ -6,7 +6,8 @@ every coordinate of the other two columns. To it come
 
 - R_k in conv SO(3): S(R_k) >= 0, with a multiplier matrix L_k >= 0;
 - c_k |R_k e1|, the length: the maximum of w . R_k e1 over |w| <= c_k;
-- rows a . R_k e1 >= b, with multipliers >= 0;
+- rows a . R_k e1 >= b, with multipliers >= 0; and the same on positions, which are linear in all
+  R_j e1 (not where rho is there);
 - 0 <= rho <= 1, where the body rate decides R_1 up to its thrust fraction rho. That stands in the
   place of R_1, as the first of its nine coordinates.
 
@@ -36,6 +37,7 @@ from orbimpc_ros.mpc.kernels.penalty import (
     HALVINGS,
     PAUSED,
     PROMISED,
+    PROVED,
     SETTLED,
     SIGMA,
     STALLED,
@@ -48,6 +50,7 @@ from orbimpc_ros.mpc.kernels.penalty import (
 from orbimpc_ros.mpc.kernels.penalty_terms import (
     multipliers,
     project,
+    refuted,
     set_columns,
     set_forces,
     value_of,
@@ -133,17 +136,30 @@ def _newton(terms, residual, moved_by, count, work, force):
         terms.inverse, terms.slide, work.step, work.column, work.weight, count, work.slid,
         work.matrix,
     )  # fmt: skip
+    n = len(residual)
     for i in range(count):
         total = 0.0
-        for c in range(9):
-            total += work.column[i, c] * moved_by[work.step[i], c]
+        if work.step[i] < n:
+            for c in range(9):
+                total += work.column[i, c] * moved_by[work.step[i], c]
+        else:
+            for k in range(n):
+                share = terms.reach[work.step[i] - n, k]
+                for c in range(3):
+                    total += share * work.column[i, c] * moved_by[k, c]
         work.solution[i] = total
     if not solve_spd(work.matrix, work.solution, count):
         return False
     force[:] = residual
     for i in range(count):
-        for c in range(9):
-            force[work.step[i], c] -= work.solution[i] * work.column[i, c]
+        if work.step[i] < n:
+            for c in range(9):
+                force[work.step[i], c] -= work.solution[i] * work.column[i, c]
+        else:
+            for k in range(n):
+                share = work.solution[i] * terms.reach[work.step[i] - n, k]
+                for c in range(3):
+                    force[k, c] -= share * work.column[i, c]
     return True
 
 
@@ -163,7 +179,7 @@ def _begin(terms, start, held, force, x, work):
     x[:] = start - x
     least += value_of(terms, x, held, work.small[0])
     if least < 0.0:
-        _keep(multipliers(len(x)), held)
+        _keep(multipliers(len(x), len(held.sides)), held)
         force[:], x[:], least = 0.0, start, 0.0
     return least
 
@@ -173,6 +189,7 @@ def _keep(new, held):
     """Hold the multipliers that the last projection gave."""
     held.orbitopes[:], held.lengths[:] = new.orbitopes, new.lengths
     held.rows[:], held.fraction[:] = new.rows, new.fraction
+    held.sides[:] = new.sides
 
 
 @compiled
@@ -196,20 +213,21 @@ def minimise(terms, start, held, limits, work, progress, budget):
         start: x_0, its minimiser subject to the terminal constraint, shape (n, 9).
         held: the multipliers, updated in place.
         limits: on the violation of a constraint; on the gap, in proportion to the cost; the cost
-            of x_0; what rounding may make of it; the largest sigma.
+            of x_0; what rounding may make of it; the largest sigma; a bound that is enough.
         work: room to work in.
         progress: its x is x_0 - P F, shape (n, 9), its held the force F of the multipliers held;
             updated in place.
         budget: multiplications to do at most, though no less than a Newton step takes.
 
     Returns:
-        The cost of ``progress.x`` above that of x_0, and ``SETTLED``, ``STALLED`` or ``PAUSED``.
+        The cost of ``progress.x`` above that of x_0, and ``SETTLED``, ``STALLED``, ``PAUSED`` or
+        ``PROVED``, also where there is no solution.
     """
-    precision, proportion, least, rounding, largest = limits
+    precision, proportion, least, rounding, largest, enough = limits
     x, held_force, numbers, counts = progress
     trial, direction, force = np.empty_like(start), np.empty_like(start), np.empty_like(start)
     residual, change = np.empty_like(start), np.empty_like(start)
-    new = multipliers(len(start))
+    new = multipliers(len(start), len(held.sides))
     if counts[STEPS] == 0:
         numbers[BEST] = _begin(terms, start, held, held_force, x, work)
         if numbers[BEST] > 0.0:
@@ -227,6 +245,10 @@ def minimise(terms, start, held, limits, work, progress, budget):
         gap = abs(cost - numbers[BEST])
         if worst <= precision and gap <= proportion * abs(least + cost) + rounding:
             return cost, SETTLED
+        if len(new.sides) and refuted(terms, new.sides):
+            numbers[BEST] = np.inf
+        if numbers[BEST] >= enough:
+            return cost, PROVED
         if counts[STEPS] >= LIMIT:
             return cost, STALLED
         if budget <= 0.0:

@@ -15,7 +15,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
 
-SETTLED, STALLED, PAUSED = range(3)  # what a minimisation ends with
+SETTLED, STALLED, PAUSED, PROVED = range(4)  # what a minimisation ends with; PROVED: a bound
 SIGMA, BEST, PROMISED = range(3)  # in Iterate.numbers
 STEPS, TAKEN = range(2)  # in Iterate.counts
 

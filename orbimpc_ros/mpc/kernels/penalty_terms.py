@@ -21,6 +21,7 @@ from orbimpc_ros.mpc.kernels.linear import diagonalise, is_positive
 from orbimpc_ros.mpc.kernels.orbitope import add_adjoint, set_lmi, set_pair
 
 NEGLIGIBLE = 1e-12  # share of sigma at which a part of the Hessian is left out
+REFUTED = 1e-9  # share of what cancels from which on a refutation is one
 ROOM = 14  # parts of the Hessian for a step: ten of the orbitope, three of the length, a row
 
 
@@ -28,12 +29,17 @@ class Terms(NamedTuple):
     """What comes to the quadratic.
 
     Attributes:
-        inverse: P, for R_k e1 and for the other columns, shape (2, n, n).
-        slide: P has this times its transpose on top, shape (n, 9): where rho takes everything.
+        inverse: P, for R_k e1 and for the other columns, shape (2, n + K, n + K); beyond the n
+            steps for the K positions: P reach', reach P and reach P reach'.
+        slide: P has this times its transpose on top, shape (n + K, 9): where rho takes everything.
         lengths: c_k, shape (n,).
         rows: normals of the rows, shape (n, 3); row k is over R_k e1.
         offsets: of the rows, shape (n,); with a zero normal and a negative offset a row is inert.
         coasting: whether rho stands in the first place.
+        reach: what R_1 e1..R_n e1 add to the positions, shape (K, n); without coasting only.
+        steps: of the rows on positions, counted from 0, shape (m,).
+        sides: their normals, shape (m, 3); row i is over what is added to position steps[i].
+        heights: their offsets, shape (m,).
     """
 
     inverse: Array
@@ -42,6 +48,10 @@ class Terms(NamedTuple):
     rows: Array
     offsets: Array
     coasting: bool
+    reach: Array
+    steps: np.ndarray
+    sides: Array
+    heights: Array
 
 
 class Multipliers(NamedTuple):
@@ -52,27 +62,29 @@ class Multipliers(NamedTuple):
         lengths: shape (n, 3), of norm at most c_k.
         rows: shape (n,), not negative.
         fraction: shape (1,), of 0 <= rho <= 1.
+        sides: shape (m,), not negative.
     """
 
     orbitopes: Array
     lengths: Array
     rows: Array
     fraction: Array
+    sides: Array
 
 
 class Scratch(NamedTuple):
-    """Room to work in, made once.
+    """Room to work in, made once; C is how many columns there can be.
 
     Attributes:
         bases: eigenvectors of the last projections on the cone, shape (n, 4, 4).
         values: their eigenvalues, shape (n, 4).
         sizes: |w + sigma R_k e1| of the last projections on the balls, shape (n,).
-        step: of every column of the terms' Hessian, shape (ROOM * n,).
-        column: itself, shape (ROOM * n, 9).
-        weight: its weight, shape (ROOM * n,).
-        slid: the columns' components along ``Terms.slide``, shape (ROOM * n,).
-        solution: of a Newton system, shape (ROOM * n,).
-        matrix: of a Newton system, shape (ROOM * n, ROOM * n).
+        step: of every column of the terms' Hessian, shape (C,); n + k for position k.
+        column: itself, shape (C, 9).
+        weight: its weight, shape (C,).
+        slid: the columns' components along ``Terms.slide``, shape (C,).
+        solution: of a Newton system, shape (C,).
+        matrix: of a Newton system, shape (C, C).
         small: three matrices, shape (3, 4, 4).
     """
 
@@ -89,22 +101,24 @@ class Scratch(NamedTuple):
 
 
 @compiled
-def multipliers(n):
+def multipliers(n, m):
     """Return multipliers of zero.
 
     Args:
         n: how many steps they are for.
+        m: how many rows on positions.
     """
-    return Multipliers(np.zeros((n, 4, 4)), np.zeros((n, 3)), np.zeros(n), np.zeros(1))
+    return Multipliers(np.zeros((n, 4, 4)), np.zeros((n, 3)), np.zeros(n), np.zeros(1), np.zeros(m))
 
 
-def scratch(n: int) -> Scratch:
+def scratch(n: int, m: int = 0) -> Scratch:
     """Return room to work in.
 
     Args:
         n: how many steps it is for.
+        m: how many rows on positions at most.
     """
-    room = ROOM * n
+    room = ROOM * n + m
     return Scratch(
         np.empty((n, 4, 4)),
         np.empty((n, 4)),
@@ -117,6 +131,11 @@ def scratch(n: int) -> Scratch:
         np.empty((room, room)),
         np.empty((3, 4, 4)),
     )
+
+
+def no_sides() -> tuple[Array, np.ndarray, Array, Array]:
+    """Return what :class:`Terms` has where there are no rows on positions."""
+    return np.zeros((0, 0)), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0)
 
 
 @compiled
@@ -137,6 +156,65 @@ def set_forces(terms, held, force):
             add_adjoint(held.orbitopes[k], -1.0, force[k])
         for c in range(3):
             force[k, c] += held.lengths[k, c] - held.rows[k] * terms.rows[k, c]
+    for i in range(len(held.sides)):
+        if held.sides[i] > 0.0:
+            for k in range(len(force)):
+                pulled = held.sides[i] * terms.reach[terms.steps[i], k]
+                for c in range(3):
+                    force[k, c] -= pulled * terms.sides[i, c]
+
+
+@compiled
+def _short_of_side(terms, i, x):
+    """Return by how much a row on a position is missed."""
+    short = terms.heights[i]
+    for k in range(len(x)):
+        along = 0.0
+        for c in range(3):
+            along += terms.sides[i, c] * x[k, c]
+        short -= terms.reach[terms.steps[i], k] * along
+    return short
+
+
+@compiled
+def refuted(terms, sides):
+    """Return whether multipliers prove that no headings in their balls meet the rows on positions.
+
+    Whatever the headings z_k are, the rows' shortfalls, weighed by the multipliers, add up to at
+    least what they are at z = 0, less the length of what pulls at each z_k (Farkas).
+
+    Args:
+        terms: give the rows.
+        sides: their multipliers, shape (m,).
+    """
+    value = magnitude = 0.0
+    for i in range(len(sides)):
+        value += sides[i] * terms.heights[i]
+        magnitude += abs(sides[i] * terms.heights[i])
+    for k in range(terms.reach.shape[1]):
+        a = b = c = 0.0
+        for i in range(len(sides)):
+            pulled = sides[i] * terms.reach[terms.steps[i], k]
+            a += pulled * terms.sides[i, 0]
+            b += pulled * terms.sides[i, 1]
+            c += pulled * terms.sides[i, 2]
+        size = np.sqrt(a * a + b * b + c * c)
+        value, magnitude = value - size, magnitude + size
+    return value > REFUTED * magnitude
+
+
+@compiled
+def _project_sides(terms, x, held, sigma, new):
+    """Project on what is not negative; return the terms' value, |new - held|^2, the violation."""
+    value = moved = worst = 0.0
+    for i in range(len(held)):
+        short = _short_of_side(terms, i, x)
+        new[i] = max(0.0, held[i] + sigma * short)
+        change = new[i] - held[i]
+        value += new[i] * short
+        moved += change * change
+        worst = max(worst, abs(change))
+    return value, moved, worst / sigma
 
 
 @compiled
@@ -241,6 +319,9 @@ def project(terms, x, held, sigma, new, work):
     value, moved, worst = _project_rows(x, terms.rows, terms.offsets, held.rows, sigma, new.rows)
     v, m = _project_lengths(x, held.lengths, sigma, terms.lengths, new.lengths, work.sizes)
     value, moved = value + v, moved + m
+    if len(held.sides):
+        v, m, w = _project_sides(terms, x, held.sides, sigma, new.sides)
+        value, moved, worst = value + v, moved + m, max(worst, w)
     first = 0
     if terms.coasting:
         v, m, w = _project_fraction(x[0, 0], held.fraction, sigma, new.fraction)
@@ -273,6 +354,9 @@ def value_of(terms, x, held, s):
         value += held.rows[k] * terms.offsets[k]
         for c in range(3):
             value += (held.lengths[k, c] - held.rows[k] * terms.rows[k, c]) * x[k, c]
+    for i in range(len(held.sides)):
+        if held.sides[i] > 0.0:
+            value += held.sides[i] * _short_of_side(terms, i, x)
     return value
 
 
@@ -289,7 +373,7 @@ def set_columns(terms, x, held, sigma, new, work):
         work: its ``step``, ``column`` and ``weight`` are set.
 
     Returns:
-        How many parts there are.
+        How many parts there are; those of rows on positions come last.
     """
     step, column, weight = work.step, work.column, work.weight
     count = first = 0
@@ -304,7 +388,14 @@ def set_columns(terms, x, held, sigma, new, work):
     count = _length_columns(
         x, held.lengths, sigma, terms.lengths, work.sizes, step, column, weight, count
     )
-    return _row_columns(terms.rows, new.rows, sigma, step, column, weight, count)
+    count = _row_columns(terms.rows, new.rows, sigma, step, column, weight, count)
+    for i in range(len(new.sides)):
+        if new.sides[i] > 0.0:
+            column[count] = 0.0
+            column[count, :3] = terms.sides[i]
+            step[count], weight[count] = len(x) + terms.steps[i], sigma
+            count += 1
+    return count
 
 
 @compiled

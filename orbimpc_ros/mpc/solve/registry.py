@@ -17,6 +17,7 @@ METHODS = [
     ('polygon_bnb', 'PolygonSearch'),
     ('sector_bnb', 'SectorSearch'),
     ('annulus_newton', 'AnnulusNewton'),
+    ('spatial_bnb', 'SpatialSearch'),
     ('disjunctive_bnb', 'DisjunctiveSearch'),
 ]
 

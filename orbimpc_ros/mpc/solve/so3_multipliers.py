@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.annulus import SLICE
 from orbimpc_ros.mpc.kernels.augmented_lagrangian import minimise
 from orbimpc_ros.mpc.kernels.penalty import BEST, PAUSED, SETTLED, Iterate, begun
-from orbimpc_ros.mpc.kernels.penalty_terms import Terms, multipliers, scratch
+from orbimpc_ros.mpc.kernels.penalty_terms import Terms, multipliers, no_sides, scratch
 from orbimpc_ros.mpc.model.condensed import Condensed, knowns, suits_dense_code
 from orbimpc_ros.mpc.model.cost import first_length, length_weight, length_weights
 from orbimpc_ros.mpc.problem import Problem, State
@@ -80,10 +80,10 @@ class SO3Multipliers:
             self._lengths[0] = 0.0  # linear in rho
         self._axes = np.zeros((self.problem.horizon + 4, 3))
         self._rest = np.zeros((2, 6))
-        self._work, self._held = scratch(n), multipliers(n)
+        self._work, self._held = scratch(n), multipliers(n, 0)
         rows, offsets = np.zeros((n, 3)), np.full(n, INERT)
         self._unbound = Terms(
-            self._inverse, self._slide, self._lengths, rows, offsets, self._coasting
+            self._inverse, self._slide, self._lengths, rows, offsets, self._coasting, *no_sides()
         )
 
     @property
@@ -178,7 +178,7 @@ class SO3Multipliers:
             bound = max(bound, float(progress.numbers[BEST]))
             if status == SETTLED:
                 return Relaxation(self._rotations(progress.x), self._proved(bound))
-            self._held = multipliers(self._places)  # what was held misled: once more without
+            self._held = multipliers(self._places, 0)  # what was held misled: once more without
             if request.late:
                 break
         hurried = request.hurried and (self._general is None or request.late)
@@ -193,7 +193,7 @@ class SO3Multipliers:
 
     def _minimise(self, terms: Terms, request: Request) -> tuple[Iterate, int]:
         first, largest = (self._scale * sigma for sigma in SIGMA)
-        limits = (PRECISION, GAP, self._least, self._rounding, largest)
+        limits = (PRECISION, GAP, self._least, self._rounding, largest, np.inf)
         progress = begun(self._places, 9, first)
         while True:
             _, status = minimise(

@@ -15,7 +15,7 @@ from orbimpc_ros.mpc.arrays import ABOVE_ZERO, Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.loop.odometry import SOURCES
 from orbimpc_ros.mpc.model.translation import DISCRETISATIONS
-from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.problem import Box, Problem
 from orbimpc_ros.ros.messages import THRUST_AXES, Frames
 from orbimpc_ros.world.vehicle import RANGES, model_of
 
@@ -135,6 +135,23 @@ def disturbance_of(values: Values) -> Array:
         raise BadInput('gravity', gravity, '0 unless dimension is 3 and translation_order 2')
     known[-1] -= gravity
     return known
+
+
+def boxes_of(values: Values) -> tuple[Box, ...]:
+    """Return the obstacles.
+
+    Raises:
+        BadInput: a number too many, or an upper corner that is not above the lower one.
+    """
+    numbers, n = values['obstacles'], values['dimension']
+    if len(numbers) % (2 * n):
+        raise BadInput('obstacles', list(numbers), f'{2 * n} numbers for each box')
+    corners = np.array(numbers, dtype=float).reshape(-1, 2, n)
+    return tuple(Box(low, high) for low, high in corners)
+
+
+OBSTACLES = Row('obstacles', (), 'Boxes to stay out of: lower, then upper corner of each',
+    'm', -FAR, FAR, live=True)  # fmt: skip
 
 
 def _shared(name: str, description: str, unit: str = '', *, live: bool = False) -> Row:

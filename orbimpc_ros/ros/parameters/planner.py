@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-
-import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput
@@ -18,7 +15,6 @@ from orbimpc_ros.mpc.loop.safety import SAFE_COMMANDS, decided
 from orbimpc_ros.mpc.problem import (
     MAX_HORIZON,
     TERMINALS,
-    Box,
     Floor,
     Problem,
     Weights,
@@ -30,10 +26,12 @@ from orbimpc_ros.ros.messages import Frames
 from orbimpc_ros.ros.parameters.parameter import (
     FAR,
     MAX_DURATION,
+    OBSTACLES,
     TINY,
     VEHICLE,
     Row,
     Values,
+    boxes_of,
     disturbance_of,
     frames_of,
     span,
@@ -77,8 +75,7 @@ PLANNER: tuple[Row, ...] = (
     Row('glide_slope', 0.0, 'Stay in a cone above the goal, of this angle between its side and the '
         'horizontal: at least tan(glide_slope) m up for each m aside (dimension 3); 0 for none',
         'rad', 0.0, STEEPEST_GLIDE, live=True),
-    Row('obstacles', (), 'Boxes to stay out of: lower, then upper corner of each',
-        'm', -FAR, FAR, live=True),
+    OBSTACLES,
     Row('no_corner_cutting', False, 'Whether the path between two steps stays out as well',
         live=True),
     Row('projection', 'thrust_aligned', 'How a point of the hull becomes a rotation',
@@ -288,17 +285,10 @@ def _problem(values: Values) -> Problem:
         terminal=values['terminal'],
         floor=Floor(values['floor.shape'], values['floor.faces'], values['floor.fraction']),
         max_rate=values['max_rate'],
-        obstacles=_boxes(values['obstacles'], values['dimension']),
+        obstacles=boxes_of(values),
         no_corner_cutting=values['no_corner_cutting'],
         discretisation=values['discretisation'],
         tilt=values['tilt'],
         glide_slope=values['glide_slope'],
     )
     return weighed(problem, values['weights.scaling'])
-
-
-def _boxes(numbers: Sequence[float], dimension: int) -> tuple[Box, ...]:
-    if len(numbers) % (2 * dimension):
-        raise BadInput('obstacles', list(numbers), f'{2 * dimension} numbers for each box')
-    corners = np.array(numbers, dtype=float).reshape(-1, 2, dimension)
-    return tuple(Box(low, high) for low, high in corners)

@@ -15,9 +15,11 @@ from orbimpc_ros.ros.messages import QUATERNION_TOLERANCE, Frames
 from orbimpc_ros.ros.parameters.parameter import (
     FAR,
     MAX_DURATION,
+    OBSTACLES,
     VEHICLE,
     Row,
     Values,
+    boxes_of,
     disturbance_of,
     frames_of,
     span,
@@ -61,6 +63,8 @@ ENDING = (
         'm', *span(*LIMITS['arrival_radius'])),
     Row('arrival_speed', FLOWN.arrival_speed, 'At arrival the speed is at most this; 0 for any',
         'm/s', *LIMITS['arrival_speed']),
+    replace(OBSTACLES, description='Boxes that the vehicle must not touch: lower, then upper '
+        'corner of each', live=False),
 )  # fmt: skip
 
 START = (
@@ -235,7 +239,8 @@ def _scenario(values: Values) -> Scenario:
         vector(values, 'rope.velocity', n),
     )
     ending = ('capture_radius', 'max_ticks', 'finish', 'arrival_radius', 'arrival_speed')
-    return Scenario(model, start, rope, **{name: values[name] for name in ending})
+    known_ends = {name: values[name] for name in ending}
+    return Scenario(model, start, rope, **known_ends, obstacles=boxes_of(values))
 
 
 def _orientation(numbers: Sequence[float], dimension: int) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -208,6 +208,7 @@ def truth_message(at: int, name: str, flight: Flight, airspeeds: Airspeeds) -> D
         'velocity': vehicle.velocity.tolist(),
         'body_rate': vehicle.body_rate.tolist(),
         'speed_fraction': vehicle.fraction,
+        'touched': sorted(flight.touched),
     }
     if airspeeds.stalled:
         slow = f'stalled: {now:.3g} m/s, below {airspeeds.stall_speed:g} m/s'
@@ -215,9 +216,17 @@ def truth_message(at: int, name: str, flight: Flight, airspeeds: Airspeeds) -> D
     return diagnostics(at, name, OK, 'flies', values)
 
 
+def boxes_in_words(numbers: Collection[int]) -> str:
+    """Return which of the obstacles are meant, counted from 1."""
+    counted = ', '.join(str(number + 1) for number in sorted(numbers))
+    return f'{"box" if len(numbers) == 1 else "boxes"} {counted}'
+
+
 def outcome(flight: Flight) -> str:
     """Return in words how a flight has ended."""
     done = '' if flight.captured else 'not '
+    if flight.touched:
+        return f'touched {boxes_in_words(flight.touched)}'
     if flight.scenario.finish == 'arrival':
         where = f'{flight.distance:.2e} m from the goal at {flight.speed:.2e} m/s'
         return f'{done}arrived: {where}'

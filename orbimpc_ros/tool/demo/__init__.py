@@ -20,6 +20,7 @@ SCENARIOS = (
     'dubins',
     'spacecraft',
     'fixed_wing',
+    'multirotor',
     'lander',
     'fleet',
 )
@@ -101,7 +102,7 @@ def report(folder: Path, places: Mapping[str, Path]) -> int:
         print(f'{name}:\n{summary.text(each)}' if name else summary.text(each))
     for place in places.values():
         print(f'bag           {place / "bag"}')
-    if any(each.values['finish'] == 'arrival' for each in flown.values()):
+    if all(each.in_time for each in flown.values()):
         print(_arrivals(flown))
     for name, figure in figures.of_runs(flown).items():
         figures.save(figure, folder / name)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.history import History
 
 
@@ -49,12 +50,21 @@ def _ticks(flown: Sequence[History]) -> dict[str, str]:
 
 def _job(history: History) -> dict[str, str]:
     if history.values['finish'] == 'arrival':
-        return {'arrived': _arrival(history), **_airspeeds(history)}
+        return {'arrived': _arrival(history), **_boxes(history), **_airspeeds(history)}
     return {
         'captured': _capture(history),
         'near misses': _near_misses(history),
+        **_boxes(history),
         **_airspeeds(history),
     }
+
+
+def _boxes(history: History) -> dict[str, str]:
+    """Return which boxes a vehicle in continuous time has touched, if there are any."""
+    found = history.truth.get('touched')
+    if not settings.of_sim(history.values)['obstacles'] or not isinstance(found, list):
+        return {}
+    return {'touched': ', '.join(f'box {number + 1}' for number in found) or 'no box'}
 
 
 def _airspeeds(history: History) -> dict[str, str]:

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from orbimpc_ros.tool.demo.arrivals import planned_at_start
 from orbimpc_ros.tool.figures.dubins import dubins
 from orbimpc_ros.tool.figures.lander import lander
+from orbimpc_ros.tool.figures.multirotor import multirotor
 from orbimpc_ros.tool.figures.numbers import data, solver
 from orbimpc_ros.tool.figures.retrieval import retrieval
 from orbimpc_ros.tool.figures.retrieval3d import retrieval3d
@@ -24,6 +25,7 @@ __all__ = [
     'lander',
     'look',
     'moments',
+    'multirotor',
     'of_flight',
     'of_runs',
     'retrieval',
@@ -57,6 +59,8 @@ def of_flight(history: History, dark: bool = False) -> dict[str, Figure]:
 def _of_runs(flown: Mapping[str, History]) -> dict[str, Figure]:
     first = next(iter(flown.values()))
     space = first.values['dimension'] == 3
+    if first.values['finish'] == 'arrival' and space and not first.in_time:
+        return {TRAJECTORY: multirotor(first), 'data.png': data(first)}
     if first.values['finish'] == 'arrival' and space:
         draw = lander if first.values['tilt'] or first.values['glide_slope'] else spacecraft
         plan = planned_at_start(first.values)

@@ -93,8 +93,8 @@ def _arrival(history: History) -> str:
     missed, speed = history.missed
     values = history.values
     vehicle = 'Spacecraft' if values['dimension'] == 3 else 'Dubins car'
-    if values['glide_slope'] or values['tilt']:
-        vehicle = 'Lander'
-    at = f' at {speed:.1e} m/s' if history.values['translation_order'] == 2 else ''
+    if values['gravity']:
+        vehicle = 'Lander' if values['glide_slope'] or values['tilt'] else 'Multirotor'
+    at = f' at {speed:.1e} m/s' if values['translation_order'] == 2 else ''
     done = 'arrives' if history.captured else 'does not arrive'
     return f'{vehicle} {done}: {missed:.1e} m from the goal{at}'

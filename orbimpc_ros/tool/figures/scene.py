@@ -11,6 +11,7 @@ from matplotlib.patches import Circle, Rectangle
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.ros.parameters import sim_settings
 from orbimpc_ros.tool.figures.style import FAINT, GREEN, GREY, INK, ORANGE, RED, halo, paper
+from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.history import History
 
 
@@ -39,19 +40,27 @@ def _to_space(point: Array) -> tuple[tuple[int, int], tuple[int, int]]:
     return (0, 0), (0, 3 - len(point))
 
 
-def boxes(history: History) -> list[Array]:
-    """Return the lower and the upper corner of every obstacle, shape (2, n) each [m]."""
-    corners = np.reshape(history.values['obstacles'], (-1, 2, history.values['dimension']))
-    return list(corners)
+def boxes(history: History, *, planned: bool = False) -> list[Array]:
+    """Return the lower and the upper corner of every obstacle, shape (2, n) each [m].
+
+    Args:
+        history: of the flight.
+        planned: whether those of the planner are asked for, not the simulator's.
+    """
+    values = history.values if planned else settings.of_sim(history.values)
+    return list(np.reshape(values['obstacles'], (-1, 2, values['dimension'])))
 
 
 def draw_obstacles(axes: Axes, history: History) -> None:
     """Draw the obstacles as seen from above, hatched."""
     for number, (low, high) in enumerate(boxes(history)):
-        label = 'obstacle' if number == 0 else None
-        (x, y), (width, height) = low[:2], (high - low)[:2]
-        look: Any = {'fc': FAINT, 'ec': GREY, 'hatch': '///', 'alpha': 0.6, 'zorder': 1}
-        axes.add_patch(Rectangle((x, y), width, height, label=label, **look))
+        draw_box(axes, low[:2], high[:2], 'obstacle' if number == 0 else None)
+
+
+def draw_box(axes: Axes, low: Array, high: Array, label: str | None = None) -> None:
+    """Draw a rectangle, hatched, given its lower and its upper corner, shape (2,) each [m]."""
+    look: Any = {'fc': FAINT, 'ec': GREY, 'hatch': '///', 'alpha': 0.6, 'zorder': 1}
+    axes.add_patch(Rectangle((low[0], low[1]), *(high - low), label=label, **look))
 
 
 def arrival_tick(history: History) -> int:

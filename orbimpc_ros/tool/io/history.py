@@ -91,6 +91,11 @@ class History:
         return float(settings.of_sim(self.values)['capture_radius'])
 
     @property
+    def in_time(self) -> bool:
+        """Return whether every plan arrives at the goal, as one made at the start does."""
+        return (self.values['finish'], self.values['terminal']) == ('arrival', 'constraint')
+
+    @property
     def headings(self) -> Array:
         """Return the body's x axis in the world, shape (M, 3)."""
         return self.attitudes[:, :, 0]
