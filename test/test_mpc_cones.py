@@ -286,6 +286,17 @@ def test_no_state_is_infeasible_for_it(seed):
     assert violations(problem, start, PAD, plan) == []
 
 
+@pytest.mark.parametrize('tilt', [0.1, 0.2618, 0.5])
+def test_a_climb_that_leans_as_far_as_it_may_eases_nothing(tilt):
+    """Whichever way it leans: on the cone's side, rounding leads in or out."""
+    problem, rng = lander(tilt=tilt), np.random.default_rng(1)
+    for _ in range(30):
+        start = falling([9.0, -7.0, 60.0], rng.uniform([4.0, -9.0, 0.0], [9.0, -4.0, 1.0]))
+        leaning = climb(problem, start, PAD)[1]
+        assert math.acos(leaning[2]) == pytest.approx(tilt)
+        assert not relief(problem, start, PAD).tilt.any()
+
+
 def test_what_is_outside_comes_back_in_and_it_is_said():
     """Beside the pad and below the slope, descending; tilted by 60 degrees."""
     problem = lander(floor=FLOOR, max_rate=0.3)

@@ -27,6 +27,7 @@ from orbimpc_ros.mpc.problem.state import State
 if TYPE_CHECKING:
     from orbimpc_ros.mpc.plan import Plan
 
+ROUNDING = 1e-9  # of a climb along a side of a cone
 SPARE = 1e-3  # by so much of a step's length, or of full thrust, more than the climb's is allowed
 NOTHING = 2e-6  # outside by less, as fractions and in lengths of a step, is inside
 SETTLING = 4.0  # steps in which a climb comes above the goal, as far as its lean allows
@@ -82,10 +83,13 @@ def relief(problem: Problem, state: State, goals: Array) -> Relief:
     positions, _ = dynamics.translation_rollout(problem, state, headings)
     away = positions[1:] - goals
     tilt, slope = leaning(problem, headings[1:]), strayed(problem, away)
-    spare = SPARE * problem.length_unit
-    return Relief(
-        np.where(tilt > 0.0, tilt + SPARE, 0.0), np.where(slope > 0.0, slope + spare, 0.0)
-    )
+    unit = problem.length_unit
+    return Relief(_spared(tilt), unit * _spared(slope / unit))
+
+
+def _spared(outside: Array) -> Array:
+    """Return what is allowed where a climb is outside by so much, in units of a step."""
+    return np.where(outside > ROUNDING, outside + SPARE, 0.0)
 
 
 def climb(problem: Problem, state: State, goals: Array) -> Array:
