@@ -1,0 +1,171 @@
+r"""Fits of all families to one stretch of sightings, kept up to date by sums.
+
+A family's fit is Bayesian and linear about its present coefficients, frequency and damping: with
+the columns X, the residuals E, its Jacobian B and prior precisions \Gamma relative to the noise,
+A = B'(X'X)B + \Gamma and the step is A^-1 B'X'E. The noise is unknown, with a gamma prior on its
+precision, so evidence and spread have closed forms. Frequency and damping move by Gauss-Newton:
+one family at a time, since its sums must then be made anew.
+
+Mathematics: docs/mathematics.md, 7.4.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.loop.goals import families
+from orbimpc_ros.mpc.loop.goals.families import COLUMNS, NAMES, OSCILLATING
+
+SHARE, SCALE = 1.0, 1e-4  # prior of the noise's precision: shape, and rate [m^2]
+FASTEST, MOST_DAMPED = 4.0 * math.pi, 2.0  # [rad/s], [1/s]
+
+
+class Fits:
+    """The families fitted to a stretch of sightings.
+
+    Args:
+        n: dimension.
+
+    Attributes:
+        known: which families have something to say, shape (K,).
+        rates: angular frequencies, shape (K,) [rad/s].
+        dampings: shape (K,) [1/s].
+        coefficients: about which a fit is linear, shape (K, 7, n).
+        count: of sightings.
+        misfit: sums of squared residuals, with what the priors add, shape (K,) [m^2].
+        evidence: logarithms, shape (K,).
+    """
+
+    def __init__(self, n: int) -> None:
+        self._n, self._layout = n, families.layout(n)
+        size, rows = len(NAMES), self._layout.used.shape[1]
+        self.known = np.ones(size, dtype=bool)
+        self.known[list(OSCILLATING)] = False
+        self.rates, self.dampings = np.zeros(size), np.zeros(size)
+        self.coefficients = np.zeros((size, COLUMNS, n))
+        self._jacobian = self._layout.constant.copy()
+        self._transposed = np.ascontiguousarray(
+            self._jacobian.transpose(0, 2, 3, 1).reshape(size, COLUMNS, n * rows)
+        )
+        self._pull = np.zeros((size, rows))  # parameters that the priors draw to zero
+        self._gram = np.zeros((size, COLUMNS, COLUMNS))
+        self._moments = np.zeros((size, COLUMNS, n))
+        self._square, self.count = 0.0, 0
+        self._step, self._root = np.zeros((size, rows)), np.zeros((size, rows, rows))
+        self.misfit = self.evidence = np.zeros(size)
+        self._diagonal = np.arange(rows)
+        self._prior = 0.5 * np.sum(np.log(self._layout.precision), axis=1)
+
+    def rows(self, time: float) -> Array:
+        """Return the columns of every family at a time, shape (K, 7)."""
+        return families.columns(np.full(len(NAMES), time), self.rates, self.dampings)
+
+    def add(self, rows: Array, position: Array) -> None:
+        """Add a sighting, given its ``rows``, shape (K, 7)."""
+        self._gram += rows[:, :, None] * rows[:, None, :]
+        self._moments += rows[:, :, None] * position
+        self._square += float(position @ position)
+        self.count += 1
+
+    def place(
+        self, family: int, rate: float, damping: float, coefficients: Array, past: tuple[Array, Array]
+    ) -> None:
+        """Put a family at a frequency, damping and coefficients, and sum up ``past`` for it.
+
+        Args:
+            family: its number.
+            rate: [rad/s].
+            damping: [1/s].
+            coefficients: shape (7, n).
+            past: times, shape (M,) [s], and positions, shape (M, n) [m], of all sightings.
+        """
+        x = families.columns(past[0], rate, damping)
+        self._gram[family], self._moments[family] = x.T @ x, x.T @ past[1]
+        self.rates[family], self.dampings[family] = rate, damping
+        self.coefficients[family], self.known[family] = coefficients, True
+        rows = families.jacobian(family, coefficients)
+        self._jacobian[family] = rows
+        self._transposed[family] = rows.transpose(1, 2, 0).reshape(COLUMNS, -1)
+        n = self._n
+        self._pull[family] = 0.0
+        self._pull[family, n : 2 * n] = coefficients[families.LINEAR]
+        if family != families.TURN:
+            self._pull[family, 2 * n : 3 * n] = coefficients[families.COSINE]
+            self._pull[family, 3 * n : 4 * n] = coefficients[families.SINE]
+
+    def move(self, family: int, past: tuple[Array, Array]) -> None:
+        """Take a Gauss-Newton step, at most so long that its linearisation still means something."""
+        n, step = self._n, self._step[family]
+        span = float(past[0][-1] - past[0][0]) or 1.0
+        shape = np.abs(step[2 * n : 3 * n + 1]).max() if family == families.TURN else 0.0
+        step = step / max(1.0, span * np.abs(step[4 * n :]).max(), 2.0 * shape)
+        rate = min(max(self.rates[family] + step[4 * n], 0.02), FASTEST)
+        damping = min(max(self.dampings[family] + step[4 * n + 1], 0.0), MOST_DAMPED)
+        coefficients = families.stepped(family, self.coefficients[family], step)
+        self.place(family, rate, damping, coefficients, past)
+
+    def solve(self) -> None:
+        """Fit every family to all sightings so far."""
+        size, rows = self._step.shape
+        flat = self._jacobian.reshape(size, rows, -1)
+        residual = self._moments - self._gram @ self.coefficients
+        normal = flat @ (self._gram @ self._transposed).reshape(size, -1, rows)
+        normal[:, self._diagonal, self._diagonal] += self._layout.free
+        normal[:, self._diagonal, self._diagonal] += np.where(self._layout.used, 1e-12, 0.0)
+        pulled = self._layout.free * self._pull
+        slope = (flat @ residual.reshape(size, -1, 1))[:, :, 0] - pulled
+        factor = np.linalg.cholesky(normal)
+        self._root = np.linalg.inv(factor)
+        white = (self._root @ slope[:, :, None])[:, :, 0]
+        self._step = (white[:, None, :] @ self._root)[:, 0]
+        unexplained = self._square - np.sum(
+            self.coefficients * (self._moments + residual), axis=(1, 2)
+        )
+        misfit = unexplained + np.sum(pulled * self._pull, axis=1) - np.sum(white * white, axis=1)
+        self.misfit = np.maximum(misfit, 0.0)
+        spread = np.sum(np.log(factor[:, self._diagonal, self._diagonal]), axis=1)
+        self.evidence = self._prior - spread + data_evidence(self.misfit, self.count * self._n)
+        self.evidence[~self.known] = -np.inf
+
+    @property
+    def noises(self) -> Array:
+        """Return the variance of the noise that each family takes sightings to have, (K,) [m^2]."""
+        return (SCALE + self.misfit) / (2.0 * SHARE + self.count * self._n)
+
+    @property
+    def fitted(self) -> Array:
+        """Return the coefficients with the latest step, shape (K, 7, n)."""
+        size, rows = self._step.shape
+        step = (self._step[:, None, :] @ self._jacobian.reshape(size, rows, -1))[:, 0]
+        return self.coefficients + step.reshape(self.coefficients.shape)
+
+    def spread(self, rows: Array) -> Array:
+        """Return the sum of squares of the spread at ``rows``, (K, 7), per unit of noise, (K,)."""
+        size, count = self._step.shape
+        moved = (rows[:, None, :] @ self._transposed).reshape(size, self._n, count)
+        white = moved @ self._root.transpose(0, 2, 1)
+        return np.sum(white * white, axis=(1, 2))
+
+    def covariances(self) -> Array:
+        """Return the covariances of coefficients per unit of noise, (K, 49, n^2)."""
+        size, rows = self._step.shape
+        white = self._root @ self._jacobian.reshape(size, rows, -1)
+        full = white.transpose(0, 2, 1) @ white
+        split = full.reshape(size, COLUMNS, self._n, COLUMNS, self._n).transpose(0, 1, 3, 2, 4)
+        return split.reshape(size, COLUMNS**2, self._n**2)
+
+
+def data_evidence(misfit: Array, numbers: Array | float) -> Array:
+    """Return the part of the evidence that the misfit decides; the noise is integrated out.
+
+    Args:
+        misfit: [m^2].
+        numbers: how many were fitted: sightings times dimensions.
+    """
+    shape = SHARE + 0.5 * numbers
+    gamma = np.vectorize(math.lgamma)(shape) if np.ndim(shape) else math.lgamma(shape)
+    rest = SHARE * math.log(SCALE / 2.0) - 0.5 * numbers * math.log(2.0 * math.pi)
+    return gamma + rest - shape * np.log(0.5 * (SCALE + misfit))
