@@ -5,6 +5,7 @@ Mathematics: docs/mathematics.md, 7.4.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from orbimpc_ros.mpc.loop.goals import families
 from orbimpc_ros.mpc.loop.goals.changes import Changes
 from orbimpc_ros.mpc.loop.goals.families import CARRIER, DAMPED, NAMES, OSCILLATING, SWING, TURN
 from orbimpc_ros.mpc.loop.goals.fits import Fits
-from orbimpc_ros.mpc.loop.goals.spectrum import Spectrum
+from orbimpc_ros.mpc.loop.goals.spectrum import DRIFTING, FIXED, Spectrum
 from orbimpc_ros.mpc.loop.observation import Sighting
 
 MEMORY, KEPT = 768, 512  # sightings: as many as are remembered, and as survive when they are full
@@ -22,7 +23,9 @@ BELIEVED = 3  # sightings off the forecast, one after another, that are a new mo
 GATE = 6.0  # standard deviations beyond which a sighting is off the forecast
 AGILE = 5.0  # [m/s^2] acceleration that no motion foretells, yet a goal may have
 SWINGS_FROM = 6  # sightings
-NEGLIGIBLE = 1e-4  # share
+LIKELY, NEGLIGIBLE = 1e-2, 1e-4  # shares
+PATIENCE, MOST_TASKS = 0.35, 6  # [s] of waiting that one more task may be done for, and how many
+WORTHWHILE = 0.01  # units of the noise that a move should gain
 
 
 @dataclass(frozen=True)
@@ -70,21 +73,30 @@ class Bank:
         self._last = time
 
     def _learn(self, sighting: Sighting) -> None:
-        if not self._expected(sighting):
+        rows = self._fits.rows(sighting.time - self._epoch)
+        waited = sighting.time - self._last
+        if not self._expected(sighting.position, rows, waited):
             self._apart.append(sighting)
             if len(self._apart) == BELIEVED:
                 self._begin(self._apart)
             return
         self._apart = []
-        self._append(sighting)
-        self._refine()
+        self._append(sighting, rows)
+        for _ in range(1 + min(int(waited / PATIENCE), MOST_TASKS)):
+            self._refine()
         self._conclude()
-        new = self._changes.found()
+        new = self._changes.found() if self._count % 2 else 0
         if new:
-            times, seen = self._times[self._count - new : self._count], self._seen[self._count - new : self._count]
-            self._begin([Sighting(t + self._epoch, p + self._origin) for t, p in zip(times, seen)])
+            self._begin(self._latest(new))
         elif self._count == MEMORY:
             self._shorten()
+
+    def _latest(self, count: int) -> list[Sighting]:
+        times, seen = (each[-count:] for each in self._past())
+        return [
+            Sighting(float(time) + self._epoch, place + self._origin)
+            for time, place in zip(times, seen, strict=True)
+        ]
 
     def _begin(self, sightings: list[Sighting]) -> None:
         """Start afresh with the first sightings of a motion."""
@@ -92,18 +104,18 @@ class Bank:
         self._n = n = len(first.position)
         self._epoch, self._origin = first.time, np.array(first.position)
         self._times, self._seen = np.zeros(MEMORY), np.zeros((MEMORY, n))
-        self._fits, self._spectrum, self._changes = Fits(n), Spectrum(n), Changes(n)
-        self._count, self._turn, self._apart = 0, 0, []
+        self._fits, self._changes = Fits(n), Changes(n)
+        self._spectrum: Spectrum | None = Spectrum(n)
+        self._count, self._tasks, self._apart = 0, 0, []
         for each in sightings:
-            self._append(each)
+            self._append(each, self._fits.rows(each.time - self._epoch))
             self._conclude()
 
-    def _append(self, sighting: Sighting) -> None:
-        time, position = sighting.time - self._epoch, sighting.position - self._origin
-        self._times[self._count], self._seen[self._count] = time, position
+    def _append(self, sighting: Sighting, rows: Array) -> None:
+        position = sighting.position - self._origin
+        self._times[self._count], self._seen[self._count] = sighting.time - self._epoch, position
         self._count += 1
-        self._fits.add(self._fits.rows(time), position)
-        self._spectrum.add(np.array([time]), position[None])
+        self._fits.add(rows, position)
 
     def _conclude(self) -> None:
         """Fit, and weigh the families."""
@@ -113,50 +125,83 @@ class Bank:
         total = shares.sum()
         self._shares = shares / total
         last = self._count - 1
-        self._changes.note(self._times[last], self._seen[last], best + np.log(total))
+        self._changes.note(self._times[last], self._seen[last], best + math.log(total))
         self._fitted: Array = self._fits.fitted
         self._covariances: Array | None = None
 
     def _past(self) -> tuple[Array, Array]:
         return self._times[: self._count], self._seen[: self._count]
 
-    def _expected(self, sighting: Sighting) -> bool:
-        """Return whether any motion that is likely at all has the goal near there."""
-        time = sighting.time - self._epoch
-        rows = self._fits.rows(time)
-        off = (rows[:, None, :] @ self._fitted)[:, 0] - (sighting.position - self._origin)
-        waited = sighting.time - self._last
+    def _expected(self, position: Array, rows: Array, waited: float) -> bool:
+        """Return whether any motion that is likely at all has the goal near there.
+
+        Args:
+            position: seen [m].
+            rows: columns of every family then, shape (K, 7).
+            waited: since the last sighting [s].
+        """
+        off = (rows[:, None, :] @ self._fitted)[:, 0] - (position - self._origin)
         spread = self._fits.noises * (1.0 + self._fits.spread(rows))
-        allowed = GATE**2 * (spread + (0.5 * AGILE * waited**2) ** 2)
+        allowed = GATE**2 * (spread + (0.5 * AGILE * waited * waited) ** 2)
         near = np.sum(off * off, axis=1) <= allowed
-        return bool(np.any(near & (self._shares > 1e-2)))
+        return bool(np.any(near & (self._shares > LIKELY)))
 
     def _refine(self) -> None:
-        """Improve one oscillation, or look for others: one a sighting, to bound its cost."""
+        """Improve one oscillation, or look for others: one task a sighting, to bound its cost."""
         if self._count < SWINGS_FROM:
             return
-        self._turn = (self._turn + 1) % (len(OSCILLATING) + 1)
-        if self._turn == len(OSCILLATING) or not self._fits.known[SWING]:
-            self._search()
-        elif self._fits.known[OSCILLATING[self._turn]]:
-            self._fits.move(OSCILLATING[self._turn], self._past())
+        self._tasks += 1
+        if self._tasks % 2 and self._spectrum is not None:
+            (self._read, self._seek_swing, self._seek_carrier, self._seek_shapes)[
+                self._tasks // 2 % 4
+            ]()
+        else:
+            self._move()
 
-    def _search(self) -> None:
-        fits, past = self._fits, self._past()
-        for family in (SWING, CARRIER):
-            rate, misfit = self._spectrum.best(family == CARRIER)
-            if not fits.known[family] or misfit < 0.9 * fits.misfit[family]:
-                fits.place(family, rate, 0.0, np.zeros_like(fits.coefficients[family]), past)
-        swing = self._fitted[SWING]
+    def _move(self) -> None:
+        """Move the next oscillation whose fit would gain by it."""
+        turn = self._tasks // 2
+        for family in OSCILLATING[turn % 4 :] + OSCILLATING[: turn % 4]:
+            if self._fits.gain[family] > WORTHWHILE:
+                self._fits.move(family, self._past())
+                return
+
+    def _read(self) -> None:
+        times, seen = self._past()
+        begun = self._spectrum.count
+        self._spectrum.add(times[begun:], seen[begun:])
+
+    def _seek_swing(self) -> None:
+        self._seek(SWING, FIXED)
+
+    def _seek_carrier(self) -> None:
+        self._seek(CARRIER, DRIFTING)
+
+    def _seek(self, family: int, middle: int) -> None:
+        rate, misfit = self._spectrum.best(middle)
+        fits = self._fits
+        if not fits.known[family] or misfit < 0.9 * fits.misfit[family]:
+            fits.place(family, rate, 0.0, np.zeros_like(fits.coefficients[family]), self._past())
+
+    def _seek_shapes(self) -> None:
+        """Start what is a swing of another shape from the swing, where that fits better."""
+        fits = self._fits
+        swing = fits.coefficients[SWING]
         if not swing.any():
             return
-        for family in (DAMPED, TURN):
+        for family, start in ((DAMPED, swing), (TURN, families.circle(swing))):
             if not fits.known[family] or fits.misfit[family] > 1.02 * fits.misfit[SWING]:
-                start = families.circle(fits.coefficients[SWING]) if family == TURN else fits.coefficients[SWING]
-                fits.place(family, fits.rates[SWING], 0.0, start, past)
+                fits.place(family, fits.rates[SWING], 0.0, start, self._past())
 
     def _shorten(self) -> None:
-        pass
+        """Drop the oldest sightings; by now it is known what there is, and not searched for."""
+        times, seen = (each[-KEPT:] for each in self._past())
+        by = float(times[0])
+        self._times[:KEPT], self._seen[:KEPT] = times - by, seen
+        self._count, self._epoch, self._spectrum = KEPT, self._epoch + by, None
+        self._changes = Changes(self._n)
+        self._fits.begin_later(by, self._past())
+        self._conclude()
 
     def at(self, times: Array) -> Array:
         """Return where the goal will be at ``times``, shape (N,) [s], as shape (N, n) [m]."""
@@ -165,8 +210,9 @@ class Bank:
     def predicted(self, times: Array) -> Prediction:
         """Return where the goal will be at ``times``, shape (N,) [s], with covariances."""
         if self._covariances is None:
-            self._covariances = self._fits.noises[:, None, None] * self._fits.covariances()
-        used = np.flatnonzero(self._shares > NEGLIGIBLE)
+            self._used = np.flatnonzero(self._shares > NEGLIGIBLE)
+            self._covariances = self._fits.covariances(self._used)
+        used = self._used
         shares = self._shares[used] / self._shares[used].sum()
         x = families.columns(
             (times - self._epoch)[None],
@@ -175,11 +221,12 @@ class Bank:
         )
         places = x @ self._fitted[used]
         pairs = (x[..., :, None] * x[..., None, :]).reshape(*x.shape[:2], -1)
-        within = pairs @ self._covariances[used]
         mean = np.tensordot(shares, places, axes=1)
         off = places - mean
-        between = np.einsum('k,kti,ktj->tij', shares, off, off)
-        n = self._n
-        covariances = np.tensordot(shares, within, axes=1).reshape(-1, n, n) + between
-        model = NAMES[int(np.argmax(self._shares))]
-        return Prediction(mean + self._origin, covariances, model)
+        between = (shares[:, None, None, None] * off[..., :, None] * off[..., None, :]).sum(axis=0)
+        within = np.tensordot(shares, pairs @ self._covariances, axes=1)
+        return Prediction(
+            mean + self._origin,
+            within.reshape(between.shape) + between,
+            NAMES[int(np.argmax(self._shares))],
+        )

@@ -23,7 +23,7 @@ class Changes:
 
     def __init__(self, n: int) -> None:
         self._n = n
-        self._sums = np.zeros((LENGTHS[-1] + 1, 4 + 2 * n))  # up to and with each sighting
+        self._sums = np.zeros((LENGTHS[-1] + 1, 3 + 2 * n))  # up to and with each sighting
         self._evidence = np.full(LENGTHS[-1] + 1, -np.inf)
         self._count = 0
 
@@ -33,35 +33,33 @@ class Changes:
         self._count += 1
         new = self._count % len(self._sums)
         sums = self._sums[new]
-        sums[0], sums[1], sums[2], sums[3] = 1.0, time, time * time, float(position @ position)
-        sums[4 : 4 + n], sums[4 + n :] = position, time * position
+        sums[0], sums[1], sums[2] = time, time * time, float(position @ position)
+        sums[3 : 3 + n], sums[3 + n :] = position, time * position
         sums += self._sums[last]
         self._evidence[new] = evidence
 
     def found(self) -> int:
         """Return how many sightings a new motion has, if one is likely; otherwise 0."""
-        lengths = LENGTHS[self._count - 3 >= LENGTHS]
-        if not len(lengths):
+        usable = int(np.searchsorted(LENGTHS, self._count - 3, side='right'))
+        if not usable:
             return 0
         now, size = self._count, len(self._sums)
-        before = (now - lengths) % size
-        gain = self._evidence[before] + self._straight(before) + RARE - self._evidence[now % size]
+        before = (now - LENGTHS[:usable]) % size
+        gain = self._evidence[before] + self._straight(before)
         best = int(np.argmax(gain))
-        return int(lengths[best]) if gain[best] > 0.0 else 0
+        return int(LENGTHS[best]) if gain[best] + RARE > self._evidence[now % size] else 0
 
     def _straight(self, before: Array) -> Array:
         """Return the evidence of a still or straight motion after each of ``before``."""
-        n = self._n
-        sums = self._sums[self._count % len(self._sums)] - self._sums[before]
-        count, time, square = sums[:, 0], sums[:, 1], sums[:, 3]
-        place, moment = sums[:, 4 : 4 + n], sums[:, 4 + n :]
-        still = np.maximum(square - np.sum(place * place, axis=1) / count, 0.0)
-        lever = np.maximum(sums[:, 2] - time * time / count, 0.0) + (NOISE / SPEED) ** 2
-        slope = moment - time[:, None] * place / count[:, None]
-        straight = np.maximum(still - np.sum(slope * slope, axis=1) / lever, 0.0)
-        base = -0.5 * n * np.log(count) + n * math.log(NOISE / PLACE)
-        turn = -0.5 * n * np.log(lever) + n * math.log(NOISE / SPEED)
-        numbers = n * count
-        return base + np.logaddexp(
-            data_evidence(still, numbers), turn + data_evidence(straight, numbers)
-        )
+        n, count = self._n, LENGTHS[: len(before)]
+        sums = (self._sums[self._count % len(self._sums)] - self._sums[before]).T
+        time, lever, square = sums[:3]
+        place, moment = sums[3 : 3 + n], sums[3 + n :]
+        lever = np.maximum(lever - time * time / count, 0.0) + (NOISE / SPEED) ** 2
+        slope = moment - time * place / count
+        misfit = np.empty((2, len(before)))
+        misfit[0] = square - (place * place).sum(axis=0) / count
+        misfit[1] = misfit[0] - (slope * slope).sum(axis=0) / lever
+        found = data_evidence(np.maximum(misfit, 0.0), n * count) - 0.5 * n * np.log(count)
+        found[1] += n * (math.log(NOISE / SPEED) - 0.5 * np.log(lever))
+        return np.asarray(np.logaddexp(found[0], found[1]) + n * math.log(NOISE / PLACE))

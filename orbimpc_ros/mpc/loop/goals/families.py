@@ -33,6 +33,7 @@ SPEED = 5.0  # [m/s]
 THRUST = 1.0  # half an acceleration [m/s^2]
 SIZE = 3.0  # of a swing [m]
 PULSE = 1.0  # angular frequency and damping [1/s]
+TINY = 1e-12  # in its stead, so that nothing is ever singular
 SHAPE = 1.0  # relative size and attitude of a circle
 
 
@@ -72,7 +73,7 @@ def layout(n: int) -> Layout:
     width[ACCELERATION, first:second], width[TURN, first:rate] = THRUST, SHAPE
     precision = np.where(used, (NOISE / width) ** 2, 1.0)
     free = precision.copy()
-    free[:, :n] = 0.0
+    free[:, :n] = TINY
     constant = np.zeros((*used.shape, COLUMNS, n))
     for i in range(n):
         constant[:, i, ONE, i] = 1.0

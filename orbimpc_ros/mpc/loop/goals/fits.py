@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.special import gammaln
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.loop.goals import families
@@ -37,6 +38,7 @@ class Fits:
         count: of sightings.
         misfit: sums of squared residuals, with what the priors add, shape (K,) [m^2].
         evidence: logarithms, shape (K,).
+        gain: what the latest step explains, in units of the noise, shape (K,).
     """
 
     def __init__(self, n: int) -> None:
@@ -54,6 +56,7 @@ class Fits:
         self._gram = np.zeros((size, COLUMNS, COLUMNS))
         self._moments = np.zeros((size, COLUMNS, n))
         self._square, self.count = 0.0, 0
+        self.gain = np.zeros(size)
         self._step, self._root = np.zeros((size, rows)), np.zeros((size, rows, rows))
         self.misfit = self.evidence = np.zeros(size)
         self._diagonal = np.arange(rows)
@@ -107,6 +110,15 @@ class Fits:
         coefficients = families.stepped(family, self.coefficients[family], step)
         self.place(family, rate, damping, coefficients, past)
 
+    def begin_later(self, by: float, past: tuple[Array, Array]) -> None:
+        """Count time from a later moment [s], and sum up ``past``, what is to remain, anew."""
+        kept = families.later(self.fitted, self.rates, self.dampings, by)
+        self.count, self._square = len(past[0]), float(np.sum(past[1] * past[1]))
+        for family in range(len(NAMES)):
+            known = self.known[family]
+            self.place(family, self.rates[family], self.dampings[family], kept[family], past)
+            self.known[family] = known
+
     def solve(self) -> None:
         """Fit every family to all sightings so far."""
         size, rows = self._step.shape
@@ -114,7 +126,6 @@ class Fits:
         residual = self._moments - self._gram @ self.coefficients
         normal = flat @ (self._gram @ self._transposed).reshape(size, -1, rows)
         normal[:, self._diagonal, self._diagonal] += self._layout.free
-        normal[:, self._diagonal, self._diagonal] += np.where(self._layout.used, 1e-12, 0.0)
         pulled = self._layout.free * self._pull
         slope = (flat @ residual.reshape(size, -1, 1))[:, :, 0] - pulled
         factor = np.linalg.cholesky(normal)
@@ -124,11 +135,13 @@ class Fits:
         unexplained = self._square - np.sum(
             self.coefficients * (self._moments + residual), axis=(1, 2)
         )
-        misfit = unexplained + np.sum(pulled * self._pull, axis=1) - np.sum(white * white, axis=1)
+        explained = np.sum(white * white, axis=1)
+        misfit = unexplained + np.sum(pulled * self._pull, axis=1) - explained
         self.misfit = np.maximum(misfit, 0.0)
         spread = np.sum(np.log(factor[:, self._diagonal, self._diagonal]), axis=1)
         self.evidence = self._prior - spread + data_evidence(self.misfit, self.count * self._n)
         self.evidence[~self.known] = -np.inf
+        self.gain = np.where(self.known, explained / self.noises, 0.0)
 
     @property
     def noises(self) -> Array:
@@ -149,13 +162,12 @@ class Fits:
         white = moved @ self._root.transpose(0, 2, 1)
         return np.sum(white * white, axis=(1, 2))
 
-    def covariances(self) -> Array:
-        """Return the covariances of coefficients per unit of noise, (K, 49, n^2)."""
-        size, rows = self._step.shape
-        white = self._root @ self._jacobian.reshape(size, rows, -1)
-        full = white.transpose(0, 2, 1) @ white
-        split = full.reshape(size, COLUMNS, self._n, COLUMNS, self._n).transpose(0, 1, 3, 2, 4)
-        return split.reshape(size, COLUMNS**2, self._n**2)
+    def covariances(self, used: Array) -> Array:
+        """Return the covariances of the coefficients of ``used`` families, (K, 49, n^2) [m^2]."""
+        white = self._root[used] @ self._jacobian[used].reshape(len(used), self._root.shape[1], -1)
+        full = (self.noises[used, None, None] * white.transpose(0, 2, 1)) @ white
+        shape = (len(used), COLUMNS, self._n, COLUMNS, self._n)
+        return full.reshape(shape).swapaxes(2, 3).reshape(len(used), COLUMNS**2, self._n**2)
 
 
 def data_evidence(misfit: Array, numbers: Array | float) -> Array:
@@ -166,6 +178,5 @@ def data_evidence(misfit: Array, numbers: Array | float) -> Array:
         numbers: how many were fitted: sightings times dimensions.
     """
     shape = SHARE + 0.5 * numbers
-    gamma = np.vectorize(math.lgamma)(shape) if np.ndim(shape) else math.lgamma(shape)
     rest = SHARE * math.log(SCALE / 2.0) - 0.5 * numbers * math.log(2.0 * math.pi)
-    return gamma + rest - shape * np.log(0.5 * (SCALE + misfit))
+    return gammaln(shape) + rest - shape * np.log(0.5 * (SCALE + misfit))
