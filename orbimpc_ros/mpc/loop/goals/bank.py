@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.loop.goals import families
 from orbimpc_ros.mpc.loop.goals.changes import Changes
 from orbimpc_ros.mpc.loop.goals.families import CARRIER, DAMPED, NAMES, OSCILLATING, SWING, TURN
-from orbimpc_ros.mpc.loop.goals.fits import Fits
+from orbimpc_ros.mpc.loop.goals.fits import UNKNOWN, Fits, Noise
 from orbimpc_ros.mpc.loop.goals.spectrum import DRIFTING, FIXED, Spectrum
 from orbimpc_ros.mpc.loop.observation import Sighting
 
@@ -25,6 +25,7 @@ AGILE = 5.0  # [m/s^2] acceleration that no motion foretells, yet a goal may hav
 SWINGS_FROM = 6  # sightings
 LIKELY, NEGLIGIBLE = 1e-2, 1e-4  # shares
 PATIENCE, MOST_TASKS = 0.35, 6  # [s] of waiting that one more task may be done for, and how many
+STEPS = 4  # of Gauss-Newton on a closer look
 WORTHWHILE = 0.01  # units of the noise that a move should gain
 
 
@@ -78,18 +79,38 @@ class Bank:
         if not self._expected(sighting.position, rows, waited):
             self._apart.append(sighting)
             if len(self._apart) == BELIEVED:
-                self._begin(self._apart)
+                self._begin(self._apart, self._fits.noise())
             return
         self._apart = []
         self._append(sighting, rows)
         for _ in range(1 + min(int(waited / PATIENCE), MOST_TASKS)):
             self._refine()
         self._conclude()
-        new = self._changes.found() if self._count % 2 else 0
-        if new:
-            self._begin(self._latest(new))
-        elif self._count == MEMORY:
+        if self._count % 2 and self._changes.found():
+            self._reconsider()
+        if self._count == MEMORY:
             self._shorten()
+
+    def _reconsider(self) -> None:
+        """Start afresh with a new motion, unless an oscillation explains it on a closer look."""
+        if self._count >= SWINGS_FROM and self._spectrum is not None:
+            self._look_closely()
+        new = self._changes.found()
+        if new:
+            self._begin(self._latest(new), self._changes.noise(new))
+
+    def _look_closely(self) -> None:
+        """Do at once what is otherwise done over many sightings."""
+        self._read()
+        self._seek_swing()
+        self._seek_carrier()
+        for _ in range(STEPS):
+            self._conclude()
+            for family in OSCILLATING:
+                if self._fits.gain[family] > WORTHWHILE:
+                    self._fits.move(family, self._past())
+            self._seek_shapes()
+        self._conclude()
 
     def _latest(self, count: int) -> list[Sighting]:
         times, seen = (each[-count:] for each in self._past())
@@ -98,13 +119,13 @@ class Bank:
             for time, place in zip(times, seen, strict=True)
         ]
 
-    def _begin(self, sightings: list[Sighting]) -> None:
+    def _begin(self, sightings: list[Sighting], noise: Noise = UNKNOWN) -> None:
         """Start afresh with the first sightings of a motion."""
         first = sightings[0]
         self._n = n = len(first.position)
         self._epoch, self._origin = first.time, np.array(first.position)
         self._times, self._seen = np.zeros(MEMORY), np.zeros((MEMORY, n))
-        self._fits, self._changes = Fits(n), Changes(n)
+        self._fits, self._changes = Fits(n, noise), Changes(n)
         self._spectrum: Spectrum | None = Spectrum(n)
         self._count, self._tasks, self._apart = 0, 0, []
         for each in sightings:
@@ -116,6 +137,7 @@ class Bank:
         self._times[self._count], self._seen[self._count] = sighting.time - self._epoch, position
         self._count += 1
         self._fits.add(rows, position)
+        self._changes.note(sighting.time - self._epoch, position)
 
     def _conclude(self) -> None:
         """Fit, and weigh the families."""
@@ -124,8 +146,7 @@ class Bank:
         shares = np.exp(self._fits.evidence - best)
         total = shares.sum()
         self._shares = shares / total
-        last = self._count - 1
-        self._changes.note(self._times[last], self._seen[last], best + math.log(total))
+        self._changes.weigh(best + math.log(total), self._fits.noise())
         self._fitted: Array = self._fits.fitted
         self._covariances: Array | None = None
 
@@ -160,10 +181,11 @@ class Bank:
 
     def _move(self) -> None:
         """Move the next oscillation whose fit would gain by it."""
-        turn = self._tasks // 2
-        for family in OSCILLATING[turn % 4 :] + OSCILLATING[: turn % 4]:
-            if self._fits.gain[family] > WORTHWHILE:
-                self._fits.move(family, self._past())
+        turn, fits = self._tasks // 2 % len(OSCILLATING), self._fits
+        raw = [family for family in OSCILLATING if fits.known[family] > fits.weighed[family]]
+        for family in (*raw, *OSCILLATING[turn:], *OSCILLATING[:turn]):
+            if fits.gain[family] > WORTHWHILE:
+                fits.move(family, self._past())
                 return
 
     def _read(self) -> None:

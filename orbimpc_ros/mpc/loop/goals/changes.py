@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.loop.goals.families import NOISE, PLACE, SPEED
-from orbimpc_ros.mpc.loop.goals.fits import data_evidence
+from orbimpc_ros.mpc.loop.goals.families import PLACE, SPEED
+from orbimpc_ros.mpc.loop.goals.fits import Noise, data_evidence
 
 LENGTHS = np.array([3, 4, 5, 6, 8, 10, 13, 17, 22, 29, 38, 50])  # sightings of a new motion
-RARE = -8.0  # logarithm of the prior odds that the goal changes its course at a sighting
+TIE = 3.0  # lengths whose evidence is that close are as likely; the longest tells most
+RARE = -7.0  # logarithm of the prior odds that the goal changes its course at a sighting
 
 
 class Changes:
@@ -25,10 +24,11 @@ class Changes:
         self._n = n
         self._sums = np.zeros((LENGTHS[-1] + 1, 3 + 2 * n))  # up to and with each sighting
         self._evidence = np.full(LENGTHS[-1] + 1, -np.inf)
+        self._noise = np.ones((LENGTHS[-1] + 1, 2))
         self._count = 0
 
-    def note(self, time: float, position: Array, evidence: float) -> None:
-        """Note a sighting, and the evidence of one motion through all sightings with it."""
+    def note(self, time: float, position: Array) -> None:
+        """Note a sighting."""
         n, last = self._n, self._count % len(self._sums)
         self._count += 1
         new = self._count % len(self._sums)
@@ -36,7 +36,15 @@ class Changes:
         sums[0], sums[1], sums[2] = time, time * time, float(position @ position)
         sums[3 : 3 + n], sums[3 + n :] = position, time * position
         sums += self._sums[last]
-        self._evidence[new] = evidence
+
+    def weigh(self, evidence: float, noise: Noise) -> None:
+        """Note the evidence of one motion through all sightings so far, and what noise it has."""
+        now = self._count % len(self._evidence)
+        self._evidence[now], self._noise[now] = evidence, noise
+
+    def noise(self, new: int) -> Noise:
+        """Return what was known of the noise before the ``new`` latest sightings."""
+        return Noise(*map(float, self._noise[(self._count - new) % len(self._noise)]))
 
     def found(self) -> int:
         """Return how many sightings a new motion has, if one is likely; otherwise 0."""
@@ -46,20 +54,24 @@ class Changes:
         now, size = self._count, len(self._sums)
         before = (now - LENGTHS[:usable]) % size
         gain = self._evidence[before] + self._straight(before)
-        best = int(np.argmax(gain))
-        return int(LENGTHS[best]) if gain[best] + RARE > self._evidence[now % size] else 0
+        if gain.max() + RARE <= self._evidence[now % size]:
+            return 0
+        return int(LENGTHS[np.flatnonzero(gain > gain.max() - TIE)[-1]])
 
     def _straight(self, before: Array) -> Array:
         """Return the evidence of a still or straight motion after each of ``before``."""
         n, count = self._n, LENGTHS[: len(before)]
+        share, scale = self._noise[before].T
+        variance = scale / share
         sums = (self._sums[self._count % len(self._sums)] - self._sums[before]).T
         time, lever, square = sums[:3]
         place, moment = sums[3 : 3 + n], sums[3 + n :]
-        lever = np.maximum(lever - time * time / count, 0.0) + (NOISE / SPEED) ** 2
+        lever = np.maximum(lever - time * time / count, 0.0) + variance / SPEED**2
         slope = moment - time * place / count
         misfit = np.empty((2, len(before)))
         misfit[0] = square - (place * place).sum(axis=0) / count
         misfit[1] = misfit[0] - (slope * slope).sum(axis=0) / lever
-        found = data_evidence(np.maximum(misfit, 0.0), n * count) - 0.5 * n * np.log(count)
-        found[1] += n * (math.log(NOISE / SPEED) - 0.5 * np.log(lever))
-        return np.asarray(np.logaddexp(found[0], found[1]) + n * math.log(NOISE / PLACE))
+        found = data_evidence(np.maximum(misfit, 0.0), n * count, share, scale)
+        found += 0.5 * n * np.log(variance / (PLACE**2 * count))
+        found[1] += 0.5 * n * np.log(variance / (SPEED**2 * lever))
+        return np.asarray(np.logaddexp(found[0], found[1]))

@@ -24,17 +24,17 @@ from orbimpc_ros.mpc.geometry.rotations import exp, skew
 NAMES = ('still', 'velocity', 'acceleration', 'turn', 'swing', 'carrier', 'damped')
 STILL, VELOCITY, ACCELERATION, TURN, SWING, CARRIER, DAMPED = range(len(NAMES))
 OSCILLATING = (TURN, SWING, CARRIER, DAMPED)  # with a frequency to be found
+ODDS = np.array([0.0, 0.0, -3.0, -1.0, -2.0, -3.0, -3.0])  # logarithms, before any sighting
 COLUMNS = 7
 ONE, LINEAR, SQUARE, COSINE, SINE, T_COSINE, T_SINE = range(COLUMNS)
 
-NOISE = 0.01  # [m] of sightings, to which the widths below are relative
 PLACE = 3.0  # prior standard deviations: of where a motion begins [m]
 SPEED = 5.0  # [m/s]
 THRUST = 1.0  # half an acceleration [m/s^2]
-SIZE = 3.0  # of a swing [m]
+SIZE, PUSH = 3.0, 5.0  # of a swing: its size [m], its acceleration [m/s^2]
 PULSE = 1.0  # angular frequency and damping [1/s]
-TINY = 1e-12  # in its stead, so that nothing is ever singular
-SHAPE = 1.0  # relative size and attitude of a circle
+TINY = 1e-12  # [1/m^2] in the place's stead, so that nothing is ever singular
+RIM = 5.0  # of a circle, by its size or its attitude [m]
 
 
 class Layout(NamedTuple):
@@ -45,14 +45,12 @@ class Layout(NamedTuple):
 
     Attributes:
         used: which rows a family has, shape (K, P).
-        precision: of the priors, in units of the noise, shape (K, P); 1 where a row is not used.
-        free: precision of what pulls, shape (K, P): without the place's, which may be anywhere.
+        precision: of the priors, shape (K, P); rows that are not used have 1.
         constant: the part of the Jacobian that never changes, shape (K, P, 7, n).
     """
 
     used: Array
     precision: Array
-    free: Array
     constant: Array
 
 
@@ -70,10 +68,8 @@ def layout(n: int) -> Layout:
     used[DAMPED, rate + 1] = True
     width = np.full(used.shape, PULSE)
     width[:, :n], width[:, n:first], width[:, first:rate] = PLACE, SPEED, SIZE
-    width[ACCELERATION, first:second], width[TURN, first:rate] = THRUST, SHAPE
-    precision = np.where(used, (NOISE / width) ** 2, 1.0)
-    free = precision.copy()
-    free[:, :n] = TINY
+    width[ACCELERATION, first:second], width[TURN, first:rate] = THRUST, RIM
+    precision = np.where(used, 1.0 / width**2, 1.0)
     constant = np.zeros((*used.shape, COLUMNS, n))
     for i in range(n):
         constant[:, i, ONE, i] = 1.0
@@ -81,7 +77,12 @@ def layout(n: int) -> Layout:
         constant[ACCELERATION, first + i, SQUARE, i] = 1.0
         constant[[SWING, CARRIER, DAMPED], first + i, COSINE, i] = 1.0
         constant[[SWING, CARRIER, DAMPED], second + i, SINE, i] = 1.0
-    return Layout(*map(sealed, (used, precision, free, constant)))
+    return Layout(*map(sealed, (used, precision, constant)))
+
+
+def size_precision(rate: Array | float) -> Array | float:
+    """Return the prior precision [1/m^2] of a swing's size at an angular frequency [rad/s]."""
+    return 1.0 / SIZE**2 + (rate * rate / PUSH) ** 2
 
 
 def columns(times: Array, rates: Array | float, dampings: Array | float) -> Array:
@@ -108,8 +109,10 @@ def jacobian(family: int, coefficients: Array) -> Array:
     if family == DAMPED:
         rows[rate + 1, T_COSINE], rows[rate + 1, T_SINE] = -a, -b
     if family == TURN:
-        rows[2 * n, COSINE], rows[2 * n, SINE] = a, b
-        for i, axis in enumerate(np.eye(n * (n - 1) // 2)):
+        # In metres of the rim, so that a circle of no size does not pass for a still goal.
+        radius = max(float(np.linalg.norm(a)), TINY)
+        rows[2 * n, COSINE], rows[2 * n, SINE] = a / radius, b / radius
+        for i, axis in enumerate(np.eye(n * (n - 1) // 2) / radius):
             rows[2 * n + 1 + i, COSINE], rows[2 * n + 1 + i, SINE] = skew(axis) @ a, skew(axis) @ b
     return rows
 
@@ -122,8 +125,9 @@ def stepped(family: int, coefficients: Array, step: Array) -> Array:
     moved[ONE] += place
     moved[LINEAR] += velocity
     if family == TURN:
-        turned = exp(step[2 * n + 1 : 2 * n + 1 + n * (n - 1) // 2])
-        moved[COSINE : SINE + 1] = (1.0 + step[2 * n]) * moved[COSINE : SINE + 1] @ turned.T
+        rim = step[2 * n :] / max(float(np.linalg.norm(moved[COSINE])), TINY)
+        turned = exp(rim[1 : 1 + n * (n - 1) // 2])
+        moved[COSINE : SINE + 1] = (1.0 + rim[0]) * moved[COSINE : SINE + 1] @ turned.T
     else:
         moved[COSINE] += first
         moved[SINE] += second

@@ -12,16 +12,38 @@ Mathematics: docs/mathematics.md, 7.4.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import gammaln
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.loop.goals import families
-from orbimpc_ros.mpc.loop.goals.families import COLUMNS, NAMES, OSCILLATING
+from orbimpc_ros.mpc.loop.goals.families import COLUMNS, COSINE, NAMES, OSCILLATING, SINE, TINY
 
-SHARE, SCALE = 1.0, 1e-4  # prior of the noise's precision: shape, and rate [m^2]
 FASTEST, MOST_DAMPED = 4.0 * math.pi, 2.0  # [rad/s], [1/s]
+
+
+class Noise(NamedTuple):
+    """What is known of the noise of sightings: a gamma distribution of its precision.
+
+    Attributes:
+        share: half as many numbers as would tell as much.
+        scale: half the sum of their squares [m^2].
+    """
+
+    share: float
+    scale: float
+
+    @property
+    def variance(self) -> float:
+        """Return the likeliest variance [m^2]."""
+        return self.scale / self.share
+
+
+UNKNOWN = Noise(1.0, 2e-4)  # 1.4 cm, or ten times less or more
+LEAST = 1e-5  # [m^2] variance that is recalled at least
+RECALLED = 8.0  # most that an earlier motion's noise counts for
 
 
 class Fits:
@@ -29,9 +51,11 @@ class Fits:
 
     Args:
         n: dimension.
+        noise: what is known of it from before.
 
     Attributes:
-        known: which families have something to say, shape (K,).
+        known: which families have been placed, shape (K,).
+        weighed: which have also been moved since, so that their frequency has its price, (K,).
         rates: angular frequencies, shape (K,) [rad/s].
         dampings: shape (K,) [1/s].
         coefficients: about which a fit is linear, shape (K, 7, n).
@@ -41,11 +65,12 @@ class Fits:
         gain: what the latest step explains, in units of the noise, shape (K,).
     """
 
-    def __init__(self, n: int) -> None:
-        self._n, self._layout = n, families.layout(n)
+    def __init__(self, n: int, noise: Noise = UNKNOWN) -> None:
+        self._n, self._layout, self._noise = n, families.layout(n), noise
         size, rows = len(NAMES), self._layout.used.shape[1]
         self.known = np.ones(size, dtype=bool)
         self.known[list(OSCILLATING)] = False
+        self.weighed = self.known.copy()
         self.rates, self.dampings = np.zeros(size), np.zeros(size)
         self.coefficients = np.zeros((size, COLUMNS, n))
         self._jacobian = self._layout.constant.copy()
@@ -60,7 +85,11 @@ class Fits:
         self._step, self._root = np.zeros((size, rows)), np.zeros((size, rows, rows))
         self.misfit = self.evidence = np.zeros(size)
         self._diagonal = np.arange(rows)
-        self._prior = 0.5 * np.sum(np.log(self._layout.precision), axis=1)
+        self._precision = np.where(
+            self._layout.used, noise.variance * self._layout.precision, 1.0
+        )
+        self._free = self._precision.copy()  # without the place's, which may be anywhere
+        self._free[:, :n] = TINY * noise.variance
 
     def rows(self, time: float) -> Array:
         """Return the columns of every family at a time, shape (K, 7)."""
@@ -88,36 +117,40 @@ class Fits:
         x = families.columns(past[0], rate, damping)
         self._gram[family], self._moments[family] = x.T @ x, x.T @ past[1]
         self.rates[family], self.dampings[family] = rate, damping
-        self.coefficients[family], self.known[family] = coefficients, True
+        self.coefficients[family] = coefficients
+        self.known[family], self.weighed[family] = True, False
         rows = families.jacobian(family, coefficients)
         self._jacobian[family] = rows
         self._transposed[family] = rows.transpose(1, 2, 0).reshape(COLUMNS, -1)
         n = self._n
         self._pull[family] = 0.0
         self._pull[family, n : 2 * n] = coefficients[families.LINEAR]
-        if family != families.TURN:
-            self._pull[family, 2 * n : 3 * n] = coefficients[families.COSINE]
-            self._pull[family, 3 * n : 4 * n] = coefficients[families.SINE]
+        if family in (families.SWING, families.CARRIER, families.DAMPED):
+            self._pull[family, 2 * n : 4 * n] = coefficients[COSINE : SINE + 1].ravel()
+            size = self._noise.variance * families.size_precision(rate)
+            self._precision[family, 2 * n : 4 * n] = self._free[family, 2 * n : 4 * n] = size
 
     def move(self, family: int, past: tuple[Array, Array]) -> None:
         """Take a Gauss-Newton step, at most so long that its linearisation still means something."""
         n, step = self._n, self._step[family]
         span = float(past[0][-1] - past[0][0]) or 1.0
-        shape = np.abs(step[2 * n : 3 * n + 1]).max() if family == families.TURN else 0.0
-        step = step / max(1.0, span * np.abs(step[4 * n :]).max(), 2.0 * shape)
+        rim = np.abs(step[2 * n : 3 * n + 1]).max() if family == families.TURN else 0.0
+        radius = float(np.linalg.norm(self.coefficients[family, COSINE]))
+        step = step / max(1.0, span * np.abs(step[4 * n :]).max(), 2.0 * rim / max(radius, TINY))
         rate = min(max(self.rates[family] + step[4 * n], 0.02), FASTEST)
         damping = min(max(self.dampings[family] + step[4 * n + 1], 0.0), MOST_DAMPED)
         coefficients = families.stepped(family, self.coefficients[family], step)
         self.place(family, rate, damping, coefficients, past)
+        self.weighed[family] = True
 
     def begin_later(self, by: float, past: tuple[Array, Array]) -> None:
         """Count time from a later moment [s], and sum up ``past``, what is to remain, anew."""
         kept = families.later(self.fitted, self.rates, self.dampings, by)
         self.count, self._square = len(past[0]), float(np.sum(past[1] * past[1]))
         for family in range(len(NAMES)):
-            known = self.known[family]
+            known, weighed = self.known[family], self.weighed[family]
             self.place(family, self.rates[family], self.dampings[family], kept[family], past)
-            self.known[family] = known
+            self.known[family], self.weighed[family] = known, weighed
 
     def solve(self) -> None:
         """Fit every family to all sightings so far."""
@@ -125,8 +158,8 @@ class Fits:
         flat = self._jacobian.reshape(size, rows, -1)
         residual = self._moments - self._gram @ self.coefficients
         normal = flat @ (self._gram @ self._transposed).reshape(size, -1, rows)
-        normal[:, self._diagonal, self._diagonal] += self._layout.free
-        pulled = self._layout.free * self._pull
+        normal[:, self._diagonal, self._diagonal] += self._free
+        pulled = self._free * self._pull
         slope = (flat @ residual.reshape(size, -1, 1))[:, :, 0] - pulled
         factor = np.linalg.cholesky(normal)
         self._root = np.linalg.inv(factor)
@@ -139,14 +172,23 @@ class Fits:
         misfit = unexplained + np.sum(pulled * self._pull, axis=1) - explained
         self.misfit = np.maximum(misfit, 0.0)
         spread = np.sum(np.log(factor[:, self._diagonal, self._diagonal]), axis=1)
-        self.evidence = self._prior - spread + data_evidence(self.misfit, self.count * self._n)
-        self.evidence[~self.known] = -np.inf
+        prior = 0.5 * np.sum(np.log(self._precision), axis=1)
+        data = data_evidence(self.misfit, self.count * self._n, *self._noise)
+        self.evidence = families.ODDS + prior - spread + data
+        self.evidence[~self.weighed] = -np.inf
         self.gain = np.where(self.known, explained / self.noises, 0.0)
 
     @property
     def noises(self) -> Array:
         """Return the variance of the noise that each family takes sightings to have, (K,) [m^2]."""
-        return (SCALE + self.misfit) / (2.0 * SHARE + self.count * self._n)
+        share, scale = self._noise
+        return (scale + 0.5 * self.misfit) / (share + 0.5 * self.count * self._n)
+
+    def noise(self) -> Noise:
+        """Return what the likeliest family has taught of the noise, to be recalled later."""
+        share = min(self._noise.share + 0.5 * self.count * self._n, RECALLED)
+        variance = float(self.noises[int(np.argmax(self.evidence))])
+        return Noise(share, share * max(variance, LEAST))
 
     @property
     def fitted(self) -> Array:
@@ -170,13 +212,17 @@ class Fits:
         return full.reshape(shape).swapaxes(2, 3).reshape(len(used), COLUMNS**2, self._n**2)
 
 
-def data_evidence(misfit: Array, numbers: Array | float) -> Array:
+def data_evidence(
+    misfit: Array, numbers: Array | float, share: Array | float, scale: Array | float
+) -> Array:
     """Return the part of the evidence that the misfit decides; the noise is integrated out.
 
     Args:
         misfit: [m^2].
         numbers: how many were fitted: sightings times dimensions.
+        share: of the prior of the noise.
+        scale: of the same [m^2].
     """
-    shape = SHARE + 0.5 * numbers
-    rest = SHARE * math.log(SCALE / 2.0) - 0.5 * numbers * math.log(2.0 * math.pi)
-    return gammaln(shape) + rest - shape * np.log(0.5 * (SCALE + misfit))
+    shape = share + 0.5 * numbers
+    prior = share * np.log(scale) - gammaln(share) - 0.5 * numbers * math.log(2.0 * math.pi)
+    return prior + gammaln(shape) - shape * np.log(scale + 0.5 * misfit)

@@ -7,11 +7,12 @@ import math
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.loop.goals.families import NOISE, SIZE
+from orbimpc_ros.mpc.loop.goals.families import SIZE
 
 # [rad/s]; below, by ratios; above, apart by what twenty seconds tell from one another
 GRID = 2.0 * math.pi * np.concatenate([np.geomspace(0.01, 0.15, 24), np.arange(0.165, 2.0, 0.016)])
 NYQUIST = 0.45  # cycles a sighting that still count as resolved
+ASSUMED = 0.01  # [m] noise, for the prior of a swing's size
 FIXED, DRIFTING = 1, 2  # columns of a line that the middle of a swing follows
 
 
@@ -68,7 +69,7 @@ class Spectrum:
             unit: from columns of the line to orthonormal ones, shape (middle, middle).
             known: their products with the positions, shape (middle, n).
         """
-        prior, middle = (NOISE / SIZE) ** 2, len(unit)
+        prior, middle = (ASSUMED / SIZE) ** 2, len(unit)
         u, v = unit @ self._cosines[:middle], unit @ self._sines[:middle]
         one, two = self._cosines[2:] - known.T @ u, self._sines[2:] - known.T @ v
         p = self._squares + prior - (u * u).sum(axis=0)
