@@ -8,7 +8,8 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.loop.goals.families import PLACE, SPEED
 from orbimpc_ros.mpc.loop.goals.fits import Noise, data_evidence
 
-LENGTHS = np.array([3, 4, 5, 6, 8, 10, 13, 17, 22, 29, 38, 50])  # sightings of a new motion
+# Sightings of a new motion: even, for of older sightings every other one was weighed.
+LENGTHS = np.array([4, 6, 8, 10, 12, 16, 20, 26, 34, 42, 50])
 TIE = 3.0  # lengths whose evidence is that close are as likely; the longest tells most
 RARE = -7.0  # logarithm of the prior odds that the goal changes its course at a sighting
 
@@ -48,7 +49,7 @@ class Changes:
 
     def found(self) -> int:
         """Return how many sightings a new motion has, if one is likely; otherwise 0."""
-        usable = int(np.searchsorted(LENGTHS, self._count - 3, side='right'))
+        usable = int(np.searchsorted(LENGTHS, self._count - LENGTHS[0], side='right'))
         if not usable:
             return 0
         now, size = self._count, len(self._sums)

@@ -15,13 +15,41 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.loop.goals import families
 from orbimpc_ros.mpc.loop.goals.families import COLUMNS, COSINE, NAMES, OSCILLATING, SINE, TINY
 
-FASTEST, MOST_DAMPED = 4.0 * math.pi, 2.0  # [rad/s], [1/s]
+SLOWEST, FASTEST, MOST_DAMPED = 0.02, 4.0 * math.pi, 2.0  # [rad/s], [rad/s], [1/s]
+
+
+Past = tuple[Array, Array]  # times, shape (M,) [s], and positions, shape (M, n) [m]
+
+
+class Placement(NamedTuple):
+    """Where a family is to be put.
+
+    Attributes:
+        family: its number.
+        rate: angular frequency [rad/s].
+        damping: [1/s].
+        coefficients: shape (7, n).
+        gram: products of its columns, summed over sightings, shape (7, 7).
+        moments: their products with the positions, shape (7, n).
+        jacobian: shape (P, 7, n).
+        moved: whether it got there by a step, so that its frequency has its price.
+    """
+
+    family: int
+    rate: float
+    damping: float
+    coefficients: Array
+    gram: Array
+    moments: Array
+    jacobian: Array
+    moved: bool
 
 
 class Noise(NamedTuple):
@@ -62,6 +90,7 @@ class Fits:
         count: of sightings.
         misfit: sums of squared residuals, with what the priors add, shape (K,) [m^2].
         evidence: logarithms, shape (K,).
+        noises: variance that each family takes sightings to have, shape (K,) [m^2].
         gain: what the latest step explains, in units of the noise, shape (K,).
     """
 
@@ -83,12 +112,11 @@ class Fits:
         self._square, self.count = 0.0, 0
         self.gain = np.zeros(size)
         self._step, self._root = np.zeros((size, rows)), np.zeros((size, rows, rows))
-        self.misfit = self.evidence = np.zeros(size)
+        self.misfit = self.noises = self.evidence = np.zeros(size)
         self._diagonal = np.arange(rows)
-        self._precision = np.where(
-            self._layout.used, noise.variance * self._layout.precision, 1.0
-        )
-        self._free = self._precision.copy()  # without the place's, which may be anywhere
+        precision = np.where(self._layout.used, noise.variance * self._layout.precision, 1.0)
+        self._prior = families.ODDS + 0.5 * np.sum(np.log(precision), axis=1)
+        self._free = precision  # but for the place, which may be anywhere
         self._free[:, :n] = TINY * noise.variance
 
     def rows(self, time: float) -> Array:
@@ -102,55 +130,74 @@ class Fits:
         self._square += float(position @ position)
         self.count += 1
 
-    def place(
-        self, family: int, rate: float, damping: float, coefficients: Array, past: tuple[Array, Array]
-    ) -> None:
-        """Put a family at a frequency, damping and coefficients, and sum up ``past`` for it.
+    def placed(
+        self,
+        family: int,
+        rate: float,
+        damping: float,
+        coefficients: Array,
+        past: Past,
+        moved: bool = False,
+    ) -> Placement:
+        """Return a family at a frequency, damping and coefficients, with its sums over the past.
 
         Args:
             family: its number.
             rate: [rad/s].
             damping: [1/s].
             coefficients: shape (7, n).
-            past: times, shape (M,) [s], and positions, shape (M, n) [m], of all sightings.
+            past: all sightings.
+            moved: whether it got there by a step.
         """
         x = families.columns(past[0], rate, damping)
-        self._gram[family], self._moments[family] = x.T @ x, x.T @ past[1]
-        self.rates[family], self.dampings[family] = rate, damping
-        self.coefficients[family] = coefficients
-        self.known[family], self.weighed[family] = True, False
         rows = families.jacobian(family, coefficients)
-        self._jacobian[family] = rows
-        self._transposed[family] = rows.transpose(1, 2, 0).reshape(COLUMNS, -1)
-        n = self._n
-        self._pull[family] = 0.0
-        self._pull[family, n : 2 * n] = coefficients[families.LINEAR]
-        if family in (families.SWING, families.CARRIER, families.DAMPED):
-            self._pull[family, 2 * n : 4 * n] = coefficients[COSINE : SINE + 1].ravel()
-            size = self._noise.variance * families.size_precision(rate)
-            self._precision[family, 2 * n : 4 * n] = self._free[family, 2 * n : 4 * n] = size
+        return Placement(family, rate, damping, coefficients, x.T @ x, x.T @ past[1], rows, moved)
 
-    def move(self, family: int, past: tuple[Array, Array]) -> None:
-        """Take a Gauss-Newton step, at most so long that its linearisation still means something."""
+    def put(self, to: Placement) -> None:
+        """Put a family where it is to be; ``solve`` has to follow."""
+        n, family = self._n, to.family
+        self._gram[family], self._moments[family] = to.gram, to.moments
+        self.rates[family], self.dampings[family] = to.rate, to.damping
+        self.coefficients[family] = to.coefficients
+        self.known[family], self.weighed[family] = True, to.moved
+        self._jacobian[family] = to.jacobian
+        self._transposed[family] = to.jacobian.transpose(1, 2, 0).reshape(COLUMNS, -1)
+        if family in (families.SWING, families.CARRIER, families.DAMPED):
+            self._pull[family, n : 2 * n] = to.coefficients[families.LINEAR]
+            self._pull[family, 2 * n : 4 * n] = to.coefficients[COSINE : SINE + 1].ravel()
+            size = self._noise.variance * families.size_precision(to.rate)
+            self._prior[family] += n * math.log(size / self._free[family, 2 * n])
+            self._free[family, 2 * n : 4 * n] = size
+
+    def moved(self, family: int, past: Past) -> Placement:
+        """Return a family after a Gauss-Newton step, shortened to where linearity ends."""
         n, step = self._n, self._step[family]
         span = float(past[0][-1] - past[0][0]) or 1.0
         rim = np.abs(step[2 * n : 3 * n + 1]).max() if family == families.TURN else 0.0
         radius = float(np.linalg.norm(self.coefficients[family, COSINE]))
         step = step / max(1.0, span * np.abs(step[4 * n :]).max(), 2.0 * rim / max(radius, TINY))
-        rate = min(max(self.rates[family] + step[4 * n], 0.02), FASTEST)
+        rate = min(max(self.rates[family] + step[4 * n], SLOWEST), FASTEST)
         damping = min(max(self.dampings[family] + step[4 * n + 1], 0.0), MOST_DAMPED)
         coefficients = families.stepped(family, self.coefficients[family], step)
-        self.place(family, rate, damping, coefficients, past)
-        self.weighed[family] = True
+        return self.placed(family, rate, damping, coefficients, past, True)
 
-    def begin_later(self, by: float, past: tuple[Array, Array]) -> None:
-        """Count time from a later moment [s], and sum up ``past``, what is to remain, anew."""
+    def begin_later(self, by: float, offset: Array, past: Past) -> None:
+        """Count from a later moment and another place; sum up ``past``, what remains, anew.
+
+        Args:
+            by: [s].
+            offset: shape (n,) [m].
+            past: what remains, as counted then.
+        """
         kept = families.later(self.fitted, self.rates, self.dampings, by)
+        kept[:, families.ONE] -= offset
+        kept[: families.TURN] = 0.0  # these are linear about anything
         self.count, self._square = len(past[0]), float(np.sum(past[1] * past[1]))
         for family in range(len(NAMES)):
             known, weighed = self.known[family], self.weighed[family]
-            self.place(family, self.rates[family], self.dampings[family], kept[family], past)
-            self.known[family], self.weighed[family] = known, weighed
+            where = self.rates[family], self.dampings[family], kept[family]
+            self.put(self.placed(family, *where, past, weighed))
+            self.known[family] = known
 
     def solve(self) -> None:
         """Fit every family to all sightings so far."""
@@ -171,18 +218,13 @@ class Fits:
         explained = np.sum(white * white, axis=1)
         misfit = unexplained + np.sum(pulled * self._pull, axis=1) - explained
         self.misfit = np.maximum(misfit, 0.0)
+        share, scale = self._noise
+        self.noises = (scale + 0.5 * self.misfit) / (share + 0.5 * self.count * self._n)
         spread = np.sum(np.log(factor[:, self._diagonal, self._diagonal]), axis=1)
-        prior = 0.5 * np.sum(np.log(self._precision), axis=1)
-        data = data_evidence(self.misfit, self.count * self._n, *self._noise)
-        self.evidence = families.ODDS + prior - spread + data
+        data = data_evidence(self.misfit, self.count * self._n, share, scale)
+        self.evidence = self._prior - spread + data
         self.evidence[~self.weighed] = -np.inf
         self.gain = np.where(self.known, explained / self.noises, 0.0)
-
-    @property
-    def noises(self) -> Array:
-        """Return the variance of the noise that each family takes sightings to have, (K,) [m^2]."""
-        share, scale = self._noise
-        return (scale + 0.5 * self.misfit) / (share + 0.5 * self.count * self._n)
 
     def noise(self) -> Noise:
         """Return what the likeliest family has taught of the noise, to be recalled later."""
@@ -204,7 +246,7 @@ class Fits:
         white = moved @ self._root.transpose(0, 2, 1)
         return np.sum(white * white, axis=(1, 2))
 
-    def covariances(self, used: Array) -> Array:
+    def covariances(self, used: NDArray[np.intp]) -> Array:
         """Return the covariances of the coefficients of ``used`` families, (K, 49, n^2) [m^2]."""
         white = self._root[used] @ self._jacobian[used].reshape(len(used), self._root.shape[1], -1)
         full = (self.noises[used, None, None] * white.transpose(0, 2, 1)) @ white

@@ -63,7 +63,7 @@ class Spectrum:
         return float(GRID[found]), self._square - float(np.sum(known**2) + explained[found])
 
     def _explained(self, unit: Array, known: Array) -> Array:
-        """Return what cosine and sine explain beyond a line, with a prior on their size, (F,) [m^2].
+        """Return what a swing explains beyond a line, with a prior on its size, (F,) [m^2].
 
         Args:
             unit: from columns of the line to orthonormal ones, shape (middle, middle).
