@@ -17,7 +17,15 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.loop.goals import families
 from orbimpc_ros.mpc.loop.goals.changes import Changes
-from orbimpc_ros.mpc.loop.goals.families import CARRIER, DAMPED, NAMES, OSCILLATING, SWING, TURN
+from orbimpc_ros.mpc.loop.goals.families import (
+    ACCELERATION,
+    CARRIER,
+    DAMPED,
+    NAMES,
+    OSCILLATING,
+    SWING,
+    TURN,
+)
 from orbimpc_ros.mpc.loop.goals.fits import UNKNOWN, Fits, Noise, Past, Placement
 from orbimpc_ros.mpc.loop.goals.spectrum import DRIFTING, FIXED, Spectrum
 from orbimpc_ros.mpc.loop.observation import Sighting
@@ -291,18 +299,29 @@ class Bank:
             self._waiting.append(fits.placed(family, rate, 0.0, start, self._past()))
 
     def _seek_damped(self) -> None:
-        self._seek_shape(DAMPED, self._fits.coefficients[SWING])
+        """Start a damped swing as a swing, where that fits better."""
+        fits = self._fits
+        if self._worse(DAMPED, SWING):
+            self._start(DAMPED, fits.rates[SWING], fits.coefficients[SWING])
 
     def _seek_turn(self) -> None:
-        self._seek_shape(TURN, families.circle(self._fits.coefficients[SWING]))
+        """Start a turn as an acceleration bends, or later as a swing, where that fits better."""
+        fits, middle = self._fits, 0.5 * self._times[self._count - 1]
+        bend = families.arc(self._fitted[ACCELERATION], middle)
+        if bend and middle * bend[0] < 1.0:
+            if self._worse(TURN, ACCELERATION):
+                self._start(TURN, *bend)
+        elif self._worse(TURN, SWING):
+            self._start(TURN, fits.rates[SWING], families.circle(fits.coefficients[SWING]))
 
-    def _seek_shape(self, family: int, start: Array) -> None:
-        """Start what is a swing of another shape from the swing, where that fits better."""
+    def _worse(self, family: int, other: int) -> bool:
         fits = self._fits
-        worse = not fits.known[family] or fits.misfit[family] > WORSE * fits.misfit[SWING]
-        if worse and start.any():
-            where = fits.rates[SWING], 0.0, start
-            self._waiting.append(fits.placed(family, *where, self._past()))
+        return not fits.known[family] or fits.misfit[family] > WORSE * fits.misfit[other]
+
+    def _start(self, family: int, rate: float, coefficients: Array) -> None:
+        if coefficients[families.COSINE].any():
+            placed = self._fits.placed(family, rate, 0.0, coefficients, self._past())
+            self._waiting.append(placed)
 
 
 def _far(one: Array, other: Array) -> bool:

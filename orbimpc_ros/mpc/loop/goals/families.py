@@ -13,6 +13,7 @@ Mathematics: docs/mathematics.md, 7.4.
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -28,6 +29,7 @@ ODDS = np.array([0.0, 0.0, -3.0, -1.0, -2.0, -3.0, -3.0])  # logarithms, before 
 COLUMNS = 7
 ONE, LINEAR, SQUARE, COSINE, SINE, T_COSINE, T_SINE = range(COLUMNS)
 
+SLOWEST, FASTEST = 0.02, 4.0 * math.pi  # angular frequencies considered [rad/s]
 PLACE = 3.0  # prior standard deviations: of where a motion begins [m]
 SPEED = 5.0  # [m/s]
 THRUST = 1.0  # half an acceleration [m/s^2]
@@ -140,6 +142,32 @@ def circle(coefficients: Array) -> Array:
     nearest = coefficients.copy()
     nearest[COSINE : SINE + 1] = sizes.mean() * u @ v
     return nearest
+
+
+def arc(coefficients: Array, middle: float) -> tuple[float, Array] | None:
+    """Return the turn that moves as an acceleration does at a moment; None if that is straight.
+
+    Args:
+        coefficients: of the family ``ACCELERATION``, shape (7, n).
+        middle: the moment [s].
+
+    Returns:
+        Its angular frequency [rad/s] and coefficients, shape (7, n).
+    """
+    square = coefficients[SQUARE]
+    velocity = coefficients[LINEAR] + 2.0 * middle * square
+    speed = float(velocity @ velocity)
+    across = 2.0 * (square - (square @ velocity) / max(speed, TINY) * velocity)
+    rate = math.sqrt(float(across @ across) / max(speed, TINY))
+    if not SLOWEST < rate < FASTEST:
+        return None
+    outward, along = -across / rate**2, velocity / rate
+    c, s = math.cos(rate * middle), math.sin(rate * middle)
+    place = coefficients[ONE] + middle * coefficients[LINEAR] + middle**2 * square
+    turn = np.zeros_like(coefficients)
+    turn[ONE] = place - outward
+    turn[COSINE], turn[SINE] = c * outward - s * along, s * outward + c * along
+    return rate, turn
 
 
 def later(coefficients: Array, rates: Array, dampings: Array, by: float) -> Array:

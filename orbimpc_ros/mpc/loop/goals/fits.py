@@ -20,9 +20,18 @@ from scipy.special import gammaln
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.loop.goals import families
-from orbimpc_ros.mpc.loop.goals.families import COLUMNS, COSINE, NAMES, OSCILLATING, SINE, TINY
+from orbimpc_ros.mpc.loop.goals.families import (
+    COLUMNS,
+    COSINE,
+    FASTEST,
+    NAMES,
+    OSCILLATING,
+    SINE,
+    SLOWEST,
+    TINY,
+)
 
-SLOWEST, FASTEST, MOST_DAMPED = 0.02, 4.0 * math.pi, 2.0  # [rad/s], [rad/s], [1/s]
+MOST_DAMPED = 2.0  # [1/s]
 
 
 Past = tuple[Array, Array]  # times, shape (M,) [s], and positions, shape (M, n) [m]
