@@ -10,8 +10,8 @@ from orbimpc_ros.mpc.loop.goals.fits import Noise, data_evidence
 
 # Sightings of a new motion: even, for of older sightings every other one was weighed.
 LENGTHS = np.array([4, 6, 8, 10, 12, 16, 20, 26, 34, 42, 50])
-TIE = 3.0  # lengths whose evidence is that close are as likely; the longest tells most
-RARE = -7.0  # logarithm of the prior odds that the goal changes its course at a sighting
+TIE = 4.0  # lengths whose evidence is that close are as likely; the longest tells most
+RARE = -5.0  # logarithm of the prior odds that the goal changes its course at a sighting
 
 
 class Changes:
