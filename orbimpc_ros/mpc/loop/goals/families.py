@@ -36,7 +36,6 @@ THRUST = 1.0  # half an acceleration [m/s^2]
 SIZE, PUSH = 3.0, 5.0  # of a swing: its size [m], its acceleration [m/s^2]
 PULSE = 1.0  # angular frequency and damping [1/s]
 TINY = 1e-12  # [1/m^2] in the place's stead, so that nothing is ever singular
-RIM = 5.0  # of a circle, by its size or its attitude [m]
 
 
 class Layout(NamedTuple):
@@ -70,7 +69,7 @@ def layout(n: int) -> Layout:
     used[DAMPED, rate + 1] = True
     width = np.full(used.shape, PULSE)
     width[:, :n], width[:, n:first], width[:, first:rate] = PLACE, SPEED, SIZE
-    width[ACCELERATION, first:second], width[TURN, first:rate] = THRUST, RIM
+    width[ACCELERATION, first:second] = THRUST
     precision = np.where(used, 1.0 / width**2, 1.0)
     constant = np.zeros((*used.shape, COLUMNS, n))
     for i in range(n):
@@ -82,8 +81,18 @@ def layout(n: int) -> Layout:
     return Layout(*map(sealed, (used, precision, constant)))
 
 
-def size_precision(rate: Array | float) -> Array | float:
-    """Return the prior precision [1/m^2] of a swing's size at an angular frequency [rad/s]."""
+def shape_rows(family: int, n: int) -> tuple[int, int]:
+    """Return the first row of an oscillation's shape, and the one after its last."""
+    return 2 * n, 2 * n + 1 + n * (n - 1) // 2 if family == TURN else 4 * n
+
+
+def shape_precision(family: int, rate: float) -> float:
+    """Return the prior precision of an oscillation's shape at a frequency [rad/s], in 1/m^2.
+
+    A circle is as large as its speed makes it, a swing as its acceleration allows.
+    """
+    if family == TURN:
+        return (rate / SPEED) ** 2
     return 1.0 / SIZE**2 + (rate * rate / PUSH) ** 2
 
 

@@ -171,12 +171,13 @@ class Fits:
         self.known[family], self.weighed[family] = True, to.moved
         self._jacobian[family] = to.jacobian
         self._transposed[family] = to.jacobian.transpose(1, 2, 0).reshape(COLUMNS, -1)
-        if family in (families.SWING, families.CARRIER, families.DAMPED):
+        first, last = families.shape_rows(family, n)
+        size = self._noise.variance * families.shape_precision(family, to.rate)
+        self._prior[family] += 0.5 * (last - first) * math.log(size / self._free[family, first])
+        self._free[family, first:last] = size
+        if family != families.TURN:
             self._pull[family, n : 2 * n] = to.coefficients[families.LINEAR]
-            self._pull[family, 2 * n : 4 * n] = to.coefficients[COSINE : SINE + 1].ravel()
-            size = self._noise.variance * families.size_precision(to.rate)
-            self._prior[family] += n * math.log(size / self._free[family, 2 * n])
-            self._free[family, 2 * n : 4 * n] = size
+            self._pull[family, first:last] = to.coefficients[COSINE : SINE + 1].ravel()
 
     def moved(self, family: int, past: Past) -> Placement:
         """Return a family after a Gauss-Newton step, shortened to where linearity ends."""
@@ -200,13 +201,13 @@ class Fits:
         """
         kept = families.later(self.fitted, self.rates, self.dampings, by)
         kept[:, families.ONE] -= offset
-        kept[: families.TURN] = 0.0  # these are linear about anything
         self.count, self._square = len(past[0]), float(np.sum(past[1] * past[1]))
-        for family in range(len(NAMES)):
-            known, weighed = self.known[family], self.weighed[family]
-            where = self.rates[family], self.dampings[family], kept[family]
-            self.put(self.placed(family, *where, past, weighed))
-            self.known[family] = known
+        x = families.columns(past[0], 0.0, 0.0)  # of families without a frequency, or none yet
+        self._gram[:], self._moments[:] = x.T @ x, x.T @ past[1]
+        for family in OSCILLATING:
+            if self.known[family]:
+                where = self.rates[family], self.dampings[family], kept[family]
+                self.put(self.placed(family, *where, past, bool(self.weighed[family])))
 
     def solve(self) -> None:
         """Fit every family to all sightings so far."""
