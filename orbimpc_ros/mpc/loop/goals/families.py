@@ -25,7 +25,7 @@ from orbimpc_ros.mpc.geometry.rotations import exp, skew
 NAMES = ('still', 'velocity', 'acceleration', 'turn', 'swing', 'carrier', 'damped')
 STILL, VELOCITY, ACCELERATION, TURN, SWING, CARRIER, DAMPED = range(len(NAMES))
 OSCILLATING = (TURN, SWING, CARRIER, DAMPED)  # with a frequency to be found
-ODDS = np.array([0.0, 0.0, -3.0, -2.0, -2.0, -3.0, -3.0])  # logarithms, before any sighting
+ODDS = np.array([0.0, 0.0, -3.0, -1.0, -2.0, -3.0, -3.0])  # logarithms, before any sighting
 COLUMNS = 7
 ONE, LINEAR, SQUARE, COSINE, SINE, T_COSINE, T_SINE = range(COLUMNS)
 
