@@ -40,7 +40,7 @@ SWINGS_FROM = 6  # sightings
 YOUNG = 16  # sightings up to which each is worked on at once, later every other one
 LIKELY, NEGLIGIBLE = 1e-2, 1e-4  # shares
 BETTER, WORSE = 0.9, 1.02  # ratios of misfits at which a family starts anew from another's
-PATIENCE, MOST_TASKS = 0.35, 6  # [s] of waiting that pays for one more task, and how many at most
+PATIENCE, MOST_TASKS = 0.5, 6  # [s] of waiting that pays for one more task, and how many at most
 STEPS = 4  # of Gauss-Newton on a closer look
 WORTHWHILE = 0.01  # units of the noise that a step should gain
 
@@ -138,7 +138,7 @@ class Bank:
         self._append(time, position, rows)
         at_leisure = self._count < YOUNG or waited > PATIENCE
         if at_leisure or self._count % 2 == 0:
-            for _ in range(2 + min(int(waited / PATIENCE), MOST_TASKS)):
+            for _ in range(min(int(waited / PATIENCE), MOST_TASKS) + (1 if at_leisure else 2)):
                 self._refine()
         if at_leisure or self._count % 2:
             self._put_waiting()
