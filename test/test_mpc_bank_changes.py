@@ -78,6 +78,18 @@ def test_a_goal_that_stays_elsewhere_is_believed_to_be_there():
     np.testing.assert_allclose(bank.at(later + AHEAD), 40.0, atol=1e-3)
 
 
+def test_what_noise_sightings_have_is_not_forgotten_with_the_motion():
+    """Three sightings that agree by chance are not exact, for the hundred before were not."""
+    rng = np.random.default_rng(13)
+    times, seen = START + 0.1 * np.arange(100), 0.2 * rng.normal(size=(100, 2))
+    seen[-BELIEVED:] = 40.0
+    now = times[-1:]
+    bank, fresh = shown(times, seen), shown(times[-BELIEVED:], seen[-BELIEVED:])
+    np.testing.assert_allclose([bank.at(now), fresh.at(now)], 40.0, atol=1e-6)
+    assert np.trace(fresh.predicted(now).covariances[0]) < 1e-3
+    assert np.trace(bank.predicted(now).covariances[0]) > 1e-2
+
+
 def test_two_sightings_at_once_are_no_velocity():
     """A nanosecond apart, a centimetre is no 10,000 km/s."""
     times = START + np.array([0.0, 1e-6, 0.1, 0.100001])

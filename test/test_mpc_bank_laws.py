@@ -57,6 +57,20 @@ def test_errors_are_as_large_as_the_covariance_says(n):
     assert chi2.ppf(1e-3, count) < total < chi2.ppf(1.0 - 1e-3, count)
 
 
+def test_while_it_is_open_whether_a_goal_moves_the_covariance_covers_both():
+    """After a second, of goals at rest and of slow ones: what the two differ by is part of it."""
+    scaled = []
+    for seed in range(100):
+        rng = np.random.default_rng([12, seed])
+        velocity, times = (seed % 2) * np.array([0.12, -0.05]), START + 0.1 * np.arange(10)
+        seen = np.outer(times - START, velocity) + 0.05 * rng.normal(size=(10, 2))
+        ahead = times[-1:] + AHEAD
+        prediction = shown(times, seen).predicted(ahead)
+        off = (prediction.positions - np.outer(ahead - START, velocity))[0]
+        scaled.append(off @ np.linalg.solve(prediction.covariances[0], off) / len(off))
+    assert np.median(scaled) < 1.3  # without what they differ by: 1.7
+
+
 @pytest.mark.parametrize('n', [2, 3])
 @pytest.mark.parametrize('family', FAMILIES)
 def test_forecasts_move_turn_and_wait_with_the_goal(family, n):

@@ -226,7 +226,7 @@ class Bank:
         self._times[:KEPT], self._seen[:KEPT] = times - by, seen - offset
         self._epoch, self._origin = self._epoch + by, self._origin + offset
         self._count, self._spectrum, self._changes = KEPT, None, Changes(self._n)
-        self._fits.begin_later(by, offset, self._past())
+        self._fits.begin_later(by, self._past())
         self._conclude()
 
     def _past(self) -> Past:

@@ -25,7 +25,7 @@ from orbimpc_ros.mpc.geometry.rotations import exp, skew
 NAMES = ('still', 'velocity', 'acceleration', 'turn', 'swing', 'carrier', 'damped')
 STILL, VELOCITY, ACCELERATION, TURN, SWING, CARRIER, DAMPED = range(len(NAMES))
 OSCILLATING = (TURN, SWING, CARRIER, DAMPED)  # with a frequency to be found
-ODDS = np.array([0.0, 0.0, -3.0, -1.0, -2.0, -3.0, -3.0])  # logarithms, before any sighting
+ODDS = np.array([-5.0, 0.0, -5.0, -3.0, -5.0, -6.0, -6.0])  # logarithms, before any sighting
 COLUMNS = 7
 ONE, LINEAR, SQUARE, COSINE, SINE, T_COSINE, T_SINE = range(COLUMNS)
 
@@ -180,12 +180,13 @@ def arc(coefficients: Array, middle: float) -> tuple[float, Array] | None:
 
 
 def later(coefficients: Array, rates: Array, dampings: Array, by: float) -> Array:
-    """Return the same motions with time counted from a later moment [s], shape (K, 7, n)."""
+    """Return the same oscillations with time counted from a later moment [s], shape (K, 7, n).
+
+    Their middles are left as they are, for the next fit finds them whatever they were.
+    """
     moved = coefficients.copy()
     turn, fade = rates[:, None] * by, np.exp(-dampings[:, None] * by)
     a, b = coefficients[:, COSINE], coefficients[:, SINE]
-    moved[:, ONE] += by * coefficients[:, LINEAR] + by * by * coefficients[:, SQUARE]
-    moved[:, LINEAR] += 2.0 * by * coefficients[:, SQUARE]
     moved[:, COSINE] = fade * (a * np.cos(turn) + b * np.sin(turn))
     moved[:, SINE] = fade * (b * np.cos(turn) - a * np.sin(turn))
     return moved

@@ -191,16 +191,12 @@ class Fits:
         coefficients = families.stepped(family, self.coefficients[family], step)
         return self.placed(family, rate, damping, coefficients, past, True)
 
-    def begin_later(self, by: float, offset: Array, past: Past) -> None:
-        """Count from a later moment and another place; sum up ``past``, what remains, anew.
+    def begin_later(self, by: float, past: Past) -> None:
+        """Count time from ``by`` later [s], and sum up ``past``, what remains, anew.
 
-        Args:
-            by: [s].
-            offset: shape (n,) [m].
-            past: what remains, as counted then.
+        Places may be counted from elsewhere as well: every family is linear in where it is.
         """
         kept = families.later(self.fitted, self.rates, self.dampings, by)
-        kept[:, families.ONE] -= offset
         self.count, self._square = len(past[0]), float(np.sum(past[1] * past[1]))
         x = families.columns(past[0], 0.0, 0.0)  # of families without a frequency, or none yet
         self._gram[:], self._moments[:] = x.T @ x, x.T @ past[1]
