@@ -43,6 +43,7 @@ class Report:
         goal_stamps: of the goals known, by topic: the messages that the plan is made of [ns].
         goal_counts: goals taken in so far, by topic: some may be lost on the way, and a replay
             has to know.
+        goal_model: how the forecast takes the goal to move; empty unless it chooses.
     """
 
     tick: Tick
@@ -54,6 +55,7 @@ class Report:
     innovation: float | None = None
     goal_stamps: Mapping[str, int] = field(default_factory=dict)
     goal_counts: Mapping[str, int] = field(default_factory=dict)
+    goal_model: str = ''
 
     @property
     def level(self) -> bytes:
@@ -92,6 +94,7 @@ class Report:
             'innovation': math.nan if self.innovation is None else self.innovation,
             'goal_stamps': self.goal_stamps,
             'goal_counts': self.goal_counts,
+            **({'goal_model': self.goal_model} if self.goal_model else {}),
         }
 
 

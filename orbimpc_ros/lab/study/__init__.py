@@ -23,7 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--runs', type=int, metavar='N', help=f'draws (default: {RUNS})')
     add('--seed', type=int, metavar='N', help=f'of all draws (default: {SEED})')
     add('--controllers', metavar='LIST', help='separated by commas (default: all of them)')
-    add('--forecast', metavar='KIND', help=f'harmonic, hold, velocity, truth (default: {FORECAST})')
+    kinds = 'harmonic, hold, velocity, auto, truth'
+    add('--forecast', metavar='KIND', help=f'{kinds} (default: {FORECAST})')
     add(
         '--set',
         action='append',

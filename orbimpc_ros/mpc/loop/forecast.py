@@ -13,6 +13,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.loop.goals.bank import Bank
 from orbimpc_ros.mpc.loop.harmonic import Harmonic
 from orbimpc_ros.mpc.loop.observation import Sighting
 
@@ -81,6 +82,7 @@ FORECASTS: dict[str, type[Forecast]] = {
     'hold': Hold,
     'velocity': Velocity,
     'harmonic': Harmonic,
+    'auto': Bank,
 }
 
 

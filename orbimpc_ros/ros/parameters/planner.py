@@ -93,7 +93,8 @@ PLANNER: tuple[Row, ...] = (
     Row('response.rate', 0.0, 'First-order lag of the body rate', 's', 0.0, 10.0, live=True),
     Row('disturbance', GIVEN, 'Whether wind and gravity are all that disturbs, or more is '
         'estimated from odometry against what was commanded', choices=DISTURBANCES, live=True),
-    Row('goal_prediction', 'hold', 'How the goal is expected to move',
+    Row('goal_prediction', 'hold', 'How the goal is expected to move: hold, not at all; velocity, '
+        'straight on; harmonic, as it swings; auto, as fits best of several motions',
         choices=tuple(FORECASTS), live=True),
     Row('dry_run', False, 'Whether to plan and report, and command nothing: there is no publisher '
         'of commands then'),

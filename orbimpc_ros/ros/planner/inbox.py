@@ -12,6 +12,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.loop.forecast import Forecast, Itinerary, Sighting, forecast_named
+from orbimpc_ros.mpc.loop.goals.bank import Bank
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.ros.clock import UNKNOWN, RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp, read_itinerary, read_odometry, read_sighting
@@ -216,6 +217,11 @@ class Inbox:
             raise BadInput('goal jump', f'{jump:.3g} m', f'at most goal_jump_limit, {limit:g} m')
         if topic == 'goal':
             self.forecast.reset()
+
+    @property
+    def goal_model(self) -> str:
+        """Return how the forecast takes the goal to move, if it chooses; otherwise nothing."""
+        return self.forecast.model if isinstance(self.forecast, Bank) else ''
 
     def _timeout(self, topic: str) -> float:
         return self.settings.odom_timeout if topic == 'odom' else self.settings.goal_timeout

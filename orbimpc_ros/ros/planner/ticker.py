@@ -154,6 +154,7 @@ class Ticker:
             innovation=None if self._estimator is None else self._estimator.innovation,
             goal_stamps=inbox.goal_stamps,
             goal_counts=dict(inbox.goal_counts),
+            goal_model=inbox.goal_model,
         )
 
     def _estimate(self, odometry: Odometry) -> str:

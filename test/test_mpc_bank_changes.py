@@ -1,0 +1,172 @@
+"""Goals that change their course, and sightings that are wrong: what the bank makes of them."""
+
+import numpy as np
+import pytest
+from bank_motions import AHEAD, START, drawn, shown, sighted
+
+from orbimpc_ros.mpc.loop.goals.bank import BELIEVED, MEMORY, Bank
+from orbimpc_ros.mpc.loop.observation import Sighting
+
+CHANGED = START + 12.0  # [s]
+SOON = 2.0  # [s] within which a change of course is to be known
+
+
+def line(begin, velocity):
+    return lambda times: begin + np.outer(np.asarray(times) - CHANGED, velocity)
+
+
+def changing(change, n, rng):
+    """A goal's motion until it changes its course, and from then on."""
+    before = drawn(
+        {'stops': 'velocity', 'turns': 'velocity', 'is released': 'swing'}[change], n, rng
+    )
+    place = before([CHANGED])[0]
+    velocity = np.diff(before([CHANGED - 1e-4, CHANGED]), axis=0)[0] / 1e-4
+    if change == 'stops':
+        return before, line(place, np.zeros(n))
+    if change == 'turns':
+        aside = rng.normal(size=n)
+        return before, line(place, aside * np.linalg.norm(velocity) / np.linalg.norm(aside))
+    return before, line(place, velocity)
+
+
+def errors_after(change, n, noise, seed):
+    """Errors of forecasts soon after a change: of the bank, a line since then, the old course."""
+    rng = np.random.default_rng([7, n, seed])
+    before, after = changing(change, n, rng)
+    times, seen = sighted(before, rng, seconds=12.0 + SOON, noise=noise)
+    new = times >= CHANGED
+    seen[new] += after(times[new]) - before(times[new])
+    ahead = times[-1:] + AHEAD
+    fit = np.polynomial.polynomial.polyfit(times[new] - CHANGED, seen[new], int(change != 'stops'))
+    straight = np.polynomial.polynomial.polyval(ahead - CHANGED, fit).T
+    found = (shown(times, seen).at(ahead), straight, before(ahead))
+    return [np.linalg.norm(each - after(ahead)) for each in found]
+
+
+@pytest.mark.parametrize('n', [2, 3])
+@pytest.mark.parametrize('change', ['stops', 'turns', 'is released'])
+def test_a_change_of_course_is_known_soon(change, n):
+    exact = [errors_after(change, n, 0.0, seed)[0] for seed in range(10)]
+    assert np.median(exact) < 0.01
+    bank, since, old = np.median([errors_after(change, n, 0.05, s) for s in range(20)], axis=0)
+    # Since when the course is new is not known, and a release shows late: velocities go on.
+    assert bank < {'stops': 1.5, 'turns': 3.0, 'is released': 5.0}[change] * since
+    assert bank < 0.3 * old
+
+
+def test_an_outlier_is_no_velocity():
+    rng = np.random.default_rng(8)
+    times, seen = sighted(drawn('carrier', 2, rng), rng, noise=0.02)
+    ahead = times[-1] + np.arange(0.0, 4.0)
+    without = shown(np.delete(times, 100), np.delete(seen, 100, axis=0)).at(ahead)
+    seen[100] += [100.0, -50.0]
+    np.testing.assert_allclose(shown(times, seen).at(ahead), without, atol=0.02)
+    last = np.vstack([seen, seen[-1] + 100.0])
+    np.testing.assert_allclose(
+        shown(np.r_[times, times[-1] + 0.1], last).at(ahead), without, atol=1e-9
+    )
+
+
+def test_a_goal_that_stays_elsewhere_is_believed_to_be_there():
+    times = START + 0.1 * np.arange(50)
+    bank, there = shown(times, np.zeros((50, 3))), np.full((BELIEVED, 3), 40.0)
+    later = times[-1] + 0.1 * np.arange(1, BELIEVED + 1)
+    shown(later[:-1], there[:-1], bank)
+    np.testing.assert_allclose(bank.at(later), 0.0, atol=1e-6)
+    shown(later[-1:], there[-1:], bank)
+    np.testing.assert_allclose(bank.at(later + AHEAD), 40.0, atol=1e-3)
+
+
+def test_what_noise_sightings_have_is_not_forgotten_with_the_motion():
+    """Three sightings that agree by chance are not exact, for the hundred before were not."""
+    rng = np.random.default_rng(13)
+    times, seen = START + 0.1 * np.arange(100), 0.2 * rng.normal(size=(100, 2))
+    seen[-BELIEVED:] = 40.0
+    now = times[-1:]
+    bank, fresh = shown(times, seen), shown(times[-BELIEVED:], seen[-BELIEVED:])
+    np.testing.assert_allclose([bank.at(now), fresh.at(now)], 40.0, atol=1e-6)
+    assert np.trace(fresh.predicted(now).covariances[0]) < 1e-3
+    assert np.trace(bank.predicted(now).covariances[0]) > 1e-2
+
+
+def test_two_sightings_at_once_are_no_velocity():
+    """A nanosecond apart, a centimetre is no 10,000 km/s."""
+    times = START + np.array([0.0, 1e-6, 0.1, 0.100001])
+    seen = np.array([[0.0, 0.0], [0.01, 0.0], [0.0, 0.01], [0.01, 0.01]])
+    assert np.abs(shown(times, seen).at(START + np.arange(4.0))).max() < 1.0
+
+
+@pytest.mark.parametrize(
+    'sighting',
+    [
+        Sighting(START + 1.0, np.array([np.nan, 0.0])),
+        Sighting(START + 9.0, np.array([np.inf, 0.0])),
+        Sighting(np.nan, np.zeros(2)),
+        Sighting(np.inf, np.zeros(2)),
+        Sighting(START, np.full(2, 9.0)),
+        Sighting(START - 5.0, np.full(2, 9.0)),
+        Sighting(START + 4.9, np.full(2, 9.0)),
+    ],
+    ids=['NaN', 'infinite', 'never', 'for ever', 'first again', 'before', 'last again'],
+)
+def test_what_is_no_news_says_nothing(sighting):
+    rng = np.random.default_rng(9)
+    times, seen = START + 0.1 * np.arange(50), 0.02 * rng.normal(size=(50, 2))
+    bank, ahead = shown(times, seen), START + np.arange(5.0, 9.0)
+    before = bank.at(ahead)
+    bank.observe(sighting)
+    np.testing.assert_array_equal(bank.at(ahead), before)
+
+
+def test_a_goal_lost_for_long_is_held_where_it_is_seen_again():
+    times = START + 0.1 * np.arange(50)
+    bank = shown(times, np.outer(times - START, [1.0, 0.0]))
+    shown([START + 1e6], np.array([[7.0, 7.0]]), bank)
+    np.testing.assert_allclose(bank.at(START + 1e6 + np.arange(3.0)), 7.0, atol=1e-9)
+
+
+@pytest.mark.parametrize('family', ['still', 'carrier', 'turn'])
+def test_a_long_watch_needs_no_more_memory_and_loses_nothing(family):
+    """An hour of sightings: sums and sightings keep their sizes, and the forecast stays exact."""
+    motion = drawn(family, 2, np.random.default_rng(10))
+    times = START + 0.5 * np.arange(4 * MEMORY)
+    bank = shown(times[: MEMORY // 2], motion(times[: MEMORY // 2]))
+    held = footprint(bank)
+    shown(times[MEMORY // 2 :], motion(times[MEMORY // 2 :]), bank)
+    assert footprint(bank) <= held
+    ahead = times[-1] + np.arange(0.0, 4.0)
+    np.testing.assert_allclose(bank.at(ahead), motion(ahead), atol=1e-3)
+    assert bank.model == family
+
+
+def footprint(thing):
+    """Bytes of the arrays that an object and its parts hold."""
+    if isinstance(thing, np.ndarray):
+        return thing.nbytes
+    parts = thing if isinstance(thing, (list, tuple)) else vars(thing).values()
+    parts = [
+        each for each in parts if hasattr(each, '__dict__') or isinstance(each, np.ndarray | list)
+    ]
+    return sum(map(footprint, parts))
+
+
+@pytest.mark.parametrize('seed', range(8))
+def test_whatever_is_seen_forecasts_are_finite(seed):
+    """Jumps, gaps, bursts, equal and backward stamps, huge and NaN positions, in any order."""
+    rng = np.random.default_rng([11, seed])
+    n, bank = 2 + seed % 2, Bank()
+    time, place = START, np.zeros(n)
+    bank.observe(Sighting(time, place.copy()))
+    for _ in range(400):
+        time += rng.choice(
+            [0.0, -1.0, 1e-9, 0.05, 0.1, 1.0, 30.0, 1e7], p=[*[0.05] * 3, 0.3, 0.4, *[0.05] * 3]
+        )
+        place = place + rng.choice([0.0, 0.1, 30.0, 1e9], p=[0.5, 0.4, 0.08, 0.02]) * rng.normal(
+            size=n
+        )
+        wrong = rng.choice([0.0, np.nan, np.inf, 1e300], p=[0.91, 0.03, 0.03, 0.03])
+        bank.observe(Sighting(time, place + wrong))
+        prediction = bank.predicted(max(time, START) + np.array([0.0, 3.0]))
+        assert np.isfinite(prediction.positions).all()
+        assert np.isfinite(prediction.covariances).all()

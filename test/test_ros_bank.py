@@ -1,0 +1,93 @@
+"""The bank of goal models at work: from messages on ``goal`` to targets, and to ``tick``."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.clock import RosTime
+from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
+from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
+from orbimpc_ros.ros.planner.inbox import Inbox
+from orbimpc_ros.ros.planner.ticker import Ticker, prepared
+
+FRAMES = Frames('odom', 'base_link')
+START = 1_700_000_000  # [s]
+
+
+class Watched:
+    """A planner without its node, that watches a goal at 10 Hz."""
+
+    def __init__(self, **changes):
+        values = {row.name: row.default for row in PLANNER} | {'step': 0.1, 'horizon': 5} | changes
+        settings = planner_settings(values)
+        self.inbox, self.steps = Inbox(settings), 0
+        self.ticker = Ticker(*prepared(settings), simulated=True)
+
+    def watch(self, goal, ticks):
+        """Watch a goal, shape (2,) [m] as a function of time [s]; return the last report."""
+        for _ in range(ticks):
+            self.steps += 1
+            now = 0.1 * self.steps
+            stamp = Stamp(round((START + now) * SECOND), FRAMES)
+            still = Odometry(START + now, np.zeros(2), np.eye(2), np.zeros(2), np.zeros(1))
+            for topic, message in (
+                ('goal', messages.goal_message(stamp, goal(now))),
+                ('odom', messages.measurement_message(stamp, still)),
+            ):
+                assert self.inbox.take(topic, message, now, RosTime(stamp.nanoseconds)) == ''
+        return self.ticker.planned(self.inbox, now, RosTime(stamp.nanoseconds))
+
+    def ahead(self):
+        """The times of the targets of the last tick [s]."""
+        return 0.1 * (self.steps + np.arange(1, 6))
+
+
+def carried(time):
+    return np.array([2.0 + 0.5 * time + np.sin(1.5 * time), 1.0 - 0.2 * time + np.cos(1.5 * time)])
+
+
+def test_a_swing_on_a_moving_carrier_is_planned_for_and_named():
+    watched = Watched(goal_prediction='auto')
+    report = watched.watch(carried, 100)
+    targets = np.array([carried(time) for time in watched.ahead()])
+    np.testing.assert_allclose(report.tick.goals, targets, atol=1e-3)
+    assert report.values['goal_model'] == 'carrier'
+
+
+def test_the_name_changes_when_the_goal_does():
+    watched = Watched(goal_prediction='auto')
+    assert watched.watch(lambda time: np.array([time, 0.0]), 60).values['goal_model'] == 'velocity'
+    report = watched.watch(lambda time: np.array([6.0, 0.0]), 20)
+    assert report.values['goal_model'] == 'still'
+    np.testing.assert_allclose(report.tick.goals, np.tile([6.0, 0.0], (5, 1)), atol=1e-3)
+
+
+@pytest.mark.parametrize('prediction', ['hold', 'velocity', 'harmonic'])
+def test_forecasts_that_do_not_choose_name_nothing(prediction):
+    report = Watched(goal_prediction=prediction).watch(carried, 10)
+    assert 'goal_model' not in report.values
+
+
+def test_another_forecast_begins_with_the_last_goal():
+    watched = Watched()
+    watched.watch(carried, 10)
+    values = {row.name: row.default for row in PLANNER} | {'step': 0.1, 'goal_prediction': 'auto'}
+    watched.inbox.adopt(planner_settings(values))
+    assert watched.inbox.goal_model == 'still'
+    held = np.tile(carried(1.0), (5, 1))
+    np.testing.assert_allclose(watched.inbox.targets(START + watched.ahead(), 1.0), held)
+    watched.inbox.forget()
+    assert watched.inbox.goal_model == ''
+
+
+def test_replaying_the_same_messages_gives_the_same_targets():
+    rng = np.random.default_rng(1)
+    noisy = {k: carried(0.1 * k) + 0.05 * rng.normal(size=2) for k in range(1, 101)}
+    reports = [
+        Watched(goal_prediction='auto').watch(lambda time: noisy[round(10 * time)], 100)
+        for _ in range(2)
+    ]
+    np.testing.assert_array_equal(*(report.tick.goals for report in reports))
