@@ -88,9 +88,9 @@ class Interception:
             late: returns whether time is up; what is found by then counts.
         """
         bound, open_ = 1, True
-        for step in range(1, len(goals) + 1):
+        for step, reachable in enumerate(self._within_reach(state, goals), 1):
             plan = None
-            if self._within_reach(state, goals, step):
+            if reachable:
                 plan = None if late() else solved(step)
                 if plan is not None and self._miss(plan, goals) <= AIM * self._radius:
                     return plan, Catch(step, bound)
@@ -98,11 +98,10 @@ class Interception:
             bound = step + 1 if open_ else bound
         return None, Catch(0, bound)
 
-    def _within_reach(self, state: State, goals: Array, step: int) -> bool:
-        """Return whether the goal is not too far away, whatever the headings."""
-        coasted = drift(self.problems[-1], state)[step - 1]
-        away = float(np.linalg.norm(goals[step - 1] - coasted))
-        return away <= self._reach[step - 1] + self._radius
+    def _within_reach(self, state: State, goals: Array) -> Array:
+        """Return at which steps the goal is not too far away, whatever the headings, shape (N,)."""
+        away = np.linalg.norm(goals - drift(self.problems[-1], state)[: len(goals)], axis=1)
+        return np.asarray(away <= self._reach[: len(goals)] + self._radius)
 
     def _miss(self, plan: Plan, goals: Array) -> float:
         return float(np.linalg.norm(plan.positions[-1] - goals[plan.horizon - 1]))
