@@ -174,19 +174,18 @@ def lagrangian(quad, rows, normals, offsets, u, count, x):
     """Return a lower bound on f(z) + sum_i u_i (b_i - n_i . z), |z_k| <= 1, expanded about x."""
     hessian, q = quad.hessian, quad.q
     value = magnitude = stray = 0.0
+    linear = q.copy()
     for i in range(count):
         value += u[i] * offsets[i]
         magnitude += abs(u[i] * offsets[i])
+        linear[rows[i], 0] -= u[i] * normals[i, 0]
+        linear[rows[i], 1] -= u[i] * normals[i, 1]
     for j in range(len(q)):
         a = b = 0.0
         for k in range(len(q)):
             a += hessian[j, k] * x[k, 0]
             b += hessian[j, k] * x[k, 1]
-        c, d = q[j, 0], q[j, 1]
-        for i in range(count):
-            if rows[i] == j:
-                c -= u[i] * normals[i, 0]
-                d -= u[i] * normals[i, 1]
+        c, d = linear[j, 0], linear[j, 1]
         value += x[j, 0] * (0.5 * a + c) + x[j, 1] * (0.5 * b + d)
         magnitude += abs(x[j, 0] * a) + abs(x[j, 1] * b) + abs(x[j, 0] * c) + abs(x[j, 1] * d)
         size = np.sqrt(x[j, 0] ** 2 + x[j, 1] ** 2)

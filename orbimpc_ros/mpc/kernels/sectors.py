@@ -229,25 +229,25 @@ def _drop(tree, own, i, count):
 
 @compiled
 def _add_row(inverse, tree, own, count, step, row, offset):
-    """Add a violated row to the active set, dropping those in its way.
+    """Add a violated row to the active set, dropping those in its way; x stays as it is.
 
     Returns:
         The new count, or -1 where rounding leaves no row to drop or to add; the multiplications
         that it took.
     """
     rows, normals, offsets, u = tree.rows[own], tree.normals[own], tree.offsets[own], tree.u[own]
-    gram, images, x = tree.gram, tree.images, tree.x
-    size, steps = len(rows), len(x)
+    gram, images = tree.gram, tree.images
+    size, steps = len(rows), len(tree.x)
     r, held, image = np.empty(size), np.empty(size), np.empty((steps, 2))
     _set_image(inverse, step, row, image)
     own_curvature = row[0] * image[step, 0] + row[1] * image[step, 1]
     flat, multiplier, spent = FLAT * own_curvature, 0.0, 0.0
+    gap = offset - row[0] * tree.x[step, 0] - row[1] * tree.x[step, 1]
     for _ in range(4 * size):
-        spent += count * (2.0 * count + 4.0 * steps + 4.0)
+        spent += count * (2.0 * count + 4.0)
         for i in range(count):
             held[i] = r[i] = normals[i, 0] * image[rows[i], 0] + normals[i, 1] * image[rows[i], 1]
         curvature = own_curvature - _solve(tree.factor, r, count)
-        gap = offset - row[0] * x[step, 0] - row[1] * x[step, 1]
         blocking, limit = -1, np.inf
         for i in range(count):
             if r[i] > FLAT and u[i] < limit * r[i]:
@@ -259,15 +259,7 @@ def _add_row(inverse, tree, own, count, step, row, offset):
         multiplier += move
         for i in range(count):
             u[i] = max(0.0, u[i] - move * r[i])
-        if curvature > flat:
-            for j in range(steps):
-                x[j, 0] += move * image[j, 0]
-                x[j, 1] += move * image[j, 1]
-            for i in range(count):
-                back = move * r[i]
-                for j in range(steps):
-                    x[j, 0] -= back * images[i, j, 0]
-                    x[j, 1] -= back * images[i, j, 1]
+        gap -= move * max(0.0, curvature)
         if whole <= limit:
             if count == size:
                 return -1, spent
@@ -361,6 +353,7 @@ def _relax(quad, ring, tree, node, own, cutoff, count, added, work):
             return STALLED, bound, 0, added, work
         count, added = following, added + 1
         _minimiser(tree, own, count)
+        work -= 4.0 * count * len(x)
         bound = max(bound, lagrangian(quad, rows, normals, offsets, u, count, x))
     return STALLED, bound, count, added, work
 
