@@ -423,7 +423,7 @@ def _branching(ring, inverse, x, low, high):
 
     What a step misses of the floor, finer sectors will ask of it. Where a turn is too wide, the
     wider of its two sectors is cut such that either part leaves the one heading or the other out.
-    Late turns come first, by the square of their number: what a late step has to be headed for
+    Late turns come first, in proportion to their number: what a late step has to be headed for
     narrows all before it, whereas an early turn leaves those after it nearly as free as they were.
     """
     chosen, cut, gain = -1, 0.0, -1.0
@@ -445,7 +445,7 @@ def _branching(ring, inverse, x, low, high):
             if k > 0:
                 raised = min(raised, (last * half) ** 2 / (2.0 * inverse[k - 1, k - 1]))
                 wider = high[k - 1] - low[k - 1]
-            raised *= (k + 1.0) ** 2
+            raised *= k + 1.0
             if wider > max(NARROWEST, width) and raised > gain:
                 chosen, gain = k - 1, raised
                 cut = _cut_at(ring, before + away, low[k - 1], high[k - 1])
