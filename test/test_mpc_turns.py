@@ -17,6 +17,7 @@ from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
+from orbimpc_ros.mpc.problem.scaling import weighed
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch
 from orbimpc_ros.mpc.solve.request import Enough, Request
@@ -267,3 +268,18 @@ def test_a_search_ends_with_what_is_enough_and_its_bound_holds():
                 assert plan.status == Status.FEASIBLE
                 assert plan.objective <= settled if name == 'cost' else plan.lower_bound > settled
     assert min(sooner.values()) > 3
+
+
+def test_a_goal_that_flies_off_is_proved_in_hundreds_of_nodes():
+    """Late turns are settled first; without regard to their order it takes four times as many."""
+    problem = Problem(
+        step=0.5, horizon=20, forward=15.0, floor=floor('circle', 2.0 / 3.0, 4), max_rate=0.4363
+    )
+    rng = np.random.default_rng(35)
+    place, velocity = rng.uniform(-20.0, 20.0, 2), rng.uniform(-8.0, 8.0, 2)
+    start = State.at(np.zeros(2), rng.uniform(0.7, 1.0) * np.eye(2))
+    targets = place + 0.5 * velocity * np.arange(1.0, 21.0)[:, None]
+    problem = weighed(replace(problem, weights=Weights(1.0, 0.05, 0.0, 10.0)), 'time')
+    plan = Solver(problem, gap_tolerance=1e-3).solve(start, targets)
+    assert plan.status == 'optimal'
+    assert plan.proof.nodes < 1100

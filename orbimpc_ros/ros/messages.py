@@ -66,21 +66,17 @@ class Frames:
     body: str = ''
     thrust_axis: str = 'x'
 
-    def turned(self, attitude: Array) -> Array:
-        """Return the attitude, shape (n, n), of the frame whose x axis pushes."""
-        return attitude if self.thrust_axis == 'x' else attitude @ THRUST_AXES[self.thrust_axis]
+    def turned(self, own: Array) -> Array:
+        """Return an attitude, or a vector of the body, as of the frame whose x axis pushes.
 
-    def own(self, attitude: Array) -> Array:
-        """Return the vehicle's own attitude, shape (n, n): the inverse of :meth:`turned`."""
-        return attitude if self.thrust_axis == 'x' else attitude @ THRUST_AXES[self.thrust_axis].T
+        Args:
+            own: the vehicle's attitude, shape (n, n), or a vector in its body frame, shape (3,).
+        """
+        return own if self.thrust_axis == 'x' else own @ THRUST_AXES[self.thrust_axis]
 
-    def along(self, vector: Array) -> Array:
-        """Return a vector of the body, shape (3,), in the frame whose x axis pushes."""
-        return vector if self.thrust_axis == 'x' else THRUST_AXES[self.thrust_axis].T @ vector
-
-    def back(self, vector: Array) -> Array:
-        """Return a vector, shape (3,), in the body frame: the inverse of :meth:`along`."""
-        return vector if self.thrust_axis == 'x' else THRUST_AXES[self.thrust_axis] @ vector
+    def own(self, turned: Array) -> Array:
+        """Return the vehicle's own attitude, or a vector of its body: see :meth:`turned`."""
+        return turned if self.thrust_axis == 'x' else turned @ THRUST_AXES[self.thrust_axis].T
 
 
 @dataclass(frozen=True)
@@ -129,8 +125,8 @@ def read_odometry(
         at.nanoseconds / SECOND,
         _triple(pose.position, 'pose.position')[:dimension],
         frames.turned(_attitude(pose.orientation, dimension, 'pose.orientation')),
-        frames.along(linear)[:dimension],
-        _rates(frames.along(angular), dimension),
+        frames.turned(linear)[:dimension],
+        _rates(frames.turned(angular), dimension),
     )
     return Stamp(at.nanoseconds, Frames(at.frames.world, child, frames.thrust_axis)), odometry
 
@@ -172,8 +168,8 @@ def read_speed_and_rate(
         BadInput: a stamp or a number is not acceptable.
     """
     at = _stamp(message.header, '')
-    linear = frames.along(_triple(message.twist.linear, 'twist.linear'))
-    angular = frames.along(_triple(message.twist.angular, 'twist.angular'))
+    linear = frames.turned(_triple(message.twist.linear, 'twist.linear'))
+    angular = frames.turned(_triple(message.twist.angular, 'twist.angular'))
     return at.nanoseconds, float(linear[0]), _rates(angular, dimension)
 
 
@@ -186,7 +182,7 @@ def read_force(message: WrenchStamped, frames: Frames) -> tuple[int, float]:
     at = _stamp(message.header, '')
     force = _triple(message.wrench.force, 'wrench.force')
     _triple(message.wrench.torque, 'wrench.torque')
-    return at.nanoseconds, float(frames.along(force)[0])
+    return at.nanoseconds, float(frames.turned(force)[0])
 
 
 def _stamp(header: Header, frame: str) -> Stamp:
@@ -265,12 +261,12 @@ def vector(xyz: Array) -> Vector3:
 
 def angular(body_rate: Array, frames: Frames) -> Vector3:
     """Return a body rate, shape (1,) or (3,) [rad/s], as a Vector3 of the vehicle's own axes."""
-    return vector(frames.back(np.concatenate([np.zeros(3 - len(body_rate)), body_rate])))
+    return vector(frames.own(np.concatenate([np.zeros(3 - len(body_rate)), body_rate])))
 
 
 def pushing(size: float, frames: Frames) -> Vector3:
     """Return a speed or force along the pushing axis as a Vector3 of the vehicle's own axes."""
-    return vector(frames.back(np.array([size, 0.0, 0.0])))
+    return vector(frames.own(np.array([size, 0.0, 0.0])))
 
 
 def pushed(vector: Vector3) -> float:
@@ -351,6 +347,6 @@ def measurement_message(stamp: Stamp, odometry: Odometry) -> OdometryMessage:
     frames, velocity = stamp.frames, np.zeros(3)
     velocity[: len(odometry.body_velocity)] = odometry.body_velocity
     message.pose.pose = pose(odometry.position, frames.own(odometry.attitude))
-    message.twist.twist.linear = vector(frames.back(velocity))
+    message.twist.twist.linear = vector(frames.own(velocity))
     message.twist.twist.angular = angular(odometry.body_rate, frames)
     return message

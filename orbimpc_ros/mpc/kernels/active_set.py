@@ -28,19 +28,39 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.heap import pop, push
+from orbimpc_ros.mpc.kernels.best_first import (
+    ACTIVE,
+    BOUND,
+    CURRENT,
+    GOING,
+    LEAST,
+    MADE,
+    NODE,
+    NODES,
+    OPENED,
+    PAUSED,
+    PRUNED,
+    RESUMED,
+    ROWS_ADDED,
+    SOLVED,
+    STALLED,
+    STALLS,
+    VALUE,
+    advance,
+    begin,
+    close,
+    cutoff_of,
+    keep,
+    set_least,
+    worked,
+)
 from orbimpc_ros.mpc.kernels.linear import quadratic, solve_spd
 
-DONE, FULL, PAUSED = 0, 1, 2  # what a call ends with
-GOING, SOLVED, PRUNED, STALLED = 0, 1, 2, 3  # what becomes of a node
 ITERATIONS = 300
 OUTSIDE = 1e-10  # a disk or face violated by less holds
 SATISFIED = 1e-8  # a face missed by less need not be branched on
 FLAT = 1e-13  # share of a curvature that is taken for none
 ROUNDING = 1e-15  # of numbers that cancel
-NODE = 300.0  # multiplications that a node costs besides those of its rows
-OPEN, MADE, NODES, CURRENT, ROWS_ADDED, STALLS, ACTIVE = range(7)  # in Tree.counts
-VALUE, CLOSED, BOUND, LEAST = range(4)  # in Tree.numbers
 
 
 class Quadratic(NamedTuple):
@@ -72,10 +92,7 @@ class Tree(NamedTuple):
         heap: their numbers, shape (M,); of equal bounds the latest, the deepest, comes first.
         x: of the last node, shape (N, 2).
         best: the best point found, shape (N, 2).
-        counts: open nodes; nodes made; nodes solved; the node at work, -1 for none; rows added to
-            it; nodes that could not be settled; rows active in it, shape (7,).
-        numbers: the value to beat; the least bound given up; the bound of the node at work; that
-            of the whole search, shape (4,).
+        counts, numbers: see :mod:`orbimpc_ros.mpc.kernels.best_first`, shapes (8,) and (4,).
     """
 
     rows: np.ndarray
@@ -119,24 +136,21 @@ def tree(steps: int, nodes: int, most: int) -> Tree:
         np.empty(made, np.int64),
         np.zeros((steps, 2)),
         np.zeros((steps, 2)),
-        np.zeros(7, np.int64),
+        np.zeros(8, np.int64),
         np.zeros(4),
     )
 
 
-def begin(tree: Tree, known: float) -> None:
-    """Begin a search.
+@compiled
+def begin_cells(tree, known):
+    """Begin a search, with no cell chosen yet.
 
     Args:
         tree: updated in place.
         known: a value that is to be undercut, inf for none.
     """
-    counts, numbers = tree.counts, tree.numbers
-    counts[:] = 0
-    counts[OPEN], counts[MADE], counts[CURRENT] = 1, 1, -1
-    numbers[:] = known, np.inf, -np.inf, -np.inf
-    tree.choice[0], tree.parent[0] = -1, 0
-    tree.keys[0], tree.heap[0] = -np.inf, 0
+    begin(tree, known)
+    tree.choice[0] = -1
 
 
 @compiled
@@ -160,19 +174,18 @@ def lagrangian(quad, rows, normals, offsets, u, count, x):
     """Return a lower bound on f(z) + sum_i u_i (b_i - n_i . z), |z_k| <= 1, expanded about x."""
     hessian, q = quad.hessian, quad.q
     value = magnitude = stray = 0.0
+    linear = q.copy()
     for i in range(count):
         value += u[i] * offsets[i]
         magnitude += abs(u[i] * offsets[i])
+        linear[rows[i], 0] -= u[i] * normals[i, 0]
+        linear[rows[i], 1] -= u[i] * normals[i, 1]
     for j in range(len(q)):
         a = b = 0.0
         for k in range(len(q)):
             a += hessian[j, k] * x[k, 0]
             b += hessian[j, k] * x[k, 1]
-        c, d = q[j, 0], q[j, 1]
-        for i in range(count):
-            if rows[i] == j:
-                c -= u[i] * normals[i, 0]
-                d -= u[i] * normals[i, 1]
+        c, d = linear[j, 0], linear[j, 1]
         value += x[j, 0] * (0.5 * a + c) + x[j, 1] * (0.5 * b + d)
         magnitude += abs(x[j, 0] * a) + abs(x[j, 1] * b) + abs(x[j, 0] * c) + abs(x[j, 1] * d)
         size = np.sqrt(x[j, 0] ** 2 + x[j, 1] ** 2)
@@ -335,22 +348,6 @@ def _branching(x, choice, cells, bounds, halves, roots, radius, inverse):
 
 
 @compiled
-def _open(quad, tree, node):
-    """Begin to work on a node, from its parent's active set."""
-    counts = tree.counts
-    counts[NODES] += 1
-    own, from_ = counts[NODES], tree.parent[node]
-    count = tree.active[from_]
-    for i in range(count):
-        tree.rows[own, i], tree.u[own, i] = tree.rows[from_, i], tree.u[from_, i]
-        tree.normals[own, i, 0] = tree.normals[from_, i, 0]
-        tree.normals[own, i, 1] = tree.normals[from_, i, 1]
-        tree.offsets[own, i] = tree.offsets[from_, i]
-    _minimiser(quad.inverse, quad.q, tree.rows[own], tree.normals[own], tree.u[own], count, tree.x)
-    counts[CURRENT], counts[ROWS_ADDED], counts[ACTIVE] = node, 0, count
-
-
-@compiled
 def _branch(quad, table, tree, node, cutoff):
     """Open the children of a node that is solved, or note that it has none."""
     choice, counts, numbers = tree.choice, tree.counts, tree.numbers
@@ -360,7 +357,7 @@ def _branch(quad, table, tree, node, cutoff):
         table.radius, quad.inverse,
     )  # fmt: skip
     if k < 0:
-        numbers[CLOSED] = min(numbers[CLOSED], bound)
+        close(tree, bound)
         if stuck:  # below the circle by less than the finest arcs see
             counts[STALLS] += 1
             return
@@ -374,63 +371,39 @@ def _branch(quad, table, tree, node, cutoff):
         gains[i] = bound + miss * miss / (2.0 * quad.inverse[k, k])
     for i in np.argsort(-gains[:count]):
         if gains[i] >= cutoff:
-            numbers[CLOSED] = min(numbers[CLOSED], gains[i])
+            close(tree, gains[i])
             continue
         made = counts[MADE]
         choice[made] = choice[node]
         choice[made, k] = first + i
-        tree.parent[made] = counts[NODES]
-        push(tree.keys, tree.heap, counts[OPEN], gains[i], made)
-        counts[OPEN] += 1
-        counts[MADE] += 1
+        keep(tree, gains[i])
 
 
 @compiled
 def _search(quad, table, constant, tolerance, tree, room, work):
     """Do as :func:`search`, but for the bound of the whole."""
     counts, numbers = tree.counts, tree.numbers
-    while counts[CURRENT] >= 0 or counts[OPEN] > 0:
-        cutoff = numbers[VALUE] - tolerance * max(abs(numbers[VALUE] + constant), 1e-9)
-        if counts[CURRENT] < 0:
-            if tree.keys[0] >= cutoff:
-                break
-            if counts[NODES] >= room:
-                return FULL
-            if work <= 0.0:
-                return PAUSED
-            numbers[BOUND] = tree.keys[0]
-            node = tree.heap[0]
-            pop(tree.keys, tree.heap, counts[OPEN])
-            counts[OPEN] -= 1
-            _open(quad, tree, node)
-            work -= NODE + 2.0 * len(tree.x) ** 2
+    while True:
+        cutoff = cutoff_of(tree, constant, tolerance)
+        coming = advance(tree, cutoff, room, work)
+        if coming not in (OPENED, RESUMED):
+            return coming
         node, own = counts[CURRENT], counts[NODES]
+        rows, normals = tree.rows[own], tree.normals[own]
+        if coming == OPENED:
+            _minimiser(quad.inverse, quad.q, rows, normals, tree.u[own], counts[ACTIVE], tree.x)
+            work -= NODE + 2.0 * len(tree.x) ** 2
         status, bound, count, counts[ROWS_ADDED], work = _relax(
-            quad, table.normals, table.bounds, tree.choice[node], cutoff, tree.rows[own],
-            tree.normals[own], tree.offsets[own], tree.u[own], counts[ACTIVE], tree.x,
-            counts[ROWS_ADDED], work,
+            quad, table.normals, table.bounds, tree.choice[node], cutoff, rows, normals,
+            tree.offsets[own], tree.u[own], counts[ACTIVE], tree.x, counts[ROWS_ADDED], work,
         )  # fmt: skip
-        counts[ACTIVE] = tree.active[own] = count
-        numbers[BOUND] = max(numbers[BOUND], bound)
+        worked(tree, status, bound, count)
         if status == GOING:
             return PAUSED
-        counts[CURRENT] = -1
         if status == SOLVED:
             _branch(quad, table, tree, node, cutoff)
         else:
-            numbers[CLOSED] = min(numbers[CLOSED], numbers[BOUND])
-            counts[STALLS] += status == STALLED
-    return DONE
-
-
-@compiled
-def _least_bound(tree):
-    """Return the bound of the whole search: the least of what is open, closed or known."""
-    counts, numbers = tree.counts, tree.numbers
-    least = min(numbers[CLOSED], numbers[VALUE])
-    if counts[CURRENT] >= 0:
-        least = min(least, numbers[BOUND])
-    return min(least, tree.keys[0]) if counts[OPEN] > 0 else least
+            close(tree, numbers[BOUND])
 
 
 @compiled
@@ -442,7 +415,7 @@ def search(quad, table, constant, tolerance, tree, room, work):
         table: the cells of the floor, :class:`orbimpc_ros.mpc.geometry.cells.Table`.
         constant: what values lack; it only scales the tolerance.
         tolerance: relative gap at which to stop.
-        tree: begun by :func:`begin`; updated in place.
+        tree: begun by :func:`begin_cells`; updated in place.
         room: nodes to solve in all, at most; no more than the tree has room for.
         work: multiplications to do at most, though no less than one row takes.
 
@@ -451,7 +424,7 @@ def search(quad, table, constant, tolerance, tree, room, work):
         the work has run out.
     """
     status = _search(quad, table, constant, tolerance, tree, room, work)
-    tree.numbers[LEAST] = _least_bound(tree)
+    set_least(tree)
     return status
 
 

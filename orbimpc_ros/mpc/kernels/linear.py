@@ -87,23 +87,34 @@ def _factorise(matrix, count, least):
         if not d - c * c > least * matrix[i + 1, i + 1]:
             return False
         matrix[i + 1, i + 1] = 1.0 / np.sqrt(d - c * c)
-    return count % 2 == 0 or _factorise_last(matrix, count - 1, least)
+    return count % 2 == 0 or extend_factor(matrix, matrix, count - 1, count, least)
 
 
 @vectorised
-def _factorise_last(matrix, i, least):
-    """Do as :func:`_factorise` for the last row, i, of an odd number of them."""
-    for j in range(i):
-        a = matrix[i, j]
-        for k in range(j):
-            a -= matrix[i, k] * matrix[j, k]
-        matrix[i, j] = a * matrix[j, j]
-    a = matrix[i, i]
-    for k in range(i):
-        a -= matrix[i, k] * matrix[i, k]
-    if not a > least * matrix[i, i]:
-        return False
-    matrix[i, i] = 1.0 / np.sqrt(a)
+def extend_factor(matrix, factor, first, count, least):
+    """Set the rows of Cholesky's factor from ``first`` on, diagonals inverted; False if singular.
+
+    Rows before it stay: a row that is added costs no more than solving with it.
+
+    Args:
+        matrix: symmetric, its lower triangle given, shape (count, count) at least.
+        factor: of the same shape; may be the matrix itself.
+        first: of the rows to set.
+        count: of the rows that belong to it.
+        least: share of its diagonal entry that a pivot must exceed; what is no number does not.
+    """
+    for i in range(first, count):
+        for j in range(i):
+            value = matrix[i, j]
+            for k in range(j):
+                value -= factor[i, k] * factor[j, k]
+            factor[i, j] = value * factor[j, j]
+        value = matrix[i, i]
+        for k in range(i):
+            value -= factor[i, k] * factor[i, k]
+        if not value > least * matrix[i, i]:
+            return False
+        factor[i, i] = 1.0 / np.sqrt(value)
     return True
 
 

@@ -22,9 +22,33 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, vectorised
-from orbimpc_ros.mpc.kernels.active_set import FLAT, NODE, lagrangian
-from orbimpc_ros.mpc.kernels.heap import pop, push
-from orbimpc_ros.mpc.kernels.linear import SINGULAR, add_product, quadratic
+from orbimpc_ros.mpc.kernels.active_set import FLAT, lagrangian
+from orbimpc_ros.mpc.kernels.best_first import (
+    ACTIVE,
+    BOUND,
+    CURRENT,
+    GOING,
+    MADE,
+    NODE,
+    NODES,
+    OPENED,
+    PAUSED,
+    PRUNED,
+    RESUMED,
+    ROWS_ADDED,
+    SOLVED,
+    STALLED,
+    STARTS,
+    VALUE,
+    advance,
+    begin,
+    close,
+    cutoff_of,
+    keep,
+    set_least,
+    worked,
+)
+from orbimpc_ros.mpc.kernels.linear import SINGULAR, add_product, extend_factor, quadratic
 from orbimpc_ros.mpc.kernels.steering import (
     least_speed,
     set_headings,
@@ -32,13 +56,9 @@ from orbimpc_ros.mpc.kernels.steering import (
     steer,
 )
 
-DONE, FULL, PAUSED = 0, 1, 2  # what a call ends with
-GOING, SOLVED, PRUNED, STALLED = 0, 1, 2, 3  # what becomes of a node
 ITERATIONS = 400
 OUTSIDE = 3e-6  # a row violated by less holds: what a node lacks for it, its bound lacks as well
 SATISFIED = 1e-8  # a floor or turn missed by less need not be branched on
-OPEN, MADE, NODES, CURRENT, ROWS_ADDED, STALLS, ACTIVE, STARTS = range(8)  # in Sectors.counts
-VALUE, CLOSED, BOUND, LEAST = range(4)  # in Sectors.numbers
 MARGIN = 0.15  # of a sector: no part is narrower
 HALF = np.pi - 1e-9
 NARROWEST = 1e-6  # [rad], a sector that is not cut
@@ -73,10 +93,7 @@ class Sectors(NamedTuple):
         speeds: of a trajectory being made, shape (N,).
         turns: shape (N,).
         z: shape (N, 2).
-        counts: open nodes; nodes made; nodes solved; the node at work, -1 for none; rows added to
-            it; nodes that could not be settled; rows active in it; local searches, shape (8,).
-        numbers: the value to beat; the least bound given up; the bound of the node at work; that
-            of the whole search, shape (4,).
+        counts, numbers: see :mod:`orbimpc_ros.mpc.kernels.best_first`, shapes (8,) and (4,).
     """
 
     rows: np.ndarray
@@ -141,7 +158,7 @@ def sectors(steps: int, nodes: int) -> Sectors:
 
 
 @compiled
-def begin(quad, ring, tree):
+def begin_sectors(quad, ring, tree):
     """Begin a search: all headings that can be reached.
 
     Args:
@@ -149,17 +166,12 @@ def begin(quad, ring, tree):
         ring: floor and turn rate.
         tree: updated in place.
     """
-    counts, numbers = tree.counts, tree.numbers
+    begin(tree, np.inf)
     tree.free[:] = 0.0
     add_product(quad.inverse, quad.q, -1.0, tree.free)
-    counts[:] = 0
-    counts[OPEN], counts[MADE], counts[CURRENT] = 1, 1, -1
-    numbers[:] = np.inf, np.inf, -np.inf, -np.inf
     for k in range(len(tree.x)):
         reach = (k + 1) * ring.widest if ring.widest < HALF else np.pi
         tree.low[0, k], tree.high[0, k] = ring.first - reach, ring.first + reach
-    tree.parent[0] = 0
-    tree.keys[0], tree.heap[0] = -np.inf, 0
 
 
 @compiled
@@ -178,27 +190,6 @@ def _set_image(inverse, step, row, image):
     """Set H^-1 n, shape (N, 2), of a row over a step."""
     for j in range(len(image)):
         image[j, 0], image[j, 1] = inverse[j, step] * row[0], inverse[j, step] * row[1]
-
-
-@vectorised
-def _extend(gram, factor, first, count):
-    """Set the rows of Cholesky's factor from ``first`` on, diagonals inverted; False if singular.
-
-    Rows before it stay: a row that is added costs no more than solving with it.
-    """
-    for i in range(first, count):
-        for j in range(i):
-            value = gram[i, j]
-            for k in range(j):
-                value -= factor[i, k] * factor[j, k]
-            factor[i, j] = value * factor[j, j]
-        value = gram[i, i] * (1.0 + 1e-14)
-        for k in range(i):
-            value -= factor[i, k] * factor[i, k]
-        if not value > SINGULAR * gram[i, i]:
-            return False
-        factor[i, i] = 1.0 / np.sqrt(value)
-    return True
 
 
 @vectorised
@@ -238,25 +229,25 @@ def _drop(tree, own, i, count):
 
 @compiled
 def _add_row(inverse, tree, own, count, step, row, offset):
-    """Add a violated row to the active set, dropping those in its way.
+    """Add a violated row to the active set, dropping those in its way; x stays as it is.
 
     Returns:
         The new count, or -1 where rounding leaves no row to drop or to add; the multiplications
         that it took.
     """
     rows, normals, offsets, u = tree.rows[own], tree.normals[own], tree.offsets[own], tree.u[own]
-    gram, images, x = tree.gram, tree.images, tree.x
-    size, steps = len(rows), len(x)
+    gram, images = tree.gram, tree.images
+    size, steps = len(rows), len(tree.x)
     r, held, image = np.empty(size), np.empty(size), np.empty((steps, 2))
     _set_image(inverse, step, row, image)
     own_curvature = row[0] * image[step, 0] + row[1] * image[step, 1]
     flat, multiplier, spent = FLAT * own_curvature, 0.0, 0.0
+    gap = offset - row[0] * tree.x[step, 0] - row[1] * tree.x[step, 1]
     for _ in range(4 * size):
-        spent += count * (2.0 * count + 4.0 * steps + 4.0)
+        spent += count * (2.0 * count + 4.0)
         for i in range(count):
             held[i] = r[i] = normals[i, 0] * image[rows[i], 0] + normals[i, 1] * image[rows[i], 1]
         curvature = own_curvature - _solve(tree.factor, r, count)
-        gap = offset - row[0] * x[step, 0] - row[1] * x[step, 1]
         blocking, limit = -1, np.inf
         for i in range(count):
             if r[i] > FLAT and u[i] < limit * r[i]:
@@ -268,15 +259,7 @@ def _add_row(inverse, tree, own, count, step, row, offset):
         multiplier += move
         for i in range(count):
             u[i] = max(0.0, u[i] - move * r[i])
-        if curvature > flat:
-            for j in range(steps):
-                x[j, 0] += move * image[j, 0]
-                x[j, 1] += move * image[j, 1]
-            for i in range(count):
-                back = move * r[i]
-                for j in range(steps):
-                    x[j, 0] -= back * images[i, j, 0]
-                    x[j, 1] -= back * images[i, j, 1]
+        gap -= move * max(0.0, curvature)
         if whole <= limit:
             if count == size:
                 return -1, spent
@@ -284,13 +267,13 @@ def _add_row(inverse, tree, own, count, step, row, offset):
             normals[count], images[count], gram[count, count] = row, image, own_curvature
             for i in range(count):
                 gram[count, i] = held[i]
-            if not _extend(gram, tree.factor, count, count + 1):
+            if not extend_factor(gram, tree.factor, count, count + 1, SINGULAR):
                 return -1, spent
             return count + 1, spent
         _drop(tree, own, blocking, count)
         count -= 1
         spent += (count - blocking) * count * (0.5 * count + 4.0 * steps)
-        if not _extend(gram, tree.factor, blocking, count):
+        if not extend_factor(gram, tree.factor, blocking, count, SINGULAR):
             return -1, spent
     return -1, spent
 
@@ -370,20 +353,16 @@ def _relax(quad, ring, tree, node, own, cutoff, count, added, work):
             return STALLED, bound, 0, added, work
         count, added = following, added + 1
         _minimiser(tree, own, count)
+        work -= 4.0 * count * len(x)
         bound = max(bound, lagrangian(quad, rows, normals, offsets, u, count, x))
     return STALLED, bound, count, added, work
 
 
 @compiled
 def _open(quad, ring, tree, node):
-    """Begin to work on a node, from its parent's active set."""
-    counts = tree.counts
-    counts[NODES] += 1
-    own, from_ = counts[NODES], tree.parent[node]
-    count = tree.active[from_]
+    """Begin to work on the current node: set up what its active set and sectors lead to."""
+    own, count = tree.counts[NODES], tree.counts[ACTIVE]
     for i in range(count):
-        tree.rows[own, i], tree.u[own, i] = tree.rows[from_, i], tree.u[from_, i]
-        tree.offsets[own, i], tree.normals[own, i] = tree.offsets[from_, i], tree.normals[from_, i]
         row = tree.normals[own, i]
         _set_image(quad.inverse, tree.rows[own, i], row, tree.images[i])
         for j in range(i + 1):
@@ -391,11 +370,10 @@ def _open(quad, ring, tree, node):
             tree.gram[i, j] = (
                 other[0] * tree.images[i, step, 0] + other[1] * tree.images[i, step, 1]
             )
-    if not _extend(tree.gram, tree.factor, 0, count):
-        count = 0  # nothing is lost but a start
+    if not extend_factor(tree.gram, tree.factor, 0, count, SINGULAR):
+        count = tree.counts[ACTIVE] = 0  # nothing is lost but a start
     _minimiser(tree, own, count)
     _set_sectors(ring, tree.low[node], tree.high[node], tree.chords, tree.edges)
-    counts[CURRENT], counts[ROWS_ADDED], counts[ACTIVE] = node, 0, count
 
 
 @compiled
@@ -445,6 +423,8 @@ def _branching(ring, inverse, x, low, high):
 
     What a step misses of the floor, finer sectors will ask of it. Where a turn is too wide, the
     wider of its two sectors is cut such that either part leaves the one heading or the other out.
+    Late turns come first, in proportion to their number: what a late step has to be headed for
+    narrows all before it, whereas an early turn leaves those after it nearly as free as they were.
     """
     chosen, cut, gain = -1, 0.0, -1.0
     before, last = ring.first, 1.0
@@ -465,6 +445,7 @@ def _branching(ring, inverse, x, low, high):
             if k > 0:
                 raised = min(raised, (last * half) ** 2 / (2.0 * inverse[k - 1, k - 1]))
                 wider = high[k - 1] - low[k - 1]
+            raised *= k + 1.0
             if wider > max(NARROWEST, width) and raised > gain:
                 chosen, gain = k - 1, raised
                 cut = _cut_at(ring, before + away, low[k - 1], high[k - 1])
@@ -494,7 +475,7 @@ def _branch(quad, ring, tree, node, own, cutoff):
     bound, low, high = numbers[BOUND], tree.low, tree.high
     k, cut = _branching(ring, quad.inverse, tree.x, low[node], high[node])
     if k < 0:
-        numbers[CLOSED] = min(numbers[CLOSED], bound)
+        close(tree, bound)
         return
     for side in range(2):
         made = counts[MADE]
@@ -510,12 +491,9 @@ def _branch(quad, ring, tree, node, own, cutoff):
         if step >= 0:
             key += SURE * _gain(quad, tree, own, tree.active[own], step, tree.row, offset)
         if key >= cutoff:
-            numbers[CLOSED] = min(numbers[CLOSED], key)
-            continue
-        tree.parent[made] = own
-        push(tree.keys, tree.heap, counts[OPEN], key, made)
-        counts[OPEN] += 1
-        counts[MADE] += 1
+            close(tree, key)
+        else:
+            keep(tree, key)
 
 
 @compiled
@@ -552,44 +530,32 @@ def offer(quad, ring, constant, tree, x, low, high, share):
 def _search(quad, ring, constant, tolerance, tree, room, work):
     """Do as :func:`search`, but for the bound of the whole."""
     counts, numbers = tree.counts, tree.numbers
-    while counts[CURRENT] >= 0 or counts[OPEN] > 0:
-        cutoff = numbers[VALUE] - tolerance * max(abs(numbers[VALUE] + constant), 1e-9)
-        if counts[CURRENT] < 0:
-            if tree.keys[0] >= cutoff:
-                break
-            if counts[NODES] >= room:
-                return FULL
-            if work <= 0.0:
-                return PAUSED
-            numbers[BOUND] = tree.keys[0]
-            node = tree.heap[0]
-            pop(tree.keys, tree.heap, counts[OPEN])
-            counts[OPEN] -= 1
+    while True:
+        cutoff = cutoff_of(tree, constant, tolerance)
+        coming = advance(tree, cutoff, room, work)
+        if coming not in (OPENED, RESUMED):
+            return coming
+        node, own = counts[CURRENT], counts[NODES]
+        if coming == OPENED:
             _open(quad, ring, tree, node)
             work -= NODE + 2.0 * len(tree.x) ** 2
-        node, own = counts[CURRENT], counts[NODES]
         status, bound, count, counts[ROWS_ADDED], work = _relax(
             quad, ring, tree, node, own, cutoff, counts[ACTIVE], counts[ROWS_ADDED], work
         )
-        counts[ACTIVE] = tree.active[own] = count
-        numbers[BOUND] = max(numbers[BOUND], bound)
+        worked(tree, status, bound, count)
         if status == GOING:
             return PAUSED
-        counts[CURRENT] = -1
+        if status == PRUNED:
+            close(tree, numbers[BOUND])
+            continue
         if status == SOLVED:
             # Where the search is young, and ever less often later.
             share = 0.5 if counts[NODES] & (counts[NODES] - 1) == 0 else 0.0
-            work -= offer(
-                quad, ring, constant, tree, tree.x, tree.low[node], tree.high[node], share
-            )
-            _branch(quad, ring, tree, node, own, cutoff)
-        elif status == STALLED:  # what arithmetic cannot settle, its parts may
-            counts[STALLS] += 1
+            low, high = tree.low[node], tree.high[node]
+            work -= offer(quad, ring, constant, tree, tree.x, low, high, share)
+        else:  # what arithmetic cannot settle, its parts may
             counts[ACTIVE] = tree.active[own] = 0
-            _branch(quad, ring, tree, node, own, cutoff)
-        else:
-            numbers[CLOSED] = min(numbers[CLOSED], numbers[BOUND])
-    return DONE
+        _branch(quad, ring, tree, node, own, cutoff)
 
 
 @compiled
@@ -601,7 +567,7 @@ def search(quad, ring, constant, tolerance, tree, room, work):
         ring: floor and turn rate.
         constant: what values lack; it only scales the tolerance.
         tolerance: relative gap at which to stop.
-        tree: begun by :func:`begin`; updated in place.
+        tree: begun by :func:`begin_sectors`; updated in place.
         room: nodes to solve in all, at most.
         work: multiplications to do at most, though no less than one row takes.
 
@@ -610,11 +576,5 @@ def search(quad, ring, constant, tolerance, tree, room, work):
         the work has run out.
     """
     status = _search(quad, ring, constant, tolerance, tree, room, work)
-    counts, numbers = tree.counts, tree.numbers
-    least = min(numbers[CLOSED], numbers[VALUE])
-    if counts[CURRENT] >= 0:
-        least = min(least, numbers[BOUND])
-    if counts[OPEN] > 0:
-        least = min(least, tree.keys[0])
-    numbers[LEAST] = least
+    set_least(tree)
     return status

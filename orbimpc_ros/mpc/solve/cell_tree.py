@@ -11,20 +11,9 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.cells import Table
-from orbimpc_ros.mpc.kernels.active_set import (
-    DONE,
-    FULL,
-    LEAST,
-    NODES,
-    STALLS,
-    VALUE,
-    Quadratic,
-    begin,
-    dive,
-    search,
-    tree,
-)
+from orbimpc_ros.mpc.kernels.active_set import Quadratic, begin_cells, dive, search, tree
 from orbimpc_ros.mpc.kernels.annulus import SLICE
+from orbimpc_ros.mpc.kernels.best_first import DONE, FULL, LEAST, NODES, STALLS, VALUE
 from orbimpc_ros.mpc.model.condensed import regular
 
 FEW = 200  # nodes until a search pauses first
@@ -58,7 +47,7 @@ class CellSearch:
         self._quadratic = Quadratic(self._hessian, self._inverse, q)
         self._constant = constant
         self._room = 0
-        begin(self._tree, known)
+        begin_cells(self._tree, known)
 
     def run(self, out_of_time: Callable[[], bool] | None = None) -> bool:
         """Search on until that is complete, or can or may not go on; return whether it has ended.

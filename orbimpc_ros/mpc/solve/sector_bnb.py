@@ -15,16 +15,8 @@ import numpy as np
 
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.active_set import Quadratic
-from orbimpc_ros.mpc.kernels.sectors import (
-    LEAST,
-    NODES,
-    PAUSED,
-    VALUE,
-    begin,
-    offer,
-    search,
-    sectors,
-)
+from orbimpc_ros.mpc.kernels.best_first import LEAST, NODES, PAUSED, VALUE
+from orbimpc_ros.mpc.kernels.sectors import begin_sectors, offer, search, sectors
 from orbimpc_ros.mpc.kernels.steering import Ring
 from orbimpc_ros.mpc.model.condensed import LONGEST, Condensed, regular
 from orbimpc_ros.mpc.problem import Problem, State
@@ -77,7 +69,7 @@ class SectorSearch:
         ahead = request.state.attitude[:, 0]
         ring = Ring(*self._floor, math.atan2(ahead[1], ahead[0]))
         quadratic, tree = Quadratic(self._hessian, self._inverse, q), self._tree
-        begin(quadratic, ring, tree)
+        begin_sectors(quadratic, ring, tree)
         # A copy: code for arrays that are read-only or strided would be compiled in a tick.
         start = tree.free if request.guess is None else np.array(request.guess.x, order='C')
         offer(quadratic, ring, constant, tree, start, tree.low[0], tree.high[0], np.inf)

@@ -229,7 +229,7 @@ def _scenario(values: Values) -> Scenario:
         frames.turned(_orientation(values['start.orientation'], n)),
         fraction=values['start.speed_fraction'],
         velocity=vector(values, 'start.velocity', n),
-        body_rate=frames.along(vector(values, 'start.body_rate', 3))[-model.rates :],
+        body_rate=frames.turned(vector(values, 'start.body_rate', 3))[-model.rates :],
     )
     rope = Rope(
         vector(values, 'rope.center', n),
