@@ -24,11 +24,10 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.kernels.augmented_lagrangian import minimise
-from orbimpc_ros.mpc.kernels.heap import pop, push
+from orbimpc_ros.mpc.kernels.best_first import DONE, FULL, pop, push
 from orbimpc_ros.mpc.kernels.penalty import BEST, PROVED, SETTLED, Iterate
 from orbimpc_ros.mpc.kernels.penalty_terms import Multipliers, Terms
 
-DONE, FULL, PAUSED = range(3)  # what a call ends with
 OPEN, MADE, NODES, NEXT, STALLS, PLUNGING = range(6)  # in Tree.counts
 VALUE, CLOSED, LEAST, PENDING, CEILING = range(5)  # in Tree.numbers
 PRECISION = 1e-7  # on constraints
