@@ -17,6 +17,9 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Floor, Problem
 
 PATIENCE = 600.0  # [s]: on a busy machine too
+searched = pytest.mark.skipif(
+    not COMPILED, reason='minutes, or without a proof, in plain Python: pip install numba'
+)
 
 
 def contest(key, horizon=None):
@@ -37,6 +40,7 @@ def solved(each, name, indices):
     return answers
 
 
+@searched
 @pytest.mark.parametrize('name', [GUROBI, SCIP])
 @pytest.mark.parametrize('key', ['wing', 'wing-octagon', 'wing-circle'])
 def test_whoever_proves_something_of_a_wing_proves_it_of_the_same_problem(key, name):
@@ -48,6 +52,7 @@ def test_whoever_proves_something_of_a_wing_proves_it_of_the_same_problem(key, n
         assert not theirs.gap > each.gap
 
 
+@searched
 @pytest.mark.parametrize('key', ['wing', 'wing-circle'])
 def test_a_local_solver_finds_no_better_wing(key):
     each, indices = contest(key, 6), range(0, 20, 4)
@@ -61,7 +66,7 @@ def test_a_local_solver_finds_no_better_wing(key):
     assert any(theirs == pytest.approx(ours, rel=each.gap) for theirs, ours in pairs)
 
 
-@pytest.mark.skipif(not COMPILED, reason='takes minutes in plain Python: pip install numba')
+@searched
 @pytest.mark.parametrize(('key', 'horizon'), [('multirotor', 12), ('lander', 30)])
 def test_the_relaxation_under_gravity_is_a_bound_that_some_plans_attain(key, horizon):
     each, indices = contest(key, horizon), [0, 3]

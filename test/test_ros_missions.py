@@ -6,6 +6,11 @@ import os
 import numpy as np
 import pytest
 
+from orbimpc_ros.mpc.kernels import COMPILED
+
+searched = pytest.mark.skipif(
+    not COMPILED, reason='a tick takes seconds in plain Python: pip install numba'
+)
 SHORT = ('max_ticks=8', 'deadline=0.02')
 
 
@@ -106,6 +111,7 @@ def test_with_a_scaled_retrieval_lengths_grow_with_the_speed(missions):
     assert slow['max_ticks'] == fast['max_ticks'] == 300
 
 
+@searched
 def test_a_patient_planner_takes_its_time(missions):
     """With a millionth of a second for a solve no plan is proved, but by one that may wait."""
     hurried = ('max_ticks=3', 'deadline=0.000001')
@@ -116,6 +122,7 @@ def test_a_patient_planner_takes_its_time(missions):
     assert proved == {False: False, True: True}
 
 
+@searched
 def test_over_dds_the_nodes_are_judged_by_what_they_have_said(missions, tmp_path, monkeypatch):
     """The same flight as in process, by two processes that know it from parameters alone."""
     import over_dds
