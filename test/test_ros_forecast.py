@@ -33,7 +33,9 @@ def ticks_without_ros(forecast):
 
 
 @pytest.mark.parametrize(
-    ('prediction', 'path_steps'), [('harmonic', 0), ('hold', 5)], ids=['harmonic', 'goal_path']
+    ('prediction', 'path_steps'),
+    [('harmonic', 0), ('auto', 0), ('hold', 5)],
+    ids=['harmonic', 'auto', 'goal_path'],
 )
 def test_who_knows_the_swing_catches_the_rope_in_a_third_of_the_ticks(
     launch, observer, prediction, path_steps
