@@ -141,7 +141,6 @@ def tree(steps: int, nodes: int, most: int) -> Tree:
     )
 
 
-@compiled
 def begin_cells(tree, known):
     """Begin a search, with no cell chosen yet.
 
@@ -357,7 +356,7 @@ def _branch(quad, table, tree, node, cutoff):
         table.radius, quad.inverse,
     )  # fmt: skip
     if k < 0:
-        close(tree, bound)
+        close(numbers, bound)
         if stuck:  # below the circle by less than the finest arcs see
             counts[STALLS] += 1
             return
@@ -371,7 +370,7 @@ def _branch(quad, table, tree, node, cutoff):
         gains[i] = bound + miss * miss / (2.0 * quad.inverse[k, k])
     for i in np.argsort(-gains[:count]):
         if gains[i] >= cutoff:
-            close(tree, gains[i])
+            close(numbers, gains[i])
             continue
         made = counts[MADE]
         choice[made] = choice[node]
@@ -384,7 +383,7 @@ def _search(quad, table, constant, tolerance, tree, room, work):
     """Do as :func:`search`, but for the bound of the whole."""
     counts, numbers = tree.counts, tree.numbers
     while True:
-        cutoff = cutoff_of(tree, constant, tolerance)
+        cutoff = cutoff_of(numbers[VALUE], constant, tolerance)
         coming = advance(tree, cutoff, room, work)
         if coming not in (OPENED, RESUMED):
             return coming
@@ -397,13 +396,13 @@ def _search(quad, table, constant, tolerance, tree, room, work):
             quad, table.normals, table.bounds, tree.choice[node], cutoff, rows, normals,
             tree.offsets[own], tree.u[own], counts[ACTIVE], tree.x, counts[ROWS_ADDED], work,
         )  # fmt: skip
-        worked(tree, status, bound, count)
+        worked(counts, numbers, tree.active, status, bound, count)
         if status == GOING:
             return PAUSED
         if status == SOLVED:
             _branch(quad, table, tree, node, cutoff)
         else:
-            close(tree, numbers[BOUND])
+            close(numbers, numbers[BOUND])
 
 
 @compiled

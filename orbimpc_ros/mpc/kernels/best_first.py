@@ -11,6 +11,8 @@ its own, so that it can be interrupted after any row, and continued.
 - ``best``: the best point found;
 - ``counts``, ``numbers``: see the names of their entries.
 
+What is called at every node takes the few arrays that it needs: to pass a tree costs time.
+
 Mathematics: docs/mathematics.md, 4.3 and 5.4.
 """
 
@@ -31,9 +33,8 @@ OPEN, MADE, NODES, CURRENT, ROWS_ADDED, STALLS, ACTIVE, STARTS = range(8)
 VALUE, CLOSED, BOUND, LEAST = range(4)
 
 
-@compiled
 def begin(tree, known):
-    """Begin a search at its root, node 0.
+    """Begin a search at its root, node 0; to pass a tree to machine code would take longer.
 
     Args:
         tree: updated in place.
@@ -48,15 +49,14 @@ def begin(tree, known):
 
 
 @compiled
-def cutoff_of(tree, constant, tolerance):
+def cutoff_of(value, constant, tolerance):
     """Return the bound from which on nodes are of no use.
 
     Args:
-        tree: gives the value to beat.
+        value: the one to beat.
         constant: what values lack; it only scales the tolerance.
         tolerance: relative gap at which to stop.
     """
-    value = tree.numbers[VALUE]
     return value - tolerance * max(abs(value + constant), 1e-9)
 
 
@@ -106,18 +106,19 @@ def _inherit(tree, own, from_):
 
 
 @compiled
-def worked(tree, status, bound, count):
+def worked(counts, numbers, active, status, bound, count):
     """Note what work on the current node has led to, which ends unless it is still ``GOING``.
 
     Args:
-        tree: updated in place.
+        counts: of its tree, updated in place.
+        numbers: of its tree, updated in place.
+        active: of its tree, updated in place.
         status: what becomes of the node.
         bound: proved of it.
         count: its active rows.
     """
-    counts, numbers = tree.counts, tree.numbers
     numbers[BOUND] = max(numbers[BOUND], bound)
-    counts[ACTIVE] = tree.active[counts[NODES]] = count
+    counts[ACTIVE] = active[counts[NODES]] = count
     if status == GOING:
         return
     counts[CURRENT] = -1
@@ -125,14 +126,14 @@ def worked(tree, status, bound, count):
 
 
 @compiled
-def close(tree, bound):
+def close(numbers, bound):
     """Give a node up, or a child that is not even made.
 
     Args:
-        tree: updated in place.
+        numbers: of its tree, updated in place.
         bound: that it has.
     """
-    tree.numbers[CLOSED] = min(tree.numbers[CLOSED], bound)
+    numbers[CLOSED] = min(numbers[CLOSED], bound)
 
 
 @compiled

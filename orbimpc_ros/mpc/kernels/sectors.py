@@ -157,7 +157,6 @@ def sectors(steps: int, nodes: int) -> Sectors:
     )
 
 
-@compiled
 def begin_sectors(quad, ring, tree):
     """Begin a search: all headings that can be reached.
 
@@ -167,6 +166,12 @@ def begin_sectors(quad, ring, tree):
         tree: updated in place.
     """
     begin(tree, np.inf)
+    _set_root(quad, ring, tree)
+
+
+@compiled
+def _set_root(quad, ring, tree):
+    """Set the minimiser without rows, and the sectors of the root."""
     tree.free[:] = 0.0
     add_product(quad.inverse, quad.q, -1.0, tree.free)
     for k in range(len(tree.x)):
@@ -475,7 +480,7 @@ def _branch(quad, ring, tree, node, own, cutoff):
     bound, low, high = numbers[BOUND], tree.low, tree.high
     k, cut = _branching(ring, quad.inverse, tree.x, low[node], high[node])
     if k < 0:
-        close(tree, bound)
+        close(numbers, bound)
         return
     for side in range(2):
         made = counts[MADE]
@@ -491,7 +496,7 @@ def _branch(quad, ring, tree, node, own, cutoff):
         if step >= 0:
             key += SURE * _gain(quad, tree, own, tree.active[own], step, tree.row, offset)
         if key >= cutoff:
-            close(tree, key)
+            close(numbers, key)
         else:
             keep(tree, key)
 
@@ -531,7 +536,7 @@ def _search(quad, ring, constant, tolerance, tree, room, work):
     """Do as :func:`search`, but for the bound of the whole."""
     counts, numbers = tree.counts, tree.numbers
     while True:
-        cutoff = cutoff_of(tree, constant, tolerance)
+        cutoff = cutoff_of(numbers[VALUE], constant, tolerance)
         coming = advance(tree, cutoff, room, work)
         if coming not in (OPENED, RESUMED):
             return coming
@@ -542,11 +547,11 @@ def _search(quad, ring, constant, tolerance, tree, room, work):
         status, bound, count, counts[ROWS_ADDED], work = _relax(
             quad, ring, tree, node, own, cutoff, counts[ACTIVE], counts[ROWS_ADDED], work
         )
-        worked(tree, status, bound, count)
+        worked(counts, numbers, tree.active, status, bound, count)
         if status == GOING:
             return PAUSED
         if status == PRUNED:
-            close(tree, numbers[BOUND])
+            close(numbers, numbers[BOUND])
             continue
         if status == SOLVED:
             # Where the search is young, and ever less often later.
