@@ -48,7 +48,6 @@ FLIGHTS = {
             'faults.position_noise=0.05',
         ),
     ),
-    # So exact that every method finds the same.
     'multirotor': ('multirotor', ('max_ticks=30', 'gap_tolerance=0.00001')),
     'disturbed': ('dubins', ('floor.shape=none', 'faults.position_noise=0.05')),
     'faulty': (
