@@ -143,7 +143,7 @@ class SpatialSearch:
         return int(self._tree.counts[NODES])
 
     def _search(self, guide: Array) -> bool:
-        """Solve a node, after which the time is looked at; return whether the search is complete."""
+        """Solve a node; return whether the search is complete."""
         known, room = (self._least, self._rounding), min(MOST, self._nodes + 1)
         asked = self._space, self._choices, guide, known, self._tolerance, self._tree, self._work
         return bool(search(*asked, room, BUDGET) == DONE)
