@@ -122,8 +122,8 @@ def test_what_no_thrust_avoids_is_infeasible():
     assert search.solve(Request(units.state(slow), goals, out_of_time=lambda: False)).x is not None
 
 
-@pytest.mark.parametrize(('seed', 'batches'), [(0, 1), (1, 1), (11, 2)])
-def test_a_guess_shows_the_way_to_a_trajectory(seed, batches):
+@pytest.mark.parametrize(('seed', 'nodes'), [(0, 4), (1, 4), (11, 8)])
+def test_a_guess_shows_the_way_to_a_trajectory(seed, nodes):
     """A search that is stopped early has one, on the sides of the guess, and none without."""
     rng = np.random.default_rng([66, seed])
     given = problem(boxes(rng, 8), horizon=20, step=0.1)
@@ -134,7 +134,7 @@ def test_a_guess_shows_the_way_to_a_trajectory(seed, batches):
     costs = []
     for guess in (None, Guess(whole.x, whole.cost)):
         looks = itertools.count(1)
-        stopped = Request(*asked, guess, lambda looks=looks: next(looks) >= batches)
+        stopped = Request(*asked, guess, lambda looks=looks: next(looks) >= nodes)
         costs.append(search.solve(stopped).cost)
     assert costs[0] == np.inf
     assert costs[1] == pytest.approx(whole.cost, rel=1e-3)
@@ -165,6 +165,6 @@ def test_flying_on_takes_few_nodes():
         )  # fmt: skip
         guess = shifted(given, state, goals, plan, projection='thrust_aligned')
         looks = iter(range(100))
-        plan = solver.solve(state, goals, guess, lambda looks=looks: next(looks) >= 4)
+        plan = solver.solve(state, goals, guess, lambda looks=looks: next(looks) >= 16)
         assert violations(given, state, goals, plan) == []
         assert plan.gap < 0.05

@@ -52,7 +52,6 @@ FLIGHTS = {
     'fixed_wing': ('fixed_wing', ()),
     # As long as the arrival is exact: what comes nearest to it is known to five digits only.
     'lander': ('lander', ('max_ticks=25',)),
-    # So exact that every method finds the same.
     'multirotor': ('multirotor', ('max_ticks=30', 'gap_tolerance=0.00001')),
     'disturbed': ('dubins', ('floor.shape=none', 'faults.position_noise=0.05')),
     'faulty': (

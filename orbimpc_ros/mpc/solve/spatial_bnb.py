@@ -36,7 +36,6 @@ from orbimpc_ros.mpc.solve.so3_multipliers import CANCELLED, ROUNDING, USUAL
 from orbimpc_ros.mpc.solve.unconstrained import other_axes, thrust_axis
 
 MOST = 6400  # nodes of a search
-TOGETHER = 4  # nodes from one look at the time to the next
 BUDGET = 100.0 * SLICE  # multiplications of a node
 FARTHEST = 12.0  # |R - R'|_F^2 of any two rotations
 UNGUIDED = np.empty((0, 3))
@@ -144,8 +143,8 @@ class SpatialSearch:
         return int(self._tree.counts[NODES])
 
     def _search(self, guide: Array) -> bool:
-        """Solve a few nodes; return whether the search is complete."""
-        known, room = (self._least, self._rounding), min(MOST, self._nodes + TOGETHER)
+        """Solve a node; return whether the search is complete."""
+        known, room = (self._least, self._rounding), min(MOST, self._nodes + 1)
         asked = self._space, self._choices, guide, known, self._tolerance, self._tree, self._work
         return bool(search(*asked, room, BUDGET) == DONE)
 

@@ -129,11 +129,15 @@ def _refuse_unknown(node: Node) -> None:
 def _declare(node: Node, row: Row) -> None:
     empty = row.default == ()
     default = row.kind if empty else row.default
+    descriptor = row.descriptor
+    descriptor.read_only &= not empty
     try:
-        node.declare_parameter(row.name, default, row.descriptor)
+        node.declare_parameter(row.name, default, descriptor)
     except (InvalidParameterTypeException, InvalidParameterValueException):
         given = node._parameter_overrides[row.name].value
         raise BadInput(row.name, given, row.allowed) from None
     if empty and node.get_parameter_or(row.name).type_ == Parameter.Type.NOT_SET:
         # rclpy takes an undeclared [] for bytes, so that the type has to be given apart.
         node.set_parameters([Parameter(row.name, row.kind, [])])
+    if empty:  # what is read-only could not be given its type
+        node.set_descriptor(row.name, row.descriptor)
