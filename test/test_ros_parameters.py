@@ -56,6 +56,7 @@ DOCUMENTED = {
     'projection': 'thrust_aligned',
     'trigger': 'timer',
     'goal_prediction': 'hold',
+    'dry_run': False,
     'odom_timeout': 0.0,
     'goal_timeout': 0.0,
     'future_tolerance': 0.1,
