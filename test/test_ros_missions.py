@@ -114,7 +114,7 @@ def test_with_a_scaled_retrieval_lengths_grow_with_the_speed(missions):
 @searched
 def test_a_patient_planner_takes_its_time(missions):
     """With a millionth of a second for a solve no plan is proved, but by one that may wait."""
-    hurried = ('max_ticks=3', 'deadline=0.000001')
+    hurried = ('max_ticks=3', 'deadline=0.000001', 'objective=track')
     proved = {
         patient: missions.row('fixed_wing', 1, 0, hurried, patient=patient)['unproved'] == 0
         for patient in (False, True)

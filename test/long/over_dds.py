@@ -46,6 +46,7 @@ def row(
         'when': flown.end - flown.times[0] if flown.captured else None,
         'miss': tally.miss if values['finish'] == 'capture' else missed,
         'speed': speed,
+        'touched': len(flown.truth['touched']),
         'least_airspeed': flown.truth['least_airspeed'],
         'stalls': flown.truth['stalls'],
         'broken': broken(values, tally, flown.truth['stalls']),

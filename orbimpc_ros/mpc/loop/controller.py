@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.plan import Plan, later, shifted
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.cones import told
 from orbimpc_ros.mpc.problem.reach import pulled_in
-from orbimpc_ros.mpc.solve.request import NEVER_ENOUGH, Enough
+from orbimpc_ros.mpc.solve.request import Enough
 from orbimpc_ros.mpc.solve.solver import Solver
 
 FALLBACK_TICKS = 2  # how long the shifted previous plan may stand in for a new one
@@ -452,7 +452,7 @@ class Controller:
             self._solvers[key] = self._made(problem)
         return self._solvers[key]
 
-    def _made(self, problem: Problem, enough: Enough = NEVER_ENOUGH) -> Solver:
+    def _made(self, problem: Problem, enough: Enough | None = None) -> Solver:
         return Solver(
             problem,
             projection=self._projection,
@@ -477,7 +477,7 @@ def _solved(task: _Task) -> _Answer:
         return None, Status.INFEASIBLE, str(error)
     except SolverFailure as error:
         return None, Status.FAILED, str(error)
-    outside = told(task.problem, task.goals, plan)
+    outside = told(task.problem, task.goals, plan) if task.problem.has_cones else ''
     if plan.status == Status.OPTIMAL:
         return plan, Status.OPTIMAL, outside
     unproved = f'not proved optimal: gap {plan.gap:.2g}'

@@ -169,8 +169,6 @@ def _size(vector: Array) -> float:
 
 def told(problem: Problem, goals: Array, plan: Plan) -> str:
     """Return in words how far a plan is outside of the cones, where it has to be; else empty."""
-    if not problem.has_cones:
-        return ''
     found, small = [], NOTHING * problem.length_unit
     tilt = leaning(problem, plan.rotations[1:, :, 0])
     slope = strayed(problem, plan.positions[1:] - goals)

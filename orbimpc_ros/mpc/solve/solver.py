@@ -21,7 +21,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.feasibility import reason
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.solve.registry import method_for
-from orbimpc_ros.mpc.solve.request import NEVER_ENOUGH, Enough, Found, Guess, Request
+from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Request
 from orbimpc_ros.mpc.solve.stand_ins import straight, turning
 
 SEARCH_SHARE = 0.01  # a search stops at this share of the gap that counts as proved
@@ -63,7 +63,7 @@ class Solver:
         gap_tolerance: float = 1e-4,
         coasting: bool = False,
         patient: bool = False,
-        enough: Enough = NEVER_ENOUGH,
+        enough: Enough | None = None,
     ) -> None:
         self.problem = problem
         self._projection, self._tolerance = projection, gap_tolerance
@@ -71,7 +71,7 @@ class Solver:
         self._coasting = coasting and problem.rotation_order == 2
         tolerance = SEARCH_SHARE * gap_tolerance
         self._method = method_for(self._units.problem, tolerance, coasting=coasting)
-        self._enough = Enough(*(each / self._units.cost for each in enough))
+        self._enough = Enough(*(each / self._units.cost for each in enough or Enough()))
 
     def solve(
         self,
