@@ -21,7 +21,7 @@ PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
 </profiles>
 """
 LOG_VARIABLES = ('ROS_LOG_DIR', 'ROS_HOME')
-_CLAIMS: deque[socket.socket] = deque(maxlen=12)
+_CLAIMS: deque[socket.socket] = deque(maxlen=6)
 PROFILE_VARIABLES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')  # 2.x, 3.x
 
 
