@@ -270,6 +270,7 @@ def test_a_search_ends_with_what_is_enough_and_its_bound_holds():
     assert min(sooner.values()) > 3
 
 
+@needs_machine_code
 def test_a_goal_that_flies_off_is_proved_in_hundreds_of_nodes():
     """Late turns are settled first; without regard to their order it takes four times as many."""
     problem = Problem(

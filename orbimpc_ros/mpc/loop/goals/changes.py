@@ -59,9 +59,9 @@ class Changes:
             return 0
         return int(LENGTHS[np.flatnonzero(gain > gain.max() - TIE)[-1]])
 
-    def _straight(self, before: Array) -> Array:
+    def _straight(self, before: np.ndarray) -> Array:
         """Return the evidence of a still or straight motion after each of ``before``."""
-        n, count = self._n, LENGTHS[: len(before)]
+        n, count = self._n, LENGTHS[: len(before)].astype(float)
         share, scale = self._noise[before].T
         variance = scale / share
         sums = (self._sums[self._count % len(self._sums)] - self._sums[before]).T
