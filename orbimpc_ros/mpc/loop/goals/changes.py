@@ -72,7 +72,7 @@ class Changes:
         misfit = np.empty((2, len(before)))
         misfit[0] = square - (place * place).sum(axis=0) / count
         misfit[1] = misfit[0] - (slope * slope).sum(axis=0) / lever
-        found = data_evidence(np.maximum(misfit, 0.0), n * count, share, scale)
+        found = data_evidence(np.maximum(misfit, 0.0), float(n) * count, share, scale)
         found += 0.5 * n * np.log(variance / (PLACE**2 * count))
         found[1] += 0.5 * n * np.log(variance / (SPEED**2 * lever))
         return np.asarray(np.logaddexp(found[0], found[1]))
