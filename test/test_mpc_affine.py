@@ -265,7 +265,7 @@ def test_wind_is_as_good_as_goals_that_drift_against_it(n, shape, discretisation
     plan = solver.solve(start, goals)
     other = solver.solve(still, goals - np.outer(ahead, start.disturbance))
     assert plan.objective == pytest.approx(other.objective, rel=1e-6)
-    flat = 1e-4 if n == 2 else 1e-3  # in space a cost hardly tells rolls apart
+    flat = 1e-4 if n == 2 else 3e-3  # in space a cost hardly tells rolls apart
     np.testing.assert_allclose(plan.rotations, other.rotations, atol=flat)
 
 

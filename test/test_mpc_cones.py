@@ -114,7 +114,10 @@ def test_files_and_reasons_know_the_cones():
     }
     problem = case_of(document).problem
     assert (problem.tilt, problem.glide_slope) == (0.2, 0.6)
-    assert constraints_in_force(problem) == ['tilt 0.2', 'glide_slope 0.6']
+    assert constraints_in_force(problem, State.at(np.zeros(3), np.eye(3))) == [
+        'tilt 0.2',
+        'glide_slope 0.6',
+    ]
 
 
 # --- plans

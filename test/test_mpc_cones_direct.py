@@ -73,7 +73,7 @@ def test_both_statements_are_of_the_same_program(monkeypatch, translation_order,
         ):  # which lengths are at least as large as: more than one optimum
             assert costs[0] == pytest.approx(costs[1], rel=1e-5, abs=1e-7)
             assert a.bound <= costs[0] * (1.0 + 1e-6) + 1e-9
-        assert margin(matrix(a.x)).min() >= -1e-7
+        assert margin(matrix(a.x)).min() >= -1e-6  # as the check allows
 
 
 def test_it_is_not_for_what_it_does_not_state():

@@ -14,7 +14,13 @@ from orbimpc_ros.mpc.kernels import COMPILED, annulus
 from orbimpc_ros.mpc.kernels.linear import invert_spd, shift_to_semidefinite
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.problem import Floor, Problem
-from orbimpc_ros.mpc.solve import annulus_newton, cell_tree, hull_riccati, so3_multipliers
+from orbimpc_ros.mpc.solve import (
+    annulus_newton,
+    arc_search,
+    cell_tree,
+    hull_riccati,
+    so3_multipliers,
+)
 from orbimpc_ros.mpc.solve.annulus_newton import AnnulusNewton
 from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch
 from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
@@ -27,6 +33,7 @@ pytestmark = pytest.mark.skipif(
 )
 KERNELS = {
     annulus_newton: ('improve', 'improve_from_hull', 'climb'),
+    arc_search: ('climb',),
     cell_tree: ('search', 'dive'),
     hull_riccati: ('settle',),
     so3_multipliers: ('minimise',),

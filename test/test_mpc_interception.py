@@ -11,8 +11,9 @@ from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.interception import AIM, EFFORT, Interception, catching
+from orbimpc_ros.mpc.loop.interception import AIM, EFFORT, Interception, Target, catching
 from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
 
@@ -142,9 +143,12 @@ def circles_until_caught(goal, beyond):
         assert tick.plan is not None
         heading += 0.5 * tick.command.body_rate[0]
         turned = 15.0 * tick.command.speed_fraction * np.array([np.cos(heading), np.sin(heading)])
-        position, course = position + 0.25 * (course + turned), turned
-        if np.linalg.norm(position - goal) <= 2.0:
-            return True
+        before, course = course, turned
+        for part in np.linspace(0.05, 0.5, 10):  # the velocity changes evenly from one to the other
+            flown = part * before + part**2 * (course - before)
+            if np.linalg.norm(position + flown - goal) <= 2.0:
+                return True
+        position = position + 0.25 * (before + course)
     return False
 
 
@@ -172,3 +176,40 @@ def test_steps_get_no_longer_where_boxes_would_be_jumped_over():
     assert Interception(replace(WING, obstacles=(box,)), 2.0).farthest == 8
     assert Interception(replace(WING, max_rate=1.0), 2.0).farthest == 25
     assert Interception(replace(WING, rotation_order=2, floor=Floor()), 2.0).farthest == 8
+
+
+@pytest.mark.parametrize('discretisation', ['euler', 'exact'])
+def test_the_problem_tracked_reaches_and_drifts_as_those_of_its_first_steps(discretisation):
+    problem = Problem(translation_order=2, horizon=6, step=0.3, discretisation=discretisation)
+    start = State.at([1.0, 2.0], np.eye(2), velocity=[0.5, -1.0], disturbance=[0.2, 0.1])
+    interception = Interception(problem, RADIUS)
+    for end in range(1, 7):
+        own = interception.problem(Target(end))
+        assert own is interception.problem(Target(end))
+        assert np.allclose(own.maps.reach[-1], problem.maps.reach[end - 1, : end + 1])
+        assert np.allclose(drift(own, start)[-1], drift(problem, start)[end - 1])
+
+
+@needs_speed
+def test_a_goal_that_can_be_caught_between_the_ends_of_steps_is_caught_sooner():
+    """At full speed ahead it is 7.5 m a step: 1.5 m before the goal is a quarter into the third."""
+    problem = replace(WING, discretisation='exact')
+    goal, here = np.array([18.0 + 0.3, 0.0]), measured([0.0, 0.0], 0.0, 15.0)
+    known = {'ahead': lambda times: np.tile(goal, (len(times), 1))}
+
+    def caught(pause, **options):
+        controller = Controller(problem, capture_radius=RADIUS)
+        controller.tick(replace(here, time=-pause), np.tile(goal, (8, 1)), **options)
+        return controller.tick(here, np.tile(goal, (8, 1)), **options)
+
+    assert caught(0.1).catch.time == 1.5  # where the goal is in between is not known
+    # The first of shorter steps would end before the next tick, and any turn is past by then.
+    problem = replace(problem, max_rate=0.0, discretisation='euler')
+    assert caught(problem.step, **known).catch.time == 1.5
+    assert caught(0.1, **known).catch.time == 1.125
+    problem = replace(WING, discretisation='exact')
+    tick = caught(problem.step, **known)
+    assert tick.catch.time == 1.125
+    assert tick.catch.bound <= 1.125
+    assert np.linalg.norm(tick.plan.positions[-1] - goal) <= AIM * RADIUS
+    assert tick.problem.step * tick.plan.horizon == pytest.approx(1.125)

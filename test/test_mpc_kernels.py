@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from problems import floor, goals, state, weights
+from problems import floor, goals, rotation, state, weights
 
 from orbimpc_ros.mpc.check import floor_margin
-from orbimpc_ros.mpc.geometry.cells import arcs, faces
+from orbimpc_ros.mpc.geometry.cells import faces
 from orbimpc_ros.mpc.geometry.orbitopes import margin, matrix
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels import riccati as chain
@@ -211,7 +211,7 @@ def test_arcs_prove_what_multipliers_do_not(fraction):
         far = rng.normal(size=(1, 5, 2))
         known = circle._from(tick, NOTHING, far, 100)
         assert found.lower_bound <= known.cost * (1 + 1e-9)
-        assert found.cost <= known.cost * (1 + 5.1e-5)
+        assert found.cost <= known.cost * (1 + 9.1e-5)
         assert multipliers.lower_bound <= known.cost * (1 + 1e-9)
     assert doubtful > 0
 
@@ -235,7 +235,7 @@ def test_a_search_over_arcs_leads_from_a_poor_plan_to_a_better_one():
     assert cost > best.cost * 1.01
     found = circle._by_arcs(tick, replace(best, x=x, cost=cost, lower_bound=-np.inf))
     assert circle.settles(found)
-    assert found.cost <= best.cost * (1 + 5.1e-5)
+    assert found.cost <= best.cost * (1 + 9.1e-5)
 
 
 def test_the_bound_of_a_search_over_arcs_holds_with_path_length():
@@ -254,7 +254,7 @@ def test_the_bound_of_a_search_over_arcs_holds_with_path_length():
 
 
 def test_a_search_over_arcs_ends_in_time(monkeypatch):
-    monkeypatch.setattr('orbimpc_ros.mpc.solve.cell_tree.SLICE', 1.0)
+    monkeypatch.setattr('orbimpc_ros.mpc.solve.arc_search.SLICE', 1.0)
     problem = Problem(floor=floor('circle', 1.0))
     circle = AnnulusNewton(problem, 1e-6)
     start, targets, _, doubtful = doubtful_case(problem, circle)
@@ -263,25 +263,6 @@ def test_a_search_over_arcs_ends_in_time(monkeypatch):
     found = circle._by_arcs(tick, doubtful)
     assert doubtful.lower_bound <= found.lower_bound <= found.cost <= doubtful.cost
     assert circle._arcs.nodes < 5
-
-
-def test_arcs_and_their_halves_cover_the_floor():
-    rng = np.random.default_rng(2)
-    table = arcs(0.6)
-    points = rng.normal(size=(500, 2))
-    points *= (rng.uniform(0.6, 1.0, 500) / np.linalg.norm(points, axis=1))[:, None]
-    beyond = points @ table.normals.T >= table.bounds - 1e-12
-    assert beyond[:, : table.roots].any(axis=1).all()
-    angles = np.arctan2(points[:, 1], points[:, 0])
-    middles = np.arctan2(table.normals[:, 1], table.normals[:, 0])
-    off = np.abs((angles[:, None] - middles + np.pi) % (2 * np.pi) - np.pi)
-    over = off <= np.arccos(table.bounds / 0.6) + 1e-12  # the arcs whose sector a point is in
-    assert (beyond | ~over).all()
-    whole = table.halves > 0
-    first = table.halves[whole]
-    assert (over[:, whole] == (over[:, first] | over[:, first + 1])).all()
-    assert (table.bounds[first] > table.bounds[whole]).all()
-    assert sorted({*range(len(first) * 2 + 4)} - {*range(4)}) == sorted([*first, *(first + 1)])
 
 
 def test_bounds_hold_whatever_the_number_of_starts():
@@ -326,17 +307,20 @@ def test_the_hull_is_solved_whatever_the_horizon(horizon, seed):
 
 def test_a_bound_on_the_hull_holds_for_any_multipliers():
     rng = np.random.default_rng(5)
-    problem = Problem(horizon=6, floor=floor('none'))
+    problem = Problem(horizon=6, floor=floor('none'), weights=Weights(attitude=3.0))
     start, targets = state(rng, problem), goals(rng, problem)
+    start = replace(start, wanted=rotation(rng, 2))
     optimum = HullRiccati(problem, 1e-6).solve(Request(start, targets)).cost
     seen = targets - start.position
     along = np.array([[1.0, 1.0], [0.0, 1.0]])
     first = np.array([np.zeros(2), start.rotation[:, 0]])
     turning, weights_ = 2.0 * problem.weights.input, position_weights(problem)
+    wish = np.array([6.0, *start.wanted[:, 0]])
+    asked = chain.Chain(along, first, turning, weights_, seen, wish)
     room = np.zeros((6, 2, 2)), np.empty((6, 2, 2, 2)), np.empty((6, 2)), np.empty((6, 2))
     for scale in (0.0, 0.1, 1.0, 10.0, 100.0):
         held = scale * rng.normal(size=(6, 2))
-        assert chain._dual(along, first, turning, weights_, seen, held, *room) <= optimum + 1e-9
+        assert chain._dual(asked, held, *room) <= optimum + 1e-9
 
 
 def test_an_interrupted_hull_stays_in_its_disks_with_its_bound():

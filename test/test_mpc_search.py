@@ -13,7 +13,11 @@ from orbimpc_ros.mpc.geometry.cells import round_cells
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
 from orbimpc_ros.mpc.solve.disjunction import disjunctions_of, shortfall
-from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch, inverse_curvatures
+from orbimpc_ros.mpc.solve.disjunctive_bnb import (
+    DisjunctiveSearch,
+    inverse_curvatures,
+    inverse_hessian,
+)
 from orbimpc_ros.mpc.solve.program import Program
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.solver import Solver
@@ -97,7 +101,7 @@ def test_inherited_bounds_never_exceed_what_the_child_costs(seed, share):
     raised = 0
     for j, disjunction in enumerate(disjunctions):
         values = disjunction.values(flown.headings, flown.positions)
-        curvature = inverse_curvatures(problem, [disjunction])[0]
+        curvature = inverse_curvatures(problem, [disjunction], inverse_hessian(problem))[0]
         short = np.maximum(shortfall(disjunction.cells, values), 0.0)
         gains = (short**2 / (2 * curvature)).max(axis=1)
         for cell, gain in zip(disjunction.cells, gains, strict=True):

@@ -284,3 +284,16 @@ def test_a_goal_that_flies_off_is_proved_in_hundreds_of_nodes():
     plan = Solver(problem, gap_tolerance=1e-3).solve(start, targets)
     assert plan.status == 'optimal'
     assert plan.proof.nodes < 1100
+
+
+@needs_machine_code
+@pytest.mark.parametrize('horizon', [31, 45])
+def test_horizons_of_many_short_steps_are_proved_as_well(horizon):
+    problem = Problem(
+        step=6.0 / horizon, horizon=horizon, forward=15.0, floor=floor('circle', 2.0 / 3.0, 4),
+        max_rate=0.4363, discretisation='exact',
+    )  # fmt: skip
+    solver = Solver(problem)
+    for goal in ([60.0, 20.0], [-40.0, 30.0]):
+        goals = np.tile(goal, (horizon, 1))
+        assert solver.solve(State.at(np.zeros(2), np.eye(2)), goals).status == 'optimal'

@@ -16,11 +16,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.geometry.orbitopes import margin
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.model.translation import Step, step_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.cones import leaning, relief, strayed
+from orbimpc_ros.mpc.problem.pace import entry_speed, first_change_is_decided
 
 if TYPE_CHECKING:
     from orbimpc_ros.mpc.command import Command
@@ -49,7 +51,7 @@ def violations(problem: Problem, state: State, goals: Array, plan: Plan) -> list
         *_dynamics_violations(problem, state, plan),
         *_limit_violations(problem, state, goals, plan),
         *_terminal_violations(problem, goals, plan),
-        *_proof_violations(problem, goals, plan),
+        *_proof_violations(problem, state, goals, plan),
         *_rotation_violations(problem, state, plan),
     ]
 
@@ -146,9 +148,18 @@ def _limit_violations(problem: Problem, state: State, goals: Array, plan: Plan) 
     if problem.max_rate > 0.0:
         least = float(turn_margin(problem, state, plan.rotations).min())
         limits['max_rate'] = least, TOLERANCE
-    if problem.obstacles:
-        length = _length_tolerance(problem, state)
+    if problem.max_acceleration > 0.0:
+        least = float(speed_margin(problem, state, plan.rotations).min())
+        limits['max_acceleration'] = least, TOLERANCE
+    length = _length_tolerance(problem, state)
+    if problem.boxes:
         limits['obstacle'] = obstacle_margin(problem, plan.positions), length
+    if problem.obstacles or state.hazards:
+        apart = clearances(problem, state, plan)
+        limits |= {name: (least, length) for name, least in apart.items()}
+    if problem.approach.cone > 0.0:
+        least = approach_margin(problem, state, plan.rotations[-1, :, 0])
+        limits['approach'] = least, TOLERANCE
     if problem.has_cones:
         limits |= _cone_limits(problem, state, goals, plan)
     return [f'{name} violated by {-m:.2g}' for name, (m, most) in limits.items() if m < -most]
@@ -186,6 +197,13 @@ def floor_margin(problem: Problem, headings: Array) -> Array:
     return problem.floor.margin(headings)
 
 
+def approach_margin(problem: Problem, state: State, heading: Array) -> float:
+    """Return how far inside of the cone of approach a last heading R_N e1, shape (n,), is."""
+    approach, size = problem.approach, math.sqrt(heading @ heading)
+    demanded = math.cos(approach.cone) * max(size, problem.least_heading)
+    return float(heading @ approach.axis(state)) - demanded
+
+
 def turn_margin(problem: Problem, state: State, rotations: Array) -> Array:
     """Return how far the turns of R_0..R_N, shape (N + 1, n, n), stay below the limit, shape (N,).
 
@@ -207,6 +225,25 @@ def turn_margin(problem: Problem, state: State, rotations: Array) -> Array:
     return turn - angles
 
 
+def speed_margin(problem: Problem, state: State, rotations: Array) -> Array:
+    """Return how far the changes of |R_k e1| stay below the limit, shape (N,).
+
+    h max_acceleration / z less ||R_{k+1} e1| - |R_k e1||, the first one from the speed that changes
+    count from; it counts as zero where the state has decided it.
+
+    Args:
+        problem: gives the limit.
+        state: says what the first change counts from.
+        rotations: R_0..R_N, shape (N + 1, n, n).
+    """
+    speeds = _sizes(rotations[:, :, 0])
+    speeds[0] = entry_speed(problem, state)
+    changes = np.abs(np.diff(speeds))
+    if first_change_is_decided(problem, state):
+        changes[0] = 0.0
+    return np.asarray(problem.speed_change - changes)
+
+
 def obstacle_margin(problem: Problem, positions: Array) -> float:
     """Return how far s_1..s_N stay outside every box, negative inside [m].
 
@@ -217,7 +254,7 @@ def obstacle_margin(problem: Problem, positions: Array) -> float:
     With ``no_corner_cutting`` also how far consecutive points clear a face that they share.
     """
     least = np.inf
-    for box in problem.obstacles:
+    for box in problem.boxes:
         outside = box.clearances(positions)
         least = min(least, outside[1:].max(axis=1).min())
         if problem.no_corner_cutting and len(positions) > 2:
@@ -239,8 +276,8 @@ def _terminal_violations(problem: Problem, goals: Array, plan: Plan) -> list[str
 # --- proof
 
 
-def _proof_violations(problem: Problem, goals: Array, plan: Plan) -> list[str]:
-    cost = _objective(problem, goals, plan)
+def _proof_violations(problem: Problem, state: State, goals: Array, plan: Plan) -> list[str]:
+    cost = _objective(problem, state, goals, plan)
     # What is allowed must be finite: an overflow would excuse anything.
     if not abs(plan.objective - cost) <= SUMMING * cost < math.inf:
         return [f'the objective is {cost:.6g}, not {plan.objective:.6g}']
@@ -251,7 +288,7 @@ def _proof_violations(problem: Problem, goals: Array, plan: Plan) -> list[str]:
     return []
 
 
-def _objective(problem: Problem, goals: Array, plan: Plan) -> float:
+def _objective(problem: Problem, state: State, goals: Array, plan: Plan) -> float:
     """Return the cost of a plan, equation by equation: every term is >= 0, so nothing cancels."""
     w, h = problem.weights, problem.step
     misses, inputs = plan.positions[1:] - goals, plan.inputs.ravel()
@@ -261,6 +298,8 @@ def _objective(problem: Problem, goals: Array, plan: Plan) -> float:
         cost += w.length * h * problem.forward * _flown(problem, plan)
     if problem.inertial:
         cost += problem.arrival_weight * h * h * np.sum(plan.velocities[-1] ** 2)
+    if w.attitude > 0.0:
+        cost += w.attitude * np.sum((plan.rotations[-1] - state.wanted) ** 2)
     return float(cost)
 
 
@@ -337,12 +376,20 @@ def _strays(plan: Plan, known: int) -> float:
     return max(stray, float(skewed), float(-pairs.min()))
 
 
-def command_violations(problem: Problem, plan: Plan, command: Command) -> list[str]:
+def command_violations(
+    problem: Problem, plan: Plan, command: Command, entry: float = 0.0
+) -> list[str]:
     """Return why a command is not that of a plan's first step; empty if it is.
 
-    The speed must be that of R_1; without a floor, what of it is along the axis commanded. The
-    rotation must be where the rate leads in a step, and that must be as far on the way to the
-    planned rotation as ``max_rate`` allows.
+    The speed must be that of R_1; without a floor, what of it is along the axis commanded, yet no
+    slower than ``max_acceleration`` allows. The rotation must be where the rate leads in a step,
+    and that must be as far on the way to the planned rotation as ``max_rate`` allows.
+
+    Args:
+        problem: gives the limits.
+        plan: whose first step is commanded.
+        command: to be checked.
+        entry: share of full speed that changes of speed count from.
     """
     parts = (command.speed_fraction, command.body_rate, command.rotation)
     if not all(np.isfinite(part).all() for part in parts):
@@ -352,7 +399,9 @@ def command_violations(problem: Problem, plan: Plan, command: Command) -> list[s
     start, end = plan.projected[first], plan.projected[min(first + 1, plan.horizon)]
     planned = plan.speed_fraction[1]
     if problem.rotation_order == 1 and problem.max_rate and not problem.floor.exists:
-        planned *= max(0.0, command.rotation[:, 0] @ end[:, 0])
+        slowest = entry - problem.speed_change
+        along = planned * max(0.0, command.rotation[:, 0] @ end[:, 0])
+        planned = max(along, min(planned, slowest))
     if abs(command.speed_fraction - planned) > TOLERANCE:
         found.append('the commanded speed is not that of the plan')
     turned = start @ _rotation_by(problem.step * command.body_rate)

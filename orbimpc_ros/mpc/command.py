@@ -15,9 +15,11 @@ from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
 from orbimpc_ros.mpc.geometry.rotations import exp, log
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem.pace import entry_speed
 
 RATE_TOLERANCE = 1e-6  # relative
 ROTATION_TOLERANCE = 1e-9
+SPEED_TOLERANCE = 1e-6  # as what plans are checked with
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,17 +46,21 @@ def stop(rotation: Array) -> Command:
     return Command(0.0, np.zeros(1 if len(rotation) == 2 else 3), np.array(rotation))
 
 
-def flaw(problem: Problem, command: Command, *, stopping: bool = False) -> str:
+def flaw(
+    problem: Problem, command: Command, *, stopping: bool = False, entry: float | None = None
+) -> str:
     """Return why a command must not be sent, whatever it came from; empty if it may be.
 
     The last look before a vehicle gets it: finite, a share of full speed and not below the floor,
-    a rate below the limit (without one, below half a turn in a step), and a rotation. In plain
-    floats, for speed.
+    a rate below the limit (without one, below half a turn in a step), a speed that is not changed
+    faster than it may be, and a rotation. In plain floats, for speed.
 
     Args:
         problem: gives the floor, the step and the limit.
         command: to be sent.
-        stopping: whether it is a stop that was asked for, which no floor forbids.
+        stopping: whether it is a stop that was asked for, which no floor forbids, nor any limit of
+            the change of speed.
+        entry: share of full speed that the change counts from; None if it is not known.
     """
     fraction = command.speed_fraction
     rate, rotation = command.body_rate.tolist(), command.rotation.tolist()
@@ -65,6 +71,10 @@ def flaw(problem: Problem, command: Command, *, stopping: bool = False) -> str:
     floor = problem.floor.clearance(problem.dimension)
     if not stopping and fraction < floor:
         return f'a speed fraction of {fraction:.6g} is below the floor of {floor:.6g}'
+    changed = abs(fraction - entry) if entry is not None and not stopping else 0.0
+    if changed > problem.speed_change + SPEED_TOLERANCE:
+        most = f'{problem.speed_change:.6g} in a step'
+        return f'a speed fraction changed by {changed:.6g} is beyond {most}'
     largest = problem.max_rate or math.pi / problem.step
     if math.hypot(*rate) > largest * (1.0 + RATE_TOLERANCE):
         return f'a body rate of {math.hypot(*rate):.6g} rad/s is beyond {largest:.6g}'
@@ -94,7 +104,7 @@ def command_of(problem: Problem, state: State, plan: Plan, step: int = 0) -> Com
     they do (without a floor by a wide angle of a short chord, in space by a roll) the rate is cut,
     and the commanded rotation is the one then reached. Without a floor the vehicle then gets as
     much of the planned speed or thrust as is along the axis reached: at full speed it would miss
-    the turn, and could circle its goal for ever.
+    the turn, and could circle its goal for ever. It is not slowed faster than it may be, though.
 
     Args:
         problem: gives step and limits.
@@ -113,5 +123,7 @@ def command_of(problem: Problem, state: State, plan: Plan, step: int = 0) -> Com
         rate = rate * (problem.max_rate / size)
         planned, end = end, start @ exp(rate * problem.step)
         if problem.rotation_order == 1 and not problem.floor.exists:
-            fraction *= max(0.0, float(planned[:, 0] @ end[:, 0]))
+            along = fraction * max(0.0, float(planned[:, 0] @ end[:, 0]))
+            before = entry_speed(problem, state) if step == 0 else float(plan.speed_fraction[step])
+            fraction = max(along, min(fraction, before - problem.speed_change))
     return Command(fraction, rate, np.array(end))

@@ -17,7 +17,7 @@ from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.geometry.faces import normals
 
 TOUCH = 1e-4  # [rad]
-QUARTERS, LEVELS = 4, 8  # of a circle: arcs to begin with, and how often they are halved
+QUARTERS = 4  # of a circle: arcs, or triangles about +z, to begin with
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,50 +75,21 @@ class Patch(Cell):
 
 
 class Table(NamedTuple):
-    """The cells of a planar floor as machine code takes them, those of the whole floor first.
+    """The cells of a planar floor as machine code takes them.
 
     Attributes:
         normals: unit vectors n of half-spaces n . v >= bound, shape (M, 2).
         bounds: shape (M,).
-        halves: the first of the two halves of each cell, 0 where it has none, shape (M,).
-        roots: how many cells are those of the whole floor.
-        radius: of a round floor, 0 for a polygon.
     """
 
     normals: Array
     bounds: Array
-    halves: np.ndarray
-    roots: int
-    radius: float
 
 
 @lru_cache(maxsize=16)
 def faces(count: int, bound: float) -> Table:
     """Return the faces of a regular polygon at a distance from the origin; none without faces."""
-    around = normals(2, count)
-    bounds = sealed(np.full(count, bound))
-    return Table(around, bounds, sealed(np.zeros(count, np.int64)), count, 0.0)
-
-
-@lru_cache(maxsize=16)
-def arcs(floor: float) -> Table:
-    """Return the quarters of a circle of radius ``floor`` and their halves, ``LEVELS`` times."""
-    angles, widths, halves = [], [], []
-    for level in range(LEVELS + 1):
-        count = QUARTERS * 2**level
-        width, each = np.pi / count, np.arange(count)
-        angles.append(width * (2 * each + 1))
-        widths.append(np.full(count, width))
-        following = QUARTERS * (2 ** (level + 1) - 1) + 2 * each
-        halves.append(following if level < LEVELS else np.zeros(count, np.int64))
-    middle = np.concatenate(angles)
-    return Table(
-        sealed(np.column_stack([np.cos(middle), np.sin(middle)])),
-        sealed(floor * np.cos(np.concatenate(widths))),
-        sealed(np.concatenate(halves)),
-        QUARTERS,
-        floor,
-    )
+    return Table(normals(2, count), sealed(np.full(count, bound)))
 
 
 @lru_cache(maxsize=16)

@@ -7,9 +7,8 @@ over tangents and chosen cells is solved by a dual active-set method (Goldfarb a
 its iterates minimises the Lagrangian for multipliers u >= 0, so its value is a lower bound at any
 time: a node is given up as soon as the bound says so. A child starts from its parent's active set.
 
-A cell is a half-space n . z >= b: a face of a polygonal floor, or what lies beyond the chord of an
-arc of a round one (:mod:`orbimpc_ros.mpc.geometry.cells`). Arcs have halves, and a step that slips
-below the circle is branched on the halves of its arc.
+A cell is a half-space n . z >= b: a face of a polygonal floor
+(:mod:`orbimpc_ros.mpc.geometry.cells`).
 
 The search keeps all that it knows in a :class:`Tree`, so that it can be interrupted after any row
 that is added, and continued. Bounds hold up to rounding: multipliers are kept >= 0, and what is
@@ -44,7 +43,6 @@ from orbimpc_ros.mpc.kernels.best_first import (
     ROWS_ADDED,
     SOLVED,
     STALLED,
-    STALLS,
     VALUE,
     advance,
     begin,
@@ -300,82 +298,51 @@ def _relax(quad, cells, bounds, choice, cutoff, rows, normals, offsets, u, count
 
 
 @compiled
-def _options(chosen, roots, halves):
-    """Return the first of the cells that a step can be branched on, and their number."""
-    if chosen < 0:
-        return 0, roots
-    return halves[chosen], 2 if halves[chosen] > 0 else 0
-
-
-@compiled
 def _miss(cells, bounds, cell, point):
     """Return by how much a point misses a cell; 0 inside."""
     return max(0.0, bounds[cell] - cells[cell, 0] * point[0] - cells[cell, 1] * point[1])
 
 
 @compiled
-def _shortfall(cells, bounds, roots, radius, point):
-    """Return by how much a point misses the floor."""
-    if radius > 0.0:
-        return radius - np.sqrt(point[0] ** 2 + point[1] ** 2)
-    least = np.inf
-    for cell in range(roots):
-        least = min(least, _miss(cells, bounds, cell, point))
-    return least
-
-
-@compiled
-def _branching(x, choice, cells, bounds, halves, roots, radius, inverse):
-    """Return the step to branch on, -1 if there is none, and whether one misses its finest arc."""
-    chosen, gain, stuck = -1, -1.0, False
+def _branching(x, choice, cells, bounds, inverse):
+    """Return the step to branch on, -1 if there is none."""
+    chosen, gain = -1, -1.0
     for k in range(len(x)):
-        _, count = _options(choice[k], roots, halves)
-        if count == 0 and radius == 0.0:
+        if choice[k] >= 0 or len(cells) == 0:
             continue
-        short = _shortfall(cells, bounds, roots, radius, x[k])
-        if short <= SATISFIED:
-            continue
-        if count == 0:
-            stuck = True
-            continue
-        # Of an arc's halves the nearer one often holds already, and tells nothing: what the step
-        # misses of the floor is what finer arcs will ask of it.
+        short = np.inf
+        for cell in range(len(cells)):
+            short = min(short, _miss(cells, bounds, cell, x[k]))
         raised = short * short / (2.0 * inverse[k, k])
-        if raised > gain:
+        if short > SATISFIED and raised > gain:
             chosen, gain = k, raised
-    return chosen, stuck
+    return chosen
 
 
 @compiled
 def _branch(quad, table, tree, node, cutoff):
     """Open the children of a node that is solved, or note that it has none."""
     choice, counts, numbers = tree.choice, tree.counts, tree.numbers
-    bound, gains = numbers[BOUND], np.empty(max(table.roots, 2))
-    k, stuck = _branching(
-        tree.x, choice[node], table.normals, table.bounds, table.halves, table.roots,
-        table.radius, quad.inverse,
-    )  # fmt: skip
+    bound, count = numbers[BOUND], len(table.bounds)
+    k = _branching(tree.x, choice[node], table.normals, table.bounds, quad.inverse)
     if k < 0:
         close(numbers, bound)
-        if stuck:  # below the circle by less than the finest arcs see
-            counts[STALLS] += 1
-            return
         reached = quadratic(quad.hessian, quad.q, tree.x)
         if reached < numbers[VALUE]:
             tree.best[:], numbers[VALUE] = tree.x, reached
         return
-    first, count = _options(choice[node, k], table.roots, table.halves)
-    for i in range(count):
-        miss = _miss(table.normals, table.bounds, first + i, tree.x[k])
-        gains[i] = bound + miss * miss / (2.0 * quad.inverse[k, k])
-    for i in np.argsort(-gains[:count]):
-        if gains[i] >= cutoff:
-            close(numbers, gains[i])
+    gains = np.empty(count)
+    for cell in range(count):
+        miss = _miss(table.normals, table.bounds, cell, tree.x[k])
+        gains[cell] = bound + miss * miss / (2.0 * quad.inverse[k, k])
+    for cell in np.argsort(-gains):
+        if gains[cell] >= cutoff:
+            close(numbers, gains[cell])
             continue
         made = counts[MADE]
         choice[made] = choice[node]
-        choice[made, k] = first + i
-        keep(tree, gains[i])
+        choice[made, k] = cell
+        keep(tree, gains[cell])
 
 
 @compiled
@@ -432,13 +399,13 @@ def _set_nearest(table, tree, own, x, choice):
     """Set the cell of each step: one that already holds it, otherwise the one nearest to x."""
     for k in range(len(x)):
         least, choice[k] = np.inf, -1
-        for cell in range(table.roots):
+        for cell in range(len(table.bounds)):
             miss = table.bounds[cell] - table.normals[cell, 0] * x[k, 0]
             miss -= table.normals[cell, 1] * x[k, 1]
             if miss < least:
                 least, choice[k] = miss, cell
     for i in range(tree.active[own]):
-        for cell in range(table.roots):
+        for cell in range(len(table.bounds)):
             if (
                 tree.offsets[own, i] == table.bounds[cell]
                 and tree.normals[own, i, 0] == table.normals[cell, 0]
@@ -456,7 +423,7 @@ def dive(quad, table, tree, work):
 
     Args:
         quad: what to minimise.
-        table: the cells of the floor, all of them roots.
+        table: the cells of the floor.
         tree: of a search that has begun; updated in place if this finds better headings.
         work: multiplications to do at most.
     """

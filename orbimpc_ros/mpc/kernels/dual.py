@@ -14,7 +14,10 @@ shift, for the best lambda >= max(0, theta). With z the minimiser and P the inve
 space, the gradient is |z_k|^2/2 + mu P_kk + h', and the negative Hessian
 (z_j . z_k) P_jk + mu P_jk^2 - h''.
 
-Mathematics: docs/mathematics.md, 4.5.
+Where more is known of a heading, :class:`Cuts` say so. Their multipliers c >= 0 add to the
+Lagrangian, which keeps its form, and mu log c to what is climbed.
+
+Mathematics: docs/mathematics.md, 4.5 and 4.6.
 """
 
 from __future__ import annotations
@@ -25,7 +28,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.annulus import bound_at, mirror, reflect
+from orbimpc_ros.mpc.kernels.annulus import ROUNDING, Annulus, bound_at, mirror, reflect
 from orbimpc_ros.mpc.kernels.linear import add_product, invert_spd, quadratic, solve_spd
 
 CLIMBS = 60  # Newton steps
@@ -33,6 +36,42 @@ MU, BOUND, FIRST, TAKEN = range(4)  # in Ascent.numbers
 SMALLEST = 1e-8  # mu, of the forces at work
 SHRINK = 0.2  # of mu, from step to step
 HALVINGS = 30
+INSIDE = 0.9  # of the way to where a multiplier of a cut would vanish
+NEAR = 0.2  # of what a bound lacks: where no more is left to climb, it will not be enough
+
+
+class Cuts(NamedTuple):
+    """What else holds: 1/2 b |z_k|^2 <= n . z_k + o, b >= 0, for the heading z_k of some step.
+
+    Attributes:
+        steps: which headings, shape (M,).
+        bends: b, shape (M,).
+        normals: n, shape (M, n).
+        offsets: o, shape (M,).
+    """
+
+    steps: np.ndarray
+    bends: Array
+    normals: Array
+    offsets: Array
+
+
+def no_cuts(dimension: int) -> Cuts:
+    """Return no cuts of headings of a dimension."""
+    return Cuts(np.zeros(0, np.int64), np.zeros(0), np.zeros((0, dimension)), np.zeros(0))
+
+
+@compiled
+def _set_cut(annulus, q, cuts, weights, hessian, linear):
+    """Set H and q with cuts, each times its multiplier, in the cost; return the constant part."""
+    hessian[:], linear[:], constant = annulus.hessian, q, 0.0
+    for i in range(len(weights)):
+        k = cuts.steps[i]
+        hessian[k, k] += weights[i] * cuts.bends[i]
+        constant -= weights[i] * cuts.offsets[i]
+        for c in range(q.shape[1]):
+            linear[k, c] -= weights[i] * cuts.normals[i, c]
+    return constant
 
 
 @compiled
@@ -103,28 +142,54 @@ def _end(floor, length, theta, mu):
 
 
 @compiled
-def _smoothed(annulus, theta, mu, least, size):
+def _smoothed(annulus, theta, weights, mu, least, size):
     """Return the smoothed dual function, of the Lagrangian's minimum and log det."""
     value = least + mu * size
     for k in range(len(theta)):
         value += _end(annulus.floor, annulus.length[k], theta[k], mu)[0]
+    for i in range(len(weights)):
+        value += mu * np.log(weights[i])
     return value
 
 
 @compiled
-def _set_ascent(annulus, theta, mu, inverse, z, system, step):
-    """Set Newton's step up the smoothed dual function, shape (N,); return whether there is one."""
-    n = z.shape[1]
-    for k in range(len(theta)):
-        _, slope, bend = _end(annulus.floor, annulus.length[k], theta[k], mu)
-        for j in range(k + 1):
-            inner = 0.0
+def _set_pulls(cuts, z, pulls):
+    """Set how each multiplier pulls at its heading, z_k of the moduli, b z_k - n of the cuts."""
+    count, n = z.shape
+    pulls[:count] = z
+    for i in range(len(cuts.steps)):
+        for c in range(n):
+            pulls[count + i, c] = cuts.bends[i] * z[cuts.steps[i], c] - cuts.normals[i, c]
+
+
+@compiled
+def _set_ascent(annulus, cuts, theta, weights, mu, inverse, z, system, step):
+    """Set Newton's step up the smoothed dual function, (N + M,); return whether there is one."""
+    (count, n), total = z.shape, len(step)
+    pulls = np.empty((total, n))
+    _set_pulls(cuts, z, pulls)
+    for i in range(total):
+        k, bend = (i, 1.0) if i < count else (cuts.steps[i - count], cuts.bends[i - count])
+        for j in range(i + 1):
+            other, bent = (j, 1.0) if j < count else (cuts.steps[j - count], cuts.bends[j - count])
+            inner = mu * bend * bent * inverse[k, other]
             for c in range(n):
-                inner += z[k, c] * z[j, c]
-            system[k, j] = (inner + mu * inverse[k, j]) * inverse[k, j]
-        step[k] = 0.5 * inner + mu * inverse[k, k] + slope
-        system[k, k] = (system[k, k] - bend) * (1.0 + 1e-12)
-    return solve_spd(system, step, len(theta))
+                inner += pulls[i, c] * pulls[j, c]
+            system[i, j] = inner * inverse[k, other]
+        square = 0.0
+        for c in range(n):
+            square += z[k, c] * z[k, c]
+        step[i] = bend * (0.5 * square + mu * inverse[k, k])
+        if i < count:
+            _, slope, curve = _end(annulus.floor, annulus.length[k], theta[k], mu)
+        else:
+            slope, curve = mu / weights[i - count], -mu / weights[i - count] ** 2
+            slope -= cuts.offsets[i - count]
+            for c in range(n):
+                slope -= cuts.normals[i - count, c] * z[k, c]
+        step[i] += slope
+        system[i, i] = (system[i, i] - curve) * (1.0 + 1e-12)
+    return solve_spd(system, step, total)
 
 
 @compiled
@@ -144,72 +209,131 @@ class Ascent(NamedTuple):
     """A climb up the dual function that can be interrupted.
 
     Attributes:
-        theta: multipliers, shape (N,).
+        theta: multipliers of the moduli, shape (N,).
+        weights: multipliers of the cuts, positive, shape (M,).
         z: the Lagrangian's minimiser, shape (N, n).
         numbers: mu; the greatest lower bound; the first mu; Newton steps taken, shape (4,).
     """
 
     theta: Array
+    weights: Array
     z: Array
     numbers: Array
 
 
 @compiled
-def ascent(annulus, q, known):
+def ascent(annulus, q, cuts, known):
     """Return a climb that has not begun.
 
     Args:
         annulus: what is minimised over.
         q: linear terms, shape (N, n).
+        cuts: what else holds.
         known: a lower bound.
     """
     scale = np.abs(q).max() + np.abs(annulus.hessian).max() + 1e-300
     numbers = np.array([scale, known, scale, 0.0])
-    return Ascent(np.full(len(q), scale), np.zeros(q.shape), numbers)
+    weights = np.full(len(cuts.steps), scale)
+    return Ascent(np.full(len(q), scale), weights, np.zeros(q.shape), numbers)
 
 
 @compiled
-def climb(annulus, q, left, enough, progress, work):
+def _set_lagrangian(annulus, q, left, cuts, theta, weights, room, z):
+    """Set the Lagrangian's minimiser, and the matrices in ``room``, for multipliers.
+
+    Returns:
+        What :func:`_set_minimiser` does, with the constant part of the cuts in the former.
+    """
+    hessian, linear, inverse = room
+    constant = _set_cut(annulus, q, cuts, weights, hessian, linear)
+    cut = Annulus(hessian, annulus.length, annulus.arrival, annulus.floor)
+    least, size = _set_minimiser(cut, linear, left, theta, inverse, z)
+    return least + constant, size
+
+
+@compiled
+def _set_bound(annulus, left, cuts, progress, room):
+    """Raise the bound of a climb to what its multipliers prove; ``room`` holds their matrices."""
+    hessian, linear, _ = room
+    theta, weights, z, numbers = progress
+    constant = magnitude = 0.0
+    for i in range(len(weights)):
+        constant -= weights[i] * cuts.offsets[i]
+        magnitude += weights[i] * abs(cuts.offsets[i])
+    constant -= ROUNDING * magnitude
+    cut = Annulus(hessian, annulus.length, annulus.arrival, annulus.floor)
+    numbers[BOUND] = _bound(cut, linear, left, theta, z, numbers[BOUND] - constant) + constant
+
+
+@compiled
+def _longest(weights, step):
+    """Return the share of a step, at most 1, that leaves all multipliers of cuts positive."""
+    share = 1.0
+    for i in range(len(weights)):
+        if step[i] < 0.0:
+            share = min(share, -INSIDE * weights[i] / step[i])
+    return share
+
+
+@compiled
+def _advance(annulus, q, left, cuts, progress, step, reached, room):
+    """Take the longest share of a step that leads higher, up to what multipliers allow.
+
+    Returns:
+        That share, 0 where none does; how many were tried; the Lagrangian there and log det.
+    """
+    theta, weights, z, numbers = progress
+    least, size = reached
+    before = _smoothed(annulus, theta, weights, numbers[MU], least, size)
+    share = _longest(weights, step[len(theta) :])
+    for tried in range(HALVINGS):
+        there = theta + share * step[: len(theta)]
+        held = weights + share * step[len(theta) :]
+        least, size = _set_lagrangian(annulus, q, left, cuts, there, held, room, z)
+        if _smoothed(annulus, there, held, numbers[MU], least, size) >= before:
+            theta[:], weights[:] = there, held
+            return share, tried + 1, (least, size)
+        share *= 0.5
+    return 0.0, HALVINGS, _set_lagrangian(annulus, q, left, cuts, theta, weights, room, z)
+
+
+@compiled
+def climb(annulus, q, left, cuts, enough, progress, work):
     """Climb the dual function by Newton's method, its barrier shrinking; interruptible.
 
     Args:
         annulus: what is minimised over.
         q: linear terms, shape (N, n).
         left: b, shape (n,), or (0,) without an arrival.
-        enough: the bound at which to stop.
+        cuts: what else holds.
+        enough: the bound at which to stop, inf for the best there is; where it will clearly not be
+            reached, the climb ends as well.
         progress: updated in place.
         work: multiplications to do at most, though no less than one Newton step takes.
 
     Returns:
         Whether it has ended.
     """
-    theta, z, numbers = progress
-    count = len(theta)
-    inverse, trial = np.empty((count, count)), np.empty(count)
-    system, step = np.empty((count, count)), np.empty(count)
-    least, size = _set_minimiser(annulus, q, left, theta, inverse, z)
+    theta, weights, z, numbers = progress
+    count, total = len(theta), len(theta) + len(weights)
+    room = np.empty((count, count)), np.empty(q.shape), np.empty((count, count))
+    system, step = np.empty((total, total)), np.empty(total)
+    reached = _set_lagrangian(annulus, q, left, cuts, theta, weights, room, z)
+    size = reached[1]
     while size > -np.inf and numbers[MU] >= SMALLEST * numbers[FIRST] and numbers[TAKEN] < CLIMBS:
         numbers[TAKEN] += 1.0
-        before = _smoothed(annulus, theta, numbers[MU], least, size)
-        if not _set_ascent(annulus, theta, numbers[MU], inverse, z, system, step):
+        if not _set_ascent(annulus, cuts, theta, weights, numbers[MU], room[2], z, system, step):
             return True
-        share, higher = 1.0, False
-        for _ in range(HALVINGS):
-            trial[:] = theta + share * step
-            least, size = _set_minimiser(annulus, q, left, trial, inverse, z)
-            work -= count**3 + 20.0 * count * count + 100.0
-            higher = _smoothed(annulus, trial, numbers[MU], least, size) >= before
-            if higher:
-                theta[:] = trial
-                break
-            share *= 0.5
-        if not higher:
-            least, size = _set_minimiser(annulus, q, left, theta, inverse, z)
-        if share > 0.3 or not higher:  # as high as rounding lets it be, or nearly
-            numbers[MU] *= SHRINK
-        numbers[BOUND] = _bound(annulus, q, left, theta, z, numbers[BOUND])
+        share, tried, reached = _advance(annulus, q, left, cuts, progress, step, reached, room)
+        work -= tried * (count**3 + 20.0 * count * count + 100.0) + total**3 / 6.0
+        _set_bound(annulus, left, cuts, progress, room)
         if numbers[BOUND] >= enough:
             return True
+        lacking, left_over = enough - numbers[BOUND], numbers[MU] * (2.0 * count + total)
+        if lacking < np.inf and left_over <= NEAR * lacking:
+            return True
+        if share > 0.3 or share == 0.0:  # as high as rounding lets it be, or nearly
+            numbers[MU] *= SHRINK
         if work <= 0.0:
             return False
     return True

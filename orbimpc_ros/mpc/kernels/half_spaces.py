@@ -24,7 +24,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.kernels.augmented_lagrangian import minimise
-from orbimpc_ros.mpc.kernels.best_first import DONE, FULL, pop, push
+from orbimpc_ros.mpc.kernels.best_first import DONE, FULL, cutoff_of, pop, push
 from orbimpc_ros.mpc.kernels.penalty import BEST, PROVED, SETTLED, Iterate
 from orbimpc_ros.mpc.kernels.penalty_terms import Multipliers, Terms
 
@@ -422,7 +422,7 @@ def _cutoff(numbers, constant, tolerance):
     """Return the bound from which on a node cannot improve on the best point by enough."""
     if numbers[VALUE] == np.inf:
         return numbers[CEILING]
-    return numbers[VALUE] - tolerance * max(abs(numbers[VALUE] + constant), 1e-9)
+    return cutoff_of(numbers[VALUE], constant, tolerance)
 
 
 @compiled

@@ -204,17 +204,28 @@ def refuted(terms, sides):
 
 
 @compiled
-def _project_sides(terms, x, held, sigma, new):
-    """Project on what is not negative; return the terms' value, |new - held|^2, the violation."""
+def _project_shortfalls(held, sigma, new):
+    """Project on what is not negative; return the terms' value, |new - held|^2, the violation.
+
+    ``new`` comes with what the rows are short of, and leaves with their multipliers.
+    """
     value = moved = worst = 0.0
     for i in range(len(held)):
-        short = _short_of_side(terms, i, x)
-        new[i] = max(0.0, held[i] + sigma * short)
+        missed = new[i]
+        new[i] = max(0.0, held[i] + sigma * missed)
         change = new[i] - held[i]
-        value += new[i] * short
+        value += new[i] * missed
         moved += change * change
         worst = max(worst, abs(change))
     return value, moved, worst / sigma
+
+
+@compiled
+def _project_sides(terms, x, held, sigma, new):
+    """Project the multipliers of rows on positions, see :func:`_project_shortfalls`."""
+    for i in range(len(held)):
+        new[i] = _short_of_side(terms, i, x)
+    return _project_shortfalls(held, sigma, new)
 
 
 @compiled
@@ -287,18 +298,13 @@ def _project_lengths(x, held, sigma, limits, new, sizes):
 
 @compiled
 def _project_rows(x, rows, offsets, held, sigma, new):
-    """Project on what is not negative; return the terms' value, |new - held|^2, the violation."""
-    value = moved = worst = 0.0
+    """Project the multipliers of rows on thrust axes, see :func:`_project_shortfalls`."""
     for k in range(len(x)):
         short = offsets[k]
         for c in range(3):
             short -= rows[k, c] * x[k, c]
-        new[k] = max(0.0, held[k] + sigma * short)
-        change = new[k] - held[k]
-        value += new[k] * short
-        moved += change * change
-        worst = max(worst, abs(change))
-    return value, moved, worst / sigma
+        new[k] = short
+    return _project_shortfalls(held, sigma, new)
 
 
 @compiled

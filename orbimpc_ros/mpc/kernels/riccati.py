@@ -41,7 +41,7 @@ NOTHING = 1e-20  # a minimum is near enough where so little is left
 
 
 @compiled
-def _back(along, turning, weights, goals, bent, pulled, gain, offset):
+def _back(along, turning, weights, goals, wish, bent, pulled, gain, offset):
     """Sweep back (Riccati recursion): set the feedback u = gain . state + offset of every step.
 
     Args:
@@ -49,6 +49,7 @@ def _back(along, turning, weights, goals, bent, pulled, gain, offset):
         turning: weight on |u|^2.
         weights: on |s_k - g_k|^2, shape (N,).
         goals: g_1..g_N, shape (N, 2).
+        wish: weight on |R_N e1 - R_g e1|^2, and R_g e1; shape (3,).
         bent: Hessian of the penalty of each disk, shape (N, 2, 2).
         pulled: its gradient where R_k e1 vanishes, shape (N, 2).
         gain: to be set, shape (N, 2, m, 2).
@@ -58,6 +59,9 @@ def _back(along, turning, weights, goals, bent, pulled, gain, offset):
     value, slope = np.zeros((m, 2, m, 2)), np.zeros((m, 2))
     ahead, leaning = np.zeros((m, 2, m, 2)), np.zeros((m, 2))
     seen = np.zeros((2, m, 2))
+    for a in range(2):
+        value[last, a, last, a] = 2.0 * wish[0]
+        slope[last, a] = -2.0 * wish[0] * wish[1 + a]
     for k in range(len(goals) - 1, -1, -1):
         for a in range(2):  # what is to be paid at step k + 1
             value[0, a, 0, a] += 2.0 * weights[k]
@@ -124,7 +128,7 @@ def _forth(along, start, gain, offset, z):
 
 
 @compiled
-def _cost(along, start, turning, weights, goals, z):
+def _cost(along, start, turning, weights, goals, wish, z):
     """Return the cost of z_1..z_N, shape (N, 2)."""
     m = len(along)
     state, after = start.copy(), np.empty_like(start)
@@ -139,11 +143,13 @@ def _cost(along, start, turning, weights, goals, z):
             miss = after[0, a] - goals[k, a]
             total += turning * turn * turn + weights[k] * miss * miss
         state[:] = after
+    for a in range(2):
+        total += wish[0] * (state[m - 1, a] - wish[1 + a]) ** 2
     return total
 
 
 @compiled
-def _slope(along, start, turning, weights, goals, z, target):
+def _slope(along, start, turning, weights, goals, wish, z, target):
     """Return the derivative of the cost at z along target - z."""
     m = len(along)
     state, moving = start.copy(), np.zeros_like(start)
@@ -161,6 +167,8 @@ def _slope(along, start, turning, weights, goals, z, target):
             total += 2.0 * weights[k] * (after[0, a] - goals[k, a]) * moved[0, a]
             after[m - 1, a], moved[m - 1, a] = z[k, a], change
         state[:], moving[:] = after, moved
+    for a in range(2):
+        total += 2.0 * wish[0] * (state[m - 1, a] - wish[1 + a]) * moving[m - 1, a]
     return total
 
 
@@ -193,11 +201,12 @@ def _project(z, held, sigma, new, bent):
 
 
 @compiled
-def _dual(along, start, turning, weights, goals, held, none, gain, offset, z):
+def _dual(chain, held, none, gain, offset, z):
     """Return the lower bound that multipliers give; z is set to where it is taken."""
-    _back(along, turning, weights, goals, none, held, gain, offset)
+    along, start, turning, weights, goals, wish = chain
+    _back(along, turning, weights, goals, wish, none, held, gain, offset)
     _forth(along, start, gain, offset, z)
-    value = _cost(along, start, turning, weights, goals, z)
+    value = _cost(along, start, turning, weights, goals, wish, z)
     for k in range(len(z)):
         value += held[k, 0] * z[k, 0] + held[k, 1] * z[k, 1]
         value -= np.sqrt(held[k, 0] ** 2 + held[k, 1] ** 2)
@@ -213,6 +222,7 @@ class Chain(NamedTuple):
         turning: weight on |R_{k+1} e1 - R_k e1|^2.
         weights: on |s_k - g_k|^2, shape (N,).
         goals: g_1..g_N, shape (N, 2).
+        wish: weight on |R_N e1 - R_g e1|^2, and R_g e1; shape (3,).
     """
 
     along: Array
@@ -220,6 +230,7 @@ class Chain(NamedTuple):
     turning: float
     weights: Array
     goals: Array
+    wish: Array
 
 
 @compiled
@@ -240,7 +251,7 @@ def minimise(chain, limits, progress, work):
         The cost of ``progress.x``, which may be outside the disks by the limit, and ``SETTLED``,
         ``STALLED`` or ``PAUSED``.
     """
-    along, start, turning, weights, goals = chain
+    along, start, turning, weights, goals, wish = chain
     precision, proportion, rounding, largest = limits
     z, held, numbers, counts = progress
     count, m = len(goals), len(along)
@@ -249,8 +260,8 @@ def minimise(chain, limits, progress, work):
     new, pulled = np.empty((count, 2)), np.empty((count, 2))
     target, trial = np.empty((count, 2)), np.empty((count, 2))
     if counts[STEPS] == 0:
-        numbers[BEST] = _dual(along, start, turning, weights, goals, held, none, gain, offset, z)
-    quadratic = _cost(along, start, turning, weights, goals, z)
+        numbers[BEST] = _dual(chain, held, none, gain, offset, z)
+    quadratic = _cost(along, start, turning, weights, goals, wish, z)
     value, moved, worst = _project(z, held, numbers[SIGMA], new, bent)
     for _ in range(work):
         if counts[STEPS] >= LIMIT:
@@ -258,7 +269,7 @@ def minimise(chain, limits, progress, work):
         counts[STEPS] += 1
         near = numbers[PROMISED] <= max(NOTHING, ENOUGH * moved / numbers[SIGMA])
         if worst <= precision or near:
-            bound = _dual(along, start, turning, weights, goals, new, none, gain, offset, target)
+            bound = _dual(chain, new, none, gain, offset, target)
             numbers[BEST] = max(numbers[BEST], bound)
             gap = quadratic - numbers[BEST]
             if worst <= precision and gap <= proportion * quadratic + rounding:
@@ -273,10 +284,10 @@ def minimise(chain, limits, progress, work):
         for k in range(count):
             for a in range(2):
                 pulled[k, a] = new[k, a] - bent[k, a, 0] * z[k, 0] - bent[k, a, 1] * z[k, 1]
-        _back(along, turning, weights, goals, bent, pulled, gain, offset)
+        _back(along, turning, weights, goals, wish, bent, pulled, gain, offset)
         _forth(along, start, gain, offset, target)
         merit = quadratic + value - 0.5 * moved / numbers[SIGMA]
-        decrease = -_slope(along, start, turning, weights, goals, z, target)
+        decrease = -_slope(along, start, turning, weights, goals, wish, z, target)
         for k in range(count):
             for a in range(2):
                 decrease -= new[k, a] * (target[k, a] - z[k, a])
@@ -284,7 +295,7 @@ def minimise(chain, limits, progress, work):
         share = 1.0
         for _ in range(HALVINGS):
             trial[:] = z + share * (target - z)
-            quadratic = _cost(along, start, turning, weights, goals, trial)
+            quadratic = _cost(along, start, turning, weights, goals, wish, trial)
             value, moved, worst = _project(trial, held, numbers[SIGMA], new, bent)
             reached = quadratic + value - 0.5 * moved / numbers[SIGMA]
             if descends(reached, merit, share, decrease):
@@ -304,7 +315,7 @@ def within(chain, z):
     """
     for k in range(len(z)):
         z[k] /= max(1.0, np.sqrt(z[k, 0] ** 2 + z[k, 1] ** 2))
-    return _cost(chain.along, chain.start, chain.turning, chain.weights, chain.goals, z)
+    return _cost(chain.along, chain.start, chain.turning, chain.weights, chain.goals, chain.wish, z)
 
 
 @compiled

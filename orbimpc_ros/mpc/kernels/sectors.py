@@ -8,6 +8,9 @@ quadratic program over these rows is solved by a dual active-set method, as in
 :mod:`orbimpc_ros.mpc.kernels.active_set`, whose bounds hold at any time and whose children start
 from their parent's active set.
 
+Where changes of speed are limited, a node holds a range of speeds for every step as well, narrowed
+in the same way: its greatest is the radius of the disk, its least that of an arc in the sector.
+
 Every node's headings are also rounded to a trajectory that holds floor and turn rate, from which
 :mod:`orbimpc_ros.mpc.kernels.steering` descends.
 
@@ -52,6 +55,7 @@ from orbimpc_ros.mpc.kernels.linear import SINGULAR, add_product, extend_factor,
 from orbimpc_ros.mpc.kernels.steering import (
     least_speed,
     set_headings,
+    set_paced,
     set_rounded,
     steer,
 )
@@ -61,8 +65,9 @@ OUTSIDE = 3e-6  # a row violated by less holds: what a node lacks for it, its bo
 SATISFIED = 1e-8  # a floor or turn missed by less need not be branched on
 MARGIN = 0.15  # of a sector: no part is narrower
 HALF = np.pi - 1e-9
-NARROWEST = 1e-6  # [rad], a sector that is not cut
+NARROWEST = 1e-6  # a sector [rad], or a range of speeds, that is not cut
 SURE = 1.0 - 1e-6  # of a gain
+PULLS = (1.0, 30.0, 1000.0)  # on the last heading, in curvatures of the cost
 
 
 class Sectors(NamedTuple):
@@ -76,6 +81,8 @@ class Sectors(NamedTuple):
         active: how many there are, shape (S,); the first state is empty, for the root.
         low: least headings of a node [rad], shape (M, N).
         high: greatest, shape (M, N).
+        slow: least speeds of a node, shape (M, N).
+        fast: greatest, shape (M, N).
         parent: whose active set a node begins with, shape (M,).
         keys: bounds of the open nodes, a heap, shape (M,).
         heap: their numbers, shape (M,).
@@ -103,6 +110,8 @@ class Sectors(NamedTuple):
     active: np.ndarray
     low: Array
     high: Array
+    slow: Array
+    fast: Array
     parent: np.ndarray
     keys: Array
     heap: np.ndarray
@@ -135,6 +144,8 @@ def sectors(steps: int, nodes: int) -> Sectors:
         np.zeros(states, np.int64),
         np.empty((made, steps)),
         np.empty((made, steps)),
+        np.empty((made, steps)),
+        np.empty((made, steps)),
         np.zeros(made, np.int64),
         np.empty(made),
         np.empty(made, np.int64),
@@ -162,21 +173,64 @@ def begin_sectors(quad, ring, tree):
 
     Args:
         quad: what to minimise.
-        ring: floor and turn rate.
+        ring: floor, turn rate and last heading.
         tree: updated in place.
+
+    Returns:
+        Whether there are any.
     """
     begin(tree, np.inf)
-    _set_root(quad, ring, tree)
+    return _set_root(quad, ring, tree)
 
 
 @compiled
 def _set_root(quad, ring, tree):
-    """Set the minimiser without rows, and the sectors of the root."""
+    """Set the minimiser without rows, and the sectors of the roots; return whether there are any.
+
+    Where the last heading is limited, there is a root for each way to wind round to it.
+    """
     tree.free[:] = 0.0
     add_product(quad.inverse, quad.q, -1.0, tree.free)
     for k in range(len(tree.x)):
         reach = (k + 1) * ring.widest if ring.widest < HALF else np.pi
         tree.low[0, k], tree.high[0, k] = ring.first - reach, ring.first + reach
+    _set_speeds(ring, tree.slow[0], tree.fast[0])
+    return ring.within >= HALF or _wind(ring, tree)
+
+
+@compiled
+def _set_speeds(ring, slow, fast):
+    """Set the speeds that can be reached."""
+    for k in range(len(slow)):
+        changed = (k + 1) * ring.change
+        slow[k] = max(ring.fraction, ring.entry - changed)
+        fast[k] = min(1.0, ring.entry + changed)
+
+
+@compiled
+def _wind(ring, tree):
+    """Make a root of each way round to the last heading; return whether there are any."""
+    steps = len(tree.x)
+    away, reach = ring.last - ring.first, steps * ring.widest + ring.within
+    least, most = np.ceil((-reach - away) / (2.0 * np.pi)), np.floor((reach - away) / (2.0 * np.pi))
+    for made in range(int(most - least) + 1):
+        _set_way(ring, least + made, tree.low[made], tree.high[made])
+        _set_speeds(ring, tree.slow[made], tree.fast[made])
+        if made:
+            keep(tree, -np.inf)
+    return most >= least
+
+
+@compiled
+def _set_way(ring, turns, low, high):
+    """Set what can be reached on the way to the last heading, so many full turns away from it."""
+    end = len(low) - 1
+    for k in range(end + 1):
+        reach = (k + 1) * ring.widest
+        low[k], high[k] = ring.first - reach, ring.first + reach
+    middle = ring.last + 2.0 * np.pi * turns
+    low[end], high[end] = max(low[end], middle - ring.within), min(high[end], middle + ring.within)
+    _narrow(ring, low, high, end)
 
 
 @compiled
@@ -284,8 +338,11 @@ def _add_row(inverse, tree, own, count, step, row, offset):
 
 
 @compiled
-def _set_sectors(ring, low, high, chords, edges):
-    """Set the rows of each sector: beyond its chord, n.z_k >= b, and between its edges."""
+def _set_sectors(ring, low, high, slow, fast, chords, edges):
+    """Set the rows of each sector: beyond its chord, n.z_k >= b, and between its edges.
+
+    Where the arc of the least speed is farther out in the middle, the chord is that arc's.
+    """
     for k in range(len(low)):
         width = high[k] - low[k]
         edges[k] = 0.0
@@ -293,7 +350,7 @@ def _set_sectors(ring, low, high, chords, edges):
             chords[k] = 0.0, 0.0, -1.0
         elif width >= HALF:
             middle = 0.5 * (low[k] + high[k])
-            chords[k] = np.cos(middle), np.sin(middle), np.cos(0.5 * width)
+            chords[k] = np.cos(middle), np.sin(middle), np.cos(0.5 * width) * fast[k]
         else:
             first, last = least_speed(ring, low[k])[0], least_speed(ring, high[k])[0]
             ax, ay = first * np.cos(low[k]), first * np.sin(low[k])
@@ -305,12 +362,16 @@ def _set_sectors(ring, low, high, chords, edges):
             else:
                 nx, ny = np.cos(low[k]), np.sin(low[k])
             chords[k] = nx, ny, min(nx * ax + ny * ay, nx * bx + ny * by)
+            mx, my = np.cos(low[k] + 0.5 * width), np.sin(low[k] + 0.5 * width)
+            arc = slow[k] * np.cos(0.5 * width)
+            if slow[k] > ring.fraction and arc * (nx * mx + ny * my) > chords[k, 2]:
+                chords[k] = mx, my, arc
             edges[k, 0, 0], edges[k, 0, 1] = -np.sin(low[k]), np.cos(low[k])
             edges[k, 1, 0], edges[k, 1, 1] = np.sin(high[k]), -np.cos(high[k])
 
 
 @compiled
-def _most_violated(x, chords, edges, row):
+def _most_violated(x, chords, edges, fast, row):
     """Set the row over one step that is violated most; return its step, -1 if none is, and offset.
 
     The rows are tangents of the disk, chords, and edges of sectors narrower than half a turn.
@@ -318,10 +379,10 @@ def _most_violated(x, chords, edges, row):
     worst, step, offset = OUTSIDE, -1, 0.0
     for k in range(len(x)):
         square = x[k, 0] * x[k, 0] + x[k, 1] * x[k, 1]
-        if square > 1.0:
+        if square > fast[k] * fast[k]:
             size = np.sqrt(square)
-            if size - 1.0 > worst:
-                worst, step, offset = size - 1.0, k, -1.0
+            if size - fast[k] > worst:
+                worst, step, offset = size - fast[k], k, -fast[k]
                 row[0], row[1] = -x[k, 0] / size, -x[k, 1] / size
         short = chords[k, 2] - chords[k, 0] * x[k, 0] - chords[k, 1] * x[k, 1]
         if short > worst:
@@ -336,37 +397,101 @@ def _most_violated(x, chords, edges, row):
 
 
 @compiled
-def _relax(quad, ring, tree, node, own, cutoff, count, added, work):
+def _value(tree, own, count, least):
+    """Return the Lagrangian's minimum where its active rows hold, given that without any rows."""
+    rows, normals, offsets, u = tree.rows[own], tree.normals[own], tree.offsets[own], tree.u[own]
+    value = least
+    for i in range(count):
+        free = tree.free[rows[i]]
+        short = offsets[i] - normals[i, 0] * free[0] - normals[i, 1] * free[1]
+        value += 0.5 * u[i] * short
+    return value
+
+
+@compiled
+def _relax(quad, tree, node, own, cutoff, count, added, work):
     """Solve a node on from an active set and its minimiser.
+
+    The bound that is safe from rounding takes longer than the value that it is a bound of: it is
+    evaluated where it may end the node, and at the end.
 
     Returns what becomes of it, the bound, the active count, the rows added by now, the work left.
     """
     rows, normals, offsets, u = tree.rows[own], tree.normals[own], tree.offsets[own], tree.u[own]
-    x, row, begun = tree.x, np.zeros(2), added
-    bound = lagrangian(quad, rows, normals, offsets, u, count, x)
+    x, row, begun, status = tree.x, np.zeros(2), added, STALLED
+    least = quadratic(quad.hessian, quad.q, tree.free)
     while added < ITERATIONS:
-        if bound >= cutoff:
-            return PRUNED, bound, count, added, work
-        step, offset = _most_violated(x, tree.chords, tree.edges, row)
+        if _value(tree, own, count, least) >= cutoff:
+            bound = lagrangian(quad, rows, normals, offsets, u, count, x)
+            if bound >= cutoff:
+                return PRUNED, bound, count, added, work
+        step, offset = _most_violated(x, tree.chords, tree.edges, tree.fast[node], row)
         if step < 0:
-            return SOLVED, bound, count, added, work
+            status = SOLVED
+            break
         if work <= 0.0 and added > begun:
-            return GOING, bound, count, added, work
+            status = GOING
+            break
         following, spent = _add_row(quad.inverse, tree, own, count, step, row, offset)
-        work -= spent + 4.0 * len(x) ** 2 + NODE
+        work -= spent + 2.0 * len(x) ** 2 + NODE
         if following < 0:
-            return STALLED, bound, 0, added, work
+            return STALLED, -np.inf, 0, added, work
         count, added = following, added + 1
         _minimiser(tree, own, count)
         work -= 4.0 * count * len(x)
-        bound = max(bound, lagrangian(quad, rows, normals, offsets, u, count, x))
-    return STALLED, bound, count, added, work
+    bound = lagrangian(quad, rows, normals, offsets, u, count, x)
+    return status, bound, count, added, work
+
+
+@compiled
+def _narrow_rows(tree, node, own, count):
+    """Exchange the chords and edges of a parent's active set for those of a node's own sectors.
+
+    Tangents of the disk, as far out as the parent was allowed to be fast, still hold.
+    """
+    for i in range(count):
+        k, normal = tree.rows[own, i], tree.normals[own, i]
+        if tree.offsets[own, i] == 0.0:
+            edges = tree.edges[k]
+            left = edges[0, 0] * normal[0] + edges[0, 1] * normal[1]
+            right = edges[1, 0] * normal[0] + edges[1, 1] * normal[1]
+            normal[:] = edges[0] if left > right else edges[1]
+        elif tree.offsets[own, i] > -tree.fast[node, k]:
+            normal[:], tree.offsets[own, i] = tree.chords[k, :2], tree.chords[k, 2]
+
+
+@compiled
+def _set_multipliers(tree, own, count):
+    """Set the multipliers with which all active rows hold, dropping those that would pull.
+
+    Returns:
+        The new count; 0 where rows depend on each other, and nothing is lost but a start.
+    """
+    rows, normals, offsets, u = tree.rows[own], tree.normals[own], tree.offsets[own], tree.u[own]
+    while count > 0:
+        for i in range(count):
+            free = tree.free[rows[i]]
+            u[i] = offsets[i] - normals[i, 0] * free[0] - normals[i, 1] * free[1]
+        _solve(tree.factor, u, count)
+        least = 0
+        for i in range(count):
+            if u[i] < u[least]:
+                least = i
+        if u[least] >= 0.0:
+            break
+        _drop(tree, own, least, count)
+        count -= 1
+        if not extend_factor(tree.gram, tree.factor, least, count, SINGULAR):
+            return 0
+    return count
 
 
 @compiled
 def _open(quad, ring, tree, node):
     """Begin to work on the current node: set up what its active set and sectors lead to."""
     own, count = tree.counts[NODES], tree.counts[ACTIVE]
+    _set_node(ring, tree, node)
+    _narrow_rows(tree, node, own, count)
     for i in range(count):
         row = tree.normals[own, i]
         _set_image(quad.inverse, tree.rows[own, i], row, tree.images[i])
@@ -375,10 +500,19 @@ def _open(quad, ring, tree, node):
             tree.gram[i, j] = (
                 other[0] * tree.images[i, step, 0] + other[1] * tree.images[i, step, 1]
             )
-    if not extend_factor(tree.gram, tree.factor, 0, count, SINGULAR):
-        count = tree.counts[ACTIVE] = 0  # nothing is lost but a start
+    if extend_factor(tree.gram, tree.factor, 0, count, SINGULAR):
+        count = _set_multipliers(tree, own, count)
+    else:
+        count = 0
+    tree.counts[ACTIVE] = count
     _minimiser(tree, own, count)
-    _set_sectors(ring, tree.low[node], tree.high[node], tree.chords, tree.edges)
+
+
+@compiled
+def _set_node(ring, tree, node):
+    """Set the rows of a node's sectors."""
+    low, high, slow, fast = tree.low[node], tree.high[node], tree.slow[node], tree.fast[node]
+    _set_sectors(ring, low, high, slow, fast, tree.chords, tree.edges)
 
 
 @compiled
@@ -423,8 +557,8 @@ def _gain(quad, tree, own, count, step, row, offset):
 
 
 @compiled
-def _branching(ring, inverse, x, low, high):
-    """Return the step to branch on, -1 if there is none, and where to cut its sector.
+def _branching(ring, inverse, x, low, high, slow):
+    """Return the step to branch on, -1 if there is none, where to cut its sector, and the gain.
 
     What a step misses of the floor, finer sectors will ask of it. Where a turn is too wide, the
     wider of its two sectors is cut such that either part leaves the one heading or the other out.
@@ -437,7 +571,7 @@ def _branching(ring, inverse, x, low, high):
         size = np.sqrt(x[k, 0] ** 2 + x[k, 1] ** 2)
         angle = np.arctan2(x[k, 1], x[k, 0])
         width, wider = high[k] - low[k], -1.0
-        short = least_speed(ring, angle)[0] - size
+        short = max(slow[k], least_speed(ring, angle)[0]) - size
         if short > SATISFIED and width > NARROWEST:
             raised = short * short / (2.0 * inverse[k, k])
             if raised > gain:
@@ -457,41 +591,115 @@ def _branching(ring, inverse, x, low, high):
             elif width > NARROWEST and raised > gain:
                 chosen, gain, cut = k, raised, _cut_at(ring, angle - away, low[k], high[k])
         before, last = angle, size
-    return chosen, cut
+    return chosen, cut, gain
+
+
+@compiled
+def _speed_branching(ring, inverse, x, slow, fast):
+    """Return what :func:`_branching` does, of the ranges of speeds.
+
+    Where the speed changes too much, the wider of both ranges is cut such that either part leaves
+    the one speed or the other out.
+    """
+    chosen, cut, gain, last, held = -1, 0.0, -1.0, ring.entry, False
+    for k in range(len(x)):
+        size = np.sqrt(x[k, 0] ** 2 + x[k, 1] ** 2)
+        half, holds = 0.5 * (abs(size - last) - ring.change), size > slow[k] - OUTSIDE
+        if half > SATISFIED and held and holds:
+            away = np.copysign(half, size - last)
+            j, at = k, size - away
+            if fast[k - 1] - slow[k - 1] > fast[k] - slow[k]:
+                j, at = k - 1, last + away
+            width = fast[j] - slow[j]
+            raised = half * half / (2.0 * max(inverse[k, k], inverse[k - 1, k - 1])) * (k + 1.0)
+            if width > NARROWEST and raised > gain:
+                edge = MARGIN * width
+                chosen, gain = j, raised
+                cut = min(fast[j] - edge, max(slow[j] + edge, at))
+        last, held = size, holds
+    return chosen, cut, gain
 
 
 @compiled
 def _narrow(ring, low, high, chosen):
     """Carry what is known of a step's sector to its neighbours."""
-    if ring.widest >= HALF:
-        return
+    if ring.widest < HALF:
+        _carry(low, high, chosen, ring.widest)
+
+
+@compiled
+def _carry(low, high, chosen, most):
+    """Narrow the ranges of all steps to what one of them leaves, a change of so much at a time."""
     for k in range(chosen + 1, len(low)):
-        low[k] = max(low[k], low[k - 1] - ring.widest)
-        high[k] = min(high[k], high[k - 1] + ring.widest)
+        low[k] = max(low[k], low[k - 1] - most)
+        high[k] = min(high[k], high[k - 1] + most)
     for k in range(chosen - 1, -1, -1):
-        low[k] = max(low[k], low[k + 1] - ring.widest)
-        high[k] = min(high[k], high[k + 1] + ring.widest)
+        low[k] = max(low[k], low[k + 1] - most)
+        high[k] = min(high[k], high[k + 1] + most)
+
+
+@compiled
+def _is_empty(ring, low, high, slow, fast):
+    """Return whether no speed is left of a range, or none that the floor allows in the sector."""
+    for k in range(len(slow)):
+        if slow[k] > fast[k] + SATISFIED:
+            return True
+        if ring.faces > 0:
+            share = 2.0 * np.pi / ring.faces
+            nearest = share * np.round(0.5 * (low[k] + high[k]) / share)
+            nearest = min(high[k], max(low[k], nearest))
+            if least_speed(ring, nearest)[0] > fast[k] + SATISFIED:
+                return True
+    return False
+
+
+@compiled
+def _set_child(ring, tree, node, cut, side):
+    """Set the sectors and ranges of speeds of a child; return whether any heading is left."""
+    k, at, of_speeds = cut
+    made = tree.counts[MADE]
+    low, high, slow, fast = tree.low[made], tree.high[made], tree.slow[made], tree.fast[made]
+    low[:], high[:] = tree.low[node], tree.high[node]
+    slow[:], fast[:] = tree.slow[node], tree.fast[node]
+    below, above = (slow, fast) if of_speeds else (low, high)
+    if side:
+        below[k] = at
+    else:
+        above[k] = at
+    if of_speeds:
+        _carry(slow, fast, k, ring.change)
+    else:
+        _narrow(ring, low, high, k)
+    return ring.change == np.inf or not _is_empty(ring, low, high, slow, fast)
+
+
+@compiled
+def _cut_of(quad, ring, tree, node):
+    """Return the step to branch on, -1 if there is none, where, and whether on its speeds."""
+    slow, fast = tree.slow[node], tree.fast[node]
+    low, high = tree.low[node], tree.high[node]
+    k, at, gain = _branching(ring, quad.inverse, tree.x, low, high, slow)
+    if ring.change < np.inf:
+        j, speed, more = _speed_branching(ring, quad.inverse, tree.x, slow, fast)
+        if more > gain:
+            return j, speed, True
+    return k, at, False
 
 
 @compiled
 def _branch(quad, ring, tree, node, own, cutoff):
     """Open the two children of a node, or note that it has none."""
     counts, numbers = tree.counts, tree.numbers
-    bound, low, high = numbers[BOUND], tree.low, tree.high
-    k, cut = _branching(ring, quad.inverse, tree.x, low[node], high[node])
-    if k < 0:
+    bound, cut = numbers[BOUND], _cut_of(quad, ring, tree, node)
+    if cut[0] < 0:
         close(numbers, bound)
         return
     for side in range(2):
         made = counts[MADE]
-        low[made], high[made] = low[node], high[node]
-        if side:
-            low[made, k] = cut
-        else:
-            high[made, k] = cut
-        _narrow(ring, low[made], high[made], k)
-        _set_sectors(ring, low[made], high[made], tree.chords, tree.edges)
-        step, offset = _most_violated(tree.x, tree.chords, tree.edges, tree.row)
+        if not _set_child(ring, tree, node, cut, side):
+            continue
+        _set_node(ring, tree, made)
+        step, offset = _most_violated(tree.x, tree.chords, tree.edges, tree.fast[made], tree.row)
         key = bound
         if step >= 0:
             key += SURE * _gain(quad, tree, own, tree.active[own], step, tree.row, offset)
@@ -504,6 +712,8 @@ def _branch(quad, ring, tree, node, own, cutoff):
 @compiled
 def offer(quad, ring, constant, tree, x, low, high, share):
     """Round headings to a trajectory and descend from it where it is promising.
+
+    Where the last heading is limited, the trajectory itself counts as well.
 
     Args:
         quad: what to minimise.
@@ -520,15 +730,61 @@ def offer(quad, ring, constant, tree, x, low, high, share):
     """
     numbers = tree.numbers
     set_rounded(ring, x, low, high, tree.speeds, tree.turns)
+    if ring.change < np.inf and not set_paced(ring, tree.speeds, tree.turns):
+        return 0.0
     set_headings(ring, tree.speeds, tree.turns, tree.z)
     rounded = quadratic(quad.hessian, quad.q, tree.z)
     if rounded > numbers[VALUE] + share * abs(numbers[VALUE] + constant):
         return 0.0
+    if (ring.change < np.inf or ring.within < HALF) and rounded < numbers[VALUE]:
+        # A descent may end where no trajectory is legal.
+        numbers[VALUE], tree.best[:] = rounded, tree.z
     cost, taken = steer(quad.hessian, quad.q, ring, constant, tree.speeds, tree.turns, tree.z)
     tree.counts[STARTS] += 1
+    if ring.within < HALF:
+        cost, more = _steer_home(quad, ring, constant, tree, cost)
+        taken += more
     if cost < numbers[VALUE]:
         numbers[VALUE], tree.best[:] = cost, tree.z
     return taken * (2.0 * len(x)) ** 3
+
+
+@compiled
+def _steer_home(quad, ring, constant, tree, cost):
+    """Descend on to a trajectory with a last heading that is allowed, if this one's is not.
+
+    The nearest that is allowed pulls the last heading, ever harder; then it is taken for it.
+
+    Returns:
+        The cost, and the Newton steps taken.
+    """
+    steps, taken = len(tree.x), 0
+    hessian, q = quad.hessian.copy(), quad.q.copy()
+    for pull in PULLS:
+        angle = ring.first + tree.turns.sum()
+        turns = np.round((angle - ring.last) / (2.0 * np.pi))
+        off = angle - ring.last - 2.0 * np.pi * turns
+        if abs(off) <= ring.within:
+            break
+        edge, size = ring.last + np.copysign(ring.within, off), np.sqrt((tree.z[-1] ** 2).sum())
+        weight = pull * np.abs(quad.hessian).max()
+        hessian[-1, -1] = quad.hessian[-1, -1] + weight
+        q[-1, 0] = quad.q[-1, 0] - weight * size * np.cos(edge)
+        q[-1, 1] = quad.q[-1, 1] - weight * size * np.sin(edge)
+        pulled = steer(hessian, q, ring, constant, tree.speeds, tree.turns, tree.z)
+        taken += pulled[1]
+    if taken == 0:
+        return cost, taken
+    low, high, x = np.empty(steps), np.empty(steps), tree.z.copy()
+    angle = ring.first + tree.turns.sum()
+    _set_way(ring, np.round((angle - ring.last) / (2.0 * np.pi)), low, high)
+    if low[0] > high[0]:
+        return np.inf, taken
+    set_rounded(ring, x, low, high, tree.speeds, tree.turns)
+    if ring.change < np.inf and not set_paced(ring, tree.speeds, tree.turns):
+        return np.inf, taken
+    set_headings(ring, tree.speeds, tree.turns, tree.z)
+    return quadratic(quad.hessian, quad.q, tree.z), taken
 
 
 @compiled
@@ -545,7 +801,7 @@ def _search(quad, ring, constant, tolerance, tree, room, work):
             _open(quad, ring, tree, node)
             work -= NODE + 2.0 * len(tree.x) ** 2
         status, bound, count, counts[ROWS_ADDED], work = _relax(
-            quad, ring, tree, node, own, cutoff, counts[ACTIVE], counts[ROWS_ADDED], work
+            quad, tree, node, own, cutoff, counts[ACTIVE], counts[ROWS_ADDED], work
         )
         worked(counts, numbers, tree.active, status, bound, count)
         if status == GOING:

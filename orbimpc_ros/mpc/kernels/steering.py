@@ -6,6 +6,9 @@ theta_k = theta_0 + d_1 + ... + d_k, floor, disk and turn rate are the box 0 <= 
 |d_k| <= delta. Newton's method with damping descends in it: variables at a bound that the gradient
 pushes against are held, all others move, and steps are projected back into the box.
 
+A limit of the change of speed couples the moduli of neighbours. Its multipliers and a penalty join
+the cost (an augmented Lagrangian), and what they leave is cut off: that, too, ends legal.
+
 Mathematics: docs/mathematics.md, 4.10.
 """
 
@@ -26,6 +29,9 @@ STIFFEST = 1e8
 AT_BOUND = 1e-12
 WITHIN = 1.0 - 1e-9  # of the largest turn, which rounding is not to exceed
 SMALL = 1e-12  # a heading shorter than this has no direction
+ROUNDS = 10  # of multipliers of changes of speed
+KEPT = 1e-8  # a change too large by less needs no further round
+STIFF, STIFFER = 10.0, 3.0  # times the largest curvature, and how that grows with the rounds
 
 
 class Ring(NamedTuple):
@@ -36,12 +42,20 @@ class Ring(NamedTuple):
         faces: of the polygon, 0 for the circle.
         widest: delta, the largest turn in a step [rad]; at least pi where nothing limits it.
         first: theta_0, the heading at the start [rad].
+        entry: the speed that the first change counts from.
+        change: the largest change of speed in a step; inf where nothing limits it.
+        last: direction of the last heading [rad].
+        within: angle that it may be off by; pi where it may be any [rad].
     """
 
     fraction: float
     faces: int
     widest: float
     first: float
+    entry: float
+    change: float
+    last: float
+    within: float
 
 
 @compiled
@@ -107,7 +121,82 @@ def set_rounded(ring, x, low, high, speeds, turns):
 
 
 @compiled
-def _set_model(hessian, q, ring, speeds, turns, z, gradient, curved):
+def set_paced(ring, speeds, turns):
+    """Set the speeds next to others that change within the limit, headings being held.
+
+    Args:
+        ring: floor and limit.
+        speeds: t, shape (N,), updated.
+        turns: d, shape (N,).
+
+    Returns:
+        Whether there are any: along a polygon, the least speed may rise too fast.
+    """
+    count, change, angle = len(turns), WITHIN * ring.change, ring.first
+    rho, least = np.empty(count), np.empty(count)
+    for k in range(count):
+        angle += turns[k]
+        rho[k] = least[k] = least_speed(ring, angle)[0]
+    for k in range(count - 2, -1, -1):
+        least[k] = max(least[k], least[k + 1] - change)
+    if ring.entry + change < least[0]:
+        return False
+    before = ring.entry
+    for k in range(count):
+        wanted = max(least[k], rho[k] + speeds[k] * (1.0 - rho[k]))
+        before = min(before + change, max(before - change, wanted))
+        speeds[k] = min(1.0, max(0.0, (before - rho[k]) / max(SMALL, 1.0 - rho[k])))
+    return True
+
+
+@compiled
+def _changes(ring, z, k):
+    """Return by how much the speed rises more than it may into a step, and by how much it falls."""
+    size, before = np.sqrt(z[k, 0] ** 2 + z[k, 1] ** 2), ring.entry
+    if k > 0:
+        before = np.sqrt(z[k - 1, 0] ** 2 + z[k - 1, 1] ** 2)
+    return size - before - ring.change, before - size - ring.change
+
+
+@compiled
+def _value(hessian, q, ring, chain, stiff, z):
+    """Return the cost of headings, with what the multipliers of changes of speed add."""
+    value = quadratic(hessian, q, z)
+    if stiff > 0.0:
+        for k in range(len(z)):
+            rises, falls = _changes(ring, z, k)
+            up, down = chain[k, 0] + stiff * rises, chain[k, 1] + stiff * falls
+            value += (max(0.0, up) ** 2 + max(0.0, down) ** 2) / (2.0 * stiff)
+    return value
+
+
+@compiled
+def _add_changes(ring, chain, stiff, speeds, turns, z, gradient, curved):
+    """Add what changes of speed contribute to the model, in speeds and headings.
+
+    A polygon's curvature along headings is left out: it only makes steps less exact.
+    """
+    count, angle = len(turns), ring.first
+    by, at = np.zeros(4), np.zeros(4, np.int64)  # of m_k in t_k and theta_k; then of -m_{k-1}
+    for k in range(count):
+        angle += turns[k]
+        rho, slope, _ = least_speed(ring, angle)
+        by[2], by[3], at[2], at[3] = -by[0], -by[1], at[0], at[1]
+        by[0], by[1], at[0], at[1] = 1.0 - rho, (1.0 - speeds[k]) * slope, k, count + k
+        rises, falls = _changes(ring, z, k)
+        up = max(0.0, chain[k, 0] + stiff * rises)
+        down = max(0.0, chain[k, 1] + stiff * falls)
+        active = (1.0 if up > 0.0 else 0.0) + (1.0 if down > 0.0 else 0.0)
+        if active == 0.0:
+            continue
+        for i in range(4 if k > 0 else 2):
+            gradient[at[i]] += (up - down) * by[i]
+            for j in range(4 if k > 0 else 2):
+                curved[at[i], at[j]] += active * stiff * by[i] * by[j]
+
+
+@compiled
+def _set_model(hessian, q, ring, chain, stiff, speeds, turns, z, gradient, curved):
     """Set the gradient, shape (2N,), and the Hessian, shape (2N, 2N), in speeds and then turns."""
     count = len(q)
     curved[:] = 0.0
@@ -139,6 +228,8 @@ def _set_model(hessian, q, ring, speeds, turns, z, gradient, curved):
                     if e >= f:
                         held = same * curved[e * count + k, f * count + j]
                         curved[e * count + k, f * count + j] = held + hessian[k, j] * inner
+    if stiff > 0.0:
+        _add_changes(ring, chain, stiff, speeds, turns, z, gradient, curved)
     # theta_k is the sum of the turns up to k, so turns see the sums from k on.
     for k in range(count - 2, -1, -1):
         gradient[count + k] += gradient[count + k + 1]
@@ -178,21 +269,8 @@ def _set_step(curved, gradient, y, bounds, damping, scale, step):
 
 
 @compiled
-def steer(hessian, q, ring, constant, speeds, turns, z):
-    """Descend to a local optimum.
-
-    Args:
-        hessian: H, shape (N, N).
-        q: linear terms, shape (N, 2).
-        ring: floor and turn rate.
-        constant: what costs lack; it only scales the accuracy.
-        speeds: t to begin with, shape (N,), updated.
-        turns: d to begin with, shape (N,), updated.
-        z: headings, shape (N, 2), set.
-
-    Returns:
-        The cost without the constant, and the Newton steps taken.
-    """
+def _descend(hessian, q, ring, constant, chain, stiff, speeds, turns, z):
+    """Descend as :func:`steer` does, at given multipliers of the changes of speed."""
     count = len(q)
     y, trial, step = np.empty(2 * count), np.empty(2 * count), np.empty(2 * count)
     bounds, gradient = np.empty((2 * count, 2)), np.empty(2 * count)
@@ -201,10 +279,10 @@ def steer(hessian, q, ring, constant, speeds, turns, z):
     bounds[:count, 0], bounds[:count, 1] = 0.0, 1.0
     bounds[count:, 0], bounds[count:, 1] = -WITHIN * ring.widest, WITHIN * ring.widest
     set_headings(ring, speeds, turns, z)
-    cost, damping, taken = quadratic(hessian, q, z), DAMPED, 0
+    cost, damping, taken = _value(hessian, q, ring, chain, stiff, z), DAMPED, 0
     while taken < STEPS:
         taken += 1
-        _set_model(hessian, q, ring, y[:count], y[count:], z, gradient, curved)
+        _set_model(hessian, q, ring, chain, stiff, y[:count], y[count:], z, gradient, curved)
         scale, before = 1e-300, cost
         for i in range(2 * count):
             scale = max(scale, abs(curved[i, i]))
@@ -213,7 +291,7 @@ def steer(hessian, q, ring, constant, speeds, turns, z):
                 for i in range(2 * count):
                     trial[i] = min(bounds[i, 1], max(bounds[i, 0], y[i] + step[i]))
                 set_headings(ring, trial[:count], trial[count:], there)
-                reached = quadratic(hessian, q, there)
+                reached = _value(hessian, q, ring, chain, stiff, there)
                 if reached < cost:
                     y[:], z[:], cost = trial, there, reached
                     damping = max(1e-10, CALMED * damping)
@@ -223,3 +301,42 @@ def steer(hessian, q, ring, constant, speeds, turns, z):
             break
     speeds[:], turns[:] = y[:count], y[count:]
     return cost, taken
+
+
+@compiled
+def steer(hessian, q, ring, constant, speeds, turns, z):
+    """Descend to a local optimum.
+
+    Args:
+        hessian: H, shape (N, N).
+        q: linear terms, shape (N, 2).
+        ring: floor and turn rate, and the limit of the change of speed.
+        constant: what costs lack; it only scales the accuracy.
+        speeds: t to begin with, shape (N,), updated.
+        turns: d to begin with, shape (N,), updated.
+        z: headings, shape (N, 2), set.
+
+    Returns:
+        The cost without the constant, infinite where no speeds were found that change within the
+        limit, and the Newton steps taken.
+    """
+    chain, curvature, taken = np.zeros((len(q), 2)), 0.0, 0
+    if ring.change == np.inf:
+        return _descend(hessian, q, ring, constant, chain, 0.0, speeds, turns, z)
+    for k in range(len(q)):
+        curvature = max(curvature, hessian[k, k])
+    stiff = STIFF * curvature
+    for _ in range(ROUNDS):
+        taken += _descend(hessian, q, ring, constant, chain, stiff, speeds, turns, z)[1]
+        worst = 0.0
+        for k in range(len(q)):
+            for side, beyond in enumerate(_changes(ring, z, k)):
+                chain[k, side] = max(0.0, chain[k, side] + stiff * beyond)
+                worst = max(worst, beyond)
+        if worst <= KEPT:
+            break
+        stiff *= STIFFER
+    if not set_paced(ring, speeds, turns):
+        return np.inf, taken
+    set_headings(ring, speeds, turns, z)
+    return quadratic(hessian, q, z), taken

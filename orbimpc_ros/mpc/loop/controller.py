@@ -13,14 +13,15 @@ from orbimpc_ros.mpc.check import command_violations, violations
 from orbimpc_ros.mpc.command import Command, command_of, flaw
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
 from orbimpc_ros.mpc.loop.delay import CommandHistory
-from orbimpc_ros.mpc.loop.interception import Catch, Hunt, Interception
+from orbimpc_ros.mpc.loop.interception import Catch, Hunt, Interception, Target
 from orbimpc_ros.mpc.loop.odometry import Odometry, odd_speed, state_of
 from orbimpc_ros.mpc.loop.response import Response, held_back
-from orbimpc_ros.mpc.loop.safety import may_stop, safe_command
+from orbimpc_ros.mpc.loop.safety import entry_of_safety, may_stop, safe_command
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
 from orbimpc_ros.mpc.plan import Plan, later, shifted
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem import Approach, Hazard, Problem, State
 from orbimpc_ros.mpc.problem.cones import told
+from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
 from orbimpc_ros.mpc.problem.reach import pulled_in
 from orbimpc_ros.mpc.solve.request import Enough
 from orbimpc_ros.mpc.solve.solver import Solver
@@ -107,11 +108,13 @@ class Controller:
         response: lags of the vehicle; odometry then goes through :meth:`settled`.
         capture_radius: within which the goal is caught [m]. Above 0 the earliest catch within the
             horizon is flown, and the problem's own objective where there is none; that takes a
-            receding horizon and a terminal penalty.
+            receding horizon and a terminal penalty. Among hazards no catch is looked for.
+        approach: the cone of headings in which a catch counts; by default any heading does.
 
     Attributes:
         history: the commands of late; a tick's command counts as sent unless another is added.
         disturbance: what the next tick plans with; who estimates more than is known may set it.
+        hazards: what moves and the next tick stays clear of; their time begins with its odometry.
     """
 
     def __init__(
@@ -126,27 +129,34 @@ class Controller:
         velocity_source: str = 'ground',
         response: Response | None = None,
         capture_radius: float = 0.0,
+        approach: Approach | None = None,
     ) -> None:
         self.problem, self._safe_kind = problem, safe
         self.response = response or Response()
         self.disturbance, self._velocity_source = disturbance, velocity_source
+        self.hazards: tuple[Hazard, ...] = ()
         self._projection, self._shrinking, self._tolerance = projection, shrinking, gap_tolerance
         self._solvers: dict[tuple[int, float, bool], Solver] = {}
         self._counted = np.arange(1.0, problem.horizon + 1.0)
         self._solver(problem.horizon, problem.step)
-        self._catchers: dict[int, Solver] = {}
+        self._catchers: dict[Target, Solver] = {}
         self._interception: Interception | None = None
+        self._approach = approach or Approach()
         if number(capture_radius, 'capture_radius', 0.0) > 0.0:
             if shrinking or problem.terminal != 'penalty':
                 raise BadInput('capture_radius', capture_radius, '0 with an arrival in time')
-            self._interception = Interception(problem, capture_radius)
-            for end in range(1, problem.horizon + 1):
-                self._catcher(end)
+            caught = replace(problem, approach=self._approach)
+            self._interception = Interception(caught, capture_radius)
+            for target in self._interception.targets:
+                self._catcher(target)
+        by_its_axis = self._interception is not None and self._approach.is_the_goals
+        self._wants_attitude = problem.wants_attitude or by_its_axis
         self.reset()
 
     def reset(self) -> None:
         """Forget everything, for instance before another flight."""
         self.history = CommandHistory()
+        self._reached: float | None = None  # share of full speed, by a vehicle that obeys commands
         self.start_afresh()
 
     def start_afresh(self) -> None:
@@ -154,6 +164,7 @@ class Controller:
         self.history.forget()
         self._previous: Plan | None = None
         self._goals: Array | None = None  # of the previous plan
+        self._wanted: Array | None = None  # the rotation of its end
         self._fallbacks = self._planned = 0
         self._since = 0.0  # steps since a plan was found
         self._flown = self.response.lead(self.problem) / self.problem.step  # since the start
@@ -164,14 +175,20 @@ class Controller:
         self._catch = 0.0  # when the goal is to be caught [s]
         self._aim = np.zeros(self.problem.dimension)  # where the last plan arrives
 
+    def expect_hazards(self) -> None:
+        """Make now what the first tick with hazards would have to wait for: that takes a second."""
+        for solver in self._solvers.values():
+            solver.expect_hazards()
+
     def continue_from(self, other: Controller) -> None:
         """Take over what another controller remembers, for instance one with other weights."""
         self.history = other.history
         self._previous, self._goals = other._previous, other._goals
+        self._wanted = other._wanted
         self._flown, self._last, self._pace = other._flown, other._last, other._pace
         self._since, self._fallbacks, self._due = other._since, other._fallbacks, other._due
         self._planned, self._arriving, self._aim = other._planned, other._arriving, other._aim
-        self._catch = other._catch
+        self._catch, self._reached = other._catch, other._reached
 
     @property
     def remaining(self) -> int:
@@ -220,6 +237,7 @@ class Controller:
         goals: Array,
         out_of_time: Callable[[], bool] | None = None,
         ahead: Callable[[Array], Array] | None = None,
+        wanted: Array | None = None,
     ) -> Tick:
         """Plan from a measurement towards goals g_1..g_N at its :meth:`ends`, shape (N, n) [m].
 
@@ -229,7 +247,11 @@ class Controller:
             out_of_time: polled by long searches; True makes them return their best plan.
             ahead: returns where the goal will be at times, shape (M,) [s], as shape (M, n) [m]:
                 what is to be intercepted can then be met beyond the horizon.
+            wanted: the rotation wanted at the end, shape (n, n), as the goal's; None for any.
         """
+        passed = self._passed(odometry.time)
+        self._change_speed(passed)
+        self._wanted = wanted
         state, knots = self._state(odometry), self._begin(odometry)
         if not len(knots):
             reason = Reason(Cause.HORIZON, 'the horizon has run out')
@@ -239,10 +261,12 @@ class Controller:
         task = self._task(state, goals, knots, out_of_time)
         self._goals = goals
         catch = None
-        if self._interception is None or shortened:
+        if self._interception is None or shortened or state.hazards:
             plan, status, words = _solved(task)
         else:
-            task, (plan, status, words), catch = self._caught(task, self._interception, ahead)
+            task, (plan, status, words), catch = self._caught(
+                task, self._interception, ahead, passed or math.inf
+            )
         measured = self.problem, odometry, self.disturbance, self._velocity_source
         words = '; '.join(filter(None, (words, shortened, odd_speed(*measured))))
         reason = Reason(Cause.NONE, words)
@@ -258,39 +282,55 @@ class Controller:
         task: _Task,
         interception: Interception,
         ahead: Callable[[Array], Array] | None,
+        pause: float,
     ) -> tuple[_Task, _Answer, Catch]:
-        """Return the task of the earliest catch and its answer; the given one's without any."""
-        now, tried = self._last or 0.0, []  # type: float, list[tuple[_Task, _Answer]]
+        """Return the task of the earliest catch and its answer; the given one's without any.
 
-        def goals(end: int) -> Array:
-            if end <= len(task.goals) or ahead is None:
-                return task.goals[:end]
-            return ahead(now + interception.problem(end).step * self._counted)
+        ``pause`` is the time from the last tick to this one, in steps; infinite at the first.
+        """
+        now = self._last or 0.0
+        tried: list[tuple[_Task, _Answer]] = []
 
-        def solved(end: int, goals: Array) -> Plan | None:
-            chosen = self._catching(task, self._catcher(end), goals)
+        def goals(end: float) -> Array:
+            if ahead is None or (end <= len(task.goals) and end == int(end)):
+                return task.goals[: int(end)]
+            catching = interception.problem(Target(end))
+            return ahead(now + catching.step * self._counted[: catching.horizon])
+
+        def solved(target: Target, goals: Array) -> Plan | bool:
+            chosen = self._catching(task, self._catcher(target), goals)
             tried.append((chosen, _solved(chosen)))
-            return tried[-1][1][0]
+            plan, status, _ = tried[-1][1]
+            return plan or status is Status.INFEASIBLE
 
         farthest = len(task.goals) if ahead is None else interception.farthest
         late = task.out_of_time or (lambda: False)
         expected = max(0, math.ceil((self._catch - now) / task.problem.step - SNAP))
-        hunt = Hunt(task.state, goals, solved, late, farthest, expected)
+        known = ahead is not None, pause, expected
+        hunt = Hunt(task.state, goals, solved, late, farthest, *known)
         plan, catch = interception.earliest(hunt)
         if plan is None:
-            return task, _solved(task), catch
+            tracked, status, words = _solved(task)
+            outside = self._unmet(catch)
+            return task, (tracked, status, '; '.join(filter(None, (words, outside)))), catch
         chosen, answer = next(each for each in tried if each[1][0] is plan)
         self._catch = now + catch.time
         self._pace, self._goals = chosen.problem.step, chosen.goals
         return chosen, answer, catch
 
-    def _catcher(self, end: int) -> Solver:
-        """Return the solver of catching the goal at an end, in steps."""
-        if end not in self._catchers:
+    def _unmet(self, catch: Catch) -> str:
+        """Return in words that no catch was found with a heading inside the cone of approach."""
+        if not self._approach.exists:
+            return ''
+        return f'approach: no turn meets the cone of a catch before {catch.bound:.4g} s'
+
+    def _catcher(self, target: Target) -> Solver:
+        """Return the solver of catching the goal."""
+        if target not in self._catchers:
             assert self._interception is not None
-            problem, enough = self._interception.problem(end), self._interception.enough(end)
-            self._catchers[end] = self._made(problem, enough)
-        return self._catchers[end]
+            enough = self._interception.enough(target.end)
+            self._catchers[target] = self._made(self._interception.problem(target), enough)
+        return self._catchers[target]
 
     def _catching(self, task: _Task, solver: Solver, goals: Array) -> _Task:
         """Return the task of coming close within a number of steps, perhaps of longer ones."""
@@ -300,7 +340,11 @@ class Controller:
             stretched = step / task.problem.step * self._counted[: len(goals)]
             knots = task.knots[0] - each + each * stretched
         chosen = replace(task, solver=solver, goals=sealed(goals.copy()), knots=knots, guess=None)
-        return replace(chosen, guess=self._shifted(chosen)) if solver.takes_guess else chosen
+        return (
+            replace(chosen, guess=self._shifted(chosen))
+            if solver.takes_guess(task.state)
+            else chosen
+        )
 
     def settled(self, odometry: Odometry) -> Odometry:
         """Return what to plan from: the measurement, moved on by what the vehicle's lags leave."""
@@ -322,7 +366,18 @@ class Controller:
 
     def _state(self, odometry: Odometry) -> State:
         known = self._applied, self.disturbance, self._velocity_source
-        return state_of(self.problem, odometry, *known)
+        wanted = self._wanted if self._wants_attitude else None  # or it need not be looked at
+        state = state_of(self.problem, odometry, *known, self._reached, wanted)
+        return replace(state, hazards=self.hazards)
+
+    def _change_speed(self, steps: float) -> None:
+        """Note how far towards the last command the speed has come, a number of steps later."""
+        if not self.problem.max_acceleration or self.history.last is None:
+            return
+        told = self.history.last.speed_fraction
+        before = told if self._reached is None else self._reached
+        before = max(before, min(told, self.problem.floor.clearance(self.problem.dimension)))
+        self._reached = moved_towards(self.problem, before, told, steps)
 
     def _task(
         self,
@@ -333,7 +388,7 @@ class Controller:
     ) -> _Task:
         solver = self._solver(len(knots), self._pace)
         task = _Task(solver, state, goals, knots, out_of_time)
-        return replace(task, guess=self._shifted(task)) if solver.takes_guess else task
+        return replace(task, guess=self._shifted(task)) if solver.takes_guess(state) else task
 
     def hold(self, odometry: Odometry, words: str) -> Tick:
         """Go on without a goal: by the previous plan as long as the fallback allows, then safely.
@@ -343,9 +398,12 @@ class Controller:
             words: why there is no goal.
         """
         reason = Reason(Cause.GOAL, words)
+        self._change_speed(self._passed(odometry.time))
         state, knots = self._state(odometry), self._begin(odometry)
-        if self._goals is None or not len(knots):
+        unknown = self._goals is None or (self._wants_attitude and self._wanted is None)
+        if unknown or not len(knots):
             return self._finish(self._without_plan(state, Status.FAILED, reason))
+        assert self._goals is not None
         self._goals = sealed(later(self._goals, knots - 1.0))
         task = self._task(state, self._goals, knots)
         return self._finish(self._fall_back(task, Status.FAILED, reason))
@@ -357,6 +415,7 @@ class Controller:
             attitude: the present one, shape (n, n).
             reason: why nothing is planned.
         """
+        self._change_speed(1.0)
         return self._safe(None, attitude, Status.FAILED, reason)
 
     def _fall_back(self, task: _Task, status: Status, reason: Reason) -> Tick:
@@ -397,16 +456,19 @@ class Controller:
     ) -> Tick:
         """Return the tick that follows a checked plan, if the command made of it may be sent."""
         command = command_of(task.problem, task.state, plan)
-        wrong = '; '.join(command_violations(task.problem, plan, command))
-        if not wrong and (last_look := flaw(task.problem, command)):
+        entry = entry_speed(task.problem, task.state) if task.problem.max_acceleration else 0.0
+        wrong = '; '.join(command_violations(task.problem, plan, command, entry))
+        if not wrong and (last_look := flaw(task.problem, command, entry=entry)):
             wrong = f'not sent: {last_look}'
         if wrong:
             return self._rejected(task, wrong)
         if self.response.lags:
             before, self._due = self._due or self.history.last, command
             command = held_back(task.problem, plan, before, command)
-            if last_look := flaw(task.problem, command):
+            if last_look := flaw(task.problem, command, entry=entry):
                 return self._rejected(task, f'not sent: {last_look}')
+        if task.problem.max_acceleration:
+            self._reached = entry
         known = task.problem, task.goals, reason.cause
         return Tick(status, reason.words, task.state, plan, command, fallback, *known)
 
@@ -423,8 +485,10 @@ class Controller:
             RuntimeError: the safe command itself must not be sent, which its own law excludes.
         """
         kind, problem, self._due = self._safe_kind, self.problem, None
-        command = safe_command(kind, problem, attitude, self.history.fraction, self.disturbance)
-        wrong = flaw(problem, command, stopping=may_stop(kind, problem))
+        before = self.history.fraction if self._reached is None else self._reached
+        command = safe_command(kind, problem, attitude, before, self.disturbance)
+        entry = entry_of_safety(problem, before)
+        wrong = flaw(problem, command, stopping=may_stop(kind, problem), entry=entry)
         if wrong:
             raise RuntimeError(f'the safe command is not sent: {wrong}')
         fallback = Fallback.SAFE_COMMAND

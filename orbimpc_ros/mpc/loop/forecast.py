@@ -104,10 +104,12 @@ class Itinerary:
     Attributes:
         times: increasing stamps, shape (M,) [s].
         positions: shape (M, n) [m].
+        attitude: of the goal at the last of them, shape (n, n); None where it has none.
     """
 
     times: Array
     positions: Array
+    attitude: Array | None = None
 
     def __post_init__(self) -> None:
         if len(self.times) == 0 or np.any(np.diff(self.times) <= 0.0):

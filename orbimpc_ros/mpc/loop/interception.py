@@ -15,6 +15,16 @@ longer. A vehicle that cannot stop finds so the way out and back to a goal insid
 circle. It keeps to the time at which it means to catch the goal, unless it can be sooner: whoever
 looks anew each time for any way that leads there may put it off for ever.
 
+Where the problem has a cone of approach, a catch counts only if its last heading is inside of it:
+then "none catches the goal" means none that is headed as it should be. Well within is then a catch
+that is inside of a narrower cone, too.
+
+Who can catch the goal at the end of a step, but not of the one before, can perhaps do it in
+between: steps that are a little shorter are tried, where it is known where the goal is then. A
+command is obeyed until the next tick, which may come after the first of these steps. Then none is
+tried but where turns are limited, or take place within a step; and none that would turn by more
+than half a turn until then.
+
 Mathematics: docs/mathematics.md, 7.10.
 """
 
@@ -29,15 +39,17 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.rotations import log
 from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State, Weights
 from orbimpc_ros.mpc.solve.request import Enough
 
-AIM = 0.5  # of the radius: what a plan must come within, so that gusts leave some of it
+AIM = 0.5  # of the radius and the cone: what to come within, so that gusts leave some of it
 EFFORT = 0.1  # of the squared radius: what the inputs of a plan cost at most
 LARGEST_CHANGE = 8.0  # of a rotation, |R' - R|_F^2, that of half a turn
 FARTHEST = 4  # times the horizon, to look beyond it
+FINEST = 0.25  # of a step, to which the time of a catch is looked for
 SHARPEST = 0.5 * math.pi  # turn within a step: beyond it the way is a caricature
 
 
@@ -48,31 +60,39 @@ class Catch:
     Attributes:
         time: when the plan catches it, from its start [s]; nan if no plan was found that does.
         bound: no trajectory of the problem's own steps catches it at the end of one before this
-            time [s]; that of the first step past the horizon if none catches it at all.
+            time [s]; that of the first step past the horizon if none catches it at all. Where a
+            catch between two ends is sooner, its time.
     """
 
     time: float
     bound: float
 
 
-def catching(problem: Problem, radius: float, end: int) -> Problem:
+def catching(problem: Problem, radius: float, end: float) -> Problem:
     """Return the problem of coming as close as possible to the goal at a time.
 
     Args:
-        problem: what is solved where nothing is to be caught.
+        problem: what is solved where nothing is to be caught, with the cone of approach.
         radius: within which the goal is caught [m].
-        end: when, counted in steps of ``problem``; beyond its horizon as many steps are longer,
-            and turns within them are integrated, however the shorter ones are.
+        end: when, counted in steps of ``problem``. Within a step all are shorter; beyond the
+            horizon as many are longer, and turns within them are integrated, however the shorter
+            ones are.
     """
-    steps = min(end, problem.horizon)
-    length, how = problem.step, problem.discretisation
-    if end > steps:
-        length, how = problem.step * end / steps, 'exact'
+    steps = min(math.ceil(end), problem.horizon)
+    length = problem.step if end == steps else problem.step * end / steps
+    how = 'exact' if end > steps else problem.discretisation
     change = LARGEST_CHANGE / length**2
     if problem.rotation_order == 2:
         change *= 4.0 / length**2  # a change, and back
     weights = Weights(0.0, EFFORT * radius**2 / (steps * change), 0.0, 1.0)
     return replace(problem, horizon=steps, step=length, discretisation=how, weights=weights)
+
+
+class Target(NamedTuple):
+    """When a goal is to be caught, counted in steps, and whether inside of the narrower cone."""
+
+    end: float
+    narrow: bool = False
 
 
 @dataclass(frozen=True)
@@ -83,17 +103,22 @@ class Hunt:
         state: where the plan starts.
         goals: returns where the goal is at the ends of the steps that lead to an end, shape
             (N or less, n) [m].
-        solved: returns a checked plan for the problem of an end and its goals, if there is one.
+        solved: returns a checked plan for a :class:`Target` and its goals, or whether it is proved
+            that there is none.
         late: returns whether time is up; what is found by then counts.
         farthest: the last end that the goal is known at.
+        between: whether it is known between the ends of steps as well.
+        pause: between ticks, in steps.
         expected: the end at which the goal was to be caught so far; 0 if none.
     """
 
     state: State
-    goals: Callable[[int], Array]
-    solved: Callable[[int, Array], Plan | None]
+    goals: Callable[[float], Array]
+    solved: Callable[[Target, Array], Plan | bool]
     late: Callable[[], bool]
     farthest: int
+    between: bool = False
+    pause: float = math.inf
     expected: int = 0
 
 
@@ -101,7 +126,7 @@ class Interception:
     """Looks for the earliest catch.
 
     Args:
-        problem: what is solved where no catch is found.
+        problem: what is solved where no catch is found, with the cone of approach of a catch.
         radius: within which the goal is caught [m].
 
     Attributes:
@@ -109,17 +134,34 @@ class Interception:
     """
 
     def __init__(self, problem: Problem, radius: float) -> None:
-        self._radius, self._step, self._horizon = radius, problem.step, problem.horizon
+        self._tracked, self._radius = problem, radius
+        self._step, self._horizon = problem.step, problem.horizon
         self.farthest = _farthest(problem)
-        ends = range(1, self.farthest + 1)
-        self._problems = [catching(problem, radius, end) for end in ends]
-        self._reach = [float(np.abs(each.maps.reach[-1]).sum()) for each in self._problems]
+        self._divides = problem.rotation_order == 1  # at order 2, what coasts does so for a step
+        self._turns_within = problem.max_rate > 0.0 or problem.discretisation != 'euler'
+        self._coned = problem.approach.exists
+        self._problems: dict[Target, Problem] = {}
 
-    def problem(self, end: int) -> Problem:
-        """Return the problem of :func:`catching` the goal at an end."""
-        return self._problems[end - 1]
+    def problem(self, target: Target) -> Problem:
+        """Return the problem of :func:`catching` the goal, made when first asked for."""
+        if target not in self._problems:
+            made = catching(self._tracked, self._radius, target.end)
+            if target.narrow:
+                narrower = replace(made.approach, cone=AIM * made.approach.cone)
+                made = replace(made, approach=narrower)
+            self._problems[target] = made
+        return self._problems[target]
 
-    def enough(self, end: int) -> Enough:
+    @property
+    def targets(self) -> list[Target]:
+        """Return what is tried within the horizon: at the ends of its steps, and in between."""
+        ends = range(1, self._horizon + 1)
+        kinds = (False, True) if self._coned else (False,)
+        whole = [Target(end, narrow) for end in ends for narrow in kinds]
+        parts = FINEST * np.arange(1.0, self._horizon / FINEST) if self._divides else ()
+        return whole + [Target(float(end), self._coned) for end in parts if end % 1.0]
+
+    def enough(self, end: float) -> Enough:
         """Return what settles whether the goal is caught at an end.
 
         Past the horizon any way will do; within it the best one is wanted.
@@ -132,8 +174,10 @@ class Interception:
         """Return the plan of the earliest catch, if one is found, and how early one can be."""
         kept = self._kept(hunt)  # first of all: time may run out
         bound, excluded, best = 1, True, MISSED
+        goals = hunt.goals(self._horizon)
+        too_far = self._too_far(hunt.state, goals, self._tracked)
         for end in range(1, self._horizon + 1):
-            attempt = self._tried(hunt, end)
+            attempt = NEVER if too_far[end - 1] else self._tried(hunt, end, goals[:end])
             best = min(best, attempt, key=_miss)
             if best.miss <= AIM * self._radius:
                 break
@@ -141,8 +185,11 @@ class Interception:
             bound = end + 1 if excluded else bound
         if best.miss > self._radius:  # not even nearly
             best = self._sooner(hunt, kept) if kept.plan else self._beyond(hunt)
-        caught = self._step * best.end if best.plan else math.nan
-        return best.plan, Catch(caught, self._step * bound)
+        if best.plan is None:
+            return None, Catch(math.nan, self._step * bound)
+        if hunt.between and self._divides and best.miss <= AIM * self._radius:
+            best = self._within(hunt, best)
+        return best.plan, Catch(self._step * best.end, self._step * min(bound, best.end))
 
     def _kept(self, hunt: Hunt) -> _Attempt:
         """Try to catch the goal past the horizon when it was to be caught so far."""
@@ -171,7 +218,7 @@ class Interception:
             found = sooner
         return found
 
-    def _between(self, hunt: Hunt, missed: int, found: _Attempt) -> _Attempt:
+    def _between(self, hunt: Hunt, missed: float, found: _Attempt) -> _Attempt:
         """Return the first catch that halving finds between a miss and a catch."""
         while found.end - missed > 1:
             middle = (missed + found.end) // 2
@@ -182,22 +229,66 @@ class Interception:
                 found = sooner
         return found
 
-    def _surely(self, hunt: Hunt, end: int) -> _Attempt:
+    def _within(self, hunt: Hunt, found: _Attempt) -> _Attempt:
+        """Return the first catch that halving finds within the step at whose end one is found."""
+        away = 0.5
+        while away >= FINEST:
+            end = found.end - away
+            share = end / math.ceil(end)
+            if self._turns_within or share >= hunt.pause:
+                sooner = self._attempted(hunt, Target(end, narrow=self._coned), hunt.goals(end))
+                plan, well = sooner.plan, sooner.miss <= AIM * self._radius
+                if well and plan is not None and _first_turn(plan) <= share * math.pi:
+                    found = sooner
+            away *= 0.5
+        return found
+
+    def _surely(self, hunt: Hunt, end: float) -> _Attempt:
         """Try to come well within the radius at an end past the horizon."""
-        attempt = self._tried(hunt, end) if end > self._horizon else MISSED
+        if end <= self._horizon:
+            return MISSED
+        goals = hunt.goals(end)
+        target = Target(end, narrow=self._coned)
+        if self._too_far(hunt.state, goals, self.problem(target))[-1]:
+            return MISSED
+        attempt = self._attempted(hunt, target, goals)
         return attempt if attempt.miss <= AIM * self._radius else MISSED
 
-    def _tried(self, hunt: Hunt, end: int) -> _Attempt:
-        """Try to catch the goal at an end."""
-        goals = hunt.goals(end)
-        coasted = drift(self.problem(end), hunt.state)[-1]
-        if np.linalg.norm(goals[-1] - coasted) > self._reach[end - 1] + self._radius:
-            return MISSED._replace(never=True)  # too far away, whatever the headings
-        plan = None if hunt.late() else hunt.solved(end, goals)
-        if plan is None:
-            return MISSED
+    def _tried(self, hunt: Hunt, end: int, goals: Array) -> _Attempt:
+        """Try to catch the goal at an end, given where it is at the steps that lead there.
+
+        What only the wider cone allows is not well within, however close it comes.
+        """
+        if not self._coned:
+            return self._attempted(hunt, Target(end), goals)
+        within = self._attempted(hunt, Target(end, narrow=True), goals)
+        if within.miss <= AIM * self._radius:
+            return within
+        wider = self._attempted(hunt, Target(end), goals)
+        wider = wider._replace(miss=max(wider.miss, self._radius))
+        return min(within, wider, key=_miss)._replace(never=wider.never)
+
+    def _attempted(self, hunt: Hunt, target: Target, goals: Array) -> _Attempt:
+        plan = not hunt.late() and hunt.solved(target, goals)
+        if isinstance(plan, bool):
+            return NEVER if plan else MISSED
         miss = float(np.linalg.norm(plan.positions[-1] - goals[-1]))
-        return _Attempt(plan, end, miss, plan.lower_bound > self.enough(end).bound)
+        never = plan.lower_bound > self.enough(target.end).bound
+        return _Attempt(plan, target.end, miss, never)
+
+    def _too_far(self, state: State, goals: Array, problem: Problem) -> np.ndarray:
+        """Return at the end of which steps the goal is out of reach, whatever the headings (7.10b).
+
+        The problem that is tracked tells it of all ends within the horizon at once.
+        """
+        reach = np.abs(problem.maps.reach).sum(axis=1)
+        away = goals - drift(problem, state)
+        return np.asarray(np.sqrt(np.einsum('kc,kc->k', away, away)) > reach + self._radius)
+
+
+def _first_turn(plan: Plan) -> float:
+    """Return the angle that a plan turns by in its first step [rad]."""
+    return float(np.linalg.norm(log(plan.projected[0].T @ plan.projected[1])))
 
 
 class _Attempt(NamedTuple):
@@ -207,12 +298,13 @@ class _Attempt(NamedTuple):
     """
 
     plan: Plan | None = None
-    end: int = 0
+    end: float = 0
     miss: float = math.inf
     never: bool = False
 
 
 MISSED = _Attempt()
+NEVER = _Attempt(never=True)  # too far away, or nothing leads into the cone of approach
 _miss = attrgetter('miss')
 
 
@@ -221,7 +313,7 @@ def _farthest(problem: Problem) -> int:
 
     Steps get no longer where a box between their ends would not be seen.
     """
-    if problem.rotation_order == 2 or problem.obstacles:
+    if problem.rotation_order == 2 or problem.boxes:
         return problem.horizon
     longest = FARTHEST * problem.step
     if problem.max_rate:

@@ -14,10 +14,12 @@ class Sighting:
     Attributes:
         time: stamp [s].
         position: in the world frame, shape (n,) [m].
+        attitude: of the goal, shape (n, n); None where it has none in the plane.
     """
 
     time: float
     position: Array
+    attitude: Array | None = None
 
     def __post_init__(self) -> None:
         sealed(self.position)

@@ -61,6 +61,8 @@ def state_of(
     applied: float | None,
     disturbance: Array | None = None,
     velocity_source: str = 'ground',
+    reached: float | None = None,
+    wanted: Array | None = None,
 ) -> State:
     """Return the state that a plan starts from: R_0 = sigma_0 Q_0, always in conv SO(n).
 
@@ -75,6 +77,9 @@ def state_of(
             first command.
         disturbance: a wind or an acceleration, shape (n,); None for none.
         velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
+        reached: the share of full speed that changes of speed count from, where they are limited;
+            None before the first command: from the measured one.
+        wanted: the rotation wanted at the end, shape (n, n); None for any.
     """
     if problem.inertial:
         fraction = applied or 0.0
@@ -95,6 +100,8 @@ def state_of(
         attitude=odometry.attitude,
         coasted=coasted,
         disturbance=disturbance,
+        commanded=reached,
+        wanted=wanted,
     )
 
 

@@ -125,7 +125,8 @@ def held_back(problem: Problem, plan: Plan, before: Command | None, command: Com
         due = (
             problem.floor.clearance(problem.dimension) if before is None else before.speed_fraction
         )
-        fraction = due if problem.discretisation == 'euler' else 0.5 * (due + fraction)
+        late = {'euler': 0.0, 'exact': 0.5, 'held': 1.0}[problem.discretisation]
+        fraction = (1.0 - late) * due + late * fraction
     if problem.rotation_order == 2:
         rate = np.zeros(len(rate)) if before is None else before.body_rate
         rotation = np.array(plan.projected[1])

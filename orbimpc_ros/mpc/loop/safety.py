@@ -13,6 +13,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command, stop
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.problem.pace import moved_towards
 
 SAFE_COMMANDS = ('auto', 'stop', 'hold_rate_zero', 'loiter', 'hover')
 CIRCLE_STEPS = 16  # a loitering vehicle closes its circle in so many steps
@@ -50,7 +51,8 @@ def safe_command(
         kind: ``auto``: as :func:`decided`; ``stop``: no speed or thrust, no turning;
             ``hold_rate_zero``: the present speed, yet
             at least the floor, no turning (with thrust, at translation order 2, that is to
-            coast); ``loiter``: a level circle at the least speed, or at full speed without a floor;
+            coast); ``loiter``: a level circle at the least speed, or at full speed without a floor,
+            to which the speed changes as ``max_acceleration`` allows;
             ``hover`` (order 2): the thrust that :func:`carrying` has, no turning.
         problem: gives floor and limits.
         attitude: the present one, shape (n, n).
@@ -58,7 +60,7 @@ def safe_command(
         disturbance: the acceleration to hover against, shape (n,) [m/s^2]; None for none.
     """
     kind = decided(kind, problem)
-    if kind == 'stop':
+    if kind == 'stop':  # at once: what brakes does so as fast as it can
         return stop(attitude)
     rate = np.zeros(1 if problem.dimension == 2 else 3)
     least = problem.floor.clearance(problem.dimension)
@@ -70,8 +72,19 @@ def safe_command(
         return Command(kept, rate, np.array(attitude))
     circling = 2.0 * math.pi / (CIRCLE_STEPS * problem.step)
     rate[-1] = min(circling, problem.max_rate) if problem.max_rate > 0.0 else circling
-    fraction = problem.floor.circling(problem.dimension)
-    return Command(fraction, rate, attitude @ exp(problem.step * rate))
+    circled = problem.floor.circling(problem.dimension)
+    told = moved_towards(problem, entry_of_safety(problem, fraction), circled)
+    return Command(told, rate, attitude @ exp(problem.step * rate))
+
+
+def entry_of_safety(problem: Problem, fraction: float) -> float:
+    """Return the share of full speed that the change by a safe command counts from.
+
+    That commanded last, or what every heading has at least with a floor: up to it, at once.
+    """
+    if not problem.floor.exists:
+        return fraction
+    return max(fraction, problem.floor.circling(problem.dimension))
 
 
 def carrying(problem: Problem, attitude: Array, acceleration: Array) -> float:

@@ -15,11 +15,17 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.model import dynamics
-from orbimpc_ros.mpc.model.cost import first_length, input_weight, position_weights
+from orbimpc_ros.mpc.model.cost import (
+    attitude_weight,
+    first_length,
+    input_weight,
+    position_weights,
+)
 from orbimpc_ros.mpc.problem import Problem, State
 
 LONGEST = 30  # horizon; beyond it sparse solves are faster than dense ones
 WORST_CONDITION = 1e9
+TURNED = [0, 3]  # of the knowns, R_0 e1 and R_g e1
 SLIGHT = 1e-10  # share of its diagonal that a singular Hessian is given on top
 
 
@@ -27,16 +33,16 @@ class Condensed:
     """The quadratic of one problem; what varies from tick to tick enters linearly.
 
     What varies are the *knowns*, rows of shape (n,): R_0 e1, p_0, the
-    disturbance w, and g_1 - s_0..g_N - s_0.
+    disturbance w, R_g e1 (zero where no rotation is wanted), and g_1 - s_0..g_N - s_0.
 
     Attributes:
         hessian: H, shape (N, N), without the weight on the last velocity, which only adds to it.
-        turning: its part from the input weight, shape (N, N): all that coordinates of R_k other
-            than those of R_k e1 are subject to.
-        pulled: q of the knowns, shape (N, N + 3).
-        squared: c of the knowns, a quadratic form, shape (N + 3, N + 3).
-        turned: q of the other coordinates of R_0, shape (N, 1).
-        turned_squared: c of them, shape (1, 1).
+        turning: its part from the weights on inputs and attitude, shape (N, N): all that
+            coordinates of R_k other than those of R_k e1 are subject to.
+        pulled: q of the knowns, shape (N, N + 4).
+        squared: c of the knowns, a quadratic form, shape (N + 4, N + 4).
+        turned: q of the other coordinates of R_0 and R_g, shape (N, 2).
+        turned_squared: c of them, shape (2, 2).
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -44,16 +50,25 @@ class Condensed:
         maps, turn = problem.maps, dynamics.input_map(problem)
         reach = maps.reach
         weights, turning = position_weights(problem), input_weight(problem)
-        miss = np.hstack([reach[:, :1], maps.drift, maps.blown, -np.eye(problem.horizon)])
+        unseen, goals = np.zeros((problem.horizon, 1)), -np.eye(problem.horizon)
+        miss = np.hstack([reach[:, :1], maps.drift, maps.blown, unseen, goals])
         pull = 2.0 * reach[:, 1:].T * weights
         self.turning: Array = 2.0 * turning * turn[:, 1:].T @ turn[:, 1:]
-        self.turned: Array = 2.0 * turning * turn[:, 1:].T @ turn[:, :1]
-        self.turned_squared: Array = turning * turn[:, :1].T @ turn[:, :1]
+        self.turned: Array = np.hstack([2.0 * turning * turn[:, 1:].T @ turn[:, :1], unseen])
+        self.turned_squared: Array = np.zeros((2, 2))
+        self.turned_squared[:1, :1] = turning * turn[:, :1].T @ turn[:, :1]
+        self._want(attitude_weight(problem))
         self.hessian: Array = pull @ reach[:, 1:] + self.turning
         self.pulled: Array = pull @ miss
-        self.pulled[:, :1] += self.turned
+        self.pulled[:, TURNED] += self.turned
         self.squared: Array = miss.T * weights @ miss
-        self.squared[:1, :1] += self.turned_squared
+        self.squared[np.ix_(TURNED, TURNED)] += self.turned_squared
+
+    def _want(self, weight: float) -> None:
+        """Add a weight on the squared coordinates of R_N - R_g."""
+        self.turning[-1, -1] += 2.0 * weight
+        self.turned[-1, 1] -= 2.0 * weight
+        self.turned_squared[1, 1] += weight
 
     def affine(self, state: State, goals: Array) -> tuple[Array, float]:
         """Return q, shape (N, n), and c for a state and goals g_1..g_N, shape (N, n).
@@ -66,10 +81,11 @@ class Condensed:
 
 
 def knowns(state: State, goals: Array) -> Array:
-    """Return what the quadratic depends on, shape (N + 3, n): see :class:`Condensed`."""
-    known = np.empty((len(goals) + 3, goals.shape[1]))
+    """Return what the quadratic depends on, shape (N + 4, n): see :class:`Condensed`."""
+    known = np.empty((len(goals) + 4, goals.shape[1]))
     known[0], known[1], known[2] = state.rotation[:, 0], state.velocity, state.disturbance
-    np.subtract(goals, state.position, out=known[3:])
+    known[3] = 0.0 if state.wanted is None else state.wanted[:, 0]
+    np.subtract(goals, state.position, out=known[4:])
     return known
 
 

@@ -3,6 +3,7 @@ r"""The objective, term by term: weights per step, value and gradient.
 .. math::
     q \sum_{k=1}^{N} \|s_k - g_k\|^2 + m \|s_N - g_N\|^2 + r \sum_{k=0}^{N-1} \|u_k\|_F^2
     + \ell \sum_{k=0}^{N} \lambda_k h z \|R_k e_1\| + w (\|s_N - g_N\|^2 + h^2 \|p_N\|^2)
+    + a \|R_N - R_g\|_F^2
 
 with the arrival weight w, and with lambda_k the share of a step that R_k e_1 pushes for: all of it,
 and none for k = N; where thrust moves on a chord, half for the first and the last. All but the
@@ -65,6 +66,18 @@ def input_weight(problem: Problem) -> float:
     return problem.weights.input * frobenius_factor(problem.dimension)
 
 
+def attitude_weight(problem: Problem) -> float:
+    """Return the weight on the squared coordinates of R_N - R_g."""
+    return problem.weights.attitude * frobenius_factor(problem.dimension)
+
+
+def wanted_coordinates(problem: Problem, state: State) -> Array:
+    """Return the coordinates of R_g, shape (d,); zero where no rotation is wanted."""
+    if state.wanted is None:
+        return np.zeros(coordinate_count(problem.dimension))
+    return coordinates(state.wanted)
+
+
 def length_weight(problem: Problem) -> float:
     """Return the weight on |R_k e1| for a whole step."""
     return problem.weights.length * problem.step * problem.forward
@@ -85,6 +98,7 @@ def first_length(problem: Problem, state: State) -> float:
 
 def value(
     problem: Problem,
+    state: State,
     goals: Array,
     rotations: Array,
     inputs: Array,
@@ -94,6 +108,7 @@ def value(
 
     Args:
         problem: gives the weights.
+        state: gives the rotation that is wanted.
         goals: g_1..g_N, shape (N, n) [m].
         rotations: R_0..R_N, shape (N + 1, n, n).
         inputs: u_0..u_{N-1}, shape (N, n, n).
@@ -109,10 +124,13 @@ def value(
     if w.length > 0.0:
         axes = rotations[:, :, 0]
         cost += length_weights(problem) @ np.sqrt(np.einsum('kc,kc->k', axes, axes))
+    if w.attitude > 0.0:
+        off = (rotations[-1] - state.wanted).ravel()
+        cost += w.attitude * (off @ off)
     return float(cost)
 
 
-def gradients(problem: Problem, goals: Array, flown: Flown) -> list[Array]:
+def gradients(problem: Problem, state: State, goals: Array, flown: Flown) -> list[Array]:
     """Return the gradient of each term over the coordinates of R_1..R_N, shape (N, d) each."""
     maps, turn = problem.maps, dynamics.input_map(problem)[:, 1:]
     missed = position_weights(problem)[:, None] * (flown.positions[1:] - goals)
@@ -123,7 +141,15 @@ def gradients(problem: Problem, goals: Array, flown: Flown) -> list[Array]:
         2.0 * input_weight(problem) * turn.T @ turned,
         on_axes(2.0 * stopped),
         on_axes(_length_gradient(problem, flown)),
+        _attitude_gradient(problem, state, flown),
     ]
+
+
+def _attitude_gradient(problem: Problem, state: State, flown: Flown) -> Array:
+    gradient = np.zeros((problem.horizon, coordinate_count(problem.dimension)))
+    off = coordinates(flown.rotations[-1]) - wanted_coordinates(problem, state)
+    gradient[-1] = 2.0 * attitude_weight(problem) * off
+    return gradient
 
 
 def _length_gradient(problem: Problem, flown: Flown) -> Array:

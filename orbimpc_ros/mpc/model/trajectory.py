@@ -45,5 +45,5 @@ def trajectory_of(problem: Problem, state: State, goals: Array, x: Array) -> Tra
     rotations = np.concatenate([state.rotation[None], matrix(x)])
     positions, velocities = dynamics.translation_rollout(problem, state, rotations[:, :, 0])
     inputs = dynamics.inputs_of(problem, state, rotations)
-    cost = value(problem, goals, rotations, inputs, (positions, velocities))
+    cost = value(problem, state, goals, rotations, inputs, (positions, velocities))
     return Trajectory(positions, velocities, rotations, inputs, cost)

@@ -29,9 +29,11 @@ class Translation(ABC):
     Attributes:
         inertial: whether the velocity p is part of the state, y = (s, p), and R e1 a thrust.
             Otherwise y = (s), and the velocity is z R e1.
+        degree: of the motion of s within a step, as a polynomial of time.
     """
 
     inertial: bool
+    degree: int = 1
 
     @abstractmethod
     def transition(self, step: float) -> Array:
@@ -85,6 +87,8 @@ class SecondOrder(Translation):
 class FirstOrderExact(FirstOrder):
     """Order 1, R e1 on the chord from R_k e1 to R_{k+1} e1 during the step."""
 
+    degree = 2
+
     def push(self, step: float, forward: float) -> Array:
         """Return (h z / 2)."""
         return np.array([0.5 * step * forward])
@@ -97,6 +101,8 @@ class FirstOrderExact(FirstOrder):
 class SecondOrderExact(SecondOrder):
     """Order 2, R e1 on the chord from R_k e1 to R_{k+1} e1 during the step."""
 
+    degree = 3
+
     def push(self, step: float, forward: float) -> Array:
         """Return (h^2 z / 3, h z / 2)."""
         return np.array([step * step * forward / 3.0, 0.5 * step * forward])
@@ -106,9 +112,24 @@ class SecondOrderExact(SecondOrder):
         return np.array([step * step * forward / 6.0, 0.5 * step * forward])
 
 
+class SecondOrderHeld(SecondOrder):
+    """Order 2, R_{k+1} e1 attained as the step begins, and held: s moves along a parabola."""
+
+    degree = 2
+
+    def push(self, step: float, forward: float) -> Array:
+        """Return (0, 0): what the vehicle has been commanded before is over."""
+        return np.zeros(2)
+
+    def follow(self, step: float, forward: float) -> Array:
+        """Return (h^2 z / 2, h z)."""
+        return np.array([0.5 * step * step * forward, step * forward])
+
+
 TRANSLATIONS: dict[int, Translation] = {1: FirstOrder(), 2: SecondOrder()}
 EXACT: dict[int, Translation] = {1: FirstOrderExact(), 2: SecondOrderExact()}
-DISCRETISATIONS = {'euler': TRANSLATIONS, 'exact': EXACT}
+HELD: dict[int, Translation] = {2: SecondOrderHeld()}
+DISCRETISATIONS = {'euler': TRANSLATIONS, 'exact': EXACT, 'held': HELD}
 
 
 class Step(NamedTuple):

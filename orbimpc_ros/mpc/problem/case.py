@@ -10,13 +10,14 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array, frozen
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.model.translation import DISCRETISATIONS
-from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.scaling import weighed
 
 MODEL = ('dimension', 'rotation_order', 'translation_order', 'horizon', 'step', 'forward')
-EXTRAS = ('terminal', 'max_rate', 'no_corner_cutting', 'discretisation', 'tilt', 'glide_slope')
-PARTS = ('weights', 'floor', 'obstacles')
-WEIGHTS = ('position', 'input', 'length', 'terminal')
+EXTRAS = ('terminal', 'max_rate', 'max_acceleration', 'no_corner_cutting', 'discretisation')
+CONES = ('tilt', 'glide_slope')
+PARTS = ('weights', 'floor', 'obstacles', 'approach')
+WEIGHTS = ('position', 'input', 'length', 'terminal', 'attitude')
 
 
 class Case(NamedTuple):
@@ -40,23 +41,26 @@ def case_of(mapping: Any) -> Case:
     ``forward``, ``weights``, ``state`` and ``goal``: one point, or one for every step. A weight
     that is absent is 0: what a case does not state does not enter its objective; ``scaling`` among
     them says what they mean, by default the paper's sums. Without ``terminal``, ``floor``,
-    ``max_rate``, ``obstacles``, ``tilt`` and ``glide_slope`` there is a penalty and no limit;
+    ``max_rate``, ``max_acceleration``, ``obstacles``, ``tilt``, ``glide_slope`` and ``approach``
+    (``cone``, and a ``direction`` unless it is the goal's) there is a penalty and no limit;
     without ``discretisation`` it is ``euler``, and without a ``disturbance`` of the state there is
-    none.
+    none. A weight on ``attitude``, or an approach along the goal's own axis, needs
+    ``goal_attitude``, the rotation wanted at the end.
 
     Raises:
         BadInput: a field is unknown, missing, of another type or out of range.
     """
     needed = (*MODEL, 'weights', 'state', 'goal')
-    known = _fields(mapping, 'case', needed, (*EXTRAS, *PARTS))
+    known = _fields(mapping, 'case', needed, (*EXTRAS, *CONES, *PARTS, 'goal_attitude'))
     problem = _problem(known)
-    return Case(problem, _state(problem, known['state']), _goals(problem, known['goal']))
+    state = _state(problem, known['state'], known.get('goal_attitude'))
+    return Case(problem, state, _goals(problem, known['goal']))
 
 
 def _problem(known: Mapping[str, Any]) -> Problem:
     weights = dict(_fields(known['weights'], 'weights', (), (*WEIGHTS, 'scaling')))
     scaling = weights.pop('scaling', 'paper')
-    plain = {name: known[name] for name in (*MODEL, *EXTRAS) if name in known}
+    plain = {name: known[name] for name in (*MODEL, *EXTRAS, *CONES) if name in known}
     if not isinstance(plain.get('terminal', ''), str):
         raise BadInput.choice('terminal', plain['terminal'], ('penalty', 'constraint'))
     if not isinstance(plain.get('discretisation', ''), str):
@@ -67,7 +71,8 @@ def _problem(known: Mapping[str, Any]) -> Problem:
         **plain,
         weights=Weights(**{**dict.fromkeys(WEIGHTS, 0.0), **weights}),
         floor=_floor(known.get('floor', {'shape': 'none'})),
-        obstacles=_boxes(known.get('obstacles', [])),
+        obstacles=_obstacles(known.get('obstacles', [])),
+        approach=_approach(known.get('approach', {'cone': 0.0})),
     )
     return weighed(problem, scaling)
 
@@ -78,17 +83,27 @@ def _floor(value: Any) -> Floor:
     return Floor(**_fields(known, 'floor', ('shape', *needed), tuple(known)))
 
 
-def _boxes(value: Any) -> tuple[Box, ...]:
+def _approach(value: Any) -> Approach:
+    known = _fields(value, 'approach', ('cone',), ('direction',))
+    direction = _numbers(known.get('direction', []), 'approach.direction')
+    return Approach(known['cone'], tuple(direction))
+
+
+def _obstacles(value: Any) -> tuple[Box | Ball, ...]:
     if not isinstance(value, list):
-        raise BadInput('obstacles', value, 'a list of boxes {min, max}')
-    boxes = [_fields(box, f'obstacles[{i}]', ('min', 'max')) for i, box in enumerate(value)]
-    return tuple(
-        Box(_numbers(box['min'], 'obstacles.min'), _numbers(box['max'], 'obstacles.max'))
-        for box in boxes
-    )
+        raise BadInput('obstacles', value, 'a list of boxes {min, max} and balls {centre, radius}')
+    return tuple(_obstacle(each, f'obstacles[{i}]') for i, each in enumerate(value))
 
 
-def _state(problem: Problem, value: Any) -> State:
+def _obstacle(value: Any, culprit: str) -> Box | Ball:
+    if isinstance(value, dict) and ('centre' in value or 'radius' in value):
+        ball = _fields(value, culprit, ('centre', 'radius'))
+        return Ball(_numbers(ball['centre'], 'obstacles.centre'), ball['radius'])
+    box = _fields(value, culprit, ('min', 'max'))
+    return Box(_numbers(box['min'], 'obstacles.min'), _numbers(box['max'], 'obstacles.max'))
+
+
+def _state(problem: Problem, value: Any, wanted: Any) -> State:
     optional = [
         'disturbance',
         *(['velocity'] if problem.inertial else []),
@@ -98,6 +113,9 @@ def _state(problem: Problem, value: Any) -> State:
     arrays = {name: _numbers(known[name], f'state.{name}') for name in known}
     # The state takes its dimension from the position: settle that first.
     arrays['position'] = frozen(arrays['position'], (problem.dimension,), 'state.position')
+    if wanted is not None:
+        n = problem.dimension
+        arrays['wanted'] = frozen(_numbers(wanted, 'goal_attitude'), (n, n), 'goal_attitude')
     return State.at(**arrays)
 
 

@@ -13,6 +13,7 @@ Mathematics: docs/mathematics.md, 3.9.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -97,7 +98,25 @@ def climb(problem: Problem, state: State, goals: Array) -> Array:
 
     At full thrust, but for what the state decides and what ``max_rate`` allows without a floor.
     """
-    z, decided = np.empty((problem.horizon + 1, 3)), problem.rotation_order - 1
+
+    def wanted(k: int, y: Array) -> Array:
+        return _upward(problem, y[0] - goals[max(k - 1, 0)], y[1:])
+
+    return pursuit(problem, state, wanted)
+
+
+def pursuit(problem: Problem, state: State, wanted: Callable[[int, Array], Array]) -> Array:
+    """Return R_0 e1..R_N e1, shape (N + 1, n), that turn to directions as fast as may be.
+
+    At full thrust, but for what the state decides and what ``max_rate`` allows without a floor.
+
+    Args:
+        problem: gives the model and its limits.
+        state: from where.
+        wanted: returns the unit vector to point along, shape (n,), at a step, given position and
+            velocity at its begin, shape (2, n), or the position alone, shape (1, n).
+    """
+    z, decided = np.empty((problem.horizon + 1, problem.dimension)), problem.rotation_order - 1
     z[0] = state.rotation[:, 0]
     if decided:
         z[1] = _coasted(problem, state)
@@ -107,8 +126,7 @@ def climb(problem: Problem, state: State, goals: Array) -> Array:
     y = np.array([state.position, state.velocity][: len(once.push)])
     for k in range(problem.horizon):
         if k >= decided:
-            away = y[0] - goals[max(k - 1, 0)]
-            pointing = z[k + 1] = _raised(problem, pointing, _upward(problem, away, y[1:]))
+            pointing = z[k + 1] = _raised(problem, pointing, wanted(k, y))
         pushed = np.outer(once.push, z[k]) + np.outer(once.follow, z[k + 1])
         y = once.transition @ y + pushed + blown
     return z
@@ -156,7 +174,8 @@ def _turned(unit: Array, towards: Array, most: float) -> Array:
     """Return a unit vector turned towards another, by an angle at most."""
     aside = towards - unit * (unit @ towards)
     if _size(aside) < HEADING_UNDEFINED:  # there, or opposite: about any axis across
-        aside = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit))])
+        other = np.eye(len(unit))[np.argmin(np.abs(unit))]
+        aside = other - unit * (unit @ other)
     angle = 2.0 * math.atan2(_size(towards - unit), _size(towards + unit))
     if angle <= most:
         return towards

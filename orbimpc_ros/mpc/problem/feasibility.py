@@ -28,20 +28,23 @@ def reason(problem: Problem, state: State, goals: Array) -> str:
     ]
     if found:
         return '; '.join(found)
-    together = ', '.join(constraints_in_force(problem)) or 'the dynamics'
+    together = ', '.join(constraints_in_force(problem, state)) or 'the dynamics'
     return f'no trajectory satisfies {together}'
 
 
-def constraints_in_force(problem: Problem) -> list[str]:
-    """Return the names of a problem's constraints beside the dynamics and the orbitope."""
+def constraints_in_force(problem: Problem, state: State) -> list[str]:
+    """Return the names of the constraints from a state, beside the dynamics and the orbitope."""
     floor = problem.floor
     named = {
         'terminal: constraint': problem.terminal == 'constraint',
         f'the {floor.shape} floor of {floor.fraction:.4g}': floor.exists,
         f'max_rate {problem.max_rate:.4g}': problem.max_rate > 0.0,
+        f'max_acceleration {problem.max_acceleration:.4g}': problem.max_acceleration > 0.0,
         f'{len(problem.obstacles)} obstacles': bool(problem.obstacles),
+        f'{len(state.hazards)} hazards': bool(state.hazards),
         f'tilt {problem.tilt:.4g}': problem.tilt > 0.0,
         f'glide_slope {problem.glide_slope:.4g}': problem.glide_slope > 0.0,
+        f'approach.cone {problem.approach.cone:.4g}': problem.approach.exists,
     }
     return [name for name, in_force in named.items() if in_force]
 
@@ -69,3 +72,8 @@ def _boxed_in(problem: Problem, state: State) -> Iterator[str]:
         inside = np.flatnonzero(box.depth(decided[:known]) > 0.0)
         if inside.size:
             yield f'obstacle {i} holds s_{inside[0] + 1}, which the state already decides'
+    for i, hazard in enumerate(state.hazards):
+        moved = hazard.moved(problem.step * np.arange(1, known + 1))
+        inside = np.flatnonzero(hazard.body.depth(decided[:known] - moved) > 0.0)
+        if inside.size:
+            yield f'hazard {i} holds s_{inside[0] + 1}, which the state already decides'

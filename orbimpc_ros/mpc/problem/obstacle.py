@@ -9,9 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, ByContent, frozen
+from orbimpc_ros.mpc.arrays import Array, ByContent, frozen, number
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.cells import Cell
+
+MAX_HAZARDS = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,3 +58,103 @@ class Box(ByContent):
     def depth(self, points: Array) -> Array:
         """Return how deep points, shape (K, n), are inside [m]; <= 0 outside."""
         return -self.clearances(points).max(axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Ball(ByContent):
+    """A disc (n = 2) or a sphere (n = 3) that every s_k, k = 1..N, stays outside of.
+
+    Attributes:
+        centre: shape (n,) [m].
+        radius: above 0 [m].
+    """
+
+    centre: Array
+    radius: float
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.centre)
+        object.__setattr__(self, 'centre', frozen(self.centre, shape, 'obstacles.centre'))
+        number(self.radius, 'obstacles.radius', 0.0, above=True)
+
+    @property
+    def dimension(self) -> int:
+        """Return n."""
+        return len(self.centre)
+
+    def scaled(self, factor: float) -> Ball:
+        """Return the ball in units in which lengths are ``factor`` times as large."""
+        return Ball(self.centre * factor, self.radius * factor)
+
+    def depth(self, points: Array) -> Array:
+        """Return how deep points, shape (K, n), are inside [m]; <= 0 outside."""
+        return self.radius - np.linalg.norm(points - self.centre, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Hazard(ByContent):
+    """An obstacle that moves: other traffic, or another vehicle that flies its plan.
+
+    Attributes:
+        body: what it is and where, when the plan starts.
+        times: from the start of the plan, increasing from 0, shape (K,), K >= 2 [s].
+        shifts: how far it will have moved by then, shape (K, n), the first zero [m]. In between it
+            moves evenly, and after the last as between the last two.
+    """
+
+    body: Box | Ball
+    times: Array
+    shifts: Array
+
+    def __post_init__(self) -> None:
+        count = np.size(self.times)
+        object.__setattr__(self, 'times', frozen(self.times, (count,), 'obstacles.times'))
+        shape = count, self.body.dimension
+        object.__setattr__(self, 'shifts', frozen(self.shifts, shape, 'obstacles.shifts'))
+        if count < 2 or self.times[0] != 0.0 or not (np.diff(self.times) > 0.0).all():
+            allowed = 'two or more times that increase from 0'
+            raise BadInput('obstacles.times', self.times.tolist(), allowed)
+        if self.shifts[0].any():
+            raise BadInput('obstacles.shifts', self.shifts[0].tolist(), 'zeros at the start')
+
+    @classmethod
+    def drifting(cls, body: Box | Ball, velocity: Array) -> Hazard:
+        """Return a body that keeps a velocity, shape (n,) [m/s]."""
+        still = np.zeros(body.dimension)
+        return cls(body, np.array([0.0, 1.0]), np.array([still, velocity]))
+
+    @property
+    def dimension(self) -> int:
+        """Return n."""
+        return self.body.dimension
+
+    def scaled(self, length: float, time: float) -> Hazard:
+        """Return it in units in which lengths and times are so many times as large."""
+        return Hazard(self.body.scaled(length), self.times * time, self.shifts * length)
+
+    def moved(self, times: Array) -> Array:
+        """Return how far it will have moved at times >= 0, shape (M,) [s], shape (M, n) [m]."""
+        last = len(self.times) - 2
+        at = np.clip(np.searchsorted(self.times, times, side='right') - 1, 0, last)
+        share = (times - self.times[at]) / np.diff(self.times)[at]
+        moved: Array = self.shifts[at] + share[:, None] * np.diff(self.shifts, axis=0)[at]
+        return moved
+
+
+def tracked(hazards: tuple[Hazard, ...], dimension: int) -> tuple[Hazard, ...]:
+    """Return hazards that plans of a dimension can take.
+
+    Raises:
+        BadInput: more than ``MAX_HAZARDS``, or one of another dimension or kind.
+    """
+    if not isinstance(hazards, tuple):
+        raise BadInput('state.hazards', f'a {type(hazards).__name__}', 'a tuple')
+    if len(hazards) > MAX_HAZARDS:
+        raise BadInput('state.hazards', len(hazards), f'at most {MAX_HAZARDS}')
+    for each in hazards:
+        if not isinstance(each, Hazard):
+            raise BadInput('state.hazards', f'a {type(each).__name__}', 'a Hazard')
+        if each.dimension != dimension:
+            allowed = f'bodies of dimension {dimension}'
+            raise BadInput('state.hazards', each.dimension, allowed)
+    return hazards

@@ -4,7 +4,7 @@ The problem (Huang, Horowitz, Burdick, *Convex Model Predictive Control for Vehi
 
 .. math::
     \min\; q \sum_{k=1}^{N} \|s_k - g_k\|^2 + r \sum_{k=0}^{N-1} \|u_k\|_F^2
-         + \ell \sum_{k=0}^{N-1} h z \|R_k e_1\| + m \|s_N - g_N\|^2
+         + \ell \sum_{k=0}^{N-1} h z \|R_k e_1\| + m \|s_N - g_N\|^2 + a \|R_N - R_g\|_F^2
 
 over trajectories of the discrete dynamics with :math:`R_k \in \operatorname{conv} SO(n)`.
 
@@ -27,8 +27,9 @@ from orbimpc_ros.mpc.model.translation import (
     Translation,
     maps_of,
 )
+from orbimpc_ros.mpc.problem.approach import SLOWEST, Approach
 from orbimpc_ros.mpc.problem.floor import Floor
-from orbimpc_ros.mpc.problem.obstacle import Box
+from orbimpc_ros.mpc.problem.obstacle import Ball, Box
 
 TERMINALS = ('penalty', 'constraint')
 MAX_HORIZON = 500
@@ -46,12 +47,15 @@ class Weights:
         input: r, on the squared Frobenius norm of the inputs [s^2 or s^4].
         length: l, on the distance flown (order 1) or the thrust spent (order 2) [1/m].
         terminal: m, on the squared distance at the last step [1/m^2].
+        attitude: a, on the squared Frobenius distance of the last rotation from the one that is
+            wanted there, which the state then has to tell.
     """
 
     position: float = 1.0
     input: float = 0.05
     length: float = 0.0
     terminal: float = 10.0
+    attitude: float = 0.0
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -76,17 +80,22 @@ class Problem:
         max_rate: limit on the body rate [rad/s], 0 for none. Without a floor it bounds the chord
             |R_{k+1} e1 - R_k e1|. With one it bounds the angle from R_k e1 to R_{k+1} e1, whatever
             the speeds: see :attr:`turns_are_angles`.
-        obstacles: boxes to stay outside of.
+        max_acceleration: limit on the change of speed at translation order 1 [m/s^2], 0 for none:
+            ||R_{k+1} e1| - |R_k e1|| <= h max_acceleration / z. How it holds from a speed below
+            the floor says :func:`orbimpc_ros.mpc.problem.pace.entry_speed`.
+        obstacles: what to stay outside of: of boxes with every s_k, of balls in between as well.
         no_corner_cutting: whether consecutive points must share a free face of every box.
         arrival_weight: adds this times |s_N - g_N|^2 (and h^2 |p_N|^2 at translation order 2) to
             the objective: what stands in for an arrival that has become impossible [1/m^2].
         discretisation: ``euler``, the paper's, or ``exact``: the thrust axis moves on the chord
-            from R_k e1 to R_{k+1} e1 during a step, and what it pushes is integrated exactly.
+            from R_k e1 to R_{k+1} e1 during a step, and what it pushes is integrated exactly; or,
+            at translation order 2, ``held``: the thrust of R_{k+1} e1 holds through the step.
         tilt: largest angle of the thrust axis R_k e1 from the vertical, +z [rad], 0 for none;
             dimension 3, translation order 2.
         glide_slope: angle of a cone above the goal that s_k stays in, between its side and the
             horizontal [rad], 0 for none; dimension 3. How both hold from a state that is outside
             says :mod:`orbimpc_ros.mpc.problem.cones`.
+        approach: cone of directions that the last heading R_N e1 is in.
     """
 
     dimension: int = 2
@@ -99,18 +108,21 @@ class Problem:
     terminal: str = 'penalty'
     floor: Floor = field(default_factory=Floor)
     max_rate: float = 0.0
-    obstacles: tuple[Box, ...] = ()
+    max_acceleration: float = 0.0
+    obstacles: tuple[Box | Ball, ...] = ()
     no_corner_cutting: bool = False
     arrival_weight: float = 0.0
     discretisation: str = 'euler'
     tilt: float = 0.0
     glide_slope: float = 0.0
+    approach: Approach = field(default_factory=Approach)
 
     def __post_init__(self) -> None:
         _instance(self.weights, Weights, 'weights')
         _instance(self.floor, Floor, 'floor')
-        for box in _instance(self.obstacles, tuple, 'obstacles'):
-            _instance(box, Box, 'obstacles')
+        for each in _instance(self.obstacles, tuple, 'obstacles'):
+            if not isinstance(each, (Box, Ball)):
+                raise BadInput('obstacles', f'a {type(each).__name__}', 'a Box or a Ball')
         whole(self.dimension, 'dimension', 2, 3)
         whole(self.rotation_order, 'rotation_order', 1, 2)
         whole(self.translation_order, 'translation_order', 1, max(TRANSLATIONS))
@@ -124,14 +136,22 @@ class Problem:
             raise BadInput.choice('terminal', self.terminal, TERMINALS)
         # Beyond half a turn in a step the direction of turning is lost.
         number(self.max_rate, 'max_rate', 0.0, math.pi / self.step)
+        number(self.max_acceleration, 'max_acceleration', 0.0)
+        if self.max_acceleration and self.inertial:  # there thrust is one, and limited
+            allowed = f'0 at translation_order {self.translation_order}'
+            raise BadInput('max_acceleration', self.max_acceleration, allowed)
         number(self.arrival_weight, 'arrival_weight', 0.0)
         self.floor.validate(self.dimension)
+        _instance(self.approach, Approach, 'approach').validate(self.dimension)
         self._validate_cones()
         if len(self.obstacles) > MAX_OBSTACLES:
-            raise BadInput('obstacles', len(self.obstacles), f'at most {MAX_OBSTACLES} boxes')
-        for box in self.obstacles:
-            if box.dimension != self.dimension:
-                raise BadInput('obstacles.min', box.minimum.tolist(), f'{self.dimension} numbers')
+            raise BadInput('obstacles', len(self.obstacles), f'at most {MAX_OBSTACLES}')
+        for each in self.obstacles:
+            if each.dimension != self.dimension:
+                name, corner = (
+                    ('centre', each.centre) if isinstance(each, Ball) else ('min', each.minimum)
+                )
+                raise BadInput(f'obstacles.{name}', corner.tolist(), f'{self.dimension} numbers')
 
     def _validate_cones(self) -> None:
         number(self.tilt, 'tilt', 0.0, 0.5 * math.pi)
@@ -142,6 +162,21 @@ class Problem:
                     raise BadInput(name, getattr(self, name), '0 when dimension is 2')
         if self.tilt and not self.inertial:  # which then is where it flies to, not what it leans by
             raise BadInput('tilt', self.tilt, f'0 at translation_order {self.translation_order}')
+
+    @property
+    def boxes(self) -> tuple[Box, ...]:
+        """Return the obstacles that are boxes."""
+        return tuple(each for each in self.obstacles if isinstance(each, Box))
+
+    @property
+    def wants_attitude(self) -> bool:
+        """Return whether a state has to tell which rotation is wanted at the end."""
+        return self.weights.attitude > 0.0 or self.approach.is_the_goals
+
+    @property
+    def least_heading(self) -> float:
+        """Return the least |R_N e1| that has a direction, where it matters."""
+        return max(SLOWEST, self.floor.clearance(self.dimension))
 
     @property
     def has_cones(self) -> bool:
@@ -175,6 +210,13 @@ class Problem:
         uneven = 1.0 + least * least - 2.0 * least * math.cos(turned)
         at_speed = 2.0 * math.sin(0.5 * turned)
         return max(at_speed, math.sqrt(uneven)) if self.floor.exists else at_speed
+
+    @property
+    def speed_change(self) -> float:
+        """Return by how much |R e1| changes at most in a step; infinity without a limit."""
+        if not self.max_acceleration:
+            return math.inf
+        return self.step * self.max_acceleration / self.forward
 
     @property
     def first_turn_is_decided(self) -> bool:

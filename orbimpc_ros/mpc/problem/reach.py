@@ -17,12 +17,24 @@ BEYOND = 100.0  # times the reach: goals farther away are pulled in to there
 
 def reach(problem: Problem, state: State) -> float:
     """Return a distance that no point within the horizon exceeds [m]."""
-    time, fastest = problem.horizon * problem.step, problem.forward
-    if state.disturbed:
-        fastest += math.sqrt(state.disturbance @ state.disturbance)
+    blown = math.sqrt(state.disturbance @ state.disturbance) if state.disturbed else 0.0
+    speed = math.sqrt(state.velocity @ state.velocity)
+    return farthest(problem, speed, blown, problem.horizon * problem.step)
+
+
+def farthest(problem: Problem, speed: float, blown: float, time: float) -> float:
+    """Return a distance that no point within a time exceeds [m].
+
+    Args:
+        problem: gives the full speed or thrust, and whether the vehicle coasts.
+        speed: at the start, which counts if it does [m/s].
+        blown: size of the disturbance [m/s] or [m/s^2].
+        time: from the start [s].
+    """
+    fastest = problem.forward + blown
     if not problem.inertial:
         return fastest * time
-    return math.sqrt(state.velocity @ state.velocity) * time + 0.5 * fastest * time**2
+    return speed * time + 0.5 * fastest * time**2
 
 
 def pulled_in(problem: Problem, state: State, goals: Array) -> tuple[Array, str]:

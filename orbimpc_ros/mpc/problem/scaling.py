@@ -4,7 +4,8 @@ The paper adds up steps, so that the same weights ask for something else at anot
 As integrals over the horizon, with lengths measured by what the vehicle flies in a unit of time,
 
 .. math::
-    q \int \|s - g\|^2 dt + r \int \|R^{(o)}\|_F^2 dt + \ell \int \|R e_1\| dt + m \|s_N - g_N\|^2,
+    q \int \|s - g\|^2 dt + r \int \|R^{(o)}\|_F^2 dt + \ell \int \|R e_1\| dt + m \|s_N - g_N\|^2
+    + a \|R_N - R_g\|_F^2,
 
 they ask for the same at any: problems that differ in step and full speed alone are then the same
 problem in natural units, and a finer step only resolves it better.
@@ -30,7 +31,7 @@ def weighed(problem: Problem, scaling: str) -> Problem:
         problem: with the weights as they were given.
         scaling: ``paper``, they are sums already; ``time``, they are numbers without a unit, on
             integrals over the horizon: of squared distance, of squared inputs and of the share of
-            full speed or thrust; and on the squared distance at its end. Its twentieth is the unit
+            full speed or thrust; and on the squared distances at its end. Its twentieth is the unit
             of time, what the vehicle flies in one, from rest, the unit of length.
 
     Raises:
@@ -50,4 +51,5 @@ def _summed(problem: Problem) -> Weights:
         input=given.input * share * time ** (2 * problem.rotation_order),
         length=given.length / (problem.forward * time),  # a step of it is h z |R e1|
         terminal=given.terminal / area,
+        attitude=given.attitude,
     )

@@ -11,10 +11,11 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orbimpc_ros.mpc.arrays import Array, ByContent, frozen, sealed
+from orbimpc_ros.mpc.arrays import Array, ByContent, frozen, number, sealed
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.orbitopes import MEMBERSHIP_TOLERANCE, margin
 from orbimpc_ros.mpc.geometry.rotations import nearest
+from orbimpc_ros.mpc.problem.obstacle import Hazard, tracked
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +34,10 @@ class State(ByContent):
             leave the manifold.
         disturbance: w, constant over the horizon, shape (n,); at translation order 1 a wind in the
             world frame [m/s], at order 2 an acceleration, gravity's included [m/s^2].
+        commanded: the share of full speed, in [0, 1], that changes of speed count from where they
+            are limited; by default |R_0 e1|. It is what a vehicle was told, not what is measured.
+        hazards: what moves and is to be stayed clear of, from the start of the plan on.
+        wanted: R_g, the rotation wanted at the end, shape (n, n): the goal's; None for any.
     """
 
     position: Array
@@ -42,6 +47,9 @@ class State(ByContent):
     attitude: Array
     coasted: Array | None
     disturbance: Array
+    commanded: float | None = None
+    hazards: tuple[Hazard, ...] = ()
+    wanted: Array | None = None
 
     @classmethod
     def at(
@@ -54,11 +62,15 @@ class State(ByContent):
         attitude: ArrayLike | None = None,
         coasted: ArrayLike | None = None,
         disturbance: ArrayLike | None = None,
+        commanded: float | None = None,
+        hazards: tuple[Hazard, ...] = (),
+        wanted: ArrayLike | None = None,
     ) -> State:
         """Return the state at a position and rotation, at rest where nothing else is said.
 
         Raises:
-            BadInput: an array of the wrong shape, not finite, or outside its set.
+            BadInput: an array of the wrong shape, not finite, or outside its set; more hazards
+                than there may be, or of another dimension.
         """
         n = np.size(position)
         if n not in (2, 3):
@@ -72,6 +84,9 @@ class State(ByContent):
             _rotation(nearest(placed) if attitude is None else attitude, n, 'state.attitude'),
             None if coasted is None else _rotation(coasted, n, 'state.coasted'),
             _given(disturbance, (n,), 'state.disturbance'),
+            commanded,
+            tracked(hazards, n) if hazards else (),
+            None if wanted is None else _rotation(wanted, n, 'state.wanted'),
         )
 
     def __post_init__(self) -> None:
@@ -80,6 +95,8 @@ class State(ByContent):
         if margin(self.rotation) < -MEMBERSHIP_TOLERANCE:
             allowed = f'a matrix in conv SO({self.dimension})'
             raise BadInput('state.rotation', self.rotation.tolist(), allowed)
+        if self.commanded is not None:
+            number(self.commanded, 'state.commanded', 0.0, 1.0)
 
     @property
     def dimension(self) -> int:

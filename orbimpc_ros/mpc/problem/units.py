@@ -58,6 +58,10 @@ class Units:
             ('disturbance', self.pushing),
         ):
             object.__setattr__(scaled, name, getattr(state, name) * unit)
+        if state.hazards:
+            known = 1.0 / self.length, 1.0 / self.time
+            hazards = tuple(each.scaled(*known) for each in state.hazards)
+            object.__setattr__(scaled, 'hazards', hazards)
         return scaled
 
     @property
@@ -79,6 +83,7 @@ def _in_units(problem: Problem, length: float, time: float) -> Problem:
         input=w.input / time ** (2 * problem.rotation_order),
         length=w.length * problem.step * problem.forward,
         terminal=w.terminal * area,
+        attitude=w.attitude,
     )
     return replace(
         problem,
@@ -87,6 +92,7 @@ def _in_units(problem: Problem, length: float, time: float) -> Problem:
         weights=weights,
         arrival_weight=problem.arrival_weight * area,
         max_rate=min(math.pi, problem.max_rate * time),
+        max_acceleration=problem.max_acceleration * time * time / length,
         obstacles=tuple(box.scaled(1.0 / length) for box in problem.obstacles),
     )
 
@@ -103,4 +109,5 @@ def _times(weights: Weights, factor: float) -> Weights:
         weights.input * factor,
         weights.length * factor,
         weights.terminal * factor,
+        weights.attitude * factor,
     )

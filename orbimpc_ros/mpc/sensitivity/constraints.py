@@ -36,13 +36,13 @@ class Binding:
     """A constraint without slack whose relaxation would pay.
 
     Attributes:
-        name: ``hull``, ``floor``, ``max_rate``, ``tilt``, ``glide_slope``, ``obstacle 0`` (its
-            number), ``thrust`` (a coasting body's cannot be negative), ``terminal x`` or
-            ``terminal velocity x`` (or y, z).
-        step: k in 1..N: of R_k, of s_k, or of the turn from R_{k-1} to R_k.
+        name: ``hull``, ``floor``, ``max_rate``, ``max_acceleration``, ``tilt``, ``glide_slope``,
+            ``approach``, ``obstacle 0`` (its number), ``hazard 0``, ``thrust`` (a coasting body's
+            cannot be negative), ``terminal x`` or ``terminal velocity x`` (or y, z).
+        step: k in 1..N: of R_k, of s_k, or of the change from R_{k-1} to R_k.
         price: what the cost falls by per unit of relaxation: of speed fraction for ``hull``,
-            ``floor`` and ``thrust``, of rad/s for ``max_rate``, of rad for ``tilt`` and
-            ``glide_slope``, of m or m/s for the others.
+            ``floor`` and ``thrust``, of rad/s for ``max_rate``, of m/s^2 for ``max_acceleration``,
+            of rad for ``tilt``, ``glide_slope`` and ``approach``, of m or m/s for the others.
     """
 
     name: str
@@ -77,7 +77,7 @@ def explained(problem: Problem, state: State, goals: Array, plan: Plan) -> Expla
         plan: the optimum.
     """
     slacks = list(slacks_of(problem, state, goals, plan))
-    terms = gradients_of_cost(problem, goals, plan)
+    terms = gradients_of_cost(problem, state, goals, plan)
     scale = max(sum(map(np.linalg.norm, terms)), ROUNDING * plan.objective, TINY)
     gradients = np.array([sum(terms), *(slack.gradient for slack in slacks)])
     gradients = _movable(problem, state, plan, gradients).reshape(len(gradients), -1)

@@ -15,12 +15,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.check import cone_margins, turn_margin
+from orbimpc_ros.mpc.check import approach_margin, cone_margins, speed_margin, turn_margin
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates, lmi, lmi_parts
 from orbimpc_ros.mpc.model.cost import on_axes
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem.pace import entry_speed
+from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.solve.disjunction import Disjunction, disjunctions_of, shortfall
+from orbimpc_ros.mpc.solve.passages import Passages
 
 ACTIVE = 1e-5  # slack that counts as none: solvers leave less
 AXES = 'xyz'
@@ -56,9 +59,14 @@ def slacks_of(problem: Problem, state: State, goals: Array, plan: Plan) -> Itera
     """
     yield from _hull(plan)
     yield from _rates(problem, state, plan)
+    if problem.max_acceleration:
+        yield from _changes(problem, state, plan)
     yield from _chosen(problem, plan)
+    yield from _passed(problem, state, plan)
     if problem.has_cones:
         yield from _cones(problem, state, goals, plan)
+    if problem.approach.exists:
+        yield from _approach(problem, state, plan)
     yield from _arrival(problem, plan)
     if problem.rotation_order == 2 and state.coasted is not None:
         yield from _thrust(state.coasted, plan)
@@ -113,6 +121,19 @@ def _rates(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
         yield Slack('max_rate', int(k), on_axes(gradient[1:]), wider)
 
 
+def _changes(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
+    """What is left of h a / z beyond ||R_k e1| - |R_{k-1} e1||, charged to the acceleration a."""
+    headings, unit = plan.rotations[:, :, 0], problem.step / problem.forward
+    speeds = plan.speed_fraction
+    for k in 1 + np.flatnonzero(speed_margin(problem, state, plan.rotations) < ACTIVE):
+        before = entry_speed(problem, state) if k == 1 else speeds[k - 1]
+        sign = 1.0 if speeds[k] > before else -1.0
+        gradient = np.zeros((plan.horizon + 1, headings.shape[1]))
+        gradient[k] = -sign * headings[k] / max(speeds[k], ACTIVE)
+        gradient[k - 1] = sign * headings[k - 1] / max(speeds[k - 1], ACTIVE)
+        yield Slack('max_acceleration', int(k), on_axes(gradient[1:]), unit)
+
+
 def _across(heading: Array, other: Array) -> Array:
     """Return the gradient of the angle to another heading, shape (n,), in the first one."""
     unit = heading / np.linalg.norm(heading)
@@ -131,9 +152,24 @@ def _chosen(problem: Problem, plan: Plan) -> Iterator[Slack]:
             if choice.on == 'heading':
                 yield Slack('floor', k, _at(plan, k, normal))
             else:
-                box = boxes.index(choice) * len(problem.obstacles) // len(boxes)
+                box = boxes.index(choice) * len(problem.boxes) // len(boxes)
                 gradient = on_axes(np.outer(reach[k - 1], normal))
                 yield Slack(f'obstacle {box}', k, gradient)
+
+
+def _passed(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
+    """The planes between the vehicle and what is round or moves, at the points that touch them."""
+    traffic, nothing = traffic_of(problem, state), ACTIVE * problem.length_unit
+    if traffic is None:
+        return
+    passages, headings = Passages(problem, state, traffic), plan.rotations[1:, :, 0]
+    for number, cell in passages.tangents(headings, nothing):
+        passage = passages.choices[number]
+        points = passage.rows @ headings + passage.free
+        body, step = divmod(number // 2, problem.horizon)
+        for i in np.flatnonzero(passage.shortfall([cell], points)[0] > -nothing):
+            gradient = on_axes(np.outer(passage.rows[i], cell.normal))
+            yield Slack(traffic.names[body], step + 1, gradient)
 
 
 def _cones(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[Slack]:
@@ -145,6 +181,19 @@ def _cones(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator
     if problem.glide_slope:
         for k in 1 + np.flatnonzero(slope < ACTIVE * problem.length_unit):
             yield _gliding(problem, plan.positions[k] - goals[k - 1], int(k))
+
+
+def _approach(problem: Problem, state: State, plan: Plan) -> Iterator[Slack]:
+    """z_N . d - cos(cone) max(|z_N|, least), charged to the cone's angle."""
+    heading, approach = plan.rotations[-1, :, 0], problem.approach
+    if approach_margin(problem, state, heading) >= ACTIVE:
+        return
+    size, least = float(np.linalg.norm(heading)), problem.least_heading
+    gradient = approach.axis(state)
+    if size > least:
+        gradient = gradient - math.cos(approach.cone) * heading / size
+    wider = math.sin(approach.cone) * max(size, least)
+    yield Slack('approach', plan.horizon, _at(plan, plan.horizon, gradient), wider)
 
 
 def _leaning(tilt: float, plan: Plan, k: int) -> Slack:

@@ -21,7 +21,6 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
-from orbimpc_ros.mpc.geometry.cells import arcs
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import carried
 from orbimpc_ros.mpc.kernels import COMPILED
@@ -37,19 +36,20 @@ from orbimpc_ros.mpc.kernels.annulus import (
     improve_from_hull,
 )
 from orbimpc_ros.mpc.kernels.dual import BOUND as RAISED
-from orbimpc_ros.mpc.kernels.dual import ascent, climb
+from orbimpc_ros.mpc.kernels.dual import ascent, climb, no_cuts
 from orbimpc_ros.mpc.model.condensed import LONGEST, Condensed
 from orbimpc_ros.mpc.model.cost import first_length, length_weights
 from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Floor, Problem, State
-from orbimpc_ros.mpc.solve.cell_tree import CellSearch
+from orbimpc_ros.mpc.solve.arc_search import ArcSearch
 from orbimpc_ros.mpc.solve.general import General
 from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
 from orbimpc_ros.mpc.solve.request import Found, Guess, Request
 
 FURTHER_STARTS = 30
-SETTLED = 50.0  # tolerances at which starts from all around, and searches, may stop
-NODES = 25_600  # of the search over arcs
+SETTLED = 90.0  # tolerances at which starts from all around, and searches, may stop
+NODES = 6400  # of the search over arcs
+YOUNG, EVERY = 4, 4  # a local search starts from each of its first nodes, from then on from some
 BRANCHES = 8000  # polls of the general search, where nobody waits for it
 OUT_OF_REACH = 1e-9  # share of the way to an arrival
 NOTHING = Found(None, np.inf, -np.inf, 0)
@@ -97,9 +97,10 @@ class AnnulusNewton:
         self._annulus = Annulus(hessian, length, arrival, floor)
         self._disks = Annulus(hessian, np.zeros(problem.horizon), arrival, 0.0)
         self._least_length = floor * float(length.sum())
-        self._arcs: CellSearch | None = None
+        self._no_cuts = no_cuts(problem.dimension)
+        self._arcs: ArcSearch | None = None
         if problem.dimension == 2 and not self._arrives:
-            self._arcs = CellSearch(hessian, arcs(floor), SETTLED * tolerance, NODES)
+            self._arcs = ArcSearch(self._annulus, SETTLED * tolerance, NODES)
         self._general = General(problem, SETTLED * tolerance)
         self._hull = _long_hull(problem, tolerance)
         self._compile()
@@ -124,14 +125,12 @@ class AnnulusNewton:
         arrives = constrained or problem.arrival_weight > 0.0
         decided = constrained and not problem.maps.reach[-1, 1:].any()  # the state arrives, or not
         return (
-            problem.floor.shape == 'circle'
-            and problem.rotation_order == 1
+            (problem.floor.shape, problem.rotation_order) == ('circle', 1)
             and not (problem.inertial and arrives)
             and not decided
-            and (problem.dimension == 2 or problem.weights.input == 0.0)
-            and problem.max_rate == 0.0
-            and not problem.obstacles
-            and not problem.has_cones
+            and (problem.dimension == 2 or problem.weights.input == problem.weights.attitude == 0.0)
+            and not (problem.max_rate or problem.obstacles or problem.has_cones)
+            and not problem.approach.exists
         )
 
     def settles(self, found: Found) -> bool:
@@ -176,11 +175,12 @@ class AnnulusNewton:
             found = self._from(tick, found, start)
             if found.gap <= self._tolerance:
                 return found
-        for stage in (self._from_hull, self._from_dual, self._from_around):
+        last = self._from_around if self._arcs is None else self._by_arcs
+        for stage in (self._from_hull, self._from_dual, last):
             found = stage(tick, found)
             if self.settles(found) or tick.late:
-                return found
-        return found if self._arcs is None else self._by_arcs(tick, found)
+                break
+        return found
 
     def _left(self, state: State, goals: Array) -> Array:
         problem = self._problem
@@ -226,8 +226,9 @@ class AnnulusNewton:
     def _from_dual(self, tick: _Tick, found: Found) -> Found:
         """Raise the bound by the best multipliers, and start from their Lagrangian's minimum."""
         enough = found.cost - SETTLED * self._tolerance * max(1e-9, abs(found.cost))
-        progress = ascent(self._annulus, tick.q, found.lower_bound - tick.constant)
-        while not climb(self._annulus, tick.q, tick.left, enough - tick.constant, progress, SLICE):
+        known, none = found.lower_bound - tick.constant, self._no_cuts
+        progress, asked = ascent(self._annulus, tick.q, none, known), (tick.q, tick.left, none)
+        while not climb(self._annulus, *asked, enough - tick.constant, progress, float(SLICE)):
             if tick.late:
                 break
         found = _raised(found, float(progress.numbers[RAISED]) + tick.constant)
@@ -237,25 +238,19 @@ class AnnulusNewton:
         return self._from(tick, found, tick.q[None][:0], FURTHER_STARTS)
 
     def _by_arcs(self, tick: _Tick, found: Found) -> Found:
-        """Return the better of what was found and where a search over arcs leads, with its bound.
-
-        It does not see path length, of which there is at least the floor's.
-        """
-        search, before = self._arcs, 0
+        """Return the better of what was found and where a search over arcs leads, with bound."""
+        search, constant = self._arcs, tick.constant
         assert search is not None
-        least = tick.constant + self._least_length
-        search.begin(tick.q, least, found.cost - least)
-        while True:
+        search.begin(tick.q, constant, found.cost - constant, found.lower_bound - constant)
+        ended, before = False, 0
+        while not (ended or self.settles(found)):
             ended = search.run(tick.request.out_of_time)
-            found = _raised(found, search.bound + least, search.nodes - before)
-            if self.settles(found):
-                return found
+            found = _raised(found, search.bound + constant, search.nodes - before)
             before = search.nodes
-            x = search.best if search.value < found.cost - least else search.last
-            found = self._from(tick, found, x[None])
-            search.beat(found.cost - least)
-            if ended or self.settles(found) or tick.late:
-                return found
+            if not (ended or self.settles(found)) and (before <= YOUNG or before % EVERY == 0):
+                found = self._from(tick, found, search.last[None])
+                search.beat(found.cost - constant)
+        return found
 
     def _by_branches(self, tick: _Tick, found: Found) -> Found:
         """Return the better of what was found and where the general search leads."""

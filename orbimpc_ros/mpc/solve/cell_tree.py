@@ -1,6 +1,6 @@
 """A search over the cells of a planar floor, in slices between which the time is looked at.
 
-Mathematics: docs/mathematics.md, 4.3 and 4.6.
+Mathematics: docs/mathematics.md, 4.3.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class CellSearch:
     def __init__(self, hessian: Array, table: Table, tolerance: float, most: int) -> None:
         self._hessian, self._inverse, self._excess = regular(hessian)
         self._table, self._tolerance, self._most = table, tolerance, most
-        self._tree = tree(len(hessian), most, max(table.roots, 2))
+        self._tree = tree(len(hessian), most, max(len(table.bounds), 1))
         self._room = 0
 
     def begin(self, q: Array, constant: float, known: float = np.inf) -> None:
@@ -90,16 +90,6 @@ class CellSearch:
     def best(self) -> Array:
         """Return the best headings found, shape (N, 2)."""
         return self._tree.best.copy()
-
-    @property
-    def last(self) -> Array:
-        """Return the headings of the last relaxation, shape (N, 2)."""
-        return self._tree.x.copy()
-
-    def beat(self, cost: float) -> None:
-        """Look for nothing from now on but what costs less, without the constant."""
-        numbers = self._tree.numbers
-        numbers[VALUE], numbers[LEAST] = min(self.value, cost), min(self._tree.numbers[LEAST], cost)
 
     def dive(self) -> None:
         """Look for headings that satisfy the floor near the last relaxation's."""

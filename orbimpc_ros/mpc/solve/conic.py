@@ -19,6 +19,7 @@ Mathematics: docs/mathematics.md, 5.2 and 5.3.
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import clarabel
@@ -47,6 +48,31 @@ def solver_for(data: dict[str, Any], tolerance: float) -> clarabel.DefaultSolver
         _cones(data['dims']),
         _settings(tolerance),
     )
+
+
+def extended(data: dict[str, Any], rows: Array, offsets: Array) -> dict[str, Any]:
+    """Return compiled data with inequalities A'x + s = b', s >= 0, on top.
+
+    Args:
+        data: as compiled, its rows cone by cone.
+        rows: A', shape (m, columns).
+        offsets: b', shape (m,).
+    """
+    dims, a, m = data['dims'], data['A'].tocoo(), len(offsets)
+    end = dims.zero + dims.nonneg
+    lines, columns = np.nonzero(rows)
+    entries = np.concatenate([a.data, rows[lines, columns]])
+    places = np.concatenate([np.where(a.row < end, a.row, a.row + m), end + lines])
+    shape = a.shape[0] + m, a.shape[1]
+    across = np.concatenate([a.col, columns])
+    return {
+        **data,
+        'A': sparse.csc_matrix((entries, (places, across)), shape=shape),
+        'b': np.concatenate([data['b'][:end], offsets, data['b'][end:]]),
+        'dims': SimpleNamespace(
+            zero=dims.zero, nonneg=dims.nonneg + m, soc=list(dims.soc), psd=list(dims.psd)
+        ),
+    }
 
 
 def run(solver: clarabel.DefaultSolver, out_of_time: Callable[[], bool] | None) -> Any:

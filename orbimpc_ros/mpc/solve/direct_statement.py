@@ -2,9 +2,9 @@
 
 The same program as :class:`orbimpc_ros.mpc.solve.statement.Statement` states, for the problems of
 descents and hovering: rotation order 1, no limit of the turn rate. It is ready in milliseconds,
-which counts where the horizon shrinks and every tick has a program of its own. Where the input has
-no weight, the cost sees the thrust axes alone: they take the place of the rotations, and balls that
-of the orbitopes.
+which counts where the horizon shrinks and every tick has a program of its own. Where neither input
+nor attitude has a weight, the cost sees the thrust axes alone: they take the place of the
+rotations, and balls that of the orbitopes.
 
 Rows read A x + s = b with s in a cone: zeros first, then what is not negative, second-order cones,
 and semidefinite ones.
@@ -26,6 +26,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates, lmi_parts
 from orbimpc_ros.mpc.geometry.rotations import carried
 from orbimpc_ros.mpc.model.cost import (
+    attitude_weight,
     input_weight,
     length_weights,
     position_weights,
@@ -95,7 +96,7 @@ class DirectStatement:
 
     def __init__(self, problem: Problem, slots: Sequence[Slot] = ()) -> None:
         self.problem, self.slots, steps = problem, tuple(slots), problem.horizon
-        self.width = 9 if problem.weights.input > 0.0 else 3
+        self.width = 9 if max(problem.weights.input, problem.weights.attitude) > 0.0 else 3
         self.x = Block('R', (steps + 1) * self.width)
         self.moved = Block('s - s_0', 3 * steps)
         self._velocities = Block('p', 3 * (steps + 1) * problem.inertial)
@@ -118,6 +119,7 @@ class DirectStatement:
             problem.dimension == 3
             and problem.rotation_order == 1
             and problem.max_rate == 0.0
+            and not problem.approach.exists
             and not coasting
         )
 
@@ -282,10 +284,11 @@ class DirectStatement:
         rows.add(offsets, (each.row, self.width + each.col, each.data))
 
     def _cost(self) -> tuple[sparse.csc_matrix, Array]:
-        """Return P and c: distances and inputs squared; lengths."""
+        """Return P and c: distances, inputs and the last rotation squared; lengths."""
         problem, d = self.problem, self.width
         diagonal, linear = np.zeros(self._columns), np.zeros(self._columns)
         diagonal[self._v] = 2.0 * position_weights(problem)[:, None]
+        diagonal[self.x.size - d : self.x.size] = 2.0 * attitude_weight(problem)
         if problem.inertial:
             diagonal[self._p[-1]] = 2.0 * velocity_weight(problem)
         linear[self._t] = length_weights(problem)[1:]

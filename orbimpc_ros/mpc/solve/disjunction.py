@@ -62,6 +62,10 @@ class Disjunction:
         """
         return (headings if self.on == 'heading' else positions)[list(self.steps)]
 
+    def shortfall(self, cells: Sequence[Cell], values: Array) -> Array:
+        """Return by how much values, shape (K, n), miss each cell, shape (cells, K)."""
+        return shortfall(cells, values)
+
     def missed_by(self, values: Array) -> float:
         """Return how far ``values``, shape (len(steps), n), are from satisfying it; <= 0 if so."""
         if self.radius:
@@ -96,5 +100,5 @@ def _obstacles(problem: Problem) -> list[Disjunction]:
         groups: list[tuple[int, ...]] = [(k, k + 1) for k in range(1, last)]
     else:
         groups = [(k,) for k in range(1, last + 1)]
-    sides = [box.cells() for box in problem.obstacles]
+    sides = [box.cells() for box in problem.boxes]
     return [Disjunction('position', steps, cells) for cells in sides for steps in groups]

@@ -20,7 +20,7 @@ Mathematics: docs/mathematics.md, 4.9 and 5.4.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -31,12 +31,16 @@ from orbimpc_ros.mpc.geometry.cells import Cell
 from orbimpc_ros.mpc.geometry.orbitopes import margin
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.model.condensed import Condensed
+from orbimpc_ros.mpc.model.dynamics import translation_rollout
 from orbimpc_ros.mpc.model.trajectory import Trajectory, trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.cones import relief
+from orbimpc_ros.mpc.problem.traffic import Traffic, traffic_of
 from orbimpc_ros.mpc.solve.disjunction import Disjunction, Slot, disjunctions_of, shortfall
+from orbimpc_ros.mpc.solve.passages import Passage, Passages
 from orbimpc_ros.mpc.solve.relaxation import Halfspace, Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.request import Found, Request
+from orbimpc_ros.mpc.solve.scouting import Scout
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 from orbimpc_ros.mpc.solve.turns import Turns
 
@@ -45,10 +49,17 @@ ACCURATE = 1e-6  # on the orbitope, and on an arrival in units of a step's lengt
 ROUNDING = 1e-15  # of the coordinates of goals far from the origin
 NEAR = 0.05  # a round floor missed by less is worth a dive
 DIVE_STEPS = 4
+BESIDE = 2.0  # steps' lengths from a way: what is farther away does not guide it
+FOLLOWED = 8  # times that a way is followed anew
+WORTH = 1e-3  # share of the cost that makes it worth while
+PASSING_STEPS = 10  # of a dive among what is round or moves
 MAX_NODES = 20_000
-HALFWAY = 50.0  # times the tolerance, for descents: half of the gap that counts as proved
+HALFWAY = (
+    50.0  # times the tolerance, for descents and traffic: half of the gap that counts as proved
+)
 
 Choice = tuple[Cell | None, ...]
+Missed = dict[int, tuple[float, Array]]  # by choice: by how much, and the values it sees
 
 
 class DisjunctiveSearch:
@@ -58,22 +69,28 @@ class DisjunctiveSearch:
         problem: what to solve.
         tolerance: relative gap at which a search stops.
         coasting: whether states come with a ``coasted`` rotation.
+        among: whether states will come with hazards.
     """
 
     trusts_guess = True
 
-    def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
+    def __init__(
+        self, problem: Problem, tolerance: float, *, coasting: bool = False, among: bool = False
+    ) -> None:
         self.problem = problem
-        self.tolerance = (HALFWAY if problem.has_cones else 1.0) * tolerance
+        among = among or len(problem.boxes) < len(problem.obstacles)
+        self.tolerance = (HALFWAY if problem.has_cones or among else 1.0) * tolerance
         self.disjunctions = disjunctions_of(problem)
-        self.takes_guess = bool(self.disjunctions)  # one relaxation needs none
+        self.takes_guess = bool(self.disjunctions) or among  # one relaxation needs none
         self.exchangeable = _steps_are_exchangeable(problem)
-        self.curvature = inverse_curvatures(problem, self.disjunctions)
+        self.inverse = inverse_hessian(problem)
+        self.curvature = inverse_curvatures(problem, self.disjunctions, self.inverse)
         slots = [slot for d in self.disjunctions for slot in d.slots]
         self.turns = Turns(problem) if problem.turns_are_angles else None
         if self.turns is not None:
             slots += self.turns.slots
-        self.program = _program(problem, slots, coasting)
+        self.program = _program(problem, slots, coasting, among)
+        self.scout = Scout(problem) if among else None
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -87,6 +104,10 @@ class DisjunctiveSearch:
             Infeasible: no trajectory satisfies the constraints: every branch was refuted.
         """
         state, goals = request.state, request.goals
+        traffic = traffic_of(self.problem, state)
+        if traffic is not None:
+            run = _Run(self, request, Passages(self.problem, state, traffic))
+            return run.run(self._ways(request, traffic))
         if not self.disjunctions:
             relaxed = self.program.relax(request)
             if relaxed.x is None:
@@ -101,10 +122,20 @@ class DisjunctiveSearch:
             return Found(None, np.inf, relaxed.bound, 1)
         return _Run(self, request).run()
 
+    def _ways(self, request: Request, traffic: Traffic) -> Iterator[Array]:
+        """Yield headings R_1 e1..R_N e1, shape (N, n), of ways to start from: guessed, scouted."""
+        if request.guess is not None:
+            yield request.guess.x[:, : self.problem.dimension]
+        scouted = None
+        if self.scout is not None:
+            scouted = self.scout.way(request.state, request.goals, traffic)
+        if scouted is not None:
+            yield scouted
 
-def _program(problem: Problem, slots: Sequence[Slot], coasting: bool) -> Relaxed:
-    """Return the fastest convex program for a problem."""
-    if SO3Multipliers.solves(problem, slots):
+
+def _program(problem: Problem, slots: Sequence[Slot], coasting: bool, among: bool) -> Relaxed:
+    """Return the fastest convex program for a problem, perhaps among what is round or moves."""
+    if not among and SO3Multipliers.solves(problem, slots):
         return SO3Multipliers(problem, slots, coasting=coasting)
     from orbimpc_ros.mpc.solve.program import Program  # brings CVXPY, half of a start-up
 
@@ -121,18 +152,84 @@ class _Node:
 class _Run:
     """One search: the open nodes, the best trajectory, the least bound given up."""
 
-    def __init__(self, search: DisjunctiveSearch, request: Request) -> None:
+    def __init__(
+        self, search: DisjunctiveSearch, request: Request, passages: Passages | None = None
+    ) -> None:
         self._search, self._request, guess = search, request, request.guess
+        self._passages, self._fixed = passages, len(search.disjunctions)
+        self._guided = passages is not None  # trajectories come from ways, not yet from dives
+        self._choices: list[Disjunction | Passage] = [*search.disjunctions]
+        self._curvature = list(search.curvature)
+        if passages is not None:
+            self._choices += passages.choices
+            self._curvature += passages.curvatures(search.inverse)
         self._best = None if guess is None else guess.x
         self._cost = np.inf if guess is None else guess.cost
         self._closed = np.inf
-        self._open = [_Node(-np.inf, 0, (None,) * len(search.disjunctions))]
+        self._open = [_Node(-np.inf, 0, (None,) * len(self._choices))]
         self._nodes = self._made = 0
         problem = search.problem
         eased = relief(problem, request.state, request.goals).tilt if problem.tilt else ()
         self._upright = [not each for each in eased]
 
-    def run(self) -> Found:
+    def _follow(self, headings: Array) -> None:
+        """Hold tangents where a way passes, solve, and go on from what that finds.
+
+        Each time costs less: where the way satisfies all that it is held by, so does it again.
+        """
+        ahead = self._request.state.rotation[:, 0]
+        cost = np.inf
+        for _ in range(FOLLOWED):
+            every = np.vstack([ahead, headings])
+            x = self._beside(every)
+            if x is None:
+                return
+            trajectory = self._flown(x)
+            if not self._missed(trajectory):
+                self._accept(x, trajectory)
+            if self._is_late or trajectory.cost > (1.0 - WORTH) * cost:
+                return
+            headings, cost = trajectory.headings[1:], trajectory.cost
+
+    def _beside(self, headings: Array) -> Array | None:
+        """Return the best trajectory, shape (N, d), that passes where a way does; None without.
+
+        Args:
+            headings: of the way, R_0 e1..R_N e1, shape (N + 1, n).
+        """
+        problem, turns = self._search.problem, self._search.turns
+        positions, _ = translation_rollout(problem, self._request.state, headings)
+        held: list[Cell | None] = [None] * len(self._choices)
+        around = [] if turns is None else turns.kept(headings)
+        for j, each in enumerate(self._search.disjunctions):
+            values = each.values(headings, positions)
+            if around and each.on == 'heading':
+                held[j] = around[each.steps[0] - 1]
+            else:
+                held[j] = _nearest_cell(each, values, None)
+        assert self._passages is not None
+        for j, cell in self._passages.tangents(headings[1:], BESIDE * problem.length_unit):
+            held[self._fixed + j] = cell
+        close = None if turns is None else turns.close(around)
+        self._nodes += 1
+        halfspaces = self._halfspaces(tuple(held), narrow=turns is not None)
+        try:
+            return self._search.program.relax(self._request, halfspaces, close).x
+        except Infeasible:
+            return None
+
+    def run(self, ways: Iterable[Array] = ()) -> Found:
+        """Search, from the best trajectories that pass everything on the same sides as some ways.
+
+        Args:
+            ways: headings R_1 e1..R_N e1, shape (N, n) each.
+        """
+        if self._passages is not None:  # the root first: its bound holds whatever becomes of them
+            self._expand(heapq.heappop(self._open))
+            for way in ways:
+                if not self._is_late:
+                    self._follow(way)
+            self._guided = False
         while self._open and self._open[0].bound < self._limit:
             if self._nodes >= MAX_NODES or (self._nodes and self._is_late):
                 break
@@ -182,7 +279,7 @@ class _Run:
             if self._is_too_wide(trajectory):
                 self._turn(node.choice, trajectory)
             return
-        if self._best is None or self._is_nearly_round(missed):
+        if (self._best is None and not self._guided) or self._is_nearly_round(missed):
             self._dive(node.choice, trajectory, missed)
         self._branch(node.choice, missed, bound, relaxed.dual_value)
 
@@ -191,15 +288,18 @@ class _Run:
         if self._nodes > 1 or self._is_late:
             self._closed = min(self._closed, bound)
             return
-        for cell in self._cells(0):
+        for cell in self._cells(0, None):
             self._push((cell, *choice[1:]), bound)
 
-    def _cells(self, j: int) -> Sequence[Cell]:
-        """Return the alternatives of a disjunction: fewer where the tilt is limited."""
-        disjunction = self._search.disjunctions[j]
-        if disjunction.upright and self._upright[disjunction.steps[0] - 1]:
-            return disjunction.upright
-        return disjunction.cells
+    def _cells(self, j: int, held: Cell | None) -> Sequence[Cell]:
+        """Return the alternatives that a choice leaves: fewer where the tilt is limited."""
+        choice = self._choices[j]
+        cells = choice.cells if held is None else held.parts()
+        if isinstance(choice, Passage):
+            return choice.possible(cells)
+        if held is None and choice.upright and self._upright[choice.steps[0] - 1]:
+            return choice.upright
+        return cells
 
     def _relaxed(self, choice: Choice) -> Relaxation:
         self._nodes += 1
@@ -224,14 +324,18 @@ class _Run:
     def _halfspaces(self, choice: Choice, *, narrow: bool = False) -> Iterator[Halfspace]:
         """Yield what holds at a choice; if narrow, with a first turn that is surely in time."""
         slot = 0
-        for disjunction, cell in zip(self._search.disjunctions, choice, strict=True):
+        for disjunction, cell in zip(self._search.disjunctions, choice, strict=False):
             for _ in disjunction.steps:
                 if cell is not None:
                     yield slot, cell.normal, cell.offset
                 slot += 1
         yield from self._turned(slot, narrow=narrow)
+        passages = [] if self._passages is None else self._passages.choices
+        for passage, cell in zip(passages, choice[self._fixed :], strict=True):
+            if cell is not None:
+                yield from passage.halfspaces(cell)
 
-    def _missed(self, trajectory: Trajectory) -> dict[int, tuple[float, Array]]:
+    def _missed(self, trajectory: Trajectory) -> Missed:
         """Return, by disjunction that is not satisfied, by how much and the values it sees."""
         missed = {}
         for j, disjunction in enumerate(self._search.disjunctions):
@@ -239,25 +343,29 @@ class _Run:
             by = disjunction.missed_by(values)
             if by > SATISFIED:
                 missed[j] = (by, values)
-        return missed
+        return missed | self._passed(trajectory, -SATISFIED)
 
-    def _is_nearly_round(self, missed: dict[int, tuple[float, Array]]) -> bool:
+    def _passed(self, trajectory: Trajectory, within: float) -> Missed:
+        """Return the passages that a trajectory misses, or is within a distance of missing."""
+        if self._passages is None:
+            return {}
+        near = self._passages.near(trajectory.headings[1:], within)
+        return {self._fixed + j: each for j, each in near.items()}
+
+    def _is_nearly_round(self, missed: Missed) -> bool:
         """Return whether all that is missed are round floors, and those by little."""
-        disjunctions = self._search.disjunctions
-        return all(disjunctions[j].radius and by < NEAR for j, (by, _) in missed.items())
+        return all(self._choices[j].radius and by < NEAR for j, (by, _) in missed.items())
 
-    def _dive(
-        self, choice: Choice, trajectory: Trajectory, missed: dict[int, tuple[float, Array]]
-    ) -> None:
+    def _dive(self, choice: Choice, trajectory: Trajectory, missed: Missed) -> None:
         """Look for a trajectory: hold whatever is missed at its nearest cell, and solve again."""
         if self._search.turns is not None:
             self._turn(choice, trajectory)
             if self._best is not None:
                 return
         held = list(choice)
-        for _ in range(DIVE_STEPS):
+        for _ in range(DIVE_STEPS if self._passages is None else PASSING_STEPS):
             for j, (_, values) in missed.items():
-                held[j] = _nearest_cell(self._search.disjunctions[j], values, held[j])
+                held[j] = _nearest_cell(self._choices[j], values, held[j])
             if self._is_late:
                 return
             try:
@@ -283,20 +391,20 @@ class _Run:
             if not self._is_late:
                 self._turn_from(choice, trajectory, around)
 
-    def _turn_from(self, choice: Choice, trajectory: Trajectory, around: list[Cell]) -> None:
+    def _turn_from(self, chosen: Choice, trajectory: Trajectory, around: list[Cell]) -> None:
         """Look for a trajectory that turns in time, near cells of the floor, one for each step.
 
         Consecutive headings are held so close to each other that no angle is too wide.
         """
-        turns, held, state = self._search.turns, list(choice), self._request.state
+        turns, held, state = self._search.turns, list(chosen), self._request.state
         assert turns is not None
         for _ in range(DIVE_STEPS):
             missed = self._missed(trajectory)
-            for j, disjunction in enumerate(self._search.disjunctions):
-                if disjunction.on == 'heading':
-                    held[j] = around[disjunction.steps[0] - 1]
+            for j, choice in enumerate(self._choices):
+                if isinstance(choice, Disjunction) and choice.on == 'heading':
+                    held[j] = around[choice.steps[0] - 1]
                 elif j in missed:
-                    held[j] = _nearest_cell(disjunction, missed[j][1], held[j])
+                    held[j] = _nearest_cell(choice, missed[j][1], held[j])
             if self._is_late:
                 return
             close = self._halfspaces(tuple(held), narrow=True)
@@ -322,7 +430,7 @@ class _Run:
             first = narrow and each.step == 1
             yield slot + i, ahead, turns.narrow if first else turns.ahead(each.step)
 
-    def _round_floors(self, trajectory: Trajectory) -> dict[int, tuple[float, Array]]:
+    def _round_floors(self, trajectory: Trajectory) -> Missed:
         return {
             j: (0.0, d.values(trajectory.headings, trajectory.positions))
             for j, d in enumerate(self._search.disjunctions)
@@ -332,7 +440,7 @@ class _Run:
     def _branch(
         self,
         choice: Choice,
-        missed: dict[int, tuple[float, Array]],
+        missed: Missed,
         bound: float,
         dual_value: float,
     ) -> None:
@@ -346,9 +454,11 @@ class _Run:
         options: dict[int, Sequence[Cell]] = {}
         for j in missed:
             cell = choice[j]
-            cells = self._cells(j) if cell is None else cell.parts()
-            if cells:
-                options[j] = cells
+            if cell is not None and not cell.parts():
+                continue
+            options[j] = self._cells(j, cell)
+            if not options[j]:
+                return  # none of them can be reached
         if not options:  # a chosen face is missed: the solve was not accurate enough
             self._closed = min(self._closed, bound)
             return
@@ -388,14 +498,14 @@ class _Run:
         Of the parts of a round floor's patch the nearer one often holds already, and tells
         nothing: what is missed of the floor is what finer patches will ask for.
         """
-        if self._search.disjunctions[j].radius:
-            return float(by * by / (2.0 * self._search.curvature[j].min()))
+        if self._choices[j].radius:
+            return float(by * by / (2.0 * self._curvature[j].min()))
         return float(gains.min())
 
     def _gain(self, j: int, cells: Sequence[Cell], values: Array) -> Array:
         """Return by how much each cell raises the bound at least, shape (cells,)."""
-        short = np.maximum(shortfall(cells, values), 0.0)
-        return (short**2 / (2.0 * self._search.curvature[j])).max(axis=1)
+        short = np.maximum(self._choices[j].shortfall(cells, values), 0.0)
+        return np.asarray((short**2 / (2.0 * self._curvature[j])).max(axis=1))
 
 
 def _is_accurate(problem: Problem, goals: Array, trajectory: Trajectory) -> bool:
@@ -418,8 +528,12 @@ def _arrives(problem: Problem, goals: Array, trajectory: Trajectory) -> bool:
     return bool(missed <= ACCURATE * problem.length_unit + rounding)
 
 
-def _nearest_cell(disjunction: Disjunction, values: Array, held: Cell | None) -> Cell | None:
+def _nearest_cell(
+    disjunction: Disjunction | Passage, values: Array, held: Cell | None
+) -> Cell | None:
     """Return the cell that values, shape (K, n), miss least; of a round floor, the tangent."""
+    if isinstance(disjunction, Passage):
+        return disjunction.nearest(values)
     if not disjunction.radius:
         if held is not None:
             return held
@@ -436,21 +550,34 @@ def _steps_are_exchangeable(problem: Problem) -> bool:
         and (problem.rotation_order, problem.translation_order) == (1, 1)
         and problem.discretisation == 'euler'  # whose last step pushes nothing
         and problem.weights.input == problem.weights.position == problem.max_rate == 0.0
+        and problem.weights.attitude == 0.0
+        and not problem.approach.exists
         and not problem.obstacles
     )
 
 
-def inverse_curvatures(problem: Problem, disjunctions: Sequence[Disjunction]) -> list[Array]:
-    """Return a.H^-1 a of each disjunction's rows, one per step, shapes (len(steps),).
+def inverse_hessian(problem: Problem) -> Array:
+    """Return H^-1, shape (N, N); infinite where H is singular.
 
     H is the Hessian of the quadratic part of the objective in R_1..R_N, positions eliminated. It
-    is the same for each coordinate of R_k e1, and the normals have length one. Infinite (no gain)
-    where H is singular.
+    is the same for each coordinate of R_k e1.
     """
     hessian = Condensed(problem).hessian
     if not np.linalg.cond(hessian) <= 1e12:  # of no curvature at all it is not a number
+        return np.full(hessian.shape, np.inf)
+    return np.asarray(np.linalg.inv(hessian))
+
+
+def inverse_curvatures(
+    problem: Problem, disjunctions: Sequence[Disjunction], inverse: Array
+) -> list[Array]:
+    """Return a.H^-1 a of each disjunction's rows, one per step, shapes (len(steps),).
+
+    Normals have length one. Infinite (no gain) where H is singular.
+    """
+    if not np.isfinite(inverse).all():
         return [np.full(len(d.steps), np.inf) for d in disjunctions]
-    inverse, rows = np.linalg.inv(hessian), problem.maps.reach[:, 1:]
+    rows = problem.maps.reach[:, 1:]
     along = np.einsum('ki,ij,kj->k', rows, inverse, rows)
     every = {'heading': np.diag(inverse), 'position': np.where(along > 0.0, along, np.inf)}
     return [every[d.on][np.array(d.steps) - 1] for d in disjunctions]

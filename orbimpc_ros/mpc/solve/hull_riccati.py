@@ -7,10 +7,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.penalty import BEST, PAUSED, SETTLED, begun
 from orbimpc_ros.mpc.kernels.riccati import Chain, settle, within
-from orbimpc_ros.mpc.model.cost import first_length, input_weight, position_weights
+from orbimpc_ros.mpc.model.cost import (
+    attitude_weight,
+    first_length,
+    input_weight,
+    position_weights,
+    wanted_coordinates,
+)
 from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.general import General
@@ -23,6 +30,7 @@ CANCELLED = 1e-12  # what a bound allows for of the largest numbers that cancel 
 LARGEST = 1e7  # sigma, in proportion to the first
 SLICE = 2000  # steps of the horizon times steps of the method, in about a millisecond
 ROUNDING = 1e-15  # of the largest numbers that cancel in a cost
+NO_WISH = np.zeros(3)
 
 
 class HullRiccati:
@@ -41,7 +49,7 @@ class HullRiccati:
         self._general = General(problem, tolerance)
         self._along = np.array([[1.0, problem.step * problem.forward], [0.0, 1.0]])
         self._turning = input_weight(problem) / problem.step**2
-        self._weights = position_weights(problem)
+        self._weights, self._steadying = position_weights(problem), attitude_weight(problem)
         reach = problem.maps.reach[:, 1:]
         trace = 2.0 * (float(self._weights @ (reach * reach).sum(axis=1)) + self._turning)
         self._stiffness = STIFFNESS * trace
@@ -63,6 +71,7 @@ class HullRiccati:
             and problem.weights.length == problem.max_rate == problem.arrival_weight == 0.0
             and problem.weights.input > 0.0
             and not problem.obstacles
+            and not problem.approach.exists
         )
 
     def solve(self, request: Request) -> Found:
@@ -72,14 +81,21 @@ class HullRiccati:
             return found
         return self._general.solve(request)
 
+    def _wish(self, state: State) -> Array:
+        """Return the weight on the last heading, and what it is to be, shape (3,)."""
+        if self._steadying == 0.0:
+            return NO_WISH
+        return np.append(self._steadying, wanted_coordinates(self._problem, state))
+
     def relaxed(self, request: Request) -> tuple[Found, bool]:
         """Return the best within the disks and its bound, and whether that is the optimum."""
         state, goals = request.state, request.goals
         targets = goals - adrift(self._problem, state)
         start = np.zeros((len(self._along), 2))
         start[-1] = state.rotation[:, 0]
-        chain = Chain(self._along, start, self._turning, self._weights, targets)
-        constant = float(self._weights @ np.einsum('kc,kc->k', targets, targets))
+        wish = self._wish(state)
+        chain = Chain(self._along, start, self._turning, self._weights, targets, wish)
+        constant = float(self._weights @ np.einsum('kc,kc->k', targets, targets)) + self._steadying
         rounding = ROUNDING * constant
         limits = (PRECISION, GAP, rounding, LARGEST * self._stiffness)
         progress = begun(len(goals), 2, self._stiffness)

@@ -55,7 +55,9 @@ class PolygonSearch:
             and problem.floor.shape in ('none', 'polygon')
             and problem.terminal == 'penalty'
             and problem.weights.length == problem.max_rate == problem.arrival_weight == 0.0
+            and not problem.max_acceleration
             and not problem.obstacles
+            and not problem.approach.exists
             and problem.horizon <= LONGEST
         )
 

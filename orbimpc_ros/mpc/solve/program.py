@@ -9,6 +9,7 @@ Mathematics: docs/mathematics.md, 4.8.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -18,11 +19,17 @@ from scipy import sparse
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.model.cost import first_length, position_weights, velocity_weight
+from orbimpc_ros.mpc.model.cost import (
+    attitude_weight,
+    first_length,
+    position_weights,
+    velocity_weight,
+    wanted_coordinates,
+)
 from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
-from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.solve.conic import SOLVED, Certifier, run, solver_for
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.solve.conic import SOLVED, Certifier, extended, run, solver_for
 from orbimpc_ros.mpc.solve.direct_statement import DirectStatement
 from orbimpc_ros.mpc.solve.disjunction import Slot
 from orbimpc_ros.mpc.solve.relaxation import Halfspace, Relaxation
@@ -34,6 +41,8 @@ INERT = 1.0  # an empty slot reads 0 <= 1
 STUCK = ('NumericalError', 'InsufficientProgress')
 NEAR = 1e-9  # on constraints, of an answer that is not accurate otherwise
 FAR = 1.0  # a goal is far from this many horizons on
+
+Cut = tuple[Array, Array, float]  # a row over R_1 e1..R_N e1, a unit normal, an offset
 
 
 class Program:
@@ -55,10 +64,12 @@ class Program:
         tolerance: float = 1e-9,
     ) -> None:
         self.problem = problem
+        if problem.approach.exists:  # the least heading, which no search has to fill in
+            slots = (*slots, Slot('heading', problem.horizon))
         self._statement = _statement(problem, slots, coasting and problem.rotation_order == 2)
         self._tolerance = tolerance
         self._heaviest = float(position_weights(problem).max())
-        self._stopping = velocity_weight(problem)
+        self._stopping, self._steadying = velocity_weight(problem), attitude_weight(problem)
         self._scale = 1.0
         self._solver: Any = None
         self._request: Request | None = None
@@ -75,16 +86,30 @@ class Program:
         constant = float(np.sum(weights[:, None] * seen * seen))
         hastened = self.problem.maps.hastened[-1, 0] * state.disturbance
         constant += self._stopping * float(hastened @ hastened)
+        wanted = wanted_coordinates(self.problem, state)
+        constant += self._steadying * float(wanted @ wanted)
         self._constant = constant + first_length(self.problem, state)
         self._bind_cost(-2.0 * weights[:, None] * seen, 2.0 * self._stopping * hastened)
+        if self._steadying > 0.0:  # else there may be thrust axes in the place of rotations
+            self._q[self._columns[-1]] -= 2.0 * self._steadying * wanted / self._scale
         if self._statement.coasting:
             assert state.coasted is not None
             self._a_0[self._coasted] = -coordinates(state.coasted)
         if self.problem.first_turn_is_a_cone:
             self._a_0[self._ahead] = state.attitude[:, 0]
+        if self.problem.approach.exists:
+            self._approach(state)
         at_rest, per_speed, per_spin = self._limits
         speed = float(np.linalg.norm(state.velocity))
         self._largest = at_rest + speed * per_speed + np.abs(state.rotation_rate).max() * per_spin
+
+    def _approach(self, state: State) -> None:
+        """Put the direction of approach in: of its cone, and of the least heading along it."""
+        approach, (row, entries) = self.problem.approach, self._slots[-1]
+        axis = approach.axis(state)
+        self._a_0[self._towards] = axis
+        self._a_0[entries] = -axis
+        self._b[row] = -math.cos(approach.cone) * self.problem.least_heading
 
     def relax(
         self,
@@ -100,21 +125,30 @@ class Program:
         if chords is not None:
             rows = slice(len(self._rows) - self._statement.chords, None)
             b[self._rows[rows]] = self._b_0[self._rows[rows]] + self._signs[rows] * chords
+        cuts: list[Cut] = []
         for slot, normal, offset in halfspaces:
+            if isinstance(slot, np.ndarray):
+                cuts.append((slot, normal, offset))
+                continue
             row, entries = self._slots[slot]
             put = self._statement.slots[slot]
             if put.on == 'position':  # the variable is the displacement
                 offset -= float(normal @ self._origins[put.step - 1])
             a[entries] = -normal
             b[row] = -offset
-        relaxed = self._solve_in_place(a, b, out_of_time)
+        if cuts:
+            relaxed = self._solve_anew(a, b, self._scale, out_of_time, cuts)
+        else:
+            relaxed = self._solve_in_place(a, b, out_of_time)
         if request.late:
             return relaxed
         if relaxed.x is None:
+            if cuts:
+                return relaxed
             anew = self._solve_anew(a, b, self._scale, out_of_time)
             return Relaxation(anew.x, max(relaxed.bound, anew.bound), anew.bound)
         if relaxed.bound < SMALL * self._scale:
-            return self._bound_anew(relaxed, a, b, out_of_time)
+            return self._bound_anew(relaxed, a, b, out_of_time, cuts)
         return relaxed
 
     def _solve_in_place(
@@ -127,14 +161,19 @@ class Program:
         return self._relaxation(answer, a, b, self._q, self._scale)
 
     def _bound_anew(
-        self, relaxed: Relaxation, a: Array, b: Array, out_of_time: Callable[[], bool] | None
+        self,
+        relaxed: Relaxation,
+        a: Array,
+        b: Array,
+        out_of_time: Callable[[], bool] | None,
+        cuts: Sequence[Cut],
     ) -> Relaxation:
         """Return a relaxation as accurate in proportion as where the cost is large.
 
         Near the goal the cost all but vanishes, and a gap that is small against one is not small
         against the cost. Solved once more with the cost scaled up, it is.
         """
-        scaled = self._solve_anew(a, b, max(relaxed.bound, TINY), out_of_time)
+        scaled = self._solve_anew(a, b, max(relaxed.bound, TINY), out_of_time, cuts)
         best = min((relaxed, scaled), key=self._cost)
         return Relaxation(best.x, max(relaxed.bound, scaled.bound), best.bound)
 
@@ -145,20 +184,46 @@ class Program:
         return trajectory_of(self.problem, request.state, request.goals, relaxed.x).cost
 
     def _solve_anew(
-        self, a: Array, b: Array, scale: float, out_of_time: Callable[[], bool] | None
+        self,
+        a: Array,
+        b: Array,
+        scale: float,
+        out_of_time: Callable[[], bool] | None,
+        cuts: Sequence[Cut] = (),
     ) -> Relaxation:
         """Solve with Clarabel set up for these very numbers, the cost divided by ``scale``.
 
-        That settles nearly all that an update in place could not solve.
+        That settles nearly all that an update in place could not solve. Rows over R_1 e1..R_N e1
+        may come on top.
         """
         matrix = self._data['A'].copy()
         matrix.data = a
         q = self._q * (self._scale / scale)
         data = {**self._data, 'P': self._p / scale, 'c': q, 'A': matrix, 'b': b}
+        certifier = self._certifier
+        if cuts:
+            data = self._cut(data, cuts)
+            certifier = Certifier({**data, 'P': self._p})
         answer = run(solver_for(data, self._tolerance), out_of_time)
-        return self._relaxation(answer, a, b, q, scale)
+        return self._relaxation(answer, data['A'].data, data['b'], q, scale, certifier)
 
-    def _relaxation(self, answer: Any, a: Array, b: Array, q: Array, scale: float) -> Relaxation:
+    def _cut(self, data: dict[str, Any], cuts: Sequence[Cut]) -> dict[str, Any]:
+        """Return data with half-spaces on top that all headings have a part in."""
+        rows = np.zeros((len(cuts), data['A'].shape[1]))
+        axes = self._columns[:, : self.problem.dimension]
+        for i, (row, normal, _) in enumerate(cuts):
+            rows[i, axes] = -np.outer(row, normal)
+        return extended(data, rows, -np.array([offset for *_, offset in cuts]))
+
+    def _relaxation(
+        self,
+        answer: Any,
+        a: Array,
+        b: Array,
+        q: Array,
+        scale: float,
+        certifier: Certifier | None = None,
+    ) -> Relaxation:
         """Return what an answer comes to, with the bound that its multipliers prove.
 
         Raises:
@@ -166,12 +231,12 @@ class Program:
         """
         if answer is None:
             return Relaxation(None, -np.inf)
-        status = str(answer.status)
+        status, certifier = str(answer.status), certifier or self._certifier
         if 'PrimalInfeasible' in status:
-            if self._certifier.refutes(answer, a, b, self._largest):
+            if certifier.refutes(answer, a, b, self._largest):
                 raise Infeasible('no trajectory satisfies the constraints')
             return Relaxation(None, -np.inf)
-        proved = self._certifier.lower_bound(answer, a, b, q, scale, self._largest)
+        proved = certifier.lower_bound(answer, a, b, q, scale, self._largest)
         bound = scale * proved + self._constant
         if not (status in SOLVED or _is_near(answer)):
             return Relaxation(None, bound)
@@ -246,6 +311,10 @@ class Program:
             column = column_of[statement.along.id]
             across = column_of[statement.across.id] + np.arange(self.problem.dimension)
             self._ahead = _shared_entries(data['A'], column, across)
+        if self.problem.approach.exists:
+            column = column_of[statement.towards.id]
+            aside = column_of[statement.aside.id] + np.arange(self.problem.dimension)
+            self._towards = _shared_entries(data['A'], column, aside)
 
     def _numbered_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the row and sign of each right-hand side, and the row of each slot.

@@ -20,6 +20,7 @@ METHODS = [
     ('spatial_bnb', 'SpatialSearch'),
     ('disjunctive_bnb', 'DisjunctiveSearch'),
 ]
+PACED = ('paced_speeds', 'PacedSpeeds')  # brings Clarabel: only where a limit asks for it
 
 
 def method_for(problem: Problem, tolerance: float, *, coasting: bool = False) -> Method:
@@ -30,9 +31,22 @@ def method_for(problem: Problem, tolerance: float, *, coasting: bool = False) ->
         tolerance: relative gap at which a search stops.
         coasting: whether states come with a ``coasted`` rotation.
     """
-    for place, name in METHODS:
+    for place, name in [PACED, *METHODS] if problem.max_acceleration else METHODS:
         method = getattr(import_module(f'orbimpc_ros.mpc.solve.{place}'), name)
         if method.solves(problem):
             made: Method = method(problem, tolerance, coasting=coasting)
             return made
     raise AssertionError('the last method solves every problem')
+
+
+def method_among(problem: Problem, tolerance: float, *, coasting: bool = False) -> Method:
+    """Return the method for a problem in natural units whose states come with hazards.
+
+    Args:
+        problem: what to solve.
+        tolerance: relative gap at which a search stops.
+        coasting: whether states come with a ``coasted`` rotation.
+    """
+    from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch  # may bring CVXPY
+
+    return DisjunctiveSearch(problem, tolerance, coasting=coasting, among=True)

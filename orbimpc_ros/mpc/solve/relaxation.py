@@ -12,7 +12,9 @@ from typing import Protocol
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.solve.request import Request
 
-Halfspace = tuple[int, Array, float]  # slot, unit normal, offset: normal . v >= offset
+# What it is put on, a unit normal and an offset: normal . v >= offset. Put on is a slot, or
+# v = sum_k row_k R_k e1, k = 1..N, of a row, shape (N,).
+Halfspace = tuple[int | Array, Array, float]
 
 
 @dataclass(frozen=True)

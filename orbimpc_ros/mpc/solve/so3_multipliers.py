@@ -24,7 +24,12 @@ from orbimpc_ros.mpc.kernels.augmented_lagrangian import minimise
 from orbimpc_ros.mpc.kernels.penalty import BEST, PAUSED, SETTLED, Iterate, begun
 from orbimpc_ros.mpc.kernels.penalty_terms import Terms, multipliers, no_sides, scratch
 from orbimpc_ros.mpc.model.condensed import Condensed, knowns, suits_dense_code
-from orbimpc_ros.mpc.model.cost import first_length, length_weight, length_weights
+from orbimpc_ros.mpc.model.cost import (
+    first_length,
+    length_weight,
+    length_weights,
+    wanted_coordinates,
+)
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.disjunction import Slot
 from orbimpc_ros.mpc.solve.relaxation import Halfspace, Relaxation, Relaxed
@@ -34,6 +39,9 @@ from orbimpc_ros.mpc.solve.unconstrained import other_axes, thrust_axis
 SIGMA = (1.0, 1e6)  # first and largest; times the scale of the forces at work
 EASY = 12  # a horizon up to which hardly a solve was seen to stall
 USUAL = 100.0  # forces of problems near their goal
+# Best fraction of a coasted rotation while no orbitope is in its way: where that is far outside, as
+# with a weight on length alone, bounds would be small differences of what is huge.
+STEEPEST = 1e4
 PRECISION = 1e-8  # on constraints
 GAP = 1e-8  # relative
 ROUNDING = 1e-15  # of the largest numbers that cancel in a cost
@@ -78,8 +86,8 @@ class SO3Multipliers:
         self._lengths = length_weights(self.problem)[-n:].copy()
         if self._coasting:
             self._lengths[0] = 0.0  # linear in rho
-        self._axes = np.zeros((self.problem.horizon + 4, 3))
-        self._rest = np.zeros((2, 6))
+        self._axes = np.zeros((self.problem.horizon + 5, 3))
+        self._rest = np.zeros((3, 6))
         self._work, self._held = scratch(n), multipliers(n, 0)
         rows, offsets = np.zeros((n, 3)), np.full(n, INERT)
         self._unbound = Terms(
@@ -111,6 +119,7 @@ class SO3Multipliers:
             and problem.weights.input > 0.0
             and problem.max_rate == problem.arrival_weight == 0.0
             and not problem.has_cones
+            and not problem.approach.exists
             and all(slot.on == 'heading' for slot in slots)
             and problem.horizon >= 2 * max(problem.rotation_order, problem.translation_order)
             and suits_dense_code(problem)
@@ -122,6 +131,7 @@ class SO3Multipliers:
         axes, rest = self._axes, self._rest
         axes[:-1] = knowns(state, goals)
         rest[0] = state.rotation[:, 1:].T.ravel()
+        rest[1] = wanted_coordinates(self.problem, state)[3:]
         self._least = first_length(self.problem, state)
         if self._coasting:
             assert state.coasted is not None
@@ -171,6 +181,10 @@ class SO3Multipliers:
         if request is not self._request:
             self._bind(request)
         imposed = list(halfspaces)
+        if self._coasting and abs(self._start[0, 0]) > STEEPEST:
+            if request.hurried and self._general is None:
+                return Relaxation(None, -np.inf)
+            return self._leave(request, imposed)
         terms = self._terms(imposed)
         bound = -np.inf
         for _ in range(2):

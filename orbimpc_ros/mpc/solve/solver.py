@@ -20,8 +20,8 @@ from orbimpc_ros.mpc.plan import Plan, Proof, assemble
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.feasibility import reason
 from orbimpc_ros.mpc.problem.units import Units
-from orbimpc_ros.mpc.solve.registry import method_for
-from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Request
+from orbimpc_ros.mpc.solve.registry import method_among, method_for
+from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Method, Request
 from orbimpc_ros.mpc.solve.stand_ins import straight, turning
 
 SEARCH_SHARE = 0.01  # a search stops at this share of the gap that counts as proved
@@ -68,9 +68,11 @@ class Solver:
         self.problem = problem
         self._projection, self._tolerance = projection, gap_tolerance
         self._units, self._patient = Units.of(problem), patient
+        self._wants_attitude = problem.wants_attitude
         self._coasting = coasting and problem.rotation_order == 2
         tolerance = SEARCH_SHARE * gap_tolerance
         self._method = method_for(self._units.problem, tolerance, coasting=coasting)
+        self._among: Method | None = None  # which solves among hazards, made when it is needed
         self._enough = Enough(*(each / self._units.cost for each in enough or Enough()))
 
     def solve(
@@ -142,10 +144,12 @@ class Solver:
             raise BadInput('goals', np.shape(goals), f'an array of shape {wanted}')
         if self._coasting and state.coasted is None:
             raise BadInput('state.coasted', None, 'a rotation: the solver was made for coasting')
+        if self._wants_attitude and state.wanted is None:
+            raise BadInput('state.wanted', None, 'a rotation: the problem asks for one at its end')
         usable, units = self._usable(query), self._units
         start, targets = units.state(state), units.lengths(goals)
         try:
-            found = self._method.solve(
+            found = self._method_for(state).solve(
                 Request(start, targets, usable, query.out_of_time, self._patient, self._enough)
             )
         except Infeasible:
@@ -158,16 +162,30 @@ class Solver:
             return replace(NOTHING, reason='the trajectory found is not finite')
         return found
 
-    @property
-    def takes_guess(self) -> bool:
+    def takes_guess(self, state: State) -> bool:
         """Return whether a guess makes this solver faster."""
-        return self._method.takes_guess
+        return self._method.takes_guess or bool(state.hazards)
+
+    def expect_hazards(self) -> None:
+        """Make now what the first state with hazards would have to wait for, a second or so."""
+        if self._among is None:
+            self._among = method_among(
+                self._units.problem, SEARCH_SHARE * self._tolerance, coasting=self._coasting
+            )
+
+    def _method_for(self, state: State) -> Method:
+        """Return the method for a state: where something moves, the general one."""
+        if not state.hazards:
+            return self._method
+        self.expect_hazards()
+        assert self._among is not None
+        return self._among
 
     def _usable(self, query: _Query) -> Guess | None:
-        guess = query.guess
-        if guess is None or not self.takes_guess:
+        guess, method = query.guess, self._method_for(query.state)
+        if guess is None or not method.takes_guess:
             return None
-        if self._method.trusts_guess and not self._sound(query, guess):
+        if method.trusts_guess and not self._sound(query, guess):
             return None
         return Guess(coordinates(guess.rotations[1:]), guess.objective / self._units.cost)
 

@@ -27,7 +27,12 @@ from orbimpc_ros.mpc.kernels.half_spaces import (
 from orbimpc_ros.mpc.kernels.penalty_terms import scratch
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.condensed import Condensed, knowns, suits_dense_code
-from orbimpc_ros.mpc.model.cost import input_weight, position_weights
+from orbimpc_ros.mpc.model.cost import (
+    attitude_weight,
+    input_weight,
+    position_weights,
+    wanted_coordinates,
+)
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.disjunction import Disjunction, disjunctions_of
 from orbimpc_ros.mpc.solve.general import General
@@ -76,13 +81,14 @@ class SpatialSearch:
         return (
             COMPILED
             and (problem.dimension, problem.rotation_order) == (3, 1)
-            and len(problem.obstacles) > 0
+            and len(problem.obstacles) == len(problem.boxes) > 0
             and problem.floor.shape in ('none', 'polygon')
             and problem.terminal == 'penalty'
             and problem.weights.input > 0.0
             and problem.weights.length == problem.max_rate == problem.arrival_weight == 0.0
             and problem.horizon >= 2 * problem.translation_order
             and suits_dense_code(problem)
+            and not problem.approach.exists
         )
 
     def solve(self, request: Request) -> Found:
@@ -104,9 +110,10 @@ class SpatialSearch:
     def _begin(self, request: Request) -> None:
         """Begin a search: work out what depends on state and goals alone."""
         state, goals, space = request.state, request.goals, self._space
-        axes, rest = np.zeros((len(goals) + 4, 3)), np.zeros((2, 6))
+        axes, rest = np.zeros((len(goals) + 5, 3)), np.zeros((3, 6))
         axes[:-1] = knowns(state, goals)
         rest[0] = state.rotation[:, 1:].T.ravel()
+        rest[1] = wanted_coordinates(self._problem, state)[3:]
         space.start[:, :3] = self._thrust.minimiser @ axes
         space.start[:, 3:] = self._others.minimiser @ rest
         still = np.concatenate([state.rotation[None, :, 0], np.zeros((len(goals), 3))])
@@ -128,8 +135,9 @@ class SpatialSearch:
         """
         problem = self._problem
         farthest = np.linalg.norm(coasting, axis=1) + self._space.farthest
-        turning = input_weight(problem) * FARTHEST * problem.horizon / problem.step**2
-        return float(position_weights(problem) @ farthest**2 + turning)
+        turning = input_weight(problem) * problem.horizon / problem.step**2
+        turning += attitude_weight(problem)
+        return float(position_weights(problem) @ farthest**2 + turning * FARTHEST)
 
     def _guide(self, request: Request) -> Array:
         """Return a guess's thrust axes and positions, shape (2N, 3), or (0, 3) without one."""

@@ -16,6 +16,7 @@ from scipy import sparse
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.orbitopes import constraints, coordinate_count, coordinates
 from orbimpc_ros.mpc.model.cost import (
+    attitude_weight,
     input_weight,
     length_weights,
     position_weights,
@@ -63,6 +64,7 @@ class Statement:
         self._chords = self._chord_parameter()
         self._eased = cp.Parameter(steps) if problem.tilt else None
         self._sloped = [cp.Parameter(steps) for _ in range(n)] if problem.glide_slope else []
+        self.towards, self.aside = cp.Variable(name='along the approach'), cp.Variable(n)
         self._steep = cp.Variable(steps, name='|R e1| or the floor')
         self._velocities: cp.Variable | None = None
         self._lengths: cp.Variable | None = None
@@ -194,6 +196,7 @@ class Statement:
     def _limits(self) -> list[cp.Constraint]:
         """|(R_{k+1} - R_k) e1| <= the chords, the cone of a first turn by an angle, and others."""
         limits = self._first_turn() if self.problem.first_turn_is_a_cone else []
+        limits += self._approached() if self.problem.approach.exists else []
         limits += [] if self._eased is None else self._tilted(self._eased)
         if self._sloped:
             x, y, z = slope_sides(self.problem)
@@ -214,6 +217,14 @@ class Statement:
         return [
             self.across == self._headings[1] - self.along * placeholder,
             cp.SOC(widest * self.along, self.across),
+        ]
+
+    def _approached(self) -> list[cp.Constraint]:
+        """|R_N e1 - rho d| <= rho sin(cone) for some rho >= 0: the cone around d."""
+        placeholder = np.ones(self.problem.dimension)
+        return [
+            self.aside == self._headings[-1] - self.towards * placeholder,
+            cp.SOC(math.sin(self.problem.approach.cone) * self.towards, self.aside),
         ]
 
     def _tilted(self, eased: cp.Parameter) -> list[cp.Constraint]:
@@ -264,7 +275,7 @@ class Statement:
         moved = flown.drift[:, 0] * speed + flown.reach.sum(axis=1)
         pushed = flown.carried[:, 0] * speed + flown.pushed.sum(axis=1)
         angle = problem.step * problem.max_rate if problem.first_turn_is_a_cone else 0.0
-        rho = 1.0 / math.cos(angle)
+        rho, farthest = 1.0 / math.cos(angle), 1.0 / math.cos(problem.approach.cone)
         each = {
             self.x: np.full(self.x.size, 1.0 + problem.step * spin),
             self.moved: np.repeat(moved, n),
@@ -272,6 +283,8 @@ class Statement:
             self._steep: np.ones(self._steep.size),
             self.along: np.array([rho]),
             self.across: np.full(n, 1.0 + rho),
+            self.towards: np.array([farthest]),
+            self.aside: np.full(n, 1.0 + farthest),
         }
         if self._velocities is not None:
             each[self._velocities] = np.tile(np.append(speed, pushed), n)  # column by column
@@ -284,7 +297,7 @@ class Statement:
         problem, n = self.problem, self.problem.dimension
         squares = sparse.diags(np.repeat(position_weights(problem), n)).tocsc()
         cost = cp.quad_form(self.moved, squares, assume_PSD=True) + self.pull @ self.moved
-        cost += cp.quad_form(self.x, self._input_form(), assume_PSD=True)
+        cost += cp.quad_form(self.x, self._turning_form(), assume_PSD=True)
         if self._velocities is not None and problem.arrival_weight > 0.0:
             cost += velocity_weight(problem) * cp.sum_squares(self._velocities[-1])
         weights = length_weights(problem)[1:]
@@ -298,9 +311,12 @@ class Statement:
             epigraph.append(length >= least)  # valid: the floor says the same
         return cost + weights[priced] @ length, epigraph
 
-    def _input_form(self) -> sparse.csc_matrix:
+    def _turning_form(self) -> sparse.csc_matrix:
+        """Return the form of the inputs, and of R_N, whose pull towards R_g is linear."""
         n = self.problem.dimension
         differences = sparse.csc_matrix(input_map(self.problem))
-        per_coordinate = differences.T @ differences
-        weighted = input_weight(self.problem) * per_coordinate
+        weighted = input_weight(self.problem) * (differences.T @ differences)
+        last = np.zeros(self.problem.horizon + 1)
+        last[-1] = attitude_weight(self.problem)
+        weighted = weighted + sparse.diags(last)
         return sparse.kron(weighted, sparse.eye(coordinate_count(n))).tocsc()

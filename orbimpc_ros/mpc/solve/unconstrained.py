@@ -1,8 +1,8 @@
 """The minimiser of the quadratic alone, no orbitope in its way, as a linear map.
 
 A coordinate of R_1..R_N depends on nothing but the same coordinate of what is known: for R e1 the
-knowns of ``condensed.Condensed``, for the others R_0; and, at rotation order 2, on R_1. All
-coordinates of a kind share the maps, so a tick costs a product each.
+knowns of ``condensed.Condensed``, for the others R_0 and R_g; and, at rotation order 2, on R_1.
+All coordinates of a kind share the maps, so a tick costs a product each.
 
 Mathematics: docs/mathematics.md, 4.7.
 """
@@ -46,8 +46,8 @@ def thrust_axis(problem: Problem, condensed: Condensed) -> Unconstrained:
 
 
 def other_axes(problem: Problem, condensed: Condensed) -> Unconstrained:
-    """Return the maps for coordinates of R e2 and R e3; known are those of R_0, then of R_1."""
-    reached = np.zeros((0, problem.horizon)), np.zeros((0, 2))
+    """Return the maps for coordinates of R e2 and R e3; known are those of R_0, R_g and R_1."""
+    reached = np.zeros((0, problem.horizon)), np.zeros((0, 3))
     return _unbounded(
         problem, condensed.turning, condensed.turned, condensed.turned_squared, reached
     )
@@ -62,7 +62,7 @@ def _arrival(problem: Problem) -> tuple[Array, Array]:
     rows = maps.arrival
     if problem.terminal != 'constraint':
         rows = rows[:0]
-    wanted = np.zeros((len(rows), problem.horizon + 4))
+    wanted = np.zeros((len(rows), problem.horizon + 5))
     wanted[:, 0] = -rows[:, 0]
     if len(rows):
         wanted[0, 1:3] = -maps.drift[-1, 0], -maps.blown[-1, 0]

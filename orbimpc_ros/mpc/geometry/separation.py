@@ -1,0 +1,80 @@
+"""The half-space that keeps points farthest from the origin: what separates their hull from it.
+
+Mathematics: docs/mathematics.md, 3.7.
+"""
+
+from __future__ import annotations
+
+import itertools
+from functools import lru_cache
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+
+DEGENERATE = 1e-9  # a distance to the origin, in proportion to that of the points
+
+
+def separation(points: Array) -> tuple[Array, Array]:
+    """Return for each set the unit normal n with the largest least n . P_i, and that value.
+
+    Outside of the hull of the points that is the direction to its point nearest to the origin, and
+    how far away this is. The nearest point is on an edge, or in space on a face, of the hull of two
+    to four points: each of them proposes a normal.
+
+    Args:
+        points: P_i of each set, shape (..., m, n), m <= 4.
+
+    Returns:
+        Normals, shape (..., n), and values, shape (...,).
+    """
+    proposed = _proposed(points)
+    least = np.einsum('...cn,...mn->...cm', proposed, points).min(axis=-1)
+    best = np.asarray(least.argmax(axis=-1))
+    normals = np.take_along_axis(proposed, best[..., None, None], axis=-2)[..., 0, :]
+    return normals, np.take_along_axis(least, best[..., None], axis=-1)[..., 0]
+
+
+def _proposed(points: Array) -> Array:
+    """Return a unit normal for every feature of the hulls, shape (..., C, n)."""
+    if points.shape[-2] == 1:
+        return _units(points, np.zeros_like(points))
+    first, second = _pairs(points.shape[-2])
+    begin, way = points[..., first, :], points[..., second, :] - points[..., first, :]
+    squared = np.maximum(np.einsum('...n,...n->...', way, way), np.finfo(float).tiny)
+    share = np.clip(-np.einsum('...n,...n->...', begin, way) / squared, 0.0, 1.0)
+    found = _units(begin + share[..., None] * way, way)
+    if points.shape[-1] == 2 or points.shape[-2] < 3:
+        return found
+    a, b, c = (points[..., list(corner), :] for corner in _triples(points.shape[-2]))
+    across = _units(np.cross(b - a, c - a), a)
+    return np.concatenate([found, across, -across], axis=-2)
+
+
+def _units(vectors: Array, ways: Array) -> Array:
+    """Return unit vectors; across the ways where a vector vanishes."""
+    sizes = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    unclear = sizes <= DEGENERATE * np.linalg.norm(ways, axis=-1, keepdims=True)
+    if unclear.any():
+        vectors = np.where(unclear, _across(ways), vectors)
+        sizes = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.maximum(sizes, np.finfo(float).tiny))
+
+
+def _across(ways: Array) -> Array:
+    """Return vectors at right angles to others, shape (..., n)."""
+    if ways.shape[-1] == 2:
+        return np.stack([-ways[..., 1], ways[..., 0]], axis=-1)
+    axis = np.eye(3)[np.abs(ways).argmin(axis=-1)]
+    return np.cross(ways, axis)
+
+
+@lru_cache(maxsize=4)
+def _pairs(count: int) -> tuple[list[int], list[int]]:
+    pairs = list(itertools.combinations(range(count), 2))
+    return [i for i, _ in pairs], [j for _, j in pairs]
+
+
+@lru_cache(maxsize=4)
+def _triples(count: int) -> tuple[tuple[int, ...], ...]:
+    return tuple(zip(*itertools.combinations(range(count), 3), strict=True))

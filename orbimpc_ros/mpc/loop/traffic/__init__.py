@@ -1,0 +1,1 @@
+"""Traffic: bodies that are seen, and plans of other vehicles, as hazards to stay clear of."""

@@ -1,0 +1,79 @@
+"""The way out for a vehicle that is inside of what it ought to stay clear of.
+
+A vehicle pushed inside of the margin around a body must not be left without a plan: it needs one
+the most. What is demanded of it is what an *escape* achieves, at full thrust away as the vehicle
+can turn: in no step may a plan be farther inside than that. Of all directions the escape takes the
+one that is out the soonest. Where none is out within the horizon nothing is eased: a vehicle shut
+in has no plan.
+
+Mathematics: docs/mathematics.md, 3.7.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.separation import separation
+from orbimpc_ros.mpc.model import dynamics
+from orbimpc_ros.mpc.model.motion import controls
+from orbimpc_ros.mpc.problem.cones import pursuit
+from orbimpc_ros.mpc.problem.problem import Problem
+from orbimpc_ros.mpc.problem.state import State
+
+DIRECTIONS = 16  # of the plane
+INSIDE = 1e-7  # in units of a step's length: who is deeper begins inside
+SPARE = 1e-3  # of a step's length: what plans may be farther inside than the escape
+
+
+def inside(problem: Problem, state: State, centres: Array, radii: Array) -> Array:
+    """Return how far inside of balls each step of a plan may be, shape (J, N) [m].
+
+    Args:
+        problem: gives the model and its limits.
+        state: from where.
+        centres: of the balls at the ends of steps, shape (J, N + 1, n) [m].
+        radii: in each step, shape (J, N) [m].
+    """
+    allowed, unit = np.zeros(radii.shape), problem.length_unit
+    depth = radii[:, 0] - np.linalg.norm(state.position - centres[:, 0], axis=1)
+    held = depth > INSIDE * unit
+    if not held.any():
+        return allowed
+    escapes = [
+        _depths(problem, state, centres, radii, way) for way in directions(problem.dimension)
+    ]
+    best = min(escapes, key=lambda each: _price(each, held))
+    if (best[held, -1] > 0.0).any():
+        return allowed
+    allowed[held] = np.where(best[held] > 0.0, best[held] + SPARE * unit, 0.0)
+    return allowed
+
+
+def _depths(problem: Problem, state: State, centres: Array, radii: Array, way: Array) -> Array:
+    """Return how far inside an escape in a direction is in each step, shape (J, N); 0 outside."""
+    headings = pursuit(problem, state, lambda _, y: way)
+    flown = dynamics.translation_rollout(problem, state, headings)
+    points = controls(problem.translation.degree, problem.step, *flown)
+    weights = np.linspace(0.0, 1.0, points.shape[1])[:, None]
+    begin, end = centres[:, :-1, None], centres[:, 1:, None]
+    _, apart = separation(points - begin - weights * (end - begin))
+    return np.maximum(radii - apart, 0.0)
+
+
+def _price(depths: Array, held: np.ndarray) -> tuple[float, int, float]:
+    """Return what speaks against an escape: what it meets, how late it is out, how deep it gets."""
+    steps = int((depths[held] > 0.0).any(axis=0).sum())
+    return float(depths[~held].sum()), steps, float(depths[held].sum())
+
+
+def directions(n: int) -> Array:
+    """Return unit vectors all around, shape (A, n)."""
+    if n == 2:
+        angles = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
+        return np.column_stack([np.cos(angles), np.sin(angles)])
+    grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+    around = grid[np.abs(grid).any(axis=1)]
+    return np.asarray(around / np.linalg.norm(around, axis=1, keepdims=True))

@@ -1,0 +1,85 @@
+"""Balls, and bodies that move, over the steps of a plan.
+
+Within a step a body counts as moving evenly from where it is at the beginning to where it is at the
+end, and as larger by as much as its track strays from that.
+
+Mathematics: docs/mathematics.md, 3.7.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.problem.leaving import inside
+from orbimpc_ros.mpc.problem.obstacle import Ball, Box, Hazard
+from orbimpc_ros.mpc.problem.problem import Problem
+from orbimpc_ros.mpc.problem.state import State
+
+
+class Traffic(NamedTuple):
+    """Bodies that plans stay clear of at the ends of steps and in between.
+
+    Attributes:
+        names: of J bodies: ``obstacle 0`` (its number among obstacles), ``hazard 0``.
+        bodies: when the plan starts.
+        shifts: how far each has moved by the ends of steps 0..N, shape (J, N + 1, n) [m].
+        strays: by how much each strays from even motion in each step, shape (J, N) [m].
+        eased: how far inside of each a plan may be in each step, shape (J, N) [m].
+    """
+
+    names: tuple[str, ...]
+    bodies: tuple[Box | Ball, ...]
+    shifts: Array
+    strays: Array
+    eased: Array
+
+    @property
+    def grown(self) -> Array:
+        """Return how much larger each counts in each step, shape (J, N) [m]."""
+        return self.strays - self.eased
+
+
+def traffic_of(problem: Problem, state: State) -> Traffic | None:
+    """Return what is round or moves; None if nothing does."""
+    balls = {f'obstacle {i}': each for i, each in enumerate(problem.obstacles)}
+    still = {name: each for name, each in balls.items() if isinstance(each, Ball)}
+    if not still and not state.hazards:
+        return None
+    moving = {f'hazard {i}': each for i, each in enumerate(state.hazards)}
+    ends = problem.step * np.arange(problem.horizon + 1)
+    standing = np.zeros((problem.horizon + 1, problem.dimension))
+    shifts = [*[standing] * len(still), *(each.moved(ends) for each in state.hazards)]
+    strays = [*[ends[1:] * 0.0] * len(still), *(_strays(each, ends) for each in state.hazards)]
+    bodies = (*still.values(), *(each.body for each in state.hazards))
+    nothing = np.zeros((len(bodies), problem.horizon))
+    made = Traffic((*still, *moving), bodies, np.array(shifts), np.array(strays), nothing)
+    return made._replace(eased=_eased(problem, state, made))
+
+
+def _eased(problem: Problem, state: State, traffic: Traffic) -> Array:
+    """Return how far inside of each ball a plan may be, shape (J, N) [m]; of boxes not at all."""
+    balls = [j for j, body in enumerate(traffic.bodies) if isinstance(body, Ball)]
+    eased = np.zeros(traffic.strays.shape)
+    if balls:
+        bodies = [body for body in traffic.bodies if isinstance(body, Ball)]
+        centres = np.array([body.centre for body in bodies])[:, None] + traffic.shifts[balls]
+        radii = np.array([body.radius for body in bodies])[:, None] + traffic.strays[balls]
+        eased[balls] = inside(problem, state, centres, radii)
+    return eased
+
+
+def _strays(hazard: Hazard, ends: Array) -> Array:
+    """Return by how much a track strays from even motion in each step, shape (N,) [m]."""
+    strays = np.zeros(len(ends) - 1)
+    inside = hazard.times[(hazard.times > 0.0) & (hazard.times < ends[-1])]
+    if not len(inside):
+        return strays
+    at = np.searchsorted(ends, inside, side='right') - 1
+    moved = hazard.moved(ends)
+    share = (inside - ends[at]) / (ends[at + 1] - ends[at])
+    even = moved[at] + share[:, None] * (moved[at + 1] - moved[at])
+    np.maximum.at(strays, at, np.linalg.norm(hazard.moved(inside) - even, axis=1))
+    return strays

@@ -1,0 +1,225 @@
+"""Branch and bound over a round floor in the plane: headings within arcs, bounds by multipliers.
+
+An arc of half-width d about the unit vector m, d < pi/2, holds the headings z that lie between its
+edges. With s = |z| they satisfy s cos d <= m.z, and s^2 <= (1 + f) s - f between floor f and rim.
+Hence
+
+    |z|^2 <= (1 + f) m.z / cos d - f,
+
+which with the edges describes the convex hull of all (z, |z|^2). The multipliers of these rows
+(:class:`orbimpc_ros.mpc.kernels.dual.Cuts`) join those of the moduli, so that a node's bound is
+never worse than the best multipliers', and exact as arcs shrink.
+
+Mathematics: docs/mathematics.md, 4.6.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.kernels.annulus import SLICE, Annulus
+from orbimpc_ros.mpc.kernels.dual import BOUND, MU, Ascent, Cuts, ascent, climb
+
+PARTS = 5  # arcs that a whole circle is cut into
+MARGIN = 0.15  # of an arc: no part is narrower
+NARROWEST = 1e-6  # [rad], an arc that is not cut
+SMOOTHED = 100.0  # times as much as its parent in the end, a node is to begin with
+INSIDE, LEAST = 2.0, 3.0  # of mu: what comes to theta, and a row's multiplier at least
+NO_ARRIVAL = np.zeros(0)
+
+
+class _Multipliers(NamedTuple):
+    """What a node ended with, for its children to begin from.
+
+    Attributes:
+        theta: of the moduli, shape (N,).
+        held: of the rows of each heading's arc, zero where there are none, shape (3, N).
+        mu: their smoothing.
+    """
+
+    theta: Array
+    held: Array
+    mu: float
+
+
+class _Node(NamedTuple):
+    """What is open: its bound, a number that tells it from others, and its arcs.
+
+    ``low`` and ``high`` [rad] have shape (N,); where they are equal, the arc is the whole circle.
+    ``parent`` is None at the root.
+    """
+
+    bound: float
+    number: int
+    low: Array
+    high: Array
+    parent: _Multipliers | None
+
+
+def cuts(low: Array, high: Array, floor: float) -> Cuts:
+    """Return what holds of headings in arcs narrower than half a circle: moduli, then both edges.
+
+    Args:
+        low: least angle of each heading [rad], shape (N,).
+        high: greatest, shape (N,); of a whole circle the same, and nothing holds.
+        floor: least modulus.
+    """
+    steps = np.flatnonzero(high > low)
+    first, last = low[steps], high[steps]
+    middle, cosine = 0.5 * (first + last), np.cos(0.5 * (last - first))
+    share, ones = 0.5 * (1.0 + floor) / cosine, np.ones(len(steps))
+    normals = [
+        [share * np.cos(middle), share * np.sin(middle)],
+        [-np.sin(first), np.cos(first)],
+        [np.sin(last), -np.cos(last)],
+    ]
+    return Cuts(
+        np.tile(steps, 3),
+        np.concatenate([ones, 0.0 * ones, 0.0 * ones]),
+        np.ascontiguousarray(np.hstack([np.array(each) for each in normals]).T),
+        np.concatenate([-0.5 * floor * ones, 0.0 * ones, 0.0 * ones]),
+    )
+
+
+def _multipliers(progress: Ascent, rows: Cuts) -> _Multipliers:
+    """Return what a node has ended with."""
+    held = np.zeros((3, len(progress.theta)))
+    if len(rows.steps):
+        held[:, rows.steps[: len(rows.steps) // 3]] = progress.weights.reshape(3, -1)
+    return _Multipliers(progress.theta, held, float(progress.numbers[MU]))
+
+
+def _set_start(progress: Ascent, node: _Node, rows: Cuts) -> None:
+    """Begin from the multipliers of a node's parent, smoothed more and away from where they end."""
+    known, numbers = node.parent, progress.numbers
+    assert known is not None
+    numbers[MU] = min(numbers[MU], SMOOTHED * known.mu)
+    progress.theta[:] = known.theta + INSIDE * numbers[MU]
+    held = known.held[:, rows.steps[: len(rows.steps) // 3]]
+    progress.weights[:] = np.maximum(held.ravel(), LEAST * numbers[MU])
+
+
+class ArcSearch:
+    """Branch and bound for the cost of an annulus in the plane, without an arrival.
+
+    Args:
+        annulus: what is minimised over.
+        tolerance: relative gap at which a search stops.
+        most: nodes of a search.
+
+    Attributes:
+        nodes: how many have been solved.
+        last: the minimiser of the last node's Lagrangian, shape (N, 2).
+        value: the least cost known.
+    """
+
+    def __init__(self, annulus: Annulus, tolerance: float, most: int) -> None:
+        self._annulus, self._tolerance, self._most = annulus, tolerance, most
+        self._shift = 2.0 * annulus.length / (1.0 + annulus.floor)
+
+    def begin(self, q: Array, constant: float, known: float, bound: float = -np.inf) -> None:
+        """Begin a search.
+
+        Args:
+            q: linear terms, shape (N, 2).
+            constant: what costs lack; it only scales the tolerance.
+            known: a cost, without it, that is to be undercut.
+            bound: that is known, without it.
+        """
+        circle = np.zeros(len(q))
+        self._q, self._constant, self.value = q, constant, known
+        self._open = [_Node(bound, 0, circle, circle, None)]
+        self._current: tuple[_Node, Cuts, Ascent] | None = None
+        self._closed, self._made = np.inf, 1
+        self.nodes, self.last = 0, np.zeros_like(q)
+
+    @property
+    def cutoff(self) -> float:
+        """Return the bound from which on nodes are of no use."""
+        return self.value - self._tolerance * max(abs(self.value + self._constant), 1e-9)
+
+    @property
+    def bound(self) -> float:
+        """Return what nothing costs less than, without the constant."""
+        least = min(self._closed, self.value)
+        if self._current is not None:
+            least = min(least, float(self._current[2].numbers[BOUND]))
+        return min(least, self._open[0].bound) if self._open else least
+
+    def beat(self, cost: float) -> None:
+        """Look for nothing from now on but what costs less, without the constant."""
+        self.value = min(self.value, cost)
+
+    def run(self, out_of_time: Callable[[], bool] | None = None) -> bool:
+        """Solve the most promising node; return whether the search has to end."""
+        if self._current is None and not self._begun():
+            return True
+        assert self._current is not None
+        node, rows, progress = self._current
+        while not climb(
+            self._annulus, self._q, NO_ARRIVAL, rows, self.cutoff, progress, float(SLICE)
+        ):
+            if out_of_time is not None and out_of_time():
+                return True
+        self._current, self.last = None, progress.z
+        self._branch(node, rows, progress)
+        return out_of_time is not None and out_of_time()
+
+    def _begun(self) -> bool:
+        """Begin with the most promising node, if there is one and there may be."""
+        if not self._open or self._open[0].bound >= self.cutoff or self.nodes >= self._most:
+            return False
+        node = heapq.heappop(self._open)
+        rows = cuts(node.low, node.high, self._annulus.floor)
+        progress = ascent(self._annulus, self._q, rows, node.bound)
+        if node.parent is not None:
+            _set_start(progress, node, rows)
+        self._current = node, rows, progress
+        self.nodes += 1
+        return True
+
+    def _branch(self, node: _Node, rows: Cuts, progress: Ascent) -> None:
+        """Open the children of a node that is solved, unless it needs none."""
+        bound = float(progress.numbers[BOUND])
+        k = self._chosen(node, progress)
+        if bound >= self.cutoff or k < 0:
+            self._closed = min(self._closed, bound)
+            return
+        known = _multipliers(progress, rows)
+        for first, last in self._parts(node, k, progress.z[k]):
+            low, high = node.low.copy(), node.high.copy()
+            low[k], high[k] = first, last
+            heapq.heappush(self._open, _Node(bound, self._made, low, high, known))
+            self._made += 1
+
+    def _chosen(self, node: _Node, progress: Ascent) -> int:
+        """Return the step to branch on, -1 if there is none.
+
+        The one whose modulus misses the bound that its multiplier speaks of by most, as the
+        multiplier prices it.
+        """
+        bent, floor = progress.theta - self._shift, self._annulus.floor
+        square = np.sum(progress.z**2, axis=1)
+        missed = np.abs(bent * (np.where(bent > 0.0, 1.0, floor * floor) - square))
+        width = node.high - node.low
+        missed[(width > 0.0) & (width < NARROWEST)] = -1.0
+        k = int(np.argmax(missed))
+        return k if missed[k] >= 0.0 else -1
+
+    @staticmethod
+    def _parts(node: _Node, k: int, z: Array) -> list[tuple[float, float]]:
+        """Return the arcs that a step's is cut into, at the heading found."""
+        low, high, angle = node.low[k], node.high[k], float(np.arctan2(z[1], z[0]))
+        if low == high:
+            corners = angle + np.linspace(0.0, 2.0 * np.pi, PARTS + 1)
+            return list(itertools.pairwise(corners.tolist()))
+        middle, margin = 0.5 * (low + high), MARGIN * (high - low)
+        angle += 2.0 * np.pi * np.round((middle - angle) / (2.0 * np.pi))
+        angle = min(high - margin, max(low + margin, angle))
+        return [(low, angle), (angle, high)]

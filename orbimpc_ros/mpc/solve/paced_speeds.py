@@ -1,0 +1,160 @@
+"""A limit of the change of speed on top of any other method.
+
+Without that limit a problem costs no more, so the bound of another method for it holds with it.
+Where its trajectory changes speed too fast, the speeds along its directions are chosen anew, which
+is convex: R_k = sigma_k Q_k with Q_k held, and sigma in a chain.
+
+Mathematics: docs/mathematics.md, 3.10.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import clarabel
+import numpy as np
+from scipy import sparse
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, carried
+from orbimpc_ros.mpc.model.condensed import Condensed
+from orbimpc_ros.mpc.model.cost import length_weights
+from orbimpc_ros.mpc.model.dynamics import adrift
+from orbimpc_ros.mpc.model.trajectory import trajectory_of
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem.pace import WITHIN, entry_speed, first_change_is_decided
+from orbimpc_ros.mpc.solve.registry import method_for
+from orbimpc_ros.mpc.solve.request import Found, Request
+from orbimpc_ros.mpc.solve.sector_bnb import SectorSearch
+
+ACCURATE = 1e-9  # of Clarabel
+
+
+class PacedSpeeds:
+    """Solves problems with a limit of the change of speed that no search knows by itself.
+
+    Args:
+        problem: what to solve.
+        tolerance: relative gap at which the search without the limit stops.
+        coasting: whether states come with a ``coasted`` rotation.
+    """
+
+    takes_guess = trusts_guess = True
+
+    def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
+        self._problem, self._condensed = problem, Condensed(problem)
+        freed = replace(problem, max_acceleration=0.0)
+        self._method = method_for(freed, tolerance, coasting=coasting)
+
+    @staticmethod
+    def solves(problem: Problem) -> bool:
+        """Return whether there is a limit, and no faster method for it."""
+        return problem.max_acceleration > 0.0 and not SectorSearch.solves(problem)
+
+    def solve(self, request: Request) -> Found:
+        """Return the best trajectory with the bound of the problem without the limit.
+
+        Raises:
+            Infeasible: not even without the limit is there a trajectory.
+        """
+        found = self._method.solve(request)
+        known = [] if request.guess is None else [request.guess.x]
+        if found.x is not None:
+            held = self._holds(request.state, found.x)
+            known += [found.x] if held else self._slowed(request, found.x)
+        start = self._problem, request.state, request.goals
+        costs = [trajectory_of(*start, x).cost for x in known]
+        if not known:
+            reason = 'no speeds along the way found change within max_acceleration'
+            return replace(found, x=None, cost=np.inf, reason=reason)
+        best = int(np.argmin(costs))
+        return Found(known[best], costs[best], found.lower_bound, found.nodes)
+
+    def _holds(self, state: State, x: Array) -> bool:
+        sizes = np.linalg.norm(x[:, : self._problem.dimension], axis=1)
+        before = np.concatenate([[entry_speed(self._problem, state)], sizes[:-1]])
+        decided = int(first_change_is_decided(self._problem, state))
+        return bool((np.abs(sizes - before)[decided:] <= self._problem.speed_change).all())
+
+    def _slowed(self, request: Request, x: Array) -> list[Array]:
+        """Return the best rotations along the directions of others, if there are any.
+
+        Once as they are, and once with those kept that the vehicle was headed in before it got as
+        slow as it can within a step: where it is to stand still, directions are arbitrary.
+        """
+        state, n = request.state, self._problem.dimension
+        if first_change_is_decided(self._problem, state):
+            return []
+        slow = HEADING_UNDEFINED, self._problem.speed_change
+        found = (self._along(request, _directions(state, x[:, :n], each)) for each in slow)
+        return [each for each in found if each is not None]
+
+    def _along(self, request: Request, aligned: Array) -> Array | None:
+        """Return the best coordinates sigma_k Q_k, shape (N, d), given those of Q_k."""
+        n = self._problem.dimension
+        p, q = self._objective(request, aligned)
+        rows, offsets, cones = self._limits(request, aligned[:, :n])
+        settings = clarabel.DefaultSettings()
+        settings.verbose, settings.max_threads = False, 1
+        settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = ACCURATE
+        solver = clarabel.DefaultSolver(
+            sparse.triu(p, format='csc'), q, sparse.csc_matrix(rows), offsets, cones, settings
+        )
+        answer = solver.solve()
+        if str(answer.status) != 'Solved':
+            return None
+        return np.asarray(np.clip(np.asarray(answer.x), 0.0, 1.0)[:, None] * aligned)
+
+    def _objective(self, request: Request, aligned: Array) -> tuple[Array, Array]:
+        """Return the objective's quadratic in sigma_1..sigma_N: shapes (N, N) and (N,)."""
+        n, parts = self._problem.dimension, self._condensed
+        axes, others = aligned[:, :n], aligned[:, n:]
+        linear, _ = parts.affine(request.state, request.goals)
+        q = (linear * axes).sum(axis=1) + length_weights(self._problem)[1:]
+        first = coordinates(request.state.rotation[None])[0, n:]
+        q += parts.turned[:, 0] * (others @ first)
+        return parts.hessian * (axes @ axes.T) + parts.turning * (others @ others.T), q
+
+    def _limits(self, request: Request, axes: Array) -> tuple[Array, Array, list[object]]:
+        """Return rows A, right-hand sides b and cones: b - A sigma is in them."""
+        problem, state, count = self._problem, request.state, len(axes)
+        least = [problem.floor.least(unit) if problem.floor.exists else 0.0 for unit in axes]
+        chain, eye = np.eye(count) - np.eye(count, k=-1), np.eye(count)
+        entry = np.zeros(count)
+        entry[0] = entry_speed(problem, state)
+        most = WITHIN * problem.speed_change
+        rows = [chain, -chain, eye, -eye]
+        offsets = [most + entry, most - entry, np.ones(count), -np.array(least)]
+        cones: list[object] = [clarabel.NonnegativeConeT(4 * count)]
+        if problem.max_rate and not problem.floor.exists:
+            for k in range(count):
+                held = state.rotation[:, 0] if k == 0 else np.zeros(len(axes[0]))
+                turned = np.outer(axes[k], eye[k])
+                turned -= np.outer(axes[k - 1], eye[k - 1]) if k else 0.0
+                rows += [np.zeros((1, count)), turned]
+                offsets += [np.array([problem.chord]), held]
+                cones.append(clarabel.SecondOrderConeT(1 + len(held)))
+        if problem.terminal == 'constraint':
+            reach = problem.maps.reach[-1]
+            rows.append((reach[1:, None] * axes).T)
+            flown = adrift(problem, state)[-1] + reach[0] * state.rotation[:, 0]
+            offsets.append(request.goals[-1] - flown)
+            cones.append(clarabel.ZeroConeT(len(flown)))
+        return np.vstack(rows), np.concatenate(offsets), cones
+
+
+def _directions(state: State, headings: Array, slow: float) -> Array:
+    """Return coordinates of rotations along headings, shape (N, n); of a slow one, as before.
+
+    At rotation order 2 the first one is where the vehicle coasts.
+    """
+    sizes = np.linalg.norm(headings, axis=1)
+    units, before = np.array(headings), state.attitude[:, 0]
+    for k in range(len(units)):
+        units[k] = headings[k] / sizes[k] if sizes[k] > slow else before
+        before = units[k]
+    if state.coasted is None:
+        return coordinates(carried(state.attitude, units))
+    rest = carried(state.coasted, units[1:])
+    return coordinates(np.concatenate([state.coasted[None], rest]))

@@ -1,0 +1,127 @@
+"""Chases by a Dubins vehicle, put to the planner: constant airspeed, steps instead of time."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from dubins import Chase, earliest
+from problems import floor
+
+from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.loop.interception import AIM, Interception, Target
+from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.solve.request import Enough
+from orbimpc_ros.mpc.solve.solver import Solver
+
+NEAR = 0.1  # radius of a catch, a share of what is flown in a step
+
+
+class Reference(NamedTuple):
+    """A chase, and when it ends at the earliest."""
+
+    chase: Chase
+    time: float
+    word: str
+
+
+class Attempt(NamedTuple):
+    """How near a plan came, in radii of a catch, and whether it is proved that none is a catch."""
+
+    miss: float
+    never: bool
+
+
+def references():
+    """The chases whose earliest ends others have computed."""
+    file = Path(__file__).with_name('reference') / 'interception.json'
+    return [_reference(case) for case in json.loads(file.read_text())['cases']]
+
+
+def _reference(case):
+    start, target = case['start'], case['target']
+    chase = Chase(
+        np.array(start['position']),
+        start['heading'],
+        case['airspeed'],
+        case['turn_radius'],
+        np.array(target['position']),
+        np.array(target['velocity']),
+        np.array(case['wind']),
+    )
+    return Reference(chase, case['free']['time'], case['free']['word'])
+
+
+def drawn(rng, shortest, longest):
+    """A chase at random that ends between two times [s]."""
+    while True:
+        speed = rng.uniform(0.8, 1.4)
+        chase = Chase(
+            rng.uniform(-1.0, 1.0, 2),
+            rng.uniform(-math.pi, math.pi),
+            speed,
+            rng.uniform(0.5, 1.5),
+            rng.uniform(-5.0, 5.0, 2),
+            _within(rng, 0.6 * speed),
+            _within(rng, 0.3 * speed),
+        )
+        if shortest < earliest(chase)[0] < longest:
+            return chase
+
+
+def _within(rng, most):
+    angle, length = rng.uniform(-math.pi, math.pi), rng.uniform(0.0, most)
+    return length * np.array([math.cos(angle), math.sin(angle)])
+
+
+def problem(chase, step, horizon):
+    """The problem of a vehicle that flies a chase in steps [s]."""
+    return Problem(
+        horizon=horizon,
+        step=step,
+        forward=chase.airspeed,
+        floor=floor('circle', 1.0),
+        max_rate=chase.rate,
+        discretisation='exact',
+    )
+
+
+def radius(chase, step):
+    """Within what a goal counts as caught [m]: next to nothing."""
+    return NEAR * step * chase.airspeed
+
+
+def goals(chase, step, count):
+    return chase.goal + np.multiply.outer(step * np.arange(1, count + 1), chase.course)
+
+
+def catch(chase, step, horizon):
+    """The catch of a controller's first tick."""
+    controller = Controller(
+        problem(chase, step, horizon),
+        capture_radius=radius(chase, step),
+        disturbance=chase.wind,
+        velocity_source='air',
+    )
+    along, still = np.array([chase.airspeed, 0.0]), np.zeros(1)
+    odometry = Odometry(0.0, chase.position, exp(np.array([chase.heading])), along, still)
+    return controller.tick(odometry, goals(chase, step, horizon)).catch
+
+
+def tried(chase, step, end, out_of_time=None):
+    """The attempt to catch a goal at the end of so many steps, and not at another."""
+    near = radius(chase, step)
+    interception = Interception(problem(chase, step, end), near)
+    enough = Enough((AIM * near) ** 2, interception.enough(end).bound)
+    start = State.at(chase.position, exp(np.array([chase.heading])))
+    start, places = replace(start, disturbance=chase.wind), goals(chase, step, end)
+    solver = Solver(interception.problem(Target(end)), enough=enough)
+    plan = solver.solve(start, places, None, out_of_time)
+    miss = np.linalg.norm(plan.positions[-1] - places[-1])
+    return Attempt(float(miss / near), plan.lower_bound > enough.bound)

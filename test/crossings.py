@@ -1,0 +1,139 @@
+"""Crossings in lock-step: planners that hear each other's plans, and vehicles that obey them.
+
+A planner is whoever answers odometry: here the planner's own path from messages to messages without
+a node; in test/long/crossing.py the nodes, each a process of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.clock import RosTime
+from orbimpc_ros.ros.messages import SECOND, Stamp
+from orbimpc_ros.ros.parameters import SimSettings, planner_settings, sim_settings
+from orbimpc_ros.ros.sim.commands import Orders
+from orbimpc_ros.tool.demo.fleet import resolve
+from orbimpc_ros.tool.io import settings
+from orbimpc_ros.tool.io.content import fields
+from orbimpc_ros.tool.replay.offline import OfflinePlanner, resolved
+from orbimpc_ros.world.fleet import separation
+from orbimpc_ros.world.flight import Flight, departure
+from orbimpc_ros.world.vehicle import measured
+
+
+class Crew(Protocol):
+    """Who answers the odometry of a round, by namespace."""
+
+    def answers(self, asked: Mapping[str, tuple[Any, Any]], at: int) -> dict[str, dict[str, Any]]:
+        """Return each planner's messages, given its odometry and goal, stamped ``at`` [ns]."""
+
+
+@dataclass
+class Outcome:
+    """What came of a crossing.
+
+    Attributes:
+        tracks: times [s] and positions [m] of each vehicle.
+        distances: of each from its goal at the end [m].
+        fallbacks: ticks that were no new plan, by what stood in for it.
+        solve_times: of ticks [ms].
+        statuses: of ticks.
+        reasons: why ticks fell back.
+    """
+
+    tracks: list[tuple[np.ndarray, np.ndarray]]
+    distances: list[float] = field(default_factory=list)
+    fallbacks: list[str] = field(default_factory=list)
+    solve_times: list[float] = field(default_factory=list)
+    statuses: list[str] = field(default_factory=list)
+    reasons: list[str] = field(default_factory=list)
+
+    @property
+    def apart(self) -> float:
+        """The least distance between any two vehicles [m]."""
+        return separation(self.tracks)
+
+
+def setup(count: int, seed: int, changes: Sequence[str] = ()):
+    """Return the parameters of a crossing's vehicles, by namespace."""
+    values, own = resolve(count, [*changes, f'seed={seed}'], 'crossing')
+    return {name: values | each for name, each in own.items()}
+
+
+class Aboard:
+    """Planners without nodes; they answer one after the other, and hear each other at once."""
+
+    def __init__(self, values: Mapping[str, settings.Values]) -> None:
+        known = {name: planner_settings(each) for name, each in values.items()}
+        self.avoided = {name: resolved(each, name) for name, each in known.items()}
+        self.planners = {
+            name: OfflinePlanner(each, f'{name}/planner', self.avoided[name])
+            for name, each in known.items()
+        }
+
+    def answers(self, asked: Mapping[str, tuple[Any, Any]], at: int) -> dict[str, dict[str, Any]]:
+        found, now = {}, RosTime(at)
+        for name, (odometry, goal) in asked.items():
+            planner = self.planners[name]
+            planner.hear('goal', goal, at / SECOND, now)
+            planner.hear('odom', odometry, at / SECOND, now)
+            found[name] = planner.plan(at / SECOND, 0.0, 1.0)
+            planner.went_out(at / SECOND)
+            for other, hears in self.planners.items():
+                if f'{name}/plan' in self.avoided[other] and 'plan' in found[name]:
+                    hears.hear(f'{name}/plan', found[name]['plan'], at / SECOND, now)
+        return found
+
+
+def fly(values: Mapping[str, settings.Values], crew: Crew, begin: float = 0.0) -> Outcome:
+    """Fly a crossing to its end.
+
+    Args:
+        values: parameters by namespace.
+        crew: the planners.
+        begin: time at the start [s].
+    """
+    sims = {name: sim_settings(settings.of_sim(each)) for name, each in values.items()}
+    flights = {name: departure(each.scenario, begin) for name, each in sims.items()}
+    flown = {name: [flight] for name, flight in flights.items()}
+    outcome = Outcome([])
+    for _ in range(next(iter(sims.values())).scenario.max_ticks):
+        at = round(next(iter(flights.values())).vehicle.time * SECOND)
+        asked = {name: _shown(flight, sims[name], at) for name, flight in flights.items()}
+        for name, said in crew.answers(asked, at).items():
+            flights[name] = _after(flights[name], sims[name], said, at)
+            flown[name].append(flights[name])
+            _note(outcome, said['tick'])
+    for each in flown.values():
+        times = np.array([flight.vehicle.time for flight in each])
+        outcome.tracks.append((times, np.array([flight.vehicle.position for flight in each])))
+        outcome.distances.append(each[-1].distance)
+    return outcome
+
+
+def _shown(flight: Flight, sim: SimSettings, at: int) -> tuple[Any, Any]:
+    stamp = Stamp(at, sim.frames)
+    odometry = messages.measurement_message(stamp, measured(flight.vehicle))
+    return odometry, messages.goal_message(stamp, flight.goal)
+
+
+def _after(flight: Flight, sim: SimSettings, said: Mapping[str, Any], at: int) -> Flight:
+    orders = Orders(sim.scenario.model, sim.frames)
+    orders.take_twist(said['cmd_vel'], at)
+    assert orders.latest is not None
+    return flight.after(orders.latest.fraction, orders.latest.body_rate, math.inf)
+
+
+def _note(outcome: Outcome, tick: Any) -> None:
+    told = fields(tick)
+    outcome.fallbacks.append(told['fallback'])
+    outcome.solve_times.append(told['solve_time_ms'])
+    outcome.statuses.append(told['status'])
+    if told['fallback']:
+        outcome.reasons.append(told['reason'])

@@ -1,0 +1,56 @@
+"""Catches against the closed form: minimum-time interception by a Dubins vehicle in wind."""
+
+import math
+
+import chases
+import numpy as np
+import pytest
+from dubins import earliest
+
+from orbimpc_ros.mpc.kernels import COMPILED
+
+REFERENCES = chases.references()
+needs_machine_code = pytest.mark.skipif(
+    not COMPILED, reason='takes minutes in plain Python: install numba'
+)
+
+
+@pytest.mark.parametrize('known', REFERENCES)
+def test_the_closed_form_is_that_of_others(known):
+    time, word = earliest(known.chase)
+    assert time == pytest.approx(known.time, abs=1e-6)
+    assert word == known.word
+
+
+def first_end(time, step):
+    """The first end of a step that is not before a time."""
+    return math.ceil(time / step - 1e-9)
+
+
+@needs_machine_code
+@pytest.mark.parametrize('known', REFERENCES)
+def test_the_earliest_catch_is_at_the_first_step_that_ends_after_the_closed_form(known):
+    step = next(step for step in (0.2, 0.4, 0.8) if known.time < 29.0 * step)
+    catch = chases.catch(known.chase, step, 30)
+    assert known.time - 1e-6 <= catch.time <= known.time + 1.5 * step
+    assert known.time - step <= catch.bound <= catch.time
+
+
+@needs_machine_code
+def test_chases_at_random_end_no_sooner_than_the_closed_form_and_hardly_later():
+    rng = np.random.default_rng(11)
+    for _ in range(4):
+        chase = chases.drawn(rng, 1.5, 5.5)
+        time, catch = earliest(chase)[0], chases.catch(chase, 0.2, 30)
+        assert time - 0.2 <= catch.bound <= catch.time <= time + 0.4
+
+
+@needs_machine_code
+@pytest.mark.parametrize(('number', 'step'), [(0, 0.1), (3, 0.4), (3, 0.2), (3, 0.1), (3, 0.05)])
+def test_as_steps_get_shorter_the_catch_comes_to_the_closed_form(number, step):
+    known = REFERENCES[number]
+    end = first_end(known.time, step)
+    assert chases.tried(known.chase, step, end).miss < 1.0
+    before = chases.tried(known.chase, step, end - 1)
+    assert before.never
+    assert before.miss > 1.0

@@ -1,0 +1,334 @@
+"""Obstacles that are round and that move: what they are, and what plans make of them."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orbimpc_ros.mpc.check import violations
+from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
+from orbimpc_ros.mpc.geometry.separation import separation
+from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.mpc.model.trajectory import trajectory_of
+from orbimpc_ros.mpc.problem import (
+    MAX_HAZARDS,
+    Ball,
+    Box,
+    Floor,
+    Hazard,
+    Problem,
+    State,
+    Weights,
+)
+from orbimpc_ros.mpc.problem.case import case_of
+from orbimpc_ros.mpc.problem.units import Units
+from orbimpc_ros.mpc.sensitivity.constraints import explained
+from orbimpc_ros.mpc.solve import solver
+from orbimpc_ros.mpc.solve.solver import Solver
+
+needs_machine_code = pytest.mark.skipif(
+    not COMPILED, reason='a way is scouted for too slowly without numba'
+)
+
+DISC = Ball([3.0, 1.0], 0.5)
+
+
+def test_a_hazard_moves_with_the_units():
+    problem = Problem(step=0.5, forward=4.0)
+    units = Units.of(problem)
+    drifting = Hazard.drifting(DISC, [0.4, -0.2])
+    start = State.at([1.0, 2.0], np.eye(2), hazards=(drifting,))
+    (scaled,) = units.state(start).hazards
+    times = np.array([0.0, 0.7, 3.0])
+    np.testing.assert_allclose(
+        scaled.body.centre + scaled.moved(times / units.time),
+        (DISC.centre + drifting.moved(times)) / units.length,
+    )
+    assert scaled.body.radius * units.length == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ('hazards', 'named'),
+    [
+        ([Hazard.drifting(DISC, [0.0, 1.0])], 'a list'),
+        ((DISC,), 'a Ball'),
+        ((Hazard.drifting(Ball([0.0, 0.0, 0.0], 1.0), [0.0, 0.0, 1.0]),), '3'),
+        ((Hazard.drifting(DISC, [0.0, 1.0]),) * (MAX_HAZARDS + 1), str(MAX_HAZARDS + 1)),
+    ],
+)
+def test_hazards_of_another_kind_are_refused(hazards, named):
+    with pytest.raises(BadInput, match=rf'state\.hazards.*{named}'):
+        State.at([0.0, 0.0], np.eye(2), hazards=hazards)
+
+
+# --- plans among what is round or moves
+
+
+def flown(problem, plan, times):
+    """Where a plan is at times, from its headings and the model's equations, run anew finely."""
+    h, exact = problem.step, problem.discretisation == 'exact'
+    found = []
+    for t in times:
+        k = min(int(t / h), problem.horizon - 1)
+        tau = t - k * h
+        z, after = (problem.forward * plan.rotations[i, :, 0] for i in (k, k + 1))
+        place, velocity = plan.positions[k], plan.velocities[k]
+        change = (after - z) / h if exact else 0.0 * z
+        if problem.translation_order == 1:
+            found.append(place + tau * z + tau**2 / 2.0 * change)
+        elif exact:
+            found.append(place + tau * velocity + tau**2 / 2.0 * z + tau**3 / 6.0 * change)
+        else:
+            found.append(place + tau * velocity)
+    return np.array(found)
+
+
+def crossing(rng, n, count):
+    """Bodies in the way of who flies along x from the origin, with velocities."""
+    hazards = []
+    while len(hazards) < count:
+        centre = np.concatenate([rng.uniform(1.5, 5.0, 1), rng.uniform(-1.5, 1.5, n - 1)])
+        radius = rng.uniform(0.3, 0.8)
+        if np.linalg.norm(centre) > radius + 1.2:
+            velocity = rng.uniform(-0.4, 0.4, n)
+            hazards.append(Hazard.drifting(Ball(centre, radius), velocity))
+    return tuple(hazards)
+
+
+MODELS = [
+    {},
+    {'discretisation': 'exact'},
+    {'translation_order': 2},
+    {'translation_order': 2, 'discretisation': 'exact'},
+    {'max_rate': 1.5, 'floor': Floor('circle')},
+    {'dimension': 3, 'weights': Weights(input=0.0)},
+]
+
+
+@pytest.mark.parametrize('model', MODELS)
+def test_plans_stay_clear_at_all_times(model):
+    rng = np.random.default_rng(21)
+    problem = Problem(horizon=5, step=0.6, forward=1.8, **model)
+    n, planner, plans = problem.dimension, Solver(problem, gap_tolerance=0.05), 0
+    moments = np.linspace(0.0, problem.horizon * problem.step, 601)
+    goals = np.tile(np.eye(n)[0] * 6.0, (problem.horizon, 1))
+    for _ in range(3):
+        hazards = crossing(rng, n, 2)
+        start = State.at(np.zeros(n), 0.6 * np.eye(n), hazards=hazards)
+        polls = itertools.count()
+        try:
+            plan = planner.solve(start, goals, None, lambda p=polls: next(p) > 400)
+        except (Infeasible, SolverFailure):
+            continue
+        plans += 1
+        assert plan.lower_bound <= plan.objective * (1.0 + 1e-9)
+        for each in hazards:
+            away = flown(problem, plan, moments) - each.body.centre - each.moved(moments)
+            assert np.linalg.norm(away, axis=1).min() >= each.body.radius - 1e-5
+    assert plans >= 2
+
+
+def test_the_optimum_is_that_of_a_fine_enumeration():
+    """One disc, one step decided, two to choose: fast headings on a grid, each flown on its own."""
+    problem = Problem(horizon=3, step=1.0, forward=1.0)
+    disc = Hazard.drifting(Ball([1.6, 0.1], 0.5), [-0.2, 0.0])
+    start, goals = (
+        State.at([0.0, 0.0], 0.1 * np.eye(2), hazards=(disc,)),
+        np.tile([3.0, 0.0], (3, 1)),
+    )
+    plan = Solver(problem, gap_tolerance=2e-3).solve(start, goals)
+    assert plan.status == 'optimal'
+    angles = np.linspace(-1.0, 1.0, 201)
+    units = np.column_stack([np.cos(angles), np.sin(angles)])
+    ways = units
+    s_1, z_0 = np.array([0.1, 0.0]), np.array([0.1, 0.0])
+    best = np.inf
+    for z_1 in ways[apart(disc, s_1, s_1 + ways, 1.0) >= 0.5]:
+        s_2 = s_1 + z_1
+        z_2 = ways[apart(disc, s_2, s_2 + ways, 2.0) >= 0.5]
+        turned = ((z_1 - z_0) ** 2).sum() + ((z_2 - z_1) ** 2).sum(axis=1)  # z_3 may stay as z_2
+        cost = 11.0 * ((s_2 + z_2 - goals[0]) ** 2).sum(axis=1) + 2.0 * 0.05 * turned
+        best = min(best, ((s_2 - goals[0]) ** 2).sum() + float(cost.min(initial=np.inf)))
+    best += ((s_1 - goals[0]) ** 2).sum()
+    assert plan.lower_bound <= best
+    assert plan.objective == pytest.approx(best, rel=0.01)
+
+
+def apart(hazard, begin, end, time):
+    """How near ways of one second come to a hazard, by many moments."""
+    found = np.full(len(end), np.inf)
+    for tau in np.linspace(0.0, 1.0, 41):
+        centre = hazard.body.centre + hazard.moved(np.array([time + tau]))[0]
+        found = np.minimum(found, np.linalg.norm(begin + tau * (end - begin) - centre, axis=1))
+    return found
+
+
+@pytest.mark.parametrize('between', [False, True])
+def test_a_plan_that_hits_is_refused(between):
+    """At the end of a step, or in the middle of one only, through a disc thinner than a step."""
+    problem = Problem(horizon=3, step=1.0, forward=1.0)
+    start, goals = State.at([0.0, 0.0], np.eye(2)), np.tile([9.0, 0.0], (3, 1))
+    plan = Solver(problem).solve(start, goals)
+    assert violations(problem, start, goals, plan) == []
+    centre = [1.5, 0.0] if between else [2.0, 0.0]
+    for radius, refused in ((0.2, True), (1e-9, False)):
+        clear = Hazard.drifting(
+            Ball([*centre[:1], 2.0 * radius * (not refused)], radius), [0.0, 0.0]
+        )
+        found = violations(problem, replace(start, hazards=(clear,)), goals, plan)
+        assert bool(found) is refused
+        static = replace(problem, obstacles=(clear.body,))
+        assert bool(violations(static, start, goals, plan)) is refused
+
+
+def test_a_body_that_meets_the_plan_half_way_between_two_steps_is_seen():
+    problem = Problem(horizon=3, step=1.0, forward=1.0)
+    start, goals = State.at([0.0, 0.0], np.eye(2)), np.tile([9.0, 0.0], (3, 1))
+    plan = Solver(problem).solve(start, goals)
+    across = Ball([1.5, 1.5], 0.3)
+    dash = Hazard(across, [0.0, 1.0, 1.5, 2.0], [[0, 0], [0, 0], [0, -1.5], [0, 0]])
+    found = violations(problem, replace(start, hazards=(dash,)), goals, plan)
+    assert any('hazard 0' in each for each in found)
+    clear = Hazard(across, [0.0, 1.0, 1.5, 2.0], [[0, 0], [0, 0], [0, -1.1], [0, 0]])
+    assert violations(problem, replace(start, hazards=(clear,)), goals, plan) == []
+
+
+def test_a_moving_box_is_stayed_clear_of():
+    problem = Problem(horizon=4, step=1.0, forward=1.0)
+    moving = Hazard.drifting(Box([1.5, -0.5], [2.5, 0.5]), [0.0, 0.1])
+    start, goals = State.at([0.0, 0.0], np.eye(2), hazards=(moving,)), np.tile([5.0, 0.0], (4, 1))
+    plan = Solver(problem).solve(start, goals)
+    assert plan.status == 'optimal'
+    moments = np.linspace(0.0, 4.0, 401)
+    away = flown(problem, plan, moments) - moving.moved(moments)
+    assert moving.body.depth(away).max() <= 1e-6
+
+
+def test_no_way_through_a_closed_ring_is_proved():
+    """Discs that overlap all around, and a goal outside that must be reached."""
+    problem = Problem(horizon=3, step=1.0, forward=1.0, terminal='constraint')
+    angles = 2.0 * np.pi * np.arange(6) / 6
+    ring = tuple(Ball([1.5 * np.cos(a), 1.5 * np.sin(a)], 0.95) for a in angles)
+    start, goals = State.at([0.0, 0.0], 0.5 * np.eye(2)), np.tile([2.2, 0.9], (3, 1))
+    assert Solver(problem).propose(start, goals)
+    with pytest.raises(Infeasible, match='obstacles'):
+        Solver(replace(problem, obstacles=ring)).propose(start, goals)
+
+
+def test_a_controller_stays_clear_of_what_it_is_told_moves():
+    problem = Problem(horizon=5, step=0.5, forward=1.0)
+    controller = Controller(problem, gap_tolerance=0.05)
+    controller.expect_hazards()
+    place, heading = np.zeros(2), np.eye(2)
+    body, nearest = Hazard.drifting(Ball([3.0, 0.05], 0.5), [-0.5, 0.0]), np.inf
+    speed = 0.0
+    for k in range(10):
+        time = 0.5 * k
+        now = Ball(body.body.centre + body.moved(np.array([time]))[0], 0.5)
+        controller.hazards = (Hazard.drifting(now, [-0.5, 0.0]),)
+        odometry = Odometry(time, place.copy(), heading, np.array([speed, 0.0]), np.zeros(1))
+        polls = itertools.count()
+        goals = np.tile([4.0, 0.0], (5, 1))
+        tick = controller.tick(odometry, goals, lambda p=polls: next(p) > 300)
+        way = np.linspace(0.0, 1.0, 51)[:, None] * 0.5 * speed * heading[:, 0]
+        moments = time + np.linspace(0.0, 0.5, 51)
+        away = place + way - body.body.centre - body.moved(moments)
+        nearest = min(nearest, np.linalg.norm(away, axis=1).min())
+        place = place + 0.5 * speed * heading[:, 0]
+        heading, speed = tick.command.rotation, tick.command.speed_fraction
+    assert nearest >= 0.5 - 1e-6
+    assert place[0] > 2.0
+
+
+@pytest.mark.parametrize('n', [2, 3])
+@pytest.mark.parametrize('m', [1, 2, 3, 4])
+def test_the_separating_normal_is_the_direction_to_the_nearest_point(n, m):
+    rng = np.random.default_rng([5, n, m])
+    sets = rng.normal(size=(300, m, n)) + 1.5 * rng.normal(size=(300, 1, n))
+    normals, values = separation(sets)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
+    np.testing.assert_allclose((sets @ normals[:, :, None]).min(axis=(1, 2)), values, atol=1e-12)
+    shares = rng.dirichlet(0.3 * np.ones(m), 4000)
+    nearest = np.linalg.norm(np.einsum('sm,kmn->ksn', shares, sets), axis=2).min(axis=1)
+    outside = values > 0.05
+    assert (values <= nearest + 1e-9).all()
+    np.testing.assert_allclose(nearest[outside], values[outside], atol=0.15)
+    assert outside.sum() > 50
+
+
+@needs_machine_code
+@pytest.mark.parametrize('model', MODELS[:5])
+def test_who_is_inside_of_a_margin_leaves_by_a_short_way(model):
+    problem = Problem(horizon=8, step=0.5, forward=2.0, **model)
+    hull = Ball([0.0, 0.0], 1.5)
+    start = State.at([-0.6, 0.4], 0.6 * np.eye(2), hazards=(Hazard.drifting(hull, [0.0, 0.0]),))
+    goals = np.tile([6.0, 0.0], (8, 1))
+    polls = itertools.count()
+    plan = Solver(problem).solve(start, goals, None, lambda: next(polls) > 600)
+    assert violations(problem, start, goals, plan) == []
+    depth = hull.depth(plan.positions)
+    assert depth[0] > 0.5
+    assert depth[-1] <= 1e-6
+    gone = np.flatnonzero(depth <= 1e-6)[0]
+    assert (depth[gone:] <= 1e-6).all()  # and stays out
+    still = replace(start, hazards=(Hazard.drifting(Ball([0.0, 0.0], 40.0), [0.0, 0.0]),))
+    with pytest.raises((Infeasible, SolverFailure)):  # shut in, not just inside of a margin
+        Solver(problem).solve(still, goals, None, lambda: next(polls) > 1200)
+
+
+def test_what_a_hazard_costs_is_what_a_smaller_one_would_save():
+    problem = Problem(horizon=4, step=1.0, forward=1.0)
+    goals = np.tile([5.0, 0.0], (4, 1))
+
+    def solved(radius):
+        disc = Hazard.drifting(Ball([2.0, 0.3], radius), [-0.1, 0.0])
+        start = State.at([0.0, 0.0], 0.5 * np.eye(2), hazards=(disc,))
+        return start, Solver(problem, gap_tolerance=1e-3).solve(start, goals)
+
+    start, plan = solved(0.6)
+    prices = [
+        b.price for b in explained(problem, start, goals, plan).binding if b.name == 'hazard 0'
+    ]
+    saved = (solved(0.605)[1].objective - solved(0.595)[1].objective) / 0.01
+    assert saved > 0.1
+    assert sum(prices) == pytest.approx(saved, rel=0.15)
+
+
+def test_files_name_balls():
+    document = {
+        'dimension': 2, 'rotation_order': 1, 'translation_order': 2, 'horizon': 4, 'step': 0.5,
+        'forward': 1.0, 'weights': {'position': 1.0}, 'discretisation': 'held',
+        'obstacles': [{'centre': [2.0, 0.0], 'radius': 0.5}, {'min': [0, 3], 'max': [1, 4]}],
+        'state': {'position': [0, 0], 'rotation': [[1, 0], [0, 1]]}, 'goal': [4, 0],
+    }  # fmt: skip
+    problem = case_of(document).problem
+    assert problem.obstacles == (Ball([2.0, 0.0], 0.5), Box([0.0, 3.0], [1.0, 4.0]))
+    with pytest.raises(BadInput, match='obstacles'):
+        case_of({**document, 'obstacles': [{'centre': [2.0, 0.0]}]})
+    with pytest.raises(BadInput, match=r'obstacles\.centre'):
+        replace(problem, obstacles=(Ball([1.0, 2.0, 3.0], 1.0),))
+
+
+def test_held_thrust_flies_the_parabola_of_its_equations():
+    problem = Problem(translation_order=2, discretisation='held', step=0.5, forward=3.0, horizon=3)
+    rng = np.random.default_rng(4)
+    start = State.at(rng.normal(size=2), 0.3 * np.eye(2), velocity=rng.normal(size=2))
+    x = 0.7 * rng.uniform(-1.0, 1.0, (3, 2))
+    trajectory = trajectory_of(problem, start, np.zeros((3, 2)), x)
+    place, velocity = start.position, start.velocity
+    for k, z in enumerate(x, 1):
+        place, velocity = place + 0.5 * velocity + 0.125 * 3.0 * z, velocity + 1.5 * z
+        np.testing.assert_allclose(trajectory.positions[k], place)
+        np.testing.assert_allclose(trajectory.velocities[k], velocity)
+
+
+def test_what_the_first_hazard_needs_can_be_made_before_it_comes(monkeypatch):
+    controller = Controller(Problem(horizon=3))
+    controller.expect_hazards()
+    monkeypatch.setattr(solver, 'method_among', lambda *_, **__: pytest.fail('made in a tick'))
+    controller.hazards = (Hazard.drifting(DISC, [0.0, 0.1]),)
+    odometry = Odometry(0.0, np.zeros(2), np.eye(2), np.zeros(2), np.zeros(1))
+    assert controller.tick(odometry, np.tile([1.5, 0.0], (3, 1))).plan is not None
