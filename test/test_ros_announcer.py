@@ -112,6 +112,10 @@ def test_what_is_hardly_meant_is_doubted():
         'max_rate is 25 rad/s, 1432 deg/s: 0.4363 rad/s if 25 deg/s is meant'
     ]
     assert doubted(max_rate=3.0) == []
+    assert doubted(**{'approach.cone': 0.5}) == [
+        'approach.cone is 0.5 and objective track: it has no effect'
+    ]
+    assert doubted(**{'approach.cone': 0.5, 'objective': 'intercept'}) == []
     assert doubted(**{'floor.fraction': 0.9}) == [
         'floor.fraction is 0.9 and floor.shape none: it has no effect'
     ]

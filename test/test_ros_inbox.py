@@ -144,6 +144,37 @@ def test_a_forecast_from_outside_is_used_while_it_is_fresh(inbox):
     np.testing.assert_array_equal(inbox.targets(ahead(inbox, 1), 1.5), [[5.0, 0.0]])
 
 
+def oriented(message, w, x, y, z):
+    pose = message.poses[-1].pose if hasattr(message, 'poses') else message.pose
+    turned = pose.orientation
+    turned.w, turned.x, turned.y, turned.z = map(float, (w, x, y, z))
+    return message
+
+
+def test_the_goal_is_turned_as_its_pose_or_the_last_of_a_fresh_path(inbox):
+    assert inbox.wanted(0.0) is None
+    inbox.take('goal', oriented(goal(0.0), np.sqrt(0.5), 0, 0, np.sqrt(0.5)), 0.0)
+    np.testing.assert_allclose(inbox.wanted(0.0), [[0.0, -1.0], [1.0, 0.0]], atol=1e-9)
+    path = messages.goal_path_message(stamp(0.0), 0.1, [np.zeros(2), np.ones(2)])
+    inbox.take('goal_path', oriented(path, 0, 0, 0, 1), 0.0)
+    np.testing.assert_allclose(inbox.wanted(0.5), -np.eye(2), atol=1e-9)
+    np.testing.assert_allclose(inbox.wanted(1.5), [[0.0, -1.0], [1.0, 0.0]], atol=1e-9)
+
+
+def test_a_goal_that_has_no_yaw_is_refused_only_where_one_is_asked_for(inbox):
+    upright = (np.sqrt(0.5), 0, np.sqrt(0.5), 0)
+    assert inbox.take('goal', oriented(goal(1.0), *upright), 0.0) == ''
+    assert inbox.wanted(0.0) is None
+    values = {row.name: row.default for row in PLANNER}
+    inbox.adopt(planner_settings({**values, 'weights.attitude': 0.5}))
+    inbox.take('odom', odometry(1.0), 0.0)
+    assert inbox.missing == 'a goal with a yaw on goal or goal_path'
+    refusal = inbox.take('goal', oriented(goal(2.0), *upright), 0.1)
+    assert refusal.startswith('goal refused: pose.orientation is that of a vertical x axis')
+    assert inbox.take('goal', goal(3.0), 0.1) == ''
+    assert inbox.missing == ''
+
+
 def test_a_malformed_message_changes_nothing(inbox):
     inbox.take('goal', goal(0.0), 0.0)
     before = inbox.latest['goal']

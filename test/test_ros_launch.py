@@ -8,8 +8,12 @@ from pathlib import Path
 
 import pytest
 
+pytest.importorskip('rclpy')
+
+from orbimpc_ros.ros.autopilots import TOPICS
+
 FILES = sorted((Path(__file__).resolve().parents[1] / 'launch').glob('*.launch.py'))
-FLIGHTS = [file for file in FILES if file.stem != 'fleet.launch']
+FLIGHTS = [file for file in FILES if file.stem not in ('fleet.launch', 'vehicle.launch')]
 EVERYWHERE = {'params_file', 'namespace', 'exit_when_done', 'record'}
 LAUNCH = """
 import sys
@@ -28,7 +32,9 @@ sys.exit(service.run())
 
 def test_every_scenario_can_be_launched():
     configs = FILES[0].parents[1] / 'config'
-    assert {f.name.split('.')[0] for f in FILES} == {f.stem for f in configs.glob('*.yaml')}
+    by_demo = {'crossing'}  # each of its vehicles avoids the others
+    launched = {f.name.split('.')[0] for f in FILES} - {'vehicle'} | set(TOPICS) | by_demo
+    assert launched == {f.stem for f in configs.glob('*.yaml')}
 
 
 @pytest.fixture
@@ -63,6 +69,27 @@ def test_a_launch_file_starts_planner_and_simulator(file, launched):
     assert [n.node_executable for n in nodes_in(description.entities)] == ['planner', 'sim']
     arguments = {argument.name for argument in description.get_launch_arguments()}
     assert arguments == EVERYWHERE | {'clock', 'use_sim_time'}
+
+
+def test_a_planner_takes_the_topics_of_its_autopilot(launched):
+    from launch.actions import OpaqueFunction
+    from launch.utilities import perform_substitutions
+
+    from launch import LaunchContext
+
+    description = launched(FILES[0].parent / 'vehicle.launch.py')
+    for name, topics in TOPICS.items():
+        context = LaunchContext()
+        context.launch_configurations.update(autopilot=name, params_file='', namespace='')
+        (late,) = (e for e in description.entities if isinstance(e, OpaqueFunction))
+        (node,) = nodes_in(late.execute(context))
+        assert node.node_executable == 'planner'
+        told = [
+            tuple(perform_substitutions(context, part) for part in pair)
+            for pair in node._Node__remappings
+        ]
+        assert dict(told) == topics
+        assert context.launch_configurations['params_file'].endswith(f'{name}.yaml')
 
 
 def test_a_fleet_is_as_large_as_asked_for(launched):

@@ -144,7 +144,8 @@ def _check_ticks(heard):
             'status', 'reason', 'objective', 'lower_bound', 'gap', 'nodes', 'solve_time_ms',
             'speed_fraction', 'projection_distance', 'fallback', 'cause', 'binding', 'advanced',
             'goal_stamps', 'goal_counts', 'disturbance', 'innovation',
-            'earliest_catch', 'catch_bound',
+            'earliest_catch', 'catch_bound', 'obstacles', 'obstacles_left_out', 'clearance',
+            'traffic_stamps',
         }  # fmt: skip
         assert told['status'] == 'optimal'
         assert json.loads(told['goal_stamps']) == {'goal': stamp(message)}

@@ -38,8 +38,7 @@ def test_a_mission_is_one_line_and_its_commands_keep_their_limits(missions, name
 
 def test_what_is_drawn_is_not_told_to_the_planner(missions):
     """It hears of its surroundings by odometry and goals alone: the wind moves it all the same."""
-    from onboard import Planner
-
+    from orbimpc_ros.lab.onboard import Planner
     from orbimpc_ros.ros.parameters import planner_settings, sim_settings
     from orbimpc_ros.tool.io import settings
 
@@ -57,8 +56,7 @@ def test_what_is_drawn_is_not_told_to_the_planner(missions):
 
 def test_a_multirotor_hears_of_the_boxes_and_keeps_clear_of_them(missions):
     """Told of none, it flies through: the simulator judges by its own."""
-    from onboard import Planner
-
+    from orbimpc_ros.lab.onboard import Planner
     from orbimpc_ros.ros.parameters import sim_settings
     from orbimpc_ros.tool.io import settings
     from orbimpc_ros.tool.io.share import config
@@ -67,7 +65,8 @@ def test_a_multirotor_hears_of_the_boxes_and_keeps_clear_of_them(missions):
     touched = {}
     for told in (values['obstacles'], ()):
         flight, _, _ = missions.flown(
-            Planner(values | {'obstacles': told}), sim_settings(settings.of_sim(values))
+            Planner(values | {'obstacles': told}, patient=True),
+            sim_settings(settings.of_sim(values)),
         )
         assert flight.distance < 1.0
         touched[told] = flight.touched

@@ -357,3 +357,33 @@ def test_a_plan_of_a_lagging_vehicle_starts_a_lag_later():
     assert report.led == 0.05
     assert report.advanced == pytest.approx(0.0, abs=1e-6)
     np.testing.assert_allclose(report.tick.state.position, [0.05, 0.0], atol=1e-6)
+
+
+def turned_to(yaw, at, now, driven):
+    message = messages.goal_message(Stamp(stamp(at), FRAMES), np.array([0.5, 0.2]))
+    message.pose.orientation = messages.quaternion(exp(np.array([yaw])))
+    assert driven.inbox.take('goal', message, now, RosTime(stamp(now))) == ''
+
+
+def test_the_goals_orientation_pulls_where_it_has_a_weight():
+    ends = {}
+    for weight in (0.0, 20.0):
+        driven = Driven(**{'weights.attitude': weight, 'weights.input': 0.001, 'horizon': 8})
+        driven.odometry(0.0, 0.0)
+        turned_to(2.0, 0.0, 0.0, driven)
+        ends[weight] = driven.tick(0.0).tick.plan.rotations[-1]
+    off = {weight: np.linalg.norm(end - exp(np.array([2.0]))) for weight, end in ends.items()}
+    assert off[20.0] < 0.2 < off[0.0]
+
+
+def test_a_catch_is_headed_along_the_goals_axis_or_the_direction_given():
+    for yaw, direction in ((1.0, ()), (-2.0, (np.cos(1.0), np.sin(1.0)))):
+        coned = {'approach.cone': 0.3, 'approach.direction': direction}
+        driven = Driven(objective='intercept', horizon=8, **coned)
+        driven.ticker._settings = replace(driven.inbox.settings, deadline=np.inf)
+        driven.odometry(0.0, 0.0)
+        turned_to(yaw, 0.0, 0.0, driven)
+        tick = driven.tick(0.0).tick
+        assert np.isfinite(tick.catch.time)
+        heading = tick.plan.projected[-1, :, 0]
+        assert np.arctan2(heading[1], heading[0]) == pytest.approx(1.0, abs=0.3 + 1e-6)

@@ -9,7 +9,8 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import log
 from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.loop.forecast import forecast_named
-from orbimpc_ros.world.capture import closest_approach
+from orbimpc_ros.mpc.problem import Approach
+from orbimpc_ros.world.capture import closest_approach, is_headed
 from orbimpc_ros.world.flight import departure, fly
 from orbimpc_ros.world.rope import Rope, fixed
 from orbimpc_ros.world.scenario import retrieval, retrieval_problem
@@ -139,3 +140,23 @@ def test_the_failsafe_begins_where_the_command_ends():
     np.testing.assert_allclose(flight.vehicle.position, [0.25 + 0.75 * 0.5, 0.0])
     np.testing.assert_allclose(log(flight.vehicle.attitude), [0.75 * 0.4])
     assert flight.vehicle.fraction == 0.5
+
+
+def test_who_is_headed_elsewhere_has_not_caught_the_goal():
+    ahead = replace(retrieval(), rope=fixed(np.array([1.0, 0.0])), capture_radius=0.3)
+    caught = departure(ahead).after(1.0, np.zeros(1))
+    assert caught.captured
+    for direction, done in (((1.0, 0.0), True), ((1.0, 1.0), False), ((-1.0, 0.0), False)):
+        coned = replace(ahead, approach=Approach(0.5, direction))
+        flown = departure(coned).after(1.0, np.zeros(1))
+        assert flown.near
+        assert flown.captured == done
+    with pytest.raises(BadInput, match=r'approach\.direction is \[\]'):
+        replace(ahead, approach=Approach(0.5))
+
+
+def test_headings_at_the_closest_approach_are_those_between_the_ends():
+    ends = np.array([1.0, 0.0]), np.array([0.0, 1.0])
+    cone = Approach(0.1, (3.0, 3.0))
+    assert [is_headed(cone, ends, share) for share in (0.0, 0.5, 1.0)] == [False, True, False]
+    assert is_headed(Approach(), ends, 0.0)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from rclpy.clock import JumpThreshold, TimeJump
 from rclpy.duration import Duration
 
+from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.process import Guarded
 
@@ -31,6 +32,17 @@ class RosTime:
         if self.nanoseconds is None:
             return math.nan
         return (self.nanoseconds - stamp) / SECOND
+
+    def require_past(self, stamp: int, tolerance: float) -> None:
+        """Check that a stamp [ns] is not ahead by more than a tolerance [s].
+
+        Raises:
+            BadInput: it is.
+        """
+        ahead, allowed = -self.since(stamp), tolerance + self.lag
+        if ahead > allowed:
+            ahead_of = f"{allowed:g} s ahead of this node's clock"
+            raise BadInput('future stamp', f'{ahead:.3g} s ahead', f'at most {ahead_of}')
 
 
 UNKNOWN = RosTime()

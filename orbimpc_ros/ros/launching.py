@@ -1,10 +1,11 @@
-"""Launch descriptions: pairs of planner and simulator on one parameter file.
+"""Launch descriptions: planner and simulator on one parameter file, or a planner by itself.
 
 Needs ROS 2's launch, which PyPI does not have: only launch files import this module.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
@@ -33,6 +34,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros.autopilots import TOPICS
 from orbimpc_ros.ros.parameters.sections import given
 from orbimpc_ros.ros.process import RANGE
 from orbimpc_ros.ros.vehicles import vehicles
@@ -83,6 +85,36 @@ def fleet() -> LaunchDescription:
     return LaunchDescription([*arguments, check, *_surroundings(), members])
 
 
+def vehicle() -> LaunchDescription:
+    """Return a planner alone, on the topics of a vehicle's autopilot and with parameters for it."""
+    arguments = [
+        DeclareLaunchArgument(
+            'autopilot', choices=list(TOPICS), description='what flies or drives'
+        ),
+        DeclareLaunchArgument(
+            'params_file', default_value='', description="by default autopilot's"
+        ),
+        DeclareLaunchArgument('namespace', default_value='', description='of the planner'),
+        DeclareLaunchArgument(
+            'dry_run',
+            default_value='false',
+            choices=['true', 'false'],
+            description='plan and report, and command nothing',
+        ),
+    ]
+    return LaunchDescription([*arguments, _reach(), OpaqueFunction(function=_pilot)])
+
+
+def _pilot(context: LaunchContext) -> list[Action]:
+    """Return the planner, now that the autopilot is known."""
+    asked = context.launch_configurations
+    asked['params_file'] = asked['params_file'] or _config(asked['autopilot'])
+    _check_file(context)
+    topics = list(TOPICS[asked['autopilot']].items())
+    planner = _node('planner', {'dry_run': _flag('dry_run')}, remappings=topics)
+    return [planner, *_ending([], [planner])]
+
+
 def _check_file(context: LaunchContext) -> None:
     """Refuse a parameter file that is not there: launch itself would go on with defaults."""
     file = context.launch_configurations['params_file']
@@ -120,7 +152,12 @@ def _flag(name: str) -> ParameterValue:
     return ParameterValue(LaunchConfiguration(name), value_type=bool)
 
 
-def _node(name: str, parameters: dict[str, object], namespace: str | None = None) -> Node:
+def _node(
+    name: str,
+    parameters: dict[str, object],
+    namespace: str | None = None,
+    remappings: Sequence[tuple[str, str]] = (),
+) -> Node:
     return Node(
         package='orbimpc_ros',
         namespace=LaunchConfiguration('namespace') if namespace is None else namespace,
@@ -128,19 +165,24 @@ def _node(name: str, parameters: dict[str, object], namespace: str | None = None
         name=name,
         output='screen',
         parameters=[LaunchConfiguration('params_file'), parameters],
+        remappings=list(remappings),
     )
 
 
 def _surroundings() -> list[Action]:
     """Keep to this machine unless asked otherwise, and record where wanted."""
     return [
-        SetEnvironmentVariable(RANGE, EnvironmentVariable(RANGE, default_value='LOCALHOST')),
+        _reach(),
         ExecuteProcess(
             cmd=['ros2', 'bag', 'record', '--storage', 'mcap', '--all'],
             condition=IfCondition(LaunchConfiguration('record')),
             output='screen',
         ),
     ]
+
+
+def _reach() -> Action:
+    return SetEnvironmentVariable(RANGE, EnvironmentVariable(RANGE, default_value='LOCALHOST'))
 
 
 def _ending(sims: list[Node], planners: list[Node]) -> list[Action]:
@@ -163,8 +205,7 @@ def _ending(sims: list[Node], planners: list[Node]) -> list[Action]:
 
 
 def _arguments(scenario: str) -> list[DeclareLaunchArgument]:
-    share = Path(get_package_share_directory('orbimpc_ros'))
-    default = str(share / 'config' / f'{scenario}.yaml')
+    default = _config(scenario)
     return [
         DeclareLaunchArgument('params_file', default_value=default, description='of all nodes'),
         DeclareLaunchArgument(
@@ -180,3 +221,7 @@ def _arguments(scenario: str) -> list[DeclareLaunchArgument]:
             description='all topics, by ros2 bag record, into the current folder',
         ),
     ]
+
+
+def _config(name: str) -> str:
+    return str(Path(get_package_share_directory('orbimpc_ros')) / 'config' / f'{name}.yaml')

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
 from builtin_interfaces.msg import Duration
-from geometry_msgs.msg import Pose, Vector3
+from geometry_msgs.msg import Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.loop.traffic.track import centre, placed
 from orbimpc_ros.mpc.plan import Plan
-from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.problem import Hazard, Problem
 from orbimpc_ros.ros.messages import Stamp, header, point, pose
+from orbimpc_ros.ros.obstacles import shown
 from orbimpc_ros.world.flight import Flight
 
 GREEN, BLUE, RED, GREY, ORANGE = (
@@ -24,8 +29,13 @@ LINE = 0.02  # width of lines, as a share of the scene's unit length
 LIFETIME = 3.0  # markers of a dead node vanish after so many steps
 
 
-def plan_markers(stamp: Stamp, problem: Problem, plan: Plan) -> MarkerArray:
-    """Return the plan as a line, its thrust as arrows, its obstacles and its floor."""
+def plan_markers(
+    stamp: Stamp, problem: Problem, plan: Plan, hazards: Sequence[Hazard] = ()
+) -> MarkerArray:
+    """Return the plan as a line, its thrust as arrows, its obstacles and its floor.
+
+    Hazards are shown where they are at the start, with lines to where they will be at its end.
+    """
     unit = problem.forward * problem.step
     path = _marker(stamp, 'plan', 0, Marker.LINE_STRIP, GREEN, problem.step)
     path.scale.x = LINE * unit
@@ -35,7 +45,8 @@ def plan_markers(stamp: Stamp, problem: Problem, plan: Plan) -> MarkerArray:
             _nothing(stamp),
             path,
             *_arrows(stamp, plan, unit, problem.step),
-            *_boxes(stamp, problem),
+            *_obstacles(stamp, problem),
+            *_hazards(stamp, problem, hazards),
             *_floor(stamp, problem, plan.positions[0], unit),
         ]
     )
@@ -57,6 +68,16 @@ def world_markers(stamp: Stamp, flight: Flight) -> MarkerArray:
     return MarkerArray(markers=[rope, swing, vehicle])
 
 
+def traffic_markers(stamp: Stamp, flight: Flight) -> MarkerArray:
+    """Return the balls in the traffic where they are now."""
+    scenario, markers = flight.scenario, []
+    for k, each in enumerate(scenario.traffic):
+        moved = each.moved(np.array([flight.elapsed]))[0]
+        marker = _marker(stamp, 'traffic', k, Marker.SPHERE, RED, scenario.model.step)
+        markers.append(shown(marker, placed(each.body, centre(each.body) + moved)))
+    return MarkerArray(markers=markers)
+
+
 def _arrows(stamp: Stamp, plan: Plan, unit: float, step: float) -> list[Marker]:
     arrows = []
     for k, fraction in enumerate(plan.speed_fraction):
@@ -68,15 +89,24 @@ def _arrows(stamp: Stamp, plan: Plan, unit: float, step: float) -> list[Marker]:
     return arrows
 
 
-def _boxes(stamp: Stamp, problem: Problem) -> list[Marker]:
-    boxes = []
-    for k, box in enumerate(problem.obstacles):
-        marker = _marker(stamp, 'obstacles', k, Marker.CUBE, RED, problem.step)
-        marker.pose = Pose(position=point(0.5 * (box.minimum + box.maximum)))
-        x, y, z = [*(box.maximum - box.minimum), LINE][:3]
-        marker.scale = Vector3(x=float(x), y=float(y), z=float(z))
-        boxes.append(marker)
-    return boxes
+def _obstacles(stamp: Stamp, problem: Problem) -> list[Marker]:
+    return [
+        shown(_marker(stamp, 'obstacles', k, Marker.CUBE, RED, problem.step), body)
+        for k, body in enumerate(problem.obstacles)
+    ]
+
+
+def _hazards(stamp: Stamp, problem: Problem, hazards: Sequence[Hazard]) -> list[Marker]:
+    times, found = problem.step * np.arange(problem.horizon + 1), []
+    for k, hazard in enumerate(hazards):
+        found.append(
+            shown(_marker(stamp, 'hazards', k, Marker.CUBE, RED, problem.step), hazard.body)
+        )
+        way = _marker(stamp, 'ways', k, Marker.LINE_STRIP, RED, problem.step)
+        way.scale.x = LINE * problem.forward * problem.step
+        way.points = [point(each) for each in centre(hazard.body) + hazard.moved(times)]
+        found.append(way)
+    return found
 
 
 def _floor(stamp: Stamp, problem: Problem, center: Array, unit: float) -> list[Marker]:

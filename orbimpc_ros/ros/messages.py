@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -36,6 +37,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion, to_quaternion
 from orbimpc_ros.mpc.loop.forecast import Itinerary, Sighting
 from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.mpc.loop.traffic.courses import Course
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.world.vehicle import Vehicle, measured
 
@@ -60,11 +62,15 @@ class Frames:
         world: of poses.
         body: of twists.
         thrust_axis: the body axis that pushes, ``x`` or, in space, ``z``.
+        velocity: what the linear velocity of odometry is given in: the ``body`` frame, as its type
+            has it, or the ``world`` frame, as some autopilots do; then the twist's frame is not
+            looked at.
     """
 
     world: str = ''
     body: str = ''
     thrust_axis: str = 'x'
+    velocity: str = 'body'
 
     def turned(self, own: Array) -> Array:
         """Return an attitude, or a vector of the body, as of the frame whose x axis pushes.
@@ -117,34 +123,51 @@ def read_odometry(
         BadInput: a frame, a stamp, a number or the quaternion is not acceptable.
     """
     at = _stamp(message.header, frames.world)
-    child = _frame(message.child_frame_id, frames.body, 'child_frame_id')
+    in_body, child = frames.velocity == 'body', frames.body
+    if in_body:
+        child = _frame(message.child_frame_id, frames.body, 'child_frame_id')
     pose, twist = message.pose.pose, message.twist.twist
     linear = _triple(twist.linear, 'twist.linear')
     angular = _triple(twist.angular, 'twist.angular')
+    attitude = frames.turned(_attitude(pose.orientation, dimension, 'pose.orientation'))
     odometry = Odometry(
         at.nanoseconds / SECOND,
         _triple(pose.position, 'pose.position')[:dimension],
-        frames.turned(_attitude(pose.orientation, dimension, 'pose.orientation')),
-        frames.turned(linear)[:dimension],
+        attitude,
+        frames.turned(linear)[:dimension] if in_body else linear[:dimension] @ attitude,
         _rates(frames.turned(angular), dimension),
     )
     return Stamp(at.nanoseconds, Frames(at.frames.world, child, frames.thrust_axis)), odometry
 
 
 def read_sighting(message: PoseStamped, dimension: int, frames: Frames) -> tuple[Stamp, Sighting]:
-    """Return the stamp and the place in a goal's PoseStamped; its orientation must be valid.
+    """Return the stamp, the place and the attitude in a goal's PoseStamped.
 
     Raises:
         BadInput: a frame, a stamp, a number or the quaternion is not acceptable.
     """
+    at, seen = _seen(message, dimension, frames)
+    return at, replace(seen, attitude=_goal_attitude(message, dimension, frames))
+
+
+def _seen(message: PoseStamped, dimension: int, frames: Frames) -> tuple[Stamp, Sighting]:
+    """Return the stamp and the place in a goal's PoseStamped; its orientation must be valid."""
     at = _stamp(message.header, frames.world)
     _quaternion(message.pose.orientation, 'pose.orientation')
     place = _triple(message.pose.position, 'pose.position')[:dimension]
     return at, Sighting(at.nanoseconds / SECOND, place)
 
 
+def _goal_attitude(message: PoseStamped, dimension: int, frames: Frames) -> Array | None:
+    """Return which attitude a goal has; in the plane none where its x axis is vertical."""
+    with suppress(BadInput):
+        found = _attitude(message.pose.orientation, dimension, 'pose.orientation')
+        return frames.turned(found)
+    return None
+
+
 def read_itinerary(message: Path, dimension: int, frames: Frames) -> tuple[Stamp, Itinerary]:
-    """Return the stamp and the stamped places in a goal's Path.
+    """Return the stamp and the stamped places in a goal's Path, with the last one's attitude.
 
     Raises:
         BadInput: no pose or too many, stamps that do not increase, or a pose not acceptable.
@@ -152,9 +175,20 @@ def read_itinerary(message: Path, dimension: int, frames: Frames) -> tuple[Stamp
     at = _stamp(message.header, frames.world)
     if not 1 <= len(message.poses) <= LONGEST_PATH:
         raise BadInput('poses', f'{len(message.poses)} poses', f'1 to {LONGEST_PATH}')
-    seen = [read_sighting(pose, dimension, Frames())[1] for pose in message.poses]
+    seen = [_seen(pose, dimension, Frames())[1] for pose in message.poses]
     times = np.array([sighting.time for sighting in seen])
-    return at, Itinerary(times, np.array([sighting.position for sighting in seen]))
+    places = np.array([sighting.position for sighting in seen])
+    return at, Itinerary(times, places, _goal_attitude(message.poses[-1], dimension, frames))
+
+
+def read_course(message: Path, dimension: int, frames: Frames) -> tuple[Stamp, Course]:
+    """Return the stamp and the course in another vehicle's plan.
+
+    Raises:
+        BadInput: as :func:`read_itinerary`.
+    """
+    at, itinerary = read_itinerary(message, dimension, frames)
+    return at, Course(at.nanoseconds / SECOND, itinerary.times, itinerary.positions)
 
 
 def read_speed_and_rate(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.loop.traffic.nearest import clearance
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.ros.messages import header
@@ -44,6 +45,8 @@ class Report:
         goal_counts: goals taken in so far, by topic: some may be lost on the way, and a replay
             has to know.
         goal_model: how the forecast takes the goal to move; empty unless it chooses.
+        left_out: moving obstacles within reach that were too many to plan with.
+        traffic_stamps: of what was heard last of obstacles and of other vehicles, by topic [ns].
     """
 
     tick: Tick
@@ -56,6 +59,8 @@ class Report:
     goal_stamps: Mapping[str, int] = field(default_factory=dict)
     goal_counts: Mapping[str, int] = field(default_factory=dict)
     goal_model: str = ''
+    left_out: int = 0
+    traffic_stamps: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def level(self) -> bytes:
@@ -95,6 +100,9 @@ class Report:
             'goal_stamps': self.goal_stamps,
             'goal_counts': self.goal_counts,
             **({'goal_model': self.goal_model} if self.goal_model else {}),
+            **_traffic(tick),
+            'obstacles_left_out': self.left_out,
+            'traffic_stamps': self.traffic_stamps,
         }
 
 
@@ -103,6 +111,15 @@ def _catch(tick: Tick) -> dict[str, object]:
     if tick.catch is None:
         return {'earliest_catch': math.nan, 'catch_bound': math.nan}
     return {'earliest_catch': tick.catch.time, 'catch_bound': tick.catch.bound}
+
+
+def _traffic(tick: Tick) -> dict[str, object]:
+    """Return how many moving obstacles are planned with, and how clear the plan is of any."""
+    count = 0 if tick.state is None else len(tick.state.hazards)
+    least = math.nan
+    if tick.problem is not None and tick.state is not None and tick.plan is not None:
+        least = clearance(tick.problem, tick.state, tick.plan.positions)
+    return {'obstacles': count, 'clearance': least}
 
 
 def _farthest(plan: Plan) -> float:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.world.fleet import Member, members
+from orbimpc_ros.world.fleet import Member, crossing, members
 
 
 def vehicles(count: int, seed: int = 0) -> dict[str, dict[str, Any]]:
@@ -15,7 +16,25 @@ def vehicles(count: int, seed: int = 0) -> dict[str, dict[str, Any]]:
     Raises:
         BadInput: as :func:`orbimpc_ros.world.fleet.members`.
     """
-    found = enumerate(members(count, seed), start=1)
+    return _named(members(count, seed), seed)
+
+
+def crossers(count: int, seed: int = 0) -> dict[str, dict[str, Any]]:
+    """Return the parameters of vehicles that cross over, as :func:`vehicles` does.
+
+    Raises:
+        BadInput: as :func:`orbimpc_ros.world.fleet.crossing`.
+    """
+    return _named(crossing(count, seed), seed)
+
+
+def plans(namespaces: Iterable[str]) -> tuple[str, ...]:
+    """Return the topics of the plans of vehicles in namespaces."""
+    return tuple(f'{namespace}/plan' for namespace in namespaces)
+
+
+def _named(fleet: Iterable[Member], seed: int) -> dict[str, dict[str, Any]]:
+    found = enumerate(fleet, start=1)
     return {f'/uav{number}': _parameters(member, seed + number) for number, member in found}
 
 

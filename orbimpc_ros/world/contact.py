@@ -1,4 +1,4 @@
-"""Contact with boxes on the way from one place to another."""
+"""Contact with boxes, and with bodies that move, on the way from one place to another."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.problem import Box
+from orbimpc_ros.mpc.problem import Ball, Box, Hazard
+from orbimpc_ros.world.capture import closest_approach
 
 
 def touched(boxes: Sequence[Box], start: Array, end: Array) -> frozenset[int]:
@@ -19,6 +20,31 @@ def touched(boxes: Sequence[Box], start: Array, end: Array) -> frozenset[int]:
         end: of the way, shape (n,) [m].
     """
     return frozenset(k for k, box in enumerate(boxes) if _crosses(box, start, end))
+
+
+def drifter(position: Array, velocity: Array, radius: float) -> Hazard:
+    """Return a ball that moves evenly from a position [m] at the start, with a velocity [m/s]."""
+    return Hazard.drifting(Ball(position, radius), velocity)
+
+
+def met(
+    traffic: Sequence[Hazard], flown: tuple[Array, Array], times: tuple[float, float]
+) -> frozenset[int]:
+    """Return the numbers of the balls that a straight way leads into while they move on evenly.
+
+    Args:
+        traffic: balls, counted from 0.
+        flown: the ends of the way, each of shape (n,) [m].
+        times: when the vehicle is there, since the start [s].
+    """
+    moments = np.array(times)
+    found = set()
+    for k, each in enumerate(traffic):
+        assert isinstance(each.body, Ball)
+        begin, end = each.body.centre + each.moved(moments)
+        if closest_approach(flown, (begin, end))[0] < each.body.radius:
+            found.add(k)
+    return frozenset(found)
 
 
 def _crosses(box: Box, start: Array, end: Array) -> bool:

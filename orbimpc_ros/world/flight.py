@@ -12,8 +12,8 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.loop.forecast import Forecast, Sighting
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.world.capture import closest_approach
-from orbimpc_ros.world.contact import touched
+from orbimpc_ros.world.capture import closest_approach, is_headed
+from orbimpc_ros.world.contact import met, touched
 from orbimpc_ros.world.scenario import Scenario
 from orbimpc_ros.world.vehicle import Vehicle, measured
 
@@ -31,8 +31,10 @@ class Flight:
         ticks: steps flown.
         miss: least distance to the goal during the last step [m]; infinite before the first.
         missed_at: when that was [s].
+        headed: whether it was within the cone of approach then.
         trail: the vehicle on its way through the last step, at its end last.
-        touched: numbers of the boxes that it has been in so far.
+        touched: numbers of the boxes, and on from there of the balls in the traffic, that it has
+            been in so far.
     """
 
     scenario: Scenario
@@ -40,6 +42,7 @@ class Flight:
     ticks: int = 0
     miss: float = np.inf
     missed_at: float = np.nan
+    headed: bool = False
     trail: tuple[Vehicle, ...] = ()
     touched: frozenset[int] = frozenset()
 
@@ -67,12 +70,17 @@ class Flight:
     def captured(self) -> bool:
         """Return whether the job is done: the goal caught by the last step, or arrived at.
 
-        Who has touched a box has not done it.
+        Who has touched a box, or a ball in the traffic, has not done it.
         """
         if self.touched:
             return False
         if self.scenario.finish == 'arrival':
             return self._arrived
+        return self.near and self.headed
+
+    @property
+    def near(self) -> bool:
+        """Return whether the goal came within the capture radius in the last step."""
         return self.miss <= self.scenario.capture_radius
 
     @property
@@ -115,12 +123,13 @@ class Flight:
             return rest
         nearest = min((obeyed, rest), key=lambda flight: flight.miss)
         trail = obeyed.trail + rest.trail
-        return replace(rest, miss=nearest.miss, missed_at=nearest.missed_at, trail=trail)
+        kept = {name: getattr(nearest, name) for name in ('miss', 'missed_at', 'headed')}
+        return replace(rest, trail=trail, **kept)
 
     def _flown(self, span: float, fraction: float, body_rate: Array) -> Flight:
         """Return the flight after a time [s] under one command, its goal swinging on."""
         trail = self.scenario.model.flown(self.vehicle, span, fraction, body_rate, self.elapsed)
-        piece, miss, missed_at = span / len(trail), np.inf, np.nan
+        piece, miss, missed_at, headed = span / len(trail), np.inf, np.nan, False
         before = self
         for vehicle in trail:
             now = replace(before, vehicle=vehicle)
@@ -129,11 +138,15 @@ class Flight:
             )
             if near < miss:
                 miss, missed_at = near, before.vehicle.time + share * piece
-            before = replace(now, touched=now.touched | self._touched(before.vehicle, vehicle))
-        return replace(before, miss=miss, missed_at=missed_at, trail=trail)
+                ends = before.vehicle.attitude[:, 0], vehicle.attitude[:, 0]
+                headed = is_headed(self.scenario.approach, ends, share)
+            before = replace(now, touched=now.touched | before._touched(now))
+        return replace(before, miss=miss, missed_at=missed_at, headed=headed, trail=trail)
 
-    def _touched(self, before: Vehicle, after: Vehicle) -> frozenset[int]:
-        return touched(self.scenario.obstacles, before.position, after.position)
+    def _touched(self, now: Flight) -> frozenset[int]:
+        boxes, way = self.scenario.obstacles, (self.vehicle.position, now.vehicle.position)
+        balls = met(self.scenario.traffic, way, (self.elapsed, now.elapsed))
+        return touched(boxes, *way) | {len(boxes) + number for number in balls}
 
 
 def departure(scenario: Scenario, time: float | None = None) -> Flight:

@@ -7,13 +7,13 @@ how.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import ABOVE_ZERO, within
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.problem import Box, Floor, Problem, Weights
+from orbimpc_ros.mpc.problem import Approach, Box, Floor, Hazard, Problem, Weights
 from orbimpc_ros.world.rope import Rope, fixed
 from orbimpc_ros.world.vehicle import Model, Vehicle, launched, model_of
 
@@ -42,6 +42,9 @@ class Scenario:
         arrival_radius: how far from the goal a vehicle that has arrived may be [m].
         arrival_speed: and how fast [m/s]; 0 for any speed.
         obstacles: boxes; who touches one has not done the job.
+        traffic: balls that move, each evenly from the start on; who touches one has not either.
+        approach: who is headed elsewhere at a capture has not done it either; its direction is
+            given where there is a cone.
     """
 
     model: Model
@@ -53,9 +56,14 @@ class Scenario:
     arrival_radius: float = 0.05
     arrival_speed: float = 0.0
     obstacles: tuple[Box, ...] = ()
+    traffic: tuple[Hazard, ...] = ()
+    approach: Approach = field(default_factory=Approach)
 
     def __post_init__(self) -> None:
         n = self.model.dimension
+        self.approach.validate(n)
+        if self.approach.is_the_goals:
+            raise BadInput('approach.direction', [], f'{n} numbers')
         if len(self.start.position) != n:
             raise BadInput('start.position', self.start.position.tolist(), f'{n} numbers')
         if len(self.rope.center) != n:

@@ -63,7 +63,7 @@ def _default(row: Row) -> str:
     if isinstance(row.default, bool):
         return str(row.default).lower()
     if isinstance(row.default, tuple):
-        return ', '.join(map(_decimal, row.default)) or 'none'
+        return ', '.join(_decimal(float(each)) for each in row.default) or 'none'
     return _decimal(row.default) if isinstance(row.default, float) else str(row.default)
 
 
@@ -76,7 +76,7 @@ def _decimal(number: float) -> str:
 def _allowed(row: Row) -> str:
     if row.choices:
         return ', '.join(f'`{choice}`' for choice in row.choices)
-    if isinstance(row.default, (bool, str)):
+    if row.words or isinstance(row.default, (bool, str)):
         return row.allowed.replace(' | ', ', ')
     if isinstance(row.default, int):
         return f'whole, {row.low:.0f} to {row.high:.0f}'

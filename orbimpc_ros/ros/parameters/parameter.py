@@ -9,17 +9,18 @@ from typing import Any
 
 import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.parameter import Parameter
+from rclpy.validate_topic_name import validate_topic_name
 
 from orbimpc_ros.mpc.arrays import ABOVE_ZERO, Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.loop.odometry import SOURCES
-from orbimpc_ros.mpc.model.translation import DISCRETISATIONS
 from orbimpc_ros.mpc.problem import Box, Problem
 from orbimpc_ros.ros.messages import THRUST_AXES, Frames
 from orbimpc_ros.world.vehicle import RANGES, model_of
 
-Value = bool | int | float | str | tuple[float, ...]
+Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 Values = Mapping[str, Any]
 
 FAR = 1e6  # [m]: positions in parameters
@@ -34,13 +35,14 @@ class Row:
 
     Attributes:
         name: as ROS knows it.
-        default: its type is the parameter's; tuples are arrays of doubles.
+        default: its type is the parameter's; tuples are arrays of doubles, or of words.
         description: one sentence.
         unit: of the value; empty for none.
         low: least value allowed, of every element of an array.
         high: greatest.
         choices: words allowed, if the parameter is one of a few.
         live: whether it may change while the node runs.
+        words: whether an array is one of words.
     """
 
     name: str
@@ -51,10 +53,13 @@ class Row:
     high: float = math.inf
     choices: tuple[str, ...] = ()
     live: bool = False
+    words: bool = False
 
     @property
     def kind(self) -> Parameter.Type:
         """Return the ROS type."""
+        if self.words:
+            return Parameter.Type.STRING_ARRAY
         if isinstance(self.default, tuple):
             return Parameter.Type.DOUBLE_ARRAY
         return Parameter.Type.from_parameter_value(self.default)
@@ -68,6 +73,8 @@ class Row:
             return 'true | false'
         if isinstance(self.default, str):
             return 'text'
+        if self.words:
+            return 'a list of words'
         span = f'in [{self.low:g}, {self.high:g}]'
         if isinstance(self.default, tuple):
             return f'doubles {span}, each with a decimal point'
@@ -102,7 +109,9 @@ class Row:
         """
         if self.choices and value not in self.choices:
             raise BadInput.choice(self.name, value, self.choices)
-        if isinstance(self.default, (bool, str)):
+        if self.words:
+            good = all(isinstance(each, str) for each in value)
+        elif isinstance(self.default, (bool, str)):
             good = True
         else:
             good = bool(np.all((np.asarray(value) >= self.low) & (np.asarray(value) <= self.high)))
@@ -135,6 +144,21 @@ def disturbance_of(values: Values) -> Array:
         raise BadInput('gravity', gravity, '0 unless dimension is 3 and translation_order 2')
     known[-1] -= gravity
     return known
+
+
+def require_topic(parameter: str, topic: str) -> None:
+    """Check that a word names a topic.
+
+    Raises:
+        BadInput: it does not.
+    """
+    allowed = 'names of topics, such as /uav2/plan'
+    try:
+        validate_topic_name(topic)
+    except InvalidTopicNameException:
+        raise BadInput(parameter, topic, allowed) from None
+    if '//' in topic:  # which that lets pass, and a subscription does not
+        raise BadInput(parameter, topic, allowed)
 
 
 def boxes_of(values: Values) -> tuple[Box, ...]:
@@ -170,7 +194,7 @@ VEHICLE = (
     _shared('forward', 'Full speed or thrust acceleration', 'm/s or m/s^2', live=True),
     _shared('mass', 'Turns a thrust acceleration into a force', 'kg', live=True),
     Row('discretisation', 'euler', 'Whether a step pushes along the old axis alone, as in the '
-        'paper, or is integrated exactly while that turns', choices=tuple(DISCRETISATIONS)),
+        'paper, or is integrated exactly while that turns', choices=('euler', 'exact')),
     Row('wind', (0.0, 0.0, 0.0), 'Known wind in the world frame, at translation order 2 an '
         'acceleration: x, y, z', 'm/s or m/s^2', -1e3, 1e3, live=True),
     Row('gravity', 0.0, 'Along -z (dimension 3, translation order 2); thrust then carries it, '

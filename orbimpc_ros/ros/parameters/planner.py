@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 from orbimpc_ros.mpc.arrays import Array, sealed
@@ -12,17 +12,21 @@ from orbimpc_ros.mpc.loop.disturbance import DISTURBANCES, ESTIMATED, GIVEN
 from orbimpc_ros.mpc.loop.forecast import FORECASTS
 from orbimpc_ros.mpc.loop.response import Response
 from orbimpc_ros.mpc.loop.safety import SAFE_COMMANDS, decided
+from orbimpc_ros.mpc.loop.traffic.courses import Distance
 from orbimpc_ros.mpc.problem import (
     MAX_HORIZON,
     TERMINALS,
+    Approach,
     Floor,
     Problem,
     Weights,
 )
+from orbimpc_ros.mpc.problem.case import WEIGHTS
 from orbimpc_ros.mpc.problem.floor import SHAPES
 from orbimpc_ros.mpc.problem.problem import STEEPEST_GLIDE
 from orbimpc_ros.mpc.problem.scaling import SCALINGS, weighed
 from orbimpc_ros.ros.messages import Frames
+from orbimpc_ros.ros.parameters.approach import APPROACH, approach_of
 from orbimpc_ros.ros.parameters.parameter import (
     FAR,
     MAX_DURATION,
@@ -34,12 +38,15 @@ from orbimpc_ros.ros.parameters.parameter import (
     boxes_of,
     disturbance_of,
     frames_of,
+    require_topic,
     span,
 )
 from orbimpc_ros.world.scenario import LIMITS, retrieval
 
 PROJECTIONS = ('nearest', 'thrust_aligned')
 OBJECTIVES = ('track', 'intercept')
+ODOMETRY = ('odom', 'pose_twist')
+ROUNDING = 1e-5  # of the way of a step: more than a checked plan may be off
 
 PLANNER: tuple[Row, ...] = (
     *VEHICLE,
@@ -52,6 +59,9 @@ PLANNER: tuple[Row, ...] = (
         '1/m', 0.0, 1e6, live=True),
     Row('weights.terminal', 10.0, 'On squared distance to the goal at the last step',
         '1/m^2', 0.0, 1e6, live=True),
+    Row('weights.attitude', 0.0, "On the squared difference (Frobenius norm) of the last step's "
+        "rotation from the goal's orientation; 0 leaves the orientation out",
+        '1', 0.0, 1e6, live=True),
     Row('weights.scaling', 'paper', 'What the weights mean: paper, sums over steps in the units '
         'above; time, integrals over the horizon, without units: the same at any step and speed',
         choices=SCALINGS, live=True),
@@ -69,6 +79,9 @@ PLANNER: tuple[Row, ...] = (
         'limits changes of speed as well: R e1 moves by at most 2 sin(step * max_rate / 2) in a '
         'step. With a floor it limits the angle of each step, at any speeds',
         'rad/s', 0.0, 1e4, live=True),
+    Row('max_acceleration', 0.0, 'Limit of the change of speed (translation_order 1); 0 for none. '
+        'From one command to the next the speed changes by at most step * max_acceleration',
+        'm/s^2', 0.0, 1e6, live=True),
     Row('tilt', 0.0, 'Largest angle of the pushing axis from the vertical (dimension 3, '
         'translation_order 2); 0 for any',
         'rad', 0.0, 0.5 * math.pi, live=True),
@@ -78,12 +91,28 @@ PLANNER: tuple[Row, ...] = (
     OBSTACLES,
     Row('no_corner_cutting', False, 'Whether the path between two steps stays out as well',
         live=True),
+    Row('obstacle_speed_limit', 50.0, 'What jumps on the topic obstacles faster than this is taken '
+        'for a new body at rest', 'm/s', TINY, FAR, live=True),
+    Row('avoid', (), "Topics of other vehicles' plans (nav_msgs/Path) to stay clear of; one's own "
+        'among them is passed over', words=True),
+    Row('avoid_radius', 0.0, 'Least distance from other vehicles, middle to middle: the sum of '
+        'both radii and of what both may be off; above 0 with avoid', 'm', 0.0, FAR, live=True),
+    Row('avoid_timeout', 0.0, 'Another vehicle whose plan is older than this is silent, at least '
+        '1.5 periods; 0 for 0.5 s', 's', 0.0, MAX_DURATION, live=True),
     Row('projection', 'thrust_aligned', 'How a point of the hull becomes a rotation',
         choices=PROJECTIONS, live=True),
     Row('objective', 'track', 'Whether to be near the goal on average, or to catch it as soon as '
         'it can be', choices=OBJECTIVES, live=True),
     Row('capture_radius', retrieval().capture_radius, 'The goal is caught within it (objective '
         'intercept)', 'm', *span(*LIMITS['capture_radius']), live=True),
+    Row('odometry', 'odom', 'Where odometry comes from: odom, or the halves pose and twist, as '
+        'autopilots publish them', choices=ODOMETRY),
+    Row('velocity_frame', 'body', 'What the linear velocity of odom or twist is given in: the '
+        "body's axes, as ROS has it, or the world's; rates are about the body's in any case",
+        choices=('body', 'world')),
+    Row('gated', False, 'Whether commands wait for engaged (std_msgs/Bool): none are sent before '
+        'it is true, nor while it is false'),
+    *APPROACH,
     Row('trigger', 'timer', 'Whether to plan at each odometry or every period',
         choices=('timer', 'odom')),
     Row('plan_period', 0.0, 'How often to plan (trigger timer), or how often odometry comes '
@@ -151,6 +180,8 @@ class PlannerSettings:
         goal_jump_limit: distance from one goal to the next; 0 for no limit [m].
         delay_compensation: whether to plan from the state advanced by the odometry's age.
         capture_radius: within which the goal is caught; 0 where it is not to be [m].
+        approach: the cone of headings in which a catch counts.
+        wants_attitude: whether goals need an orientation.
         safe_command: ``stop``, ``hold_rate_zero``, ``loiter`` or ``hover``; ``auto`` is decided.
         deadline: for a solve, at most half a period [s].
         gap_tolerance: relative gap that counts as proved.
@@ -159,6 +190,11 @@ class PlannerSettings:
         estimated: whether to estimate what disturbs besides.
         velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
         dry_run: whether nothing is to be commanded.
+        gated: whether commands wait until the vehicle says that it takes them.
+        halves: whether odometry comes as a pose and a twist.
+        obstacle_speed_limit: of bodies seen; faster ones have jumped [m/s].
+        avoid: topics of other vehicles' plans, as given.
+        distance: how other vehicles are avoided.
         frames: that messages must be in.
     """
 
@@ -177,6 +213,8 @@ class PlannerSettings:
     goal_jump_limit: float
     delay_compensation: bool
     capture_radius: float
+    approach: Approach
+    wants_attitude: bool
     safe_command: str
     deadline: float
     gap_tolerance: float
@@ -185,6 +223,11 @@ class PlannerSettings:
     estimated: bool
     velocity_source: str
     dry_run: bool
+    gated: bool
+    halves: bool
+    obstacle_speed_limit: float
+    avoid: tuple[str, ...]
+    distance: Distance
     frames: Frames
 
 
@@ -200,7 +243,7 @@ def planner_settings(values: Values) -> PlannerSettings:
     if values['deadline'] > 0.5 * period:
         raise BadInput('deadline', values['deadline'], f'at most half a period, {0.5 * period:g} s')
     _refuse_unfit(values)
-    problem = _problem(values)
+    problem, approach = _problem(values), _approach(values)
     return PlannerSettings(
         problem=problem,
         mass=values['mass'],
@@ -219,6 +262,8 @@ def planner_settings(values: Values) -> PlannerSettings:
         goal_jump_limit=values['goal_jump_limit'],
         delay_compensation=values['delay_compensation'],
         capture_radius=_capture_radius(values),
+        approach=approach,
+        wants_attitude=problem.wants_attitude or approach.is_the_goals,
         safe_command=decided(values['safe_command'], problem, values['gravity']),
         deadline=values['deadline'] or 0.5 * period,
         gap_tolerance=values['gap_tolerance'],
@@ -227,7 +272,12 @@ def planner_settings(values: Values) -> PlannerSettings:
         estimated=values['disturbance'] == ESTIMATED,
         velocity_source=values['velocity_source'],
         dry_run=values['dry_run'],
-        frames=frames_of(values),
+        gated=values['gated'],
+        halves=values['odometry'] == 'pose_twist',
+        frames=replace(frames_of(values), velocity=values['velocity_frame']),
+        obstacle_speed_limit=values['obstacle_speed_limit'],
+        avoid=_avoided(values),
+        distance=_distance(values, problem, period),
     )
 
 
@@ -255,6 +305,22 @@ def _refuse_unfit(values: Values) -> None:
         raise BadInput('velocity_source', 'air', allowed)
 
 
+def _avoided(values: Values) -> tuple[str, ...]:
+    """Return the topics of other vehicles' plans."""
+    for topic in values['avoid']:
+        require_topic('avoid', topic)
+    if values['avoid'] and not values['avoid_radius']:
+        allowed = "above 0 with avoid: the sum of both vehicles' radii"
+        raise BadInput('avoid_radius', values['avoid_radius'], allowed)
+    return tuple(values['avoid'])
+
+
+def _distance(values: Values, problem: Problem, period: float) -> Distance:
+    """Return how others are avoided: so that plans, once rounded, keep the whole of the radius."""
+    radius = values['avoid_radius'] + ROUNDING * problem.length_unit
+    return Distance(radius, max(values['avoid_timeout'] or 0.5, 1.5 * period))
+
+
 def _capture_radius(values: Values) -> float:
     if values['objective'] == 'track':
         return 0.0
@@ -262,6 +328,13 @@ def _capture_radius(values: Values) -> float:
         if values[name] != wanted:
             raise BadInput('objective', 'intercept', f'track with {name} {values[name]}')
     return float(values['capture_radius'])
+
+
+def _approach(values: Values) -> Approach:
+    """Return the cone of a catch; none where nothing is caught."""
+    known = approach_of(values)
+    known.validate(values['dimension'])
+    return known if values['objective'] == 'intercept' else Approach()
 
 
 def _ageing(timeout: float, prediction: str) -> Ageing:
@@ -272,9 +345,7 @@ def _ageing(timeout: float, prediction: str) -> Ageing:
 
 
 def _problem(values: Values) -> Problem:
-    weights = Weights(
-        *(values[f'weights.{name}'] for name in ('position', 'input', 'length', 'terminal'))
-    )
+    weights = Weights(*(values[f'weights.{name}'] for name in WEIGHTS))
     problem = Problem(
         dimension=values['dimension'],
         rotation_order=values['rotation_order'],
@@ -286,6 +357,7 @@ def _problem(values: Values) -> Problem:
         terminal=values['terminal'],
         floor=Floor(values['floor.shape'], values['floor.faces'], values['floor.fraction']),
         max_rate=values['max_rate'],
+        max_acceleration=values['max_acceleration'],
         obstacles=boxes_of(values),
         no_corner_cutting=values['no_corner_cutting'],
         discretisation=values['discretisation'],

@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.arrays import Array, number
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion
+from orbimpc_ros.mpc.problem import Approach, Hazard
 from orbimpc_ros.ros.messages import QUATERNION_TOLERANCE, Frames
+from orbimpc_ros.ros.parameters.approach import APPROACH, approach_of
 from orbimpc_ros.ros.parameters.parameter import (
     FAR,
     MAX_DURATION,
@@ -28,6 +30,7 @@ from orbimpc_ros.ros.parameters.parameter import (
 from orbimpc_ros.ros.parameters.plant import PLANT, moved_by
 from orbimpc_ros.ros.process import LIFE
 from orbimpc_ros.ros.sim.readers import wanted_readers
+from orbimpc_ros.world.contact import drifter
 from orbimpc_ros.world.faults import FAULT_RANGES, NO_FAULTS, Faults
 from orbimpc_ros.world.rope import FASTEST, Rope
 from orbimpc_ros.world.scenario import FINISHES, LIMITS, Scenario, retrieval
@@ -57,6 +60,7 @@ ROPE = (
 ENDING = (
     Row('capture_radius', FLOWN.capture_radius, 'The goal is caught within it',
         'm', *span(*LIMITS['capture_radius'])),
+    *(replace(row, live=False) for row in APPROACH),
     Row('finish', FLOWN.finish, 'Whether to end with the capture, or at max_ticks by arriving',
         choices=FINISHES),
     Row('arrival_radius', FLOWN.arrival_radius, 'At arrival the goal is within it',
@@ -65,6 +69,8 @@ ENDING = (
         'm/s', *LIMITS['arrival_speed']),
     replace(OBSTACLES, description='Boxes that the vehicle must not touch: lower, then upper '
         'corner of each', live=False),
+    Row('traffic', (), 'Balls, in the plane discs, that move evenly, shown on obstacles: where '
+        'each is at the start, its velocity, its radius', 'm, m/s', -FAR, FAR),
 )  # fmt: skip
 
 START = (
@@ -240,7 +246,34 @@ def _scenario(values: Values) -> Scenario:
     )
     ending = ('capture_radius', 'max_ticks', 'finish', 'arrival_radius', 'arrival_speed')
     known_ends = {name: values[name] for name in ending}
-    return Scenario(model, start, rope, **known_ends, obstacles=boxes_of(values))
+    return Scenario(
+        model,
+        start,
+        rope,
+        **known_ends,
+        obstacles=boxes_of(values),
+        traffic=_traffic(values),
+        approach=_approach(values),
+    )
+
+
+def _traffic(values: Values) -> tuple[Hazard, ...]:
+    numbers, n = values['traffic'], values['dimension']
+    if len(numbers) % (2 * n + 1):
+        raise BadInput('traffic', list(numbers), f'{2 * n + 1} numbers for each ball')
+    rows = np.array(numbers, dtype=float).reshape(-1, 2 * n + 1)
+    for row in rows:
+        number(float(row[-1]), 'traffic radius', 0.0, above=True)
+    return tuple(drifter(row[:n], row[n:-1], float(row[-1])) for row in rows)
+
+
+def _approach(values: Values) -> Approach:
+    """Return the cone in which a catch counts; the goal's orientation is that of the world."""
+    known, n = approach_of(values), values['dimension']
+    if not known.is_the_goals:
+        return known
+    own = frames_of(values).turned(np.eye(3))[:n, 0]
+    return replace(known, direction=tuple(own.tolist()))
 
 
 def _orientation(numbers: Sequence[float], dimension: int) -> Array:

@@ -17,15 +17,17 @@ from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.ros.clock import UNKNOWN, RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp, read_itinerary, read_odometry, read_sighting
 from orbimpc_ros.ros.parameters.planner import Ageing, PlannerSettings
+from orbimpc_ros.ros.planner.lookout import (
+    COMPARABLE,
+    NOT_SET,
+    OBSTACLES,
+    PLAN,
+    Lookout,
+)
 
 T = TypeVar('T')
 
-COMPARABLE = 60.0  # [s] a source whose stamps are farther off goes by another clock than this node
 INCREASING = 'stamps that increase'
-NOT_SET = (
-    'set header.stamp to the time of measurement (in code get_clock().now().to_msg(), with '
-    'ros2 topic pub "header: auto")'
-)
 STREAM = 3  # goals one soon after another are a stream, which is missed when it stops
 WINDOW = 10  # odometry messages; one of so many may lack its goal
 READ: Mapping[str, Callable[..., tuple[Stamp, Any]]] = {
@@ -34,6 +36,7 @@ READ: Mapping[str, Callable[..., tuple[Stamp, Any]]] = {
     'goal_path': read_itinerary,
 }
 GOALS = ('goal', 'goal_path')
+NAMED = (*READ, OBSTACLES, PLAN)  # topics whose resolved names are of use
 
 
 @dataclass(frozen=True)
@@ -94,32 +97,38 @@ class Inbox:
     Attributes:
         settings: dimension, frames, timeouts and limits.
         names: of the topics as they are resolved, by their names here.
+        others: topics of other vehicles' plans, as they are resolved.
         latest: message of each topic that has one.
         forecast: predicts the goal from its sightings.
         refused: messages refused so far, by topic and field.
         goal_counts: goals taken in so far, by topic.
-        pairings: whether each topic of the goal accompanies the odometry.
+        pairings: whether each topic that may do so accompanies the odometry.
         timed: topics whose stamps have been seen to be of the node's own clock.
+        lookout: what moves around the vehicle.
     """
 
     settings: PlannerSettings
-    names: Mapping[str, str] = field(default_factory=lambda: {each: each for each in READ})
+    names: Mapping[str, str] = field(default_factory=lambda: {each: each for each in NAMED})
+    others: tuple[str, ...] = ()
     latest: dict[str, Received[Any]] = field(default_factory=dict)
     forecast: Forecast = field(init=False)
     refused: Counter[str] = field(default_factory=Counter)
     goal_counts: Counter[str] = field(default_factory=Counter)
     pairings: dict[str, Pairing] = field(init=False)
     timed: set[str] = field(default_factory=set)
+    lookout: Lookout = field(init=False)
 
     def __post_init__(self) -> None:
         self.forecast = forecast_named(self.settings.goal_prediction)
-        self.pairings = {topic: Pairing() for topic in GOALS}
+        self.lookout = Lookout(self.settings, self.names, self.others, self.refused)
+        paired = (*GOALS, OBSTACLES, *self.lookout.leaders)
+        self.pairings = {topic: Pairing() for topic in paired}
         self._paired: set[str] = set()  # topics that share the stamp of the latest odometry
 
     def adopt(self, settings: PlannerSettings) -> None:
         """Take over new settings; another kind of forecast starts afresh from the last goal."""
         renewed = settings.goal_prediction != self.settings.goal_prediction
-        self.settings = settings
+        self.settings = self.lookout.settings = settings
         if renewed:
             self.forecast = forecast_named(settings.goal_prediction)
             if 'goal' in self.latest:
@@ -128,6 +137,7 @@ class Inbox:
     def forget(self) -> None:
         """Forget every input and whose clock is whose, as after a reset or when time jumped."""
         self._drop_all()
+        self.lookout.forget()
         self.timed.clear()
 
     def _drop_all(self) -> None:
@@ -147,12 +157,18 @@ class Inbox:
 
     def take(self, topic: str, message: Any, now: float, ros: RosTime = UNKNOWN) -> str:
         """Take in a message; return why it was refused, or an empty string."""
+        if topic not in READ:
+            measured = UNKNOWN if self.odometry is None else RosTime(self._time)
+            refusal = self.lookout.take(topic, message, ros, measured)
+            self._note_pairs()
+            return refusal
         settings, last = self.settings, self.latest.get(topic)
         try:
             stamp, value = READ[topic](message, settings.problem.dimension, settings.frames)
-            self._require_past(stamp, ros)
+            ros.require_past(stamp.nanoseconds, settings.future_tolerance)
             self._require_newer(topic, stamp, last, now)
             if topic in GOALS:
+                require_attitude(value, settings)
                 self._require_near(topic, stamp, value, now)
         except BadInput as error:
             self.refused[f'{topic}: {error.culprit}'] += 1
@@ -177,12 +193,6 @@ class Inbox:
         last = self.latest.get(topic)
         follows = last is not None and now - last.at <= self._timeout(topic)
         return last.run + 1 if last is not None and follows else 1
-
-    def _require_past(self, stamp: Stamp, ros: RosTime) -> None:
-        ahead, allowed = -ros.since(stamp.nanoseconds), self.settings.future_tolerance + ros.lag
-        if ahead > allowed:
-            ahead_of = f"{allowed:g} s ahead of this node's clock"
-            raise BadInput('future stamp', f'{ahead:.3g} s ahead', f'at most {ahead_of}')
 
     def _require_newer(
         self, topic: str, stamp: Stamp, last: Received[Any] | None, now: float
@@ -230,10 +240,10 @@ class Inbox:
         return {topic: self.latest[topic] for topic in GOALS if topic in self.latest}
 
     def _note_pairs(self) -> None:
-        self._paired |= {t for t, stamp in self.goal_stamps.items() if stamp == self._time}
+        self._paired |= {t for t, stamp in self._stamps.items() if stamp == self._time}
 
     def _end_pairs(self) -> None:
-        """Learn which goals came with the odometry that is now replaced."""
+        """Learn what came with the odometry that is now replaced."""
         if self.odometry is not None:
             for topic, pairing in self.pairings.items():
                 pairing.note(topic in self._paired)
@@ -241,12 +251,12 @@ class Inbox:
 
     @property
     def companions(self) -> list[str]:
-        """Return the topics of the goal that accompany every odometry message."""
+        """Return the topics that accompany every odometry message."""
         return [topic for topic, pairing in self.pairings.items() if pairing.constant]
 
     def _spoken(self, topic: str) -> bool:
-        received = self.latest.get(topic)
-        return received is not None and received.stamp.nanoseconds >= self._time
+        stamp = self._stamps.get(topic)
+        return stamp is not None and stamp >= self._time
 
     @property
     def _time(self) -> int:
@@ -263,14 +273,23 @@ class Inbox:
         absent = []
         if self.odometry is None:
             absent.append(f'odometry on {self.names["odom"]}')
-        if not self._goal_sources():
-            absent.append(f'a goal on {self.names["goal"]} or {self.names["goal_path"]}')
+        sources = self._goal_sources().values()
+        topics = f'{self.names["goal"]} or {self.names["goal_path"]}'
+        if not sources:
+            absent.append(f'a goal on {topics}')
+        elif self.settings.wants_attitude and not any(_turned(each) for each in sources):
+            absent.append(f'a goal with a yaw on {topics}')
         return ' and '.join(absent)
 
     @property
     def goal_stamps(self) -> dict[str, int]:
         """Return the stamps of the goals known, by topic [ns]."""
         return {topic: each.stamp.nanoseconds for topic, each in self._goal_sources().items()}
+
+    @property
+    def _stamps(self) -> dict[str, int]:
+        """Return the latest stamps of what may accompany odometry, by topic [ns]."""
+        return self.goal_stamps | self.lookout.stamps
 
     @property
     def untimed(self) -> str:
@@ -302,10 +321,39 @@ class Inbox:
 
         A forecast from outside is used while it is fresh; otherwise one's own.
         """
+        path = self._fresh_path(now, ros)
+        return self.forecast.at(times) if path is None else np.asarray(path.at(times))
+
+    def wanted(self, now: float, ros: RosTime = UNKNOWN) -> Array | None:
+        """Return the attitude of the goal, shape (n, n), as far as one is known.
+
+        That of the last pose of a forecast from outside while it is fresh, if it has one.
+        """
+        goal, path = self.latest.get('goal'), self._fresh_path(now, ros)
+        if path is not None and path.attitude is not None:
+            return path.attitude
+        return None if goal is None else goal.value.attitude
+
+    def _fresh_path(self, now: float, ros: RosTime) -> Itinerary | None:
         path = self.latest.get('goal_path')
         if path is None or self._goal_age('goal_path', path, now, ros) > self.settings.goal_timeout:
-            return self.forecast.at(times)
-        return np.asarray(path.value.at(times))
+            return None
+        return path.value
+
+
+def require_attitude(value: Sighting | Itinerary, settings: PlannerSettings) -> None:
+    """Refuse a goal without an attitude where one is asked for.
+
+    Raises:
+        BadInput: in the plane, its x axis is vertical.
+    """
+    if settings.wants_attitude and value.attitude is None:
+        asked = 'a body x axis with a yaw, which weights.attitude or approach.cone asks for'
+        raise BadInput('pose.orientation', 'that of a vertical x axis', asked)
+
+
+def _turned(received: Received[Any]) -> bool:
+    return received.value.attitude is not None
 
 
 def _place(value: Sighting | Itinerary, time: float) -> Array:

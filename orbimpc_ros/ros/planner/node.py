@@ -2,28 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, TwistStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import ReliabilityPolicy
+from rclpy.subscription import Subscription
+from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import MarkerArray
 
+from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.loop.frames import Witness
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.clock import NodeClock
+from orbimpc_ros.ros.halves import HALVES, Halves, Joined
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters import PLANNER, Live, PlannerSettings, planner_settings
 from orbimpc_ros.ros.parameters.sections import warn_of_unused
 from orbimpc_ros.ros.planner.announcer import Announcer
 from orbimpc_ros.ros.planner.compiling import leaving_at_signals, report_compilation
 from orbimpc_ros.ros.planner.health import Condition, Health, condition
-from orbimpc_ros.ros.planner.inbox import READ, Inbox
+from orbimpc_ros.ros.planner.inbox import NAMED, Inbox
+from orbimpc_ros.ros.planner.lookout import OBSTACLES, PLAN, others
 from orbimpc_ros.ros.planner.neighbours import Neighbours
 from orbimpc_ros.ros.planner.outlet import Outlet, command_messages, report_messages
 from orbimpc_ros.ros.planner.summary import doubts, summary
@@ -32,6 +39,8 @@ from orbimpc_ros.ros.process import Guarded, qos, run
 from orbimpc_ros.ros.reports import AFRESH, DISABLED, Report, prices
 
 GOAL_PATIENCE = 0.1  # [s] to wait for the goal that belongs to an odometry message
+LEADERS_PATIENCE = 10.0  # [s] the same for plans of other vehicles, while simulated time stands
+MARKERS = 10  # messages on obstacles that may wait, for each may matter
 REPEAT = 0.1  # [s] until who asks again is answered again: not for messages that come twice
 WATCH = 0.05  # [s] how often the inputs' age is looked at, at least
 CLOCK_SET = 0.1  # [s] by which the system's clock may be set without a fresh start
@@ -54,12 +63,17 @@ class PlannerNode(Guarded):
             live = Live(self, PLANNER, planner_settings, prepared)
         self._settings, controller = live.prepared
         self._time = NodeClock(self, self._settings.problem.step, self._on_jump)
-        names = {topic: self.resolve_topic_name(topic) for topic in READ}
-        self._inbox = Inbox(self._settings, names)
+        names = {topic: self.resolve_topic_name(topic) for topic in NAMED}
+        avoided = others(self._settings.avoid, names[PLAN], self.resolve_topic_name)
+        self._halves, self._witness = Halves(), Witness(self._settings.frames.velocity)
+        if self._settings.halves:
+            names['odom'] = ' and '.join(map(self.resolve_topic_name, HALVES))
+        self._inbox = Inbox(self._settings, names, avoided)
         self._ticker = Ticker(self._settings, controller, simulated=self._time.simulated)
         self._report: Report | None = None  # on the last tick
         inertial, dry = self._settings.problem.inertial, self._settings.dry_run
         self._outlet = Outlet(self, thrust=inertial, dry=dry)
+        self._outlet.engaged = not self._settings.gated
         self._health = Health(self, self._condition, self._counts)
         self._create_subscriptions()
         self._create_timers()
@@ -83,23 +97,42 @@ class PlannerNode(Guarded):
     # --- wiring
 
     def _create_subscriptions(self) -> None:
-        odometry, _, _ = (
-            self.create_subscription(
-                kind,
-                topic,
-                self.guard(callback),
-                qos(1, ReliabilityPolicy.BEST_EFFORT),
-                event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
-            )
-            for kind, topic, callback in (
-                (OdometryMessage, 'odom', self._on_odometry),
-                (PoseStamped, 'goal', self._on_goal),
-                (Path, 'goal_path', self._on_path),
-            )
-        )
+        if self._settings.halves:
+            odometry = self._listen(PoseStamped, 'pose', self._on_pose)
+            self._listen(TwistStamped, 'twist', self._on_twist)
+        else:
+            odometry = self._listen(OdometryMessage, 'odom', self._on_odometry)
+        self._listen(PoseStamped, 'goal', self._on_goal)
+        self._listen(Path, 'goal_path', self._on_path)
+        if self._settings.gated:
+            self._listen(Bool, 'engaged', self._on_engaged)
+        self._create_lookout()
         self._neighbours = Neighbours(self, odometry, self._outlet.velocity)
         self.create_service(Trigger, '~/reset', self.guard(self._on_reset))
         self.create_service(SetBool, '~/enable', self.guard(self._on_enable))
+
+    def _listen(self, kind: type, topic: str, callback: Callable[[Any], None]) -> Subscription:
+        return self.create_subscription(
+            kind,
+            topic,
+            self.guard(callback),
+            qos(1, ReliabilityPolicy.BEST_EFFORT),
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+        )
+
+    def _create_lookout(self) -> None:
+        """Subscribe to what moves around the vehicle.
+
+        Markers add up: one that is lost leaves a body out, or leaves one where none is. So these
+        are to be reliable; who offers less is told of as a mismatch. Plans are whole each time.
+        """
+        silent = SubscriptionEventCallbacks(use_default_callbacks=False)
+        seen = self.guard(self._on_obstacles)
+        self.create_subscription(MarkerArray, OBSTACLES, seen, qos(MARKERS), event_callbacks=silent)
+        for topic in self._inbox.others:
+            heard = self.guard(self._hearing(topic))
+            whole = qos(1, ReliabilityPolicy.BEST_EFFORT)
+            self.create_subscription(Path, topic, heard, whole, event_callbacks=silent)
 
     def _create_timers(self) -> None:
         period = self._settings.period
@@ -112,21 +145,60 @@ class PlannerNode(Guarded):
 
     # --- inputs
 
-    def _on_odometry(self, message: OdometryMessage) -> None:
+    def _on_pose(self, message: PoseStamped) -> None:
+        self._take_half('pose', self._halves.pose, message)
+
+    def _on_twist(self, message: TwistStamped) -> None:
+        self._take_half('twist', self._halves.twist, message)
+
+    def _take_half(self, topic: str, take: Callable[[Any], Joined | None], message: Any) -> None:
+        try:
+            joined = take(message)
+        except BadInput as error:
+            self._inbox.refused[f'{topic}: {error.culprit}'] += 1
+            self._refuse(f'{self.resolve_topic_name(topic)} refused: {error}')
+            return
+        if joined is not None:
+            self._on_odometry(joined)
+
+    def _on_engaged(self, message: Bool) -> None:
+        """Begin to command, from a fresh start, or fall silent at once."""
+        if message.data == self._outlet.engaged:
+            return
+        if message.data:
+            self._ticker.start_afresh()
+        self._outlet.engaged = message.data
+        self._console.say('engaged: commands' if message.data else 'not engaged: silent')
+        self._health.show_changes()
+
+    def _on_odometry(self, message: OdometryMessage | Joined) -> None:
         refusal = self._inbox.take('odom', message, self.steady_now(), self._time.now)
         if refusal:
             self._refuse(refusal)
             self._repeat_answer(message)
-        elif self._settings.on_odometry:
+            return
+        self._witness.note(self._inbox.latest['odom'].value)
+        if self._settings.on_odometry:
             self._tick_or_wait()
 
     def _on_goal(self, message: PoseStamped) -> None:
-        self._take_goal('goal', message)
+        self._take('goal', message)
 
     def _on_path(self, message: Path) -> None:
-        self._take_goal('goal_path', message)
+        self._take('goal_path', message)
 
-    def _take_goal(self, topic: str, message: PoseStamped | Path) -> None:
+    def _on_obstacles(self, message: MarkerArray) -> None:
+        self._ticker.expect_hazards()  # of which the first takes a second: not within a tick
+        self._take(OBSTACLES, message)
+
+    def _hearing(self, topic: str) -> Callable[[Path], None]:
+        def on_plan(message: Path) -> None:
+            self._take(topic, message)
+
+        return on_plan
+
+    def _take(self, topic: str, message: PoseStamped | Path | MarkerArray) -> None:
+        """Take in what accompanies odometry; plan if that has waited for it."""
         refusal = self._inbox.take(topic, message, self.steady_now(), self._time.now)
         if refusal:
             self._refuse(refusal)
@@ -146,7 +218,7 @@ class PlannerNode(Guarded):
         self._refusal, self._refused_at = refusal, self.steady_now()
         self._health.show_changes()
 
-    def _repeat_answer(self, message: OdometryMessage) -> None:
+    def _repeat_answer(self, message: OdometryMessage | Joined) -> None:
         """Answer again who asks again: the first answer may have been lost in discovery."""
         stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
         waited = self.steady_now() - self._outlet.at > REPEAT
@@ -164,13 +236,20 @@ class PlannerNode(Guarded):
         elif self._inbox.missing:
             self._health.show_changes()
         elif self._patience.is_canceled():
-            self._waits = 0
+            self._waits = self._patience_left
             self._patience.reset()
 
+    @property
+    def _patience_left(self) -> int:
+        """Return how many calls an odometry message waits for what belongs to it."""
+        leaders = set(self._inbox.lookout.leaders).intersection(self._inbox.companions)
+        long = leaders and self._time.simulated
+        return round((LEADERS_PATIENCE if long else GOAL_PATIENCE) / (0.5 * GOAL_PATIENCE))
+
     def _on_patience(self) -> None:
-        # On the second call only: after a stall, a goal that lies waiting gets its turn first.
-        self._waits += 1
-        if self._waits == 2:
+        # On the second call at the soonest: after a stall, what lies waiting gets its turn first.
+        self._waits -= 1
+        if self._waits == 0:
             self._plan_now()
 
     def _on_timer(self) -> None:
@@ -207,7 +286,7 @@ class PlannerNode(Guarded):
     def _publish(self, stamp: Stamp, report: Report) -> None:
         command, name = report.tick.command, self.get_fully_qualified_name()
         self._outlet.begin(command_messages(self._settings, stamp, command))
-        if not self._settings.dry_run:
+        if self._outlet.engaged and not self._settings.dry_run:
             self._ticker.went_out(command, self._time.seconds)
         report = replace(report, binding=prices(report.tick))  # the vehicle did not wait for it
         known = self._inbox.odometry is not None
@@ -259,7 +338,19 @@ class PlannerNode(Guarded):
         still = self._time.standstill(LULL if self._time.nanoseconds else SILENCE)
         untimed = self._inbox.untimed
         other = f"stamps of {untimed} are not of this node's clock" if untimed else ''
-        return [self._neighbours.rivals, still, other]
+        doubt = self._witness.doubt
+        return [self._neighbours.rivals, still, other, doubt, *self._traffic_notices]
+
+    @property
+    def _traffic_notices(self) -> list[str]:
+        """Return what of the traffic around is not planned with, in words."""
+        odometry, report = self._inbox.odometry, self._report
+        found = []
+        if odometry is not None and self._inbox.others:
+            found = self._inbox.lookout.troubles(odometry.value.time)
+        if report is not None and report.left_out:
+            found.append(f'{report.left_out} obstacles within reach are left out: too many')
+        return found
 
     @property
     def _stuck(self) -> Reason | None:
@@ -287,6 +378,7 @@ class PlannerNode(Guarded):
         self._patience.cancel()
         self._ticker.start_afresh()
         self._inbox.forget()
+        self._halves = Halves()
         self._answered = -1
         self.safe(AFRESH)
 
@@ -312,17 +404,19 @@ class PlannerNode(Guarded):
             'waits_for': self._inbox.missing,
             'waits with odometry for': ', '.join(self._inbox.companions),
             'enabled': self._enabled,
+            'engaged': self._outlet.engaged,
             'deadline misses': timing.misses,
             'overruns': timing.overruns,
             'late ticks': timing.late,
             'callbacks failed': self.failures,
+            'bodies known': len(self._inbox.lookout.bodies),
             **{f'refused {what}': count for what, count in refused},
         }
 
     def _condition(self) -> Condition:
         refused = self.steady_now() - self._refused_at < REFUSED
-        rivals, *others = self._notices
-        notices = [rivals, self._refusal if refused else '', *others]
+        rivals, *rest = self._notices
+        notices = [rivals, self._refusal if refused else '', *rest]
         waiting = self._waiting if self._enabled else DISABLED.words
         return condition(self._wrong, waiting, self._report, notices)
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import QuaternionStamped, TwistStamped, WrenchStamped
 from nav_msgs.msg import Path
@@ -14,12 +16,14 @@ from rclpy.publisher import Publisher
 from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.mpc.command import Command
+from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.markers import plan_markers
 from orbimpc_ros.ros.messages import Stamp
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.process import LIFE, Guarded, qos
 from orbimpc_ros.ros.reports import Report, tick_message
+from orbimpc_ros.world.vehicle import Vehicle, advance, launched, model_of
 
 KINDS: dict[str, type] = {
     'plan': Path,
@@ -55,15 +59,33 @@ def report_messages(
         node: name of the planner.
         oriented: whether the vehicle's attitude is known, so that one can be commanded.
     """
-    problem, plan = settings.problem, report.tick.plan
+    problem, plan, state = settings.problem, report.tick.plan, report.tick.state
+    start = report.advanced + report.led
     found: dict[str, Any] = {'tick': tick_message(stamp.nanoseconds, node, report)}
     if plan is not None:
-        step, start = (report.tick.problem or problem).step, report.advanced + report.led
+        step = (report.tick.problem or problem).step
         found['plan'] = messages.plan_message(stamp, plan, step, start)
-        found['plan_markers'] = plan_markers(stamp, problem, plan)
+        hazards = () if state is None else state.hazards
+        found['plan_markers'] = plan_markers(stamp, problem, plan, hazards)
+    elif settings.avoid and state is not None:  # whoever avoids it has to know where it will be
+        flown = obeyed(problem, state, report.tick.command)
+        poses = [messages.pose(v.position, stamp.frames.own(v.attitude)) for v in flown]
+        found['plan'] = messages.path_message(stamp, problem.step, poses, start)
     if oriented:
         found['rotation'] = messages.rotation_message(stamp, report.tick.command)
     return found
+
+
+def obeyed(problem: Problem, state: State, command: Command) -> list[Vehicle]:
+    """Return where a vehicle will be that obeys one command for a horizon: N + 1 states."""
+    known = tuple(state.disturbance.tolist())
+    model = replace(model_of(problem), disturbance=known)
+    fraction = min(1.0, float(np.linalg.norm(state.rotation[:, 0])))
+    placed = model, state.position, state.attitude
+    flown = [launched(*placed, fraction=fraction, velocity=state.velocity)]
+    for _ in range(problem.horizon):
+        flown.append(advance(model, flown[-1], command.speed_fraction, command.body_rate))
+    return flown
 
 
 class Outlet:
@@ -75,6 +97,7 @@ class Outlet:
         dry: whether it is commanded nothing at all.
 
     Attributes:
+        engaged: whether the vehicle takes commands; else it is sent none.
         velocity: the publisher of ``cmd_vel``, if there is one.
         at: when something went out last, on the steady clock [s]; -inf before.
     """
@@ -88,6 +111,7 @@ class Outlet:
             for topic, kind in kinds.items()
         }
         self.velocity = self._publishers.get('cmd_vel')
+        self.engaged = True
         self.at = -math.inf
         self._last: Mapping[str, Any] = {}
 
@@ -112,6 +136,7 @@ class Outlet:
 
     def _send(self, sent: Mapping[str, Any]) -> None:
         for topic, message in sent.items():
-            if topic in self._publishers:  # of commands, none on a dry run
+            told = self.engaged or topic in KINDS
+            if told and topic in self._publishers:  # of commands, none on a dry run
                 self._publishers[topic].publish(message)
         self.at = self._node.steady_now()

@@ -40,6 +40,7 @@ def summary(settings: PlannerSettings, simulated: bool) -> str:
             f'goals {_ageing(settings)}',
             f'safe command {_safe_command(settings)}',
             *(['commands nothing: a dry run'] if settings.dry_run else []),
+            *(['commands nothing until it is engaged'] if settings.gated else []),
         )
     )
 
@@ -58,6 +59,9 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
         found.append(f'max_rate is {rate:g} rad/s, {math.degrees(rate):.4g} deg/s: {asked}')
     if not settings.capture_radius:  # whoever intercepts looks beyond the horizon
         found += _short_sight(settings.problem)
+    if given.get('approach.cone', 0.0) and not settings.approach.exists:
+        asked = f'approach.cone is {given["approach.cone"]:g} and objective track'
+        found.append(f'{asked}: it has no effect')
     for name in ('floor.fraction', 'floor.faces'):
         unused = name.removeprefix('floor.') not in settings.problem.floor.parameters
         if unused and given.get(name, DEFAULTS[name].default) != DEFAULTS[name].default:
@@ -88,6 +92,8 @@ def _vehicle(problem: Problem, mass: float) -> list[str]:
         parts.append(f'at least {least:.4g} {unit} ({problem.floor})')
     if problem.max_rate:
         parts.append(f'at most {math.degrees(problem.max_rate):.4g} deg/s')
+    if problem.max_acceleration:
+        parts.append(f'at most {problem.max_acceleration:.4g} m/s^2')
     if problem.tilt:
         parts.append(f'tilted by at most {math.degrees(problem.tilt):.4g} deg')
     if problem.glide_slope:
@@ -107,6 +113,8 @@ def _surroundings(settings: PlannerSettings) -> list[str]:
         beyond = f', {speed:.4g} {unit} in all: too much to hold a goal'
         parts.append(f'wind ({shown}) {unit}{beyond if speed >= problem.forward else ""}')
         parts += _leaning(problem, settings.disturbance)
+    if settings.frames.velocity == 'world':
+        parts.append('velocities of the world frame')
     if settings.velocity_source == 'air':
         parts.append('odometry through the air')
     return parts

@@ -5,14 +5,18 @@ from __future__ import annotations
 import statistics
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command
-from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.loop.controller import Controller, Tick
 from orbimpc_ros.mpc.loop.delay import Interval, advanced
 from orbimpc_ros.mpc.loop.disturbance import Estimator
+from orbimpc_ros.mpc.loop.interception import FARTHEST
 from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.mpc.loop.traffic.nearest import nearest
 from orbimpc_ros.mpc.outcome import Reason
 from orbimpc_ros.ros.clock import UNKNOWN, RosTime
 from orbimpc_ros.ros.messages import SECOND
@@ -36,8 +40,15 @@ def prepared(settings: PlannerSettings) -> tuple[PlannerSettings, Controller]:
         disturbance=settings.disturbance,
         velocity_source=settings.velocity_source,
         capture_radius=settings.capture_radius,
+        approach=settings.approach,
     )
+    if settings.avoid:
+        controller.expect_hazards()
     return settings, controller
+
+
+def _is_past(end: float) -> bool:
+    return time.perf_counter() > end
 
 
 def _estimator(settings: PlannerSettings) -> Estimator | None:
@@ -95,6 +106,10 @@ class Ticker:
         self._estimator = _estimator(settings)
         self.timing = Timing()
 
+    def expect_hazards(self) -> None:
+        """Make what plans among obstacles take; only the first call takes any time."""
+        self._controller.expect_hazards()
+
     def install(self, settings: PlannerSettings, controller: Controller) -> None:
         """Go on with other settings and the controller made for them."""
         controller.continue_from(self._controller)
@@ -129,16 +144,14 @@ class Ticker:
             settings.velocity_source,
         )
         odometry = self._controller.settled(odometry)
+        left_out = self._look_out(inbox, odometry)
         history, lost = self._controller.history, inbox.stale_goal(now, ros)
         sent = history.last
         if lost:
             tick = self._controller.hold(odometry, lost)
         else:
             targets = partial(inbox.targets, now=now, ros=ros)
-            ends, end = self._controller.ends(odometry.time), begun + settings.deadline
-            tick = self._controller.tick(
-                odometry, targets(ends), lambda: time.perf_counter() > end, targets
-            )
+            tick = self._ticked(odometry, targets, inbox.wanted(now, ros), begun)
         history.last = sent  # what is commanded now counts once it went out
         if limited:
             tick = replace(tick, reason='; '.join(filter(None, (tick.reason, limited))))
@@ -155,7 +168,32 @@ class Ticker:
             goal_stamps=inbox.goal_stamps,
             goal_counts=dict(inbox.goal_counts),
             goal_model=inbox.goal_model,
+            left_out=left_out,
+            traffic_stamps=dict(inbox.lookout.stamps),
         )
+
+    def _ticked(
+        self,
+        odometry: Odometry,
+        targets: Callable[[Array], Array],
+        wanted: Array | None,
+        begun: float,
+    ) -> Tick:
+        ends, end = self._controller.ends(odometry.time), begun + self._settings.deadline
+        late = partial(_is_past, end)
+        return self._controller.tick(odometry, targets(ends), late, targets, wanted)
+
+    def _look_out(self, inbox: Inbox, odometry: Odometry) -> int:
+        """Tell the controller what moves around the vehicle; return how much of it is left out."""
+        controller, problem = self._controller, self._settings.problem
+        if not inbox.lookout.stamps:
+            controller.hazards = ()
+            return 0
+        horizons = float(FARTHEST if self._settings.capture_radius else 1)
+        found = inbox.lookout.hazards(odometry.time)
+        known = problem, odometry, controller.disturbance, found
+        controller.hazards, left_out = nearest(*known, horizons)
+        return left_out
 
     def _estimate(self, odometry: Odometry) -> str:
         """Learn the disturbance from a measurement; return that it is limited, if it is."""

@@ -18,7 +18,7 @@ from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.markers import world_markers
+from orbimpc_ros.ros.markers import traffic_markers, world_markers
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters import SimSettings
 from orbimpc_ros.ros.process import DONE, FAILED, Guarded, qos
@@ -78,6 +78,8 @@ class Arena:
         self._goal = create(PoseStamped, 'goal', qos(DEPTH))
         self._markers = create(MarkerArray, 'world_markers', qos())
         self._health = create(DiagnosticArray, '/diagnostics', qos(DEPTH))
+        if self.settings.scenario.traffic:
+            self._obstacles = create(MarkerArray, 'obstacles', qos(DEPTH))
         if self.settings.goal_path_steps:
             self._goal_path = create(Path, 'goal_path', qos(DEPTH))
         if self.settings.lockstep:
@@ -119,6 +121,8 @@ class Arena:
         now = Stamp(at, self.settings.frames)
         if self.settings.lockstep:
             self._time.publish(Clock(clock=messages.time_message(at)))
+        if self.settings.scenario.traffic:
+            self._obstacles.publish(traffic_markers(now, self.flight))
         if self.settings.goal_path_steps:
             self._goal_path.publish(self._future(now))
         self._markers.publish(world_markers(now, self.flight))
@@ -216,20 +220,33 @@ def truth_message(at: int, name: str, flight: Flight, airspeeds: Airspeeds) -> D
     return diagnostics(at, name, OK, 'flies', values)
 
 
-def boxes_in_words(numbers: Collection[int]) -> str:
-    """Return which of the obstacles are meant, counted from 1."""
-    counted = ', '.join(str(number + 1) for number in sorted(numbers))
-    return f'{"box" if len(numbers) == 1 else "boxes"} {counted}'
+def touched_in_words(numbers: Collection[int], boxes: int) -> str:
+    """Return which boxes and balls are meant, counted from 1.
+
+    Args:
+        numbers: of obstacles, those of balls after those of the boxes.
+        boxes: how many there are.
+    """
+    named = {'box': [k + 1 for k in sorted(numbers) if k < boxes]}
+    named['ball'] = [k + 1 - boxes for k in sorted(numbers) if k >= boxes]
+    plural = {'box': 'boxes', 'ball': 'balls'}
+    return ' and '.join(
+        f'{name if len(counted) == 1 else plural[name]} {", ".join(map(str, counted))}'
+        for name, counted in named.items()
+        if counted
+    )
 
 
 def outcome(flight: Flight) -> str:
     """Return in words how a flight has ended."""
     done = '' if flight.captured else 'not '
     if flight.touched:
-        return f'touched {boxes_in_words(flight.touched)}'
+        return f'touched {touched_in_words(flight.touched, len(flight.scenario.obstacles))}'
     if flight.scenario.finish == 'arrival':
         where = f'{flight.distance:.2e} m from the goal at {flight.speed:.2e} m/s'
         return f'{done}arrived: {where}'
+    if not flight.captured and flight.near:
+        return f'not captured: {flight.miss:.3f} m from the goal, outside the cone of approach'
     if not flight.captured:
         return 'not captured'
     when = flight.missed_at - flight.scenario.start.time

@@ -1,0 +1,69 @@
+"""Odometry in two halves: the pose and the twist that autopilots publish apart, put together.
+
+Where the two come with the same stamps, in whatever order, they belong together. Elsewhere each is
+measured at its own pace, and a pose goes with the last twist.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from std_msgs.msg import Header
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros.messages import SECOND, nanoseconds
+
+HALVES = ('pose', 'twist')
+APART = SECOND // 10  # [ns] at most, from a pose to its twist
+
+
+class Joined(NamedTuple):
+    """Odometry of two halves, with the fields of a nav_msgs/Odometry that are read."""
+
+    header: Header
+    child_frame_id: str
+    pose: PoseStamped
+    twist: TwistStamped
+
+
+class Halves:
+    """Puts poses and twists together as odometry, stamped as the pose."""
+
+    def __init__(self) -> None:
+        self._pose: tuple[int, PoseStamped] | None = None
+        self._twist: tuple[int, TwistStamped] | None = None
+        self._joined_at = -1  # stamp of the last pose that has become odometry [ns]
+        self._twins = False  # whether stamps have been seen to be the same
+
+    def pose(self, message: PoseStamped) -> Joined | None:
+        """Take in a pose; return odometry if it has its twist.
+
+        Raises:
+            BadInput: the stamp is not valid, or that of the last twist too far away.
+        """
+        self._pose = nanoseconds(message.header.stamp, 'pose.header.stamp'), message
+        return self._join(alone=not self._twins)
+
+    def twist(self, message: TwistStamped) -> Joined | None:
+        """Take in a twist; return odometry if a pose has waited for it.
+
+        Raises:
+            BadInput: the stamp is not valid, or that of the pose too far away.
+        """
+        self._twist = nanoseconds(message.header.stamp, 'twist.header.stamp'), message
+        return self._join(alone=self._joined_at < 0)
+
+    def _join(self, *, alone: bool) -> Joined | None:
+        """Return odometry, of stamps that need not be the same if ``alone``."""
+        if self._pose is None or self._twist is None:
+            return None
+        (stamp, pose), (other, twist) = self._pose, self._twist
+        self._twins = self._twins or stamp == other
+        if stamp == self._joined_at or not (alone or stamp == other):
+            return None
+        if abs(stamp - other) > APART:
+            apart = f'{abs(stamp - other) / SECOND:.3g} s from that of pose'
+            raise BadInput('twist.header.stamp', apart, f'within {APART / SECOND:g} s')
+        self._joined_at = stamp
+        return Joined(pose.header, twist.header.frame_id, pose, twist)

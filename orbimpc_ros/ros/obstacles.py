@@ -1,0 +1,169 @@
+"""Markers to bodies: the topic ``obstacles``, and the marker that shows a body.
+
+What a marker covers is what counts, so that a body is never smaller than its marker. A turned cube
+becomes the box around it; a cylinder the sphere or the box around it, whichever is smaller, and in
+the plane a disc, like a sphere. Where an ellipse is meant, the longest axis counts. In the plane
+everything is what it looks like from above.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from geometry_msgs.msg import Vector3
+from visualization_msgs.msg import Marker, MarkerArray
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.rotations import from_quaternion
+from orbimpc_ros.mpc.loop.traffic.bodies import Seen
+from orbimpc_ros.mpc.problem import Ball, Box
+from orbimpc_ros.ros.messages import (
+    LARGEST,
+    LONGEST_FRAME,
+    SECOND,
+    Frames,
+    Stamp,
+    point,
+    read_sighting,
+    vector,
+)
+
+KINDS = {Marker.CUBE: 'CUBE', Marker.SPHERE: 'SPHERE', Marker.CYLINDER: 'CYLINDER'}
+FLAT = 0.02  # [m] height of what is shown of a plane
+
+
+@dataclass(frozen=True)
+class Gone:
+    """A body that is there no longer; every body if it has no name."""
+
+    name: str = ''
+
+
+@dataclass(frozen=True)
+class Spotted:
+    """A body in a message, and the stamp that its marker carries."""
+
+    stamp: Stamp
+    seen: Seen
+
+
+Change = Spotted | Gone | BadInput
+
+
+def read_obstacles(
+    message: MarkerArray, dimension: int, frames: Frames, most: int | None = None
+) -> Iterator[Change]:
+    """Yield what markers say in their order: bodies seen or gone, or what is wrong with one.
+
+    Args:
+        message: with the markers.
+        dimension: 2 for what they look like from above.
+        frames: that they must be in.
+        most: so many are read; all by default.
+    """
+    for marker in message.markers[:most]:
+        yield _change(marker, dimension, frames)
+
+
+def stamp_of(message: MarkerArray) -> int:
+    """Return the stamp of the first marker [ns], however nonsensical; 0 without any."""
+    first = next(iter(message.markers), None)
+    return 0 if first is None else first.header.stamp.sec * SECOND + first.header.stamp.nanosec
+
+
+def _change(marker: Marker, dimension: int, frames: Frames) -> Change:
+    try:
+        return _read(marker, dimension, frames)
+    except BadInput as error:
+        return error
+
+
+def _name(marker: Marker) -> str:
+    """Return the name that a marker's namespace and number are to a body."""
+    if len(marker.ns) > LONGEST_FRAME:
+        raise BadInput('ns', repr(marker.ns), f'at most {LONGEST_FRAME} characters')
+    return f'{marker.ns}/{marker.id}'
+
+
+def _read(marker: Marker, dimension: int, frames: Frames) -> Spotted | Gone:
+    """Return what a marker says.
+
+    Raises:
+        BadInput: its action, kind, frame, stamp, pose, scale or lifetime is not acceptable.
+    """
+    if marker.action == Marker.DELETEALL:
+        return Gone()
+    if marker.action == Marker.DELETE:
+        return Gone(_name(marker))
+    if marker.action != Marker.ADD:
+        raise BadInput('action', marker.action, 'ADD or MODIFY (0) | DELETE (2) | DELETEALL (3)')
+    if marker.type not in KINDS:
+        allowed = ' | '.join(f'{name} ({kind})' for kind, name in KINDS.items())
+        raise BadInput('type', marker.type, allowed)
+    stamp, place = read_sighting(marker, 3, frames)  # has the header and the pose of one
+    q = marker.pose.orientation
+    unit = np.array([q.w, q.x, q.y, q.z])
+    turned = from_quaternion(unit / math.sqrt(unit @ unit), 3)
+    body = _body(marker.type, place.position, turned, _scale(marker.scale), dimension)
+    return Spotted(stamp, Seen(_name(marker), place.time, body, _lifetime(marker)))
+
+
+def _scale(scale: Vector3) -> Array:
+    sizes = np.array([scale.x, scale.y, scale.z])
+    if not ((sizes > 0.0) & (sizes <= LARGEST)).all():  # also refuses NaN
+        raise BadInput('scale', sizes.tolist(), f'sizes above 0, at most {LARGEST:g}')
+    return sizes
+
+
+def _lifetime(marker: Marker) -> float:
+    """Return how long a body is there unless it is seen again [s]; 0 stands for ever."""
+    given = marker.lifetime
+    if given.sec < 0 or given.nanosec >= SECOND:
+        raise BadInput('lifetime', [given.sec, given.nanosec], '0 or more seconds')
+    return given.sec + given.nanosec / SECOND or math.inf
+
+
+def _body(kind: int, middle: Array, turned: Array, size: Array, dimension: int) -> Box | Ball:
+    """Return what a marker covers.
+
+    Args:
+        kind: of the marker.
+        middle: shape (3,) [m].
+        turned: its own axes in the world, shape (3, 3).
+        size: along its own axes, shape (3,) [m].
+        dimension: 2 for what it looks like from above.
+    """
+    half, n = 0.5 * size, dimension
+    if kind == Marker.SPHERE:
+        return Ball(middle[:n], float(half.max()))
+    if kind == Marker.CUBE:
+        reach = (np.abs(turned) @ half)[:n]
+        return Box(middle[:n] - reach, middle[:n] + reach)
+    radius, axis = float(half[:2].max()), turned[:, 2]
+    if n == 2:  # a lying cylinder looks longer than it is wide
+        return Ball(middle[:2], radius + float(half[2]) * math.hypot(*axis[:2]))
+    across = np.sqrt(np.maximum(0.0, 1.0 - axis**2))  # of the cylinder's disc, along each axis
+    reach, around = half[2] * np.abs(axis) + radius * across, math.hypot(radius, half[2])
+    if 8.0 * float(reach.prod()) < 4.0 / 3.0 * math.pi * around**3:
+        return Box(middle - reach, middle + reach)
+    return Ball(middle, around)
+
+
+def shown(marker: Marker, body: Box | Ball) -> Marker:
+    """Return a marker that shows a body, whatever it showed before."""
+    if isinstance(body, Ball):
+        marker.type, middle = Marker.SPHERE, body.centre
+        sizes = np.full(body.dimension, 2.0 * body.radius)
+    else:
+        marker.type, middle = Marker.CUBE, 0.5 * (body.minimum + body.maximum)
+        sizes = body.maximum - body.minimum
+    if body.dimension == 2:
+        marker.type = Marker.CYLINDER if isinstance(body, Ball) else Marker.CUBE
+        sizes, middle = np.append(sizes, FLAT), np.append(middle, 0.0)
+    marker.pose.position = point(middle)
+    marker.scale = vector(sizes)
+    return marker

@@ -1,0 +1,170 @@
+"""The planner's view of what moves around it: bodies on ``obstacles``, plans of others."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.loop.traffic.bodies import MOST, Bodies
+from orbimpc_ros.mpc.loop.traffic.courses import Courses
+from orbimpc_ros.mpc.problem import Hazard
+from orbimpc_ros.ros.clock import RosTime
+from orbimpc_ros.ros.messages import Stamp, read_course
+from orbimpc_ros.ros.obstacles import Gone, Spotted, read_obstacles, stamp_of
+from orbimpc_ros.ros.parameters.planner import PlannerSettings
+
+OBSTACLES, PLAN = 'obstacles', 'plan'
+COMPARABLE = 60.0  # [s] stamps farther apart are of different clocks
+NOT_SET = (
+    'set header.stamp to the time of measurement (in code get_clock().now().to_msg(), with '
+    'ros2 topic pub "header: auto")'
+)
+
+
+def others(avoid: Iterable[str], own: str, resolve: Callable[[str], str]) -> tuple[str, ...]:
+    """Return the topics of other vehicles' plans, one's own left out: a fleet may share its list.
+
+    Args:
+        avoid: topics, as given.
+        own: the topic of one's own plans.
+        resolve: makes a topic's full name.
+    """
+    return tuple(name for name in dict.fromkeys(map(resolve, avoid)) if name != own)
+
+
+def _require_fresh(stamp: Stamp, measured: RosTime, lifetime: float) -> None:
+    age = measured.since(stamp.nanoseconds)
+    if age <= min(lifetime, COMPARABLE) or measured.nanoseconds is None:
+        return
+    if stamp.nanoseconds == 0:
+        raise BadInput.stating('unset stamp', '0', NOT_SET)
+    raise BadInput('stale stamp', f'{age:.3g} s old', f'at most {min(lifetime, COMPARABLE):g} s')
+
+
+@dataclass
+class Lookout:
+    """What moves around the vehicle.
+
+    What stays of a message is told by its stamps alone, so that a recording shows the same.
+
+    Attributes:
+        settings: dimension, frames, distances and limits.
+        names: of ``obstacles`` and ``plan`` as they are resolved.
+        others: topics of other vehicles' plans.
+        refused: what was refused so far, by topic and field.
+        bodies: on ``obstacles``.
+        courses: of other vehicles.
+        stamps: of the latest message of each topic [ns]; empty while there is nothing around.
+        leaders: topics of the vehicles that plan before this one where stamps are shared. Planners
+            that answer odometry of the same moment would each avoid what the others planned the
+            moment before; by the names of their plans one comes after the other instead.
+    """
+
+    settings: PlannerSettings
+    names: Mapping[str, str]
+    others: tuple[str, ...]
+    refused: Counter[str]
+    bodies: Bodies = field(default_factory=Bodies)
+    courses: Courses = field(init=False)
+    stamps: dict[str, int] = field(default_factory=dict)
+    leaders: tuple[str, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.courses = Courses(self.others)
+        self.leaders = tuple(name for name in self.others if name < self.names[PLAN])
+
+    def take(self, topic: str, message: Any, ros: RosTime, measured: RosTime) -> str:
+        """Take in a message; return what was refused or is odd, or an empty string.
+
+        Args:
+            topic: ``obstacles``, or that of another vehicle's plan.
+            message: its content.
+            ros: on the node's ROS clock.
+            measured: the latest odometry's stamp, by which all that moves is aged.
+        """
+        if topic == OBSTACLES:
+            return self._take_obstacles(message, ros, measured)
+        try:
+            self._take_course(topic, message, ros, measured)
+        except BadInput as error:
+            self.refused[f'{topic}: {error.culprit}'] += 1
+            return f'{topic} refused: {error}'
+        return ''
+
+    def _take_course(self, topic: str, message: Any, ros: RosTime, measured: RosTime) -> None:
+        stamp, course = read_course(message, self.settings.problem.dimension, self.settings.frames)
+        ros.require_past(stamp.nanoseconds, self.settings.future_tolerance)
+        _require_fresh(stamp, measured, COMPARABLE)
+        if stamp.nanoseconds < self.stamps.get(topic, 0):
+            raise BadInput('reordered stamp', stamp.nanoseconds, 'stamps that do not decrease')
+        self.courses.hear(topic, course)
+        self.stamps[topic] = stamp.nanoseconds
+
+    def _take_obstacles(self, message: Any, ros: RosTime, measured: RosTime) -> str:
+        settings, wrong, odd = self.settings, list[BadInput](), list[str]()
+        count = len(message.markers)
+        if count > MOST:  # to read them all would take long
+            wrong.append(BadInput('count', f'{count} markers', f'{MOST}: the first are taken'))
+        for change in read_obstacles(message, settings.problem.dimension, settings.frames, MOST):
+            if isinstance(change, Gone):
+                self._remove(change)
+                continue
+            try:
+                odd.append(self._see(change, ros, measured))
+            except BadInput as error:
+                wrong.append(error)
+        self.stamps[OBSTACLES] = stamp_of(message)
+        return self._told(wrong, list(filter(None, odd)))
+
+    def _remove(self, gone: Gone) -> None:
+        if gone.name:
+            self.bodies.remove(gone.name)
+        else:
+            self.bodies.clear()
+
+    def _see(self, change: Spotted | BadInput, ros: RosTime, measured: RosTime) -> str:
+        if isinstance(change, BadInput):
+            raise change
+        ros.require_past(change.stamp.nanoseconds, self.settings.future_tolerance)
+        _require_fresh(change.stamp, measured, change.seen.lifetime)
+        return self.bodies.see(change.seen, self.settings.obstacle_speed_limit)
+
+    def _told(self, wrong: list[BadInput], odd: list[str]) -> str:
+        """Count what is wrong and odd about a message, and return it in a line."""
+        counts, first = Counter[str](), dict[str, BadInput]()
+        for error in wrong:
+            counts[error.culprit] += 1
+            first.setdefault(error.culprit, error)
+        for culprit, count in counts.items():
+            self.refused[f'{OBSTACLES}: {culprit}'] += count
+        if odd:
+            self.refused[f'{OBSTACLES}: jump'] += len(odd)
+        parts = [f'{_count(counts[culprit])}{error}' for culprit, error in first.items()]
+        name, lines = self.names[OBSTACLES], []
+        if parts:
+            lines.append(f'{name} refused: {"; ".join(parts)}')
+        if odd:
+            lines.append(f'{name}: {_count(len(odd))}{odd[0]}')
+        return '; '.join(lines)
+
+    def hazards(self, at: float) -> list[Hazard]:
+        """Return all that moves, or may, from a time [s] on."""
+        self.bodies.expire(at)
+        return [*self.bodies.hazards(at), *self.courses.hazards(at, self.settings.distance)]
+
+    def troubles(self, at: float) -> list[str]:
+        """Return which other vehicles are not heard at a time [s], in words."""
+        return self.courses.troubles(at, self.settings.distance.timeout)
+
+    def forget(self) -> None:
+        """Forget all that was seen and heard."""
+        self.bodies.clear()
+        self.courses.clear()
+        self.stamps.clear()
+
+
+def _count(number: int) -> str:
+    return '' if number == 1 else f'{number} times: '

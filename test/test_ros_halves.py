@@ -1,0 +1,97 @@
+"""Odometry in two halves: which twist a pose goes with, and what is refused."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from geometry_msgs.msg import PoseStamped, TwistStamped
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.halves import APART, Halves
+from orbimpc_ros.ros.messages import SECOND, Frames, header, read_odometry
+
+
+def pose(milliseconds, attitude=None):
+    head = header(milliseconds * SECOND // 1000, 'map')
+    return PoseStamped(header=head, pose=messages.pose(np.zeros(3), attitude or np.eye(3)))
+
+
+def twist(milliseconds, speed=1.0):
+    message = TwistStamped(header=header(milliseconds * SECOND // 1000, 'base_link'))
+    message.twist.linear.x = speed
+    return message
+
+
+def joined(*halves):
+    """The stamps of odometry made of halves, as pairs of milliseconds: of its pose and twist."""
+    made, found = Halves(), []
+    for each in halves:
+        took = made.pose(each) if isinstance(each, PoseStamped) else made.twist(each)
+        if took is not None:
+            stamps = [took.pose.header.stamp, took.twist.header.stamp]
+            found.append(tuple(s.sec * 1000 + s.nanosec // 1_000_000 for s in stamps))
+            assert took.header is took.pose.header
+            assert took.child_frame_id == 'base_link'
+    return found
+
+
+@pytest.mark.parametrize('order', [*itertools.product([False, True], repeat=3)])
+def test_halves_of_one_stamp_belong_together_in_any_order(order):
+    sent = []
+    for k, twist_first in enumerate(order):
+        both = [pose(1000 + 20 * k), twist(1000 + 20 * k)]
+        sent += reversed(both) if twist_first else both
+    assert joined(*sent) == [(1000 + 20 * k,) * 2 for k in range(3)]
+
+
+def test_where_stamps_differ_a_pose_goes_with_the_last_twist():
+    sent = [twist(995), pose(1000), twist(1005), pose(1020), pose(1030)]
+    assert joined(*sent) == [(1000, 995), (1020, 1005), (1030, 1005)]
+    assert joined(pose(1000), twist(1005), pose(1020)) == [(1000, 1005), (1020, 1005)]
+
+
+def test_a_pose_without_its_twin_is_left_out():
+    sent = [twist(1000), pose(1000), pose(1020), pose(1040), twist(1040)]
+    assert joined(*sent) == [(1000, 1000), (1040, 1040)]
+
+
+def test_a_pose_that_comes_twice_is_one_measurement():
+    assert joined(twist(1000), pose(1000), pose(1000), twist(1000)) == [(1000, 1000)]
+
+
+def test_halves_too_far_apart_are_refused():
+    halves = Halves()
+    halves.twist(twist(1000))
+    with pytest.raises(BadInput, match=r'twist.header.stamp.*0.101 s from that of pose'):
+        halves.pose(pose(1001 + APART // 1_000_000))
+
+
+def test_a_stamp_that_is_none_is_refused():
+    halves, message = Halves(), pose(1000)
+    message.header.stamp.nanosec = SECOND
+    with pytest.raises(BadInput, match=r'pose\.header\.stamp'):
+        halves.pose(message)
+
+
+@pytest.mark.parametrize(('dimension', 'axis'), [(2, 'x'), (3, 'x'), (3, 'z')])
+def test_a_velocity_of_the_world_is_turned_into_the_body(dimension, axis):
+    rng = np.random.default_rng(dimension)
+    turn = rng.normal(size=3) * ([0, 0, 1] if dimension == 2 else [1, 1, 1])
+    own, velocity = exp(turn), rng.normal(size=3)
+    message = messages.OdometryMessage(header=header(SECOND, 'odom'), child_frame_id='base_link')
+    message.pose.pose = messages.pose(np.zeros(3), own)
+    message.twist.twist.angular.z = 0.3
+    message.twist.twist.linear = messages.vector(own.T @ velocity)
+    _, told_in_body = read_odometry(message, dimension, Frames(thrust_axis=axis))
+    message.twist.twist.linear = messages.vector(velocity)
+    message.child_frame_id = 'odom'  # whatever it says
+    frames = Frames('odom', 'base_link', axis, velocity='world')
+    stamp, told_in_world = read_odometry(message, dimension, frames)
+    np.testing.assert_allclose(told_in_world.body_velocity, told_in_body.body_velocity, atol=1e-12)
+    np.testing.assert_array_equal(told_in_world.body_rate, told_in_body.body_rate)
+    assert stamp.frames.body == 'base_link'  # of the commands

@@ -1,0 +1,311 @@
+"""Markers on obstacles, and plans of other vehicles: what is made of them, and what is refused."""
+
+import math
+from collections import Counter
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from builtin_interfaces.msg import Duration
+from geometry_msgs.msg import Pose
+from visualization_msgs.msg import Marker, MarkerArray
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.loop.traffic.track import centre
+from orbimpc_ros.mpc.problem import Ball, Box
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.clock import RosTime
+from orbimpc_ros.ros.messages import Frames, Stamp, header
+from orbimpc_ros.ros.obstacles import read_obstacles, shown, stamp_of
+from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
+from orbimpc_ros.ros.planner.inbox import NAMED, Inbox
+from orbimpc_ros.ros.planner.lookout import others
+from orbimpc_ros.world.vehicle import Model, launched
+
+FRAMES = Frames('odom', 'base_link')
+CUBE, SPHERE, CYLINDER = Marker.CUBE, Marker.SPHERE, Marker.CYLINDER
+OTHER = '/uav2/plan'
+
+
+def marker(seconds=1.0, place=(0.0, 0.0, 0.0), number=0, kind=SPHERE, **more):
+    """Return a marker; ``size`` are its three sizes, ``turned`` its attitude."""
+    found = Marker(header=header(round(seconds * 1e9), 'odom'), ns='a', id=number, type=kind)
+    found.pose = messages.pose(np.array(place), more.pop('turned', np.eye(3)))
+    found.scale = messages.vector(np.array(more.pop('size', (1.0, 1.0, 1.0))))
+    for name, value in more.items():
+        setattr(found, name, value)
+    return found
+
+
+def array(*markers):
+    return MarkerArray(markers=list(markers))
+
+
+def body_of(given, dimension):
+    (change,) = read_obstacles(array(given), dimension, FRAMES)
+    assert not isinstance(change, BadInput), change
+    return change.seen.body
+
+
+@pytest.fixture
+def inbox():
+    values = {row.name: row.default for row in PLANNER}
+    given = {'avoid': (OTHER,), 'avoid_radius': 1.0, 'forward': 20.0}
+    settings = planner_settings({**values, **given})
+    return Inbox(settings, others=(OTHER,))
+
+
+def hazards(inbox, at=1.0):
+    return inbox.lookout.hazards(at)
+
+
+# --- shapes
+
+
+def inside(kind, size, rng, count=500):
+    """Return points of a shape of that kind, up to its surface, in its own axes."""
+    points = rng.uniform(-1.0, 1.0, (count, 3))
+    if kind == CUBE:
+        points[: count // 2] = np.sign(points[: count // 2])
+    elif kind == SPHERE:
+        points /= np.linalg.norm(points, axis=1)[:, None]
+    else:
+        points[:, :2] /= np.linalg.norm(points[:, :2], axis=1)[:, None]
+        points[: count // 2, 2] = np.sign(points[: count // 2, 2])
+    return 0.5 * size * points
+
+
+@pytest.mark.parametrize('dimension', [2, 3])
+@pytest.mark.parametrize('kind', [CUBE, SPHERE, CYLINDER])
+def test_a_body_covers_its_marker_however_that_is_turned(kind, dimension):
+    rng = np.random.default_rng([81, kind, dimension])
+    for draw in range(60):
+        size = rng.uniform(0.1, 4.0, 3)
+        turned = exp(rng.uniform(-3.0, 3.0, 3)) if draw else np.eye(3)
+        place = rng.uniform(-5.0, 5.0, 3)
+        body = body_of(marker(place=place, kind=kind, size=size, turned=turned), dimension)
+        points = place + inside(kind, size, rng) @ turned.T
+        assert (body.depth(points[:, :dimension]) >= -1e-9).all()
+
+
+def test_what_lies_straight_is_covered_tightly():
+    box = body_of(marker(place=(1.0, 2.0, 3.0), kind=CUBE, size=(2.0, 4.0, 6.0)), 3)
+    np.testing.assert_allclose([box.minimum, box.maximum], [[0.0, 0.0, 0.0], [2.0, 4.0, 6.0]])
+    disc = body_of(marker(kind=CYLINDER, size=(2.0, 3.0, 9.0)), 2)
+    assert (type(disc), disc.radius) == (Ball, 1.5)  # the longer axis; seen from above
+    assert body_of(marker(size=(1.0, 2.0, 3.0)), 3).radius == 1.5
+
+
+def test_a_cylinder_in_space_is_the_smaller_of_sphere_and_box():
+    assert isinstance(body_of(marker(kind=CYLINDER, size=(1.0, 1.0, 9.0)), 3), Box)
+    assert isinstance(body_of(marker(kind=CYLINDER, size=(1.0, 1.0, 0.01)), 3), Box)
+    slanted = exp(np.array([0.6, 0.6, 0.0]))
+    round_one = marker(kind=CYLINDER, size=(1.0, 1.0, 1.0), turned=slanted)
+    assert isinstance(body_of(round_one, 3), Ball)
+
+
+@pytest.mark.parametrize('dimension', [2, 3])
+def test_what_is_shown_of_a_body_is_read_as_that_body(dimension):
+    bodies = (
+        Ball(np.arange(1.0, dimension + 1.0), 0.7),
+        Box(np.zeros(dimension), np.ones(dimension)),
+    )
+    for body in bodies:
+        assert body_of(shown(marker(), body), dimension) == body
+
+
+# --- what comes, goes and is refused
+
+
+@pytest.mark.parametrize(
+    ('change', 'culprit'),
+    [
+        ({'size': (1.0, math.nan, 1.0)}, 'scale'),
+        ({'size': (1.0, -1.0, 1.0)}, 'scale'),
+        ({'size': (0.0, 1.0, 1.0)}, 'scale'),
+        ({'size': (1.0, 1e9, 1.0)}, 'scale'),
+        ({'place': (math.nan, 0.0, 0.0)}, 'pose.position'),
+        ({'place': (math.inf, 0.0, 0.0)}, 'pose.position'),
+        ({'kind': Marker.ARROW}, 'type'),
+        ({'action': 7}, 'action'),
+        ({'header': header(10**9, 'map')}, 'header.frame_id'),
+        ({'seconds': 5.0}, 'future stamp'),
+        ({'seconds': 0.5, 'lifetime': Duration(nanosec=10**8)}, 'stale stamp'),
+        ({'lifetime': Duration(sec=-1)}, 'lifetime'),
+        ({'lifetime': Duration(nanosec=2 * 10**9)}, 'lifetime'),
+        ({'ns': 'n' * 1000}, 'ns'),
+        ({'pose': Pose(orientation=messages.Quaternion(w=0.0))}, 'pose.orientation'),
+    ],
+)
+def test_a_bad_marker_is_refused_counted_and_the_rest_goes_on(inbox, change, culprit):
+    inbox.take('odom', odometry(1.0), 0.0)
+    bad = marker(**{'number': 1, **change})
+    refusal = inbox.take('obstacles', array(bad, marker(), bad), 0.0, RosTime(10**9))
+    assert refusal.startswith(f'obstacles refused: 2 times: {culprit} is ')
+    assert '\n' not in refusal
+    assert inbox.refused == {f'obstacles: {culprit}': 2}
+    assert len(hazards(inbox)) == 1
+
+
+def test_a_stamp_that_was_never_set_says_so(inbox):
+    inbox.take('odom', odometry(1e9), 0.0)
+    refusal = inbox.take('obstacles', array(marker(0.0)), 0.0)
+    assert 'set header.stamp' in refusal
+    assert hazards(inbox) == []
+
+
+def test_one_place_at_a_time_for_each_name(inbox):
+    twice = array(marker(place=(9.0, 0.0, 0.0)), marker(place=(5.0, 0.0, 0.0)))
+    assert 'duplicate id' in inbox.take('obstacles', twice, 0.0)
+    assert inbox.take('obstacles', array(marker(place=(9.0, 0.0, 0.0))), 0.0) == ''
+    assert 'reordered stamp' in inbox.take('obstacles', array(marker(0.5)), 0.0)
+    np.testing.assert_array_equal(centre(hazards(inbox)[0].body), [9.0, 0.0])
+    assert inbox.refused == {'obstacles: duplicate id': 1, 'obstacles: reordered stamp': 1}
+
+
+def test_a_jump_is_told_and_counted(inbox):
+    inbox.take('obstacles', array(marker()), 0.0)
+    told = inbox.take('obstacles', array(marker(1.1, place=(9.0, 0.0, 0.0))), 0.0)
+    assert told == 'obstacles: a/0 jumped at 90 m/s: taken for a new body at rest'
+    assert inbox.refused == {'obstacles: jump': 1}
+    assert len(hazards(inbox)) == 1
+
+
+def test_ten_thousand_markers_are_too_many_and_those_known_stay(inbox):
+    crowd = array(*(marker(place=(0.01 * k, 5.0, 0.0), number=k) for k in range(10_000)))
+    refusal = inbox.take('obstacles', crowd, 0.0)
+    assert refusal.startswith('obstacles refused: count is 10000 markers; allowed: 1000')
+    assert len(hazards(inbox)) == 1000
+    assert 'count is b/0' in inbox.take('obstacles', array(marker(ns='b')), 0.0)
+    assert inbox.refused == {'obstacles: count': 2}
+
+
+def test_markers_come_and_go_in_their_order(inbox):
+    inbox.take('obstacles', array(marker(number=1), marker(number=2)), 0.0)
+    inbox.take('obstacles', array(marker(number=1, action=Marker.DELETE)), 0.0)
+    assert len(hazards(inbox)) == 1
+    inbox.take('obstacles', array(marker(action=Marker.DELETEALL), marker(number=3)), 0.0)
+    assert len(hazards(inbox)) == 1
+    inbox.take(
+        'obstacles', array(marker(number=3, action=Marker.DELETE, header=header(0, ''))), 0.0
+    )
+    assert hazards(inbox) == []
+    assert not inbox.refused
+
+
+def test_a_lifetime_ends_by_the_stamps(inbox):
+    inbox.take('obstacles', array(marker(lifetime=Duration(sec=2))), 0.0)
+    assert len(hazards(inbox, 3.0)) == 1
+    assert hazards(inbox, 3.01) == []
+
+
+def test_a_reset_forgets_what_moved(inbox):
+    inbox.take('obstacles', array(marker()), 0.0)
+    inbox.take(OTHER, plan(1.0), 0.0)
+    inbox.forget()
+    assert hazards(inbox) == []
+    assert inbox.lookout.stamps == {}
+
+
+def test_the_stamp_of_an_array_is_that_of_its_first_marker():
+    assert stamp_of(array(marker(3.5), marker(1.0))) == 3_500_000_000
+    assert stamp_of(array()) == 0
+
+
+# --- plans of others
+
+
+def plan(seconds, step=0.5, speed=1.0, frame='odom'):
+    stamp = Stamp(round(seconds * 1e9), Frames(frame))
+    places = [np.array([speed * step * k, 3.0]) for k in range(5)]
+    return messages.goal_path_message(stamp, step, places)
+
+
+def test_a_plan_is_kept_clear_of_by_the_radius(inbox):
+    assert inbox.take(OTHER, plan(1.0), 0.0) == ''
+    (hazard,) = hazards(inbox, 1.25)
+    np.testing.assert_allclose(hazard.body.centre, [0.25, 3.0])
+    assert 1.0 < hazard.body.radius <= 1.001  # plans are exact but for rounding
+
+
+@pytest.mark.parametrize(
+    ('change', 'culprit'),
+    [
+        ({'frame': 'map'}, 'header.frame_id'),
+        ({'step': 0.0}, 'goal_path stamps'),
+        ({'speed': math.nan}, 'pose.position'),
+        ({'seconds': 9.0}, 'future stamp'),
+    ],
+)
+def test_a_bad_plan_is_refused_and_the_last_one_flown_on(inbox, change, culprit):
+    inbox.take(OTHER, plan(1.0), 0.0)
+    refusal = inbox.take(OTHER, plan(**{'seconds': 1.1, **change}), 0.0, RosTime(10**9))
+    assert refusal.startswith(f'{OTHER} refused: {culprit}')
+    assert inbox.refused == Counter({f'{OTHER}: {culprit}': 1})
+    assert len(hazards(inbox)) == 1
+
+
+def test_an_older_plan_is_refused_and_the_same_again_is_not(inbox):
+    inbox.take(OTHER, plan(1.0), 0.0)
+    assert inbox.take(OTHER, plan(1.0), 0.0) == ''
+    assert 'reordered stamp' in inbox.take(OTHER, plan(0.5), 0.0)
+
+
+def test_a_fleet_may_share_its_list_of_plans():
+    def resolve(name):
+        return name if name.startswith('/') else f'/uav1/{name}'
+
+    avoid = ('/uav1/plan', 'plan', OTHER, OTHER, 'that/plan')
+    assert others(avoid, '/uav1/plan', resolve) == (OTHER, '/uav1/that/plan')
+
+
+def test_who_shares_stamps_waits_for_those_of_lesser_names_alone():
+    values = {row.name: row.default for row in PLANNER}
+    settings = planner_settings({**values, 'avoid': ('/a/plan', '/c/plan'), 'avoid_radius': 1.0})
+    names = {name: name for name in NAMED} | {'plan': '/b/plan'}
+    inbox = Inbox(settings, names, ('/a/plan', '/c/plan'))
+    inbox.take('goal', goal(0.5), 0.0)
+    for second in (1.0, 2.0, 3.0):
+        inbox.take('odom', odometry(second), second)
+        assert inbox.complete == (second == 1.0)  # until it is known that stamps are shared
+        inbox.take('/c/plan', plan(second), second)
+        assert inbox.complete == (second == 1.0)
+        inbox.take('/a/plan', plan(second), second)
+        assert inbox.complete
+
+
+def test_obstacles_of_the_odometrys_stamp_are_waited_for(inbox):
+    inbox.take('goal', goal(0.5), 0.0)
+    for second in (1.0, 2.0, 3.0):
+        inbox.take('odom', odometry(second), second)
+        assert inbox.complete == (second == 1.0)
+        inbox.take('obstacles', array(marker(second)), second)
+        assert inbox.complete
+
+
+def goal(seconds):
+    return messages.goal_message(Stamp(round(seconds * 1e9), FRAMES), np.array([5.0, 0.0]))
+
+
+def odometry(seconds):
+    vehicle = launched(Model(), np.zeros(2), np.eye(2))
+    return messages.odometry_message(Stamp(round(seconds * 1e9), FRAMES), vehicle)
+
+
+@pytest.mark.parametrize(
+    ('given', 'culprit'),
+    [
+        ({'avoid': ('/uav2/plan',)}, 'avoid_radius'),
+        ({'avoid': ('/uav2//plan',), 'avoid_radius': 1.0}, 'avoid'),
+        ({'avoid': ('',), 'avoid_radius': 1.0}, 'avoid'),
+        ({'avoid_timeout': -1.0}, 'avoid_timeout'),
+        ({'obstacle_speed_limit': 0.0}, 'obstacle_speed_limit'),
+    ],
+)
+def test_parameters_that_cannot_be_are_refused(given, culprit):
+    values = {row.name: row.default for row in PLANNER}
+    with pytest.raises(BadInput, match=culprit):
+        planner_settings({**values, **given})

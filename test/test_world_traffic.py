@@ -1,0 +1,81 @@
+"""Traffic in the simulated world: balls that are touched, and vehicles that cross over."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.world.contact import drifter, met
+from orbimpc_ros.world.fleet import LEAST_RING, crossing, separation
+from orbimpc_ros.world.flight import departure
+from orbimpc_ros.world.scenario import retrieval
+
+
+@pytest.mark.parametrize('dimension', [2, 3])
+def test_a_ball_is_met_exactly_where_looking_often_finds_it(dimension):
+    rng = np.random.default_rng([91, dimension])
+    shares = np.linspace(0.0, 1.0, 4001)[:, None]
+    for _ in range(300):
+        place, velocity, begin, end = rng.uniform(-2.0, 2.0, (4, dimension))
+        radius, (start, stop) = rng.uniform(0.1, 1.5), np.cumsum(rng.uniform(0.1, 2.0, 2))
+        ball = drifter(place, velocity, radius)
+        way = begin + shares * (end - begin)
+        there = place + (start + shares * (stop - start)) * velocity
+        least = np.linalg.norm(way - there, axis=1).min()
+        if abs(least - radius) > 1e-3:
+            assert met([ball], (begin, end), (start, stop)) == ({0} if least < radius else set())
+
+
+def test_who_touches_traffic_has_not_caught_anything():
+    """A ball that crosses the way of a step between its ends, and one that is late."""
+    crossing_by = drifter(np.array([0.5, 5.0]), np.array([0.0, -10.0]), 0.2)
+    late = drifter(np.array([0.5, 50.0]), np.array([0.0, -10.0]), 0.2)
+    for traffic, numbers in (((crossing_by,), {0}), ((late,), set()), ((late, crossing_by), {1})):
+        scenario = replace(retrieval(), traffic=traffic, capture_radius=1e6)
+        flight = departure(scenario, 100.0).after(1.0, np.zeros(1))
+        assert flight.touched == numbers
+        assert flight.captured == (not numbers)
+
+
+def test_a_crossing_leads_from_a_ring_through_its_middle():
+    fleet = crossing(8, 3)
+    for member in fleet:
+        goal = member.rope.at(0.0)
+        np.testing.assert_array_equal(goal, member.rope.at(17.0))
+        assert np.linalg.norm(member.position) > LEAST_RING - 1.0
+        assert np.linalg.norm(0.5 * (member.position + goal)) < 1.0
+        way = goal - member.position
+        assert member.heading == pytest.approx(math.atan2(way[1], way[0]))
+    starts = [(np.array([0.0, 1.0]), np.tile(m.position, (2, 1))) for m in fleet]
+    assert separation(starts) > 1.5
+    np.testing.assert_array_equal(crossing(8, 3)[2].position, fleet[2].position)
+    with pytest.raises(BadInput, match='vehicles'):
+        crossing(65)
+
+
+def test_vehicles_are_apart_as_looking_often_finds_them():
+    rng = np.random.default_rng(92)
+    for _ in range(30):
+        tracks = [
+            (np.cumsum(rng.uniform(0.1, 1.0, 6)), rng.uniform(-5.0, 5.0, (6, 2))) for _ in range(3)
+        ]
+        least = math.inf
+        for i in range(3):
+            for j in range(i):
+                (ones, here), (others, there) = tracks[i], tracks[j]
+                times = np.linspace(max(ones[0], others[0]), min(ones[-1], others[-1]), 20001)
+                apart = [
+                    np.interp(times, ones, a) - np.interp(times, others, b)
+                    for a, b in zip(here.T, there.T, strict=True)
+                ]
+                least = min(least, np.hypot(*apart).min())
+        assert least - 0.01 < separation(tracks) <= least + 1e-9
+        assert separation(tracks[:1]) == math.inf
+    straight = np.array([0.0, 2.0])
+    ways = [
+        (straight, np.array([[-1.0, 0.3], [1.0, 0.3]])),
+        (straight, np.array([[0.0, -1.0], [0.0, 1.0]])),
+    ]
+    assert separation(ways) == pytest.approx(0.3 / math.sqrt(2.0))
