@@ -16,7 +16,16 @@ if TYPE_CHECKING:
     from orbimpc_ros.mpc.loop.odometry import Odometry
     from orbimpc_ros.mpc.outcome import Fallback, Status
     from orbimpc_ros.mpc.plan import Plan, Proof
-    from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
+    from orbimpc_ros.mpc.problem import (
+        Approach,
+        Ball,
+        Box,
+        Floor,
+        Hazard,
+        Problem,
+        State,
+        Weights,
+    )
     from orbimpc_ros.mpc.solve.solver import Solver
 
 __version__ = '0.1.0'
@@ -28,17 +37,20 @@ _HOMES = {
     'loop.odometry': ('Odometry',),
     'outcome': ('Fallback', 'Status'),
     'plan': ('Plan', 'Proof'),
-    'problem': ('Box', 'Floor', 'Problem', 'State', 'Weights'),
+    'problem': ('Approach', 'Ball', 'Box', 'Floor', 'Hazard', 'Problem', 'State', 'Weights'),
     'solve.solver': ('Solver',),
 }
 
 __all__ = [
+    'Approach',
     'BadInput',
+    'Ball',
     'Box',
     'Command',
     'Controller',
     'Fallback',
     'Floor',
+    'Hazard',
     'Infeasible',
     'Odometry',
     'OrbimpcError',

@@ -65,7 +65,13 @@ class LaunchedProcess:
     """A node in a process of its own, its output kept: a module's, or a test's own script's."""
 
     def __init__(
-        self, module: str | Path, domain: int, log: Path, parameters: dict, files: list[Path]
+        self,
+        module: str | Path,
+        domain: int,
+        log: Path,
+        parameters: dict,
+        files: list[Path],
+        remapped: dict,
     ) -> None:
         runs = [str(module)] if isinstance(module, Path) else ['-m', f'orbimpc_ros.ros.{module}']
         command = [sys.executable, *runs, '--ros-args']
@@ -73,6 +79,8 @@ class LaunchedProcess:
             command += ['--params-file', str(file)]
         for name, value in parameters.items():
             command += ['-p', f'{name}:={value}']
+        for name, other in remapped.items():
+            command += ['-r', f'{name}:={other}']
         environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}
         self._log = log
         with log.open('wb') as output:
@@ -117,13 +125,14 @@ def launching(domain: int, folder: Path):
             parameters: dict | None = None,
             *names: str | Path,
             domain: int = domain,
+            remapped: dict | None = None,
         ) -> LaunchedProcess:
             files = [
                 name if isinstance(name, Path) else ROOT / 'config' / f'{name}.yaml'
                 for name in names
             ]
             log = folder / f'{Path(module).stem}-{next(_numbers)}.log'
-            process = LaunchedProcess(module, domain, log, parameters or {}, files)
+            process = LaunchedProcess(module, domain, log, parameters or {}, files, remapped or {})
             stack.callback(process.stop)
             return process
 

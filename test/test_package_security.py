@@ -128,12 +128,13 @@ RECORD = """
 def endpoints(shared, tmp_path_factory):
     """Return what three real nodes have, by node and kind of endpoint.
 
-    The spacecraft has every topic of a planner; a forecast and a vehicle in continuous time add
-    the simulator's last ones.
+    The spacecraft has every topic of a planner; a forecast, traffic and a vehicle in continuous
+    time add the simulator's last ones.
     """
     launch, observer = shared
     launch('planner', {}, 'spacecraft')
     sim = {'wait_subscribers': 9, 'goal_path_steps': 3, 'vehicle': 'continuous'}
+    sim['traffic'] = [9.0, 9.0, 9.0, 0.0, 0.0, 0.0, 1.0]
     launch('sim', sim, 'spacecraft')
     words = [sys.executable, '-c', textwrap.dedent(RECORD), str(tmp_path_factory.mktemp('r') / 'b')]
     environment = {**os.environ, 'ROS_DOMAIN_ID': str(observer.domain)}

@@ -77,7 +77,7 @@ def test_summary_of_a_run_without_ticks():
 @pytest.mark.parametrize('shape', ['none', 'polygon'])
 def test_picture_has_equal_axes_units_and_a_legend(captured, shape):
     run = history([3.0, 0.3, 0.9, 0.2, 0.05], captured, **{'floor.shape': shape})
-    figure = figures.retrieval(run)
+    figure = figures.retrieval({'': run})
     whole, end, distance, speed = figure.axes
     assert whole.get_aspect() == end.get_aspect() == 1.0
     assert whole.get_xlabel() == end.get_xlabel() == 'x [m]'
@@ -90,7 +90,7 @@ def test_picture_has_equal_axes_units_and_a_legend(captured, shape):
 
 def test_picture_is_a_png(tmp_path):
     file = tmp_path / 'picture.png'
-    figures.save(figures.retrieval(history([3.0, 0.3, 0.05], captured=True)), file)
+    figures.save(figures.retrieval({'': history([3.0, 0.3, 0.05], captured=True)}), file)
     assert file.read_bytes()[:8] == b'\x89PNG\r\n\x1a\n'
 
 

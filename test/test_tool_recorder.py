@@ -1,5 +1,6 @@
 """A recorder that is told to stop, or killed: what it heard is there, and can be read."""
 
+import errno
 import os
 import random
 import signal
@@ -108,6 +109,19 @@ def test_the_order_of_sending_is_kept(domain, observer, tmp_path, monkeypatch):
     assert [message.content.header.stamp.sec for message in found] == stamps
     assert [message.stamp // SECOND for message in found] == stamps
     assert all(begun <= message.sent <= time.time_ns() for message in found)
+
+
+def test_a_node_ends_even_if_its_bag_cannot_be_finished(domain, tmp_path, monkeypatch):
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    recorder = Recorder(tmp_path / 'bag', topics_of(), {}, planners=())
+
+    def full():
+        raise OSError(errno.EFBIG, 'too large')
+
+    monkeypatch.setattr(recorder._bag, 'close', full)
+    with pytest.raises(OSError, match='too large'):
+        recorder.close()
+    assert not recorder._node.context.ok()
 
 
 # --- stamps

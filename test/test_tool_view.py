@@ -8,6 +8,7 @@ import pytest
 from drawing import GOLDEN, INSTALL, Drawing, needs_rerun
 
 from orbimpc_ros.tool import cli, view
+from orbimpc_ros.tool.io.content import fields
 
 
 @needs_rerun
@@ -33,7 +34,7 @@ def drawn():
     from orbimpc_ros.tool.view import recorded
 
     found = {}
-    for name in ('retrieval', 'spacecraft', 'obstacles'):
+    for name in ('retrieval', 'spacecraft', 'obstacles', 'fixed_wing'):
         flight = recorded.read(GOLDEN / name, '')
         found[name] = Drawing(), flight
         flight.draw(found[name][0])
@@ -73,6 +74,21 @@ def test_every_part_is_drawn(drawn):
             assert len(drawing.drawn[entity]) > 10, entity
         assert bool(drawing.drawn['speed/floor'][1:]) == (flight.values['floor.shape'] != 'none')
         assert drawing.layouts == 2  # at once, and with the right view when it is known
+
+
+def test_a_catch_is_drawn_where_the_plan_meets_the_goal_and_timed(drawn):
+    drawing, flight = drawn['fixed_wing']
+    told = [fields(m) for topic, m in flight.messages if topic == 'tick']
+    times = [each['earliest_catch'] for each in told]
+    assert [drawing.numbers('catch/earliest', k + 1, 'scalars')[0] for k in range(3)] == times[:3]
+    assert len(drawing.drawn['catch/bound']) == 1 + len(told)
+    assert not drawn['retrieval'][0].drawn['catch/bound'][1:]
+    radius, plans = flight.values['capture_radius'], drawing.drawn['world/plan']
+    assert len(drawing.drawn['world/catch']) == len(plans) == len(told)
+    assert drawing.numbers('world/catch', 0, 'half_sizes')[0] == pytest.approx([radius] * 3)
+    for k, each in enumerate(times):
+        end = drawing.numbers('world/plan', k, 'positions', place=1)[-1]
+        assert np.allclose(drawing.numbers('world/catch', k, 'centers')[0], end, atol=1e-3), each
 
 
 def test_obstacles_are_drawn_where_they_are(drawn):

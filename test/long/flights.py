@@ -31,8 +31,8 @@ import jobs
 import missions
 import numpy as np
 from airframe import Airframe, Motion
-from onboard import Planner
 
+from orbimpc_ros.lab.onboard import Planner
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.ros.messages import measurement_message
 

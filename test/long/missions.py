@@ -10,20 +10,20 @@ import math
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import jobs
 import numpy as np
 from jobs import Values
-from onboard import Planner
 
+from orbimpc_ros.lab.onboard import Planner, tell
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.ros.parameters import SimSettings, sim_settings
 from orbimpc_ros.ros.reports import Report
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.world.airspeed import Airspeeds
-from orbimpc_ros.world.flight import Flight, departure, perfect_sensor
+from orbimpc_ros.world.flight import Flight, departure
 from orbimpc_ros.world.plant import Plant
 
 ROUNDING = 1e-6  # relative
@@ -91,6 +91,31 @@ class Tally:
         }
 
 
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a flight as a whole.
+
+    Attributes:
+        caught: whether the job was done.
+        when: that was, from the start [s]; None if it was not.
+        miss: least distance to the goal, or where there is an arrival the last one [m].
+        speed: at the end [m/s].
+        touched: how many boxes were.
+        least_airspeed: of the flight [m/s].
+        stalls: how often the airspeed fell below that of a stall.
+        seconds: that flying it took.
+    """
+
+    caught: bool
+    when: float | None
+    miss: float
+    speed: float
+    touched: int
+    least_airspeed: float
+    stalls: int
+    seconds: float
+
+
 def row(
     name: str, seed: int, index: int, changes: Sequence[str] = (), *, patient: bool = False
 ) -> dict[str, Any]:
@@ -107,20 +132,32 @@ def row(
     simulated = sim_settings(settings.of_sim(values))
     begun = time.perf_counter()
     flight, airspeeds, tally = flown(Planner(values, patient=patient), simulated)
+    outcome = Outcome(
+        flight.captured,
+        flight.missed_at - flight.scenario.start.time if flight.captured else None,
+        tally.miss if flight.scenario.finish == 'capture' else flight.distance,
+        flight.speed,
+        len(flight.touched),
+        airspeeds.least,
+        airspeeds.stalls,
+        time.perf_counter() - begun,
+    )
+    return {'mission': name, 'seed': seed, 'index': index} | record(values, drawn, outcome, tally)
+
+
+def record(values: Values, drawn: Values, outcome: Outcome, tally: Tally) -> dict[str, Any]:
+    """What is kept of a flight.
+
+    Args:
+        values: of the configuration.
+        drawn: of these, what was drawn.
+        outcome: what came of it.
+        tally: of its ticks.
+    """
     return {
-        'mission': name,
-        'seed': seed,
-        'index': index,
-        'caught': flight.captured,
-        'when': flight.missed_at - flight.scenario.start.time if flight.captured else None,
-        'miss': tally.miss if flight.scenario.finish == 'capture' else flight.distance,
-        'speed': flight.speed,
-        'touched': len(flight.touched),
-        'least_airspeed': airspeeds.least,
-        'stalls': airspeeds.stalls,
-        'broken': broken(values, tally, airspeeds.stalls),
+        **asdict(outcome),
+        'broken': broken(values, tally, outcome.stalls),
         **tally.record,
-        'seconds': time.perf_counter() - begun,
         'drawn': drawn,
     }
 
@@ -141,16 +178,6 @@ def flown(planner: Planner, simulated: SimSettings) -> tuple[Flight, Airspeeds, 
         tally.miss = min(tally.miss, flight.miss)
         tally.distances.append(flight.distance)
     return flight, airspeeds, tally
-
-
-def tell(planner: Planner, flight: Flight, ahead: int) -> None:
-    """Send the planner what it hears of a flight, with ``ahead`` steps of the goal's future."""
-    sighting, odometry = perfect_sensor(flight)
-    now, step, rope = flight.vehicle.time, flight.scenario.model.step, flight.scenario.rope
-    if ahead:
-        planner.goals(now, step, [rope.at(flight.elapsed + k * step) for k in range(ahead + 1)])
-    planner.goal(now, sighting.position)
-    planner.odometry(now, odometry)
 
 
 def broken(values: Values, tally: Tally, stalls: int) -> list[str]:

@@ -17,7 +17,7 @@ from typing import Any
 
 import jobs
 import numpy as np
-from missions import Tally, broken
+from missions import Outcome, Tally, record
 
 from orbimpc_ros.tool.io import bag, history
 from orbimpc_ros.tool.io.history import History
@@ -38,22 +38,17 @@ def row(
     flown = history.of_bag(place / 'bag')
     tally = told(flown, bag.of_vehicle(place / 'bag', '', ('cmd_vel', 'odom', 'goal')))
     missed, speed = flown.missed
-    return {
-        'mission': name,
-        'seed': seed,
-        'index': index,
-        'caught': flown.captured,
-        'when': flown.end - flown.times[0] if flown.captured else None,
-        'miss': tally.miss if values['finish'] == 'capture' else missed,
-        'speed': speed,
-        'touched': len(flown.truth['touched']),
-        'least_airspeed': flown.truth['least_airspeed'],
-        'stalls': flown.truth['stalls'],
-        'broken': broken(values, tally, flown.truth['stalls']),
-        **tally.record,
-        'seconds': time.perf_counter() - begun,
-        'drawn': drawn,
-    }
+    outcome = Outcome(
+        flown.captured,
+        flown.end - flown.times[0] if flown.captured else None,
+        tally.miss if values['finish'] == 'capture' else missed,
+        speed,
+        len(flown.truth['touched']),
+        flown.truth['least_airspeed'],
+        flown.truth['stalls'],
+        time.perf_counter() - begun,
+    )
+    return {'mission': name, 'seed': seed, 'index': index} | record(values, drawn, outcome, tally)
 
 
 def told(flown: History, messages: Sequence[tuple[str, Any]]) -> Tally:

@@ -50,9 +50,10 @@ def landings(problem: Problem, count: int) -> list[Instance]:
         position = np.array([0.0, 0.0, 60.0]) + rng.uniform(-10.0, 10.0, 3)
         velocity = np.array([0.0, 0.0, -5.0]) + rng.uniform(-2.0, 2.0, 3)
         attitude = UP @ exp(rng.uniform(-0.1, 0.1, 3))
-        known = {'velocity': velocity, 'attitude': attitude, 'disturbance': GRAVITY}
-        state = State.at(position, 0.5 * attitude, **known)
-        found.append(Instance(state, np.zeros((problem.horizon, 3))))
+        start = State.at(
+            position, 0.5 * attitude, velocity=velocity, attitude=attitude, disturbance=GRAVITY
+        )
+        found.append(Instance(start, np.zeros((problem.horizon, 3))))
     return found
 
 

@@ -32,6 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='NAME=VALUE',
         help='a number, or [low, high] for every run to draw from; may be repeated',
     )
+    vehicles = 'fixed_wing, fixed_wing_near, retrieval: a vehicle in continuous time instead'
+    add('--scenario', metavar='NAME', help=vehicles)
+    add('--tune', action='store_true', help='with --scenario: look for the best settings of rivals')
     add('-o', '--out', metavar='DIR', help='takes the results (default: a new one in out/)')
     add('--resume', action='store_true', help='go on with the study in DIR')
     add('--scheduler', metavar='ADDRESS', help='of a Dask cluster (default: the cores here)')
@@ -42,6 +45,10 @@ def run(args: argparse.Namespace) -> int:
     """Fly what is still to be flown, then report; 1 if IPOPT found a cheaper plan than ours."""
     from orbimpc_ros.lab.study.controllers import require_installed
 
+    if args.scenario is not None:
+        return _run_scenario(args)
+    if args.tune:
+        raise BadInput('--tune', 'without --scenario', 'the scenario to tune for')
     given = _given(args)
     require_installed(given.get('controllers', ()))
     store = _store(args, given)
@@ -52,6 +59,16 @@ def run(args: argparse.Namespace) -> int:
     from orbimpc_ros.lab.study.report import report
 
     return int(report(store))
+
+
+def _run_scenario(args: argparse.Namespace) -> int:
+    from orbimpc_ros.lab.study.vehicles.command import run
+    from orbimpc_ros.tool.demo import new_folder
+
+    if args.resume and args.out is None:
+        raise BadInput('--resume', 'without -o DIR', 'the folder of the study to go on with')
+    folder = new_folder(OUT, args.scenario) if args.out is None else Path(args.out).resolve()
+    return run(args, RUNS, folder)
 
 
 def _given(args: argparse.Namespace) -> dict[str, Any]:

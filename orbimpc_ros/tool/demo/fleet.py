@@ -1,4 +1,8 @@
-"""``orbimpc demo fleet``: vehicles in namespaces, in real time, each after a rope of its own."""
+"""``orbimpc demo fleet`` and ``crossing``: vehicles in namespaces, in real time.
+
+In a fleet each is after a rope of its own; in a crossing each is to get to the other side, clear of
+all others.
+"""
 
 from __future__ import annotations
 
@@ -6,44 +10,57 @@ import argparse
 import itertools
 import math
 from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.vehicles import vehicles
+from orbimpc_ros.ros.vehicles import crossers, plans, vehicles
 from orbimpc_ros.tool.io import bag, settings
 from orbimpc_ros.tool.io.files import new_folder, writing_to
 from orbimpc_ros.tool.io.settings import Values
 from orbimpc_ros.tool.io.share import config
+from orbimpc_ros.world.fleet import separation
 
-VEHICLES = 4
+if TYPE_CHECKING:
+    from orbimpc_ros.tool.io.history import History
+VEHICLES = {'fleet': 4, 'crossing': 8}
+DRAWN = {'fleet': vehicles, 'crossing': crossers}
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fly, record, sum up, draw; 0 only if every rope was caught."""
+    """Fly, record, sum up, draw; 0 only if every vehicle did its job, clear of all others."""
     from orbimpc_ros.tool.run.flying import fly
 
-    values, own = resolve(VEHICLES if args.vehicles is None else args.vehicles, args.set)
-    folder = new_folder(args.out, 'fleet')
+    kind = args.scenario
+    count = VEHICLES[kind] if args.vehicles is None else args.vehicles
+    values, own = resolve(count, args.set, kind)
+    folder = new_folder(args.out, kind)
     with writing_to(folder):
         fly(values, folder, own)
         return report(folder, tuple(own))
 
 
-def resolve(count: int, changes: list[str]) -> tuple[Values, dict[str, Values]]:
+def resolve(
+    count: int, changes: list[str], kind: str = 'fleet'
+) -> tuple[Values, dict[str, Values]]:
     """Return the values that a fleet shares, and by namespace those that differ.
 
     Args:
         count: of the vehicles.
+        kind: ``fleet`` or ``crossing``.
         changes: ``name=value``, for every vehicle; ``seed`` is that of the whole fleet.
 
     Raises:
         BadInput: too many vehicles, an unknown name, or a value that is not allowed.
     """
-    values = settings.resolve(config('fleet.yaml'), changes)
+    values = settings.resolve(config(f'{kind}.yaml'), changes)
     if values['clock'] != 'wall':
         raise BadInput('clock', values['clock'], 'wall: a fleet cannot share one simulated clock')
     given = {change.partition('=')[0] for change in changes} - {'seed'}
-    drawn = vehicles(count, values['seed'])
+    drawn = DRAWN[kind](count, values['seed'])
+    if values['avoid']:
+        values['avoid'] = plans(drawn)
     own = {
         namespace: {name: value for name, value in each.items() if name not in given}
         for namespace, each in drawn.items()
@@ -62,11 +79,22 @@ def report(folder: Path, namespaces: tuple[str, ...]) -> int:
     path, picture = folder / 'bag', folder / figures.TRAJECTORY
     flown = {name: history.of_bag(path, name) for name in namespaces}
     print(summary.of_fleet(flown, late(path)))
+    clear = _clear(flown)
     print(f'bag           {path}')
     with look():
         figures.save(fleet(flown), picture)
     print(f'picture       {picture}')
-    return 0 if all(each.captured for each in flown.values()) else 1
+    return 0 if clear and all(each.captured for each in flown.values()) else 1
+
+
+def _clear(flown: Mapping[str, History]) -> bool:
+    """Say how close vehicles that avoid each other came, and return whether that is far enough."""
+    radius = next(iter(flown.values())).values['avoid_radius']
+    if not radius:
+        return True
+    least = separation([(each.times, each.positions) for each in flown.values()])
+    print(f'apart         at least {least:.3f} m, {radius:g} m asked for')
+    return least >= radius
 
 
 def late(path: Path) -> dict[str, int]:

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from orbimpc_ros.ros.parameters.parameter import boxes_of
+from orbimpc_ros.ros.sim.arena import touched_in_words
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.history import History
 
@@ -24,11 +26,12 @@ def of_fleet(flown: Mapping[str, History], late: Mapping[str, int]) -> str:
         late: the steps of each that began without a command for them.
     """
     rows = {
-        name.strip('/'): f'{_capture(each)}; {len(_answers(each))} ticks, {late[name]} late'
+        name.strip('/'): f'{_end(each)}; {len(_answers(each))} ticks, {late[name]} late'
         for name, each in flown.items()
     }
-    caught = sum(each.captured for each in flown.values())
-    rows['captured'] = f'{caught} of {len(flown)}'
+    done = sum(each.captured for each in flown.values())
+    arriving = any(each.values['finish'] == 'arrival' for each in flown.values())
+    rows['arrived' if arriving else 'captured'] = f'{done} of {len(flown)}'
     ticks = _ticks(list(flown.values()))
     ticks['ticks'] += f', {sum(late.values())} late'
     return _lines(rows | ticks)
@@ -50,21 +53,22 @@ def _ticks(flown: Sequence[History]) -> dict[str, str]:
 
 def _job(history: History) -> dict[str, str]:
     if history.values['finish'] == 'arrival':
-        return {'arrived': _arrival(history), **_boxes(history), **_airspeeds(history)}
+        return {'arrived': _arrival(history), **_touched(history), **_airspeeds(history)}
     return {
         'captured': _capture(history),
         'near misses': _near_misses(history),
-        **_boxes(history),
+        **_touched(history),
         **_airspeeds(history),
     }
 
 
-def _boxes(history: History) -> dict[str, str]:
-    """Return which boxes a vehicle in continuous time has touched, if there are any."""
-    found = history.truth.get('touched')
-    if not settings.of_sim(history.values)['obstacles'] or not isinstance(found, list):
+def _touched(history: History) -> dict[str, str]:
+    """Return what a vehicle in continuous time has touched, if there is anything to touch."""
+    found, values = history.truth.get('touched'), settings.of_sim(history.values)
+    if not (values['obstacles'] or values['traffic']) or not isinstance(found, list):
         return {}
-    return {'touched': ', '.join(f'box {number + 1}' for number in found) or 'no box'}
+    boxes = len(boxes_of(values))
+    return {'touched': touched_in_words(found, boxes) or f'no {"box" if boxes else "ball"}'}
 
 
 def _airspeeds(history: History) -> dict[str, str]:
@@ -73,6 +77,10 @@ def _airspeeds(history: History) -> dict[str, str]:
     if not isinstance(least, (int, float)) or not history.values['stall_speed']:
         return {}
     return {'airspeed': f'at least {least:.2f} m/s, {stalls} stalls'}
+
+
+def _end(history: History) -> str:
+    return _arrival(history) if history.values['finish'] == 'arrival' else _capture(history)
 
 
 def _arrival(history: History) -> str:

@@ -69,4 +69,4 @@ def _of_runs(flown: Mapping[str, History]) -> dict[str, Figure]:
         return {TRAJECTORY: dubins(flown)}
     if space:
         return {TRAJECTORY: retrieval3d(first)}
-    return {TRAJECTORY: retrieval(first), 'moments.png': moments(first)}
+    return {TRAJECTORY: retrieval(flown), 'moments.png': moments(first)}

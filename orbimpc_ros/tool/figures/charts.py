@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter
@@ -23,8 +25,7 @@ def draw_over_time(distance: Axes, speed: Axes, history: History) -> None:
 def draw_distance(axes: Axes, history: History) -> None:
     """Draw the distance to the goal, at odometry and at the closest approach of every step."""
     begun = history.times[0]
-    moments = [(moment.time - begun, moment.distance) for moment in history.moments]
-    axes.plot(*np.array(moments).T, color=INK, lw=1.2)
+    _plot_distance(axes, history, color=INK)
     radius, done, goal = _aim(history)
     axes.axhline(radius, color=GREEN, lw=1.2, ls='--', label=f'{done} radius {radius:g} m')
     for number, miss in enumerate(history.near_misses, start=1):
@@ -40,6 +41,22 @@ def draw_distance(axes: Axes, history: History) -> None:
     axes.yaxis.set_minor_formatter(NullFormatter())
     axes.tick_params(labelbottom=False)
     axes.legend(loc='upper right')
+
+
+def draw_other_distance(axes: Axes, history: History) -> None:
+    """Add the distance to the goal of another flight to that of the first."""
+    limits = axes.get_ylim()
+    _plot_distance(axes, history, color=BLUE, label='intercepted')
+    if history.capture is not None:
+        caught = max(history.capture.distance, 1.1 * limits[0])  # or it would be out of sight
+        star(axes, history.capture.time - history.times[0], caught, '_nolegend_')
+    axes.set_ylim(limits)
+    axes.legend(loc='upper right')
+
+
+def _plot_distance(axes: Axes, history: History, **look: Any) -> None:
+    moments = [(moment.time - history.times[0], moment.distance) for moment in history.moments]
+    axes.plot(*np.array(moments).T, lw=1.2, **look)
 
 
 def _aim(history: History) -> tuple[float, str, str]:
@@ -86,7 +103,8 @@ def _retrieval(history: History) -> str:
     if capture is None:
         return f'Rope not caught in {history.times[-1] - history.times[0]:.0f} s: {misses}'
     how = f'after {misses}' if near else 'on the first pass'
-    return f'Rope caught at t = {capture.time - history.times[0]:.1f} s {how}'
+    verb = 'intercepted' if history.values['objective'] == 'intercept' else 'caught'
+    return f'Rope {verb} at t = {capture.time - history.times[0]:.1f} s {how}'
 
 
 def _arrival(history: History) -> str:

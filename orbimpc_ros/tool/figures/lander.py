@@ -12,7 +12,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.tool.figures import space
 from orbimpc_ros.tool.figures.charts import story
-from orbimpc_ros.tool.figures.numbers import steps
+from orbimpc_ros.tool.figures.numbers import steps, tilts
 from orbimpc_ros.tool.figures.spacecraft import FLOWN, PLANNED
 from orbimpc_ros.tool.figures.style import (
     FAINT,
@@ -97,9 +97,9 @@ def draw_thrust(axes: Axes, history: History, plan: Plan) -> None:
 def draw_tilt(axes: Axes, history: History, plan: Plan) -> None:
     """Draw the angle of the axis that pushes from the vertical, and its limit."""
     begun, step = history.times[0], history.values['step']
-    planned = step * np.arange(plan.horizon + 1), _tilts(plan.projected[:, :, 0])
+    planned = step * np.arange(plan.horizon + 1), tilts(plan.projected[:, :, 0])
     axes.plot(*planned, label='planned at the start', **PLANNED)
-    axes.plot(history.times - begun, _tilts(history.headings), label='flown', **FLOWN)
+    axes.plot(history.times - begun, tilts(history.headings), label='flown', **FLOWN)
     if most := math.degrees(history.values['tilt']):
         axes.axhline(most, color=RED, lw=1.2, ls='--', label=f'most: {most:.3g}°')
     axes.set(title='Tilt from the vertical', xlabel='time [s]', ylabel='angle [°]')
@@ -121,8 +121,3 @@ def draw_side(axes: Axes, history: History) -> None:
     axes.plot(0.0, 0.0, '*', color=GREEN, mec=INK, mew=0.6, ms=12)
     axes.set(title='From the side', xlabel='distance aside [m]', ylabel='height [m]')
     axes.legend(loc='upper left')
-
-
-def _tilts(headings: Array) -> Array:
-    """Return the angles of unit vectors, shape (K, 3), from the vertical, shape (K,) [deg]."""
-    return np.degrees(np.arccos(np.clip(headings[:, 2], -1.0, 1.0)))

@@ -12,7 +12,7 @@ from matplotlib.patches import Rectangle
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.tool.figures import space
 from orbimpc_ros.tool.figures.charts import story
-from orbimpc_ros.tool.figures.numbers import applied, steps
+from orbimpc_ros.tool.figures.numbers import applied, steps, tilts
 from orbimpc_ros.tool.figures.scene import boxes, draw_box, star
 from orbimpc_ros.tool.figures.style import BLUE, GREY, INK, ORANGE, SKY, headline
 from orbimpc_ros.tool.io.history import History
@@ -88,9 +88,14 @@ def draw_thrust(axes: Axes, history: History) -> None:
     hover = history.values['gravity'] / history.values['forward']
     axes.axhline(hover, color=GREY, lw=1.0, ls='--', label='weight')
     axes.set(title='Thrust and tilt', xlabel='time [s]', ylabel='share', ylim=(-0.04, 1.3))
-    tilts = np.degrees(np.arccos(np.clip(history.headings[:, 2], -1.0, 1.0)))
     right = axes.twinx()
-    right.plot(history.times - history.times[0], tilts, color=ORANGE, lw=1.4, label='tilt')
+    right.plot(
+        history.times - history.times[0],
+        tilts(history.headings),
+        color=ORANGE,
+        lw=1.4,
+        label='tilt',
+    )
     right.set(ylabel='tilt [deg]', ylim=(-180.0 * 0.04, 180.0 * 1.3))
     right.grid(visible=False)
     handles, labels = axes.get_legend_handles_labels()

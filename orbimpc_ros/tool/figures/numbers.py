@@ -24,11 +24,11 @@ FLOWN: dict[str, Any] = {'color': INK, 'lw': 1.4}
 LEAST_GAP = 1e-16  # drawn for none, which has no place on a logarithmic axis
 
 
-def _panels(history: History) -> tuple[Figure, Any]:
-    """Return a figure of two by two charts over the same time, and the charts."""
-    figure = Figure(figsize=(10.0, 6.4), layout='constrained')
-    panels = figure.subplots(2, 2, sharex=True)
-    for axes in panels[1]:
+def _panels(history: History, rows: int = 2) -> tuple[Figure, Any]:
+    """Return a figure of rows of two charts over the same time, and the charts."""
+    figure = Figure(figsize=(10.0, 3.2 * rows), layout='constrained')
+    panels = figure.subplots(rows, 2, sharex=True)
+    for axes in panels[-1]:
         axes.set_xlabel('time [s]')
         axes.xaxis.set_major_locator(whole_seconds())
     headline(figure, story(history))
@@ -46,12 +46,16 @@ def data(history: History) -> Figure:
 
 
 def solver(history: History) -> Figure:
-    """Return objective, gap, solve time and nodes over time."""
-    figure, panels = _panels(history)
+    """Return objective, gap, solve time and nodes over time, and catches where any were sought."""
+    hunted = len(series(history, 'catch_bound')[0]) > 0
+    figure, panels = _panels(history, rows=3 if hunted else 2)
     draw_objective(panels[0, 0], history)
     draw_gap(panels[0, 1], history)
     draw_positive(panels[1, 0], history, 'solve_time_ms', 'Time of the whole tick', 'time [ms]')
     draw_positive(panels[1, 1], history, 'nodes', 'Relaxations solved', 'nodes')
+    if hunted:
+        draw_time_to_go(panels[2, 0], history)
+        draw_moment(panels[2, 1], history)
     return figure
 
 
@@ -115,6 +119,11 @@ def steps(axes: Axes, times: Array, values: Array, label: str, look: dict[str, A
     )
 
 
+def tilts(headings: Array) -> Array:
+    """Return the angles of unit vectors, shape (K, 3), from the vertical, shape (K,) [deg]."""
+    return np.degrees(np.arccos(np.clip(headings[:, 2], -1.0, 1.0)))
+
+
 def _thrust(history: History) -> bool:
     return history.values['translation_order'] == 2
 
@@ -148,6 +157,28 @@ def draw_gap(axes: Axes, history: History) -> None:
     axes.set(title='Gap between plan and bound', ylabel='relative gap', yscale='log')
     axes.yaxis.set_major_locator(LogLocator(numticks=8))
     axes.legend()
+
+
+def draw_time_to_go(axes: Axes, history: History) -> None:
+    """Draw how soon each plan catches the goal, and before when none is proved to."""
+    times, soonest = series(history, 'earliest_catch')
+    axes.plot(times, soonest, 'o', color=GREEN, ms=4.5, label='catch of the plan')
+    axes.step(*series(history, 'catch_bound'), '--', where='post', color=RED, label='none before')
+    axes.set(title='Time to the catch', ylabel='time to go [s]')
+    axes.set_ylim(bottom=0.0)
+    axes.legend()
+
+
+def draw_moment(axes: Axes, history: History) -> None:
+    """Draw when each plan means to catch the goal; the line is when it was caught."""
+    times, soonest = series(history, 'earliest_catch')
+    axes.plot(times, times + soonest, 'o', color=GREEN, ms=4.5, label='foreseen')
+    if history.capture is not None:
+        caught = history.capture.time - history.times[0]
+        axes.axhline(caught, color=INK, lw=1.2, ls='--', label='caught')
+    axes.set(title='Moment of the catch', ylabel='time [s]')
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend()
 
 
 def draw_positive(axes: Axes, history: History, name: str, title: str, label: str) -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from orbimpc_ros.tool.figures.charts import draw_over_time, story
+from orbimpc_ros.tool.figures.charts import draw_other_distance, draw_over_time, story
 from orbimpc_ros.tool.figures.scene import (
     cross,
     draw_obstacles,
@@ -19,6 +21,7 @@ from orbimpc_ros.tool.figures.scene import (
     mark_capture,
 )
 from orbimpc_ros.tool.figures.style import (
+    BLUE,
     INK,
     RED,
     SKY,
@@ -27,21 +30,31 @@ from orbimpc_ros.tool.figures.style import (
 from orbimpc_ros.tool.io.history import History
 
 
-def retrieval(history: History) -> Figure:
-    """Return the picture of a retrieval: the whole flight, its end, and what happened when."""
+def retrieval(flown: Mapping[str, History]) -> Figure:
+    """Return the picture of a retrieval: the whole flight, its end, and what happened when.
+
+    Args:
+        flown: the flight, and perhaps another one of the same rope to be shown beside it.
+    """
+    first, *others = flown.values()
     figure = Figure(figsize=(10.0, 9.0), layout='constrained')
     grid = figure.add_gridspec(3, 2, height_ratios=(1.15, 1.0, 1.0), width_ratios=(1.1, 1.0))
-    whole, end = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1:, 0])
-    distance, speed = figure.add_subplot(grid[1, 1]), figure.add_subplot(grid[2, 1])
-    draw_whole(whole, history)
-    draw_end(end, history)
-    draw_over_time(distance, speed, history)
+    if others:
+        draw_whole(figure.add_subplot(grid[0, 0]), first, 'Towards the rope where it was last seen')
+        draw_beside(figure.add_subplot(grid[0, 1]), others[0])
+    else:
+        draw_whole(figure.add_subplot(grid[0, :]), first)
+    end, distance, speed = map(figure.add_subplot, (grid[1:, 0], grid[1, 1], grid[2, 1]))
+    draw_end(end, first)
+    draw_over_time(distance, speed, first)
+    if others:
+        draw_other_distance(distance, others[0])
     figure.legend(*end.get_legend_handles_labels(), loc='outside lower center', ncols=7)
-    headline(figure, story(history))
+    headline(figure, '. '.join(map(story, flown.values())))
     return figure
 
 
-def draw_whole(axes: Axes, history: History) -> None:
+def draw_whole(axes: Axes, history: History, title: str = 'Flight, seen from above') -> None:
     """Draw the whole flight from above and frame its end."""
     draw_obstacles(axes, history)
     draw_swing(axes, history)
@@ -49,7 +62,16 @@ def draw_whole(axes: Axes, history: History) -> None:
     mark_capture(axes, history)
     low, high = end_box(history)
     axes.add_patch(Rectangle(tuple(low), *(high - low), fill=False, ec=INK, lw=0.8, ls=':'))
-    axes.set(xlabel='x [m]', ylabel='y [m]', title='Flight, seen from above')
+    axes.set(xlabel='x [m]', ylabel='y [m]', title=title)
+    axes.set_aspect('equal', adjustable='datalim')
+
+
+def draw_beside(axes: Axes, history: History) -> None:
+    """Draw the whole of the flight that intercepts the rope."""
+    draw_swing(axes, history)
+    draw_path(axes, history, arrow=0.0044, color=BLUE)
+    mark_capture(axes, history)
+    axes.set(xlabel='x [m]', title='The same rope, intercepted')
     axes.set_aspect('equal', adjustable='datalim')
 
 

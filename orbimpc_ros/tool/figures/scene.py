@@ -78,11 +78,11 @@ def end_box(history: History) -> tuple[Array, Array]:
     return middle - half, middle + half
 
 
-def draw_path(axes: Axes, history: History, arrow: float) -> None:
+def draw_path(axes: Axes, history: History, arrow: float, color: str = INK) -> None:
     """Draw the path up to the capture, with an arrow along the heading at every tick."""
     points = flown_path(history)[:, :2]
-    axes.plot(*points.T, color=INK, lw=1.2, zorder=4, label='flown path, headings')
-    draw_headings(axes, points[:-1], history.headings[:-1, :2], width=arrow)
+    axes.plot(*points.T, color=color, lw=1.2, zorder=4, label='flown path, headings')
+    draw_headings(axes, points[:-1], history.headings[:-1, :2], color=color, width=arrow)
     mark_start(axes, points[0])
 
 

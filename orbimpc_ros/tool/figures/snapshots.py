@@ -19,7 +19,7 @@ from orbimpc_ros.tool.figures.scene import (
     end_box,
 )
 from orbimpc_ros.tool.figures.style import BLUE, GREEN, GREY, INK, ORANGE, RED, headline
-from orbimpc_ros.tool.io.history import Approach, History
+from orbimpc_ros.tool.io.history import Encounter, History
 
 PANELS = 9
 
@@ -114,7 +114,7 @@ def _outcome(axes: Axes, history: History, tick: int) -> str:
     return ''
 
 
-def _mark(axes: Axes, approach: Approach, color: str, marker: str, label: str) -> None:
+def _mark(axes: Axes, approach: Encounter, color: str, marker: str, label: str) -> None:
     ends = np.array([approach.vehicle[:2], approach.rope[:2]])
     axes.plot(*ends.T, color=color, lw=1.4, zorder=7)
     axes.plot(*ends[1], marker, color=color, ms=12 if marker == '*' else 7, mew=1.5, zorder=8,

@@ -30,7 +30,7 @@ NEEDED: dict[str, tuple[type, ...]] = {
 NEAR = 2.0  # a local minimum of the distance within so many capture radii is a near miss
 
 
-class Approach(NamedTuple):
+class Encounter(NamedTuple):
     """How close vehicle and rope were.
 
     Attributes:
@@ -112,30 +112,30 @@ class History:
         return [fields for time, fields in self.ticks if time < self.times[-1]]
 
     @property
-    def approaches(self) -> list[Approach]:
+    def approaches(self) -> list[Encounter]:
         """Return the closest approach during each step, M - 1 of them."""
         return [self._approach(k) for k in range(len(self.times) - 1)]
 
-    def _approach(self, k: int) -> Approach:
+    def _approach(self, k: int) -> Encounter:
         flown, swung = self.positions[k : k + 2], self.ropes[k : k + 2]
         distance, share = closest_approach((flown[0], flown[1]), (swung[0], swung[1]))
         when, vehicle, rope = (
             a[k] + share * (a[k + 1] - a[k]) for a in (self.times, self.positions, self.ropes)
         )
-        return Approach(float(when), distance, vehicle, rope)
+        return Encounter(float(when), distance, vehicle, rope)
 
     @property
-    def moments(self) -> list[Approach]:
+    def moments(self) -> list[Encounter]:
         """Return distances over time, up to the capture: at odometry, and where closest between."""
         seen = [
-            Approach(float(time), float(np.linalg.norm(vehicle - rope)), vehicle, rope)
+            Encounter(float(time), float(np.linalg.norm(vehicle - rope)), vehicle, rope)
             for time, vehicle, rope in zip(self.times, self.positions, self.ropes, strict=True)
         ]
         by_time = {moment.time: moment for moment in (*seen, *self.approaches)}
         return [by_time[time] for time in sorted(by_time) if time <= self.end]
 
     @property
-    def near_misses(self) -> list[Approach]:
+    def near_misses(self) -> list[Encounter]:
         """Return the local minima of the distance that came near and yet caught nothing."""
         radius, moments = self.capture_radius, self.moments
         return [
@@ -151,7 +151,7 @@ class History:
         return float(self.times[-1]) if self.capture is None else self.capture.time
 
     @property
-    def capture(self) -> Approach | None:
+    def capture(self) -> Encounter | None:
         """Return the approach that caught the rope; None too where the job is to arrive."""
         caught = self.captured and self.values['finish'] == 'capture'
         return self.approaches[-1] if caught and len(self.times) > 1 else None

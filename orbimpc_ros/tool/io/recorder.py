@@ -163,7 +163,7 @@ class Recorder:
                 last, heard = time.monotonic(), sum(self.counts.values())
 
     def close(self) -> None:
-        """Stop recording and finish the bag."""
-        self._flush()
-        self._bag.close()
-        self._stack.close()
+        """Stop recording and finish the bag; the node ends even if the disk is full."""
+        with self._stack:
+            self._flush()
+            self._bag.close()

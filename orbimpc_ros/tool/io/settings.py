@@ -187,10 +187,16 @@ def _typed(row: Row, value: Any) -> Any:
     """Return a value as the parameter's type; a whole number may stand for a float."""
     kind = type(row.default)
     if kind is tuple and isinstance(value, list):
-        return tuple(_float(row, each) for each in value)
+        return tuple(_word(row, each) if row.words else _float(row, each) for each in value)
     if kind is float:
         return _float(row, value)
     if type(value) is not kind:
+        raise BadInput(row.name, value, row.allowed)
+    return value
+
+
+def _word(row: Row, value: Any) -> str:
+    if not isinstance(value, str):
         raise BadInput(row.name, value, row.allowed)
     return value
 

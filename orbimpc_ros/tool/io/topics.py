@@ -24,7 +24,10 @@ SHARED = (
 INPUTS = (
     Topic('goal', 'geometry_msgs/msg/PoseStamped'),
     Topic('goal_path', 'nav_msgs/msg/Path'),
+    Topic('obstacles', 'visualization_msgs/msg/MarkerArray'),
     Topic('odom', 'nav_msgs/msg/Odometry'),
+    Topic('pose', 'geometry_msgs/msg/PoseStamped'),
+    Topic('twist', 'geometry_msgs/msg/TwistStamped'),
 )  # of the planner
 OUTPUTS = (
     Topic('cmd_thrust', 'geometry_msgs/msg/WrenchStamped'),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,9 +13,19 @@ from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.inbox import Inbox
+from orbimpc_ros.ros.planner.lookout import PLAN, others
 from orbimpc_ros.ros.planner.outlet import command_messages, report_messages
 from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.ros.reports import Report, prices
+
+
+def resolved(settings: PlannerSettings, namespace: str) -> tuple[str, ...]:
+    """Return the full names of the topics of other vehicles' plans, as a node would make them."""
+
+    def resolve(topic: str) -> str:
+        return topic if topic.startswith('/') else f'{namespace}/{topic}'
+
+    return others(settings.avoid, resolve(PLAN), resolve)
 
 
 class OfflinePlanner:
@@ -25,12 +36,15 @@ class OfflinePlanner:
     Args:
         settings: of the planner.
         node: its name.
+        avoided: topics of other vehicles' plans, by their full names.
     """
 
-    def __init__(self, settings: PlannerSettings, node: str = '/planner') -> None:
+    def __init__(
+        self, settings: PlannerSettings, node: str = '/planner', avoided: Sequence[str] = ()
+    ) -> None:
         self._settings, self._node = settings, node
         timeless = replace(settings, deadline=math.inf)
-        self._inbox = Inbox(settings)
+        self._inbox = Inbox(settings, others=tuple(avoided))
         # Simulated: what a tick takes is given, not measured.
         self._ticker = Ticker(*prepared(timeless), simulated=True)
         self._report: Report | None = None

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,9 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause
+from orbimpc_ros.ros.halves import HALVES, Halves
 from orbimpc_ros.ros.messages import SECOND, pushed
+from orbimpc_ros.ros.obstacles import stamp_of as stamp_of_markers
 from orbimpc_ros.tool.io import bag, topics
 from orbimpc_ros.tool.io.bag import Message
 from orbimpc_ros.tool.io.content import fields, point
@@ -31,7 +34,7 @@ class Input:
     """A message to the planner, or the time.
 
     Attributes:
-        topic: without its namespace, or ``clock``.
+        topic: without its namespace, or ``clock``; with it, if it is another vehicle's plan.
         stamp: that it carries [ns].
         sent: when, on the recording machine's clock or under which stamp [ns].
         message: its content.
@@ -61,6 +64,7 @@ class Published:
         gap: of the plan; NaN without one.
         goal_stamps: of the goals that it was planned for, by topic [ns].
         goal_counts: goals that had been taken in by then, by topic.
+        traffic_stamps: of what had been heard last of obstacles and other vehicles, by topic [ns].
         advanced: how far the measurement was advanced to plan from [s].
         solve_time_ms: what the tick took; 0 if no solver was asked [ms].
     """
@@ -78,6 +82,7 @@ class Published:
     gap: float | None = None
     goal_stamps: Mapping[str, int] = field(default_factory=dict)
     goal_counts: Mapping[str, int] = field(default_factory=dict)
+    traffic_stamps: Mapping[str, int] = field(default_factory=dict)
     advanced: float | None = None
     solve_time_ms: float | None = None
 
@@ -135,7 +140,7 @@ def _integers(value: Any) -> Mapping[str, int]:
 READERS: dict[str, Callable[[Any], Any]] = {
     **dict.fromkeys(('status', 'reason', 'fallback'), str),
     **dict.fromkeys(('objective', 'gap', 'advanced', 'solve_time_ms'), _number),
-    **dict.fromkeys(('goal_stamps', 'goal_counts'), _integers),
+    **dict.fromkeys(('goal_stamps', 'goal_counts', 'traffic_stamps'), _integers),
     'cause': _cause,
     'speed_fraction': _numbers,
 }  # of the keys on ``tick``
@@ -190,23 +195,34 @@ class Recording:
         return sum(each.topic != CLOCK for each in self.inputs)
 
 
-def recording_of(path: Path, namespace: str = '') -> Recording:
+def recording_of(path: Path, namespace: str = '', others: Sequence[str] = ()) -> Recording:
     """Return what a bag holds of the planner in a namespace.
+
+    Args:
+        path: of the bag.
+        namespace: of the vehicle, such as ``/uav1``.
+        others: topics of other vehicles' plans that it heard.
 
     Raises:
         BadInput: no bag, or not one with odometry, a goal and the planner's answers.
     """
-    found = list(bag.read(path, {CLOCK, *INPUTS, *COMPARED}))
+    wanted = {other.rpartition('/')[2] for other in others}
+    found = list(bag.read(path, {CLOCK, *INPUTS, *COMPARED, *wanted}))
     own: dict[str, list[Message]] = defaultdict(list)
     for each in found:
         before, _, name = each.topic.rpartition('/')
+        if each.topic in others:
+            own[each.topic].append(each)
         if each.topic == f'/{CLOCK}' or (before == namespace and name != CLOCK):
             own[name].append(each)
+    if not own['odom']:
+        own['odom'] = list(_joined(own.pop('pose', []), own.pop('twist', [])))
     _require(own, found, path, namespace)
     inputs = [
         Input(topic, stamp_of(each.content), each.sent, each.content)
-        for topic in (CLOCK, *INPUTS)
+        for topic in (CLOCK, *INPUTS, *others)
         for each in own[topic]
+        if topic not in HALVES
     ]
     answers = _answers({topic: own[topic] for topic in COMPARED})
     return Recording(
@@ -215,6 +231,17 @@ def recording_of(path: Path, namespace: str = '') -> Recording:
         tuple(sorted(inputs, key=lambda each: each.sent)),
         tuple(sorted(answers, key=lambda each: each.sent)),
     )
+
+
+def _joined(poses: Iterable[Message], twists: Iterable[Message]) -> Iterator[Message]:
+    """Yield the odometry that the planner made of its halves, each when the second one was sent."""
+    halves = Halves()
+    for each in sorted((*poses, *twists), key=lambda each: each.sent):
+        name = each.topic.rpartition('/')[2]
+        with suppress(BadInput):
+            joined = halves.pose(each.content) if name == 'pose' else halves.twist(each.content)
+            if joined is not None:
+                yield each._replace(topic=each.topic.removesuffix(name) + 'odom', content=joined)
 
 
 def _require(
@@ -232,6 +259,8 @@ def _require(
 
 def stamp_of(message: Any) -> int:
     """Return the stamp [ns] in a message's header, or of ``/clock``, however nonsensical."""
+    if hasattr(message, 'markers'):
+        return stamp_of_markers(message)
     stamp = message.header.stamp if hasattr(message, 'header') else message.clock
     return int(stamp.sec) * SECOND + int(stamp.nanosec)
 

@@ -16,6 +16,7 @@ from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.replay.accept import accept
 from orbimpc_ros.tool.replay.coverage import Coverage, coverage
 from orbimpc_ros.tool.replay.difference import UNITS, Comparison, compared, shown
+from orbimpc_ros.tool.replay.offline import resolved
 from orbimpc_ros.tool.replay.recording import Recording, published, recording_of
 from orbimpc_ros.tool.replay.resolving import ReplayedTick, replayed
 
@@ -30,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     namespace = f'/{args.namespace.strip("/")}' if args.namespace.strip('/') else ''
     values = _values(path, namespace, args)
     planner = planner_settings(values)
-    recording = recording_of(path, namespace)
+    recording = recording_of(path, namespace, resolved(planner, namespace))
     if args.tick is not None:
         wanted = _tick(args, len(recording.answers))
         recording = replace(recording, answers=recording.answers[: wanted + 1])

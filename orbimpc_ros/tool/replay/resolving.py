@@ -15,12 +15,11 @@ from itertools import takewhile
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.clock import RosTime
-from orbimpc_ros.ros.messages import SECOND, read_itinerary, read_odometry, read_sighting
+from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.tool.replay.offline import OfflinePlanner
+from orbimpc_ros.ros.planner.inbox import GOALS, READ, require_attitude
+from orbimpc_ros.tool.replay.offline import OfflinePlanner, resolved
 from orbimpc_ros.tool.replay.recording import CLOCK, Input, Messages, RecordedTick, Recording
-
-READ = {'odom': read_odometry, 'goal': read_sighting, 'goal_path': read_itinerary}
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,8 @@ def replayed(
         settings: of the planner.
         simulated: whether its time came from ``/clock``.
     """
-    planner = OfflinePlanner(settings, f'{recording.namespace}/planner')
+    avoided = resolved(settings, recording.namespace)
+    planner = OfflinePlanner(settings, f'{recording.namespace}/planner', avoided)
     feed = Feed(planner, recording, simulated, settings)
     for recorded in recording.answers:
         refusals = tuple(feed.until(recorded))
@@ -144,7 +144,9 @@ def acceptable(each: Input, settings: PlannerSettings) -> bool:
     if each.topic not in READ:
         return False
     try:
-        READ[each.topic](each.message, settings.problem.dimension, settings.frames)
+        _, value = READ[each.topic](each.message, settings.problem.dimension, settings.frames)
+        if each.topic in GOALS:
+            require_attitude(value, settings)
     except BadInput:
         return False
     return True
@@ -163,8 +165,13 @@ def _latest(sent: Sequence[Input], recorded: RecordedTick) -> dict[str, int]:
     latest = {each.topic: k for k, each in enumerate(sent) if each.sent <= known}
     if measured >= 0 or recorded.answer.solved:  # else it came before, for another answer
         latest['odom'] = measured
-    for topic, stamp in recorded.answer.goal_stamps.items():
+    answer = recorded.answer
+    for topic, stamp in answer.goal_stamps.items():
         latest[topic] = _last(sent, topic, stamp)
+    if answer.planned:  # the others do not say what they have heard
+        for topic in {each.topic for each in sent} - {*READ, CLOCK}:
+            heard = answer.traffic_stamps.get(topic)
+            latest[topic] = -1 if heard is None else _last(sent, topic, heard)
     return latest
 
 

@@ -17,6 +17,7 @@ CHARTS = {
     'speed': ('Share of full speed |R e₁|, floor', (0.0, 1.05)),
     'gap': ('Gap to the proved bound, log₁₀', (-13.0, 0.0)),
     'time': ('Solve time [ms]', None),
+    'catch': ('Earliest catch, and its bound [s]', None),
 }  # entity: title and range
 OPENING = math.radians(27.0)  # half the viewer's vertical field of view
 NEAR = 2.0  # [m]: look at no less
@@ -41,8 +42,8 @@ def eye(dimension: int, points: Array) -> Eye:
     return Eye(target + away * SLANT / np.linalg.norm(SLANT), target, np.array([0.0, 0.0, 1.0]))
 
 
-def blueprint(dimension: int, world: Eye) -> rrb.Blueprint:
-    """Return the page's layout."""
+def blueprint(dimension: int, world: Eye, *, intercepting: bool) -> rrb.Blueprint:
+    """Return the page's layout, with a chart of catches where any are looked for."""
     low = dimension == 2
     axes = 'the (a, b) disk' if low else 'the unit ball'
     corners = np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 0.0]])
@@ -58,7 +59,7 @@ def blueprint(dimension: int, world: Eye) -> rrb.Blueprint:
             rrb.Vertical(
                 _space(THRUST, f'R e₁ of the plan in {axes}: hull, floor', disk, grid=False),
                 rrb.TextDocumentView(origin=TICK, name='Tick'),
-                rrb.Horizontal(charts[2], charts[3]),
+                rrb.Horizontal(*charts[2 : 5 if intercepting else 4]),
                 row_shares=[9, 9, 6],
             ),
             column_shares=[3, 2],

@@ -13,6 +13,7 @@ import rerun as rr
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.outline import sphere
+from orbimpc_ros.mpc.loop.forecast import Itinerary
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.messages import (
     SECOND,
@@ -44,6 +45,8 @@ SERIES = {
     'speed/floor': (RED, 2.5, STEPS),
     'gap/log10': (GREEN, 2.0, STEPS),
     'time/solve_ms': (ORANGE, 2.0, STEPS),
+    'catch/earliest': (GREEN, 2.0, STEPS),
+    'catch/bound': (RED, 2.5, STEPS),
 }  # colour, width and manner of what charts show
 
 # A paper dart: nose, wing tips, and the keel that tells up from down.
@@ -76,6 +79,8 @@ class Scene:
         self._unit = 0.0  # length of a vehicle [m]; 0 until the scene is known
         self._pointing: tuple[float, Array] = (-1.0, np.zeros(0))  # of which tick [s], and what
         self._shares: tuple[float, Array] = self._pointing
+        self._planned: tuple[float, Itinerary | None] = (-1.0, None)  # of which tick [s]
+        self._catching: tuple[float, Array] = self._pointing  # and how long after its start [s]
         self._takers = {
             'odom': self._take_odometry,
             'goal': self._take_goal,
@@ -101,6 +106,7 @@ class Scene:
         except BadInput:
             self._problem = Problem()
         self._frames = Frames(thrust_axis=values['thrust_axis'])
+        self._intercepting = values['objective'] == 'intercept'
         self._radius = float(settings.of_sim(values)['capture_radius'])
         self._done = 'caught' if values['finish'] == 'capture' else 'arrived'
         n, floor = self._problem.dimension, self._problem.floor
@@ -182,7 +188,8 @@ class Scene:
 
     def _look_at(self, points: Array) -> None:
         dimension = self._problem.dimension
-        self._to.send_blueprint(blueprint(dimension, eye(dimension, points)))
+        layout = blueprint(dimension, eye(dimension, points), intercepting=self._intercepting)
+        self._to.send_blueprint(layout)
 
     def _take_forecast(self, message: Any) -> None:
         places = read_itinerary(message, 3, Frames())[1].positions
@@ -190,9 +197,12 @@ class Scene:
         self._to.log(f'{WORLD}/goal/forecast', dots)
 
     def _take_plan(self, message: Any) -> None:
-        places = read_itinerary(message, 3, Frames())[1].positions
+        way = read_itinerary(message, 3, Frames())[1]
+        places = way.positions
         dots = rr.Points3D(places, radii=0.16 * self._unit, colors=[rgb(GREEN)])
         self._to.log(f'{WORLD}/plan', _lines([places], GREEN, 0.08 * self._unit), dots)
+        self._planned = seconds(message), way
+        self._draw_catch()
         own = [attitude(stamped.pose.orientation) for stamped in message.poses]
         self._pointing = seconds(message), self._frames.turned(np.array(own))[:, :, 0]
         self._draw_thrust()
@@ -208,7 +218,25 @@ class Scene:
             self._chart('speed/commanded', self._shares[1][1])
         if self._problem.floor.exists:
             self._chart('speed/floor', self._problem.floor.fraction)
+        self._chart('catch/earliest', values.get('earliest_catch'))
+        self._chart('catch/bound', values.get('catch_bound'))
+        self._catching = seconds(message), _numbers([values.get('earliest_catch')])
         self._draw_thrust()
+        self._draw_catch()
+
+    def _draw_catch(self) -> None:
+        """Draw where a plan catches the goal, once plan and time of the same tick are there."""
+        (planned, way), (ticked, after) = self._planned, self._catching
+        if planned != ticked or way is None:
+            return
+        places = way.at(way.times[0] + after)
+        balls = rr.Ellipsoids3D(
+            centers=places,
+            half_sizes=np.full((len(places), 3), self._radius),
+            colors=[rgb(GREEN)],
+            fill_mode=rr.components.FillMode.MajorWireframe,
+        )
+        self._to.log(f'{WORLD}/catch', balls)
 
     def _draw_thrust(self) -> None:
         """Draw R_k e1 = sigma_k Q_k e1 once direction and share of the same tick are there."""
@@ -252,7 +280,7 @@ def _arrows(places: Array, along: Array, color: str, radius: float) -> rr.Arrows
 
 def _boxes(problem: Problem) -> rr.Boxes3D:
     """Return the obstacles; in the plane they are flat."""
-    corners = [np.array([box.minimum, box.maximum]) for box in problem.obstacles]
+    corners = [np.array([box.minimum, box.maximum]) for box in problem.boxes]
     places = np.pad(np.reshape(corners, (-1, 2, problem.dimension)), _to_space(problem.dimension))
     return rr.Boxes3D(
         centers=places.mean(axis=1),

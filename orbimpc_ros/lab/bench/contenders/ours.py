@@ -34,7 +34,7 @@ class Ours:
     def solve(self, state: State, goals: Array) -> None:
         """Plan as the controller does."""
         guess, end = None, time.perf_counter() + self._cap
-        if self._closed_loop and self._solver.takes_guess and self._plan is not None:
+        if self._closed_loop and self._solver.takes_guess(state) and self._plan is not None:
             guess = shifted(self._problem, state, goals, self._plan, projection=PROJECTION)
         self._plan = self._solver.propose(state, goals, guess, lambda: time.perf_counter() > end)
 

@@ -76,7 +76,7 @@ class CondensedPlanar:
         self.squares = _factor(self.quadratic)
         self.reach = problem.maps.reach[:, 1:]
         self.arrival = self.reach[-1]
-        self.disjunctions = [self._beyond(box) for box in problem.obstacles]
+        self.disjunctions = [self._beyond(box) for box in problem.boxes]
         if problem.floor.shape == 'polygon':
             self.disjunctions.insert(0, _beyond_floor(problem))
         self.length = problem.weights.length * self._advance

@@ -31,10 +31,12 @@ class Linearised(Baseline):
 
     Args:
         problem: what to plan; the floor's polygon is taken at the linearised headings.
+        trust: how far a heading may move from the one that it is linearised about [rad].
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, trust: float = TRUST) -> None:
         super().__init__(problem)
+        self._trust = trust
         self._condensed = Condensed(problem)
         self._settings = clarabel.DefaultSettings()
         self._settings.verbose = False
@@ -71,8 +73,8 @@ class Linearised(Baseline):
     def _limits(self, state: State, along: Array) -> tuple[Array, Array]:
         """Return A and b of A (speeds, changes) <= b."""
         steps, each = self.problem.horizon, np.eye(2 * self.problem.horizon)
-        high = np.concatenate([np.ones(steps), np.full(steps, TRUST)])
-        low = np.concatenate([least_fraction(self.problem, along), np.full(steps, -TRUST)])
+        high = np.concatenate([np.ones(steps), np.full(steps, self._trust)])
+        low = np.concatenate([least_fraction(self.problem, along), np.full(steps, -self._trust)])
         rows, offsets = [each, -each], [high, -low]
         if self.problem.max_rate > 0.0:
             turn = np.hstack([np.zeros((steps, steps)), np.eye(steps) - np.eye(steps, k=-1)])

@@ -1,21 +1,24 @@
-"""The planner's path from messages to commands, with its clock in the test's hands."""
+"""The planner's path from messages to commands, without its node and with its clock given."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND
-from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
+from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner_settings
 from orbimpc_ros.ros.planner.inbox import Inbox
 from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.ros.reports import Report
+from orbimpc_ros.world.flight import Flight, perfect_sensor
 
 PATIENCE = 60.0  # [s]
 EPOCH = 1_700_000_000 * SECOND
@@ -27,17 +30,25 @@ class Planner:
     Args:
         parameters: of the planner, by name.
         patient: whether a solve may take a minute.
+        pilot: makes the controller that flies, by default that of the package.
 
     Attributes:
         period: how often to plan [s].
     """
 
-    def __init__(self, parameters: dict[str, Any], *, patient: bool = False) -> None:
+    def __init__(
+        self,
+        parameters: dict[str, Any],
+        *,
+        patient: bool = False,
+        pilot: Callable[[PlannerSettings], Controller] | None = None,
+    ) -> None:
         settings = planner_settings({row.name: row.default for row in PLANNER} | parameters)
         if patient:
             settings = replace(settings, deadline=PATIENCE)
         self._inbox, self._frames = Inbox(settings), settings.frames
-        self._ticker = Ticker(*prepared(settings), simulated=True)
+        controller = prepared(settings)[1] if pilot is None else pilot(settings)
+        self._ticker = Ticker(settings, controller, simulated=True)
         self.period = settings.period
 
     def goal(self, now: float, place: np.ndarray) -> None:
@@ -60,15 +71,29 @@ class Planner:
             report = ticker.safe(inbox, Reason(Cause.ODOMETRY, lost))
         else:
             report = ticker.planned(inbox, now, ros)
-        ticker.went_out(report.tick.command, ros.nanoseconds / SECOND)
+        ticker.went_out(report.tick.command, _nanoseconds(now) / SECOND)
         return 'odometry lost' if lost else report.tick.fallback or 'plan', report
 
     def _take(self, topic: str, message: Any, now: float) -> None:
         self._inbox.take(topic, message, now, self._ros(now))
 
     def _stamp(self, now: float) -> messages.Stamp:
-        return messages.Stamp(self._ros(now).nanoseconds, self._frames)
+        return messages.Stamp(_nanoseconds(now), self._frames)
 
     @staticmethod
     def _ros(now: float) -> RosTime:
-        return RosTime(EPOCH + round(now * SECOND))
+        return RosTime(_nanoseconds(now))
+
+
+def _nanoseconds(now: float) -> int:
+    return EPOCH + round(now * SECOND)
+
+
+def tell(planner: Planner, flight: Flight, ahead: int) -> None:
+    """Send a planner what it hears of a flight, with ``ahead`` steps of the goal's future."""
+    sighting, odometry = perfect_sensor(flight)
+    now, step, rope = flight.vehicle.time, flight.scenario.model.step, flight.scenario.rope
+    if ahead:
+        planner.goals(now, step, [rope.at(flight.elapsed + k * step) for k in range(ahead + 1)])
+    planner.goal(now, sighting.position)
+    planner.odometry(now, odometry)

@@ -1,0 +1,114 @@
+"""The report of a study of a vehicle: shares, times and pairs; where the planner loses, first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbimpc_ros.lab.study.vehicles.flights import Row
+from orbimpc_ros.lab.study.vehicles.pilots import ORBITOPE
+from orbimpc_ros.lab.study.vehicles.scenario import Mission
+from orbimpc_ros.lab.study.vehicles.statistics import of_mean, sign_test, wilson
+from orbimpc_ros.mpc.arrays import Array
+
+Rows = Mapping[str, Sequence[Row]]  # by pilot, flights in the same order
+WORSE = 1.02  # times the median of another: later than it
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What came of a pilot's flights.
+
+    Attributes:
+        caught: how many of ``count``.
+        times: to the catch, the limit of a flight without one, shape (count,) [s].
+        caught_times: with inf instead of that limit.
+    """
+
+    caught: int
+    count: int
+    times: Array
+    caught_times: Array
+
+    @property
+    def share(self) -> float:
+        """Return the share of flights with a catch."""
+        return self.caught / self.count
+
+    @property
+    def median(self) -> float:
+        """Return the time within which half of all flights have caught [s]; inf if they do not."""
+        return float(np.quantile(self.caught_times, 0.5, method='higher'))
+
+
+def score(rows: Sequence[Row], limit: float) -> Standing:
+    """Return the score of flights that last a limit [s] at most."""
+    caught = sum(each['caught'] for each in rows)
+    times = np.array([each['time'] if each['caught'] else math.inf for each in rows])
+    return Standing(caught, len(rows), np.minimum(times, limit), times)
+
+
+def scores_of(scenario: Mission, rows: Rows) -> dict[str, Standing]:
+    """Return the scores of all pilots."""
+    return {name: score(each, scenario.limit) for name, each in rows.items()}
+
+
+def report(scenario: Mission, rows: Rows) -> str:
+    """Return the report as Markdown."""
+    scores = scores_of(scenario, rows)
+    count = len(next(iter(rows.values())))
+    lines = [f'# {scenario.name}: {scenario.about}', '', f'{count} flights by each pilot.', '']
+    if ORBITOPE in scores:
+        lines += [*_losses(scores), '']
+    return '\n'.join([*lines, *_table(scores, rows), '', *_pairs(scores)]) + '\n'
+
+
+def _losses(scores: Mapping[str, Standing]) -> Iterator[str]:
+    """Say where the planner loses: fewer catches than a rival's interval, or a later median."""
+    ours, found = scores[ORBITOPE], False
+    for name, theirs in scores.items():
+        if ours.share < wilson(theirs.caught, theirs.count)[0]:
+            found = True
+            yield f'- Loses to `{name}` in the share caught.'
+        if theirs.share >= 0.5 and ours.median > WORSE * theirs.median:
+            found = True
+            yield f'- Loses to `{name}` in the median time to the catch.'
+    if not found:
+        yield 'Loses to nobody in the share caught, nor by more than 2 % in the median time.'
+
+
+def _table(scores: Mapping[str, Standing], rows: Rows) -> Iterator[str]:
+    head = 'caught', '95 %', 'median [s]', 'mean [s]', 'worst miss [m]', 'tick, p50 / longest [ms]'
+    yield f'| | {" | ".join(head)} |'
+    yield '|' + ' --- |' * (1 + len(head))
+    for name, each in scores.items():
+        low, high = wilson(each.caught, each.count)
+        closest = max(row['closest'] for row in rows[name])
+        half = np.median([row['p50_ms'] for row in rows[name]])
+        longest = max(row['longest_ms'] for row in rows[name])
+        median = f'{each.median:.2f}' if math.isfinite(each.median) else 'never'
+        yield (
+            f'| `{name}` | {each.share:.1%} | {low:.1%} to {high:.1%} | {median} | '
+            f'{each.times.mean():.2f} | {closest:.2f} | {half:.1f} / {longest:.0f} |'
+        )
+
+
+def _pairs(scores: Mapping[str, Standing]) -> Iterator[str]:
+    """Compare the planner with each rival flight by flight; one without a catch lasts the limit."""
+    if ORBITOPE not in scores:
+        return
+    ours = scores[ORBITOPE].times
+    yield '| the planner against | sooner | later | mean difference [s] | 95 % | p, sign test |'
+    yield '|' + ' --- |' * 6
+    for name, each in scores.items():
+        if name == ORBITOPE:
+            continue
+        apart = ours - each.times
+        low, high = of_mean(apart)
+        yield (
+            f'| `{name}` | {np.mean(apart < 0.0):.0%} | {np.mean(apart > 0.0):.0%} | '
+            f'{apart.mean():+.2f} | {low:+.2f} to {high:+.2f} | {sign_test(apart):.1g} |'
+        )
