@@ -20,7 +20,7 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     # A shell has its background jobs ignore SIGINT, and these all that they start; tests send it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 ROOT = Path(__file__).resolve().parents[1]
-PATIENCE = 60.0  # [s] for anything awaited; far beyond what it takes, on a busy machine too
+PATIENCE = 240.0  # [s] for anything awaited: enough with ten processes for each core, too
 
 _numbers = itertools.count()
 
