@@ -23,6 +23,7 @@ from geometry_msgs.msg import (
     PoseStamped,
     Quaternion,
     QuaternionStamped,
+    Transform,
     TwistStamped,
     Vector3,
     WrenchStamped,
@@ -217,6 +218,16 @@ def read_force(message: WrenchStamped, frames: Frames) -> tuple[int, float]:
     force = _triple(message.wrench.force, 'wrench.force')
     _triple(message.wrench.torque, 'wrench.torque')
     return at.nanoseconds, float(frames.turned(force)[0])
+
+
+def read_transform(message: Transform, name: str) -> tuple[Array, Array]:
+    """Return the rotation, shape (3, 3), and the translation, shape (3,) [m], of a transform.
+
+    Raises:
+        BadInput: a number or the quaternion of the transform of that name is not acceptable.
+    """
+    unit = _quaternion(message.rotation, f'rotation of {name}')
+    return from_quaternion(unit, 3), _triple(message.translation, f'translation of {name}')
 
 
 def _stamp(header: Header, frame: str) -> Stamp:

@@ -41,6 +41,7 @@ from orbimpc_ros.ros.parameters.parameter import (
     require_topic,
     span,
 )
+from orbimpc_ros.ros.transforms import Stated, stated
 from orbimpc_ros.world.scenario import LIMITS, retrieval
 
 PROJECTIONS = ('nearest', 'thrust_aligned')
@@ -110,6 +111,12 @@ PLANNER: tuple[Row, ...] = (
     Row('velocity_frame', 'body', 'What the linear velocity of odom or twist is given in: the '
         "body's axes, as ROS has it, or the world's; rates are about the body's in any case",
         choices=('body', 'world')),
+    Row('tf', False, 'Whether goals, obstacles and plans of other vehicles in other frames than '
+        'frame_id are moved by what /tf and /tf_static tell'),
+    Row('transforms', (), "The same by transforms that are stated, each 'parent child x y z roll "
+        "pitch yaw' [m, rad]: how the child lies in the parent, as in tf", words=True, live=True),
+    Row('transform_timeout', 0.2, 'For so long the last transform of /tf holds', 's', 0.0,
+        MAX_DURATION, live=True),
     Row('gated', False, 'Whether commands wait for engaged (std_msgs/Bool): none are sent before '
         'it is true, nor while it is false'),
     *APPROACH,
@@ -161,6 +168,26 @@ class Ageing(Enum):
 
 
 @dataclass(frozen=True)
+class Tree:
+    """How other frames are known.
+
+    Attributes:
+        heard: whether from ``/tf``.
+        stated: those that hold for ever.
+        timeout: for how long the last transform of ``/tf`` holds [s].
+    """
+
+    heard: bool
+    stated: tuple[Stated, ...]
+    timeout: float
+
+    @property
+    def exists(self) -> bool:
+        """Return whether any other frame may be known."""
+        return self.heard or bool(self.stated)
+
+
+@dataclass(frozen=True)
 class PlannerSettings:
     """All that the planner's parameters say.
 
@@ -196,6 +223,7 @@ class PlannerSettings:
         avoid: topics of other vehicles' plans, as given.
         distance: how other vehicles are avoided.
         frames: that messages must be in.
+        tree: of frames, by which messages are moved there.
     """
 
     problem: Problem
@@ -229,6 +257,7 @@ class PlannerSettings:
     avoid: tuple[str, ...]
     distance: Distance
     frames: Frames
+    tree: Tree
 
 
 def planner_settings(values: Values) -> PlannerSettings:
@@ -275,6 +304,7 @@ def planner_settings(values: Values) -> PlannerSettings:
         gated=values['gated'],
         halves=values['odometry'] == 'pose_twist',
         frames=replace(frames_of(values), velocity=values['velocity_frame']),
+        tree=_tree(values),
         obstacle_speed_limit=values['obstacle_speed_limit'],
         avoid=_avoided(values),
         distance=_distance(values, problem, period),
@@ -303,6 +333,15 @@ def _refuse_unfit(values: Values) -> None:
     if values['velocity_source'] == 'air' and order == 2:
         allowed = 'ground at translation_order 2, where wind is an acceleration'
         raise BadInput('velocity_source', 'air', allowed)
+
+
+def _tree(values: Values) -> Tree:
+    """Return how other frames are known: each stated one lies in one other."""
+    found = tuple(map(stated, values['transforms']))
+    for each in found:
+        if [other.child for other in found].count(each.child) > 1:
+            raise BadInput('transforms', list(values['transforms']), f'{each.child} in one parent')
+    return Tree(values['tf'], found, values['transform_timeout'])
 
 
 def _avoided(values: Values) -> tuple[str, ...]:
