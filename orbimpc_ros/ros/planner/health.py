@@ -70,4 +70,5 @@ class Health:
         level, message = shown
         self._shown = shown
         now, name = self._node.get_clock().now().nanoseconds, self._node.get_fully_qualified_name()
-        self._publisher.publish(diagnostics(now, name, level, message, self._values()))
+        told = diagnostics(now, name, 'condition', level, message, self._values())
+        self._publisher.publish(told)
