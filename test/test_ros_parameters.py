@@ -56,6 +56,7 @@ DOCUMENTED = {
     'glide_slope': 0.0,
     'obstacles': (),
     'obstacle_speed_limit': 50.0,
+    'hover_thrust': 0.0,
     'tf': False,
     'transforms': (),
     'transform_timeout': 0.2,

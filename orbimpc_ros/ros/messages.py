@@ -26,6 +26,7 @@ from geometry_msgs.msg import (
     Transform,
     TwistStamped,
     Vector3,
+    Vector3Stamped,
     WrenchStamped,
 )
 from nav_msgs.msg import Odometry as OdometryMessage
@@ -337,6 +338,12 @@ def wrench_message(stamp: Stamp, force: float) -> WrenchStamped:
     message = WrenchStamped(header=header(stamp.nanoseconds, stamp.frames.body))
     message.wrench.force = pushing(force, stamp.frames)
     return message
+
+
+def share_message(stamp: Stamp, share: float) -> Vector3Stamped:
+    """Return a share of full thrust along the pushing axis, in the body frame."""
+    head = header(stamp.nanoseconds, stamp.frames.body)
+    return Vector3Stamped(header=head, vector=pushing(share, stamp.frames))
 
 
 def rotation_message(stamp: Stamp, command: Command) -> QuaternionStamped:

@@ -111,6 +111,9 @@ PLANNER: tuple[Row, ...] = (
     Row('velocity_frame', 'body', 'What the linear velocity of odom or twist is given in: the '
         "body's axes, as ROS has it, or the world's; rates are about the body's in any case",
         choices=('body', 'world')),
+    Row('hover_thrust', 0.0, 'Share of full thrust at which the vehicle hovers, as its autopilot '
+        'counts it (gravity above 0): thrust then carries the thrust as such a share; 0 for none',
+        '1', 0.0, 1.0),
     Row('tf', False, 'Whether goals, obstacles and plans of other vehicles in other frames than '
         'frame_id are moved by what /tf and /tf_static tell'),
     Row('transforms', (), "The same by transforms that are stated, each 'parent child x y z roll "
@@ -214,6 +217,7 @@ class PlannerSettings:
         gap_tolerance: relative gap that counts as proved.
         disturbance: the known wind or acceleration, gravity's included, shape (n,).
         gravity: [m/s^2].
+        hover_thrust: share of full thrust that carries the weight; 0 where none is to be told.
         estimated: whether to estimate what disturbs besides.
         velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
         dry_run: whether nothing is to be commanded.
@@ -248,6 +252,7 @@ class PlannerSettings:
     gap_tolerance: float
     disturbance: Array
     gravity: float
+    hover_thrust: float
     estimated: bool
     velocity_source: str
     dry_run: bool
@@ -298,6 +303,7 @@ def planner_settings(values: Values) -> PlannerSettings:
         gap_tolerance=values['gap_tolerance'],
         disturbance=sealed(disturbance_of(values)),
         gravity=values['gravity'],
+        hover_thrust=_hover_thrust(values),
         estimated=values['disturbance'] == ESTIMATED,
         velocity_source=values['velocity_source'],
         dry_run=values['dry_run'],
@@ -333,6 +339,17 @@ def _refuse_unfit(values: Values) -> None:
     if values['velocity_source'] == 'air' and order == 2:
         allowed = 'ground at translation_order 2, where wind is an acceleration'
         raise BadInput('velocity_source', 'air', allowed)
+
+
+def _hover_thrust(values: Values) -> float:
+    """Return the share of thrust at hover: full thrust must be no more than the whole of it."""
+    share, gravity = values['hover_thrust'], values['gravity']
+    if share and not gravity:
+        raise BadInput('hover_thrust', share, '0 without gravity, where nothing hovers')
+    if share * values['forward'] > gravity:
+        allowed = f'at most gravity / forward, {gravity / values["forward"]:.4g}: full thrust is 1'
+        raise BadInput('hover_thrust', share, allowed)
+    return float(share)
 
 
 def _tree(values: Values) -> Tree:

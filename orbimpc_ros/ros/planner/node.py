@@ -33,7 +33,7 @@ from orbimpc_ros.ros.planner.health import Condition, Health, condition
 from orbimpc_ros.ros.planner.inbox import NAMED, Inbox
 from orbimpc_ros.ros.planner.lookout import OBSTACLES, PLAN, others
 from orbimpc_ros.ros.planner.neighbours import Neighbours
-from orbimpc_ros.ros.planner.outlet import Outlet, command_messages, report_messages
+from orbimpc_ros.ros.planner.outlet import Outlet, command_messages, outputs, report_messages
 from orbimpc_ros.ros.planner.summary import doubts, summary
 from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.ros.process import Guarded, qos, run
@@ -72,8 +72,7 @@ class PlannerNode(Guarded):
         self._inbox = Inbox(self._settings, names, avoided)
         self._ticker = Ticker(self._settings, controller, simulated=self._time.simulated)
         self._report: Report | None = None  # on the last tick
-        inertial, dry = self._settings.problem.inertial, self._settings.dry_run
-        self._outlet = Outlet(self, thrust=inertial, dry=dry)
+        self._outlet = Outlet(self, outputs(self._settings))
         self._outlet.engaged = not self._settings.gated
         self._health = Health(self, self._condition, self._counts)
         self._create_subscriptions()
