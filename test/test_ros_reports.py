@@ -65,7 +65,7 @@ def test_margins_on_tick_are_those_of_the_plan_and_none_without_one():
 
 
 def test_the_aggregators_configuration_finds_every_status():
-    text = (ROOT / 'config' / 'diagnostics.yaml').read_text()
+    text = (ROOT / 'config' / 'diagnostics' / 'aggregator.yaml').read_text()
     analyzers = yaml.safe_load(text)['analyzers']['ros__parameters']['orbimpc']['analyzers']
     starts = [start for each in analyzers.values() for start in each['contains']]
     for task in ('condition', 'flight'):
