@@ -152,13 +152,13 @@ def prices(tick: Tick) -> dict[str, float]:
 def tick_message(at: int, node: str, report: Report) -> DiagnosticArray:
     """Return a report as the message on ``tick``; ``at`` is the stamp [ns]."""
     message = report.tick.reason or report.tick.status
-    return diagnostics(at, node, 'tick', report.level, message, report.values)
+    return diagnostics(at, f'{node}: tick', report.level, message, report.values)
 
 
-def diagnostics(
+def health_message(
     at: int, node: str, task: str, level: bytes, message: str, values: Mapping[str, object]
 ) -> DiagnosticArray:
-    """Return one diagnostic status, named as diagnostic_updater does.
+    """Return a status for /diagnostics, named as diagnostic_updater does.
 
     Args:
         at: its stamp [ns].
@@ -168,15 +168,18 @@ def diagnostics(
         message: the same in words.
         values: figures behind it, by key.
     """
-    pairs = [KeyValue(key=key, value=_text(value)) for key, value in values.items()]
     name = node.strip('/')
-    status = DiagnosticStatus(
-        name=f'{name}: {task}',
-        level=level,
-        message=message,
-        hardware_id=name.rpartition('/')[0] or 'none',
-        values=pairs,
-    )
+    told = diagnostics(at, f'{name}: {task}', level, message, values)
+    told.status[0].hardware_id = name.rpartition('/')[0] or 'none'
+    return told
+
+
+def diagnostics(
+    at: int, name: str, level: bytes, message: str, values: Mapping[str, object]
+) -> DiagnosticArray:
+    """Return one diagnostic status, stamped ``at`` [ns]."""
+    pairs = [KeyValue(key=key, value=_text(value)) for key, value in values.items()]
+    status = DiagnosticStatus(name=name, level=level, message=message, values=pairs)
     return DiagnosticArray(header=header(at, ''), status=[status])
 
 

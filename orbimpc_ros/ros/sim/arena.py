@@ -22,7 +22,7 @@ from orbimpc_ros.ros.markers import traffic_markers, world_markers
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters import SimSettings
 from orbimpc_ros.ros.process import DONE, FAILED, Guarded, qos
-from orbimpc_ros.ros.reports import ERROR, OK, WARN, diagnostics
+from orbimpc_ros.ros.reports import ERROR, OK, WARN, diagnostics, health_message
 from orbimpc_ros.ros.sim.commands import Order, Orders
 from orbimpc_ros.ros.sim.readers import Readers
 from orbimpc_ros.world.airspeed import Airspeeds
@@ -178,7 +178,7 @@ class Arena:
 
     def _diagnose(self, at: int, level: bytes, text: str, values: Mapping[str, object]) -> None:
         name = self.node.get_fully_qualified_name()
-        self._health.publish(diagnostics(at, name, 'flight', level, text, values))
+        self._health.publish(health_message(at, name, 'flight', level, text, values))
 
     def restart(self) -> None:
         """Begin again; time goes on, for stamps never go back."""
@@ -198,7 +198,7 @@ def truth_message(at: int, name: str, flight: Flight, airspeeds: Airspeeds) -> D
 
     Args:
         at: the stamp [ns].
-        name: of the simulator, fully qualified.
+        name: of the status.
         flight: now.
         airspeeds: of the flight so far.
     """
@@ -216,8 +216,8 @@ def truth_message(at: int, name: str, flight: Flight, airspeeds: Airspeeds) -> D
     }
     if airspeeds.stalled:
         slow = f'stalled: {now:.3g} m/s, below {airspeeds.stall_speed:g} m/s'
-        return diagnostics(at, name, 'truth', WARN, slow, values)
-    return diagnostics(at, name, 'truth', OK, 'flies', values)
+        return diagnostics(at, name, WARN, slow, values)
+    return diagnostics(at, name, OK, 'flies', values)
 
 
 def touched_in_words(numbers: Collection[int], boxes: int) -> str:
