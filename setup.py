@@ -70,6 +70,7 @@ setup(
         # Newer Arrows want NumPy 2, which not every ROS workspace has.
         'study': ['casadi', 'distributed>=2024.1', 'pyarrow>=14,<25'],
         'test': [
+            'check-jsonschema>=0.29',
             'colcon-core',
             'colcon-package-selection',
             'colcon-ros',

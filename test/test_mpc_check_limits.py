@@ -16,7 +16,7 @@ from plans import (
 )
 from problems import floor
 
-from orbimpc_ros.mpc.check import TOLERANCE, turn_margin, violations
+from orbimpc_ros.mpc.check import TOLERANCE, margins, turn_margin, violations
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Box, Problem, State
@@ -31,7 +31,7 @@ def stretched(problem, start, goals, scale):
 def test_outside_the_orbitope():
     far = np.tile([30.0, 0.0], (5, 1))
     broken = stretched(Problem(), START, far, 1.0 + 1e-5)
-    assert 'conv SO(n)' in only_complaint(Problem(), broken, START, far)
+    assert 'hull' in only_complaint(Problem(), broken, START, far)
 
 
 @pytest.mark.parametrize('shape', ['polygon', 'circle'])
@@ -69,7 +69,7 @@ def test_cutting_a_corner():
 @pytest.mark.parametrize('k', range(5))
 def test_the_orbitope_binds_at_every_step(n, k):
     start, goals, plan = straight(Problem(n), changed(np.ones(5), k, 1.0 + 2 * TOLERANCE))
-    assert 'conv SO(n)' in only_complaint(Problem(n), plan, start, goals)
+    assert 'hull' in only_complaint(Problem(n), plan, start, goals)
 
 
 @pytest.mark.parametrize(('n', 'shape'), [(2, 'polygon'), (2, 'circle'), (3, 'polygon')])
@@ -270,3 +270,16 @@ def test_short_plans_have_corners_where_they_have_two_points(steps):
     start, goals, plan = straight(problem, np.ones(steps))
     found = violations(problem, start, goals, plan)
     assert found == ([] if steps == 1 else ['obstacle violated by 0.1'])
+
+
+def test_margins_are_told_of_every_limit_that_there_is():
+    box = Box([1.2, 2.0], [9.0, 9.0])
+    problem = Problem(floor=floor('circle', 0.5), max_acceleration=0.3, obstacles=(box,))
+    start, goals, plan = straight(problem, np.array([0.9, 0.8, 0.7, 0.7, 0.7]))
+    found = margins(problem, start, goals, plan)
+    below = float((box.minimum - plan.positions[1:]).max(axis=1).min())
+    expected = {'hull': 0.1, 'floor': 0.2, 'max_acceleration': 0.2, 'obstacle': below}
+    assert found == pytest.approx(expected, abs=1e-9)
+    assert set(margins(replace(problem, max_rate=0.3), start, goals, plan)) - set(found) == {
+        'max_rate'
+    }

@@ -145,7 +145,7 @@ def test_an_objective_may_be_off_by_what_summing_costs(side):
         assert (violations(problem, state, GOALS, told) == []) is fine
 
 
-@pytest.mark.parametrize('which', ['conv SO(n)', 'max_rate'])
+@pytest.mark.parametrize('which', ['hull', 'max_rate'])
 def test_limits_that_rounding_blurs(which):
     """One and chords are no multiples of the tolerance: it is met from either side."""
     problem = replace(FREE, max_rate=0.3 if which == 'max_rate' else 0.0)

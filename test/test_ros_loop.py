@@ -145,7 +145,7 @@ def _check_ticks(heard):
             'speed_fraction', 'projection_distance', 'fallback', 'cause', 'binding', 'advanced',
             'goal_stamps', 'goal_counts', 'disturbance', 'innovation',
             'earliest_catch', 'catch_bound', 'obstacles', 'obstacles_left_out', 'clearance',
-            'traffic_stamps',
+            'traffic_stamps', 'margins',
         }  # fmt: skip
         assert told['status'] == 'optimal'
         assert json.loads(told['goal_stamps']) == {'goal': stamp(message)}
@@ -156,6 +156,9 @@ def _check_ticks(heard):
         fractions = json.loads(told['speed_fraction'])
         assert len(fractions) == 6
         assert min(fractions[1:]) >= np.sqrt(0.3) - 1e-6
+        margins = json.loads(told['margins'])
+        assert set(margins) == {'hull', 'floor'}
+        assert min(margins.values()) >= -1e-6
 
 
 def _check_against(oracle, heard):

@@ -140,8 +140,33 @@ def _length_tolerance(problem: Problem, state: State) -> float:
 # --- limits
 
 
+def margins(problem: Problem, state: State, goals: Array, plan: Plan) -> dict[str, float]:
+    """Return how far inside of each limit a plan stays at its closest, negative outside.
+
+    Args:
+        problem: gives the limits.
+        state: that the plan starts from, with the hazards.
+        goals: g_1..g_N, shape (N, n) [m].
+        plan: to be judged.
+
+    Returns:
+        Shares of full speed or thrust for ``hull``, ``floor``, ``max_acceleration`` (in a step),
+        ``approach`` and ``tilt``; for ``max_rate`` the turn of a step [rad] with a floor, and a
+        share of full speed without; for obstacles, hazards and ``glide_slope`` lengths [m].
+    """
+    return {name: least for name, (least, _) in _limits(problem, state, goals, plan).items()}
+
+
 def _limit_violations(problem: Problem, state: State, goals: Array, plan: Plan) -> list[str]:
-    limits = {'conv SO(n)': (float(margin(plan.rotations[1:]).min()), TOLERANCE)}
+    limits = _limits(problem, state, goals, plan)
+    return [f'{name} violated by {-m:.2g}' for name, (m, most) in limits.items() if m < -most]
+
+
+def _limits(
+    problem: Problem, state: State, goals: Array, plan: Plan
+) -> dict[str, tuple[float, float]]:
+    """Return the least margin to each limit, and by how much it may be missed."""
+    limits = {'hull': (float(margin(plan.rotations[1:]).min()), TOLERANCE)}
     if problem.floor.exists:
         least = float(floor_margin(problem, plan.rotations[1:, :, 0]).min())
         limits['floor'] = least, TOLERANCE
@@ -162,7 +187,7 @@ def _limit_violations(problem: Problem, state: State, goals: Array, plan: Plan) 
         limits['approach'] = least, TOLERANCE
     if problem.has_cones:
         limits |= _cone_limits(problem, state, goals, plan)
-    return [f'{name} violated by {-m:.2g}' for name, (m, most) in limits.items() if m < -most]
+    return limits
 
 
 def _cone_limits(

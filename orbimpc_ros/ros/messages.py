@@ -23,8 +23,10 @@ from geometry_msgs.msg import (
     PoseStamped,
     Quaternion,
     QuaternionStamped,
+    Transform,
     TwistStamped,
     Vector3,
+    Vector3Stamped,
     WrenchStamped,
 )
 from nav_msgs.msg import Odometry as OdometryMessage
@@ -219,6 +221,16 @@ def read_force(message: WrenchStamped, frames: Frames) -> tuple[int, float]:
     return at.nanoseconds, float(frames.turned(force)[0])
 
 
+def read_transform(message: Transform, name: str) -> tuple[Array, Array]:
+    """Return the rotation, shape (3, 3), and the translation, shape (3,) [m], of a transform.
+
+    Raises:
+        BadInput: a number or the quaternion of the transform of that name is not acceptable.
+    """
+    unit = _quaternion(message.rotation, f'rotation of {name}')
+    return from_quaternion(unit, 3), _triple(message.translation, f'translation of {name}')
+
+
 def _stamp(header: Header, frame: str) -> Stamp:
     world = _frame(header.frame_id, frame, 'header.frame_id')
     return Stamp(nanoseconds(header.stamp, 'header.stamp'), Frames(world))
@@ -326,6 +338,12 @@ def wrench_message(stamp: Stamp, force: float) -> WrenchStamped:
     message = WrenchStamped(header=header(stamp.nanoseconds, stamp.frames.body))
     message.wrench.force = pushing(force, stamp.frames)
     return message
+
+
+def share_message(stamp: Stamp, share: float) -> Vector3Stamped:
+    """Return a share of full thrust along the pushing axis, in the body frame."""
+    head = header(stamp.nanoseconds, stamp.frames.body)
+    return Vector3Stamped(header=head, vector=pushing(share, stamp.frames))
 
 
 def rotation_message(stamp: Stamp, command: Command) -> QuaternionStamped:

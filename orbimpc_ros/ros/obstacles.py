@@ -9,8 +9,9 @@ everything is what it looks like from above.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Vector3
@@ -55,7 +56,11 @@ Change = Spotted | Gone | BadInput
 
 
 def read_obstacles(
-    message: MarkerArray, dimension: int, frames: Frames, most: int | None = None
+    message: MarkerArray,
+    dimension: int,
+    frames: Frames,
+    most: int | None = None,
+    placed: Callable[[Any], Any] = lambda marker: marker,
 ) -> Iterator[Change]:
     """Yield what markers say in their order: bodies seen or gone, or what is wrong with one.
 
@@ -64,9 +69,10 @@ def read_obstacles(
         dimension: 2 for what they look like from above.
         frames: that they must be in.
         most: so many are read; all by default.
+        placed: moves what has a header and a pose to the frame that it must be in.
     """
     for marker in message.markers[:most]:
-        yield _change(marker, dimension, frames)
+        yield _change(marker, dimension, frames, placed)
 
 
 def stamp_of(message: MarkerArray) -> int:
@@ -75,9 +81,9 @@ def stamp_of(message: MarkerArray) -> int:
     return 0 if first is None else first.header.stamp.sec * SECOND + first.header.stamp.nanosec
 
 
-def _change(marker: Marker, dimension: int, frames: Frames) -> Change:
+def _change(marker: Marker, dimension: int, frames: Frames, placed: Callable[[Any], Any]) -> Change:
     try:
-        return _read(marker, dimension, frames)
+        return _read(marker, dimension, frames, placed)
     except BadInput as error:
         return error
 
@@ -89,7 +95,9 @@ def _name(marker: Marker) -> str:
     return f'{marker.ns}/{marker.id}'
 
 
-def _read(marker: Marker, dimension: int, frames: Frames) -> Spotted | Gone:
+def _read(
+    marker: Marker, dimension: int, frames: Frames, placed: Callable[[Any], Any]
+) -> Spotted | Gone:
     """Return what a marker says.
 
     Raises:
@@ -104,8 +112,9 @@ def _read(marker: Marker, dimension: int, frames: Frames) -> Spotted | Gone:
     if marker.type not in KINDS:
         allowed = ' | '.join(f'{name} ({kind})' for kind, name in KINDS.items())
         raise BadInput('type', marker.type, allowed)
-    stamp, place = read_sighting(marker, 3, frames)  # has the header and the pose of one
-    q = marker.pose.orientation
+    there = placed(marker)
+    stamp, place = read_sighting(there, 3, frames)  # has the header and the pose of one
+    q = there.pose.orientation
     unit = np.array([q.w, q.x, q.y, q.z])
     turned = from_quaternion(unit / math.sqrt(unit @ unit), 3)
     body = _body(marker.type, place.position, turned, _scale(marker.scale), dimension)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.check import margins
 from orbimpc_ros.mpc.loop.traffic.nearest import clearance
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
 from orbimpc_ros.mpc.sensitivity.constraints import explained
@@ -101,6 +102,7 @@ class Report:
             'goal_counts': self.goal_counts,
             **({'goal_model': self.goal_model} if self.goal_model else {}),
             **_traffic(tick),
+            'margins': _margins(tick),
             'obstacles_left_out': self.left_out,
             'traffic_stamps': self.traffic_stamps,
         }
@@ -120,6 +122,14 @@ def _traffic(tick: Tick) -> dict[str, object]:
     if tick.problem is not None and tick.state is not None and tick.plan is not None:
         least = clearance(tick.problem, tick.state, tick.plan.positions)
     return {'obstacles': count, 'clearance': least}
+
+
+def _margins(tick: Tick) -> dict[str, float]:
+    """Return how far inside of each limit the plan stays, by name."""
+    problem, state, goals, plan = tick.problem, tick.state, tick.goals, tick.plan
+    if problem is None or state is None or goals is None or plan is None:
+        return {}
+    return margins(problem, state, goals, plan)
 
 
 def _farthest(plan: Plan) -> float:
@@ -143,6 +153,25 @@ def tick_message(at: int, node: str, report: Report) -> DiagnosticArray:
     """Return a report as the message on ``tick``; ``at`` is the stamp [ns]."""
     message = report.tick.reason or report.tick.status
     return diagnostics(at, f'{node}: tick', report.level, message, report.values)
+
+
+def health_message(
+    at: int, node: str, task: str, level: bytes, message: str, values: Mapping[str, object]
+) -> DiagnosticArray:
+    """Return a status for /diagnostics, named as diagnostic_updater does.
+
+    Args:
+        at: its stamp [ns].
+        node: fully qualified name of who reports; the namespace tells the vehicle.
+        task: what it reports on.
+        level: how it is.
+        message: the same in words.
+        values: figures behind it, by key.
+    """
+    name = node.strip('/')
+    told = diagnostics(at, f'{name}: {task}', level, message, values)
+    told.status[0].hardware_id = name.rpartition('/')[0] or 'none'
+    return told
 
 
 def diagnostics(

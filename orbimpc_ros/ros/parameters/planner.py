@@ -41,6 +41,7 @@ from orbimpc_ros.ros.parameters.parameter import (
     require_topic,
     span,
 )
+from orbimpc_ros.ros.transforms import Stated, stated
 from orbimpc_ros.world.scenario import LIMITS, retrieval
 
 PROJECTIONS = ('nearest', 'thrust_aligned')
@@ -110,6 +111,15 @@ PLANNER: tuple[Row, ...] = (
     Row('velocity_frame', 'body', 'What the linear velocity of odom or twist is given in: the '
         "body's axes, as ROS has it, or the world's; rates are about the body's in any case",
         choices=('body', 'world')),
+    Row('hover_thrust', 0.0, 'Share of full thrust at which the vehicle hovers, as its autopilot '
+        'counts it (gravity above 0): thrust then carries the thrust as such a share; 0 for none',
+        '1', 0.0, 1.0),
+    Row('tf', False, 'Whether goals, obstacles and plans of other vehicles in other frames than '
+        'frame_id are moved by what /tf and /tf_static tell'),
+    Row('transforms', (), "The same by transforms that are stated, each 'parent child x y z roll "
+        "pitch yaw' [m, rad]: how the child lies in the parent, as in tf", words=True, live=True),
+    Row('transform_timeout', 0.2, 'For so long the last transform of /tf holds', 's', 0.0,
+        MAX_DURATION, live=True),
     Row('gated', False, 'Whether commands wait for engaged (std_msgs/Bool): none are sent before '
         'it is true, nor while it is false'),
     *APPROACH,
@@ -161,6 +171,26 @@ class Ageing(Enum):
 
 
 @dataclass(frozen=True)
+class Tree:
+    """How other frames are known.
+
+    Attributes:
+        heard: whether from ``/tf``.
+        stated: those that hold for ever.
+        timeout: for how long the last transform of ``/tf`` holds [s].
+    """
+
+    heard: bool
+    stated: tuple[Stated, ...]
+    timeout: float
+
+    @property
+    def exists(self) -> bool:
+        """Return whether any other frame may be known."""
+        return self.heard or bool(self.stated)
+
+
+@dataclass(frozen=True)
 class PlannerSettings:
     """All that the planner's parameters say.
 
@@ -187,6 +217,7 @@ class PlannerSettings:
         gap_tolerance: relative gap that counts as proved.
         disturbance: the known wind or acceleration, gravity's included, shape (n,).
         gravity: [m/s^2].
+        hover_thrust: share of full thrust that carries the weight; 0 where none is to be told.
         estimated: whether to estimate what disturbs besides.
         velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
         dry_run: whether nothing is to be commanded.
@@ -196,6 +227,7 @@ class PlannerSettings:
         avoid: topics of other vehicles' plans, as given.
         distance: how other vehicles are avoided.
         frames: that messages must be in.
+        tree: of frames, by which messages are moved there.
     """
 
     problem: Problem
@@ -220,6 +252,7 @@ class PlannerSettings:
     gap_tolerance: float
     disturbance: Array
     gravity: float
+    hover_thrust: float
     estimated: bool
     velocity_source: str
     dry_run: bool
@@ -229,6 +262,7 @@ class PlannerSettings:
     avoid: tuple[str, ...]
     distance: Distance
     frames: Frames
+    tree: Tree
 
 
 def planner_settings(values: Values) -> PlannerSettings:
@@ -269,12 +303,14 @@ def planner_settings(values: Values) -> PlannerSettings:
         gap_tolerance=values['gap_tolerance'],
         disturbance=sealed(disturbance_of(values)),
         gravity=values['gravity'],
+        hover_thrust=_hover_thrust(values),
         estimated=values['disturbance'] == ESTIMATED,
         velocity_source=values['velocity_source'],
         dry_run=values['dry_run'],
         gated=values['gated'],
         halves=values['odometry'] == 'pose_twist',
         frames=replace(frames_of(values), velocity=values['velocity_frame']),
+        tree=_tree(values),
         obstacle_speed_limit=values['obstacle_speed_limit'],
         avoid=_avoided(values),
         distance=_distance(values, problem, period),
@@ -303,6 +339,26 @@ def _refuse_unfit(values: Values) -> None:
     if values['velocity_source'] == 'air' and order == 2:
         allowed = 'ground at translation_order 2, where wind is an acceleration'
         raise BadInput('velocity_source', 'air', allowed)
+
+
+def _hover_thrust(values: Values) -> float:
+    """Return the share of thrust at hover: full thrust must be no more than the whole of it."""
+    share, gravity = values['hover_thrust'], values['gravity']
+    if share and not gravity:
+        raise BadInput('hover_thrust', share, '0 without gravity, where nothing hovers')
+    if share * values['forward'] > gravity:
+        allowed = f'at most gravity / forward, {gravity / values["forward"]:.4g}: full thrust is 1'
+        raise BadInput('hover_thrust', share, allowed)
+    return float(share)
+
+
+def _tree(values: Values) -> Tree:
+    """Return how other frames are known: each stated one lies in one other."""
+    found = tuple(map(stated, values['transforms']))
+    for each in found:
+        if [other.child for other in found].count(each.child) > 1:
+            raise BadInput('transforms', list(values['transforms']), f'{each.child} in one parent')
+    return Tree(values['tf'], found, values['transform_timeout'])
 
 
 def _avoided(values: Values) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from diagnostic_msgs.msg import DiagnosticArray
 
 from orbimpc_ros.ros.process import Guarded, qos
-from orbimpc_ros.ros.reports import ERROR, OK, WARN, Report, diagnostics
+from orbimpc_ros.ros.reports import ERROR, OK, WARN, Report, health_message
 
 PERIOD = 1.0  # [s] between messages, at most
 Condition = tuple[bytes, str]
@@ -70,4 +70,5 @@ class Health:
         level, message = shown
         self._shown = shown
         now, name = self._node.get_clock().now().nanoseconds, self._node.get_fully_qualified_name()
-        self._publisher.publish(diagnostics(now, name, level, message, self._values()))
+        told = health_message(now, name, 'condition', level, message, self._values())
+        self._publisher.publish(told)

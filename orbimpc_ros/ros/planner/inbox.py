@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -24,6 +24,7 @@ from orbimpc_ros.ros.planner.lookout import (
     PLAN,
     Lookout,
 )
+from orbimpc_ros.ros.transforms import TF, TF_STATIC, Transforms
 
 T = TypeVar('T')
 
@@ -36,6 +37,7 @@ READ: Mapping[str, Callable[..., tuple[Stamp, Any]]] = {
     'goal_path': read_itinerary,
 }
 GOALS = ('goal', 'goal_path')
+TRANSFORMS = (TF, TF_STATIC)
 NAMED = (*READ, OBSTACLES, PLAN)  # topics whose resolved names are of use
 
 
@@ -49,6 +51,7 @@ class Received(Generic[T]):
         at: when it came, on the steady clock [s].
         timed: whether its stamp can be compared with the node's clock.
         run: how many messages of its source, itself the last, came one soon after another.
+        moved: the message itself, if it came in another frame.
     """
 
     stamp: Stamp
@@ -56,6 +59,7 @@ class Received(Generic[T]):
     at: float
     timed: bool = False
     run: int = 1
+    moved: Any = None
 
     def age(self, now: float, ros: RosTime = UNKNOWN) -> float:
         """Return how old it is [s]: by its arrival or its stamp, whichever makes it older."""
@@ -105,6 +109,8 @@ class Inbox:
         pairings: whether each topic that may do so accompanies the odometry.
         timed: topics whose stamps have been seen to be of the node's own clock.
         lookout: what moves around the vehicle.
+        transforms: of frames to one another.
+        displaced: why a goal of another frame is left where it was, in words; empty if it is not.
     """
 
     settings: PlannerSettings
@@ -117,10 +123,15 @@ class Inbox:
     pairings: dict[str, Pairing] = field(init=False)
     timed: set[str] = field(default_factory=set)
     lookout: Lookout = field(init=False)
+    transforms: Transforms = field(init=False)
+    displaced: str = ''
 
     def __post_init__(self) -> None:
         self.forecast = forecast_named(self.settings.goal_prediction)
-        self.lookout = Lookout(self.settings, self.names, self.others, self.refused)
+        known = self.settings.tree
+        self.transforms = Transforms(known.stated, known.timeout, known.heard)
+        around = self.names, self.others, self.refused, self._placed
+        self.lookout = Lookout(self.settings, *around)
         paired = (*GOALS, OBSTACLES, *self.lookout.leaders)
         self.pairings = {topic: Pairing() for topic in paired}
         self._paired: set[str] = set()  # topics that share the stamp of the latest odometry
@@ -128,6 +139,7 @@ class Inbox:
     def adopt(self, settings: PlannerSettings) -> None:
         """Take over new settings; another kind of forecast starts afresh from the last goal."""
         renewed = settings.goal_prediction != self.settings.goal_prediction
+        self.transforms.adopt(settings.tree.stated, settings.tree.timeout, settings.tree.heard)
         self.settings = self.lookout.settings = settings
         if renewed:
             self.forecast = forecast_named(settings.goal_prediction)
@@ -138,6 +150,7 @@ class Inbox:
         """Forget every input and whose clock is whose, as after a reset or when time jumped."""
         self._drop_all()
         self.lookout.forget()
+        self.transforms.forget()
         self.timed.clear()
 
     def _drop_all(self) -> None:
@@ -157,13 +170,17 @@ class Inbox:
 
     def take(self, topic: str, message: Any, now: float, ros: RosTime = UNKNOWN) -> str:
         """Take in a message; return why it was refused, or an empty string."""
+        if topic in TRANSFORMS:
+            return self._hear(topic, message)
         if topic not in READ:
             measured = UNKNOWN if self.odometry is None else RosTime(self._time)
             refusal = self.lookout.take(topic, message, ros, measured)
             self._note_pairs()
             return refusal
-        settings, last = self.settings, self.latest.get(topic)
+        settings, last, came = self.settings, self.latest.get(topic), message
         try:
+            if topic in GOALS:
+                message = self._placed(message)
             stamp, value = READ[topic](message, settings.problem.dimension, settings.frames)
             ros.require_past(stamp.nanoseconds, settings.future_tolerance)
             self._require_newer(topic, stamp, last, now)
@@ -176,8 +193,48 @@ class Inbox:
         # Once timed, always timed: what was held up on the way must not pass for fresh.
         if abs(ros.since(stamp.nanoseconds)) <= COMPARABLE:
             self.timed.add(topic)
-        self._keep(topic, Received(stamp, value, now, topic in self.timed, self._run(topic, now)))
+        moved = None if message is came else came
+        timed, run = topic in self.timed, self._run(topic, now)
+        self._keep(topic, Received(stamp, value, now, timed, run, moved))
         return ''
+
+    def _hear(self, topic: str, message: Any) -> str:
+        try:
+            self.transforms.hear(topic, message)
+        except BadInput as error:
+            self.refused[f'{topic}: {error.culprit}'] += 1
+            return f'{topic} refused: {error}'
+        return ''
+
+    def _placed(self, message: Any) -> Any:
+        """Return a message as of the world's frame: itself, or what can be read of it elsewhere.
+
+        Raises:
+            BadInput: it is of another frame, and no transform leads from there.
+        """
+        world = self.settings.frames.world
+        if not world or message.header.frame_id == world:
+            return message
+        return self.transforms.moved(message, world)
+
+    def _place_again(self, at: int) -> None:
+        """Move a goal that holds, and stands in another frame, to where that is at a stamp [ns].
+
+        Localisation corrects how ``map`` lies in ``odom``, by metres where it closes a loop.
+        """
+        goal, frames = self.latest.get('goal'), self.settings.frames
+        if goal is None or goal.moved is None or goal.run >= STREAM:
+            self.displaced = ''
+            return
+        try:
+            placed = self.transforms.moved(goal.moved, frames.world, at)
+        except BadInput as error:
+            self.displaced = f'the goal stays where it was: {error}'
+            return
+        _, value = read_sighting(placed, self.settings.problem.dimension, frames)
+        self.latest['goal'], self.displaced = replace(goal, value=value), ''
+        self.forecast.reset()
+        self.forecast.observe(value)
 
     def _keep(self, topic: str, received: Received[Any]) -> None:
         if topic in GOALS:
@@ -188,6 +245,8 @@ class Inbox:
         self._note_pairs()
         if topic == 'goal':
             self.forecast.observe(received.value)
+        elif topic == 'odom':
+            self._place_again(received.stamp.nanoseconds)
 
     def _run(self, topic: str, now: float) -> int:
         last = self.latest.get(topic)

@@ -55,6 +55,7 @@ class Lookout:
         names: of ``obstacles`` and ``plan`` as they are resolved.
         others: topics of other vehicles' plans.
         refused: what was refused so far, by topic and field.
+        placed: moves a message to the world's frame.
         bodies: on ``obstacles``.
         courses: of other vehicles.
         stamps: of the latest message of each topic [ns]; empty while there is nothing around.
@@ -67,6 +68,7 @@ class Lookout:
     names: Mapping[str, str]
     others: tuple[str, ...]
     refused: Counter[str]
+    placed: Callable[[Any], Any]
     bodies: Bodies = field(default_factory=Bodies)
     courses: Courses = field(init=False)
     stamps: dict[str, int] = field(default_factory=dict)
@@ -95,8 +97,9 @@ class Lookout:
         return ''
 
     def _take_course(self, topic: str, message: Any, ros: RosTime, measured: RosTime) -> None:
-        stamp, course = read_course(message, self.settings.problem.dimension, self.settings.frames)
-        ros.require_past(stamp.nanoseconds, self.settings.future_tolerance)
+        settings, placed = self.settings, self.placed(message)
+        stamp, course = read_course(placed, settings.problem.dimension, settings.frames)
+        ros.require_past(stamp.nanoseconds, settings.future_tolerance)
         _require_fresh(stamp, measured, COMPARABLE)
         if stamp.nanoseconds < self.stamps.get(topic, 0):
             raise BadInput('reordered stamp', stamp.nanoseconds, 'stamps that do not decrease')
@@ -108,7 +111,8 @@ class Lookout:
         count = len(message.markers)
         if count > MOST:  # to read them all would take long
             wrong.append(BadInput('count', f'{count} markers', f'{MOST}: the first are taken'))
-        for change in read_obstacles(message, settings.problem.dimension, settings.frames, MOST):
+        asked = settings.problem.dimension, settings.frames, MOST, self.placed
+        for change in read_obstacles(message, *asked):
             if isinstance(change, Gone):
                 self._remove(change)
                 continue

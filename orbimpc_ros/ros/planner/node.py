@@ -28,11 +28,12 @@ from orbimpc_ros.ros.parameters import PLANNER, Live, PlannerSettings, planner_s
 from orbimpc_ros.ros.parameters.sections import warn_of_unused
 from orbimpc_ros.ros.planner.announcer import Announcer
 from orbimpc_ros.ros.planner.compiling import leaving_at_signals, report_compilation
+from orbimpc_ros.ros.planner.frames import listen_to_transforms
 from orbimpc_ros.ros.planner.health import Condition, Health, condition
 from orbimpc_ros.ros.planner.inbox import NAMED, Inbox
 from orbimpc_ros.ros.planner.lookout import OBSTACLES, PLAN, others
 from orbimpc_ros.ros.planner.neighbours import Neighbours
-from orbimpc_ros.ros.planner.outlet import Outlet, command_messages, report_messages
+from orbimpc_ros.ros.planner.outlet import Outlet, command_messages, outputs, report_messages
 from orbimpc_ros.ros.planner.summary import doubts, summary
 from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.ros.process import Guarded, qos, run
@@ -71,8 +72,7 @@ class PlannerNode(Guarded):
         self._inbox = Inbox(self._settings, names, avoided)
         self._ticker = Ticker(self._settings, controller, simulated=self._time.simulated)
         self._report: Report | None = None  # on the last tick
-        inertial, dry = self._settings.problem.inertial, self._settings.dry_run
-        self._outlet = Outlet(self, thrust=inertial, dry=dry)
+        self._outlet = Outlet(self, outputs(self._settings))
         self._outlet.engaged = not self._settings.gated
         self._health = Health(self, self._condition, self._counts)
         self._create_subscriptions()
@@ -107,6 +107,8 @@ class PlannerNode(Guarded):
         if self._settings.gated:
             self._listen(Bool, 'engaged', self._on_engaged)
         self._create_lookout()
+        if self._settings.tree.heard:
+            listen_to_transforms(self, self._take)
         self._neighbours = Neighbours(self, odometry, self._outlet.velocity)
         self.create_service(Trigger, '~/reset', self.guard(self._on_reset))
         self.create_service(SetBool, '~/enable', self.guard(self._on_enable))
@@ -197,7 +199,7 @@ class PlannerNode(Guarded):
 
         return on_plan
 
-    def _take(self, topic: str, message: PoseStamped | Path | MarkerArray) -> None:
+    def _take(self, topic: str, message: Any) -> None:
         """Take in what accompanies odometry; plan if that has waited for it."""
         refusal = self._inbox.take(topic, message, self.steady_now(), self._time.now)
         if refusal:
@@ -339,7 +341,8 @@ class PlannerNode(Guarded):
         untimed = self._inbox.untimed
         other = f"stamps of {untimed} are not of this node's clock" if untimed else ''
         doubt = self._witness.doubt
-        return [self._neighbours.rivals, still, other, doubt, *self._traffic_notices]
+        moved = self._inbox.displaced
+        return [self._neighbours.rivals, still, other, doubt, moved, *self._traffic_notices]
 
     @property
     def _traffic_notices(self) -> list[str]:

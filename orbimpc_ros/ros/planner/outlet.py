@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import QuaternionStamped, TwistStamped, WrenchStamped
+from geometry_msgs.msg import QuaternionStamped, TwistStamped, Vector3Stamped, WrenchStamped
 from nav_msgs.msg import Path
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.publisher import Publisher
@@ -31,8 +31,18 @@ KINDS: dict[str, type] = {
     'tick': DiagnosticArray,
 }
 COMMANDS: dict[str, type] = {'cmd_vel': TwistStamped, 'rotation': QuaternionStamped}
+FORCES: dict[str, type] = {'cmd_thrust': WrenchStamped}
+SHARES: dict[str, type] = {'thrust': Vector3Stamped}
 # Who is connected is watched instead: every event handler makes every wait of the node longer.
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
+
+
+def outputs(settings: PlannerSettings) -> dict[str, type]:
+    """Return the topics that a planner publishes, with their types: no commands on a dry run."""
+    if settings.dry_run:
+        return KINDS
+    forces = FORCES if settings.problem.inertial else {}
+    return KINDS | COMMANDS | forces | (SHARES if settings.hover_thrust else {})
 
 
 def command_messages(settings: PlannerSettings, stamp: Stamp, command: Command) -> dict[str, Any]:
@@ -41,10 +51,14 @@ def command_messages(settings: PlannerSettings, stamp: Stamp, command: Command) 
     pushed = problem.forward * command.speed_fraction  # [m/s] or [m/s^2]
     if problem.translation_order == 1:
         return {'cmd_vel': messages.twist_message(stamp, pushed, command.body_rate)}
-    return {
+    found = {
         'cmd_thrust': messages.wrench_message(stamp, settings.mass * pushed),
         'cmd_vel': messages.twist_message(stamp, 0.0, command.body_rate),
     }
+    if settings.hover_thrust:
+        share = settings.hover_thrust * pushed / settings.gravity
+        found['thrust'] = messages.share_message(stamp, share)
+    return found
 
 
 def report_messages(
@@ -93,8 +107,7 @@ class Outlet:
 
     Args:
         node: that publishes.
-        thrust: whether the vehicle is commanded a thrust, too.
-        dry: whether it is commanded nothing at all.
+        kinds: types of what it publishes, by topic.
 
     Attributes:
         engaged: whether the vehicle takes commands; else it is sent none.
@@ -102,9 +115,7 @@ class Outlet:
         at: when something went out last, on the steady clock [s]; -inf before.
     """
 
-    def __init__(self, node: Guarded, thrust: bool, dry: bool) -> None:
-        told = COMMANDS | ({'cmd_thrust': WrenchStamped} if thrust else {})
-        kinds = KINDS if dry else KINDS | told
+    def __init__(self, node: Guarded, kinds: Mapping[str, type]) -> None:
         self._node = node
         self._publishers: dict[str, Publisher] = {
             topic: node.create_publisher(kind, topic, qos(lease=LIFE), event_callbacks=NO_EVENTS)

@@ -107,6 +107,8 @@ def _surroundings(settings: PlannerSettings) -> list[str]:
     parts = [f'gravity {gravity:g} {unit}: {_hovering(problem, gravity)}'] if gravity else []
     wind = settings.disturbance.copy()
     wind[-1] += gravity
+    if settings.hover_thrust:
+        parts.append(f'told as {settings.hover_thrust:g} on thrust')
     speed = float(np.linalg.norm(wind))
     if speed:
         shown = ', '.join(f'{each:.4g}' for each in wind)

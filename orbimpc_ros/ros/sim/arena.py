@@ -22,7 +22,7 @@ from orbimpc_ros.ros.markers import traffic_markers, world_markers
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters import SimSettings
 from orbimpc_ros.ros.process import DONE, FAILED, Guarded, qos
-from orbimpc_ros.ros.reports import ERROR, OK, WARN, diagnostics
+from orbimpc_ros.ros.reports import ERROR, OK, WARN, diagnostics, health_message
 from orbimpc_ros.ros.sim.commands import Order, Orders
 from orbimpc_ros.ros.sim.readers import Readers
 from orbimpc_ros.world.airspeed import Airspeeds
@@ -178,7 +178,7 @@ class Arena:
 
     def _diagnose(self, at: int, level: bytes, text: str, values: Mapping[str, object]) -> None:
         name = self.node.get_fully_qualified_name()
-        self._health.publish(diagnostics(at, name, level, text, values))
+        self._health.publish(health_message(at, name, 'flight', level, text, values))
 
     def restart(self) -> None:
         """Begin again; time goes on, for stamps never go back."""

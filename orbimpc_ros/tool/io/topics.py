@@ -21,6 +21,10 @@ SHARED = (
     Topic('/clock', 'rosgraph_msgs/msg/Clock'),
     Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray'),
 )
+TREE = (
+    Topic('/tf', 'tf2_msgs/msg/TFMessage'),
+    Topic('/tf_static', 'tf2_msgs/msg/TFMessage', latched=True),
+)  # of frames: read where it was recorded
 INPUTS = (
     Topic('goal', 'geometry_msgs/msg/PoseStamped'),
     Topic('goal_path', 'nav_msgs/msg/Path'),
@@ -44,7 +48,7 @@ WORLD = (
 )
 NEEDED = 'odom and goal are needed'
 VEHICLE = (*INPUTS, *OUTPUTS, *WORLD)
-TYPES = {topic.name.strip('/'): topic.type for topic in (*SHARED, *VEHICLE)}
+TYPES = {topic.name.strip('/'): topic.type for topic in (*SHARED, *TREE, *VEHICLE)}
 
 
 def topics_of(namespaces: Sequence[str] = ('',)) -> tuple[Topic, ...]:

@@ -23,6 +23,7 @@ from orbimpc_ros.tool.io.bag import Message
 from orbimpc_ros.tool.io.content import fields, point
 
 CLOCK = 'clock'
+TREE = tuple(topic.name for topic in topics.TREE)
 INPUTS = tuple(topic.name for topic in topics.INPUTS)
 OUTPUTS = tuple(topic.name for topic in topics.OUTPUTS)
 COMPARED = tuple(name for name in OUTPUTS if name not in ('plan', 'plan_markers'))
@@ -34,7 +35,8 @@ class Input:
     """A message to the planner, or the time.
 
     Attributes:
-        topic: without its namespace, or ``clock``; with it, if it is another vehicle's plan.
+        topic: without its namespace, or ``clock``; with it, if it is another vehicle's plan or one
+            of transforms.
         stamp: that it carries [ns].
         sent: when, on the recording machine's clock or under which stamp [ns].
         message: its content.
@@ -206,12 +208,12 @@ def recording_of(path: Path, namespace: str = '', others: Sequence[str] = ()) ->
     Raises:
         BadInput: no bag, or not one with odometry, a goal and the planner's answers.
     """
-    wanted = {other.rpartition('/')[2] for other in others}
+    wanted = {other.rpartition('/')[2] for other in (*others, *TREE)}
     found = list(bag.read(path, {CLOCK, *INPUTS, *COMPARED, *wanted}))
     own: dict[str, list[Message]] = defaultdict(list)
     for each in found:
         before, _, name = each.topic.rpartition('/')
-        if each.topic in others:
+        if each.topic in (*others, *TREE):
             own[each.topic].append(each)
         if each.topic == f'/{CLOCK}' or (before == namespace and name != CLOCK):
             own[name].append(each)
@@ -220,7 +222,7 @@ def recording_of(path: Path, namespace: str = '', others: Sequence[str] = ()) ->
     _require(own, found, path, namespace)
     inputs = [
         Input(topic, stamp_of(each.content), each.sent, each.content)
-        for topic in (CLOCK, *INPUTS, *others)
+        for topic in (CLOCK, *INPUTS, *others, *TREE)
         for each in own[topic]
         if topic not in HALVES
     ]
@@ -261,6 +263,8 @@ def stamp_of(message: Any) -> int:
     """Return the stamp [ns] in a message's header, or of ``/clock``, however nonsensical."""
     if hasattr(message, 'markers'):
         return stamp_of_markers(message)
+    if hasattr(message, 'transforms'):  # each has its own
+        return 0
     stamp = message.header.stamp if hasattr(message, 'header') else message.clock
     return int(stamp.sec) * SECOND + int(stamp.nanosec)
 

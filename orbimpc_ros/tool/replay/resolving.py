@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import takewhile
 
 from orbimpc_ros.mpc.errors import BadInput
@@ -17,7 +17,7 @@ from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.ros.planner.inbox import GOALS, READ, require_attitude
+from orbimpc_ros.ros.planner.inbox import GOALS, READ, TRANSFORMS, require_attitude
 from orbimpc_ros.tool.replay.offline import OfflinePlanner, resolved
 from orbimpc_ros.tool.replay.recording import CLOCK, Input, Messages, RecordedTick, Recording
 
@@ -144,7 +144,10 @@ def acceptable(each: Input, settings: PlannerSettings) -> bool:
     if each.topic not in READ:
         return False
     try:
-        _, value = READ[each.topic](each.message, settings.problem.dimension, settings.frames)
+        frames = settings.frames
+        if each.topic in GOALS and settings.tree.exists:  # whether it could be moved is not known
+            frames = replace(frames, world='')
+        _, value = READ[each.topic](each.message, settings.problem.dimension, frames)
         if each.topic in GOALS:
             require_attitude(value, settings)
     except BadInput:
@@ -169,7 +172,7 @@ def _latest(sent: Sequence[Input], recorded: RecordedTick) -> dict[str, int]:
     for topic, stamp in answer.goal_stamps.items():
         latest[topic] = _last(sent, topic, stamp)
     if answer.planned:  # the others do not say what they have heard
-        for topic in {each.topic for each in sent} - {*READ, CLOCK}:
+        for topic in {each.topic for each in sent} - {*READ, *TRANSFORMS, CLOCK}:
             heard = answer.traffic_stamps.get(topic)
             latest[topic] = -1 if heard is None else _last(sent, topic, heard)
     return latest

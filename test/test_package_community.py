@@ -1,0 +1,67 @@
+"""What contributors meet: workflows and forms that are valid, a declaration that is true."""
+
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[1]
+GITHUB = ROOT / '.github'
+SCHEMAS = {
+    'vendor.github-workflows': sorted((GITHUB / 'workflows').glob('*.yml')),
+    'vendor.github-issue-forms': sorted(
+        set((GITHUB / 'ISSUE_TEMPLATE').glob('*.yml')) - {GITHUB / 'ISSUE_TEMPLATE' / 'config.yml'}
+    ),
+    'vendor.github-issue-config': [GITHUB / 'ISSUE_TEMPLATE' / 'config.yml'],
+}
+
+
+def checked(schema, files):
+    words = ['-m', 'check_jsonschema', '--builtin-schema', schema, *map(str, files)]
+    return subprocess.run([sys.executable, *words], capture_output=True, text=True, check=False)
+
+
+@pytest.mark.skipif(not find_spec('check_jsonschema'), reason="pip install '.[test]' brings it")
+@pytest.mark.parametrize('schema', SCHEMAS)
+def test_files_for_the_host_are_as_its_schemas_have_them(schema, tmp_path):
+    files = SCHEMAS[schema]
+    assert files
+    done = checked(schema, files)
+    assert done.returncode == 0, done.stdout + done.stderr
+    spoilt = tmp_path / 'spoilt.yml'
+    spoilt.write_text('on: push\njobs: {test: {steps: 3}}\nbody: 3\nblank_issues_enabled: 3\n')
+    done = checked(schema, [spoilt])
+    assert done.returncode == 1
+    assert 'Schema validation errors were encountered' in done.stdout
+
+
+def test_the_workflow_runs_the_two_commands_of_the_readme():
+    jobs = yaml.safe_load((GITHUB / 'workflows' / 'ci.yml').read_text())['jobs']
+    runs = [step['run'] for job in jobs.values() for step in job['steps'] if 'run' in step]
+    assert {run.split(' PINS')[0] for run in runs} == {'make test', 'make demo'}
+    tried = {each['python'] for each in jobs['test']['strategy']['matrix']['include']}
+    assert tried == {'3.10', '3.11', '3.12', '3.13'}
+    pinned = [
+        each['pins'] for each in jobs['test']['strategy']['matrix']['include'] if each['pins']
+    ]
+    assert pinned == ["'numpy==1.26.4' 'cvxpy>=1.7,<1.8'"]
+
+
+def test_the_declaration_of_quality_says_what_is():
+    """It claims level 4 as long as any of the requirements of level 3 that it names is not met."""
+    text = (ROOT / 'QUALITY_DECLARATION.md').read_text()
+    version = ElementTree.parse(ROOT / 'package.xml').findtext('version')
+    stable = int(version.partition('.')[0]) >= 1
+    files = [*(ROOT / 'orbimpc_ros').rglob('*.py'), *(ROOT / 'launch').glob('*.py')]
+    marked = all('Copyright' in file.read_text()[:500] for file in files)
+    assert f'The version is {version}' in text
+    level = int(re.search(r'\*\*Quality Level (\d)\*\*', text)[1])
+    assert level == (3 if stable and marked else 4)
+    assert '(QUALITY_DECLARATION.md)' in (ROOT / 'README.md').read_text()
+    for name in re.findall(r'\]\(([^)#:]+)\)', text):
+        assert (ROOT / name).exists(), name

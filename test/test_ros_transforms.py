@@ -1,0 +1,324 @@
+"""Goals, obstacles and plans in other frames: moved by transforms, or refused in one line."""
+
+import math
+import time
+from dataclasses import replace
+from importlib.util import find_spec
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from geometry_msgs.msg import PoseStamped, Transform, TransformStamped
+from rclpy.serialization import serialize_message
+from rosbags.typesys import Stores, get_typestore
+from visualization_msgs.msg import Marker, MarkerArray
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.clock import RosTime
+from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
+from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
+from orbimpc_ros.ros.planner.inbox import Inbox
+from orbimpc_ros.ros.transforms import TF, TF_STATIC, Rigid, Transforms, stated
+from orbimpc_ros.tool.io.bag.writer import BagWriter
+from orbimpc_ros.tool.io.topics import TREE, topics_of
+from orbimpc_ros.tool.replay.offline import OfflinePlanner
+from orbimpc_ros.tool.replay.recording import recording_of
+from orbimpc_ros.tool.replay.resolving import replayed
+from orbimpc_ros.world.vehicle import Model, launched
+
+OTHER = '/uav2/plan'
+QUARTER = math.pi / 2
+TURNED = f'map odom 10.0 0.0 0.0 0.0 0.0 {QUARTER}'  # odom's x is map's y
+
+
+def settings(**given):
+    values = {row.name: row.default for row in PLANNER}
+    return planner_settings({**values, 'avoid': (OTHER,), 'avoid_radius': 1.0, **given})
+
+
+def inbox(**given):
+    return Inbox(settings(**given), others=(OTHER,))
+
+
+def tf(seconds, parent, child, place, yaw=0.0):
+    """Return a message of one transform, with the fields of a tf2_msgs/TFMessage."""
+    turned = messages.quaternion(exp(np.array([0.0, 0.0, yaw])))
+    transform = Transform(translation=messages.vector(np.array(place)), rotation=turned)
+    head = messages.header(round(seconds * SECOND), parent)
+    one = TransformStamped(header=head, child_frame_id=child, transform=transform)
+    return SimpleNamespace(transforms=[one])
+
+
+def in_map(seconds):
+    return Stamp(round(seconds * SECOND), Frames('map', 'base_link'))
+
+
+def goal(seconds, x, y, yaw=0.0):
+    message = messages.goal_message(in_map(seconds), np.array([x, y]))
+    message.pose.orientation = messages.quaternion(exp(np.array([0.0, 0.0, yaw])))
+    return message
+
+
+def odometry(seconds):
+    stamp = Stamp(round(seconds * SECOND), Frames('odom', 'base_link'))
+    return messages.odometry_message(stamp, launched(Model(), np.zeros(2), np.eye(2)))
+
+
+def seen(seconds, place, size=(1.0, 1.0, 1.0), kind=Marker.CUBE):
+    marker = Marker(header=messages.header(round(seconds * SECOND), 'map'), ns='a', type=kind)
+    marker.pose = messages.pose(np.array(place), np.eye(3))
+    marker.scale = messages.vector(np.array(size))
+    return MarkerArray(markers=[marker])
+
+
+def target(box, seconds=1.0):
+    return box.targets(np.array([seconds]), 0.0)[0]
+
+
+# --- laws
+
+
+def rigids(seed):
+    rng = np.random.default_rng(seed)
+    return [Rigid(exp(rng.normal(size=3)), rng.normal(size=3)) for _ in range(3)]
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_transforms_form_a_group_and_are_interpolated_from_one_end_to_the_other(seed):
+    a, b, c = rigids(seed)
+    for left, right in (
+        ((a @ b) @ c, a @ (b @ c)),
+        (a @ a.inverse, Rigid(np.eye(3), np.zeros(3))),
+        (a.towards(b, 0.0), a),
+        (a.towards(b, 1.0), b),
+        (a.towards(b, 0.3).inverse @ a.towards(b, 0.3), Rigid(np.eye(3), np.zeros(3))),
+    ):
+        np.testing.assert_allclose(left.rotation, right.rotation, atol=1e-12)
+        np.testing.assert_allclose(left.translation, right.translation, atol=1e-12)
+
+
+def test_roll_pitch_and_yaw_are_about_fixed_axes_as_in_tf():
+    found = stated(f'map odom 1 2 3 {QUARTER} 0 {QUARTER}').rigid
+    np.testing.assert_allclose(found.rotation @ [0, 1, 0], [0, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(found.placed(np.zeros(3)), [1, 2, 3])
+
+
+def test_frames_are_joined_through_what_they_have_in_common():
+    known = Transforms([], 0.2, True)
+    known.hear(TF_STATIC, tf(0.0, 'earth', 'map', (100.0, 0.0, 0.0)))
+    known.hear(TF, tf(1.0, 'earth', 'odom', (100.0, 5.0, 0.0), QUARTER))
+    known.hear(TF_STATIC, tf(0.0, 'map', 'rope', (0.0, 7.0, 0.0)))
+    found = known.between('odom', 'rope', SECOND)
+    np.testing.assert_allclose(found.placed(np.zeros(3)), [2.0, 0.0, 0.0], atol=1e-12)
+
+
+# --- what comes in another frame
+
+
+def test_a_goal_is_moved_and_turned_by_a_stated_transform():
+    box = inbox(transforms=(TURNED,), **{'weights.attitude': 1.0})
+    assert box.take('goal', goal(1.0, 10.0, 4.0, yaw=QUARTER), 0.0) == ''
+    np.testing.assert_allclose(target(box), [4.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(box.wanted(0.0), np.eye(2), atol=1e-12)
+
+
+def test_a_path_an_obstacle_and_the_plan_of_another_are_moved():
+    box = inbox(transforms=(TURNED,))
+    places = [np.array([10.0, 1.0]), np.array([10.0, 2.0])]
+    path = messages.goal_path_message(in_map(1.0), 1.0, places)
+    assert box.take('goal_path', path, 0.0) == ''
+    np.testing.assert_allclose(target(box, 1.5), [1.5, 0.0], atol=1e-12)
+    box.take('odom', odometry(1.0), 0.0)
+    assert box.take('obstacles', seen(1.0, (10.0, 3.0, 0.0), (2.0, 1.0, 1.0)), 0.0) == ''
+    assert box.take(OTHER, path, 0.0) == ''
+    cube, other = box.lookout.hazards(1.0)
+    np.testing.assert_allclose(cube.body.minimum + cube.moved(np.zeros(1))[0], [2.5, -1.0])
+    there = other.body.centre + other.moved(np.array([0.5]))[0]
+    np.testing.assert_allclose(there, [1.5, 0.0], atol=1e-9)
+
+
+def test_the_velocity_of_an_obstacle_is_turned_with_it():
+    box = inbox(transforms=(TURNED,))
+    for at in (1.0, 1.1, 1.2, 1.3):
+        box.take('odom', odometry(at), at)
+        box.take('obstacles', seen(at, (10.0, 3.0 + at, 0.0), kind=Marker.SPHERE), at)
+    (hazard,) = box.lookout.hazards(1.3)
+    moved = hazard.moved(np.array([1.0]))[0] - hazard.moved(np.array([0.0]))[0]
+    np.testing.assert_allclose(moved, [1.0, 0.0], atol=1e-6)
+
+
+def test_a_transform_of_tf_is_taken_between_its_stamps():
+    box = inbox(tf=True)
+    box.take(TF, tf(1.0, 'map', 'odom', (0.0, 0.0, 0.0)), 0.0)
+    box.take(TF, tf(2.0, 'map', 'odom', (2.0, 0.0, 0.0)), 0.0)
+    box.take('goal', goal(1.5, 5.0, 0.0), 0.0)
+    np.testing.assert_allclose(target(box), [4.0, 0.0], atol=1e-12)
+
+
+def test_a_goal_sent_once_follows_the_frame_that_it_stands_in():
+    box = inbox(tf=True)
+    box.take(TF, tf(1.0, 'map', 'odom', (0.0, 0.0, 0.0)), 0.0)
+    box.take('goal', goal(1.0, 5.0, 0.0), 0.0)
+    box.take('odom', odometry(1.0), 0.0)
+    np.testing.assert_allclose(target(box), [5.0, 0.0])
+    box.take(TF, tf(1.5, 'map', 'odom', (2.0, 0.0, 0.0)), 0.5)
+    box.take('odom', odometry(1.6), 0.6)
+    np.testing.assert_allclose(target(box), [3.0, 0.0])
+    assert box.displaced == ''
+    box.take('odom', odometry(3.0), 2.0)
+    np.testing.assert_allclose(target(box), [3.0, 0.0])
+    assert box.displaced.startswith('the goal stays where it was: stale transform: map -> odom')
+
+
+# --- what is refused
+
+
+def refusal(box, at=1.0, frame='map'):
+    message = goal(at, 5.0, 0.0)
+    message.header.frame_id = frame
+    said = box.take('goal', message, 0.0)
+    assert said.startswith('goal refused: ')
+    assert '\n' not in said
+    assert 'goal' not in box.latest
+    return said, dict(box.refused)
+
+
+def test_without_transforms_another_frame_is_refused_with_the_way_out():
+    said, counts = refusal(inbox())
+    assert "'map'; allowed: 'odom'; for others, tf: true (of /tf) or transforms" in said
+    assert counts == {'goal: header.frame_id': 1}
+
+
+def test_a_missing_a_stale_and_an_extrapolated_transform_are_told_apart_and_counted():
+    box = inbox(tf=True)
+    said, counts = refusal(box)
+    assert 'missing transform: none from map to odom; publish it on /tf' in said
+    assert counts == {'goal: missing transform': 1}
+    box.take(TF, tf(2.0, 'map', 'odom', (0.0, 0.0, 0.0)), 0.0)
+    said, counts = refusal(box, 2.5)
+    assert 'stale transform: map -> odom is 0.5 s older than the message; at most' in said
+    said, counts = refusal(box, 1.5)
+    assert 'extrapolated transform: map -> odom is known from 0.5 s later on only' in said
+    assert set(counts) == {
+        f'goal: {each} transform' for each in ('missing', 'stale', 'extrapolated')
+    }
+
+
+def test_a_transform_out_of_order_is_passed_over_and_a_jump_of_time_forgets_all():
+    box = inbox(tf=True)
+    box.take(TF, tf(2.0, 'map', 'odom', (1.0, 0.0, 0.0)), 0.0)
+    box.take(TF, tf(1.0, 'map', 'odom', (9.0, 0.0, 0.0)), 0.0)
+    box.take('goal', goal(2.0, 5.0, 0.0), 0.0)
+    np.testing.assert_allclose(target(box), [4.0, 0.0])
+    box.forget()
+    assert 'missing transform' in refusal(box, 2.0)[0]
+
+
+@pytest.mark.parametrize('spoilt', [math.nan, 1e300])
+def test_a_transform_that_is_no_number_is_refused_where_it_is_used(spoilt):
+    box = inbox(tf=True)
+    box.take(TF, tf(1.0, 'map', 'odom', (spoilt, 0.0, 0.0)), 0.0)
+    assert 'translation of map -> odom' in refusal(box)[0]
+
+
+def test_a_frame_that_lies_in_itself_leads_nowhere():
+    box = inbox(tf=True)
+    box.take(TF, tf(1.0, 'a', 'odom', (0.0, 0.0, 0.0)), 0.0)
+    box.take(TF, tf(1.0, 'odom', 'a', (0.0, 0.0, 0.0)), 0.0)
+    assert 'missing transform' in refusal(box)[0]
+    assert '/tf refused' in box.take(TF, tf(1.0, 'a', 'a', (0.0, 0.0, 0.0)), 0.0)
+
+
+@pytest.mark.parametrize(
+    'words',
+    ['map odom 1 2 3', 'map map 0 0 0 0 0 0', 'map odom 0 0 0 0 0 nan', 'map odom a b c d e f'],
+)
+def test_a_transform_that_is_stated_badly_is_refused(words):
+    with pytest.raises(BadInput, match='transforms'):
+        settings(transforms=(words,))
+
+
+def test_a_frame_lies_in_one_other():
+    with pytest.raises(BadInput, match='odom in one parent'):
+        settings(transforms=(TURNED, TURNED.replace('map', 'earth')))
+
+
+@pytest.mark.skipif(bool(find_spec('tf2_msgs')), reason='it is installed')
+def test_tf_without_its_messages_is_refused_in_one_line(launch):
+    process = launch('planner', {'tf': True})
+    assert process.wait() == 2
+    assert 'tf2_msgs is missing; install ros-<distro>-tf2-msgs' in process.output
+
+
+def test_a_planner_hears_the_transforms_of_its_machine(launch, observer):
+    found = pytest.importorskip('tf2_msgs.msg')
+    process = launch('planner', {'tf': True})
+    sent = observer.node.create_publisher(found.TFMessage, TF, 10)
+    given = observer.node.create_publisher(PoseStamped, 'goal', 1)
+
+    def step():
+        now = time.time()
+        sent.publish(found.TFMessage(transforms=tf(now, 'map', 'odom', np.zeros(3)).transforms))
+        given.publish(goal(now, 1.0, 0.0))
+        return 'waits for odometry' in process.output
+
+    observer.until(step, 'a goal in map that is taken')
+
+
+# --- recordings
+
+
+TREE_STORE = get_typestore(Stores.ROS2_JAZZY)
+
+
+def as_recorded(message):
+    """Return a TFMessage in CDR, as a machine with tf2 writes it."""
+    types = TREE_STORE.types
+    stamped = []
+    for each in message.transforms:
+        at, moved, turned = each.header.stamp, each.transform.translation, each.transform.rotation
+        head = types['std_msgs/msg/Header'](
+            types['builtin_interfaces/msg/Time'](at.sec, at.nanosec), each.header.frame_id
+        )
+        transform = types['geometry_msgs/msg/Transform'](
+            types['geometry_msgs/msg/Vector3'](moved.x, moved.y, moved.z),
+            types['geometry_msgs/msg/Quaternion'](turned.x, turned.y, turned.z, turned.w),
+        )
+        kind = types['geometry_msgs/msg/TransformStamped']
+        stamped.append(kind(head, each.child_frame_id, transform))
+    kind = 'tf2_msgs/msg/TFMessage'
+    return bytes(TREE_STORE.serialize_cdr(types[kind](stamped), kind))
+
+
+def test_a_recording_with_tf_is_answered_as_it_was(tmp_path):
+    known = settings(tf=True, trigger='odom', avoid=(), avoid_radius=0.0)
+    planner = OfflinePlanner(known)
+    writer = BagWriter(tmp_path / 'bag', (*TREE, *topics_of()), {})
+    expected = []
+    with writer:
+        for second in range(1, 4):
+            drift, sent = tf(second, 'map', 'odom', (0.5 * second, 0.3, 0.0), 0.1), second * SECOND
+            came = {TF: drift, 'goal': goal(second, 6.0, 2.0), 'odom': odometry(second)}
+            for k, (topic, message) in enumerate(came.items()):
+                at = sent + k
+                assert not planner.hear(topic, message, at / SECOND, RosTime(at))
+                data = as_recorded(drift) if topic == TF else serialize_message(message)
+                writer.write(TF if topic == TF else f'/{topic}', at, data)
+            answer = planner.plan((sent + 10) / SECOND, 0.0, 1.0)
+            planner.went_out((sent + 10) / SECOND)
+            expected.append(answer['cmd_vel'].twist.angular.z)
+            for topic in ('cmd_vel', 'tick'):
+                writer.write(f'/{topic}', sent + 10, serialize_message(answer[topic]))
+    recording = recording_of(tmp_path / 'bag')
+    ticks = list(replayed(recording, known, simulated=False))
+    assert [tick.refusals for tick in ticks] == [()] * 3
+    found = [tick.messages['cmd_vel'].twist.angular.z for tick in ticks]
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    untold = replace(known, tree=replace(known.tree, heard=False))
+    (refused,) = next(iter(replayed(recording, untold, simulated=False))).refusals
+    assert refused.startswith('goal refused: header.frame_id')
