@@ -6,6 +6,7 @@ it takes ROS, which may be missing.
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -40,6 +41,7 @@ def sim() -> int:
 
 def _run(node: str) -> int:
     leave_at_signals()
+    gc.disable()  # until the node runs: what a start makes is kept
     try:
         main = import_module(f'orbimpc_ros.ros.{node}.node').main
     except ModuleNotFoundError as error:

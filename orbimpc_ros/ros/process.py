@@ -290,9 +290,9 @@ def _live(make: Callable[[], Guarded], signals: _Signals) -> int:
     _warn_of_range(node)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    # What the start has made stays: a full collection would look through all of it, for 60 ms.
-    gc.collect()
+    # What the start has made stays: each full collection would look through all of it, for 60 ms.
     gc.freeze()
+    gc.enable()
     while not signals.received and node.exit_code is None:
         _spin(node, executor)
     return _part(node, executor, signals.received)

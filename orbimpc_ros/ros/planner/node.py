@@ -288,9 +288,12 @@ class PlannerNode(Guarded):
         self._outlet.begin(command_messages(self._settings, stamp, command))
         if self._outlet.engaged and not self._settings.dry_run:
             self._ticker.went_out(command, self._time.seconds)
-        report = replace(report, binding=prices(report.tick))  # the vehicle did not wait for it
-        known = self._inbox.odometry is not None
-        self._outlet.add(report_messages(self._settings, stamp, report, name, oriented=known))
+        known, heard = self._inbox.odometry is not None, self._outlet.heard
+        if 'tick' in heard:  # the vehicle did not wait for it
+            report = replace(report, binding=prices(report.tick))
+        self._outlet.add(
+            report_messages(self._settings, stamp, report, name, oriented=known, heard=heard)
+        )
         self._report = report
         self._console.note(report.tick)
         self._health.show_changes()
