@@ -23,6 +23,7 @@ from orbimpc_ros.mpc.loop.frames import Witness
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.clock import NodeClock
 from orbimpc_ros.ros.halves import HALVES, Halves, Joined
+from orbimpc_ros.ros.lifecycle import Managed
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters import PLANNER, Live, PlannerSettings, planner_settings
 from orbimpc_ros.ros.parameters.sections import warn_of_unused
@@ -35,8 +36,8 @@ from orbimpc_ros.ros.planner.neighbours import Neighbours
 from orbimpc_ros.ros.planner.outlet import Outlet, command_messages, report_messages
 from orbimpc_ros.ros.planner.summary import doubts, summary
 from orbimpc_ros.ros.planner.ticker import Ticker, prepared
-from orbimpc_ros.ros.process import Guarded, qos, run
-from orbimpc_ros.ros.reports import AFRESH, DISABLED, Report, prices
+from orbimpc_ros.ros.process import qos, run
+from orbimpc_ros.ros.reports import AFRESH, DISABLED, INACTIVE, Report, prices
 
 GOAL_PATIENCE = 0.1  # [s] to wait for the goal that belongs to an odometry message
 LEADERS_PATIENCE = 10.0  # [s] the same for plans of other vehicles, while simulated time stands
@@ -49,20 +50,25 @@ SILENCE = 1.5  # [s] without any /clock, after which that is a reason to warn
 LULL = 10.0  # [s] the same, once it has come: lock-step waits for slow planners
 
 
-class PlannerNode(Guarded):
+class PlannerNode(Managed):
     """Messages to the inbox, the inbox to the ticker, ticks to messages; and a watch on all."""
 
     def __init__(self) -> None:
         super().__init__('planner')
+        self._console = Announcer(self.get_logger(), self.steady_now)
+        report_compilation(self._console.warn)
+        self._live = Live(self, PLANNER, planner_settings, prepared)
+        step = self.get_parameter('step').value
+        self._time = NodeClock(self, step, self.at_work(self._on_jump))
+        warn_of_unused(self)
+
+    def configure(self) -> None:
+        """Compile a controller for the parameters, and connect inputs and outputs."""
         self._enabled = True
         self._answered = -1  # stamp of the odometry that was answered last [ns]
         self._refusal, self._refused_at = '', -np.inf
-        self._console = Announcer(self.get_logger(), self.steady_now)
-        report_compilation(self._console.warn)
         with leaving_at_signals():
-            live = Live(self, PLANNER, planner_settings, prepared)
-        self._settings, controller = live.prepared
-        self._time = NodeClock(self, self._settings.problem.step, self._on_jump)
+            self._settings, controller = self._live.prepared()
         names = {topic: self.resolve_topic_name(topic) for topic in NAMED}
         avoided = others(self._settings.avoid, names[PLAN], self.resolve_topic_name)
         self._halves, self._witness = Halves(), Witness(self._settings.frames.velocity)
@@ -77,14 +83,27 @@ class PlannerNode(Guarded):
         self._health = Health(self, self._condition, self._counts)
         self._create_subscriptions()
         self._create_timers()
-        live.keep(self._install)
+        self._live.keep(self._install)
         self._introduce()
+
+    def activate(self) -> None:
+        """Plan and command, of what comes from now on."""
+        self._forget()
+        self._outlet.forget()
+        self._report = None
+
+    def deactivate(self) -> None:
+        """Command what is safe for the last time."""
+        self.safe(INACTIVE)
+
+    def clean_up(self) -> None:
+        """Let changed parameters wait for the next time."""
+        self._live.release()
 
     def _introduce(self) -> None:
         """Say once, before anything flies, what vehicle the parameters describe."""
         self._console.introduce(summary(self._settings, self._time.simulated))
         given = {name: each.value for name, each in self._parameter_overrides.items()}
-        warn_of_unused(self)
         for doubt in doubts(self._settings, given):
             self.get_logger().warning(doubt)
 
@@ -115,7 +134,7 @@ class PlannerNode(Guarded):
         return self.create_subscription(
             kind,
             topic,
-            self.guard(callback),
+            self.at_work(callback),
             qos(1, ReliabilityPolicy.BEST_EFFORT),
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
@@ -127,10 +146,10 @@ class PlannerNode(Guarded):
         are to be reliable; who offers less is told of as a mismatch. Plans are whole each time.
         """
         silent = SubscriptionEventCallbacks(use_default_callbacks=False)
-        seen = self.guard(self._on_obstacles)
+        seen = self.at_work(self._on_obstacles)
         self.create_subscription(MarkerArray, OBSTACLES, seen, qos(MARKERS), event_callbacks=silent)
         for topic in self._inbox.others:
-            heard = self.guard(self._hearing(topic))
+            heard = self.at_work(self._hearing(topic))
             whole = qos(1, ReliabilityPolicy.BEST_EFFORT)
             self.create_subscription(Path, topic, heard, whole, event_callbacks=silent)
 
@@ -138,7 +157,7 @@ class PlannerNode(Guarded):
         period = self._settings.period
         if not self._settings.on_odometry:
             # In ROS time: simulated time sets the pace. Everything that watches is steady.
-            self.create_timer(period, self.guard(self._on_timer))
+            self.create_timer(period, self.at_work(self._on_timer))
         self._patience = self.every(0.5 * GOAL_PATIENCE, self._on_patience)
         self._patience.cancel()
         self.every(min(WATCH, 0.5 * period), self._watch)
@@ -302,7 +321,7 @@ class PlannerNode(Guarded):
 
     def safe(self, reason: Reason) -> None:
         """Command what is safe, now; a planner that has commanded nothing yet goes on so."""
-        if self._outlet.used:
+        if self.active and self._outlet.used:
             self._be_safe(reason)
 
     def _be_safe(self, reason: Reason) -> None:
@@ -378,12 +397,16 @@ class PlannerNode(Guarded):
 
     def _start_afresh(self, why: str) -> None:
         self.get_logger().warning(f'{AFRESH.words}: {why}')
+        self._forget()
+        self.safe(AFRESH)
+
+    def _forget(self) -> None:
+        """Forget inputs and plan."""
         self._patience.cancel()
         self._ticker.start_afresh()
         self._inbox.forget()
         self._halves = Halves()
         self._answered = -1
-        self.safe(AFRESH)
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
         self._start_afresh('asked to')
@@ -392,7 +415,7 @@ class PlannerNode(Guarded):
 
     def _on_enable(self, request: Any, response: Any) -> Any:
         self._enabled = request.data
-        if not self._enabled:
+        if self.active and not self._enabled:
             self._be_safe(DISABLED)
         response.success = True
         response.message = 'enabled' if self._enabled else 'disabled: safe command'
@@ -421,6 +444,8 @@ class PlannerNode(Guarded):
         rivals, *rest = self._notices
         notices = [rivals, self._refusal if refused else '', *rest]
         waiting = self._waiting if self._enabled else DISABLED.words
+        if not self.active:
+            waiting = INACTIVE.words
         return condition(self._wrong, waiting, self._report, notices)
 
 

@@ -158,6 +158,10 @@ class Outlet:
         self._last = {**self._last, **more}
         self._send(more)
 
+    def forget(self) -> None:
+        """Begin anew, as if nothing had gone out."""
+        self.at, self._last = -math.inf, {}
+
     def repeat(self) -> None:
         """Publish the last tick again."""
         self._send(self._last)
