@@ -87,8 +87,8 @@ SLOW = """
     from orbimpc_ros.ros.process import run
 
     class Slow(planner.PlannerNode):
-        def __init__(self):
-            super().__init__()
+        def configure(self):
+            super().configure()
             self.quick, self.ticks = self._ticker.planned, 0
             self._ticker.planned = self.planned
 
