@@ -94,23 +94,24 @@ def initialised(
 
 @contextmanager
 def attached(
-    name: str, *, domain: int | None = None, **options: Any
-) -> Iterator[tuple[Node, SingleThreadedExecutor]]:
+    name: str, *, domain: int | None = None, executor: str = 'wait_set', **options: Any
+) -> Iterator[tuple[Node, Executor]]:
     """Yield a node of a context of its own, and its executor: for what is not a process of ROS.
 
     Args:
         name: of the node.
         domain: of DDS; by default the environment's.
+        executor: as :func:`executor_named` knows it.
         options: of ``rclpy.create_node``.
     """
     with initialised(domain=domain) as context:
         node = rclpy.create_node(name, context=context, **options)
-        executor = SingleThreadedExecutor(context=context)
-        executor.add_node(node)
+        spinning = executor_named(executor, context)
+        spinning.add_node(node)
         try:
-            yield node, executor
+            yield node, spinning
         finally:
-            executor.shutdown()
+            spinning.shutdown()
             node.destroy_node()
 
 
@@ -312,20 +313,20 @@ def _live(make: Callable[[], Guarded], signals: _Signals) -> int:
     return _part(node, executor, signals.received)
 
 
-def executor_named(name: str) -> Executor:
-    """Return a new executor: ``wait_set`` or ``events``.
+def executor_named(name: str, context: Context | None = None) -> Executor:
+    """Return a new executor, ``wait_set`` or ``events``; the context is by default rclpy's.
 
     Raises:
         BadInput: this rclpy has no executor of events.
     """
     if name == 'wait_set':
-        return SingleThreadedExecutor()
+        return SingleThreadedExecutor(context=context)
     try:
         from rclpy.experimental.events_executor import EventsExecutor
     except ImportError:
         allowed = 'wait_set: this rclpy is older than 7.1.4'
         raise BadInput('executor', name, allowed) from None
-    return EventsExecutor()
+    return EventsExecutor(context=context)
 
 
 def _born(make: Callable[[], Guarded]) -> Guarded:
