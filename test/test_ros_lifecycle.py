@@ -1,6 +1,7 @@
 """Planner and simulator as managed nodes: real processes, real services, and errors on the way."""
 
 import itertools
+import json
 
 import pytest
 
@@ -11,7 +12,7 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 from nav_msgs.msg import Odometry
-from planners import QUICK, goal, moving, odometry
+from planners import QUICK, goal, moving, odometry, told
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.utilities import get_default_context
@@ -198,6 +199,23 @@ def test_left_alone_it_waits_to_be_managed_and_shut_down_it_is_silent_for_good(l
     observer.until(lambda: not observer.node.count_publishers('cmd_vel'), 'silence')
     assert not manager.process.ended
     assert manager.process.stop() == 0, manager.process.output
+
+
+def test_a_mode_that_changes_while_it_is_inactive_is_known_when_it_is_activated(launch, observer):
+    manager = Manager(launch, observer, {'gated': True})
+    mode = observer.node.create_publisher(Bool, 'engaged', 1)
+    observer.until(mode.get_subscription_count, 'the planner listening')
+
+    def engaged(taken):
+        mode.publish(Bool(data=taken))
+        return manager.health and told(manager.health[-1])['engaged'] == json.dumps(taken)
+
+    manager.feed_until(lambda: engaged(True) and any(map(moving, manager.commands)), 'commands')
+    assert manager.change(DEACTIVATE)
+    observer.until(lambda: engaged(False), 'the mode')
+    assert manager.change(ACTIVATE)
+    manager.feed_until(lambda: 'planning' in manager.health[-1].status[0].message, 'plans')
+    assert manager.commands_of(10) == []
 
 
 def test_a_managed_simulator_stands_still_and_begins_again(launch, observer):

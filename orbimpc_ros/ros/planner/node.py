@@ -32,6 +32,7 @@ from orbimpc_ros.ros.planner.compiling import leaving_at_signals, report_compila
 from orbimpc_ros.ros.planner.health import Condition, Health, condition
 from orbimpc_ros.ros.planner.inbox import NAMED, Inbox
 from orbimpc_ros.ros.planner.lookout import OBSTACLES, PLAN, others
+from orbimpc_ros.ros.planner.mode import ModeChanges
 from orbimpc_ros.ros.planner.neighbours import Neighbours
 from orbimpc_ros.ros.planner.outlet import Outlet, command_messages, report_messages
 from orbimpc_ros.ros.planner.summary import doubts, summary
@@ -80,6 +81,7 @@ class PlannerNode(Managed):
         inertial, dry = self._settings.problem.inertial, self._settings.dry_run
         self._outlet = Outlet(self, thrust=inertial, dry=dry)
         self._outlet.engaged = not self._settings.gated
+        self._mode_changes = ModeChanges()
         self._health = Health(self, self._condition, self._counts)
         self._create_subscriptions()
         self._create_timers()
@@ -117,14 +119,15 @@ class PlannerNode(Managed):
 
     def _create_subscriptions(self) -> None:
         if self._settings.halves:
-            odometry = self._listen(PoseStamped, 'pose', self._on_pose)
-            self._listen(TwistStamped, 'twist', self._on_twist)
+            odometry = self._listen(PoseStamped, 'pose', self.at_work(self._on_pose))
+            self._listen(TwistStamped, 'twist', self.at_work(self._on_twist))
         else:
-            odometry = self._listen(OdometryMessage, 'odom', self._on_odometry)
-        self._listen(PoseStamped, 'goal', self._on_goal)
-        self._listen(Path, 'goal_path', self._on_path)
+            odometry = self._listen(OdometryMessage, 'odom', self.at_work(self._on_odometry))
+        self._listen(PoseStamped, 'goal', self.at_work(self._on_goal))
+        self._listen(Path, 'goal_path', self.at_work(self._on_path))
         if self._settings.gated:
-            self._listen(Bool, 'engaged', self._on_engaged)
+            # Even while inactive: whoever is activated has to know whether the vehicle is flown.
+            self._listen(Bool, 'engaged', self.guard(self._on_engaged))
         self._create_lookout()
         self._neighbours = Neighbours(self, odometry, self._outlet.velocity)
         self.create_service(Trigger, '~/reset', self.guard(self._on_reset))
@@ -134,7 +137,7 @@ class PlannerNode(Managed):
         return self.create_subscription(
             kind,
             topic,
-            self.at_work(callback),
+            callback,
             qos(1, ReliabilityPolicy.BEST_EFFORT),
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
@@ -187,6 +190,7 @@ class PlannerNode(Managed):
         if message.data:
             self._ticker.start_afresh()
         self._outlet.engaged = message.data
+        self._mode_changes.note(self.steady_now())
         self._console.say('engaged: commands' if message.data else 'not engaged: silent')
         self._health.show_changes()
 
@@ -360,8 +364,8 @@ class PlannerNode(Managed):
         still = self._time.standstill(LULL if self._time.nanoseconds else SILENCE)
         untimed = self._inbox.untimed
         other = f"stamps of {untimed} are not of this node's clock" if untimed else ''
-        doubt = self._witness.doubt
-        return [self._neighbours.rivals, still, other, doubt, *self._traffic_notices]
+        odd = [self._witness.doubt, self._mode_changes.restless(self.steady_now())]
+        return [self._neighbours.rivals, still, other, *odd, *self._traffic_notices]
 
     @property
     def _traffic_notices(self) -> list[str]:
@@ -431,6 +435,7 @@ class PlannerNode(Managed):
             'waits with odometry for': ', '.join(self._inbox.companions),
             'enabled': self._enabled,
             'engaged': self._outlet.engaged,
+            'changes of mode': self._mode_changes.count,
             'deadline misses': timing.misses,
             'overruns': timing.overruns,
             'late ticks': timing.late,
