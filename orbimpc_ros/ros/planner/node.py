@@ -200,9 +200,9 @@ class PlannerNode(Managed):
             self._refuse(refusal)
             self._repeat_answer(message)
             return
-        self._witness.note(self._inbox.latest['odom'].value)
         if self._settings.on_odometry:
             self._tick_or_wait()
+        self._witness.note(self._inbox.latest['odom'].value)  # no command waits for it
 
     def _on_goal(self, message: PoseStamped) -> None:
         self._take('goal', message)
