@@ -234,3 +234,12 @@ def test_an_executor_that_is_not_there_is_refused_in_a_line(monkeypatch):
     monkeypatch.setitem(sys.modules, 'rclpy.experimental.events_executor', None)
     with pytest.raises(BadInput, match='executor is events; allowed: wait_set'):
         executor_named('events')
+
+
+def test_a_start_does_not_import_what_flights_rarely_need():
+    script = 'import sys, orbimpc_ros.ros.planner.node; print(*sys.modules)'
+    done = subprocess.run(
+        [sys.executable, '-c', script], capture_output=True, text=True, timeout=60, check=True
+    )
+    rare = {'cvxpy', 'clarabel', 'scipy.special', 'scipy.sparse', 'matplotlib', 'mcap', 'rosbags'}
+    assert not rare.intersection(done.stdout.split())
