@@ -183,8 +183,13 @@ def test_a_transition_that_is_not_possible_is_refused_in_a_line_and_it_flies_on(
     active.fly()
 
 
-def test_left_alone_it_waits_to_be_managed_and_shut_down_it_is_silent_for_good(launch, observer):
-    manager = Manager(launch, observer, {'autostart': False})
+@pytest.mark.parametrize('executor', ['wait_set', 'events'])
+def test_left_alone_it_waits_to_be_managed_and_shut_down_it_is_silent_for_good(
+    executor, launch, observer
+):
+    if executor == 'events':
+        pytest.importorskip('rclpy.experimental.events_executor')
+    manager = Manager(launch, observer, {'autostart': False, 'executor': executor})
     assert manager.state == 'unconfigured'
     assert observer.node.count_publishers('cmd_vel') == 0
     assert not manager.change(ACTIVATE)
