@@ -298,6 +298,20 @@ def test_two_planners_answer_in_time(monkeypatch):
     assert row.objective <= row.n
 
 
+def test_a_planner_is_timed_beside_a_node_that_only_answers():
+    pytest.importorskip('rclpy.experimental.events_executor')
+    from orbimpc_ros.lab.bench import live
+
+    rows = live._latency('latency', 20.0, 'events', 1.0)
+    whole, _, _, bare = rows[:4]
+    lost, ours, theirs = rows[4:]
+    assert lost.n == 20
+    assert whole.n + lost.objective == lost.n
+    assert bare.n > 0
+    assert [row.problem for row in (ours, theirs)] == ['latency: processor [ms]'] * 2
+    assert ours.objective > theirs.objective >= 0.0
+
+
 def test_the_picture_shows_every_ratio_whole_and_marks_capped_ones():
     rows = [
         BenchRow('p', OURS, 1, 0.1, 0.2, ratio_p50=1.0),

@@ -139,6 +139,8 @@ def test_a_mode_that_flips_ten_times_a_second_does_no_harm(launch, observer):
     assert autopilot.planner.stop() == 0
     assert 'Traceback' not in autopilot.planner.output
     assert autopilot.planner.output.count('engaged') < 20  # said when it begins, seldom after
+    assert autopilot.planner.output.count('the mode has changed 4 times within 1 s') >= 1
+    assert int(told(autopilot.health[-1])['changes of mode']) > 20
 
 
 @pytest.mark.parametrize(('name', 'frame'), [('ardupilot', 'body'), ('mavros', 'world')])

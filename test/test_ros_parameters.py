@@ -28,6 +28,8 @@ from orbimpc_ros.world.scenario import retrieval, retrieval_problem
 
 CONFIG = Path(__file__).resolve().parents[1] / 'config' / 'retrieval.yaml'
 DOCUMENTED = {
+    'autostart': True,
+    'executor': 'wait_set',
     'dimension': 2,
     'rotation_order': 1,
     'translation_order': 1,

@@ -56,6 +56,7 @@ def planner(domain):
     words = ['planner', '--ros-args', '--params-file', str(file), '-p', 'use_sim_time:=false']
     with initialised(words, domain=domain, context=get_default_context()):
         node, executor = PlannerNode(), SingleThreadedExecutor()
+        node.begin()
         executor.add_node(node)
         yield node, executor
         executor.shutdown()

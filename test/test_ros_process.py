@@ -14,7 +14,8 @@ pytest.importorskip('rclpy')
 from geometry_msgs.msg import TwistStamped
 from planners import QUICK, Bench, goal, moving, odometry, told
 
-from orbimpc_ros.ros.process import FAILURES_IN_A_ROW, FAREWELLS
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros.process import FAILURES_IN_A_ROW, FAREWELLS, executor_named
 
 BROKEN = """
     import sys
@@ -87,8 +88,8 @@ SLOW = """
     from orbimpc_ros.ros.process import run
 
     class Slow(planner.PlannerNode):
-        def __init__(self):
-            super().__init__()
+        def configure(self):
+            super().configure()
             self.quick, self.ticks = self._ticker.planned, 0
             self._ticker.planned = self.planned
 
@@ -215,3 +216,30 @@ def test_a_signal_during_the_start_ends_it_without_a_word(node, imported):
         assert starting.wait() == 0
     others = [line for line in said if not line.startswith('import time:')]
     assert others == []
+
+
+def test_with_the_executor_of_events_it_flies_and_ends_the_same(launch, observer):
+    pytest.importorskip('rclpy.experimental.events_executor')
+    bench = Bench(launch, observer, QUICK | {'executor': 'events'})
+    assert moving(bench.fly(1.0))
+    bench.until(lambda: not moving(bench.commands[-1]), 'the safe command: odometry is stale')
+    assert moving(bench.fly(2.0))
+    bench.planner.tell(signal.SIGTERM)
+    assert bench.planner.wait() == 0, bench.planner.output
+    bench.until(lambda: not any(map(moving, bench.commands[-3:])), 'three safe commands')
+    assert 'Traceback' not in bench.planner.output
+
+
+def test_an_executor_that_is_not_there_is_refused_in_a_line(monkeypatch):
+    monkeypatch.setitem(sys.modules, 'rclpy.experimental.events_executor', None)
+    with pytest.raises(BadInput, match='executor is events; allowed: wait_set'):
+        executor_named('events')
+
+
+def test_a_start_does_not_import_what_flights_rarely_need():
+    script = 'import sys, orbimpc_ros.ros.planner.node; print(*sys.modules)'
+    done = subprocess.run(
+        [sys.executable, '-c', script], capture_output=True, text=True, timeout=60, check=True
+    )
+    rare = {'cvxpy', 'clarabel', 'scipy.special', 'scipy.sparse', 'matplotlib', 'mcap', 'rosbags'}
+    assert not rare.intersection(done.stdout.split())

@@ -21,6 +21,7 @@ from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.planner.inbox import Inbox
+from orbimpc_ros.ros.planner.outlet import report_messages
 from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.world.vehicle import Model, launched
 
@@ -387,3 +388,15 @@ def test_a_catch_is_headed_along_the_goals_axis_or_the_direction_given():
         assert np.isfinite(tick.catch.time)
         heading = tick.plan.projected[-1, :, 0]
         assert np.arctan2(heading[1], heading[0]) == pytest.approx(1.0, abs=0.3 + 1e-6)
+
+
+def test_only_what_somebody_listens_to_is_made():
+    driven = Driven()
+    report = driven.tick_again(1.0)
+    known = driven.inbox.settings, Stamp(stamp(1.0), FRAMES), report, '/planner'
+    everything = report_messages(*known, oriented=True)
+    assert everything.keys() == {'tick', 'plan', 'plan_markers', 'rotation'}
+    assert report_messages(*known, oriented=True, heard={'plan', 'odom'}) == {
+        'plan': everything['plan']
+    }
+    assert report_messages(*known, oriented=True, heard=()) == {}

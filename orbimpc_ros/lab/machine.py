@@ -1,4 +1,4 @@
-"""The machine that measures: processor, versions, and the memory of its processes."""
+"""The machine that measures: processor, versions, and what its processes take."""
 
 from __future__ import annotations
 
@@ -48,3 +48,9 @@ def _processor() -> str:
     except OSError:
         return platform.processor()
     return next((v.partition(':')[2].strip() for v in lines if v.startswith('model name')), '')
+
+
+def busy(pid: int) -> float:
+    """Return the processor time that a process has taken so far, all threads together [s]."""
+    fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
+    return sum(map(int, fields[11:13])) / os.sysconf('SC_CLK_TCK')

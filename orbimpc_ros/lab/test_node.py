@@ -19,14 +19,15 @@ class TestNode:
 
     Args:
         domain: of ROS; the environment's by default.
+        executor: that it is spun by.
 
     Attributes:
         node: for publishers and clients.
     """
 
-    def __init__(self, domain: int | None = None) -> None:
+    def __init__(self, domain: int | None = None, executor: str = 'wait_set') -> None:
         self._stack = ExitStack()
-        attaching = attached('laboratory', domain=domain, enable_rosout=False)
+        attaching = attached('laboratory', domain=domain, executor=executor, enable_rosout=False)
         self.node, self._executor = self._stack.enter_context(attaching)
 
     def subscribe(

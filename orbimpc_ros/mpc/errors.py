@@ -42,6 +42,12 @@ class BadInput(OrbimpcError, ValueError):
         return error
 
     @classmethod
+    def without(cls, package: str) -> BadInput:
+        """Return the error of a problem whose method needs a package that is not installed."""
+        needed = f'this problem takes a general method, which needs it: pip install {package}'
+        return cls.stating(package, 'not installed', needed)
+
+    @classmethod
     def unknown(cls, kind: str, name: str, known: Iterable[str], where: str = '') -> BadInput:
         """Return the error of a name that there is not, with those that it may stand for.
 

@@ -6,15 +6,18 @@ it takes ROS, which may be missing.
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
 from importlib import import_module
 
+# What the tool and the general methods need beside ROS, NumPy and SciPy.
+OTHERS = ('clarabel', 'cvxpy', 'matplotlib', 'mcap', 'rosbags')
 # What comes with ROS, or from PyPI with the extra of that name.
 ROS = (
-    *('builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs', 'nav_msgs', 'rcl_interfaces'),
-    *('rclpy', 'rosgraph_msgs', 'std_msgs', 'std_srvs', 'visualization_msgs'),
+    *('builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs', 'lifecycle_msgs', 'nav_msgs'),
+    *('rcl_interfaces', 'rclpy', 'rosgraph_msgs', 'std_msgs', 'std_srvs', 'visualization_msgs'),
 )
 BAD_INPUT = 2  # exit code
 
@@ -40,10 +43,11 @@ def sim() -> int:
 
 def _run(node: str) -> int:
     leave_at_signals()
+    gc.disable()  # until the node runs: what a start makes is kept
     try:
         main = import_module(f'orbimpc_ros.ros.{node}.node').main
     except ModuleNotFoundError as error:
-        line = without_ros(error)
+        line = in_a_line(error)
         if not line:
             raise
         print(f'{node}: {line}', file=sys.stderr)
@@ -51,8 +55,10 @@ def _run(node: str) -> int:
     return int(main())
 
 
-def without_ros(error: ModuleNotFoundError) -> str:
-    """Return a line that says how to install what is missing of ROS; empty for anything else."""
+def in_a_line(error: ModuleNotFoundError) -> str:
+    """Return in a line how to install what is missing; empty for what is missing by a mistake."""
     package = (error.name or '').partition('.')[0]
+    if package in OTHERS:
+        return f'{package} is missing: pip install {package}'
     hint = "install ROS 2, or pip install 'orbimpc_ros[ros]'"
     return f'{package} is missing: {hint}' if package in ROS else ''

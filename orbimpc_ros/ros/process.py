@@ -23,7 +23,7 @@ from rclpy.clock_type import ClockType
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidParameterTypeException
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -94,23 +94,24 @@ def initialised(
 
 @contextmanager
 def attached(
-    name: str, *, domain: int | None = None, **options: Any
-) -> Iterator[tuple[Node, SingleThreadedExecutor]]:
+    name: str, *, domain: int | None = None, executor: str = 'wait_set', **options: Any
+) -> Iterator[tuple[Node, Executor]]:
     """Yield a node of a context of its own, and its executor: for what is not a process of ROS.
 
     Args:
         name: of the node.
         domain: of DDS; by default the environment's.
+        executor: as :func:`executor_named` knows it.
         options: of ``rclpy.create_node``.
     """
     with initialised(domain=domain) as context:
         node = rclpy.create_node(name, context=context, **options)
-        executor = SingleThreadedExecutor(context=context)
-        executor.add_node(node)
+        spinning = executor_named(executor, context)
+        spinning.add_node(node)
         try:
-            yield node, executor
+            yield node, spinning
         finally:
-            executor.shutdown()
+            spinning.shutdown()
             node.destroy_node()
 
 
@@ -122,6 +123,7 @@ class Guarded(Node):
         exit_code: the process ends with it as soon as it is not None.
         steady: a clock that neither jumps nor stops, for everything that watches.
         failures: callbacks that have failed so far.
+        active: whether it works; callbacks made by :meth:`at_work` do nothing otherwise.
     """
 
     def __init__(self, name: str, parameters: Sequence[Parameter] = ()) -> None:
@@ -135,7 +137,11 @@ class Guarded(Node):
         self.exit_code: int | None = None
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.failures = 0
+        self.active = False
         self._in_a_row: Counter[str] = Counter()
+
+    def begin(self) -> None:
+        """Begin to work; called once, before the node spins."""
 
     def safe(self, reason: Reason) -> None:
         """Do what is safe right now; the farewell and every failure call it."""
@@ -159,6 +165,15 @@ class Guarded(Node):
             return result
 
         return guarded
+
+    def at_work(self, callback: Callable[..., Any]) -> Callable[..., Any]:
+        """Return the callback, guarded, and made to do nothing while the node is not active."""
+
+        @functools.wraps(callback)
+        def working(*arguments: Any) -> Any:
+            return callback(*arguments) if self.active else None
+
+        return self.guard(working)
 
     def failed(self, what: str, error: BaseException) -> None:
         """Report a failure, do what is safe, and give up after too many in a row.
@@ -186,8 +201,8 @@ class Guarded(Node):
             self.exit_code = FAILED
 
     def every(self, period: float, callback: Callable[[], None]) -> Any:
-        """Call back every ``period`` [s] of the steady clock."""
-        return self.create_timer(period, self.guard(callback), clock=self.steady)
+        """Call back every ``period`` [s] of the steady clock while the node is active."""
+        return self.create_timer(period, self.at_work(callback), clock=self.steady)
 
 
 def run(make: Callable[[], Guarded], argv: Sequence[str] | None = None) -> int:
@@ -213,7 +228,7 @@ def run(make: Callable[[], Guarded], argv: Sequence[str] | None = None) -> int:
         return FAILED
 
 
-class _Stopped(BaseException):
+class _Stopped(KeyboardInterrupt):
     """A signal during the start, when nothing has been commanded yet."""
 
 
@@ -288,14 +303,30 @@ def _live(make: Callable[[], Guarded], signals: _Signals) -> int:
     node = _born(make)
     signals.starting = False
     _warn_of_range(node)
-    executor = SingleThreadedExecutor()
+    executor = executor_named(node.get_parameter('executor').value)
     executor.add_node(node)
-    # What the start has made stays: a full collection would look through all of it, for 60 ms.
-    gc.collect()
+    # What the start has made stays: each full collection would look through all of it, for 60 ms.
     gc.freeze()
+    gc.enable()
     while not signals.received and node.exit_code is None:
         _spin(node, executor)
     return _part(node, executor, signals.received)
+
+
+def executor_named(name: str, context: Context | None = None) -> Executor:
+    """Return a new executor, ``wait_set`` or ``events``; the context is by default rclpy's.
+
+    Raises:
+        BadInput: this rclpy has no executor of events.
+    """
+    if name == 'wait_set':
+        return SingleThreadedExecutor(context=context)
+    try:
+        from rclpy.experimental.events_executor import EventsExecutor
+    except ImportError:
+        allowed = 'wait_set: this rclpy is older than 7.1.4'
+        raise BadInput('executor', name, allowed) from None
+    return EventsExecutor(context=context)
 
 
 def _born(make: Callable[[], Guarded]) -> Guarded:
@@ -303,19 +334,21 @@ def _born(make: Callable[[], Guarded]) -> Guarded:
         with warnings.catch_warnings():
             # What rclpy says about its own clearing away, where it fails.
             warnings.simplefilter('ignore', RuntimeWarning)
-            return make()
+            node = make()
+            node.begin()
+            return node
     except rclpy_implementation.RCLError as error:
         raise _Stillborn(f'the node cannot be created: {error}') from None
 
 
-def _spin(node: Guarded, executor: SingleThreadedExecutor) -> None:
+def _spin(node: Guarded, executor: Executor) -> None:
     try:
         executor.spin_once(timeout_sec=SPIN)
     except BaseException as error:  # from callbacks of rclpy's own, such as a malformed /clock
         node.failed('spinning', error)
 
 
-def _part(node: Guarded, executor: SingleThreadedExecutor, signals: Sequence[int]) -> int:
+def _part(node: Guarded, executor: Executor, signals: Sequence[int]) -> int:
     if signals:
         node.get_logger().info(f'received {signal.Signals(signals[0]).name}, stopping')
     farewell = node.guard(node.safe)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:  # the simulator reports without a solver, and starts sooner f
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 AFRESH = Reason(Cause.AFRESH, 'starting afresh')  # inputs and plan were forgotten
 DISABLED = Reason(Cause.DISABLED, 'disabled')
+INACTIVE = Reason(Cause.DISABLED, 'inactive')  # as a managed node
 ANOTHER_PLAN = 0.01  # unexplained share of the gradient beyond which a plan is no optimum
 LONGEST = 60  # steps; prices of longer plans take milliseconds
 

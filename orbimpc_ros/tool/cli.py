@@ -13,7 +13,7 @@ from typing import NamedTuple, NoReturn
 
 from orbimpc_ros import __version__
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError
-from orbimpc_ros.ros.entry import without_ros
+from orbimpc_ros.ros.entry import in_a_line
 from orbimpc_ros.tool.io.files import why
 
 DONE, FAILED, BAD_INPUT, INFEASIBLE = 0, 1, 2, 3
@@ -79,7 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _complain(str(error))
         return _code(error)
     except ModuleNotFoundError as error:
-        line = without_ros(error)
+        line = in_a_line(error)
         if not line:
             raise
         _complain(line)

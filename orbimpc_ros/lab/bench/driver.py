@@ -52,10 +52,11 @@ class Driver:
 
     Args:
         namespaces: of the planners.
+        executor: of the driver's own node.
     """
 
-    def __init__(self, namespaces: Sequence[str]) -> None:
-        self._test_node = TestNode()
+    def __init__(self, namespaces: Sequence[str], executor: str = 'wait_set') -> None:
+        self._test_node = TestNode(executor=executor)
         self._ticks: list[dict[int, RoundTrip]] = [{} for _ in namespaces]
         self._answered = [0] * len(namespaces)
         self._publishers = [self._wire(i, name) for i, name in enumerate(namespaces)]
@@ -128,7 +129,11 @@ class Driver:
 
     def ticks(self) -> list[RoundTrip]:
         """Return everything measured."""
-        return [tick for ticks in self._ticks for tick in ticks.values()]
+        return [tick for i in range(len(self._ticks)) for tick in self.ticks_of(i)]
+
+    def ticks_of(self, i: int) -> list[RoundTrip]:
+        """Return what was measured in the ``i``-th namespace."""
+        return [*self._ticks[i].values()]
 
     def close(self) -> None:
         """Take the node down."""

@@ -7,11 +7,12 @@ odometry that it answers, so that each latency is from one publish to one receip
 from __future__ import annotations
 
 import importlib.util
+import math
 import os
 import signal
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
@@ -20,7 +21,7 @@ from unittest import mock
 
 from orbimpc_ros.lab.bench.duel import OURS, percentiles
 from orbimpc_ros.lab.bench.rows import LATE, BenchRow
-from orbimpc_ros.lab.machine import resident
+from orbimpc_ros.lab.machine import busy, resident
 from orbimpc_ros.tool.run import discovery
 from orbimpc_ros.tool.run.processes import Process
 
@@ -28,12 +29,13 @@ if TYPE_CHECKING:
     from orbimpc_ros.lab.bench.driver import Driver
 
 MEETING = 60.0  # [s] until every planner must have answered
-FAST, SLOW = 50.0, 5.0  # [Hz]
+FAST, FASTEST, SLOW = 50.0, 200.0, 5.0  # [Hz]
+EXECUTORS = ('wait_set', 'events')
 SETTLED = 50  # answers before the clock counts
 WARM_UP = 2.0  # [s] of many planners at once
 PLANNERS = (1, 5, 20)
 LEAVE = 5.0  # [s] in which a planner ends
-PLANNER = 'orbimpc_ros.ros.planner'
+PLANNER, ECHO = 'orbimpc_ros.ros.planner', 'orbimpc_ros.lab.bench.echo'
 PARAMETERS = {
     'trigger': 'odom',
     'floor.shape': 'polygon',
@@ -41,7 +43,7 @@ PARAMETERS = {
     'odom_timeout': 5.0,
     'goal_timeout': 60.0,
 }
-LATENCY, START = 'node: odometry to command, 50 Hz', 'node: start to first command'
+LATENCY, START = 'node: odometry to command', 'node: start to first command'
 AT_ONCE = 'planners at 5 Hz'
 NAMES = {'start': START, 'latency': LATENCY, 'planners': AT_ONCE}
 
@@ -64,7 +66,10 @@ def _planned(key: str, quick: bool) -> Iterator[tuple[str, Callable[[], list[Ben
     if key == 'start':
         yield START, partial(_start, 2 if quick else 5)
     elif key == 'latency':
-        yield LATENCY, partial(_latency, 2.0 if quick else 20.0)
+        for rate in (FAST, FASTEST):
+            for executor in EXECUTORS:
+                title = f'{LATENCY}, {rate:g} Hz, {executor}'
+                yield title, partial(_latency, title, rate, executor, 2.0 if quick else 20.0)
     else:
         for count in PLANNERS[-1:] if quick else PLANNERS:
             seconds = 60.0 if count == PLANNERS[-1] and not quick else 10.0
@@ -72,43 +77,49 @@ def _planned(key: str, quick: bool) -> Iterator[tuple[str, Callable[[], list[Ben
 
 
 @contextmanager
-def _driven(namespaces: Sequence[str]) -> Iterator[tuple[Driver, list[Process], float]]:
-    """Yield a driver, its planners, and when they were started."""
+def _driven(
+    nodes: Mapping[str, str], executor: str = 'wait_set'
+) -> Iterator[tuple[Driver, list[Process], float]]:
+    """Yield a driver, its nodes, and when they were started.
+
+    Args:
+        nodes: their modules by namespace.
+        executor: of all.
+    """
     from orbimpc_ros.lab.bench.driver import Driver
 
     # The environment will name the folder, which goes away: it is restored.
     with tempfile.TemporaryDirectory() as name, mock.patch.dict(os.environ):
         discovery.isolate(Path(name))
-        with closing(Driver(namespaces)) as driver:
+        with closing(Driver([*nodes], executor)) as driver:
             begin = time.perf_counter()
-            with _running(namespaces, Path(name)) as planners:
-                yield driver, planners, begin
+            with _running(nodes, executor, Path(name)) as processes:
+                yield driver, processes, begin
 
 
 @contextmanager
-def _running(namespaces: Sequence[str], folder: Path) -> Iterator[list[Process]]:
-    """Run a planner on the paper's UAV problem in each namespace; all are stopped at the end."""
+def _running(nodes: Mapping[str, str], executor: str, folder: Path) -> Iterator[list[Process]]:
+    """Run a node on the paper's UAV problem in each namespace; all are stopped at the end."""
     from orbimpc_ros.tool.io import settings
 
-    file, planners = folder / 'planner.yaml', list[Process]()
-    settings.write(file, PARAMETERS)
+    file, processes = folder / 'planner.yaml', list[Process]()
+    settings.write(file, PARAMETERS, executor=executor)
     try:
-        for i, name in enumerate(namespaces):
-            log = folder / f'planner-{i}.log'
-            planners.append(Process(PLANNER, file, log, namespace=name))
-        yield planners
+        for i, (name, module) in enumerate(nodes.items()):
+            processes.append(Process(module, file, folder / f'node-{i}.log', namespace=name))
+        yield processes
     finally:
-        for planner in planners:  # all at once, so that none waits for another to end
-            planner.tell(signal.SIGINT)
-        for planner in planners:
-            planner.wait(LEAVE)
-            planner.stop()
+        for process in processes:  # all at once, so that none waits for another to end
+            process.tell(signal.SIGINT)
+        for process in processes:
+            process.wait(LEAVE)
+            process.stop()
 
 
 def _start(count: int) -> list[BenchRow]:
     times, sizes = [], []
     for _ in range(count):
-        with _driven(['']) as (driver, planners, begin):
+        with _driven({'': PLANNER}) as (driver, planners, begin):
             driver.until_answered(FAST, MEETING)
             times.append(1e3 * (time.perf_counter() - begin))
             driver.drive(FAST, 1.0)
@@ -118,27 +129,42 @@ def _start(count: int) -> list[BenchRow]:
         'node: resident memory [MB]', OURS, count, objective=max(sizes),
         required={'objective': 250.0},
     )  # fmt: skip
-    return [BenchRow(START, OURS, count, p50, p99, required={'p50_ms': 2500.0}), memory]
+    return [BenchRow(START, OURS, count, p50, p99, required={'p50_ms': 1000.0}), memory]
 
 
-def _latency(seconds: float) -> list[BenchRow]:
-    with _driven(['']) as (driver, _, _):
+def _latency(title: str, rate: float, executor: str, seconds: float) -> list[BenchRow]:
+    """Return the rows of a planner, and beside it of a node that answers without any thought.
+
+    They are driven in turns within a period, so that both meet the same machine.
+    """
+    with _driven({'/ours': PLANNER, '/bare': ECHO}, executor) as (driver, processes, _):
         driver.until_answered(FAST, MEETING)
-        driver.drive(FAST, SETTLED / FAST)
+        driver.drive(rate, SETTLED / rate)
         driver.forget()
-        driver.drive(FAST, seconds)
-        pairs = [(1e3 * t.latency, t.solve_ms) for t in driver.ticks() if t.complete]
-    whole = [latency for latency, _ in pairs]
-    alone = [solve for _, solve in pairs]
+        before = [busy(process.pid) for process in processes]
+        driver.drive(rate, seconds)
+        taken = [busy(each.pid) - begun for each, begun in zip(processes, before, strict=True)]
+        driver.listen(2.0)
+        ours, bare = driver.ticks_of(0), driver.ticks_of(1)
+    pairs = [(1e3 * t.latency, t.solve_ms) for t in ours if t.complete]
     beside = [latency - solve for latency, solve in pairs]
-    limits = {'p50_ms': 1.0, 'p99_ms': 3.0}
+    echoed = [1e3 * t.latency for t in bare if t.latency < math.inf]
+    limits = {'p50_ms': 0.6, 'p99_ms': 2.0} if rate == FAST else None
+    lost = sum(t.latency == math.inf for t in ours)
     return [
-        BenchRow(LATENCY, OURS, len(pairs), *percentiles(whole)),
-        BenchRow(LATENCY, 'the solve alone', len(pairs), *percentiles(alone)),
+        BenchRow(title, OURS, len(pairs), *percentiles([latency for latency, _ in pairs])),
+        BenchRow(title, 'the solve alone', len(pairs), *percentiles([solve for _, solve in pairs])),
+        BenchRow(title, 'what ROS and DDS add', len(pairs), *percentiles(beside), required=limits),
+        BenchRow(title, 'a node that only answers', len(echoed), *percentiles(echoed)),
         BenchRow(
-            LATENCY, 'what ROS and DDS add', len(pairs), *percentiles(beside), required=limits
+            f'{title}: lost', OURS, len(ours), objective=float(lost),
+            required={'objective': 0.0},
         ),
-    ]
+        *(
+            BenchRow(f'{title}: processor [ms]', who, len(ours), objective=1e3 * time / len(ours))
+            for who, time in zip((OURS, 'a node that only answers'), taken, strict=True)
+        ),
+    ]  # fmt: skip
 
 
 def fleet(count: int, seconds: float) -> list[BenchRow]:
@@ -146,7 +172,7 @@ def fleet(count: int, seconds: float) -> list[BenchRow]:
 
     A tick is missed if its command takes longer than a period after the odometry, or never comes.
     """
-    with _driven([f'/p{i}' for i in range(count)]) as (driver, _, _):
+    with _driven({f'/p{i}': PLANNER for i in range(count)}) as (driver, _, _):
         driver.until_answered(SLOW, MEETING)
         driver.drive(SLOW, WARM_UP)
         driver.forget()

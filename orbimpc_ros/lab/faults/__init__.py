@@ -31,6 +31,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--list', action='store_true', help='list the rows and do nothing')
     parser.add_argument('--json', metavar='FILE', help='write the rows and cases there')
     parser.add_argument(
+        '--executor',
+        choices=('wait_set', 'events'),
+        default='wait_set',
+        help='of the nodes: their parameter of that name (default: wait_set)',
+    )
+    parser.add_argument(
         '--soak',
         nargs='?',
         type=float,
@@ -50,12 +56,12 @@ def run(args: argparse.Namespace) -> int:
     if args.soak is not None:
         from orbimpc_ros.lab.faults.soak import soaked
 
-        return soaked(args.soak)
+        return soaked(args.soak, args.executor)
     cases = _wanted(args.only)
     if args.list:
         print('\n'.join(f'{case.name:<12}{case.title}' for case in cases))
         return 0
-    rows = tried(cases, args.long)
+    rows = tried(cases, args.long, args.executor)
     _write(args.json, rows)
     return 0 if all(row.ok for row in rows) else 1
 
@@ -70,14 +76,24 @@ def _wanted(only: Sequence[str] | None) -> list[FaultCase]:
     return [case for case in MATRIX if not only or case.name in only]
 
 
-def tried(cases: Sequence[FaultCase], long: bool) -> list[MatrixRow]:
-    """Return the rows of fault cases and print them; all processes are gone at the end."""
+def tried(cases: Sequence[FaultCase], long: bool, executor: str = 'wait_set') -> list[MatrixRow]:
+    """Return the rows of fault cases and print them; all processes are gone at the end.
+
+    Args:
+        cases: to try.
+        long: whether to try each at several moments.
+        executor: of the nodes.
+    """
     from orbimpc_ros.lab.faults.fixtures import Fixtures
     from orbimpc_ros.lab.faults.outcome import MatrixRow, table
 
     rows = [MatrixRow(case) for case in cases]
     try:
-        with tempfile.TemporaryDirectory() as name, _terminated(), Fixtures(Path(name)) as made:
+        with (
+            tempfile.TemporaryDirectory() as name,
+            _terminated(),
+            Fixtures(Path(name), executor) as made,
+        ):
             _try_all(rows, made, long)
     finally:
         print(table([row for row in rows if row.outcomes]))

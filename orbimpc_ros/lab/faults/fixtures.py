@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from orbimpc_ros.lab.faults.harness import Harness
+from orbimpc_ros.lab.faults.session import Place
 from orbimpc_ros.tool.run import discovery
 
 
@@ -19,24 +20,25 @@ class Fixtures(AbstractContextManager['Fixtures']):
 
     Args:
         folder: takes what processes need and print.
+        executor: of the nodes.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._folder, self._count = folder, 0
+    def __init__(self, folder: Path, executor: str = 'wait_set') -> None:
+        self._folder, self._executor, self._count = folder, executor, 0
         self._shared: dict[str, Harness] = {}
         self._stack = ExitStack()
         runpy.run_module('orbimpc_ros.mpc.kernels', run_name='__main__')
 
-    def place(self) -> tuple[Path, int]:
-        """Return a new folder and a DDS domain of its own."""
+    def place(self) -> Place:
+        """Return a place with a folder and a DDS domain of its own."""
         self._count += 1
         folder = self._folder / f'{self._count:03}'
         folder.mkdir()
-        return folder, discovery.isolate(folder)
+        return Place(folder, discovery.isolate(folder), self._executor)
 
     def harness(self, parameters: Mapping[str, Any] | None = None, **more: Any) -> Harness:
         """Return a harness of one's own, to be closed."""
-        return Harness(*self.place(), parameters, **more)
+        return Harness(self.place(), parameters, **more)
 
     def shared(
         self, name: str, parameters: Mapping[str, Any] | None = None, **more: Any

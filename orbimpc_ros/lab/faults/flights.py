@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import random
-from pathlib import Path
 
 from nav_msgs.msg import Odometry
 from rclpy.qos import DurabilityPolicy
 from std_msgs.msg import Bool
 
 from orbimpc_ros.lab.faults.monitor import STILL, Limits
-from orbimpc_ros.lab.faults.session import PATIENCE, Session
+from orbimpc_ros.lab.faults.session import PATIENCE, Place, Session
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.share import config
@@ -25,8 +24,7 @@ class Flying(Session):
     """A flight over DDS, faster than the paper's by a factor, until closed.
 
     Args:
-        folder: takes parameters and logs.
-        domain: of ROS, nobody else's.
+        place: of the nodes.
         step: between ticks [s]; speed, swing and cost of turning are scaled with it.
         seed: of random moments.
 
@@ -35,8 +33,8 @@ class Flying(Session):
         captured: how the flight ended; None while it lasts.
     """
 
-    def __init__(self, folder: Path, domain: int, *, step: float, seed: int) -> None:
-        super().__init__(folder, domain, Limits(1.0 / step, math.pi / step))
+    def __init__(self, place: Place, *, step: float, seed: int) -> None:
+        super().__init__(place, Limits(1.0 / step, math.pi / step))
         self.draw = random.Random(seed)
         self.usual = FLIGHT * step
         self.captured: bool | None = None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import random
 import time
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
@@ -17,7 +16,7 @@ from rosgraph_msgs.msg import Clock
 from orbimpc_ros.lab.faults import stimulus
 from orbimpc_ros.lab.faults.flood import HELD_UP, Pause
 from orbimpc_ros.lab.faults.monitor import Limits
-from orbimpc_ros.lab.faults.session import Session
+from orbimpc_ros.lab.faults.session import Place, Session
 from orbimpc_ros.lab.test_node import KEPT
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.process import qos
@@ -39,8 +38,7 @@ class Harness(Session):
     """Feeds a planner at a steady rate and hears all that it says, until closed.
 
     Args:
-        folder: takes parameters and logs.
-        domain: of ROS, nobody else's.
+        place: of the planner.
         parameters: of the planner, beside those of all harnesses.
         simulated: whether to be the planner's clock as well.
         seed: of all that is drawn.
@@ -58,8 +56,7 @@ class Harness(Session):
 
     def __init__(
         self,
-        folder: Path,
-        domain: int,
+        place: Place,
         parameters: Mapping[str, Any] | None = None,
         *,
         simulated: bool = False,
@@ -67,7 +64,7 @@ class Harness(Session):
         module: str = 'orbimpc_ros.ros.planner',
     ) -> None:
         self._values = PLANNER | dict(parameters or {}) | {'use_sim_time': simulated}
-        super().__init__(folder, domain, Limits(1.0, self._values['max_rate']))
+        super().__init__(place, Limits(1.0, self._values['max_rate']))
         self._simulated, self._module = simulated, module
         self.draw = random.Random(seed)
         self.spoiled = stimulus.Spoiled('nothing')

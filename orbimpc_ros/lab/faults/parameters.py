@@ -43,7 +43,7 @@ def nonsense(row: Row, draw: random.Random) -> Any:
 
 def _starts(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
     """Nodes that are started with one bad value: one line, code 2, no command."""
-    with Session(*fixtures.place(), Limits(1.0, math.pi)) as session:
+    with Session(fixtures.place(), Limits(1.0, math.pi)) as session:
         for number in range(SETS[long]):
             yield _started(session, number)
         session.spin(0.5)

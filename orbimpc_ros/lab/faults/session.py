@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,24 +22,38 @@ Some = TypeVar('Some', bound='Session')
 PATIENCE = 60.0  # [s] for anything awaited, on a busy machine too
 
 
+@dataclass(frozen=True)
+class Place:
+    """Where processes run.
+
+    Attributes:
+        folder: takes parameters and logs.
+        domain: of ROS, nobody else's.
+        executor: of the nodes.
+    """
+
+    folder: Path
+    domain: int
+    executor: str
+
+
 class Session:
     """Processes that are stopped, the last one first, when the session ends.
 
     Args:
-        folder: takes parameters and logs.
-        domain: of ROS, nobody else's.
+        place: of the processes.
         limits: of commands.
 
     Attributes:
-        folder: the same.
-        domain: the same.
+        folder: takes parameters and logs.
+        domain: of ROS, nobody else's.
         monitor: hears commands, ticks and diagnostics.
         test_node: publishes and subscribes in the domain.
     """
 
-    def __init__(self, folder: Path, domain: int, limits: Limits) -> None:
-        self.folder, self.domain = folder, domain
-        self.monitor, self.test_node = Monitor(limits), TestNode(domain)
+    def __init__(self, place: Place, limits: Limits) -> None:
+        self.folder, self.domain, self._executor = place.folder, place.domain, place.executor
+        self.monitor, self.test_node = Monitor(limits), TestNode(place.domain)
         self.test_node.subscribe(TwistStamped, 'cmd_vel', self.monitor.on_command)
         self.test_node.subscribe(DiagnosticArray, 'tick', self.monitor.on_tick)
         self.test_node.subscribe(DiagnosticArray, '/diagnostics', self.monitor.on_health)
@@ -48,7 +63,7 @@ class Session:
         """Return a new process of a node's module with parameters."""
         name = f'{module.rpartition(".")[2]}-{len(self._processes) + 1}'
         file = self.folder / f'{name}.yaml'
-        settings.write(file, dict(values))
+        settings.write(file, {**values, 'executor': self._executor})
         process = Process(module, file, file.with_suffix('.log'), self.domain)
         self._processes.append(process)
         return process

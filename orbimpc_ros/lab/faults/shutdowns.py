@@ -86,7 +86,7 @@ def _killed(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
     """The planner is killed or hangs in flight: the vehicle stops."""
     for number in range(20 if long else 1):
         step = 1.0 if number % 2 else 0.2
-        with Flying(*fixtures.place(), step=step, seed=number) as flying:
+        with Flying(fixtures.place(), step=step, seed=number) as flying:
             flying.until_moving()
             flying.spin(flying.draw.uniform(0.5, 1.5))
             begin = time.monotonic()
@@ -100,7 +100,7 @@ def _killed(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
 def _restarted(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
     """The planner is killed at a random moment of the retrieval, and started again."""
     for number in range(20 if long else 1):
-        with Flying(*fixtures.place(), step=0.2, seed=number) as flying:
+        with Flying(fixtures.place(), step=0.2, seed=number) as flying:
             flying.until_moving()
             flying.spin(flying.draw.uniform(0.0, flying.usual))
             flying.planner.tell(signal.SIGKILL)

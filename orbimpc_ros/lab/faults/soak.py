@@ -92,13 +92,13 @@ class Soak:
         )
 
 
-def soaked(minutes: float) -> int:
-    """Soak a planner, print the result, and return the exit code."""
+def soaked(minutes: float, executor: str) -> int:
+    """Soak a planner on an executor, print the result, and return the exit code."""
     if not 0.0 < minutes <= LONGEST:
         raise BadInput('--soak', minutes, f'minutes, above 0 and at most {LONGEST:g}')
     with (
         tempfile.TemporaryDirectory() as folder,
-        Fixtures(Path(folder)) as fixtures,
+        Fixtures(Path(folder), executor) as fixtures,
         fixtures.harness({'step': STEP}) as harness,
         collector.paused(),
     ):

@@ -22,11 +22,16 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
-import clarabel
 import numpy as np
 from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import BadInput
+
+try:
+    import clarabel
+except ModuleNotFoundError:
+    raise BadInput.without('clarabel') from None
 
 REDUCED = 1e-7
 ROUNDING = 1e-15  # of the terms of a bound

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import clarabel
 import numpy as np
 from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, carried
 from orbimpc_ros.mpc.model.condensed import Condensed
@@ -27,6 +27,11 @@ from orbimpc_ros.mpc.problem.pace import WITHIN, entry_speed, first_change_is_de
 from orbimpc_ros.mpc.solve.registry import method_for
 from orbimpc_ros.mpc.solve.request import Found, Request
 from orbimpc_ros.mpc.solve.sector_bnb import SectorSearch
+
+try:
+    import clarabel
+except ModuleNotFoundError:
+    raise BadInput.without('clarabel') from None
 
 ACCURATE = 1e-9  # of Clarabel
 

@@ -9,11 +9,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import cvxpy as cp
 import numpy as np
 from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.orbitopes import constraints, coordinate_count, coordinates
 from orbimpc_ros.mpc.model.cost import (
     attitude_weight,
@@ -27,6 +27,11 @@ from orbimpc_ros.mpc.model.translation import Step, step_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.cones import relief, slope_sides
 from orbimpc_ros.mpc.solve.disjunction import Slot
+
+try:
+    import cvxpy as cp
+except ModuleNotFoundError:
+    raise BadInput.without('cvxpy') from None
 
 
 class Statement:

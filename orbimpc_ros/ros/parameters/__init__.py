@@ -61,15 +61,24 @@ class Live(Generic[S, W]):
         _refuse_unknown(node)
         for row in rows:
             _declare(node, row)
-        self.prepared = prepare(settings_of(self._values()))
+        self._settings_of(self._values())
+        self._install: Callable[[W], None] | None = None
+        self._pending: W | None = None
+        node.add_pre_set_parameters_callback(self._typed)
+        node.add_on_set_parameters_callback(self._on_set)
+        node.add_post_set_parameters_callback(self._on_changed)
+
+    def prepared(self) -> W:
+        """Return what is made of the settings as they are now."""
+        return self._prepare(self._settings_of(self._values()))
 
     def keep(self, install: Callable[[W], None]) -> None:
-        """From now on check changes, and install what was prepared once a change is certain."""
+        """From now on install what is made of changed settings, once a change is certain."""
         self._install = install
-        self._pending: W | None = None
-        self._node.add_pre_set_parameters_callback(self._typed)
-        self._node.add_on_set_parameters_callback(self._on_set)
-        self._node.add_post_set_parameters_callback(self._on_changed)
+
+    def release(self) -> None:
+        """From now on only check changes."""
+        self._install = None
 
     def _values(self) -> dict[str, Any]:
         return {row.name: self._node.get_parameter(row.name).value for row in self._rows}
@@ -86,7 +95,8 @@ class Live(Generic[S, W]):
 
     def _on_set(self, changes: list[Parameter]) -> SetParametersResult:
         try:
-            self._pending = self._prepare(self._settings_of(self._merged(changes)))
+            settings = self._settings_of(self._merged(changes))
+            self._pending = None if self._install is None else self._prepare(settings)
         except BadInput as error:
             return SetParametersResult(successful=False, reason=str(error))
         except Exception as error:  # a raising callback would end the node from afar
@@ -105,7 +115,7 @@ class Live(Generic[S, W]):
         return values
 
     def _on_changed(self, _changes: list[Parameter]) -> None:
-        if self._pending is not None:
+        if self._install is not None and self._pending is not None:
             self._install(self._pending)
         self._pending = None
 

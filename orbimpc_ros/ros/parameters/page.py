@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from orbimpc_ros.ros.parameters import PLANNER, SIM, Row
+from orbimpc_ros.ros.parameters.parameter import PROCESS
 
 PAGE = """\
 # Parameters
@@ -26,6 +27,10 @@ Made from the tables that the nodes declare their parameters from: `make docs` w
 
 {both}
 
+## What each of them has
+
+{process}
+
 ## Planner
 
 {planner}
@@ -39,9 +44,11 @@ HEAD = ('parameter', 'default', 'allowed', 'unit', 'live', 'meaning')
 
 def page() -> str:
     """Return the page on parameters, in Markdown."""
+    own = {row.name for row in PROCESS}
     shared = {row.name for row in PLANNER} & {row.name for row in SIM}
     return PAGE.format(
-        both=_table(row for row in PLANNER if row.name in shared),
+        both=_table(row for row in PLANNER if row.name in shared - own),
+        process=_table(PROCESS),
         planner=_table(row for row in PLANNER if row.name not in shared),
         sim=_table(row for row in SIM if row.name not in shared),
     )

@@ -174,6 +174,14 @@ def boxes_of(values: Values) -> tuple[Box, ...]:
     return tuple(Box(low, high) for low, high in corners)
 
 
+# Of the process rather than the vehicle: the same for both nodes.
+PROCESS = (
+    Row('autostart', True, 'Whether to configure and activate itself at the start; else whoever '
+        'manages it does, by ~/change_state'),
+    Row('executor', 'wait_set', "What waits for messages: wait_set, rclpy's ordinary executor; "
+        'events, its experimental one, which takes less processor time (rclpy 7.1.4 and later)',
+        choices=('wait_set', 'events')),
+)  # fmt: skip
 OBSTACLES = Row('obstacles', (), 'Boxes to stay out of: lower, then upper corner of each',
     'm', -FAR, FAR, live=True)  # fmt: skip
 

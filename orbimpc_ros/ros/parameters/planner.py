@@ -31,6 +31,7 @@ from orbimpc_ros.ros.parameters.parameter import (
     FAR,
     MAX_DURATION,
     OBSTACLES,
+    PROCESS,
     TINY,
     VEHICLE,
     Row,
@@ -51,6 +52,7 @@ ROUNDING = 1e-5  # of the way of a step: more than a checked plan may be off
 
 PLANNER: tuple[Row, ...] = (
     *VEHICLE,
+    *PROCESS,
     Row('horizon', 5, 'Steps planned ahead', low=1, high=MAX_HORIZON),
     Row('weights.position', 1.0, 'On squared distance to the goal at every step',
         '1/m^2', 0.0, 1e6, live=True),

@@ -18,6 +18,7 @@ from orbimpc_ros.ros.parameters.parameter import (
     FAR,
     MAX_DURATION,
     OBSTACLES,
+    PROCESS,
     VEHICLE,
     Row,
     Values,
@@ -132,6 +133,7 @@ FAULTS = (
 
 SIM: tuple[Row, ...] = (
     *(replace(row, live=False) for row in VEHICLE),
+    *PROCESS,
     *PLANT,
     Row('clock', 'lockstep', 'Whether to wait for each command or run in real time',
         choices=('lockstep', 'wall')),

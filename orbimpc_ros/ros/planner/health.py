@@ -54,7 +54,8 @@ class Health:
         self._node, self._asked, self._values = node, asked, values
         self._shown: Condition = (OK, '')
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', qos())
-        node.every(PERIOD, self.show)
+        # Whatever the node is just doing: an inactive planner says that it is.
+        node.create_timer(PERIOD, node.guard(self.show), clock=node.steady)
 
     def show(self) -> None:
         """Publish how it is."""

@@ -23,6 +23,7 @@ from orbimpc_ros.mpc.loop.frames import Witness
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.clock import NodeClock
 from orbimpc_ros.ros.halves import HALVES, Halves, Joined
+from orbimpc_ros.ros.lifecycle import Managed
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters import PLANNER, Live, PlannerSettings, planner_settings
 from orbimpc_ros.ros.parameters.sections import warn_of_unused
@@ -32,12 +33,13 @@ from orbimpc_ros.ros.planner.frames import listen_to_transforms
 from orbimpc_ros.ros.planner.health import Condition, Health, condition
 from orbimpc_ros.ros.planner.inbox import NAMED, Inbox
 from orbimpc_ros.ros.planner.lookout import OBSTACLES, PLAN, others
+from orbimpc_ros.ros.planner.mode import ModeChanges
 from orbimpc_ros.ros.planner.neighbours import Neighbours
 from orbimpc_ros.ros.planner.outlet import Outlet, command_messages, outputs, report_messages
 from orbimpc_ros.ros.planner.summary import doubts, summary
 from orbimpc_ros.ros.planner.ticker import Ticker, prepared
-from orbimpc_ros.ros.process import Guarded, qos, run
-from orbimpc_ros.ros.reports import AFRESH, DISABLED, Report, prices
+from orbimpc_ros.ros.process import qos, run
+from orbimpc_ros.ros.reports import AFRESH, DISABLED, INACTIVE, Report, prices
 
 GOAL_PATIENCE = 0.1  # [s] to wait for the goal that belongs to an odometry message
 LEADERS_PATIENCE = 10.0  # [s] the same for plans of other vehicles, while simulated time stands
@@ -50,20 +52,25 @@ SILENCE = 1.5  # [s] without any /clock, after which that is a reason to warn
 LULL = 10.0  # [s] the same, once it has come: lock-step waits for slow planners
 
 
-class PlannerNode(Guarded):
+class PlannerNode(Managed):
     """Messages to the inbox, the inbox to the ticker, ticks to messages; and a watch on all."""
 
     def __init__(self) -> None:
         super().__init__('planner')
+        self._console = Announcer(self.get_logger(), self.steady_now)
+        report_compilation(self._console.warn)
+        self._live = Live(self, PLANNER, planner_settings, prepared)
+        step = self.get_parameter('step').value
+        self._time = NodeClock(self, step, self.at_work(self._on_jump))
+        warn_of_unused(self)
+
+    def configure(self) -> None:
+        """Compile a controller for the parameters, and connect inputs and outputs."""
         self._enabled = True
         self._answered = -1  # stamp of the odometry that was answered last [ns]
         self._refusal, self._refused_at = '', -np.inf
-        self._console = Announcer(self.get_logger(), self.steady_now)
-        report_compilation(self._console.warn)
         with leaving_at_signals():
-            live = Live(self, PLANNER, planner_settings, prepared)
-        self._settings, controller = live.prepared
-        self._time = NodeClock(self, self._settings.problem.step, self._on_jump)
+            self._settings, controller = self._live.prepared()
         names = {topic: self.resolve_topic_name(topic) for topic in NAMED}
         avoided = others(self._settings.avoid, names[PLAN], self.resolve_topic_name)
         self._halves, self._witness = Halves(), Witness(self._settings.frames.velocity)
@@ -74,17 +81,31 @@ class PlannerNode(Guarded):
         self._report: Report | None = None  # on the last tick
         self._outlet = Outlet(self, outputs(self._settings))
         self._outlet.engaged = not self._settings.gated
+        self._mode_changes = ModeChanges()
         self._health = Health(self, self._condition, self._counts)
         self._create_subscriptions()
         self._create_timers()
-        live.keep(self._install)
+        self._live.keep(self._install)
         self._introduce()
+
+    def activate(self) -> None:
+        """Plan and command, of what comes from now on."""
+        self._forget()
+        self._outlet.forget()
+        self._report = None
+
+    def deactivate(self) -> None:
+        """Command what is safe for the last time."""
+        self.safe(INACTIVE)
+
+    def clean_up(self) -> None:
+        """Let changed parameters wait for the next time."""
+        self._live.release()
 
     def _introduce(self) -> None:
         """Say once, before anything flies, what vehicle the parameters describe."""
         self._console.introduce(summary(self._settings, self._time.simulated))
         given = {name: each.value for name, each in self._parameter_overrides.items()}
-        warn_of_unused(self)
         for doubt in doubts(self._settings, given):
             self.get_logger().warning(doubt)
 
@@ -98,14 +119,15 @@ class PlannerNode(Guarded):
 
     def _create_subscriptions(self) -> None:
         if self._settings.halves:
-            odometry = self._listen(PoseStamped, 'pose', self._on_pose)
-            self._listen(TwistStamped, 'twist', self._on_twist)
+            odometry = self._listen(PoseStamped, 'pose', self.at_work(self._on_pose))
+            self._listen(TwistStamped, 'twist', self.at_work(self._on_twist))
         else:
-            odometry = self._listen(OdometryMessage, 'odom', self._on_odometry)
-        self._listen(PoseStamped, 'goal', self._on_goal)
-        self._listen(Path, 'goal_path', self._on_path)
+            odometry = self._listen(OdometryMessage, 'odom', self.at_work(self._on_odometry))
+        self._listen(PoseStamped, 'goal', self.at_work(self._on_goal))
+        self._listen(Path, 'goal_path', self.at_work(self._on_path))
         if self._settings.gated:
-            self._listen(Bool, 'engaged', self._on_engaged)
+            # Even while inactive: whoever is activated has to know whether the vehicle is flown.
+            self._listen(Bool, 'engaged', self.guard(self._on_engaged))
         self._create_lookout()
         if self._settings.tree.heard:
             listen_to_transforms(self, self._take)
@@ -117,7 +139,7 @@ class PlannerNode(Guarded):
         return self.create_subscription(
             kind,
             topic,
-            self.guard(callback),
+            callback,
             qos(1, ReliabilityPolicy.BEST_EFFORT),
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
@@ -129,10 +151,10 @@ class PlannerNode(Guarded):
         are to be reliable; who offers less is told of as a mismatch. Plans are whole each time.
         """
         silent = SubscriptionEventCallbacks(use_default_callbacks=False)
-        seen = self.guard(self._on_obstacles)
+        seen = self.at_work(self._on_obstacles)
         self.create_subscription(MarkerArray, OBSTACLES, seen, qos(MARKERS), event_callbacks=silent)
         for topic in self._inbox.others:
-            heard = self.guard(self._hearing(topic))
+            heard = self.at_work(self._hearing(topic))
             whole = qos(1, ReliabilityPolicy.BEST_EFFORT)
             self.create_subscription(Path, topic, heard, whole, event_callbacks=silent)
 
@@ -140,7 +162,7 @@ class PlannerNode(Guarded):
         period = self._settings.period
         if not self._settings.on_odometry:
             # In ROS time: simulated time sets the pace. Everything that watches is steady.
-            self.create_timer(period, self.guard(self._on_timer))
+            self.create_timer(period, self.at_work(self._on_timer))
         self._patience = self.every(0.5 * GOAL_PATIENCE, self._on_patience)
         self._patience.cancel()
         self.every(min(WATCH, 0.5 * period), self._watch)
@@ -170,6 +192,7 @@ class PlannerNode(Guarded):
         if message.data:
             self._ticker.start_afresh()
         self._outlet.engaged = message.data
+        self._mode_changes.note(self.steady_now())
         self._console.say('engaged: commands' if message.data else 'not engaged: silent')
         self._health.show_changes()
 
@@ -179,9 +202,9 @@ class PlannerNode(Guarded):
             self._refuse(refusal)
             self._repeat_answer(message)
             return
-        self._witness.note(self._inbox.latest['odom'].value)
         if self._settings.on_odometry:
             self._tick_or_wait()
+        self._witness.note(self._inbox.latest['odom'].value)  # no command waits for it
 
     def _on_goal(self, message: PoseStamped) -> None:
         self._take('goal', message)
@@ -205,7 +228,8 @@ class PlannerNode(Guarded):
         if refusal:
             self._refuse(refusal)
         elif self._settings.on_odometry and self._unanswered and self._inbox.complete:
-            self._plan_now()
+            if self.active:  # transforms are heard before that, too
+                self._plan_now()
 
     @property
     def _unanswered(self) -> bool:
@@ -290,9 +314,12 @@ class PlannerNode(Guarded):
         self._outlet.begin(command_messages(self._settings, stamp, command))
         if self._outlet.engaged and not self._settings.dry_run:
             self._ticker.went_out(command, self._time.seconds)
-        report = replace(report, binding=prices(report.tick))  # the vehicle did not wait for it
-        known = self._inbox.odometry is not None
-        self._outlet.add(report_messages(self._settings, stamp, report, name, oriented=known))
+        known, heard = self._inbox.odometry is not None, self._outlet.heard
+        if 'tick' in heard:  # the vehicle did not wait for it
+            report = replace(report, binding=prices(report.tick))
+        self._outlet.add(
+            report_messages(self._settings, stamp, report, name, oriented=known, heard=heard)
+        )
         self._report = report
         self._console.note(report.tick)
         self._health.show_changes()
@@ -301,7 +328,7 @@ class PlannerNode(Guarded):
 
     def safe(self, reason: Reason) -> None:
         """Command what is safe, now; a planner that has commanded nothing yet goes on so."""
-        if self._outlet.used:
+        if self.active and self._outlet.used:
             self._be_safe(reason)
 
     def _be_safe(self, reason: Reason) -> None:
@@ -340,9 +367,9 @@ class PlannerNode(Guarded):
         still = self._time.standstill(LULL if self._time.nanoseconds else SILENCE)
         untimed = self._inbox.untimed
         other = f"stamps of {untimed} are not of this node's clock" if untimed else ''
-        doubt = self._witness.doubt
-        moved = self._inbox.displaced
-        return [self._neighbours.rivals, still, other, doubt, moved, *self._traffic_notices]
+        odd = [self._witness.doubt, self._mode_changes.restless(self.steady_now())]
+        displaced = self._inbox.displaced
+        return [self._neighbours.rivals, still, other, *odd, displaced, *self._traffic_notices]
 
     @property
     def _traffic_notices(self) -> list[str]:
@@ -378,12 +405,16 @@ class PlannerNode(Guarded):
 
     def _start_afresh(self, why: str) -> None:
         self.get_logger().warning(f'{AFRESH.words}: {why}')
+        self._forget()
+        self.safe(AFRESH)
+
+    def _forget(self) -> None:
+        """Forget inputs and plan."""
         self._patience.cancel()
         self._ticker.start_afresh()
         self._inbox.forget()
         self._halves = Halves()
         self._answered = -1
-        self.safe(AFRESH)
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
         self._start_afresh('asked to')
@@ -392,7 +423,7 @@ class PlannerNode(Guarded):
 
     def _on_enable(self, request: Any, response: Any) -> Any:
         self._enabled = request.data
-        if not self._enabled:
+        if self.active and not self._enabled:
             self._be_safe(DISABLED)
         response.success = True
         response.message = 'enabled' if self._enabled else 'disabled: safe command'
@@ -408,6 +439,7 @@ class PlannerNode(Guarded):
             'waits with odometry for': ', '.join(self._inbox.companions),
             'enabled': self._enabled,
             'engaged': self._outlet.engaged,
+            'changes of mode': self._mode_changes.count,
             'deadline misses': timing.misses,
             'overruns': timing.overruns,
             'late ticks': timing.late,
@@ -421,6 +453,8 @@ class PlannerNode(Guarded):
         rivals, *rest = self._notices
         notices = [rivals, self._refusal if refused else '', *rest]
         waiting = self._waiting if self._enabled else DISABLED.words
+        if not self.active:
+            waiting = INACTIVE.words
         return condition(self._wrong, waiting, self._report, notices)
 
 

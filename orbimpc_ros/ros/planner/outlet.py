@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -16,6 +16,7 @@ from rclpy.publisher import Publisher
 from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.mpc.command import Command
+from orbimpc_ros.mpc.loop.controller import Tick
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.markers import plan_markers
@@ -33,6 +34,7 @@ KINDS: dict[str, type] = {
 COMMANDS: dict[str, type] = {'cmd_vel': TwistStamped, 'rotation': QuaternionStamped}
 FORCES: dict[str, type] = {'cmd_thrust': WrenchStamped}
 SHARES: dict[str, type] = {'thrust': Vector3Stamped}
+TOPICS = frozenset(KINDS | COMMANDS)
 # Who is connected is watched instead: every event handler makes every wait of the node longer.
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 
@@ -62,7 +64,13 @@ def command_messages(settings: PlannerSettings, stamp: Stamp, command: Command) 
 
 
 def report_messages(
-    settings: PlannerSettings, stamp: Stamp, report: Report, node: str, *, oriented: bool
+    settings: PlannerSettings,
+    stamp: Stamp,
+    report: Report,
+    node: str,
+    *,
+    oriented: bool,
+    heard: Collection[str] = TOPICS,
 ) -> dict[str, Any]:
     """Return the messages to everybody else, by topic.
 
@@ -72,22 +80,36 @@ def report_messages(
         report: on the tick.
         node: name of the planner.
         oriented: whether the vehicle's attitude is known, so that one can be commanded.
+        heard: topics that somebody listens to: others are not worth the work.
     """
-    problem, plan, state = settings.problem, report.tick.plan, report.tick.state
-    start = report.advanced + report.led
-    found: dict[str, Any] = {'tick': tick_message(stamp.nanoseconds, node, report)}
-    if plan is not None:
-        step = (report.tick.problem or problem).step
-        found['plan'] = messages.plan_message(stamp, plan, step, start)
-        hazards = () if state is None else state.hazards
-        found['plan_markers'] = plan_markers(stamp, problem, plan, hazards)
-    elif settings.avoid and state is not None:  # whoever avoids it has to know where it will be
-        flown = obeyed(problem, state, report.tick.command)
-        poses = [messages.pose(v.position, stamp.frames.own(v.attitude)) for v in flown]
-        found['plan'] = messages.path_message(stamp, problem.step, poses, start)
+    makers: dict[str, Callable[[], Any]] = {
+        'tick': lambda: tick_message(stamp.nanoseconds, node, report),
+        'plan': lambda: _path(settings, stamp, report),
+        'plan_markers': lambda: _markers(settings.problem, stamp, report.tick),
+    }
     if oriented:
-        found['rotation'] = messages.rotation_message(stamp, report.tick.command)
-    return found
+        makers['rotation'] = lambda: messages.rotation_message(stamp, report.tick.command)
+    made = {topic: make() for topic, make in makers.items() if topic in heard}
+    return {topic: message for topic, message in made.items() if message is not None}
+
+
+def _path(settings: PlannerSettings, stamp: Stamp, report: Report) -> Path | None:
+    """Return where the vehicle will be; without a plan only whoever avoids it has to know."""
+    tick, problem, start = report.tick, settings.problem, report.advanced + report.led
+    if tick.plan is not None:
+        step = (tick.problem or problem).step
+        return messages.plan_message(stamp, tick.plan, step, start)
+    if not settings.avoid or tick.state is None:
+        return None
+    flown = obeyed(problem, tick.state, tick.command)
+    poses = [messages.pose(v.position, stamp.frames.own(v.attitude)) for v in flown]
+    return messages.path_message(stamp, problem.step, poses, start)
+
+
+def _markers(problem: Problem, stamp: Stamp, tick: Tick) -> MarkerArray | None:
+    if tick.plan is None:
+        return None
+    return plan_markers(stamp, problem, tick.plan, () if tick.state is None else tick.state.hazards)
 
 
 def obeyed(problem: Problem, state: State, command: Command) -> list[Vehicle]:
@@ -131,6 +153,12 @@ class Outlet:
         """Return whether anything went out yet."""
         return self.at > -math.inf
 
+    @property
+    def heard(self) -> frozenset[str]:
+        """Return the topics that somebody listens to."""
+        ends = self._publishers.items()
+        return frozenset(topic for topic, each in ends if each.get_subscription_count())
+
     def begin(self, first: Mapping[str, Any]) -> None:
         """Publish the first messages of a tick, by topic."""
         self._last = first
@@ -140,6 +168,10 @@ class Outlet:
         """Publish the other messages of the tick, by topic."""
         self._last = {**self._last, **more}
         self._send(more)
+
+    def forget(self) -> None:
+        """Begin anew, as if nothing had gone out."""
+        self.at, self._last = -math.inf, {}
 
     def repeat(self) -> None:
         """Publish the last tick again."""

@@ -13,36 +13,47 @@ from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros.lifecycle import Managed
 from orbimpc_ros.ros.parameters import SIM, Live, sim_settings
 from orbimpc_ros.ros.parameters.sections import warn_of_unused
-from orbimpc_ros.ros.process import Guarded, qos, run
+from orbimpc_ros.ros.process import qos, run
 from orbimpc_ros.ros.sim.arena import DEPTH, Arena
 from orbimpc_ros.ros.sim.stepping import LockStep, RealTime
 
 REFUSALS_SHOWN = 1.0  # [s] between diagnostics of refused commands
 
 
-class SimNode(Guarded):
+class SimNode(Managed):
     """Parameters, commands and services of an arena, whose steps one of two paces decides."""
 
     def __init__(self) -> None:
         # It makes the time: under simulated time it would wait for itself.
         super().__init__('sim', [Parameter('use_sim_time', value=False)])
-        live = Live(self, SIM, sim_settings, lambda settings: settings)
-        settings = live.prepared
+        self._live = Live(self, SIM, sim_settings, lambda settings: settings)
+        warn_of_unused(self)
+
+    def configure(self) -> None:
+        """Set up the flight that the parameters describe."""
+        settings = self._live.prepared()
+        self._flown = False  # whether it has been active
         self._refused_at = -np.inf  # when a refusal was last shown, on the steady clock [s]
         self._arena = Arena(self, settings, self._create_subscriptions())
         self._pace = LockStep(self._arena) if settings.lockstep else RealTime(self._arena)
         self.create_service(Trigger, '~/reset', self.guard(self._on_reset))
         if isinstance(self._pace, RealTime):
             self._watch_life(self._pace.on_life, settings.lease)
-        live.keep(lambda _unchanged: None)  # nothing is live, yet use_sim_time must be refused
-        warn_of_unused(self)
+
+    def activate(self) -> None:
+        """Fly, from the start."""
+        if self._flown:
+            self._arena.restart()
+        self._pace.restart()
+        self._flown = True
 
     def _create_subscriptions(self) -> Subscription:
         """Subscribe to commands; return the subscription to ``cmd_vel``: every planner has it."""
         velocity, _ = (
-            self.create_subscription(kind, topic, self.guard(callback), qos(DEPTH))
+            self.create_subscription(kind, topic, self.at_work(callback), qos(DEPTH))
             for kind, topic, callback in (
                 (TwistStamped, 'cmd_vel', self._on_twist),
                 (WrenchStamped, 'cmd_thrust', self._on_force),
@@ -75,7 +86,7 @@ class SimNode(Guarded):
         """Call back when DDS hears, or misses, signs of life from who promises them on cmd_vel."""
         # A planner that promises none does not match, which is no fault.
         events = SubscriptionEventCallbacks(
-            liveliness=self.guard(heard), incompatible_qos=lambda _event: None
+            liveliness=self.at_work(heard), incompatible_qos=lambda _event: None
         )
         promised = qos(lease=lease)
         self.create_subscription(
@@ -83,8 +94,9 @@ class SimNode(Guarded):
         )
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
-        self._arena.restart()
-        self._pace.restart()
+        if self.active:
+            self._arena.restart()
+            self._pace.restart()
         response.success, response.message = True, 'back at the start'
         return response
 

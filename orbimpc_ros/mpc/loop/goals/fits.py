@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.loop.goals import families
@@ -32,6 +31,8 @@ from orbimpc_ros.mpc.loop.goals.families import (
 )
 
 MOST_DAMPED = 2.0  # [1/s]
+# Of a few numbers at a time: to import SciPy's takes longer than all that a flight needs of it.
+log_gamma = np.vectorize(math.lgamma, otypes=[float])
 
 
 Past = tuple[Array, Array]  # times, shape (M,) [s], and positions, shape (M, n) [m]
@@ -272,5 +273,5 @@ def data_evidence(
         scale: of the same [m^2].
     """
     shape = share + 0.5 * numbers
-    prior = share * np.log(scale) - gammaln(share) - 0.5 * numbers * math.log(2.0 * math.pi)
-    return prior + gammaln(shape) - shape * np.log(scale + 0.5 * misfit)
+    prior = share * np.log(scale) - log_gamma(share) - 0.5 * numbers * math.log(2.0 * math.pi)
+    return prior + log_gamma(shape) - shape * np.log(scale + 0.5 * misfit)

@@ -1,0 +1,352 @@
+"""Planner and simulator as managed nodes: real processes, real services, and errors on the way."""
+
+import itertools
+import json
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
+from nav_msgs.msg import Odometry
+from planners import QUICK, goal, moving, odometry, told
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from rclpy.utilities import get_default_context
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Bool
+from std_srvs.srv import SetBool, Trigger
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros.lifecycle import Managed
+from orbimpc_ros.ros.process import initialised, qos
+
+CONFIGURE, ACTIVATE = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE
+DEACTIVATE, CLEANUP = Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP
+
+
+class Manager:
+    """A planner, its inputs, and who manages it: by numbers, as Nav2's manager does."""
+
+    def __init__(self, launch, observer, parameters):
+        self.observer = observer
+        self.commands = observer.listen(TwistStamped, 'cmd_vel')
+        self.health = observer.listen(DiagnosticArray, '/diagnostics')
+        self.senders = [
+            (observer.node.create_publisher(PoseStamped, 'goal', qos()), goal),
+            (observer.node.create_publisher(Odometry, 'odom', qos()), odometry),
+        ]
+        self.times = (0.1 * k for k in itertools.count(1))
+        self.process = launch('planner', QUICK | parameters)
+
+    def change(self, number):
+        request = ChangeState.Request(transition=Transition(id=number))
+        return self.observer.call(ChangeState, '/planner/change_state', request).success
+
+    @property
+    def state(self):
+        response = self.observer.call(GetState, '/planner/get_state', GetState.Request())
+        return response.current_state.label
+
+    def feed(self):
+        now = next(self.times)
+        for sender, message in self.senders:
+            sender.publish(message(now))
+
+    def feed_until(self, happened, what):
+        """Send fresh inputs again and again, though not so fast that nothing else gets its turn."""
+        seen = itertools.count()
+
+        def fed():
+            if next(seen) % 3 == 0:
+                self.feed()
+            return happened()
+
+        self.observer.until(fed, what)
+
+    def fly(self):
+        before = len(self.commands)
+        self.feed_until(lambda: any(map(moving, self.commands[before:])), 'a command to move')
+
+    def commands_of(self, messages):
+        """Return the commands heard while so many inputs are sent, and those still on their way."""
+        before = len(self.commands)
+        sent = itertools.count()
+        self.feed_until(lambda: next(sent) > messages, 'the inputs taken in')
+        heard = len(self.health)
+        self.observer.until(lambda: len(self.health) >= heard + 2, 'later diagnostics')
+        return self.commands[before:]
+
+    def says(self, words):
+        self.observer.until(
+            lambda: self.health and words in self.health[-1].status[0].message, words
+        )
+
+
+@pytest.fixture(scope='module')
+def manager(shared):
+    managed = Manager(*shared, {})
+    managed.fly()
+    return managed
+
+
+@pytest.fixture
+def active(manager):
+    """An active planner, whatever the test before left."""
+    steps = {'unconfigured': (CONFIGURE, ACTIVATE), 'inactive': (ACTIVATE,), 'active': ()}
+    for number in steps[manager.state]:
+        assert manager.change(number)
+    return manager
+
+
+def test_it_starts_itself(active):
+    assert active.state == 'active'
+    response = active.observer.call(
+        GetAvailableTransitions,
+        '/planner/get_available_transitions',
+        GetAvailableTransitions.Request(),
+    )
+    possible = {each.transition.label for each in response.available_transitions}
+    assert possible == {'deactivate', 'shutdown'}
+
+
+def test_deactivated_in_flight_it_commands_what_is_safe_once_and_is_silent(active):
+    active.fly()
+    assert active.change(DEACTIVATE)
+    active.says('inactive')
+    assert not moving(active.commands[-1])
+    assert moving(active.commands[-2])
+    assert active.commands_of(20) == []
+    for kind, name, request in (
+        (Trigger, 'reset', Trigger.Request()),
+        (SetBool, 'enable', SetBool.Request(data=False)),
+        (SetBool, 'enable', SetBool.Request(data=True)),
+    ):
+        assert active.observer.call(kind, f'/planner/{name}', request).success
+    assert active.commands_of(5) == []
+
+
+def test_activated_again_it_starts_afresh(active):
+    active.fly()
+    assert active.change(DEACTIVATE)
+    active.commands_of(5)
+    before = len(active.commands)
+    assert active.change(ACTIVATE)
+    active.says('waits for odometry on /odom and a goal on /goal or /goal_path')
+    assert active.commands[before:] == []
+    active.fly()
+
+
+def test_cleaned_up_it_has_no_topics_and_takes_on_what_has_changed(active):
+    active.fly()
+    assert active.change(DEACTIVATE)
+    assert active.change(CLEANUP)
+    node = active.observer.node
+    for topic in ('cmd_vel', 'tick', 'plan'):
+        active.observer.until(lambda t=topic: not node.count_publishers(t), 'silence')
+    active.observer.until(lambda: not node.count_subscribers('odom'), 'deafness')
+    request = SetParameters.Request(
+        parameters=[
+            Parameter(name, value=value).to_parameter_msg()
+            for name, value in {'forward': 0.25, 'mass': -1.0}.items()
+        ]
+    )
+    answer = active.observer.call(SetParameters, '/planner/set_parameters', request)
+    assert [each.successful for each in answer.results] == [True, False]
+    assert active.change(CONFIGURE)
+    assert active.change(ACTIVATE)
+    active.fly()
+    assert 0.0 < active.commands[-1].twist.linear.x <= 0.25 + 1e-9
+    assert 'from now on 0.25 m/s' in active.process.output
+
+
+@pytest.mark.parametrize(
+    ('asked', 'said'),
+    [
+        ({'id': CONFIGURE}, 'transition 1 is not possible while active; allowed: '),
+        ({'id': 77}, 'transition 77 is not possible while active'),
+        ({'label': 'cleanup'}, 'cleanup is not possible while active'),
+        ({'label': 'fly'}, 'fly is not possible while active'),
+    ],
+)
+def test_a_transition_that_is_not_possible_is_refused_in_a_line_and_it_flies_on(
+    active, asked, said
+):
+    request = ChangeState.Request(transition=Transition(**asked))
+    for _ in range(6):  # as often as a callback may not fail
+        assert not active.observer.call(ChangeState, '/planner/change_state', request).success
+    assert said in active.process.output
+    assert active.state == 'active'
+    active.fly()
+
+
+@pytest.mark.parametrize('executor', ['wait_set', 'events'])
+def test_left_alone_it_waits_to_be_managed_and_shut_down_it_is_silent_for_good(
+    executor, launch, observer
+):
+    if executor == 'events':
+        pytest.importorskip('rclpy.experimental.events_executor')
+    manager = Manager(launch, observer, {'autostart': False, 'executor': executor})
+    assert manager.state == 'unconfigured'
+    assert observer.node.count_publishers('cmd_vel') == 0
+    assert not manager.change(ACTIVATE)
+    assert manager.change(CONFIGURE)
+    assert manager.state == 'inactive'
+    assert manager.commands_of(10) == []
+    assert manager.change(ACTIVATE)
+    manager.fly()
+    assert manager.change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    observer.until(lambda: not moving(manager.commands[-1]), 'the safe command')
+    assert manager.state == 'finalized'
+    observer.until(lambda: not observer.node.count_publishers('cmd_vel'), 'silence')
+    assert not manager.process.ended
+    assert manager.process.stop() == 0, manager.process.output
+
+
+def test_a_mode_that_changes_while_it_is_inactive_is_known_when_it_is_activated(launch, observer):
+    manager = Manager(launch, observer, {'gated': True})
+    mode = observer.node.create_publisher(Bool, 'engaged', 1)
+    observer.until(mode.get_subscription_count, 'the planner listening')
+
+    def engaged(taken):
+        mode.publish(Bool(data=taken))
+        return manager.health and told(manager.health[-1])['engaged'] == json.dumps(taken)
+
+    manager.feed_until(lambda: engaged(True) and any(map(moving, manager.commands)), 'commands')
+    assert manager.change(DEACTIVATE)
+    observer.until(lambda: engaged(False), 'the mode')
+    assert manager.change(ACTIVATE)
+    manager.feed_until(lambda: 'planning' in manager.health[-1].status[0].message, 'plans')
+    assert manager.commands_of(10) == []
+
+
+def test_a_managed_simulator_stands_still_and_begins_again(launch, observer):
+    clock, seen = observer.listen(Clock, '/clock'), observer.listen(Odometry, 'odom')
+    captured = observer.listen(Bool, 'captured')
+    late = {'odom_timeout': 60.0, 'goal_timeout': 60.0}
+    launch('planner', {'trigger': 'odom', **late})
+    launch('sim', {'autostart': False, 'max_ticks': 3})
+
+    def change(number):
+        request = ChangeState.Request(transition=Transition(id=number))
+        return observer.call(ChangeState, '/sim/change_state', request).success
+
+    assert change(CONFIGURE)
+    assert observer.call(Trigger, '/sim/reset', Trigger.Request()).success
+    assert clock == seen == []
+    assert change(ACTIVATE)
+    observer.until(lambda: captured, 'the end')
+    assert change(DEACTIVATE)
+    assert change(ACTIVATE)
+    observer.until(lambda: len({m.header.stamp.sec for m in seen}) >= 8, 'the second flight')
+    places = {m.header.stamp.sec: m.pose.pose.position.x for m in seen}
+    assert list(places) == list(range(8))  # time goes on
+    flown = list(places.values())
+    assert flown[4:] == pytest.approx(flown[:4], abs=1e-9)
+
+
+class Worker(Managed):
+    """A node that fails where it is told to."""
+
+    def __init__(self):
+        super().__init__('worker')
+        self.declare_parameter('autostart', value=True)
+        self.failing, self.done = {}, []
+
+    def _do(self, what):
+        self.done.append(what)
+        if what in self.failing:
+            raise self.failing[what]
+
+    def configure(self):
+        self.create_publisher(Bool, 'work', 1)
+        self.every(1.0, lambda: None)
+        self.create_service(Trigger, '~/ask', lambda _request, response: response)
+        self.create_subscription(Bool, 'heard', lambda _message: None, 1)
+        self._do('configure')
+
+    def activate(self):
+        self._do('activate')
+
+    def deactivate(self):
+        self._do('deactivate')
+
+    def clean_up(self):
+        self._do('clean up')
+
+
+@pytest.fixture
+def worker(domain):
+    get_default_context(shutting_down=True)  # one that was used cannot be used again
+    with initialised(domain=domain, context=get_default_context()):
+        node = Worker()
+        yield node
+        node.destroy_node()
+    get_default_context(shutting_down=True)
+
+
+def endpoints(node):
+    return {each.topic_name for each in node.publishers} & {'/work'}
+
+
+def state(node):
+    return node._state_machine.current_state[1]
+
+
+def test_what_was_configured_is_gone_after_a_cleanup(worker):
+    before = [len([*getattr(worker, f'{kind}s')]) for kind in ('timer', 'service', 'subscription')]
+    worker.begin()
+    assert (state(worker), worker.active, endpoints(worker)) == ('active', True, {'/work'})
+    worker.trigger_deactivate()
+    worker.trigger_cleanup()
+    assert (state(worker), worker.active, endpoints(worker)) == ('unconfigured', False, set())
+    after = [len([*getattr(worker, f'{kind}s')]) for kind in ('timer', 'service', 'subscription')]
+    assert after == before
+
+
+class Panic(BaseException):
+    """As a library written in Rust raises it."""
+
+
+@pytest.mark.parametrize('error', [BadInput('step', 0.0, 'above 0'), ValueError('no'), Panic('no')])
+@pytest.mark.parametrize('where', ['configure', 'activate'])
+def test_a_start_that_fails_raises_what_failed(worker, where, error):
+    worker.failing = {where: error}
+    with pytest.raises(type(error)):
+        worker.begin()
+    assert not worker.active
+    refused = where == 'activate' and isinstance(error, BadInput)
+    assert state(worker) == ('inactive' if refused else 'unconfigured')
+    assert bool(endpoints(worker)) == refused
+
+
+def test_an_end_that_fails_leaves_it_silent_and_unconfigured(worker):
+    worker.begin()
+    worker.failing = {'deactivate': ValueError('no')}
+    worker.trigger_deactivate()
+    assert (state(worker), worker.active, endpoints(worker)) == ('unconfigured', False, set())
+    worker.failing = {}
+    worker.begin()
+    assert worker.active
+
+
+def test_a_failure_is_said_in_a_line_and_answered(worker, capfd):
+    worker.failing = {'configure': ValueError('the solver is missing')}
+    request = ChangeState.Request(transition=Transition(id=CONFIGURE))
+    answer = worker._service_change_state.callback(request, ChangeState.Response())
+    assert not answer.success
+    assert 'configure failed: ValueError: the solver is missing' in capfd.readouterr().err
+
+
+def test_work_waits_until_it_is_active(worker):
+    heard = []
+    hear = worker.at_work(heard.append)
+    hear('before')
+    worker.begin()
+    hear('meanwhile')
+    worker.trigger_deactivate()
+    hear('after')
+    assert heard == ['meanwhile']
