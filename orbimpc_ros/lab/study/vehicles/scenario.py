@@ -4,8 +4,8 @@ A file names a configuration, lists changes ``name=value``, and has a rule for e
 is drawn: a range ``[low, high]``; ``{x: range, y: range}`` for a vector; ``{towards: range,
 length: range}`` for one in the plane by its angle [rad] and length; ``{heading: range}`` for an
 attitude; ``{whole: n}`` for a whole number below n; ``{bodies: n, at: vector, when: range, speed:
-range, radius: range}`` for n bodies in the plane that move evenly, any way, through places that
-they are at then; ``{gates: [x, ...], radius: [r, ...], middle: range, gap: range}`` for walls of
+range, radius: range, clear: distance}`` for n bodies in the plane that move evenly, any way, through
+places that they are at then, and start so far from the origin; ``{gates: [x, ...], radius: [r, ...], middle: range, gap: range}`` for walls of
 four standing bodies each, across the x axis, with a gap about a middle.
 
 It may name another scenario that it is ``like`` instead of a configuration; then it gives what it
@@ -148,12 +148,14 @@ def _gates(rule: Mapping[str, Any], rng: np.random.Generator) -> tuple[float, ..
 
 def _bodies(rule: Mapping[str, Any], rng: np.random.Generator) -> tuple[float, ...]:
     numbers: list[float] = []
-    for _ in range(rule['bodies']):
+    while len(numbers) < 5 * rule['bodies']:
         x, y, _ = _vector(rule['at'], rng)
         when, way = rng.uniform(*rule['when']), rng.uniform(-math.pi, math.pi)
         speed, radius = rng.uniform(*rule['speed']), float(rng.uniform(*rule['radius']))
         u, v = speed * math.cos(way), speed * math.sin(way)
-        numbers += [float(x - when * u), float(y - when * v), float(u), float(v), radius]
+        begin = float(x - when * u), float(y - when * v)
+        if math.hypot(*begin) > rule['clear'] + radius:
+            numbers += [*begin, float(u), float(v), radius]
     return tuple(numbers)
 
 

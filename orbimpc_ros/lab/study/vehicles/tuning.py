@@ -17,7 +17,7 @@ from orbimpc_ros.lab.study.vehicles.scenario import FOLDER, Mission
 from orbimpc_ros.tool.io import document
 
 SEED = 1000  # of all flights that tune; those that count have others
-CANDIDATES, FLIGHTS = 8, 6
+CANDIDATES, FLIGHTS = 8, 4
 LATE = 2.0  # limits of a flight that one without a catch counts as
 Tuned = dict[str, dict[str, float]]
 
