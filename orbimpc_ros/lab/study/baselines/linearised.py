@@ -64,19 +64,12 @@ class Linearised(Baseline):
         gradient = sum(j.T @ linear[:, i] for i, j in enumerate(jacobians))
         rows, offsets = self._limits(state, along)
         if state.hazards:
-            flown = speeds[:, None] * along
-            beyond, short = tangents(self.problem, state, flown, np.array(jacobians))
-            count, steps = len(gradient), len(short)
-            quadratic = np.pad(quadratic, (0, steps))
-            gradient = np.append(gradient, np.full(steps, TOUCH / self.problem.length_unit))
-            rows = np.vstack(
-                [
-                    np.hstack([rows, np.zeros((len(rows), steps))]),
-                    np.hstack([-beyond, -np.eye(steps)]),
-                    np.hstack([np.zeros((steps, count)), -np.eye(steps)]),
-                ]
-            )
-            offsets = np.concatenate([offsets, -short, np.zeros(steps)])
+            shapes = np.array(jacobians)
+            beyond, short = tangents(self.problem, state, speeds[:, None] * along, shapes)
+            quadratic = np.pad(quadratic, (0, len(short)))
+            price = TOUCH / self.problem.length_unit
+            gradient = np.append(gradient, np.full(len(short), price))
+            rows, offsets = _eased(rows, offsets, -beyond, -short)
         solver = clarabel.DefaultSolver(
             sparse.csc_matrix(np.triu(quadratic)),
             gradient,
@@ -100,6 +93,21 @@ class Linearised(Baseline):
             rows += [turn, -turn]
             offsets += [most - turned, most + turned]
         return np.vstack(rows), np.concatenate(offsets)
+
+
+def _eased(rows: Array, offsets: Array, more: Array, least: Array) -> tuple[Array, Array]:
+    """Return A and b of A (x, e) <= b with more rows, each eased by a variable e >= 0 of its own.
+
+    Args:
+        rows: that hold as they are, shape (K, M).
+        offsets: of them, shape (K,).
+        more: that are eased, shape (E, M).
+        least: offsets of those, shape (E,).
+    """
+    eased = len(more)
+    none, each = np.zeros((len(rows), eased)), np.eye(eased)
+    found = [[rows, none], [more, -each], [np.zeros(more.shape), -each]]
+    return np.block(found), np.concatenate([offsets, least, np.zeros(eased)])
 
 
 def tangents(problem: Problem, state: State, axes: Array, jacobians: Array) -> tuple[Array, Array]:

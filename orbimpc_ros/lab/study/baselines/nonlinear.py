@@ -83,28 +83,20 @@ class NonlinearProgram:
             limits += [(beyond, problem.floor.fraction, np.inf), (ca.sum2(shares), 1.0, 1.0)]
         if problem.max_rate > 0.0:
             limits.append(_turns(problem, ca.vertcat(first, z[:-1, :]), z))
-        self._problem, self._balls = problem, balls
-        parameters = [ca.vec(linear), first.T]
-        for _ in range(balls):
-            coasted, radius = ca.SX.sym('c', steps, 2), ca.SX.sym('r')
-            parameters += [ca.vec(coasted), radius]
-        self._low = np.repeat([low for _, low, _ in limits], steps)
-        self._high = np.repeat([high for *_, high in limits], steps)
-        self._problem, self._balls = problem, balls
-        parameters, limited = [ca.vec(linear), first.T], [limit for limit, _, _ in limits]
+        self._problem, self._balls, parameters = problem, balls, [ca.vec(linear), first.T]
         if balls:
             among = _kept_out(problem, balls, z)
             cost += TOUCH / problem.length_unit**2 * ca.sum1(among.depths)
             variables.append(among.depths)
             parameters.append(among.parameters)
-            limited.append(among.limited)
-            self._low = np.append(self._low, np.zeros(balls * steps))
-            self._high = np.append(self._high, np.full(balls * steps, np.inf))
+            limits += [(each, 0.0, np.inf) for each in among.limited]
+        self._low = np.repeat([low for _, low, _ in limits], steps)
+        self._high = np.repeat([high for *_, high in limits], steps)
         program = {
             'x': ca.vertcat(*variables),
             'p': ca.vertcat(*parameters),
             'f': cost,
-            'g': ca.vertcat(*limited),
+            'g': ca.vertcat(*(limit for limit, _, _ in limits)),
         }
         self._angular = problem.turns_are_angles
         self._solver = ca.nlpsol('plan', 'ipopt', program, {**QUIET, **options})
@@ -116,14 +108,12 @@ class NonlinearProgram:
 
     def _places(self, state: State) -> Array:
         """Return, ball by ball, from where coasting is seen, then its radius; zeros for none."""
-        seen, steps = np.zeros((self._balls, 2 * self._problem.horizon + 1)), self._problem.horizon
+        seen = np.zeros((self._balls, 2 * self._problem.horizon + 1))
         if state.hazards:
             centres, radii = balls_of(self._problem, state)
             away = coasting(self._problem, state) - centres
             nearest = np.argsort(np.linalg.norm(away, axis=2).min(axis=1))[: self._balls]
-            seen[: len(nearest), : 2 * steps] = (
-                away[nearest].transpose(0, 2, 1).reshape(-1, 2 * steps)
-            )
+            seen[: len(nearest), :-1] = away[nearest].transpose(0, 2, 1).reshape(len(nearest), -1)
             seen[: len(nearest), -1] = radii[nearest]
         return seen.ravel()
 
@@ -169,12 +159,12 @@ class _Among(NamedTuple):
     Attributes:
         depths: e_1..e_N, variables of at least 0 [m^2].
         parameters: ball by ball, where coasting leads as it sees it, and its radius.
-        limited: what has to be at least 0.
+        limited: ball by ball, what has to be at least 0 at the steps.
     """
 
     depths: Any
     parameters: Any
-    limited: Any
+    limited: list[Any]
 
 
 def _kept_out(problem: Problem, balls: int, z: Any) -> _Among:
@@ -187,7 +177,7 @@ def _kept_out(problem: Problem, balls: int, z: Any) -> _Among:
         coasted, radius = ca.SX.sym('c', steps, 2), ca.SX.sym('r')
         parameters += [ca.vec(coasted), radius]
         limited.append(ca.sum2((coasted + moved) ** 2) + depths - radius**2)
-    return _Among(depths, ca.vertcat(*parameters), ca.vertcat(*limited))
+    return _Among(depths, ca.vertcat(*parameters), limited)
 
 
 def _turns(problem: Problem, before: Any, z: Any) -> tuple[Any, float, float]:

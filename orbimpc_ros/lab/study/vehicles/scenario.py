@@ -1,12 +1,15 @@
 """A scenario: a configuration, what is changed in it, and what every flight draws.
 
 A file names a configuration, lists changes ``name=value``, and has a rule for each parameter that
-is drawn: a range ``[low, high]``; ``{x: range, y: range}`` for a vector; ``{towards: range,
-length: range}`` for one in the plane by its angle [rad] and length; ``{heading: range}`` for an
-attitude; ``{whole: n}`` for a whole number below n; ``{bodies: n, at: vector, when: range, speed:
-range, radius: range, clear: distance}`` for n bodies in the plane that move evenly, any way, through
-places that they are at then, and start so far from the origin; ``{gates: [x, ...], radius: [r, ...], middle: range, gap: range}`` for walls of
-four standing bodies each, across the x axis, with a gap about a middle.
+is drawn:
+
+- a range ``[low, high]``; ``{x: range, y: range}`` for a vector; ``{towards: range, length:
+  range}`` for one in the plane by its angle [rad] and length; ``{heading: range}`` for an
+  attitude; ``{whole: n}`` for a whole number below n.
+- ``{bodies: n, at: vector, when: range, speed: range, radius: range, clear: distance}``: n discs
+  that move evenly, any way, through places that they are at then, and start clear of the origin.
+- ``{gates: [x, ...], radius: [r, ...], middle: range, gap: range}``: walls of four standing discs
+  each, across the x axis, with a gap about a middle.
 
 It may name another scenario that it is ``like`` instead of a configuration; then it gives what it
 has beside or instead of that. A ``margin`` is by how much larger than they are bodies are told to
