@@ -144,7 +144,7 @@ def test_a_report_says_first_where_the_planner_loses():
     }
     text = report(scenario, rows)
     assert '- Loses to `pursuit` in the share caught.' in text.splitlines()[4]
-    assert '- Loses to `pursuit` in the median time to the catch: later by 11.1%' in text
+    assert '- Loses to `pursuit` in the median time to the catch: never against 9.00 s.' in text
     assert '`pursuit`: -50.0 points of catches, -288.9% of its mean time saved' in text
     assert '| `pursuit` | 0% | 100% |' in text
     assert 'Loses to nobody' in report(

@@ -75,8 +75,8 @@ def _losses(scores: Mapping[str, Standing]) -> Iterator[str]:
             yield f'- Loses to `{name}` in the share caught.'
         if theirs.share >= 0.5 and ours.median > WORSE * theirs.median:
             found = True
-            late = f'{ours.median / theirs.median - 1.0:.1%}' if ours.share >= 0.5 else 'for ever'
-            yield f'- Loses to `{name}` in the median time to the catch: later by {late}.'
+            times = f'{_told(ours.median)} against {_told(theirs.median)}'
+            yield f'- Loses to `{name}` in the median time to the catch: {times} s.'
     if not found:
         yield 'Loses to nobody in the share caught, nor by more than 2 % in the median time.'
 
@@ -93,6 +93,10 @@ def _lead(scores: Mapping[str, Standing]) -> str:
         f'Against the best rival in the mean, `{name}`: {points:+.1f} points of catches, '
         f'{sooner:+.1%} of its mean time saved.'
     )
+
+
+def _told(median: float) -> str:
+    return f'{median:.2f}' if math.isfinite(median) else 'never'
 
 
 def _rivals(scores: Mapping[str, Standing]) -> dict[str, Standing]:
@@ -113,10 +117,9 @@ def _table(scores: Mapping[str, Standing], rows: Rows) -> Iterator[str]:
         lost = sum(row['unplanned'] for row in rows[name]) / sum(row['ticks'] for row in rows[name])
         half = np.median([row['p50_ms'] for row in rows[name]])
         longest = max(row['longest_ms'] for row in rows[name])
-        median = f'{each.median:.2f}' if math.isfinite(each.median) else 'never'
         yield (
             f'| `{name}` | {each.share:.1%} | {low:.1%} to {high:.1%} | {touched:.1%} | '
-            f'{median} | {each.times.mean():.2f} | {closest:.2f} | {lost:.1%} | '
+            f'{_told(each.median)} | {each.times.mean():.2f} | {closest:.2f} | {lost:.1%} | '
             f'{half:.1f} / {longest:.0f} |'
         )
 
