@@ -265,8 +265,9 @@ class Controller:
         if self._interception is None or shortened:
             plan, status, words = _solved(task)
         else:
+            tracked = _solved(task) if state.hazards else None  # first of all: time may run out
             task, (plan, status, words), catch = self._caught(
-                task, self._interception, ahead, passed or math.inf
+                task, self._interception, ahead, passed or math.inf, tracked
             )
         measured = self.problem, odometry, self.disturbance, self._velocity_source
         words = '; '.join(filter(None, (words, shortened, odd_speed(*measured))))
@@ -284,6 +285,7 @@ class Controller:
         interception: Interception,
         ahead: Callable[[Array], Array] | None,
         pause: float,
+        tracked: _Answer | None,
     ) -> tuple[_Task, _Answer, Catch]:
         """Return the task of the earliest catch and its answer; the given one's without any.
 
@@ -291,6 +293,7 @@ class Controller:
         among them, too. Where it leads through them, it is no catch.
 
         ``pause`` is the time from the last tick to this one, in steps; infinite at the first.
+        ``tracked`` is the given task's answer, if it is known.
         """
         free = replace(task, state=replace(task.state, hazards=()))
         now = self._last or 0.0
@@ -315,12 +318,12 @@ class Controller:
         hunt = Hunt(free.state, goals, solved, late, farthest, *known)
         plan, catch = interception.earliest(hunt)
         if plan is None:
-            return task, _with(_solved(task), self._unmet(catch)), catch
+            return task, _with(tracked or _solved(task), self._unmet(catch)), catch
         chosen, answer = next(each for each in tried if each[1][0] is plan)
         chosen = replace(chosen, state=task.state)
         if task.state.hazards and violations(chosen.problem, chosen.state, chosen.goals, plan):
             blocked = f'the catch at {catch.time:.4g} s leads through traffic'
-            return task, _with(_solved(task), blocked), replace(catch, time=math.nan)
+            return task, _with(tracked or _solved(task), blocked), replace(catch, time=math.nan)
         self._catch = now + catch.time
         self._pace, self._goals = chosen.problem.step, chosen.goals
         return chosen, answer, catch
