@@ -106,8 +106,8 @@ def _eased(rows: Array, offsets: Array, more: Array, least: Array) -> tuple[Arra
     """
     eased = len(more)
     none, each = np.zeros((len(rows), eased)), np.eye(eased)
-    found = [[rows, none], [more, -each], [np.zeros(more.shape), -each]]
-    return np.block(found), np.concatenate([offsets, least, np.zeros(eased)])
+    sides = np.vstack([rows, more, np.zeros(more.shape)]), np.vstack([none, -each, -each])
+    return np.hstack(sides), np.concatenate([offsets, least, np.zeros(eased)])
 
 
 def tangents(problem: Problem, state: State, axes: Array, jacobians: Array) -> tuple[Array, Array]:
