@@ -18,7 +18,7 @@ from orbimpc_ros.lab.study.vehicles.pilots.guidance import crabbed
 from orbimpc_ros.lab.study.vehicles.pilots.rival import Sight
 from orbimpc_ros.lab.study.vehicles.pilots.sampling import _nearest
 from orbimpc_ros.lab.study.vehicles.report import report
-from orbimpc_ros.lab.study.vehicles.scenario import NAMES, scenario_named
+from orbimpc_ros.lab.study.vehicles.scenario import CONE, NAMES, TRAFFIC, scenario_named
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import State
 from orbimpc_ros.ros.parameters import planner_settings, sim_settings
@@ -118,10 +118,21 @@ def test_intervals_and_tests_are_those_of_the_textbook():
     assert high - low == pytest.approx(2 * 1.96 * 2.0 / 20.0, rel=0.15)
 
 
+def test_the_ratio_of_pairs_knows_that_they_are_pairs():
+    """Twice as long flight by flight: whichever flights are drawn, the ratio is a half."""
+    theirs = np.random.default_rng(2).uniform(5.0, 50.0, 60)
+    for of in (np.median, np.mean):
+        assert statistics.of_ratio(of, 0.5 * theirs, theirs) == pytest.approx((0.5, 0.5))
+    shuffled = np.random.default_rng(3).permutation(theirs)
+    low, high = statistics.of_ratio(np.mean, shuffled, theirs)
+    assert low < 0.9 < 1.1 < high
+
+
 def flight(name, index, time):
     return {
         'pilot': name, 'seed': 0, 'index': index, 'caught': time is not None, 'time': time,
-        'closest': 0.1, 'p50_ms': 1.0, 'longest_ms': 2.0,
+        'closest': 0.1, 'p50_ms': 1.0, 'longest_ms': 2.0, 'touched': False, 'unplanned': 0,
+        'ticks': 9,
     }  # fmt: skip
 
 
@@ -133,7 +144,8 @@ def test_a_report_says_first_where_the_planner_loses():
     }
     text = report(scenario, rows)
     assert '- Loses to `pursuit` in the share caught.' in text.splitlines()[4]
-    assert '- Loses to `pursuit` in the median time' in text
+    assert '- Loses to `pursuit` in the median time to the catch: never against 9.00 s.' in text
+    assert '`pursuit`: -50.0 points of catches, -288.9% of its mean time saved' in text
     assert '| `pursuit` | 0% | 100% |' in text
     assert 'Loses to nobody' in report(
         scenario, {ORBITOPE: rows['pursuit'], 'lead': rows[ORBITOPE]}
@@ -161,14 +173,15 @@ def test_flights_that_a_file_has_are_not_flown_again(tmp_path, monkeypatch):
 
 def test_the_search_for_settings_is_the_same_every_time_and_starts_with_the_defaults():
     for name in RIVALS:
-        tried = tuning.candidates(name)
-        assert tried == tuning.candidates(name)
+        tried = tuning.candidates(name, {CONE, TRAFFIC})
+        assert tried == tuning.candidates(name, {CONE, TRAFFIC})
         space = class_of(name).SPACE
         assert tried[0] == {key: each.default for key, each in space.items()}
         for each in tried:
             assert all(
                 space[key].low * 0.999 <= v <= space[key].high * 1.001 for key, v in each.items()
             )
+        assert set(tuning.candidates(name, ())[0]) == {k for k in space if not space[k].need}
     rows = [flight('lead', 0, 10.0), flight('lead', 1, None)]
     assert tuning.score(rows, 60.0) == 65.0
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from problems import floor, rotation
 
+from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
@@ -15,7 +16,7 @@ from orbimpc_ros.mpc.loop.interception import AIM, EFFORT, Interception, Target,
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
-from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Ball, Box, Floor, Hazard, Problem, State, Weights
 
 RADIUS = 3.0
 WING = Problem(
@@ -213,3 +214,33 @@ def test_a_goal_that_can_be_caught_between_the_ends_of_steps_is_caught_sooner():
     assert tick.catch.bound <= 1.125
     assert np.linalg.norm(tick.plan.positions[-1] - goal) <= AIM * RADIUS
     assert tick.problem.step * tick.plan.horizon == pytest.approx(1.125)
+
+
+@needs_speed
+def test_a_catch_is_flown_among_hazards_only_where_it_is_clear_of_them():
+    boat = Problem(horizon=12, step=0.5, forward=3.0, max_rate=0.7)
+    goals = np.tile([9.0, 0.0], (12, 1))
+
+    def ticked(*hazards):
+        controller = Controller(boat, capture_radius=0.5, gap_tolerance=1e-3)
+        controller.hazards = hazards
+        return controller.tick(measured([0.0, 0.0], 0.0, 3.0), goals)
+
+    def disc(x, y, velocity):
+        return Hazard.drifting(Ball([x, y], 1.0), velocity)
+
+    alone = ticked()
+    beside = disc(4.5, 3.0, [0.0, 0.5])
+    passing = ticked(beside)
+    assert passing.catch == alone.catch
+    np.testing.assert_array_equal(passing.plan.positions, alone.plan.positions)
+    assert passing.state.hazards == (beside,)
+
+    across = disc(4.5, -2.0, [0.0, 1.2])  # there as the catch leads through
+    blocked = ticked(beside, across)
+    assert np.isnan(blocked.catch.time)
+    assert blocked.catch.bound == alone.catch.bound
+    assert 'leads through traffic' in blocked.reason
+    assert blocked.plan.horizon == 12
+    assert not violations(boat, blocked.state, goals, blocked.plan)
+    assert violations(alone.problem, blocked.state, alone.goals, alone.plan)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -13,6 +14,7 @@ from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
+from orbimpc_ros.ros.markers import traffic_markers
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner_settings
 from orbimpc_ros.ros.planner.inbox import Inbox
@@ -31,6 +33,7 @@ class Planner:
         parameters: of the planner, by name.
         patient: whether a solve may take a minute.
         pilot: makes the controller that flies, by default that of the package.
+        clock: that deadlines are kept by [s].
 
     Attributes:
         period: how often to plan [s].
@@ -42,13 +45,14 @@ class Planner:
         *,
         patient: bool = False,
         pilot: Callable[[PlannerSettings], Controller] | None = None,
+        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         settings = planner_settings({row.name: row.default for row in PLANNER} | parameters)
         if patient:
             settings = replace(settings, deadline=PATIENCE)
         self._inbox, self._frames = Inbox(settings), settings.frames
         controller = prepared(settings)[1] if pilot is None else pilot(settings)
-        self._ticker = Ticker(settings, controller, simulated=True)
+        self._ticker = Ticker(settings, controller, simulated=True, clock=clock)
         self.period = settings.period
 
     def goal(self, now: float, place: np.ndarray) -> None:
@@ -62,6 +66,15 @@ class Planner:
     def odometry(self, now: float, measured: Odometry) -> None:
         """Hear where the vehicle is at a time [s]."""
         self._take('odom', messages.measurement_message(self._stamp(now), measured), now)
+
+    def traffic(self, now: float, flight: Flight, margin: float) -> None:
+        """Hear where the traffic around a flight is, each ball larger by a margin [m]."""
+        self._ticker.expect_hazards()
+        message = traffic_markers(self._stamp(now), flight)
+        for marker in message.markers:
+            for axis in 'xyz'[: flight.scenario.model.dimension]:
+                setattr(marker.scale, axis, getattr(marker.scale, axis) + 2.0 * margin)
+        self._take('obstacles', message, now)
 
     def report(self, now: float) -> tuple[str, Report]:
         """Plan at a time [s]; return the road that the command came, and the tick."""
@@ -89,10 +102,19 @@ def _nanoseconds(now: float) -> int:
     return EPOCH + round(now * SECOND)
 
 
-def tell(planner: Planner, flight: Flight, ahead: int) -> None:
-    """Send a planner what it hears of a flight, with ``ahead`` steps of the goal's future."""
+def tell(planner: Planner, flight: Flight, ahead: int, margin: float = 0.0) -> None:
+    """Send a planner what it hears of a flight.
+
+    Args:
+        planner: that hears it.
+        flight: as it is now.
+        ahead: steps of the goal's future.
+        margin: by which the balls in the traffic are told to be larger than they are [m].
+    """
     sighting, odometry = perfect_sensor(flight)
     now, step, rope = flight.vehicle.time, flight.scenario.model.step, flight.scenario.rope
+    if flight.scenario.traffic:
+        planner.traffic(now, flight, margin)
     if ahead:
         planner.goals(now, step, [rope.at(flight.elapsed + k * step) for k in range(ahead + 1)])
     planner.goal(now, sighting.position)

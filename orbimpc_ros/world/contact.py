@@ -8,7 +8,6 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Ball, Box, Hazard
-from orbimpc_ros.world.capture import closest_approach
 
 
 def touched(boxes: Sequence[Box], start: Array, end: Array) -> frozenset[int]:
@@ -37,14 +36,22 @@ def met(
         flown: the ends of the way, each of shape (n,) [m].
         times: when the vehicle is there, since the start [s].
     """
-    moments = np.array(times)
-    found = set()
-    for k, each in enumerate(traffic):
-        assert isinstance(each.body, Ball)
-        begin, end = each.body.centre + each.moved(moments)
-        if closest_approach(flown, (begin, end))[0] < each.body.radius:
-            found.add(k)
-    return frozenset(found)
+    if not traffic:
+        return frozenset()
+    places = np.array([_middle(each) for each in traffic])
+    velocities = np.array([each.shifts[1] / each.times[1] for each in traffic])
+    radii = np.array([each.body.radius for each in traffic if isinstance(each.body, Ball)])
+    away = flown[0] - places - times[0] * velocities
+    drift = flown[1] - flown[0] - (times[1] - times[0]) * velocities
+    squared = np.einsum('ji,ji->j', drift, drift)
+    share = -np.einsum('ji,ji->j', away, drift) / np.where(squared > 0.0, squared, 1.0)
+    nearest = away + np.clip(share, 0.0, 1.0)[:, None] * drift
+    return frozenset(np.flatnonzero(np.einsum('ji,ji->j', nearest, nearest) < radii**2).tolist())
+
+
+def _middle(ball: Hazard) -> Array:
+    assert isinstance(ball.body, Ball)
+    return ball.body.centre
 
 
 def _crosses(box: Box, start: Array, end: Array) -> bool:

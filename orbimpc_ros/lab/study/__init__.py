@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='NAME=VALUE',
         help='a number, or [low, high] for every run to draw from; may be repeated',
     )
-    vehicles = 'fixed_wing, fixed_wing_near, retrieval: a vehicle in continuous time instead'
+    vehicles = 'such as fixed_wing, retrieval, crossing: a vehicle in continuous time instead'
     add('--scenario', metavar='NAME', help=vehicles)
     add('--tune', action='store_true', help='with --scenario: look for the best settings of rivals')
     add('-o', '--out', metavar='DIR', help='takes the results (default: a new one in out/)')

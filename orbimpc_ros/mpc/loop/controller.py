@@ -108,7 +108,8 @@ class Controller:
         response: lags of the vehicle; odometry then goes through :meth:`settled`.
         capture_radius: within which the goal is caught [m]. Above 0 the earliest catch within the
             horizon is flown, and the problem's own objective where there is none; that takes a
-            receding horizon and a terminal penalty. Among hazards no catch is looked for.
+            receding horizon and a terminal penalty. A catch is looked for as if there were no
+            hazards, and flown if it is clear of them.
         approach: the cone of headings in which a catch counts; by default any heading does.
 
     Attributes:
@@ -261,11 +262,12 @@ class Controller:
         task = self._task(state, goals, knots, out_of_time)
         self._goals = goals
         catch = None
-        if self._interception is None or shortened or state.hazards:
+        if self._interception is None or shortened:
             plan, status, words = _solved(task)
         else:
+            tracked = _solved(task) if state.hazards else None  # first of all: time may run out
             task, (plan, status, words), catch = self._caught(
-                task, self._interception, ahead, passed or math.inf
+                task, self._interception, ahead, passed or math.inf, tracked
             )
         measured = self.problem, odometry, self.disturbance, self._velocity_source
         words = '; '.join(filter(None, (words, shortened, odd_speed(*measured))))
@@ -283,11 +285,17 @@ class Controller:
         interception: Interception,
         ahead: Callable[[Array], Array] | None,
         pause: float,
+        tracked: _Answer | None,
     ) -> tuple[_Task, _Answer, Catch]:
         """Return the task of the earliest catch and its answer; the given one's without any.
 
+        It is looked for as if there were no hazards, which can only be sooner: its bound is one
+        among them, too. Where it leads through them, it is no catch.
+
         ``pause`` is the time from the last tick to this one, in steps; infinite at the first.
+        ``tracked`` is the given task's answer, if it is known.
         """
+        free = replace(task, state=replace(task.state, hazards=()))
         now = self._last or 0.0
         tried: list[tuple[_Task, _Answer]] = []
 
@@ -298,7 +306,7 @@ class Controller:
             return ahead(now + catching.step * self._counted[: catching.horizon])
 
         def solved(target: Target, goals: Array) -> Plan | bool:
-            chosen = self._catching(task, self._catcher(target), goals)
+            chosen = self._catching(free, self._catcher(target), goals)
             tried.append((chosen, _solved(chosen)))
             plan, status, _ = tried[-1][1]
             return plan or status is Status.INFEASIBLE
@@ -307,13 +315,15 @@ class Controller:
         late = task.out_of_time or (lambda: False)
         expected = max(0, math.ceil((self._catch - now) / task.problem.step - SNAP))
         known = ahead is not None, pause, expected
-        hunt = Hunt(task.state, goals, solved, late, farthest, *known)
+        hunt = Hunt(free.state, goals, solved, late, farthest, *known)
         plan, catch = interception.earliest(hunt)
         if plan is None:
-            tracked, status, words = _solved(task)
-            outside = self._unmet(catch)
-            return task, (tracked, status, '; '.join(filter(None, (words, outside)))), catch
+            return task, _with(tracked or _solved(task), self._unmet(catch)), catch
         chosen, answer = next(each for each in tried if each[1][0] is plan)
+        chosen = replace(chosen, state=task.state)
+        if task.state.hazards and violations(chosen.problem, chosen.state, chosen.goals, plan):
+            blocked = f'the catch at {catch.time:.4g} s leads through traffic'
+            return task, _with(tracked or _solved(task), blocked), replace(catch, time=math.nan)
         self._catch = now + catch.time
         self._pace, self._goals = chosen.problem.step, chosen.goals
         return chosen, answer, catch
@@ -531,6 +541,12 @@ class Controller:
 
 
 _Answer = tuple[Plan | None, Status, str]
+
+
+def _with(answer: _Answer, more: str) -> _Answer:
+    """Return an answer with more words to it."""
+    plan, status, words = answer
+    return plan, status, '; '.join(filter(None, (words, more)))
 
 
 def _solved(task: _Task) -> _Answer:

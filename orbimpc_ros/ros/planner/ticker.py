@@ -47,8 +47,8 @@ def prepared(settings: PlannerSettings) -> tuple[PlannerSettings, Controller]:
     return settings, controller
 
 
-def _is_past(end: float) -> bool:
-    return time.perf_counter() > end
+def _is_past(clock: Callable[[], float], end: float) -> bool:
+    return clock() > end
 
 
 def _estimator(settings: PlannerSettings) -> Estimator | None:
@@ -94,15 +94,22 @@ class Ticker:
         settings: of the planner.
         controller: compiled for them.
         simulated: whether time stands still while a tick is computed.
+        clock: that deadlines are kept by [s].
 
     Attributes:
         timing: of its ticks.
     """
 
     def __init__(
-        self, settings: PlannerSettings, controller: Controller, *, simulated: bool
+        self,
+        settings: PlannerSettings,
+        controller: Controller,
+        *,
+        simulated: bool,
+        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._settings, self._controller, self._simulated = settings, controller, simulated
+        self._clock = clock
         self._estimator = _estimator(settings)
         self.timing = Timing()
 
@@ -132,7 +139,7 @@ class Ticker:
             now: on the steady clock [s].
             ros: on the ROS clock.
         """
-        begun = time.perf_counter()
+        begun = self._clock()
         received, settings = inbox.odometry, self._settings
         assert received is not None
         limited = self._estimate(received.value)
@@ -156,7 +163,7 @@ class Ticker:
         if limited:
             tick = replace(tick, reason='; '.join(filter(None, (tick.reason, limited))))
         lead = settings.response.lead(settings.problem)
-        took = time.perf_counter() - begun
+        took = self._clock() - begun
         self.timing.took(took, settings.deadline, settings.period)
         return Report(
             tick,
@@ -180,7 +187,7 @@ class Ticker:
         begun: float,
     ) -> Tick:
         ends, end = self._controller.ends(odometry.time), begun + self._settings.deadline
-        late = partial(_is_past, end)
+        late = partial(_is_past, self._clock, end)
         return self._controller.tick(odometry, targets(ends), late, targets, wanted)
 
     def _look_out(self, inbox: Inbox, odometry: Odometry) -> int:

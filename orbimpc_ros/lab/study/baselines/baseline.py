@@ -11,9 +11,10 @@ from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.loop.controller import Tick
 from orbimpc_ros.mpc.loop.odometry import Odometry, state_of
+from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem import Ball, Problem, State
 
 
 class Baseline(ABC):
@@ -74,6 +75,28 @@ class Baseline(ABC):
 def least_fraction(problem: Problem, directions: Array) -> Array:
     """Return the least speed fraction that a floor allows in directions, shape (N, 2), as (N,)."""
     return np.array([problem.floor.least(direction) for direction in directions])
+
+
+def coasting(problem: Problem, state: State) -> Array:
+    """Return where s_1..s_N are without z_1..z_N, shape (N, 2) [m]."""
+    first = np.outer(problem.maps.reach[:, 0], state.rotation[:, 0])
+    return np.asarray(drift(problem, state) + first)
+
+
+def balls_of(problem: Problem, state: State) -> tuple[Array, Array]:
+    """Return where balls that move are at the ends of steps, and how large, (J, N, 2) and (J,) [m].
+
+    Raises:
+        BadInput: something else than a ball moves.
+    """
+    times = problem.step * np.arange(1, problem.horizon + 1)
+    centres = np.empty((len(state.hazards), len(times), 2))
+    radii = np.empty(len(state.hazards))
+    for j, hazard in enumerate(state.hazards):
+        if not isinstance(hazard.body, Ball):
+            raise BadInput('state.hazards', hazard.body, 'balls for a baseline')
+        centres[j], radii[j] = hazard.body.centre + hazard.moved(times), hazard.body.radius
+    return centres, radii
 
 
 def within_speeds(problem: Problem, axes: Array) -> Array:

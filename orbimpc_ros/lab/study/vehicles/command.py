@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from orbimpc_ros.lab.study.vehicles.picture import draw
-from orbimpc_ros.lab.study.vehicles.pilots import PILOTS
+from orbimpc_ros.lab.study.vehicles.pilots import ORBITOPE, PILOTS
 from orbimpc_ros.lab.study.vehicles.report import report, scores_of
 from orbimpc_ros.lab.study.vehicles.results import Job, completed
 from orbimpc_ros.lab.study.vehicles.scenario import scenario_named
@@ -34,8 +34,11 @@ def run(args: argparse.Namespace, runs: int, folder: Path) -> int:
         raise BadInput(name, args.forecast or args.scheduler, 'only without --scenario')
     folder.mkdir(parents=True, exist_ok=True)
     if args.tune:
-        found = {name: best for name, best, _ in searched(scenario, args.set, workers)}
-        written(found, folder / TUNED)
+        rivals = [name for name in _pilots(args.controllers) if name != ORBITOPE]
+        found = {}
+        for name, best, _ in searched(scenario, args.set, workers, rivals):
+            found[name] = best
+            written(found, folder / TUNED)
         print(folder / TUNED)
         return 0
     seed = whole(args.seed or 0, '--seed', 0, LARGEST_SEED)

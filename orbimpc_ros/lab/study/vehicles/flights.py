@@ -33,20 +33,23 @@ def row(scenario: Mission, name: str, seed: int, index: int, tuned: Mapping[str,
         tuned: what is set of the pilot.
 
     Returns:
-        ``caught``, ``time`` [s] (None without a catch), ``closest`` [m], ``ticks``, ``proved``
-        (ticks proved optimal), ``unplanned`` (ticks by a fallback), ``stalls``, and the processor
-        time of the ticks, ``p50_ms`` and ``longest_ms``.
+        ``caught``, ``time`` [s] (None without a catch), ``closest`` [m], ``touched`` (whether it
+        ended at an obstacle), ``ticks``, ``proved`` (ticks proved optimal), ``unplanned`` (ticks
+        by a fallback), ``stalls``, and the processor time of the ticks, ``p50_ms`` and
+        ``longest_ms``.
     """
     values = scenario.values | scenario.drawn(seed, index)
     simulated = sim_settings(settings.of_sim(values))
     made = partial(pilot, name, tuned=tuned)
-    planner = Planner(values, patient=True, pilot=made)
+    planner = Planner(
+        values, pilot=made, clock=time.thread_time
+    )  # others may keep the machine busy
     flight = departure(simulated.scenario, simulated.begin)
     model = flight.scenario.model
     airspeeds = Airspeeds(model.stall_speed if isinstance(model, Plant) else 0.0)
     closest, proved, unplanned, spent = np.inf, 0, 0, []
-    while not flight.over:
-        tell(planner, flight, simulated.goal_path_steps)
+    while not (flight.over or flight.touched):
+        tell(planner, flight, simulated.goal_path_steps, scenario.margin)
         begun = time.thread_time()
         _, report = planner.report(flight.vehicle.time)
         spent.append(1e3 * (time.thread_time() - begun))
@@ -64,6 +67,7 @@ def row(scenario: Mission, name: str, seed: int, index: int, tuned: Mapping[str,
         'caught': caught,
         'time': flight.missed_at - flight.scenario.start.time if caught else None,
         'closest': closest,
+        'touched': bool(flight.touched),
         'ticks': flight.ticks,
         'proved': proved,
         'unplanned': unplanned,

@@ -11,7 +11,7 @@ import numpy as np
 from orbimpc_ros.lab.study.vehicles.flights import Row
 from orbimpc_ros.lab.study.vehicles.pilots import ORBITOPE
 from orbimpc_ros.lab.study.vehicles.scenario import Mission
-from orbimpc_ros.lab.study.vehicles.statistics import of_mean, sign_test, wilson
+from orbimpc_ros.lab.study.vehicles.statistics import of_mean, of_ratio, sign_test, wilson
 from orbimpc_ros.mpc.arrays import Array
 
 Rows = Mapping[str, Sequence[Row]]  # by pilot, flights in the same order
@@ -62,37 +62,65 @@ def report(scenario: Mission, rows: Rows) -> str:
     count = len(next(iter(rows.values())))
     lines = [f'# {scenario.name}: {scenario.about}', '', f'{count} flights by each pilot.', '']
     if ORBITOPE in scores:
-        lines += [*_losses(scores), '']
+        lines += [*_losses(scores), '', _lead(scores), '']
     return '\n'.join([*lines, *_table(scores, rows), '', *_pairs(scores)]) + '\n'
 
 
 def _losses(scores: Mapping[str, Standing]) -> Iterator[str]:
     """Say where the planner loses: fewer catches than a rival's interval, or a later median."""
     ours, found = scores[ORBITOPE], False
-    for name, theirs in scores.items():
+    for name, theirs in _rivals(scores).items():
         if ours.share < wilson(theirs.caught, theirs.count)[0]:
             found = True
             yield f'- Loses to `{name}` in the share caught.'
         if theirs.share >= 0.5 and ours.median > WORSE * theirs.median:
             found = True
-            yield f'- Loses to `{name}` in the median time to the catch.'
+            times = f'{_told(ours.median)} against {_told(theirs.median)}'
+            yield f'- Loses to `{name}` in the median time to the catch: {times} s.'
     if not found:
         yield 'Loses to nobody in the share caught, nor by more than 2 % in the median time.'
 
 
+def _lead(scores: Mapping[str, Standing]) -> str:
+    """Say how far the planner is ahead of the rival that is the best in the mean."""
+    rivals, ours = _rivals(scores), scores[ORBITOPE]
+    if not rivals:
+        return ''
+    name = min(rivals, key=lambda each: float(rivals[each].times.mean()))
+    points = 100.0 * (ours.share - rivals[name].share)
+    sooner = 1.0 - ours.times.mean() / rivals[name].times.mean()
+    return (
+        f'Against the best rival in the mean, `{name}`: {points:+.1f} points of catches, '
+        f'{sooner:+.1%} of its mean time saved.'
+    )
+
+
+def _told(median: float) -> str:
+    return f'{median:.2f}' if math.isfinite(median) else 'never'
+
+
+def _rivals(scores: Mapping[str, Standing]) -> dict[str, Standing]:
+    return {name: each for name, each in scores.items() if name != ORBITOPE}
+
+
 def _table(scores: Mapping[str, Standing], rows: Rows) -> Iterator[str]:
-    head = 'caught', '95 %', 'median [s]', 'mean [s]', 'worst miss [m]', 'tick, p50 / longest [ms]'
+    head = (
+        *('caught', '95 %', 'touched', 'median [s]', 'mean [s]', 'worst miss [m]'),
+        *('without a plan', 'tick, p50 / longest [ms]'),
+    )
     yield f'| | {" | ".join(head)} |'
     yield '|' + ' --- |' * (1 + len(head))
     for name, each in scores.items():
         low, high = wilson(each.caught, each.count)
         closest = max(row['closest'] for row in rows[name])
+        touched = np.mean([row['touched'] for row in rows[name]])
+        lost = sum(row['unplanned'] for row in rows[name]) / sum(row['ticks'] for row in rows[name])
         half = np.median([row['p50_ms'] for row in rows[name]])
         longest = max(row['longest_ms'] for row in rows[name])
-        median = f'{each.median:.2f}' if math.isfinite(each.median) else 'never'
         yield (
-            f'| `{name}` | {each.share:.1%} | {low:.1%} to {high:.1%} | {median} | '
-            f'{each.times.mean():.2f} | {closest:.2f} | {half:.1f} / {longest:.0f} |'
+            f'| `{name}` | {each.share:.1%} | {low:.1%} to {high:.1%} | {touched:.1%} | '
+            f'{_told(each.median)} | {each.times.mean():.2f} | {closest:.2f} | {lost:.1%} | '
+            f'{half:.1f} / {longest:.0f} |'
         )
 
 
@@ -101,14 +129,18 @@ def _pairs(scores: Mapping[str, Standing]) -> Iterator[str]:
     if ORBITOPE not in scores:
         return
     ours = scores[ORBITOPE].times
-    yield '| the planner against | sooner | later | mean difference [s] | 95 % | p, sign test |'
-    yield '|' + ' --- |' * 6
-    for name, each in scores.items():
-        if name == ORBITOPE:
-            continue
+    head = (
+        *('the planner against', 'sooner', 'later', 'p, sign test', 'mean difference [s]', '95 %'),
+        *('median / theirs, 95 %', 'mean / theirs, 95 %'),
+    )
+    yield f'| {" | ".join(head)} |'
+    yield '|' + ' --- |' * len(head)
+    for name, each in _rivals(scores).items():
         apart = ours - each.times
         low, high = of_mean(apart)
+        halves, means = (of_ratio(of, ours, each.times) for of in (np.median, np.mean))
         yield (
             f'| `{name}` | {np.mean(apart < 0.0):.0%} | {np.mean(apart > 0.0):.0%} | '
-            f'{apart.mean():+.2f} | {low:+.2f} to {high:+.2f} | {sign_test(apart):.1g} |'
+            f'{sign_test(apart):.1g} | {apart.mean():+.2f} | {low:+.2f} to {high:+.2f} | '
+            f'{halves[0]:.3f} to {halves[1]:.3f} | {means[0]:.3f} to {means[1]:.3f} |'
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from scipy import stats
@@ -28,6 +29,20 @@ def of_mean(values: Array) -> Interval:
     rng = np.random.default_rng(SEED)
     means = rng.choice(values, (DRAWS, len(values))).mean(axis=1)
     low, high = np.quantile(means, [0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE])
+    return float(low), float(high)
+
+
+def of_ratio(statistic: Callable[..., Array], ours: Array, theirs: Array) -> Interval:
+    """Return the interval of the ratio of a statistic of paired values, by bootstrap of the pairs.
+
+    Args:
+        statistic: such as ``np.median``, of the last axis.
+        ours: shape (M,).
+        theirs: shape (M,), above 0.
+    """
+    drawn = np.random.default_rng(SEED).integers(len(ours), size=(DRAWS, len(ours)))
+    ratios = statistic(ours[drawn], axis=1) / statistic(theirs[drawn], axis=1)
+    low, high = np.quantile(ratios, [0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE])
     return float(low), float(high)
 
 

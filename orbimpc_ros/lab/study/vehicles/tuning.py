@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,20 +17,28 @@ from orbimpc_ros.lab.study.vehicles.scenario import FOLDER, Mission
 from orbimpc_ros.tool.io import document
 
 SEED = 1000  # of all flights that tune; those that count have others
-CANDIDATES, FLIGHTS = 8, 8
+CANDIDATES, FLIGHTS = 8, 4
 LATE = 2.0  # limits of a flight that one without a catch counts as
 Tuned = dict[str, dict[str, float]]
 
 
 def tuned_of(name: str) -> Tuned:
-    """Return what was found for a scenario, by rival; nothing where nobody looked."""
+    """Return what was found for a scenario, or the one that it is like, by rival."""
     file = FOLDER / 'tuned' / f'{name}.yaml'
-    return document.read(str(file)) or {} if file.is_file() else {}
+    base = document.read(str(FOLDER / f'{name}.yaml')).get('like')
+    known = tuned_of(base) if base else {}
+    return known | document.read(str(file)) if file.is_file() else known
 
 
-def candidates(rival: str) -> list[dict[str, float]]:
-    """Return numbers to try for a rival: the defaults, and draws in equal ratios."""
-    space = class_of(rival).SPACE  # type: ignore[attr-defined]
+def candidates(rival: str, has: Collection[str]) -> list[dict[str, float]]:
+    """Return numbers to try for a rival: the defaults, and draws in equal ratios.
+
+    Args:
+        rival: by name.
+        has: what there is in the scenario that not all have.
+    """
+    known: Mapping[str, Range] = class_of(rival).SPACE  # type: ignore[attr-defined]
+    space = {name: each for name, each in known.items() if not each.need or each.need in has}
     rng = np.random.default_rng([SEED, zlib.crc32(rival.encode())])
     return [
         {name: each.default for name, each in space.items()},
@@ -43,11 +51,11 @@ def _drawn(each: Range, rng: np.random.Generator) -> float:
 
 
 def searched(
-    scenario: Mission, changes: Sequence[str], workers: int
+    scenario: Mission, changes: Sequence[str], workers: int, rivals: Iterable[str] = RIVALS
 ) -> Iterator[tuple[str, dict[str, float], float]]:
     """Yield for every rival the best of its candidates, with its score [s]."""
-    for rival in RIVALS:
-        tried = candidates(rival)
+    for rival in rivals:
+        tried = candidates(rival, scenario.has)
         jobs = [
             Job(scenario.name, tuple(changes), rival, SEED, index, each)
             for each in tried

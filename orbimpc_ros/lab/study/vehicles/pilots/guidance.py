@@ -3,53 +3,84 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
 
-from orbimpc_ros.lab.study.vehicles.pilots.rival import Range, Rival, Sight, wrapped
+from orbimpc_ros.lab.study.vehicles.pilots.rival import (
+    BEHIND,
+    Range,
+    Rival,
+    Sight,
+    wrapped,
+)
+from orbimpc_ros.lab.study.vehicles.pilots.sidestep import sidestepped
+from orbimpc_ros.lab.study.vehicles.scenario import TRAFFIC
 from orbimpc_ros.mpc.arrays import Array
 
 LOOKS, FARTHEST = 240, 12.0  # points of the forecast, as far as so many horizons
 NEAR = 1e-9
-BEHIND = math.radians(60.0)  # off the line of sight by more, a law for small angles says nothing
+ASIDE = math.radians(60.0)  # off the line of sight by more, a law for small angles says nothing
 
 
-class PurePursuit(Rival):
+class _Guided(Rival):
+    """Steers to where a law wants to point, or aside of what is in the way there."""
+
+    SPACE: ClassVar[Mapping[str, Range]] = {
+        **BEHIND,
+        'margin': Range(0.2, 0.02, 1.0, TRAFFIC),
+        'look': Range(8.0, 3.0, 20.0, TRAFFIC),
+    }
+
+    def steered(self, sight: Sight) -> tuple[float, float]:
+        """Return the speed and the turn that the law wants, or those of a sidestep."""
+        heading, fraction = self.wanted(sight)
+        keep = self.tuned['margin'], self.tuned['look']
+        heading, fraction = sidestepped(sight, self.problem, (heading, fraction), *keep)
+        return fraction, self.turning(heading - sight.heading)
+
+    @abstractmethod
+    def wanted(self, sight: Sight) -> tuple[float, float]:
+        """Return where to point at the end of the step [rad], and the share of full speed."""
+
+
+class PurePursuit(_Guided):
     """Pure pursuit: flies over ground along the line of sight, into the wind as it takes."""
 
     SPACE: ClassVar[Mapping[str, Range]] = {
+        **_Guided.SPACE,
         'gain': Range(1.0, 0.2, 1.5),
         'fraction': Range(1.0, 0.5, 1.0),
     }
 
-    def steered(self, sight: Sight) -> tuple[float, float]:
-        """Return full speed and the turn to the line of sight."""
+    def wanted(self, sight: Sight) -> tuple[float, float]:
+        """Return a part of the turn to the line of sight, and full speed."""
         away = sight.ahead(np.array([sight.time]))[0] - sight.state.position
         speed = self.tuned['fraction'] * self.problem.forward
         course = crabbed(away, speed, sight.wind)
-        return self.tuned['fraction'], self.turning(
-            self.tuned['gain'] * wrapped(course - sight.heading)
-        )
+        turn = self.tuned['gain'] * wrapped(course - sight.heading)
+        return sight.heading + turn, self.tuned['fraction']
 
 
-class Lead(Rival):
+class Lead(_Guided):
     """Lead pursuit: straight to the earliest point at which it can meet the goal in the wind.
 
     ``turn`` is the share of the time for the first turn that is taken off the flight.
     """
 
     SPACE: ClassVar[Mapping[str, Range]] = {
+        **_Guided.SPACE,
         'gain': Range(1.0, 0.2, 1.5),
         'fraction': Range(1.0, 0.5, 1.0),
         'turn': Range(0.3, 0.05, 1.0),
     }
 
-    def steered(self, sight: Sight) -> tuple[float, float]:
-        """Return the speed and the turn to the point of meeting."""
+    def wanted(self, sight: Sight) -> tuple[float, float]:
+        """Return a part of the turn to the point of meeting, and the speed."""
         course, fraction = self._meeting(sight)
-        return fraction, self.turning(self.tuned['gain'] * wrapped(course - sight.heading))
+        return sight.heading + self.tuned['gain'] * wrapped(course - sight.heading), fraction
 
     def _meeting(self, sight: Sight) -> tuple[float, float]:
         """Return where to point [rad], and the share of full speed that gets there in time."""
@@ -66,29 +97,33 @@ class Lead(Rival):
         return float(angle[first]), min(fraction, float(needed)) if met.any() else fraction
 
 
-class Proportional(Rival):
+class Proportional(_Guided):
     """Proportional navigation: turns in proportion to how the line of sight turns.
 
     Far off the line of sight it turns to it first.
     """
 
     SPACE: ClassVar[Mapping[str, Range]] = {
+        **_Guided.SPACE,
         'constant': Range(3.0, 1.0, 8.0),
         'fraction': Range(1.0, 0.5, 1.0),
     }
 
-    def steered(self, sight: Sight) -> tuple[float, float]:
-        """Return full speed and the rate of the law."""
+    def wanted(self, sight: Sight) -> tuple[float, float]:
+        """Return what the rate of the law makes of a step, and full speed."""
         step = self.problem.step
         now, soon = sight.ahead(sight.time + np.array([0.0, step]))
         away, fraction = now - sight.state.position, self.tuned['fraction']
         off = wrapped(math.atan2(away[1], away[0]) - sight.heading)
-        if abs(off) > BEHIND:
-            return fraction, self.turning(off)
+        if abs(off) > ASIDE:
+            return sight.heading + off, fraction
         axis = sight.state.attitude[:, 0]
         closing = (soon - now) / step - fraction * self.problem.forward * axis - sight.wind
         turned = (away[0] * closing[1] - away[1] * closing[0]) / max(float(away @ away), NEAR)
-        return fraction, self.tuned['constant'] * turned
+        most = step * self.fastest  # so that no rate turns the other way about
+        return sight.heading + min(
+            max(step * self.tuned['constant'] * turned, -most), most
+        ), fraction
 
 
 def crabbed(way: Array, speed: float, wind: Array) -> float:

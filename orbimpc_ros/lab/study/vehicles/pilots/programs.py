@@ -9,16 +9,17 @@ from typing import ClassVar
 from orbimpc_ros.lab.study.baselines.baseline import Baseline
 from orbimpc_ros.lab.study.baselines.linearised import Linearised
 from orbimpc_ros.lab.study.baselines.nonlinear import Nonlinear
-from orbimpc_ros.lab.study.vehicles.pilots.rival import Range, Rival, Sight
+from orbimpc_ros.lab.study.vehicles.pilots.rival import BEHIND, Range, Rival, Sight
 from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 
 WEIGHTS = {
+    **BEHIND,
     'position': Range(1.0, 0.1, 1.0),
     'input': Range(1.0, 0.01, 10.0),
     'terminal': Range(1.0, 0.1, 10.0),
-}  # times those of the configuration
+}  # weights: times those of the configuration
 
 
 class _Programmed(Rival):

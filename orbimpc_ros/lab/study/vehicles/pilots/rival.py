@@ -4,27 +4,36 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from orbimpc_ros.lab.study.vehicles.scenario import CONE
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.loop.controller import Controller, Tick
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.outcome import Status
-from orbimpc_ros.mpc.problem import State
+from orbimpc_ros.mpc.problem import Hazard, State
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 
 
 class Range(NamedTuple):
-    """What a number may be tuned to: its default, and the ends of its range, in equal ratios."""
+    """What a number may be tuned to: its default, and the ends of its range, in equal ratios.
+
+    Where it has a ``need``, it means something only in scenarios that have that.
+    """
 
     default: float
     low: float
     high: float
+    need: str = ''
+
+
+BEHIND: Mapping[str, Range] = {'behind': Range(10.0, 3.0, 30.0, CONE)}
+LINED = math.radians(30.0)  # off the direction of approach: behind the goal by less
 
 
 class Sight(NamedTuple):
@@ -43,6 +52,11 @@ class Sight(NamedTuple):
     goals: Array
     ahead: Callable[[Array], Array]
     wind: Array
+
+    @property
+    def hazards(self) -> tuple[Hazard, ...]:
+        """Return what moves around the vehicle, in a time that begins at :attr:`time`."""
+        return self.state.hazards
 
     @property
     def heading(self) -> float:
@@ -71,7 +85,7 @@ class Rival(Controller, ABC):
             disturbance=settings.disturbance,
             velocity_source=settings.velocity_source,
         )
-        self.radius = settings.capture_radius
+        self.radius, self.cone = settings.capture_radius, settings.approach
         self.tuned = {name: each.default for name, each in self.SPACE.items()} | dict(tuned)
 
     @abstractmethod
@@ -91,13 +105,33 @@ class Rival(Controller, ABC):
         state = self._state(odometry)
         self._begin(odometry)
         wind = np.zeros(2) if self.disturbance is None else self.disturbance
-        command = self._limited(
-            state, *self.steered(Sight(odometry.time, state, goals, ahead, wind))
-        )
+        sight = Sight(odometry.time, state, goals, ahead, wind)
+        command = self._limited(state, *self.steered(self._led(sight)))
         known = self.problem, np.array(goals)
         return self._finish(
             Tick(Status.FEASIBLE, '', state, None, command, problem=known[0], goals=known[1])
         )
+
+    def _led(self, sight: Sight) -> Sight:
+        """Return a sight whose goal is led to along the direction of approach, if there is one.
+
+        Who is not yet behind the goal, as seen along that direction, is led to a point ``behind``
+        it, so many steps at full speed away; who is, to the middle of the line that is left.
+        """
+        if not self.cone.exists or 'behind' not in self.tuned:
+            return sight
+        axis = self.cone.axis(sight.state)
+        away = sight.ahead(np.array([sight.time]))[0] - sight.state.position
+        along = float(away @ axis)
+        lined = along >= math.cos(LINED) * float(np.linalg.norm(away))
+        behind = self.tuned['behind'] * self.problem.step * self.problem.forward
+        back = (0.5 * along if lined else behind) * axis
+        return sight._replace(
+            goals=sight.goals - back, ahead=lambda times: sight.ahead(times) - back
+        )
+
+    def expect_hazards(self) -> None:
+        """Make nothing: it solves none of the package's programs."""
 
     @property
     def fastest(self) -> float:
@@ -114,6 +148,22 @@ class Rival(Controller, ABC):
         turn = np.array([min(max(rate, -self.fastest), self.fastest)])
         rotation = state.attitude @ exp(self.problem.step * turn)
         return Command(min(max(fraction, least), 1.0), turn, rotation)
+
+
+def depths(hazards: Sequence[Hazard], paths: Array, times: Array) -> Array:
+    """Return how deep points of paths are inside of what moves [m]; negative outside.
+
+    Args:
+        hazards: at least one.
+        paths: shape (M, K, 2) [m].
+        times: of their points, shape (K,) [s], in the hazards' own time.
+
+    Returns:
+        Shape (M, K).
+    """
+    points = [(paths - each.moved(times)).reshape(-1, 2) for each in hazards]
+    found = [each.body.depth(p) for each, p in zip(hazards, points, strict=True)]
+    return np.asarray(np.max(found, axis=0).reshape(paths.shape[:2]))
 
 
 def wrapped(angle: float) -> float:

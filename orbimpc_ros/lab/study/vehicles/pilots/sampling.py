@@ -3,17 +3,20 @@ r"""Sampling: model predictive path integral control, with the settings of Nav2'
 2,000 sequences of commands about the last one, each rolled out by the planner's own model; the new
 sequence is their mean, weighed by :math:`\exp(-(S_i - \min S)/\lambda)`, with a cost of
 :math:`\gamma` on the noise. A sequence costs its mean distance to the goal, in steps at full speed,
-and the steps before it comes within the radius of a catch.
+and the steps before it comes within the radius of a catch, headed into the cone of approach where
+there is one; in traffic, as many steps as ``touch`` says for each half of one within the margin.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
 
-from orbimpc_ros.lab.study.vehicles.pilots.rival import Range, Rival, Sight
+from orbimpc_ros.lab.study.vehicles.pilots.rival import Range, Rival, Sight, depths
+from orbimpc_ros.lab.study.vehicles.scenario import TRAFFIC
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 
@@ -30,6 +33,8 @@ class Sampling(Rival):
         'gamma': Range(0.015, 0.001, 0.1),
         'deviation': Range(0.2, 0.1, 0.6),
         'catch': Range(1.0, 0.1, 10.0),
+        'touch': Range(100.0, 10.0, 1000.0, TRAFFIC),
+        'margin': Range(0.2, 0.02, 1.0, TRAFFIC),
     }
 
     def __init__(self, settings: PlannerSettings, tuned: Mapping[str, float]) -> None:
@@ -67,8 +72,23 @@ class Sampling(Rival):
         )
         distance = np.linalg.norm(apart[:, 1:], axis=2).mean(axis=1) / (forward * step)
         missed = _nearest(apart) > self.radius
+        if self.cone.exists:
+            off = heading - math.atan2(*self.cone.axis(sight.state)[::-1])
+            missed |= np.cos(off) < math.cos(self.cone.cone)
         never = np.logical_and.accumulate(missed, axis=1).sum(axis=1)
-        return np.asarray(distance + self.tuned['catch'] * never)
+        return np.asarray(distance + self.tuned['catch'] * never + self._touches(sight, path))
+
+    def _touches(self, sight: Sight, path: Array) -> Array | float:
+        """Return what paths, shape (SAMPLES, N, 2), cost for what they touch, shape (SAMPLES,)."""
+        if not sight.hazards:
+            return 0.0
+        place, step = sight.state.position, self.problem.step
+        before = np.concatenate([np.broadcast_to(place, (len(path), 1, 2)), path[:, :-1]], axis=1)
+        halves = np.concatenate([0.5 * (before + path), path], axis=1)
+        ends = step * np.arange(1, path.shape[1] + 1)
+        inside = depths(sight.hazards, halves, np.concatenate([ends - 0.5 * step, ends]))
+        near = inside > -self.tuned['margin'] * step * self.problem.forward
+        return np.asarray(self.tuned['touch'] * near.sum(axis=1))
 
 
 def _nearest(apart: Array) -> Array:
