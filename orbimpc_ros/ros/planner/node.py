@@ -228,14 +228,15 @@ class PlannerNode(Managed):
         if refusal:
             self._refuse(refusal)
         elif self._settings.on_odometry and self._unanswered and self._inbox.complete:
-            if self.active:  # transforms are heard before that, too
-                self._plan_now()
+            self._plan_now()
 
     @property
     def _unanswered(self) -> bool:
         """Return whether an odometry message still waits for its goal."""
         odometry = self._inbox.odometry
-        if odometry is None or self._inbox.stale_odometry(self.steady_now(), self._time.now):
+        if odometry is None or not self.active:  # transforms come in while it is inactive, too
+            return False
+        if self._inbox.stale_odometry(self.steady_now(), self._time.now):
             return False
         return odometry.stamp.nanoseconds != self._answered
 
