@@ -1,0 +1,153 @@
+"""From a plan to the certificate of its bound, whatever the method that found it.
+
+A bound that is known is easier to prove than to find: one tangent at the plan proves most; where it
+does not, the floor is split depth first, and a part is done as soon as it is seen to cost no less
+than the bound. Nothing of this has to be believed: see :mod:`orbimpc_ros.mpc.proof.verifier`.
+
+Mathematics: docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import OrbimpcError
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.plan import Plan
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem.units import Units
+from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Split, Tree
+from orbimpc_ros.mpc.proof.faces import FaceProof
+from orbimpc_ros.mpc.proof.sectors import SectorProof
+from orbimpc_ros.mpc.proof.stationary import Stationary, setting
+from orbimpc_ros.mpc.proof.verifier import RELATIVE, Posed, Refused
+
+NEAR = (1e-6, 1e-4, 1e-3)  # of a plan's moduli to their bounds: methods differ in accuracy
+SHARE = 0.5  # of what a bound may exceed what is proved
+
+
+class Unproved(OrbimpcError):
+    """There is no certificate: for problems of a kind, or for a bound."""
+
+
+def certificate_of(problem: Problem, state: State, goals: Array, plan: Plan) -> Certificate:
+    """Return what proves the lower bound of a plan.
+
+    Args:
+        problem: what was solved.
+        state: where the plan starts.
+        goals: g_1..g_N, shape (N, n) [m].
+        plan: with its bound.
+
+    Raises:
+        Unproved: problems of this kind have no certificates yet, or none was found.
+    """
+    _require(problem, state)
+    units = Units.of(problem)
+    x = coordinates(plan.rotations[1:])[:, : _width(problem)]
+    bound = max(0.0, plan.lower_bound)
+    certificate = Certificate(problem, state, goals, bound, Leaf(x))
+    target = bound * (1.0 - SHARE * float(RELATIVE))
+    scaled = units.problem, units.state(state), units.lengths(goals)
+    if _width(problem) == 9:
+        return replace(certificate, tree=_over_orbitopes(problem, state, goals, x))
+    for near in NEAR:
+        tangent = _in_users_units(Stationary(setting(*scaled), x, near).settled(), units)
+        if _is_enough(certificate, tangent, target):
+            return replace(certificate, tree=tangent)
+    tree, origins = _split(scaled, x, target / units.cost)
+    return replace(certificate, tree=_in_users_units(tree, units), origins=origins)
+
+
+def _width(problem: Problem) -> int:
+    """Return how many coordinates of a rotation the cost sees."""
+    w = problem.weights
+    if problem.dimension == 3 and problem.rotation_order == 1 and not (w.input or w.attitude):
+        return 3
+    return 2 if problem.dimension == 2 else 9
+
+
+def _require(problem: Problem, state: State) -> None:
+    """Refuse what there are no certificates for.
+
+    Raises:
+        Unproved: saying why.
+    """
+    limits = {
+        'obstacles': problem.obstacles or state.hazards,
+        'cones': problem.has_cones or problem.approach.exists,
+        'max_acceleration': problem.max_acceleration,
+        'soft arrivals with inertia': problem.arrival_weight and problem.inertial,
+        'max_rate without a floor': problem.max_rate and not problem.floor.exists,
+        'max_rate with an arrival': problem.max_rate and problem.terminal == 'constraint',
+        'floors at rotation_order 2': problem.floor.exists and problem.rotation_order == 2,
+        f'floor.shape {problem.floor.shape}': problem.floor.shape not in (
+            'none', 'circle', 'polygon'),
+    }  # fmt: skip
+    if problem.floor.shape == 'polygon':
+        limits['lengths and arrivals with a polygon'] = (
+            problem.weights.length or problem.terminal == 'constraint'
+        )
+    if problem.dimension == 3:
+        limits['max_rate in space'] = problem.max_rate
+        limits['a polygon in space'] = problem.floor.shape == 'polygon'
+    if _width(problem) == 9:
+        limits['floors over SO(3)'] = problem.floor.exists
+        limits['lengths over SO(3)'] = problem.weights.length
+        limits['arrivals over SO(3)'] = problem.terminal == 'constraint'
+    for name, there in limits.items():
+        if there:
+            raise Unproved(f'no certificate: there is none yet for {name}')
+
+
+def _is_enough(certificate: Certificate, leaf: Leaf, target: float) -> bool:
+    """Return whether a leaf alone proves as much."""
+    if not np.isfinite(leaf.point).all():
+        return False
+    document = replace(certificate, tree=leaf).document()
+    posed = Posed(document['problem'], document['state'], document['goals'])
+    try:
+        return bool(posed.bound(document['tree'], posed.root(None)) >= target)
+    except Refused:
+        return False
+
+
+def _split(
+    scaled: tuple[Problem, State, Array], x: Array, target: float
+) -> tuple[Tree, Array | None]:
+    """Return a tree of splits that proves as much, in natural units, and its origins.
+
+    Raises:
+        Unproved: it would be too large, or there is no way to split.
+    """
+    problem, state, goals = scaled
+    if problem.dimension == 3 or problem.terminal == 'constraint' or not problem.floor.exists:
+        raise Unproved('no certificate: one tangent is not enough, and there is nothing to split')
+    proof: FaceProof | SectorProof
+    if problem.floor.shape == 'polygon' and not problem.max_rate:
+        proof = FaceProof(problem, state, goals, target)
+    else:
+        proof = SectorProof(problem, state, goals, x, target)
+    tree = proof.tree()
+    if tree is None:
+        raise Unproved(f'no certificate: not within {proof.most} leaves')
+    return tree, proof.origins
+
+
+def _over_orbitopes(problem: Problem, state: State, goals: Array, x: Array) -> Leaf:
+    raise Unproved('no certificate: there is none yet over SO(3)')
+
+
+def _in_users_units(tree: Tree, units: Units) -> Tree:
+    """Return a tree for the problem as it was posed."""
+    if isinstance(tree, Split):
+        return replace(tree, parts=tuple(_in_users_units(part, units) for part in tree.parts))
+    bends = None if tree.bends is None else units.cost * tree.bends
+    pull, force = tree.pull, units.cost / units.length
+    if pull is not None and len(pull):
+        scales = [force, force * units.time][: len(pull) // tree.point.shape[1]]
+        pull = np.repeat(scales, tree.point.shape[1]) * pull
+    return replace(tree, bends=bends, pull=pull, stiffness=tree.stiffness * force / units.length)
