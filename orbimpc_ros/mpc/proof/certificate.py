@@ -75,9 +75,7 @@ class Certificate:
         """Return the certificate as the plain values of its format."""
         made = {
             'format': FORMAT,
-            'problem': _problem(self.problem),
-            'state': _state(self.state),
-            'goals': self.goals.tolist(),
+            **statement(self.problem, self.state, self.goals),
             'lower_bound': self.lower_bound,
             'tree': _tree(self.tree),
         }
@@ -86,6 +84,11 @@ class Certificate:
     def text(self) -> str:
         """Return the certificate as JSON on one line."""
         return json.dumps(self.document(), allow_nan=False, separators=(',', ':'))
+
+
+def statement(problem: Problem, state: State, goals: Array) -> dict[str, Any]:
+    """Return what a certificate says of what was solved, as plain values."""
+    return {'problem': _problem(problem), 'state': _state(state), 'goals': goals.tolist()}
 
 
 def _problem(problem: Problem) -> dict[str, Any]:

@@ -16,9 +16,9 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.units import Units
+from orbimpc_ros.mpc.proof import spatial
 from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Split, Tree
 from orbimpc_ros.mpc.proof.faces import FaceProof
 from orbimpc_ros.mpc.proof.sectors import SectorProof
@@ -28,36 +28,43 @@ from orbimpc_ros.mpc.proof.verifier import RELATIVE, Posed, Refused
 NEAR = (1e-6, 1e-4, 1e-3)  # of a plan's moduli to their bounds: methods differ in accuracy
 SHARE = 0.5  # of what a bound may exceed what is proved
 
+NOT_ENOUGH = 'no certificate: one tangent is not enough, and there is nothing to split'
+
 
 class Unproved(OrbimpcError):
     """There is no certificate: for problems of a kind, or for a bound."""
 
 
-def certificate_of(problem: Problem, state: State, goals: Array, plan: Plan) -> Certificate:
-    """Return what proves the lower bound of a plan.
+def certificate_of(
+    problem: Problem, state: State, goals: Array, rotations: Array, bound: float
+) -> Certificate:
+    """Return what proves a lower bound, given a plan near the optimum.
 
     Args:
         problem: what was solved.
         state: where the plan starts.
         goals: g_1..g_N, shape (N, n) [m].
-        plan: with its bound.
+        rotations: the plan's R_1..R_N, shape (N, n, n).
+        bound: to prove, as published.
 
     Raises:
         Unproved: problems of this kind have no certificates yet, or none was found.
     """
     _require(problem, state)
     units = Units.of(problem)
-    x = coordinates(plan.rotations[1:])[:, : _width(problem)]
-    bound = max(0.0, plan.lower_bound)
+    x = coordinates(rotations)[:, : _width(problem)]
+    bound = max(0.0, bound)  # no term of the cost is negative
     certificate = Certificate(problem, state, goals, bound, Leaf(x))
     target = bound * (1.0 - SHARE * float(RELATIVE))
     scaled = units.problem, units.state(state), units.lengths(goals)
     if _width(problem) == 9:
-        return replace(certificate, tree=_over_orbitopes(problem, state, goals, x))
-    for near in NEAR:
-        tangent = _in_users_units(Stationary(setting(*scaled), x, near).settled(), units)
-        if _is_enough(certificate, tangent, target):
-            return replace(certificate, tree=tangent)
+        tangents = iter(spatial.tangents(*scaled, x))
+    else:
+        tangents = (Stationary(setting(*scaled), x, near).settled() for near in NEAR)
+    for leaf in tangents:
+        made = replace(certificate, tree=_in_users_units(leaf, units))
+        if _is_enough(made, target):
+            return made
     tree, origins = _split(scaled, x, target / units.cost)
     return replace(certificate, tree=_in_users_units(tree, units), origins=origins)
 
@@ -103,11 +110,9 @@ def _require(problem: Problem, state: State) -> None:
             raise Unproved(f'no certificate: there is none yet for {name}')
 
 
-def _is_enough(certificate: Certificate, leaf: Leaf, target: float) -> bool:
-    """Return whether a leaf alone proves as much."""
-    if not np.isfinite(leaf.point).all():
-        return False
-    document = replace(certificate, tree=leaf).document()
+def _is_enough(certificate: Certificate, target: float) -> bool:
+    """Return whether a certificate of one leaf proves as much."""
+    document = certificate.document()
     posed = Posed(document['problem'], document['state'], document['goals'])
     try:
         return bool(posed.bound(document['tree'], posed.root(None)) >= target)
@@ -124,10 +129,12 @@ def _split(
         Unproved: it would be too large, or there is no way to split.
     """
     problem, state, goals = scaled
-    if problem.dimension == 3 or problem.terminal == 'constraint' or not problem.floor.exists:
-        raise Unproved('no certificate: one tangent is not enough, and there is nothing to split')
+    shape = problem.floor.shape
+    splits = shape == 'circle' or (shape == 'polygon' and not problem.max_rate)
+    if problem.dimension == 3 or problem.terminal == 'constraint' or not splits:
+        raise Unproved(NOT_ENOUGH)
     proof: FaceProof | SectorProof
-    if problem.floor.shape == 'polygon' and not problem.max_rate:
+    if problem.floor.shape == 'polygon':
         proof = FaceProof(problem, state, goals, target)
     else:
         proof = SectorProof(problem, state, goals, x, target)
@@ -135,10 +142,6 @@ def _split(
     if tree is None:
         raise Unproved(f'no certificate: not within {proof.most} leaves')
     return tree, proof.origins
-
-
-def _over_orbitopes(problem: Problem, state: State, goals: Array, x: Array) -> Leaf:
-    raise Unproved('no certificate: there is none yet over SO(3)')
 
 
 def _in_users_units(tree: Tree, units: Units) -> Tree:
@@ -150,4 +153,5 @@ def _in_users_units(tree: Tree, units: Units) -> Tree:
     if pull is not None and len(pull):
         scales = [force, force * units.time][: len(pull) // tree.point.shape[1]]
         pull = np.repeat(scales, tree.point.shape[1]) * pull
-    return replace(tree, bends=bends, pull=pull, stiffness=tree.stiffness * force / units.length)
+    tops = None if tree.tops is None else units.cost * tree.tops
+    return replace(tree, bends=bends, tops=tops, pull=pull, stiffness=tree.stiffness * force / units.length)

@@ -12,7 +12,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels.annulus import Annulus
 from orbimpc_ros.mpc.kernels.dual import BOUND, ascent, climb
-from orbimpc_ros.mpc.model.condensed import Condensed
+from orbimpc_ros.mpc.model.condensed import Condensed, regular
 from orbimpc_ros.mpc.model.cost import length_weights
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.certificate import Leaf, Split, Tree
@@ -21,6 +21,7 @@ from orbimpc_ros.mpc.solve.arc_search import cuts
 WIDEST = 1.3  # [rad] of a part, of a sector that is too wide for cuts
 MARGIN = 0.15  # of a sector: no part is narrower
 NARROWEST = 1e-7  # [rad], a sector that is not split
+SATISFIED = 1e-9  # [rad], a turn that is wider by less
 TURN = math.nextafter(2.0 * math.pi, 7.0)
 NO_ARRIVAL = np.zeros(0)
 
@@ -51,10 +52,12 @@ class SectorProof:
         self._annulus = Annulus(condensed.hessian, length, np.zeros(count), self._floor)
         self._target, self._turn = target - constant, problem.step * problem.max_rate
         self._leaves = 0
+        self._curvature = 0.5 / np.diag(regular(condensed.hessian)[1])
+        self._ahead = 0.0
         if self._turn:
             ahead = state.attitude[:, 0]
             reach = self._turn * np.arange(1, count + 1)
-            first = math.atan2(ahead[1], ahead[0])
+            first = self._ahead = math.atan2(ahead[1], ahead[0])
             self.origins, self._root = None, (first - reach, first + reach)
         else:
             opposite = np.arctan2(-x[:, 1], -x[:, 0])
@@ -66,11 +69,39 @@ class SectorProof:
 
     def _proved(self, low: Array, high: Array) -> Tree | None:
         leaf, bound, missed = self._relaxed(low, high)
-        k = int(np.argmax(missed))
-        if bound >= self._target or missed[k] < 0.0:
+        gains, angles = self._promises(leaf.point, missed, low, high)
+        k = int(np.argmax(gains))
+        if bound >= self._target or gains[k] <= 0.0:
             self._leaves += 1
             return leaf if self._leaves <= self.most else None
-        return self._split(k, self._corners(low[k], high[k], leaf.point[k]), low, high)
+        return self._split(k, self._corners(low[k], high[k], angles[k]), low, high)
+
+    def _promises(
+        self, z: Array, missed: Array, low: Array, high: Array
+    ) -> tuple[Array, Array]:
+        """Return what splits of each step promise, and at which angles.
+
+        What moduli miss of their bounds, as their multipliers price it, and turns that are too
+        wide: then the wider of the two sectors is split such that either part leaves one of the
+        headings out. Late turns count for more: they narrow all before them.
+        """
+        angles, width = np.arctan2(z[:, 1], z[:, 0]), high - low
+        size, before = np.linalg.norm(z, axis=1), self._ahead
+        if self._turn:
+            missed = self._curvature * np.maximum(0.0, self._floor - SATISFIED - size) ** 2
+        gains, cuts_at = np.where(width > NARROWEST, missed, 0.0), angles.copy()
+        for k in range(len(z) if self._turn else 0):
+            turn = math.remainder(angles[k] - before, 2.0 * math.pi)
+            excess = abs(turn) - self._turn
+            away = math.copysign(0.5 * excess, turn)
+            raised = (k + 1.0) * self._curvature[k] * (size[k] * math.sin(0.5 * excess)) ** 2
+            at, angle = k, angles[k] - away
+            if k and width[k - 1] > width[k]:
+                at, angle = k - 1, before + away
+            if excess > SATISFIED and width[at] > NARROWEST and raised > gains[at]:
+                gains[at], cuts_at[at] = raised, angle
+            before = angles[k]
+        return gains, cuts_at
 
     def _split(self, k: int, corners: list[float], low: Array, high: Array) -> Tree | None:
         """Return the tree of a region split at angles, one after another; it may be empty."""
@@ -116,14 +147,13 @@ class SectorProof:
         shifted = progress.theta - 2.0 * self._annulus.length / (1.0 + self._floor)
         end = np.where(shifted > 0.0, 1.0, self._floor**2)
         missed = np.abs(shifted * (end - square))
-        missed[high - low < NARROWEST] = -1.0
         return Leaf(progress.z.copy(), bends), float(progress.numbers[BOUND]), missed
 
-    def _corners(self, low: float, high: float, z: Array) -> list[float]:
-        """Return the angles at which to split a sector, given the heading found in it."""
+    def _corners(self, low: float, high: float, angle: float) -> list[float]:
+        """Return the angles at which to split a sector, near one that promises most."""
         width = high - low
         if width >= 0.99 * math.pi:
             return [float(a) for a in np.linspace(low, high, math.ceil(width / WIDEST) + 1)[1:-1]]
-        middle, angle = 0.5 * (low + high), math.atan2(z[1], z[0])
+        middle = 0.5 * (low + high)
         angle += 2.0 * math.pi * round((middle - angle) / (2.0 * math.pi))
         return [min(high - MARGIN * width, max(low + MARGIN * width, angle))]

@@ -36,7 +36,7 @@ BITS = 160  # after the point, of square roots and of what Cholesky's method wor
 TINY = Fraction(1, 1 << 120)  # by which sines, cosines and PI may be off, and more than they are
 PI = Fraction(3141592653589793238462643383279502884197169399375105820974944, 10**60)
 TURN = Fraction(math.nextafter(2.0 * math.pi, 7.0))  # a double beyond 2 pi
-SHIFTS = (Fraction(0), *(Fraction(1, 1 << bits) for bits in (60, 50, 40, 30)))
+SHIFTS = (Fraction(0), *(Fraction(1, 1 << bits) for bits in range(60, -1, -4)))
 
 Vector = list[Fraction]
 
@@ -218,14 +218,12 @@ def _lacking(matrix: list[Vector]) -> Fraction:
     """Return an e >= 0 such that matrix + e I is positive semidefinite.
 
     Cholesky's method on whole numbers, each division rounded down. What it factors differs from
-    the matrix by at most 2 max(L) + 2 in each entry, in its unit.
-
-    Raises:
-        Refused: the matrix is too far from that.
+    the matrix by at most 2 max(L) + 2 in each entry, in its unit. It succeeds at the latest where
+    the diagonal dominates.
     """
     count = len(matrix)
-    top = max(max(matrix[k][k] for k in range(count)), Fraction(1, 1 << 900))
-    for shift in SHIFTS:
+    top = max(max(map(abs, row)) for row in matrix)
+    for shift in (*SHIFTS, Fraction(2 * count)) if top else ():
         scale = (1 << 2 * BITS) / top
         entries = [[math.floor(matrix[i][j] * scale) for j in range(i + 1)] for i in range(count)]
         for k in range(count):
@@ -233,7 +231,7 @@ def _lacking(matrix: list[Vector]) -> Fraction:
         largest = _factored(entries)
         if largest:
             return shift * top + count * (2 * largest + 2) / scale
-    raise Refused('the cost with its bends is not convex')
+    return Fraction(0)
 
 
 def _factored(rows: list[list[int]]) -> int:
