@@ -47,10 +47,12 @@ class FaceProof:
 
     def _proved(self, choice: np.ndarray) -> Tree | None:
         x, bound = self._relaxed(choice)
-        k = -1 if bound >= self._target else self._branching(x, choice)
-        if k < 0:
+        if bound >= self._target:
             self._leaves += 1
             return Leaf(x) if self._leaves <= self.most else None
+        k = self._branching(x, choice)
+        if k < 0:
+            return None
         parts = []
         for face in range(len(self._table.bounds)):
             chosen = choice.copy()

@@ -23,12 +23,11 @@ from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Split, Tree
 from orbimpc_ros.mpc.proof.faces import FaceProof
 from orbimpc_ros.mpc.proof.sectors import SectorProof
 from orbimpc_ros.mpc.proof.stationary import Stationary, setting
-from orbimpc_ros.mpc.proof.verifier import RELATIVE, Posed, Refused
+from orbimpc_ros.mpc.proof.verifier import RELATIVE, Refused, verified
 
 NEAR = (1e-6, 1e-4, 1e-3)  # of a plan's moduli to their bounds: methods differ in accuracy
 SHARE = 0.5  # of what a bound may exceed what is proved
 
-NOT_ENOUGH = 'no certificate: one tangent is not enough, and there is nothing to split'
 
 
 class Unproved(OrbimpcError):
@@ -61,10 +60,14 @@ def certificate_of(
         tangents = iter(spatial.tangents(*scaled, x))
     else:
         tangents = (Stationary(setting(*scaled), x, near).settled() for near in NEAR)
+    best = 0.0
     for leaf in tangents:
         made = replace(certificate, tree=_in_users_units(leaf, units))
-        if _is_enough(made, target):
+        best = max(best, _proved(made))
+        if best >= target:
             return made
+    if not _splits(problem):
+        raise Unproved(f'no certificate: one tangent proves {best!r}, and there is nothing to split')
     tree, origins = _split(scaled, x, target / units.cost)
     return replace(certificate, tree=_in_users_units(tree, units), origins=origins)
 
@@ -94,30 +97,31 @@ def _require(problem: Problem, state: State) -> None:
         f'floor.shape {problem.floor.shape}': problem.floor.shape not in (
             'none', 'circle', 'polygon'),
     }  # fmt: skip
-    if problem.floor.shape == 'polygon':
-        limits['lengths and arrivals with a polygon'] = (
-            problem.weights.length or problem.terminal == 'constraint'
-        )
     if problem.dimension == 3:
         limits['max_rate in space'] = problem.max_rate
         limits['a polygon in space'] = problem.floor.shape == 'polygon'
     if _width(problem) == 9:
         limits['floors over SO(3)'] = problem.floor.exists
         limits['lengths over SO(3)'] = problem.weights.length
-        limits['arrivals over SO(3)'] = problem.terminal == 'constraint'
     for name, there in limits.items():
         if there:
             raise Unproved(f'no certificate: there is none yet for {name}')
 
 
-def _is_enough(certificate: Certificate, target: float) -> bool:
-    """Return whether a certificate of one leaf proves as much."""
-    document = certificate.document()
-    posed = Posed(document['problem'], document['state'], document['goals'])
+def _proved(certificate: Certificate) -> float:
+    """Return what a certificate of one leaf proves; -inf where it is refused."""
     try:
-        return bool(posed.bound(document['tree'], posed.root(None)) >= target)
+        return verified(certificate.document()).proved
     except Refused:
-        return False
+        return -np.inf
+
+
+def _splits(problem: Problem) -> bool:
+    """Return whether there is a way to split a problem of the plane."""
+    plain = not (problem.max_rate or problem.weights.length)
+    shape = problem.floor.shape
+    parted = shape == 'circle' or (shape == 'polygon' and plain)
+    return parted and problem.dimension == 2 and problem.terminal == 'penalty'
 
 
 def _split(
@@ -126,13 +130,9 @@ def _split(
     """Return a tree of splits that proves as much, in natural units, and its origins.
 
     Raises:
-        Unproved: it would be too large, or there is no way to split.
+        Unproved: it would be too large.
     """
     problem, state, goals = scaled
-    shape = problem.floor.shape
-    splits = shape == 'circle' or (shape == 'polygon' and not problem.max_rate)
-    if problem.dimension == 3 or problem.terminal == 'constraint' or not splits:
-        raise Unproved(NOT_ENOUGH)
     proof: FaceProof | SectorProof
     if problem.floor.shape == 'polygon':
         proof = FaceProof(problem, state, goals, target)
@@ -140,7 +140,7 @@ def _split(
         proof = SectorProof(problem, state, goals, x, target)
     tree = proof.tree()
     if tree is None:
-        raise Unproved(f'no certificate: not within {proof.most} leaves')
+        raise Unproved(f'no certificate: not within {proof.most} leaves, or as accurate')
     return tree, proof.origins
 
 
@@ -151,7 +151,7 @@ def _in_users_units(tree: Tree, units: Units) -> Tree:
     bends = None if tree.bends is None else units.cost * tree.bends
     pull, force = tree.pull, units.cost / units.length
     if pull is not None and len(pull):
-        scales = [force, force * units.time][: len(pull) // tree.point.shape[1]]
-        pull = np.repeat(scales, tree.point.shape[1]) * pull
+        n = units.problem.dimension
+        pull = np.repeat([force, force * units.time], n)[: len(pull)] * pull
     tops = None if tree.tops is None else units.cost * tree.tops
     return replace(tree, bends=bends, tops=tops, pull=pull, stiffness=tree.stiffness * force / units.length)

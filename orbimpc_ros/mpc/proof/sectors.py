@@ -69,11 +69,14 @@ class SectorProof:
 
     def _proved(self, low: Array, high: Array) -> Tree | None:
         leaf, bound, missed = self._relaxed(low, high)
-        gains, angles = self._promises(leaf.point, missed, low, high)
-        k = int(np.argmax(gains))
-        if bound >= self._target or gains[k] <= 0.0:
+        if bound >= self._target:
             self._leaves += 1
             return leaf if self._leaves <= self.most else None
+        gains, angles = self._promises(leaf.point, missed, low, high)
+        # Where nothing is missed, the tangent was not the best one: any split is a new try.
+        k = int(np.argmax(gains if gains.any() else high - low))
+        if high[k] - low[k] < NARROWEST:
+            return None
         return self._split(k, self._corners(low[k], high[k], angles[k]), low, high)
 
     def _promises(

@@ -15,6 +15,7 @@ from orbimpc_ros.mpc.geometry.orbitopes import coordinates, lmi, lmi_parts
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.certificate import Leaf
+from orbimpc_ros.mpc.proof.stationary import arrival_of
 
 INSIDE = 1e-4  # an eigenvalue of S(R), of 4 in all, that is not zero
 AT_END = 1e-7  # a thrust fraction this near to 0 or 1 is there
@@ -30,13 +31,18 @@ def tangents(problem: Problem, state: State, goals: Array, x: Array) -> list[Lea
         x: coordinates of its rotations R_1..R_N, shape (N, 9).
     """
     hessians, q = _quadratic(problem, state, goals)
+    arrival, left = arrival_of(problem, state, goals)
     slopes = np.column_stack([h @ x[:, c] for c, h in enumerate(hessians)]) + q
-    held = np.array([_complementary(r, g) for r, g in zip(x, slopes, strict=True)])
+    pulled = slopes.copy()
+    if len(arrival):
+        pulled[:, :3] += arrival.T @ _pull(slopes, arrival, x, problem.rotation_order - 1)
+    held = np.array([_complementary(r, g) for r, g in zip(x, pulled, strict=True)])
     if problem.rotation_order == 2:
         held[0] = 0.0
-    point = _touching(problem, state, hessians, q - held, x)
-    traces = np.array([_trace(y) for y in held])
-    return [Leaf(point, tops=traces), Leaf(x, tops=np.array([_trace(y) for y in slopes]))]
+    base, basis = _freedom(problem, state, x)
+    point, pull = _touching(hessians, q - held, (arrival, left), base, basis)
+    flat = Leaf(x, pull=np.zeros(left.size), tops=np.array([_trace(y) for y in slopes]))
+    return [Leaf(point, pull=pull, tops=np.array([_trace(y) for y in held])), flat]
 
 
 def _quadratic(problem: Problem, state: State, goals: Array) -> tuple[list[Array], Array]:
@@ -70,34 +76,62 @@ def _trace(held: Array) -> float:
     return float(-np.linalg.eigvalsh((lmi_parts()[1] @ held).reshape(4, 4))[0])
 
 
-def _touching(
-    problem: Problem, state: State, hessians: list[Array], q: Array, x: Array
-) -> Array:
-    """Return where the gradient of the quadratic vanishes; R_1 keeps to what the state decides."""
-    point = x.copy()
+def _pull(slopes: Array, arrival: Array, x: Array, decided: int) -> Array:
+    """Return the multipliers of an arrival that fit a plan's slopes best, shape (m, 3).
+
+    With them K(G)/4 + t I vanishes on the range of each S(R), for some t of each step.
+    """
+    linear, count = lmi_parts()[1], len(arrival) * 3
+    rows, right = [], []
+    for k in range(decided, len(x)):
+        values, vectors = np.linalg.eigh(lmi(x[k]))
+        inside = vectors[:, values > INSIDE]
+
+        def seen(y: Array, axes: Array = inside) -> Array:
+            return ((linear @ y).reshape(4, 4) / 4.0 @ axes).ravel()
+
+        row = np.zeros((inside.size, count + len(x)))
+        for j, share in enumerate(arrival[:, k]):
+            for c in range(3):
+                row[:, 3 * j + c] = share * seen(np.eye(9)[c])
+        row[:, count + k] = inside.ravel()
+        rows.append(row)
+        right.append(-seen(slopes[k]))
+    found = np.linalg.lstsq(np.vstack(rows), np.concatenate(right), rcond=None)[0]
+    return np.asarray(found[:count]).reshape(len(arrival), 3)
+
+
+def _freedom(problem: Problem, state: State, x: Array) -> tuple[Array, Array]:
+    """Return y and B of all coordinates y + B v that the state has not decided, flat."""
+    base, basis = np.zeros(x.size), np.eye(x.size)
     if problem.rotation_order == 1:
-        for c, h in enumerate(hessians):
-            point[:, c] = np.linalg.solve(h, -q[:, c])
-        return point
-    rest = np.column_stack([
-        np.linalg.solve(h[1:, 1:], -q[1:, c] - h[1:, 0] * point[0, c])
-        for c, h in enumerate(hessians)
-    ])  # fmt: skip
-    fraction = 0.0 if state.coasted is None else float(x[0] @ coordinates(state.coasted)) / 3.0
-    point[1:] = rest
+        return base, basis
+    basis = basis[:, 9:]
+    if state.coasted is None:
+        base[:9] = x[0]
+        return base, basis
+    along = np.zeros(x.size)
+    along[:9] = coordinates(state.coasted)
+    fraction = float(x[0] @ along[:9]) / 3.0
     if AT_END < fraction < 1.0 - AT_END:
-        assert state.coasted is not None
-        point += _further(coordinates(state.coasted), hessians, q, point)
-    return point
+        return base, np.column_stack([along, basis])
+    return round(fraction) * along, basis
 
 
-def _further(along: Array, hessians: list[Array], q: Array, point: Array) -> Array:
-    """Return the move to where the thrust fraction of R_1 is best, too, shape (N, 9)."""
-    move = np.zeros_like(point)
-    move[0] = along
-    pull = bent = 0.0
+def _touching(
+    hessians: list[Array], q: Array, arrives: tuple[Array, Array], base: Array, basis: Array
+) -> tuple[Array, Array]:
+    """Return where the quadratic is least among what is free and arrives, and what pulls there."""
+    bent = np.zeros((q.size, q.size))
     for c, h in enumerate(hessians):
-        move[1:, c] = np.linalg.solve(h[1:, 1:], -h[1:, 0] * along[c])
-        pull += move[:, c] @ (h @ point[:, c] + q[:, c])
-        bent += move[:, c] @ h @ move[:, c]
-    return -pull / bent * move
+        bent[c::9, c::9] = h
+    arrival, left = arrives
+    rows = np.kron(arrival, np.eye(9)[:3])
+    missed = left.ravel() - rows @ base
+    rows = rows @ basis
+    free = basis.T @ bent @ basis
+    system = np.block([[free, rows.T], [rows, np.zeros((len(rows), len(rows)))]])
+    right = np.concatenate([-basis.T @ (bent @ base + q.ravel()), missed])
+    found = np.linalg.lstsq(system, right, rcond=1e-15)[0]
+    moved, pull = np.split(found, [free.shape[0]])
+    return (base + basis @ moved).reshape(q.shape), pull

@@ -56,9 +56,7 @@ def setting(problem: Problem, state: State, goals: Array) -> Setting:
     """Return what a problem comes to where its cost sees thrust axes alone."""
     condensed, n = Condensed(problem), problem.dimension
     q, _ = condensed.affine(state, goals)
-    arrival, left = np.zeros((0, problem.horizon)), np.zeros((0, n))
-    if problem.terminal == 'constraint':
-        arrival, left = _arrival(problem, state, goals)
+    arrival, left = arrival_of(problem, state, goals)
     decided, coasting = None, False
     if problem.rotation_order == 2:
         coasting = state.coasted is not None
@@ -69,8 +67,13 @@ def setting(problem: Problem, state: State, goals: Array) -> Setting:
     return Setting(condensed.hessian, q, length, floor, arrival, left, decided, coasting)
 
 
-def _arrival(problem: Problem, state: State, goals: Array) -> tuple[Array, Array]:
-    """Return what each heading adds to s_N and p_N, and what they are to come to."""
+def arrival_of(problem: Problem, state: State, goals: Array) -> tuple[Array, Array]:
+    """Return what each heading adds to s_N and p_N, shape (m, N), and what they are to come to.
+
+    m is 0 where a plan does not have to arrive, else 1, or 2 with inertia; the latter is (m, n).
+    """
+    if problem.terminal != 'constraint':
+        return np.zeros((0, problem.horizon)), np.zeros((0, problem.dimension))
     maps, first = problem.maps, state.rotation[:, 0]
     rows = [maps.reach[-1]]
     left = [goals[-1] - drift(problem, state)[-1]]
