@@ -29,7 +29,6 @@ NEAR = (1e-6, 1e-4, 1e-3)  # of a plan's moduli to their bounds: methods differ 
 SHARE = 0.5  # of what a bound may exceed what is proved
 
 
-
 class Unproved(OrbimpcError):
     """There is no certificate: for problems of a kind, or for a bound."""
 
@@ -67,7 +66,9 @@ def certificate_of(
         if best >= target:
             return made
     if not _splits(problem):
-        raise Unproved(f'no certificate: one tangent proves {best!r}, and there is nothing to split')
+        raise Unproved(
+            f'no certificate: one tangent proves {best!r}, and there is nothing to split'
+        )
     tree, origins = _split(scaled, x, target / units.cost)
     return replace(certificate, tree=_in_users_units(tree, units), origins=origins)
 
@@ -154,4 +155,6 @@ def _in_users_units(tree: Tree, units: Units) -> Tree:
         n = units.problem.dimension
         pull = np.repeat([force, force * units.time], n)[: len(pull)] * pull
     tops = None if tree.tops is None else units.cost * tree.tops
-    return replace(tree, bends=bends, tops=tops, pull=pull, stiffness=tree.stiffness * force / units.length)
+    return replace(
+        tree, bends=bends, tops=tops, pull=pull, stiffness=tree.stiffness * force / units.length
+    )

@@ -79,9 +79,7 @@ class SectorProof:
             return None
         return self._split(k, self._corners(low[k], high[k], angles[k]), low, high)
 
-    def _promises(
-        self, z: Array, missed: Array, low: Array, high: Array
-    ) -> tuple[Array, Array]:
+    def _promises(self, z: Array, missed: Array, low: Array, high: Array) -> tuple[Array, Array]:
         """Return what splits of each step promise, and at which angles.
 
         What moduli miss of their bounds, as their multipliers price it, and turns that are too
@@ -116,7 +114,7 @@ class SectorProof:
             (corners[0], high[k], corners[1:]),
         ):
             region = self._narrowed(k, begin, end, low, high)
-            part = Leaf(np.zeros(self._q.shape)) if region is None else None
+            part: Tree | None = Leaf(np.zeros(self._q.shape))  # of nothing
             if region is not None:
                 part = self._split(k, rest, *region)
             if part is None:
@@ -127,7 +125,7 @@ class SectorProof:
     def _narrowed(
         self, k: int, begin: float, end: float, low: Array, high: Array
     ) -> tuple[Array, Array] | None:
-        """Return what is left of all directions where one is between two angles; None if nothing."""
+        """Return what is left of all directions with one between two angles; None if nothing."""
         low, high = low.copy(), high.copy()
         low[k], high[k] = begin, end
         if self._turn:
@@ -138,7 +136,7 @@ class SectorProof:
         return low, np.maximum(low, high)
 
     def _relaxed(self, low: Array, high: Array) -> tuple[Leaf, float, Array]:
-        """Return the best tangent over a region, its bound, and what a split of each step promises."""
+        """Return the best tangent over a region, its bound, and what moduli miss of theirs."""
         narrow = high - low < 0.99 * math.pi
         rows = cuts(np.where(narrow, low, 0.0), np.where(narrow, high, 0.0), self._floor)
         progress = ascent(self._annulus, self._q, rows, -np.inf)

@@ -57,7 +57,7 @@ def _quadratic(problem: Problem, state: State, goals: Array) -> tuple[list[Array
 
 
 def _complementary(r: Array, slope: Array) -> Array:
-    """Return K*(L), shape (9,), of the L >= 0 nearest to a slope's that vanishes on S(R)'s range."""
+    """Return K*(L), shape (9,), of the L >= 0 next to a slope's that vanishes on S(R)'s range."""
     values, vectors = np.linalg.eigh(lmi(r))
     inside, outside = vectors[:, values > INSIDE], vectors[:, values <= INSIDE]
     if not outside.shape[1]:

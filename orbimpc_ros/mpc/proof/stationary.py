@@ -133,33 +133,38 @@ class Stationary:
         """Take a step of Newton's method on all conditions, the active moduli's included."""
         asked, z = self._asked, self._z
         (count, d), own = z.shape, np.flatnonzero(self._side)
-        size = np.linalg.norm(z, axis=1, keepdims=True)
-        unit = z / np.maximum(size, SHORT)
-        bent = np.kron(asked.hessian, np.eye(d))
-        for k in range(count):
-            place = slice(k * d, (k + 1) * d)
-            bent[place, place] += self._theta[k] * np.eye(d)
-            turning = np.eye(d) - np.outer(unit[k], unit[k])
-            bent[place, place] += asked.length[k] * turning / max(float(size[k, 0]), SHORT)
-        force = asked.hessian @ z + asked.q + asked.length[:, None] * unit
-        force += self._theta[:, None] * z + asked.arrival.T @ self._nu
-        rows = np.zeros((len(own), z.size))
-        for i, k in enumerate(own):
-            rows[i, k * d : (k + 1) * d] = z[k]
+        rows = np.zeros((len(own), count, d))
+        rows[np.arange(len(own)), own] = z[own]
         radius = np.where(self._side[own] > 0, 1.0, asked.floor)
         missed = [
             0.5 * (np.sum(z[own] ** 2, axis=1) - radius**2),
             (asked.arrival @ z - asked.left).ravel(),
         ]
-        rows = np.vstack([rows, np.kron(asked.arrival, np.eye(d))]) @ self._basis
+        held = np.vstack([rows.reshape(-1, z.size), np.kron(asked.arrival, np.eye(d))])
+        held = held @ self._basis
+        bent, force = self._conditions()
         free = self._basis.T @ bent @ self._basis
-        system = np.block([[free, rows.T], [rows, np.zeros((len(rows), len(rows)))]])
-        right = -np.concatenate([self._basis.T @ force.ravel(), *missed])
+        system = np.block([[free, held.T], [held, np.zeros((len(held), len(held)))]])
+        right = -np.concatenate([self._basis.T @ force, *missed])
         step = np.linalg.lstsq(system, right, rcond=1e-15)[0]
-        moved, held = np.split(step, [free.shape[0]])
+        moved, pulled = np.split(step, [free.shape[0]])
         self._z = z + (self._basis @ moved).reshape(z.shape)
-        self._theta[own] += held[: len(own)]
-        self._nu = self._nu + held[len(own) :].reshape(self._nu.shape)
+        self._theta[own] += pulled[: len(own)]
+        self._nu = self._nu + pulled[len(own) :].reshape(self._nu.shape)
+
+    def _conditions(self) -> tuple[Array, Array]:
+        """Return the Lagrangian's Hessian, shape (N d, N d), and gradient, shape (N d,)."""
+        asked, z = self._asked, self._z
+        d = z.shape[1]
+        size = np.maximum(np.linalg.norm(z, axis=1, keepdims=True), SHORT)
+        unit = z / size
+        bent = np.kron(asked.hessian + np.diag(self._theta), np.eye(d))
+        for k, length in enumerate(asked.length):
+            place = slice(k * d, (k + 1) * d)
+            bent[place, place] += length * (np.eye(d) - np.outer(unit[k], unit[k])) / size[k]
+        force = asked.hessian @ z + asked.q + asked.length[:, None] * unit
+        force += self._theta[:, None] * z + asked.arrival.T @ self._nu
+        return bent, force.ravel()
 
     def _changed(self) -> bool:
         """Let go of moduli whose multipliers have the wrong sign, hold those beyond; say if any."""
@@ -181,7 +186,7 @@ class Stationary:
     def _leaf(self) -> Leaf:
         asked, bends = self._asked, self._theta.copy()
         lengthy = (asked.length > 0.0) & (self._side != 0)
-        for k in np.flatnonzero(lengthy):
+        for k in np.flatnonzero(lengthy).tolist():
             bends[k] = _most_bent(bends[k], asked.length[k], asked.floor, self._side[k])
         if not asked.floor:
             bends = np.maximum(bends, 0.0)

@@ -235,7 +235,7 @@ def _lacking(matrix: list[Vector]) -> Fraction:
 
 
 def _factored(rows: list[list[int]]) -> int:
-    """Put Cholesky's factor in the place of a matrix; return its largest entry, 0 if it has none."""
+    """Put Cholesky's factor in a matrix's place; return its largest entry, 0 if it has none."""
     for i, row in enumerate(rows):
         for j in range(i):
             other = rows[j]
@@ -294,7 +294,8 @@ def _parts(posed: Posed, node: dict[str, Any], region: Region) -> list[tuple[Any
     parts = node['parts']
     if not isinstance(parts, list) or len(parts) != len(regions):
         raise Refused(f'a split has not {len(regions)} parts')
-    return [each for each in zip(parts, regions, strict=True) if each[1] is not None]
+    both = zip(parts, regions, strict=True)
+    return [(part, made) for part, made in both if made is not None]
 
 
 # --- the problem
@@ -340,8 +341,9 @@ class Posed:
         if not (h and z) or (order, kind) not in models:
             raise Refused('step, forward or discretisation is none that there is')
         self.model = models[order, kind]
-        shares = {'euler': (1, 0), 'exact': (Fraction(1, 2), Fraction(1, 2)), 'held': (0, 1)}[kind]
-        self.flown = [h * z * share for share in (shares[0], *[1] * (self.horizon - 1), shares[1])]
+        late = {'euler': none, 'exact': Fraction(1, 2), 'held': Fraction(1)}[kind]
+        shares = [1 - late, *[Fraction(1)] * (self.horizon - 1), late]
+        self.flown = [h * z * share for share in shares]  # that each z_k is flown along
 
     def _set_weights(self, weights: Any) -> None:
         names = ('position', 'input', 'length', 'terminal', 'attitude', 'arrival')
@@ -365,7 +367,7 @@ class Posed:
             raise Refused('the floor is beyond this format')
 
     def _set_width(self) -> None:
-        """Set how many numbers stand for a rotation: thrust axes alone, where the cost sees no more."""
+        """Set how many numbers a rotation is: its thrust axis alone where the cost sees no more."""
         axes = self.order == 1 and not (self.r or self.attitude)
         self.width = 2 if self.n == 2 else 3 if axes else 9
         if self.width == 9 and (self.floor or any(self.length)):
@@ -470,7 +472,9 @@ class Posed:
         if self.width == 9 and any(bends):
             raise Refused('bends over SO(3) are beyond this format')
         value, slopes = self.cost(point, pull, stiffness)
-        value += self.length[0] * _root_below(sum((x * x for x in self.first[: self.n]), Fraction(0)))
+        value += self.length[0] * _root_below(
+            sum((x * x for x in self.first[: self.n]), Fraction(0))
+        )
         if min(bends) < 0:
             if self.order == 2:
                 raise Refused('negative bends at rotation order 2 are beyond this format')
@@ -511,32 +515,42 @@ class Posed:
         Where a trajectory has to arrive, c = (s_N - g_N, p_N) vanishes, and pull . c and
         stiffness |c|^2 / 2 can be added.
         """
-        turns, slopes = self._turning([self.first, *x])
-        value = turns
-        push, add, follow, after, blow, gust = self.model
+        value, slopes = self._turning([self.first, *x])
         for i in range(self.n):
             axis = [self.first[i], *(each[i] for each in x)]
-            s, p, missed = self.position[i], self.velocity[i] if self.inertial else Fraction(0), []
-            for k, (old, new) in enumerate(zip(axis, axis[1:], strict=False)):
-                s += (self.h * p if self.inertial else 0) + push * old + follow * new
-                s += blow * self.disturbance[i]
-                p += add * old + after * new + gust * self.disturbance[i]
-                missed.append(s - self.goals[k][i])
-                value += self.q[k] * missed[-1] * missed[-1]
-            value += self.braking * p * p
-            on_s, on_p = Fraction(0), 2 * self.braking * p
-            if pull:
-                value += pull[i] * missed[-1] + stiffness * missed[-1] * missed[-1] / 2
-                on_s += pull[i] + stiffness * missed[-1]
-            if pull and self.inertial:
-                value += pull[self.n + i] * p + stiffness * p * p / 2
-                on_p += pull[self.n + i] + stiffness * p
-            for k in range(self.horizon, 0, -1):  # what s_k and p_k weigh, from the end
-                on_s += 2 * self.q[k - 1] * missed[k - 1]
-                slopes[k][i] += follow * on_s + after * on_p
-                slopes[k - 1][i] += push * on_s + add * on_p
-                on_p += self.h * on_s if self.inertial else 0
+            cost, on_axis = self._flight(i, axis, pull[i :: self.n], stiffness)
+            value += cost
+            for slope, more in zip(slopes, on_axis, strict=True):
+                slope[i] += more
         return value, slopes[1:]
+
+    def _flight(
+        self, i: int, axis: Vector, pull: Vector, stiffness: Fraction
+    ) -> tuple[Fraction, Vector]:
+        """Return the cost of positions along axis i, given z_0..z_N there, and its gradient."""
+        push, add, follow, after, blow, gust = self.model
+        drift = self.h if self.inertial else Fraction(0)
+        s, p, missed, value = self.position[i], self.velocity[i], [], Fraction(0)
+        for k in range(self.horizon):
+            s += drift * p + push * axis[k] + follow * axis[k + 1] + blow * self.disturbance[i]
+            p += add * axis[k] + after * axis[k + 1] + gust * self.disturbance[i]
+            missed.append(s - self.goals[k][i])
+            value += self.q[k] * missed[-1] * missed[-1]
+        value += self.braking * p * p
+        on_s, on_p = Fraction(0), 2 * self.braking * p  # what s_k and p_k weigh, from the end
+        for j, (multiplier, off) in enumerate(zip(pull, (missed[-1], p), strict=False)):
+            value += multiplier * off + stiffness * off * off / 2
+            if j == 0:
+                on_s += multiplier + stiffness * off
+            else:
+                on_p += multiplier + stiffness * off
+        slopes = [Fraction(0)] * len(axis)
+        for k in range(self.horizon, 0, -1):
+            on_s += 2 * self.q[k - 1] * missed[k - 1]
+            slopes[k] += follow * on_s + after * on_p
+            slopes[k - 1] += push * on_s + add * on_p
+            on_p += drift * on_s
+        return value, slopes
 
     def _turning(self, rotations: list[Vector]) -> tuple[Fraction, list[Vector]]:
         """Return the cost of inputs and of the last attitude, with its gradient."""
