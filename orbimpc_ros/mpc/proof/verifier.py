@@ -90,10 +90,12 @@ def read(path: str | Path) -> Any:
     """
     try:
         with Path(path).open('rb') as file:
-            text = file.read(LARGEST + 1)
+            large = file.seek(0, 2) > LARGEST
+            file.seek(0)
+            text = b'' if large else file.read(LARGEST)
     except OSError as error:
         raise Refused(f'{path}: {error.strerror}') from None
-    if len(text) > LARGEST:
+    if large:
         raise Refused(f'{path}: larger than {LARGEST >> 20} MB')
     return parsed(text)
 
