@@ -42,9 +42,7 @@ def case(kind: str, rng: np.random.Generator, longest: int = 7) -> Case:
     step, forward = 10.0 ** rng.uniform(-1, 0), 10.0 ** rng.uniform(-0.5, 1)
     if 'max_rate' in given:
         given['max_rate'] = given['max_rate'] / step
-    problem = Problem(
-        horizon=horizon, step=step, forward=forward, weights=weights, **given
-    )
+    problem = Problem(horizon=horizon, step=step, forward=forward, weights=weights, **given)
     n, unit = problem.dimension, problem.length_unit
     attitude = problems.rotation(rng, n)
     extra: dict[str, Any] = {'velocity': 0.1 * rng.normal(size=n) * unit / step}

@@ -16,7 +16,8 @@ SEEDS = (0, 1)
 
 def certificate(kind, seed):
     case = certified.case(kind, np.random.default_rng([seed, *kind.encode()]))
-    plan = Solver(case.problem, patient=True).solve(case.state, case.goals)
+    coasting = case.state.coasted is not None
+    plan = Solver(case.problem, coasting=coasting, patient=True).solve(case.state, case.goals)
     return plan, certificate_of(*case, plan.rotations[1:], plan.lower_bound)
 
 

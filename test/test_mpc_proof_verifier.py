@@ -170,6 +170,19 @@ def test_it_imports_the_standard_library_alone():
     assert found <= set(sys.stdlib_module_names)
 
 
+def test_the_worked_example_of_the_docs_comes_to_what_it_says():
+    page = (Path(__file__).parents[1] / 'docs' / 'proofs.md').read_text()
+    known = json.loads(page.partition('```json\n')[2].partition('```')[0])
+    assert verifier.verified(known).proved == pytest.approx(2.17965, abs=5e-6)
+    known['tree'] = {
+        'point': [[0.7102990878738831, 0.7038999969921365]] * 2,
+        'bends': [9.054439684627207, 0.0],
+    }
+    verdict = verifier.verified(known)
+    assert verdict.holds
+    assert verdict.proved == pytest.approx(3.9455603153727914, rel=1e-15)
+
+
 # --- what it refuses
 
 
