@@ -32,15 +32,19 @@ def test_what_is_published_holds(kind, seed):
     assert verdict.proved <= plan.objective * (1.0 + 1e-7)
 
 
+def judged(text):
+    try:
+        return 'holds' if verified(parsed(text.encode())).holds else 'does not hold'
+    except Refused as error:
+        return str(error)
+
+
 @pytest.mark.parametrize('kind', ['hull', 'polygon', 'circle, turn rate', 'space', 'hull, arrival'])
 def test_mutants_are_refused_or_do_not_hold(kind):
     rng, known = np.random.default_rng(7), certificate(kind, 0)[1].document()
     for _ in range(15):
         name, text = certified.mutant(known, rng)
-        try:
-            assert not verified(parsed(text.encode())).holds, name
-        except Refused as error:
-            assert '\n' not in str(error)
+        assert judged(text) != 'holds', name
 
 
 def test_a_bound_that_is_too_high_has_no_certificate():

@@ -482,8 +482,11 @@ class Posed:
                 raise Refused('negative bends at rotation order 2 are beyond this format')
             value -= self._lack(bends, stiffness) * sum(1 + _dot(x, x) for x in point)
         for k, (x, slope, bend) in enumerate(zip(point, slopes, bends, strict=True)):
-            tangent = [s + bend * y for s, y in zip(slope, x, strict=True)]
-            value += bend * _dot(x, x) / 2 - _dot(tangent, x)
+            tangent = slope
+            if bend:
+                tangent = [s + bend * y for s, y in zip(slope, x, strict=True)]
+                value += bend * _dot(x, x) / 2
+            value -= _dot(tangent, x)
             value += self._least(k, tangent, bend, tops[k], region)
         return value
 
@@ -531,27 +534,31 @@ class Posed:
     ) -> tuple[Fraction, Vector]:
         """Return the cost of positions along axis i, given z_0..z_N there, and its gradient."""
         push, add, follow, after, blow, gust = self.model
-        drift = self.h if self.inertial else Fraction(0)
-        s, p, missed, value = self.position[i], self.velocity[i], [], Fraction(0)
+        drift, p = self.h, self.velocity[i] if self.inertial else Fraction(0)
+        s, missed = self.position[i], []
+        blown, hastened = blow * self.disturbance[i], gust * self.disturbance[i]
         for k in range(self.horizon):
-            s += drift * p + push * axis[k] + follow * axis[k + 1] + blow * self.disturbance[i]
-            p += add * axis[k] + after * axis[k + 1] + gust * self.disturbance[i]
+            s += push * axis[k] + follow * axis[k + 1] + blown
+            if self.inertial:
+                s += drift * p
+                p += add * axis[k] + after * axis[k + 1] + hastened
             missed.append(s - self.goals[k][i])
-            value += self.q[k] * missed[-1] * missed[-1]
-        value += self.braking * p * p
-        on_s, on_p = Fraction(0), 2 * self.braking * p  # what s_k and p_k weigh, from the end
+        weighed = [weight * off for weight, off in zip(self.q, missed, strict=True)]
+        value = _dot(weighed, missed) + self.braking * p * p
+        forces = [Fraction(0), 2 * self.braking * p]  # what s_N and p_N weigh
         for j, (multiplier, off) in enumerate(zip(pull, (missed[-1], p), strict=False)):
             value += multiplier * off + stiffness * off * off / 2
-            if j == 0:
-                on_s += multiplier + stiffness * off
-            else:
-                on_p += multiplier + stiffness * off
+            forces[j] += multiplier + stiffness * off
         slopes = [Fraction(0)] * len(axis)
-        for k in range(self.horizon, 0, -1):
-            on_s += 2 * self.q[k - 1] * missed[k - 1]
-            slopes[k] += follow * on_s + after * on_p
-            slopes[k - 1] += push * on_s + add * on_p
-            on_p += drift * on_s
+        on_s, on_p = forces
+        for k in range(self.horizon, 0, -1):  # and s_k and p_k, from the end
+            on_s += 2 * weighed[k - 1]
+            slopes[k] += follow * on_s
+            slopes[k - 1] += push * on_s
+            if self.inertial:
+                slopes[k] += after * on_p
+                slopes[k - 1] += add * on_p
+                on_p += drift * on_s
         return value, slopes
 
     def _turning(self, rotations: list[Vector]) -> tuple[Fraction, list[Vector]]:
@@ -563,9 +570,10 @@ class Posed:
         for k in range(len(rotations) - self.order if weight else 0):
             for i in width:
                 change = sum(c * rotations[k + j][i] for j, c in enumerate(stencil))
-                value += weight * change * change
+                force = weight * change
+                value += force * change
                 for j, c in enumerate(stencil):
-                    slopes[k + j][i] += 2 * weight * c * change
+                    slopes[k + j][i] += 2 * c * force
         for i in width if self.attitude else ():
             off = rotations[-1][i] - self.wanted[i]
             value += self.attitude * off * off
