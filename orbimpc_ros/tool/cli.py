@@ -52,6 +52,7 @@ COMMANDS = {
     'study': Subcommand(
         LABORATORY, 'fly many ropes with several controllers and compare them', True
     ),
+    'verify': Subcommand(TOOL, 'prove lower bounds again, in exact arithmetic'),
     'view': Subcommand(TOOL, 'look at a flight in a browser, live or from a bag'),
 }
 

@@ -6,13 +6,16 @@ import argparse
 import json
 import math
 import time
+from pathlib import Path
 from typing import Any
 
 from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem.case import Case, case_of
+from orbimpc_ros.mpc.proof.prove import certificate_of
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool.io import document
+from orbimpc_ros.tool.io.files import write_whole
 
 LIMIT = 30.0  # [s]
 
@@ -34,6 +37,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='SECONDS',
         help='search no longer, and print the best plan found by then (default: %(default)g)',
     )
+    parser.add_argument(
+        '--certificate',
+        metavar='FILE',
+        help='write what proves the lower bound, for `orbimpc verify` (see docs/proofs.md)',
+    )
 
 
 def _seconds(word: str) -> float:
@@ -52,6 +60,9 @@ def run(args: argparse.Namespace) -> int:
     plan = solver.solve(case.state, case.goals, None, lambda: time.perf_counter() > end)
     elapsed = time.perf_counter() - begin
     print(json.dumps(answer(case, plan, 1e3 * elapsed), indent=1, allow_nan=False))
+    if args.certificate:
+        text = certificate_of(*case, plan.rotations[1:], plan.lower_bound).text()
+        write_whole(Path(args.certificate), lambda file: file.write_text(text + '\n'))
     return 0
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.loop.controller import Tick
 from orbimpc_ros.mpc.outcome import Reason
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp
@@ -70,6 +71,11 @@ class OfflinePlanner:
         """Return the stamp of the odometry that a plan would start from [ns]; None without."""
         known = None if self._inbox.missing else self._inbox.odometry
         return None if known is None else known.stamp.nanoseconds
+
+    @property
+    def tick(self) -> Tick | None:
+        """Return the decision behind the last answer; None before the first."""
+        return None if self._report is None else self._report.tick
 
     def plan(self, now: float, advanced: float, solve_time_ms: float) -> dict[str, Any]:
         """Answer the latest odometry with a plan, or with what stands in for one.

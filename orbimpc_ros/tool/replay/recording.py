@@ -81,6 +81,7 @@ class Published:
     rotation: Array | None = None
     speed_fraction: tuple[float, ...] = ()
     objective: float | None = None
+    lower_bound: float | None = None
     gap: float | None = None
     goal_stamps: Mapping[str, int] = field(default_factory=dict)
     goal_counts: Mapping[str, int] = field(default_factory=dict)
@@ -141,7 +142,7 @@ def _integers(value: Any) -> Mapping[str, int]:
 
 READERS: dict[str, Callable[[Any], Any]] = {
     **dict.fromkeys(('status', 'reason', 'fallback'), str),
-    **dict.fromkeys(('objective', 'gap', 'advanced', 'solve_time_ms'), _number),
+    **dict.fromkeys(('objective', 'lower_bound', 'gap', 'advanced', 'solve_time_ms'), _number),
     **dict.fromkeys(('goal_stamps', 'goal_counts', 'traffic_stamps'), _integers),
     'cause': _cause,
     'speed_fraction': _numbers,

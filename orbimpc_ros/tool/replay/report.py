@@ -6,7 +6,7 @@ import argparse
 import math
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     begun = time.perf_counter()
     path = Path(args.bag)
     namespace = f'/{args.namespace.strip("/")}' if args.namespace.strip('/') else ''
-    values = _values(path, namespace, args)
+    values = _values(path, namespace, args.params, args.set)
     planner = planner_settings(values)
     recording = recording_of(path, namespace, resolved(planner, namespace))
     if args.tick is not None:
@@ -51,6 +51,21 @@ def run(args: argparse.Namespace) -> int:
     lacking = whole.unanswered > _may_be_unanswered(args.unanswered, recording, planner)
     differs = any(each.differs for each in found)
     return DIFFERENT if differs or lacking or whole.orphans else SAME
+
+
+def ticks_of(path: Path, params: str | None, namespace: str) -> Iterator[ReplayedTick]:
+    """Yield the ticks of a bag, made anew with the parameters that it was made with.
+
+    Args:
+        path: of the bag.
+        params: a file of parameters, for a bag without notes of them.
+        namespace: of the vehicle.
+    """
+    namespace = f'/{namespace.strip("/")}' if namespace.strip('/') else ''
+    values = _values(path, namespace, params, [])
+    planner = planner_settings(values)
+    recording = recording_of(path, namespace, resolved(planner, namespace))
+    yield from replayed(recording, planner, bool(values.get('use_sim_time', recording.simulated)))
 
 
 def _may_be_unanswered(given: int | None, recording: Recording, planner: PlannerSettings) -> float:
@@ -77,16 +92,18 @@ def _tick(args: argparse.Namespace, count: int) -> int:
     return int(args.tick)
 
 
-def _values(path: Path, namespace: str, args: argparse.Namespace) -> settings.Values:
+def _values(
+    path: Path, namespace: str, params: str | None, changes: Sequence[str]
+) -> settings.Values:
     """Return every parameter's value: as given, or as noted in the bag by whoever recorded it."""
-    if args.params is not None:
-        return settings.resolve(Path(args.params), args.set)
+    if params is not None:
+        return settings.resolve(Path(params), changes)
     noted = settings.of_bag(path, namespace)
-    if noted is None and not args.set:
+    if noted is None and not changes:
         raise BadInput.stating(
             str(path), 'no notes of its parameters', 'give --params FILE or --set'
         )
-    return settings.changed(settings.read('{}') if noted is None else noted, args.set)
+    return settings.changed(settings.read('{}') if noted is None else noted, changes)
 
 
 def _print(

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from itertools import takewhile
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.loop.controller import Tick
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND
@@ -30,11 +31,13 @@ class ReplayedTick:
         recorded: what was answered then.
         messages: what is answered now, by topic.
         refusals: what the validators said of the inputs since the tick before.
+        tick: the decision behind the messages.
     """
 
     recorded: RecordedTick
     messages: Messages
     refusals: tuple[str, ...]
+    tick: Tick
 
 
 def replayed(
@@ -57,7 +60,8 @@ def replayed(
         pushed = answer.force if settings.problem.translation_order == 2 else answer.speed
         at = recorded.stamp if simulated else recorded.sent
         planner.went_out(at / SECOND, pushed, answer.body_rate)
-        yield ReplayedTick(recorded, messages, refusals)
+        assert planner.tick is not None
+        yield ReplayedTick(recorded, messages, refusals, planner.tick)
 
 
 def _answer(planner: OfflinePlanner, recorded: RecordedTick) -> Messages:

@@ -1,0 +1,1 @@
+"""Proofs as data: certificates of lower bounds, and a verifier that shares nothing with methods."""

@@ -1,0 +1,130 @@
+"""Certificates: what proves a lower bound, as plain data that a file holds.
+
+Format: docs/proofs.md. Numbers are written so that they are read back as they were.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.proof.verifier import FORMAT
+
+
+@dataclass(frozen=True, eq=False)
+class Leaf:
+    """A tangent of the cost, whose least value over the leaf's region is a bound.
+
+    Attributes:
+        point: where it touches, shape (N, d).
+        bends: what is added to the curvature of each step, shape (N,); zero where None.
+        pull: multiplier of the arrival, shape (m,); (0,) without one.
+        stiffness: weight on the square of what the arrival misses.
+        tops: over SO(3), the largest value of each step's -<G, R>, shape (N,); None otherwise.
+    """
+
+    point: Array
+    bends: Array | None = None
+    pull: Array | None = None
+    stiffness: float = 0.0
+    tops: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Parts that together hold whatever their whole does.
+
+    Attributes:
+        step: k >= 1, whose z_k tells them apart.
+        parts: beyond each of a floor's faces, or the directions below and above an angle.
+        at: that angle [rad]; None for faces.
+    """
+
+    step: int
+    parts: tuple[Tree, ...]
+    at: float | None = None
+
+
+Tree = Leaf | Split
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """What proves that no trajectory of a problem costs less than a bound.
+
+    Attributes:
+        problem: what was solved.
+        state: where plans start.
+        goals: g_1..g_N, shape (N, n) [m].
+        lower_bound: as published.
+        tree: leaves, each with a bound, and the splits that they are the parts of.
+        origins: from where directions are counted, shape (N,) [rad]; None where none are split.
+    """
+
+    problem: Problem
+    state: State
+    goals: Array
+    lower_bound: float
+    tree: Tree
+    origins: Array | None = None
+
+    def document(self) -> dict[str, Any]:
+        """Return the certificate as the plain values of its format."""
+        made = {
+            'format': FORMAT,
+            **statement(self.problem, self.state, self.goals),
+            'lower_bound': self.lower_bound,
+            'tree': _tree(self.tree),
+        }
+        return made if self.origins is None else {**made, 'origins': self.origins.tolist()}
+
+    def text(self) -> str:
+        """Return the certificate as JSON on one line."""
+        return json.dumps(self.document(), allow_nan=False, separators=(',', ':'))
+
+
+def statement(problem: Problem, state: State, goals: Array) -> dict[str, Any]:
+    """Return what a certificate says of what was solved, as plain values."""
+    return {'problem': _problem(problem), 'state': _state(state), 'goals': goals.tolist()}
+
+
+def _problem(problem: Problem) -> dict[str, Any]:
+    weights, floor = problem.weights, problem.floor
+    names = ('position', 'input', 'length', 'terminal', 'attitude')
+    model = ('dimension', 'rotation_order', 'translation_order', 'discretisation')
+    rest = ('horizon', 'step', 'forward', 'terminal', 'max_rate')
+    return {
+        **{name: getattr(problem, name) for name in (*model, *rest)},
+        'weights': {
+            **{name: float(getattr(weights, name)) for name in names},
+            'arrival': float(problem.arrival_weight),
+        },
+        'floor': {
+            'shape': floor.shape,
+            **{name: getattr(floor, name) for name in floor.parameters},
+        },
+    }
+
+
+def _state(state: State) -> dict[str, Any]:
+    names = ('position', 'rotation', 'velocity', 'rotation_rate', 'attitude', 'disturbance')
+    known = {name: getattr(state, name).tolist() for name in names}
+    for name in ('coasted', 'wanted'):
+        value = getattr(state, name)
+        known[name] = None if value is None else value.tolist()
+    return known
+
+
+def _tree(tree: Tree) -> dict[str, Any]:
+    if isinstance(tree, Split):
+        found = {'split': tree.step, 'parts': [_tree(part) for part in tree.parts]}
+        return found if tree.at is None else {**found, 'at': tree.at}
+    leaf: dict[str, Any] = {'point': tree.point.tolist()}
+    for name in ('bends', 'pull', 'tops'):
+        value = getattr(tree, name)
+        if value is not None and len(value):
+            leaf[name] = value.tolist()
+    return {**leaf, 'stiffness': tree.stiffness} if tree.stiffness else leaf

@@ -1,0 +1,160 @@
+"""From a plan to the certificate of its bound, whatever the method that found it.
+
+A bound that is known is easier to prove than to find: one tangent at the plan proves most; where it
+does not, the floor is split depth first, and a part is done as soon as it is seen to cost no less
+than the bound. Nothing of this has to be believed: see :mod:`orbimpc_ros.mpc.proof.verifier`.
+
+Mathematics: docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import OrbimpcError
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem.units import Units
+from orbimpc_ros.mpc.proof import spatial
+from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Split, Tree
+from orbimpc_ros.mpc.proof.faces import FaceProof
+from orbimpc_ros.mpc.proof.sectors import SectorProof
+from orbimpc_ros.mpc.proof.stationary import Stationary, setting
+from orbimpc_ros.mpc.proof.verifier import RELATIVE, Refused, verified
+
+NEAR = (1e-6, 1e-4, 1e-3)  # of a plan's moduli to their bounds: methods differ in accuracy
+SHARE = 0.5  # of what a bound may exceed what is proved
+
+
+class Unproved(OrbimpcError):
+    """There is no certificate: for problems of a kind, or for a bound."""
+
+
+def certificate_of(
+    problem: Problem, state: State, goals: Array, rotations: Array, bound: float
+) -> Certificate:
+    """Return what proves a lower bound, given a plan near the optimum.
+
+    Args:
+        problem: what was solved.
+        state: where the plan starts.
+        goals: g_1..g_N, shape (N, n) [m].
+        rotations: the plan's R_1..R_N, shape (N, n, n).
+        bound: to prove, as published.
+
+    Raises:
+        Unproved: problems of this kind have no certificates yet, or none was found.
+    """
+    _require(problem, state)
+    units = Units.of(problem)
+    x = coordinates(rotations)[:, : _width(problem)]
+    bound = max(0.0, bound)  # no term of the cost is negative
+    certificate = Certificate(problem, state, goals, bound, Leaf(x))
+    target = bound * (1.0 - SHARE * float(RELATIVE))
+    scaled = units.problem, units.state(state), units.lengths(goals)
+    if _width(problem) == 9:
+        tangents = iter(spatial.tangents(*scaled, x))
+    else:
+        tangents = (Stationary(setting(*scaled), x, near).settled() for near in NEAR)
+    best = 0.0
+    for leaf in tangents:
+        made = replace(certificate, tree=_in_users_units(leaf, units))
+        best = max(best, _proved(made))
+        if best >= target:
+            return made
+    if not _splits(problem):
+        raise Unproved(
+            f'no certificate: one tangent proves {best!r}, and there is nothing to split'
+        )
+    tree, origins = _split(scaled, x, target / units.cost)
+    return replace(certificate, tree=_in_users_units(tree, units), origins=origins)
+
+
+def _width(problem: Problem) -> int:
+    """Return how many coordinates of a rotation the cost sees."""
+    w = problem.weights
+    if problem.dimension == 3 and problem.rotation_order == 1 and not (w.input or w.attitude):
+        return 3
+    return 2 if problem.dimension == 2 else 9
+
+
+def _require(problem: Problem, state: State) -> None:
+    """Refuse what there are no certificates for.
+
+    Raises:
+        Unproved: saying why.
+    """
+    limits = {
+        'obstacles': problem.obstacles or state.hazards,
+        'cones': problem.has_cones or problem.approach.exists,
+        'max_acceleration': problem.max_acceleration,
+        'soft arrivals with inertia': problem.arrival_weight and problem.inertial,
+        'max_rate without a floor': problem.max_rate and not problem.floor.exists,
+        'max_rate with an arrival': problem.max_rate and problem.terminal == 'constraint',
+        'floors at rotation_order 2': problem.floor.exists and problem.rotation_order == 2,
+        f'floor.shape {problem.floor.shape}': problem.floor.shape not in (
+            'none', 'circle', 'polygon'),
+    }  # fmt: skip
+    if problem.dimension == 3:
+        limits['max_rate in space'] = problem.max_rate
+        limits['a polygon in space'] = problem.floor.shape == 'polygon'
+    if _width(problem) == 9:
+        limits['floors over SO(3)'] = problem.floor.exists
+        limits['lengths over SO(3)'] = problem.weights.length
+    for name, there in limits.items():
+        if there:
+            raise Unproved(f'no certificate: there is none yet for {name}')
+
+
+def _proved(certificate: Certificate) -> float:
+    """Return what a certificate of one leaf proves; -inf where it is refused."""
+    try:
+        return verified(certificate.document()).proved
+    except Refused:
+        return -np.inf
+
+
+def _splits(problem: Problem) -> bool:
+    """Return whether there is a way to split a problem of the plane."""
+    plain = not (problem.max_rate or problem.weights.length)
+    shape = problem.floor.shape
+    parted = shape == 'circle' or (shape == 'polygon' and plain)
+    return parted and problem.dimension == 2 and problem.terminal == 'penalty'
+
+
+def _split(
+    scaled: tuple[Problem, State, Array], x: Array, target: float
+) -> tuple[Tree, Array | None]:
+    """Return a tree of splits that proves as much, in natural units, and its origins.
+
+    Raises:
+        Unproved: it would be too large.
+    """
+    problem, state, goals = scaled
+    proof: FaceProof | SectorProof
+    if problem.floor.shape == 'polygon':
+        proof = FaceProof(problem, state, goals, target)
+    else:
+        proof = SectorProof(problem, state, goals, x, target)
+    tree = proof.tree()
+    if tree is None:
+        raise Unproved(f'no certificate: not within {proof.most} leaves, or as accurate')
+    return tree, proof.origins
+
+
+def _in_users_units(tree: Tree, units: Units) -> Tree:
+    """Return a tree for the problem as it was posed."""
+    if isinstance(tree, Split):
+        return replace(tree, parts=tuple(_in_users_units(part, units) for part in tree.parts))
+    bends = None if tree.bends is None else units.cost * tree.bends
+    pull, force = tree.pull, units.cost / units.length
+    if pull is not None and len(pull):
+        n = units.problem.dimension
+        pull = np.repeat([force, force * units.time], n)[: len(pull)] * pull
+    tops = None if tree.tops is None else units.cost * tree.tops
+    return replace(
+        tree, bends=bends, tops=tops, pull=pull, stiffness=tree.stiffness * force / units.length
+    )

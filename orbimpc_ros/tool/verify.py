@@ -1,0 +1,131 @@
+"""``orbimpc verify``: lower bounds proved again, in exact arithmetic.
+
+A file's certificate is verified as it is. A bag's ticks are solved again, for the problem that each
+of them was about; that the bound which was published then holds is certified now.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.problem.case import case_of
+from orbimpc_ros.mpc.proof import verifier
+from orbimpc_ros.mpc.proof.certificate import Certificate, statement
+from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
+from orbimpc_ros.tool.io import document
+from orbimpc_ros.tool.io.files import write_whole
+
+if TYPE_CHECKING:
+    from orbimpc_ros.tool.replay.resolving import ReplayedTick
+
+HOLDS, FAILS, NOTHING, NONE = 'holds', 'DOES NOT HOLD', 'nothing claimed', 'no certificate'
+
+
+class Row(NamedTuple):
+    """What became of a tick's bound.
+
+    Attributes:
+        tick: its number, None of a file.
+        claimed: the bound that was published; None if none was.
+        proved: the bound that holds; None without a certificate.
+        leaves: of the certificate.
+        outcome: in a word or two.
+        words: why there is no certificate, if there is none.
+    """
+
+    tick: int | None
+    claimed: float | None = None
+    proved: float | None = None
+    leaves: int = 0
+    outcome: str = NOTHING
+    words: str = ''
+
+    def __str__(self) -> str:
+        name = '' if self.tick is None else f'{self.tick:>6}  '
+        claimed, proved = (f'{_shown(each):<24}' for each in (self.claimed, self.proved))
+        return f'{name}{claimed}{proved}{self.leaves:>6}  {self.words or self.outcome}'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the command."""
+    parser.add_argument('path', metavar='CERTIFICATE.json|BAG', help='of `orbimpc solve`; a flight')
+    parser.add_argument(
+        '--problem', metavar='FILE', help='that the certificate is to be of, as given to solve'
+    )
+    parser.add_argument('--tick', type=int, metavar='K', help='of a bag: this tick alone')
+    parser.add_argument('--namespace', default='', metavar='NS', help='of the vehicle')
+    parser.add_argument('--params', metavar='FILE', help='of a bag that has no notes of its own')
+    parser.add_argument('--out', metavar='DIR', help="write the ticks' certificates there")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Verify, print a row for each bound, and return 1 if one of them does not hold."""
+    path = Path(args.path)
+    print(f'{"" if path.suffix == ".json" else "  tick  "}{"claimed":<24}{"proved":<24}leaves')
+    found = []
+    for row in [_file(path, args)] if path.suffix == '.json' else _bag(path, args):
+        found.append(row)
+        print(row, flush=True)
+    counts = Counter(row.outcome for row in found)
+    print(', '.join(f'{count} {outcome}' for outcome, count in counts.items()))
+    return 1 if counts[FAILS] else 0
+
+
+def _file(path: Path, args: argparse.Namespace) -> Row:
+    try:
+        known = verifier.read(path)
+        row = _verified(None, known)
+    except verifier.Refused as error:
+        raise BadInput.stating('certificate', 'refused', str(error)) from None
+    if args.problem:
+        case = case_of(document.read(args.problem))
+        if any(known[name] != value for name, value in statement(*case).items()):
+            raise BadInput.stating('certificate', 'refused', f'it is not of {args.problem}')
+    return row
+
+
+def _verified(tick: int | None, known: Any) -> Row:
+    verdict = verifier.verified(known)
+    outcome = HOLDS if verdict.holds else FAILS
+    return Row(tick, verdict.claimed, verdict.proved, verdict.leaves, outcome)
+
+
+def _bag(path: Path, args: argparse.Namespace) -> Iterator[Row]:
+    from orbimpc_ros.tool.replay.report import ticks_of  # needs ROS, which a file does not
+
+    for number, each in enumerate(ticks_of(path, args.params, args.namespace)):
+        if args.tick in (None, number):
+            yield _tick(number, each, args)
+
+
+def _tick(number: int, each: ReplayedTick, args: argparse.Namespace) -> Row:
+    """Certify what was published on a tick, of the problem that its inputs pose."""
+    claimed, tick = each.recorded.answer.lower_bound, each.tick
+    if claimed is None or claimed <= 0.0 or tick.plan is None or not tick.plan.lower_bound > 0.0:
+        return Row(number, claimed)
+    assert tick.problem is not None
+    assert tick.state is not None
+    assert tick.goals is not None
+    posed = tick.problem, tick.state, tick.goals
+    try:
+        made = certificate_of(*posed, tick.plan.rotations[1:], claimed)
+    except Unproved as error:
+        return Row(number, claimed, outcome=NONE, words=str(error))
+    if args.out:
+        _write(Path(args.out), number, made)
+    return _verified(number, verifier.parsed(made.text().encode()))
+
+
+def _write(folder: Path, number: int, made: Certificate) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    text = made.text() + '\n'
+    write_whole(folder / f'tick_{number:05d}.json', lambda file: file.write_text(text))
+
+
+def _shown(value: float | None) -> str:
+    return '' if value is None else repr(value)

@@ -1,0 +1,165 @@
+"""Random problems of every kind that certificates are of, and mutants of certificates."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import problems
+
+from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem.case import Case
+
+ARRIVES = {'terminal': 'constraint'}
+KINDS: dict[str, dict[str, Any]] = {
+    'hull': {},
+    'hull, exact': {'discretisation': 'exact'},
+    'hull, inertia': {'translation_order': 2},
+    'hull, coasting': {'rotation_order': 2, 'translation_order': 2},
+    'hull, length': {'length': 0.3},
+    'hull, arrival': ARRIVES,
+    'hull, inertia, arrival': {'translation_order': 2, **ARRIVES},
+    'polygon': {'floor': Floor('polygon', 4, 0.5)},
+    'circle': {'floor': Floor('circle', fraction=0.6)},
+    'circle, constant speed': {'floor': Floor('circle', fraction=1.0)},
+    'circle, length': {'floor': Floor('circle', fraction=0.6), 'length': 0.3},
+    'circle, turn rate': {'floor': Floor('circle', fraction=0.6), 'max_rate': 0.7},
+    'shell': {'dimension': 3, 'floor': Floor('circle', fraction=0.6), 'input': 0.0},
+    'space': {'dimension': 3},
+    'space, coasting': {'dimension': 3, 'rotation_order': 2, 'translation_order': 2},
+    'space, arrival': {'dimension': 3, **ARRIVES},
+}
+
+
+def case(kind: str, rng: np.random.Generator, longest: int = 7) -> Case:
+    """Return a problem of a kind with a state at full speed and goals within its reach."""
+    given = dict(KINDS[kind])
+    weights = Weights(1.0, given.pop('input', 0.05), given.pop('length', 0.0), 10.0)
+    horizon = int(rng.integers(4, longest + 1))
+    step, forward = 10.0 ** rng.uniform(-1, 0), 10.0 ** rng.uniform(-0.5, 1)
+    if 'max_rate' in given:
+        given['max_rate'] = given['max_rate'] / step
+    problem = Problem(horizon=horizon, step=step, forward=forward, weights=weights, **given)
+    n, unit = problem.dimension, problem.length_unit
+    attitude = problems.rotation(rng, n)
+    extra: dict[str, Any] = {'velocity': 0.1 * rng.normal(size=n) * unit / step}
+    coasted = attitude @ problems.rotation(rng, n, 0.2) if problem.rotation_order == 2 else None
+    state = State.at(
+        rng.normal(size=n) * unit,
+        attitude,
+        coasted=coasted,
+        disturbance=0.05 * rng.normal(size=n) * unit / step ** (2 if problem.inertial else 1),
+        **(extra if problem.inertial else {}),
+    )
+    way = rng.normal(size=n)
+    reach = horizon * unit * (0.25 * horizon if problem.inertial else 1.0)
+    near = 0.2 if problem.inertial else 0.5
+    target = state.position + rng.uniform(0.1, near) * reach * way / np.linalg.norm(way)
+    return Case(problem, state, np.tile(target, (horizon, 1)))
+
+
+# --- mutants
+
+Document = dict[str, Any]
+
+
+def mutant(known: Document, rng: np.random.Generator) -> tuple[str, str]:
+    """Return the name of a change and a certificate's text with it, no longer a proof."""
+    made = copy.deepcopy(known)
+    names = list(CHANGES)
+    name = names[int(rng.integers(len(names)))]
+    return name, CHANGES[name](made, rng)
+
+
+def leaves(node: Document) -> Iterator[Document]:
+    """Yield the leaves of a tree."""
+    for part in node.get('parts', ()):
+        yield from leaves(part)
+    if 'parts' not in node:
+        yield node
+
+
+def _a_leaf(known: Document, rng: np.random.Generator) -> Document:
+    found = list(leaves(known['tree']))
+    return found[int(rng.integers(len(found)))]
+
+
+def _raised(known: Document, rng: np.random.Generator) -> str:
+    known['lower_bound'] *= 1.0 + 10.0 ** rng.uniform(-2, 1)
+    return json.dumps(known)
+
+
+def _near(known: Document, rng: np.random.Generator) -> str:
+    """Take the goals to where the vehicle is, and with them most of the cost away."""
+    known['goals'] = [known['state']['position']] * len(known['goals'])
+    known['state']['disturbance'] = [0.0 * x for x in known['state']['disturbance']]
+    known['state']['velocity'] = [0.0 * x for x in known['state']['velocity']]
+    known['problem']['terminal'] = 'penalty'
+    for leaf in leaves(known['tree']):
+        leaf.pop('pull', None)
+        leaf.pop('stiffness', None)
+    return json.dumps(known)
+
+
+def _moved(known: Document, rng: np.random.Generator) -> str:
+    """Have a leaf's tangent touch far away, where it is steep."""
+    for leaf in leaves(known['tree']):
+        leaf['point'] = [[x + 30.0 for x in row] for row in leaf['point']]
+    return json.dumps(known)
+
+
+def _truncated(known: Document, rng: np.random.Generator) -> str:
+    text = json.dumps(known)
+    return text[: int(rng.integers(len(text)))]
+
+
+def _no_number(known: Document, rng: np.random.Generator) -> str:
+    _a_leaf(known, rng)['point'][0][0] = float(rng.choice([np.nan, np.inf, -np.inf]))
+    return json.dumps(known)
+
+
+def _without_a_leaf(known: Document, rng: np.random.Generator) -> str:
+    if 'parts' in known['tree']:
+        known['tree']['parts'].pop(int(rng.integers(len(known['tree']['parts']))))
+    else:
+        del known['tree']
+    return json.dumps(known)
+
+
+def _with_a_leaf_twice(known: Document, rng: np.random.Generator) -> str:
+    if 'parts' in known['tree']:
+        known['tree']['parts'].append(_a_leaf(known, rng))
+    else:
+        known['tree'] = [known['tree'], known['tree']]
+    return json.dumps(known)
+
+
+def _shorter(known: Document, rng: np.random.Generator) -> str:
+    _a_leaf(known, rng)['point'].pop()
+    return json.dumps(known)
+
+
+def _another_length(known: Document, rng: np.random.Generator) -> str:
+    known['problem']['horizon'] += int(rng.choice([-1, 1]))
+    return json.dumps(known)
+
+
+def _named_twice(known: Document, rng: np.random.Generator) -> str:
+    return json.dumps(known)[:-1] + ', "lower_bound": 0.0}'
+
+
+CHANGES: dict[str, Callable[[Document, np.random.Generator], str]] = {
+    'a higher bound': _raised,
+    'goals where the vehicle is': _near,
+    'tangents from far away': _moved,
+    'truncated': _truncated,
+    'not a number': _no_number,
+    'a leaf missing': _without_a_leaf,
+    'a leaf twice': _with_a_leaf_twice,
+    'a point too short': _shorter,
+    'another horizon': _another_length,
+    'a name twice': _named_twice,
+}

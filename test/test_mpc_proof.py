@@ -1,0 +1,89 @@
+"""Certificates of every kind of problem: what is published holds in exact arithmetic."""
+
+import json
+
+import certified
+import numpy as np
+import pytest
+
+from orbimpc_ros.mpc.problem import Box, Floor, Problem, State
+from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
+from orbimpc_ros.mpc.proof.verifier import Refused, parsed, verified
+from orbimpc_ros.mpc.solve.solver import Solver
+
+SEEDS = (0, 1)
+
+
+def certificate(kind, seed):
+    case = certified.case(kind, np.random.default_rng([seed, *kind.encode()]))
+    coasting = case.state.coasted is not None
+    plan = Solver(case.problem, coasting=coasting, patient=True).solve(case.state, case.goals)
+    return plan, certificate_of(*case, plan.rotations[1:], plan.lower_bound)
+
+
+@pytest.mark.parametrize('seed', SEEDS)
+@pytest.mark.parametrize('kind', certified.KINDS)
+def test_what_is_published_holds(kind, seed):
+    plan, made = certificate(kind, seed)
+    verdict = verified(parsed(made.text().encode()))
+    assert verdict.holds
+    assert verdict.claimed == max(0.0, plan.lower_bound)
+    # What is proved is no more than what was found, but for what plans may miss constraints by.
+    assert verdict.proved <= plan.objective * (1.0 + 1e-7)
+
+
+def judged(text):
+    try:
+        return 'holds' if verified(parsed(text.encode())).holds else 'does not hold'
+    except Refused as error:
+        return str(error)
+
+
+@pytest.mark.parametrize('kind', ['hull', 'polygon', 'circle, turn rate', 'space', 'hull, arrival'])
+def test_mutants_are_refused_or_do_not_hold(kind):
+    rng, known = np.random.default_rng(7), certificate(kind, 0)[1].document()
+    for _ in range(15):
+        name, text = certified.mutant(known, rng)
+        assert judged(text) != 'holds', name
+
+
+def test_a_bound_that_is_too_high_has_no_certificate():
+    case = certified.case('hull', np.random.default_rng(3))
+    plan = Solver(case.problem).solve(case.state, case.goals)
+    with pytest.raises(Unproved, match='one tangent proves'):
+        certificate_of(*case, plan.rotations[1:], 1.00001 * plan.objective)
+
+
+def test_a_search_that_is_too_long_has_no_certificate(monkeypatch):
+    monkeypatch.setattr('orbimpc_ros.mpc.proof.faces.FaceProof.most', 10)
+    case = certified.case('polygon', np.random.default_rng(3))
+    plan = Solver(case.problem).solve(case.state, case.goals)
+    with pytest.raises(Unproved, match='10 leaves'):
+        certificate_of(*case, plan.rotations[1:], 1.00001 * plan.objective)
+
+
+@pytest.mark.parametrize(
+    ('changes', 'word'),
+    [
+        ({'obstacles': (Box(np.ones(2), 2.0 * np.ones(2)),)}, 'obstacles'),
+        ({'max_acceleration': 0.1}, 'max_acceleration'),
+        ({'max_rate': 0.1}, 'max_rate without a floor'),
+        ({'rotation_order': 2, 'floor': Floor('circle')}, 'rotation_order 2'),
+        ({'dimension': 3, 'floor': Floor('circle')}, 'floors over SO'),
+        ({'dimension': 3, 'tilt': 0.3, 'translation_order': 2}, 'cones'),
+    ],
+)
+def test_problems_without_certificates_say_so(changes, word):
+    problem = Problem(**changes)
+    n = problem.dimension
+    state = State.at(np.zeros(n), np.eye(n))
+    with pytest.raises(Unproved, match=word):
+        certificate_of(problem, state, np.ones((5, n)), np.tile(np.eye(n), (5, 1, 1)), 1.0)
+
+
+def test_numbers_are_written_as_they_are():
+    _, made = certificate('circle', 1)
+    known = json.loads(made.text())
+    assert np.array_equal(known['goals'], made.goals)
+    assert np.array_equal(known['tree']['point'], made.tree.point)
+    assert known['lower_bound'] == made.lower_bound

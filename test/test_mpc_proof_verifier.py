@@ -1,0 +1,276 @@
+"""The verifier: its cost, its brackets, what it refuses; all against other ways to know."""
+
+import ast
+import itertools
+import json
+import math
+import sys
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.model.cost import length_weights
+from orbimpc_ros.mpc.model.trajectory import trajectory_of
+from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
+from orbimpc_ros.mpc.proof import verifier
+from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Split, statement
+
+MODELS = [
+    *itertools.product((2, 3), (1, 2), (1, 2), ('euler', 'exact')),
+    (2, 1, 2, 'held'),
+]
+WEIGHTS = Weights(position=1.3, input=0.07, length=0.0, terminal=4.0, attitude=0.6)
+
+
+def fractions(values):
+    return [[Fraction(float(x)) for x in row] for row in values]
+
+
+def rotation(n, rng):
+    return exp(rng.normal(size=1 if n == 2 else 3))
+
+
+def posed(problem, rng):
+    """Return an exact problem with its parts, from a random state with random goals."""
+    n = problem.dimension
+    extra = {'velocity': rng.normal(size=n)} if problem.inertial else {}
+    state = State.at(
+        rng.normal(size=n),
+        0.7 * rotation(n, rng),
+        disturbance=rng.normal(size=n),
+        wanted=rotation(n, rng),
+        **extra,
+    )
+    goals = rng.normal(size=(problem.horizon, n))
+    said = statement(problem, state, goals)
+    return verifier.Posed(said['problem'], said['state'], said['goals']), state, goals
+
+
+@pytest.mark.parametrize(('n', 'order', 'inertia', 'kind'), MODELS)
+def test_its_cost_is_the_objective(n, order, inertia, kind):
+    rng = np.random.default_rng([n, order, inertia])
+    problem = Problem(n, order, inertia, 6, 0.3, 1.7, WEIGHTS, discretisation=kind)
+    exact, state, goals = posed(problem, rng)
+    x = rng.normal(size=(6, exact.width))
+    if order == 2:
+        x[0] = coordinates(state.rotation + problem.step * state.rotation_rate)
+    value, _ = exact.cost(fractions(x), [], Fraction(0))
+    assert float(value) == pytest.approx(trajectory_of(problem, state, goals, x).cost, rel=1e-12)
+
+
+@pytest.mark.parametrize(('n', 'order', 'inertia', 'kind'), MODELS)
+def test_its_gradient_is_exact(n, order, inertia, kind):
+    rng = np.random.default_rng([n, order, inertia, 1])
+    problem = Problem(
+        n, order, inertia, 5, 0.3, 1.7, WEIGHTS, discretisation=kind, terminal='constraint'
+    )
+    exact, _, _ = posed(problem, rng)
+    x, d = (fractions(rng.normal(size=(5, exact.width))) for _ in range(2))
+    pull = [Fraction(float(y)) for y in rng.normal(size=n * inertia)]
+    ahead, behind = (
+        [[a + sign * b for a, b in zip(u, v, strict=True)] for u, v in zip(x, d, strict=True)]
+        for sign in (1, -1)
+    )
+    stiff = Fraction(3, 2)
+    slopes = exact.cost(x, pull, stiff)[1]
+    along = sum(a * b for u, v in zip(slopes, d, strict=True) for a, b in zip(u, v, strict=True))
+    # Of a quadratic, differences from both sides are exact.
+    assert exact.cost(ahead, pull, stiff)[0] - exact.cost(behind, pull, stiff)[0] == 2 * along
+
+
+@pytest.mark.parametrize('kind', ['euler', 'exact', 'held'])
+def test_lengths_are_priced_as_the_objective_does(kind):
+    problem = Problem(
+        2, 1, 1 if kind != 'held' else 2, 4, 0.3, 1.7, Weights(length=0.8), discretisation=kind
+    )
+    exact, _, _ = posed(problem, np.random.default_rng(3))
+    assert [float(each) for each in exact.length] == pytest.approx(length_weights(problem))
+
+
+@pytest.mark.parametrize('angle', [0.0, 1.0, -2.5, 3.14159, 376.2, -1e-9])
+def test_directions_are_bracketed(angle):
+    cosine, sine = verifier._direction(Fraction(angle))
+    assert abs(cosine * cosine + sine * sine - 1) < 4 * verifier.TINY
+    assert (float(cosine), float(sine)) == pytest.approx(
+        (math.cos(angle), math.sin(angle)), abs=1e-15
+    )
+
+
+@pytest.mark.parametrize('seed', range(6))
+def test_what_a_matrix_lacks_of_semidefinite_is_bracketed(seed):
+    rng = np.random.default_rng([seed, 5])
+    factor = rng.normal(size=(5, 5 - seed % 3))
+    matrix = factor @ factor.T - (0.1 * np.eye(5) if seed > 2 else 0.0)
+    matrix = 0.5 * (matrix + matrix.T) * 10.0 ** rng.uniform(-9, 9)
+    lack, least = float(verifier._lacking(fractions(matrix))), np.linalg.eigvalsh(matrix)[0]
+    size = np.abs(matrix).max()
+    assert lack >= -least - 1e-14 * size
+    assert lack <= 20.0 * max(0.0, -least) + 1e-12 * size
+
+
+@pytest.mark.parametrize('seed', range(8))
+def test_least_over_a_sector_is_below_all_that_is_in_it(seed):
+    rng = np.random.default_rng([seed, 6])
+    low = rng.uniform(-9.0, 9.0)
+    high = low + rng.choice([0.1, 1.0, 3.0, 4.0, 6.0, 7.0])
+    slope, bend, floor = rng.normal(size=2), rng.normal(), 0.4
+    steepest = verifier._least_within(
+        [Fraction(float(s)) for s in slope], verifier.Sector(Fraction(low), Fraction(high))
+    )
+    least = float(verifier._least_along(steepest, Fraction(bend), Fraction(floor)))
+    angles, speeds = np.meshgrid(np.linspace(low, high, 801), np.linspace(floor, 1.0, 201))
+    z = speeds * (slope[0] * np.cos(angles) + slope[1] * np.sin(angles))
+    found = (z - 0.5 * bend * speeds**2).min()
+    assert least <= found + 1e-12
+    assert least >= found - 1e-3
+
+
+@pytest.mark.parametrize('seed', range(8))
+def test_least_beyond_a_face_is_below_all_that_is_beyond(seed):
+    rng = np.random.default_rng([seed, 7])
+    faces, face = 5, int(rng.integers(5))
+    problem = Problem(floor=Floor('polygon', faces, 0.6))
+    exact, _, _ = posed(problem, rng)
+    slope = rng.normal(size=2)
+    least = float(exact._least_beyond([Fraction(float(s)) for s in slope], face))
+    angle = 2.0 * np.pi * face / faces + np.linspace(-1.0, 1.0, 2001) * math.acos(0.6)
+    rim = np.column_stack([np.cos(angle), np.sin(angle)])  # the least of a line is at an end
+    assert least == pytest.approx((rim @ slope).min(), abs=1e-5)
+    assert least <= (rim @ slope).min() + 1e-12
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_least_over_the_orbitope_is_below_all_rotations(seed):
+    rng = np.random.default_rng([seed, 8])
+    slope = rng.normal(size=9)
+    sizes = np.linalg.svd(slope.reshape(3, 3).T, compute_uv=False)
+    sign = -np.sign(np.linalg.det(slope.reshape(3, 3)))
+    least = -(sizes[0] + sizes[1] + sign * sizes[2])
+    exact = verifier.Posed._least_over_orbitope
+    given = [Fraction(float(s)) for s in slope]
+    assert float(exact(given, Fraction(-least))) == pytest.approx(least, abs=1e-9)
+    assert float(exact(given, Fraction(-least + 1.0))) <= least  # tops that are loose, or too low
+    assert float(exact(given, Fraction(-least - 1.0))) <= least
+
+
+def test_it_imports_the_standard_library_alone():
+    tree = ast.parse(Path(verifier.__file__).read_text())
+    found = {
+        name.partition('.')[0]
+        for node in ast.walk(tree)
+        if isinstance(node, (ast.Import, ast.ImportFrom))
+        for name in (
+            [node.module] if isinstance(node, ast.ImportFrom) else [a.name for a in node.names]
+        )
+    }
+    assert found <= set(sys.stdlib_module_names)
+
+
+def test_the_worked_example_of_the_docs_comes_to_what_it_says():
+    page = (Path(__file__).parents[1] / 'docs' / 'proofs.md').read_text()
+    known = json.loads(page.partition('```json\n')[2].partition('```')[0])
+    assert verifier.verified(known).proved == pytest.approx(2.17965, abs=5e-6)
+    known['tree'] = {
+        'point': [[0.7102990878738831, 0.7038999969921365]] * 2,
+        'bends': [9.054439684627207, 0.0],
+    }
+    verdict = verifier.verified(known)
+    assert verdict.holds
+    assert verdict.proved == pytest.approx(3.9455603153727914, rel=1e-15)
+
+
+# --- what it refuses
+
+
+def sound():
+    """Return a certificate with splits of both kinds' format, by hand: the bound of nothing."""
+    problem = Problem(horizon=2, floor=Floor('polygon', 4, 0.5))
+    state = State.at(np.zeros(2), np.eye(2))
+    leaf = Leaf(np.zeros((2, 2)))
+    halves = Split(2, (leaf, leaf), at=1.0)
+    tree = Split(1, (leaf, leaf, halves, leaf))
+    made = Certificate(problem, state, np.ones((2, 2)), 0.0, tree, np.zeros(2))
+    return json.loads(made.text())
+
+
+def changed(path, value):
+    known = sound()
+    *way, last = path
+    inner = known
+    for step in way:
+        inner = inner[step]
+    if value is ...:
+        del inner[last]
+    else:
+        inner[last] = value
+    return known
+
+
+def test_a_sound_tree_is_taken():
+    assert verifier.verified(sound()).leaves == 5
+
+
+@pytest.mark.parametrize(
+    ('path', 'value', 'word'),
+    [
+        (('format',), 'another', 'format'),
+        (('goals',), ..., 'lacks goals'),
+        (('lower_bound',), True, 'finite'),
+        (('lower_bound',), 10**400, 'finite'),
+        (('lower_bound',), '1', 'finite'),
+        (('more',), 1, 'unknown'),
+        (('goals', 0), [1.0], 'list of 2'),
+        (('problem', 'horizon'), 2.0, 'whole'),
+        (('problem', 'horizon'), 10**9, 'whole'),
+        (('problem', 'step'), 0.0, 'step'),
+        (('problem', 'weights', 'position'), -1.0, 'negative'),
+        (('problem', 'floor', 'shape'), ['circle'], 'floor.shape'),
+        (('problem', 'floor', 'fraction'), 1.5, 'floor'),
+        (('problem', 'max_rate'), 0.1, 'origins'),
+        (('state', 'attitude'), None, 'attitude'),
+        (('tree', 'parts', 0), ..., 'parts'),
+        (('tree', 'parts'), [], 'parts'),
+        (('tree', 'parts', 0), {}, 'lacks point'),
+        (('tree', 'split'), 3, 'whole'),
+        (('tree', 'split'), 0, 'whole'),
+        (('tree', 'parts', 2, 'at'), -0.1, 'within'),
+        (('tree', 'parts', 2, 'at'), 7.0, 'within'),
+        (('tree', 'parts', 0, 'point'), [[0.0, 0.0]], 'list of 2'),
+        (('tree', 'parts', 0, 'bends'), [0.1, 0.0], 'bends'),
+        (('tree', 'parts', 0, 'pull'), [1.0], 'pull'),
+        (('origins',), ..., 'within'),
+        (('tree',), 7, 'leaf'),
+    ],
+)
+def test_what_is_malformed_is_refused_in_one_line(path, value, word):
+    with pytest.raises(verifier.Refused, match=word) as caught:
+        verifier.verified(changed(path, value))
+    assert '\n' not in str(caught.value)
+
+
+def test_a_face_is_not_split_again():
+    known = sound()
+    known['tree']['parts'][0] = sound()['tree']
+    with pytest.raises(verifier.Refused, match='none to split by'):
+        verifier.verified(known)
+
+
+@pytest.mark.parametrize(
+    'text', [b'', b'{', b'{"a":NaN}', b'{"a":-Infinity}', b'{"a":1,"a":1}', b'\xff', b'[' * 10**5]
+)
+def test_what_is_no_json_is_refused(text):
+    with pytest.raises(verifier.Refused):
+        verifier.parsed(text)
+
+
+def test_a_huge_file_is_refused_before_it_is_taken_apart(tmp_path, monkeypatch):
+    file = tmp_path / 'huge.json'
+    with file.open('wb') as made:
+        made.truncate(1 << 30)  # sparse
+    monkeypatch.setattr(verifier, 'parsed', lambda text: pytest.fail('it was'))
+    with pytest.raises(verifier.Refused, match='larger than'):
+        verifier.read(file)

@@ -1,0 +1,93 @@
+"""`orbimpc verify` as a user meets it: certificates and bags in, a table and an exit code out."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from orbimpc_ros.tool import cli
+
+HERE = Path(__file__).parent
+CASES = json.loads((HERE / 'reference' / 'cases.json').read_text())
+
+
+@pytest.fixture
+def run(capsys):
+    """Return a function that runs a command: (exit code, stdout, stderr)."""
+
+    def ran(*words):
+        capsys.readouterr()
+        code = cli.main([str(word) for word in words])
+        return code, *capsys.readouterr()
+
+    return ran
+
+
+@pytest.fixture
+def solved(tmp_path, run):
+    """Return a problem's file, and that of the certificate of its plan."""
+    problem, made = tmp_path / 'problem.json', tmp_path / 'certificate.json'
+    problem.write_text(json.dumps(CASES['uav_square_0']))
+    code, out, _ = run('solve', problem, '--certificate', made)
+    assert code == 0
+    assert json.loads(made.read_text())['lower_bound'] == json.loads(out)['lower_bound']
+    return problem, made
+
+
+def test_a_certificate_holds(run, solved):
+    problem, made = solved
+    code, out, _ = run('verify', made, '--problem', problem)
+    assert code == 0
+    assert '1 holds' in out
+
+
+def test_a_bound_that_is_too_high_fails(run, solved):
+    _, made = solved
+    known = json.loads(made.read_text())
+    made.write_text(json.dumps({**known, 'lower_bound': 1.001 * known['lower_bound']}))
+    code, out, _ = run('verify', made)
+    assert code == 1
+    assert '1 DOES NOT HOLD' in out
+
+
+def test_a_certificate_of_another_problem_is_refused(run, solved):
+    problem, made = solved
+    problem.write_text(json.dumps({**CASES['uav_square_0'], 'step': 0.9}))
+    code, _, error = run('verify', made, '--problem', problem)
+    assert code == 2
+    assert 'not of' in error
+
+
+@pytest.mark.parametrize('text', ['', '{}', '{"format": NaN}', '[]'])
+def test_what_is_no_certificate_is_bad_input(run, tmp_path, text):
+    file = tmp_path / 'broken.json'
+    file.write_text(text)
+    code, _, error = run('verify', file)
+    assert code == 2
+    assert error.count('\n') == 1
+
+
+def test_a_missing_file_is_bad_input(run, tmp_path):
+    code, _, error = run('verify', tmp_path / 'missing.json')
+    assert code == 2
+    assert 'No such file' in error
+
+
+def test_a_plan_without_a_certificate_is_printed_and_says_so(run, tmp_path):
+    problem = tmp_path / 'problem.json'
+    box = {'min': [40.0, 40.0], 'max': [41.0, 41.0]}
+    problem.write_text(json.dumps({**CASES['uav_square_0'], 'obstacles': [box]}))
+    code, out, error = run('solve', problem, '--certificate', tmp_path / 'none.json')
+    assert code == 1
+    assert json.loads(out)['status'] == 'optimal'
+    assert 'none yet for obstacles' in error
+    assert not (tmp_path / 'none.json').exists()
+
+
+def test_ticks_of_a_bag_hold(run, tmp_path):
+    bag = HERE / 'golden' / 'disturbed'
+    code, out, _ = run('verify', bag, '--out', tmp_path / 'made')
+    assert code == 0
+    assert '20 holds, 1 nothing claimed' in out
+    assert len(list((tmp_path / 'made').iterdir())) == 20
+    assert run('verify', tmp_path / 'made' / 'tick_00003.json')[0] == 0
