@@ -38,6 +38,7 @@ from orbimpc_ros.mpc.problem.cones import relief
 from orbimpc_ros.mpc.problem.traffic import Traffic, traffic_of
 from orbimpc_ros.mpc.solve.disjunction import Disjunction, Slot, disjunctions_of, shortfall
 from orbimpc_ros.mpc.solve.passages import Passage, Passages
+from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.relaxation import Halfspace, Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.request import Found, Request
 from orbimpc_ros.mpc.solve.scouting import Scout
@@ -137,6 +138,8 @@ def _program(problem: Problem, slots: Sequence[Slot], coasting: bool, among: boo
     """Return the fastest convex program for a problem, perhaps among what is round or moves."""
     if not among and SO3Multipliers.solves(problem, slots):
         return SO3Multipliers(problem, slots, coasting=coasting)
+    if PlaceProgram.solves(problem):
+        return PlaceProgram(problem, slots)
     from orbimpc_ros.mpc.solve.program import Program  # brings CVXPY, half of a start-up
 
     return Program(problem, slots, coasting=coasting)
