@@ -17,6 +17,8 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.rotations import carried
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.places import (
     INTERRUPTED,
@@ -37,7 +39,6 @@ from orbimpc_ros.mpc.solve.request import Request
 
 SLICE = 1e6  # multiplications between two looks at the time: about a millisecond
 WORST_CONDITION = 1e7  # beyond it, rounding ends too many solves
-OTHERS = 6  # coordinates of a rotation in space besides those of its thrust axis
 
 
 class PlaceProgram:
@@ -124,7 +125,7 @@ class PlaceProgram:
             raise Infeasible('no trajectory satisfies the constraints')
         if status != SOLVED:
             return self._anew(request, halfspaces, chords, bound)
-        return Relaxation(self._coordinates(), bound)
+        return Relaxation(self._coordinates(request.state), bound)
 
     def _anew(
         self, request: Request, halfspaces: list[Halfspace], chords: Array | None, bound: float
@@ -138,12 +139,10 @@ class PlaceProgram:
             self._general = Program(self.problem, self._slots)
         return self._general.relax(request, halfspaces, chords)
 
-    def _coordinates(self) -> Array:
+    def _coordinates(self, state: State) -> Array:
         """Return the rotation coordinates of the last solution, shape (N, d)."""
         axes = self._held.values[: self.problem.horizon].copy()
-        if self.problem.dimension == 2:
-            return axes
-        return np.hstack([axes, np.zeros((len(axes), OTHERS))])
+        return axes if self.problem.dimension == 2 else coordinates(carried(state.attitude, axes))
 
     def _asked(self, halfspaces: Iterable[Halfspace], chords: Array | None) -> Asked:
         steps, n = self.problem.horizon, self.problem.dimension
