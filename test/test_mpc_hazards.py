@@ -261,9 +261,9 @@ def test_the_separating_normal_is_the_direction_to_the_nearest_point(n, m):
 
 @needs_machine_code
 @pytest.mark.parametrize('model', MODELS[:5])
-def test_who_is_inside_of_a_margin_leaves_by_a_short_way(model):
+@pytest.mark.parametrize('hull', [Ball([0.0, 0.0], 1.5), Box([-1.4, -1.5], [1.5, 1.4])])
+def test_who_is_inside_of_a_margin_leaves_by_a_short_way(model, hull):
     problem = Problem(horizon=8, step=0.5, forward=2.0, **model)
-    hull = Ball([0.0, 0.0], 1.5)
     start = State.at([-0.6, 0.4], 0.6 * np.eye(2), hazards=(Hazard.drifting(hull, [0.0, 0.0]),))
     goals = np.tile([6.0, 0.0], (8, 1))
     polls = itertools.count()

@@ -59,20 +59,8 @@ def traffic_of(problem: Problem, state: State) -> Traffic | None:
         at = [count + j for j in group]
         shifts[at], strays[at] = moved_together(moving, ends), _strays(moving, ends)
     names = (*still, *(f'hazard {i}' for i in range(len(state.hazards))))
-    made = Traffic(names, bodies, shifts, strays, np.zeros(strays.shape))
-    return made._replace(eased=_eased(problem, state, made))
-
-
-def _eased(problem: Problem, state: State, traffic: Traffic) -> Array:
-    """Return how far inside of each ball a plan may be, shape (J, N) [m]; of boxes not at all."""
-    balls = [j for j, body in enumerate(traffic.bodies) if isinstance(body, Ball)]
-    eased = np.zeros(traffic.strays.shape)
-    if balls:
-        bodies = [body for body in traffic.bodies if isinstance(body, Ball)]
-        centres = np.array([body.centre for body in bodies])[:, None] + traffic.shifts[balls]
-        radii = np.array([body.radius for body in bodies])[:, None] + traffic.strays[balls]
-        eased[balls] = inside(problem, state, centres, radii)
-    return eased
+    eased = inside(problem, state, bodies, shifts, strays)
+    return Traffic(names, bodies, shifts, strays, eased)
 
 
 def _strays(hazards: Sequence[Hazard], ends: Array) -> Array:
