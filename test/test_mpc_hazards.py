@@ -261,9 +261,9 @@ def test_the_separating_normal_is_the_direction_to_the_nearest_point(n, m):
 
 @needs_machine_code
 @pytest.mark.parametrize('model', MODELS[:5])
-def test_who_is_inside_of_a_margin_leaves_by_a_short_way(model):
+@pytest.mark.parametrize('hull', [Ball([0.0, 0.0], 1.5), Box([-1.4, -1.5], [1.5, 1.4])])
+def test_who_is_inside_of_a_margin_leaves_by_a_short_way(model, hull):
     problem = Problem(horizon=8, step=0.5, forward=2.0, **model)
-    hull = Ball([0.0, 0.0], 1.5)
     start = State.at([-0.6, 0.4], 0.6 * np.eye(2), hazards=(Hazard.drifting(hull, [0.0, 0.0]),))
     goals = np.tile([6.0, 0.0], (8, 1))
     polls = itertools.count()
@@ -310,6 +310,41 @@ def test_files_name_balls():
         case_of({**document, 'obstacles': [{'centre': [2.0, 0.0]}]})
     with pytest.raises(BadInput, match=r'obstacles\.centre'):
         replace(problem, obstacles=(Ball([1.0, 2.0, 3.0], 1.0),))
+
+
+CROSSED = {
+    'dimension': 2, 'rotation_order': 1, 'translation_order': 1, 'horizon': 4, 'step': 0.5,
+    'forward': 1.0, 'weights': {'position': 1.0, 'input': 0.05}, 'goal': [4, 0],
+    'state': {'position': [0, 0], 'rotation': [[1, 0], [0, 1]]},
+}  # fmt: skip
+
+
+def test_files_name_hazards():
+    named = [
+        {'centre': [2.0, 0.0], 'radius': 0.5, 'velocity': [0.0, -0.2]},
+        {'min': [0, 3], 'max': [1, 4], 'times': [0, 1, 3], 'shifts': [[0, 0], [0, 1], [2, 1]]},
+    ]
+    case = case_of({**CROSSED, 'hazards': named})
+    ball, box = Ball([2.0, 0.0], 0.5), Box([0.0, 3.0], [1.0, 4.0])
+    track = Hazard(box, [0.0, 1.0, 3.0], [[0.0, 0.0], [0.0, 1.0], [2.0, 1.0]])
+    assert case.state.hazards == (Hazard.drifting(ball, [0.0, -0.2]), track)
+    assert case_of(CROSSED).state.hazards == ()
+
+
+@pytest.mark.parametrize(
+    ('hazards', 'named'),
+    [
+        ({}, 'hazards is {}'),
+        ([{'centre': [2.0, 0.0], 'radius': 0.5}], r'hazards\[0\] field velocity'),
+        ([{'centre': [2.0, 0.0], 'radius': 0.5, 'velocity': [1.0]}], r'hazards\[0\]\.velocity'),
+        ([{'min': [2, 0], 'max': [3, 1], 'times': [0, 1]}], r'hazards\[0\] field shifts'),
+        ([{'centre': [2, 0, 0], 'radius': 1, 'velocity': [1, 0, 0]}], r'state\.hazards is 3'),
+        ([5], r'hazards\[0\] is 5'),
+    ],
+)
+def test_files_with_other_hazards_are_refused(hazards, named):
+    with pytest.raises(BadInput, match=named):
+        case_of({**CROSSED, 'hazards': hazards})
 
 
 def test_held_thrust_flies_the_parabola_of_its_equations():

@@ -12,12 +12,13 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.cells import round_cells
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
-from orbimpc_ros.mpc.solve.disjunction import disjunctions_of, shortfall
-from orbimpc_ros.mpc.solve.disjunctive_bnb import (
-    DisjunctiveSearch,
+from orbimpc_ros.mpc.solve.branching import (
     inverse_curvatures,
     inverse_hessian,
+    steps_are_exchangeable,
 )
+from orbimpc_ros.mpc.solve.disjunction import disjunctions_of, shortfall
+from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch
 from orbimpc_ros.mpc.solve.program import Program
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.solver import Solver
@@ -221,7 +222,7 @@ def test_sorted_faces_lose_nothing_where_steps_are_exchangeable(seed):
     start = state(rng, problem)
     beyond = start.position + start.rotation[:, 0] + rng.uniform(-1.8, 1.8, size=2)
     targets = np.tile(beyond, (4, 1))
-    assert DisjunctiveSearch(problem, 1e-6).exchangeable
+    assert steps_are_exchangeable(problem)
     expected = enumerated(problem, start, targets)
     if expected == np.inf:
         with pytest.raises(Infeasible):

@@ -54,6 +54,16 @@ def solve(tmp_path, capsys):
     return run
 
 
+def test_a_file_with_a_hazard_is_solved_around_it(solve):
+    away = {'centre': [50.0, 50.0], 'radius': 0.5, 'velocity': [0.0, 0.0]}
+    free = json.loads(solve(case(hazards=[away]))[1])
+    met = {**away, 'centre': free['positions'][2]}
+    code, out, _ = solve(case(hazards=[met]))
+    places = np.array(json.loads(out)['positions'])
+    assert code == 0
+    assert np.linalg.norm(places - met['centre'], axis=1).min() >= 0.5 - 1e-6
+
+
 @pytest.mark.parametrize('name', PLANAR)
 def test_reference_case_reaches_the_known_optimum(solve, name):
     code, out, _ = solve(CASES[name])

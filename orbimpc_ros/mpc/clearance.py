@@ -9,12 +9,14 @@ Mathematics: docs/mathematics.md, 6.2.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Ball, Box, Hazard, Problem, State
+from orbimpc_ros.mpc.problem.obstacle import moved_together, simultaneous
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 
 PIECES = 16  # of a step that is curved
@@ -31,28 +33,36 @@ def clearances(problem: Problem, state: State, plan: Plan) -> dict[str, float]:
     traffic = traffic_of(problem, state)
     if traffic is None:
         return {}
-    standing = np.zeros(problem.dimension)
-    found = {}
-    moving = {f'hazard {i}': each for i, each in enumerate(state.hazards)}
-    for name, body, eased in zip(traffic.names, traffic.bodies, traffic.eased, strict=True):
-        hazard = moving.get(name) or Hazard.drifting(body, standing)
-        found[name] = _clearance(problem, plan, hazard, eased)
-    return found
+    standing, count = np.zeros(problem.dimension), len(traffic.bodies) - len(state.hazards)
+    still = [Hazard.drifting(body, standing) for body in traffic.bodies[:count]]
+    every = [*still, *state.hazards]
+    found = np.empty(len(every))
+    for group in simultaneous(every):
+        found[group] = _apart([every[j] for j in group], traffic.eased[group], problem, plan)
+    return dict(zip(traffic.names, found.tolist(), strict=True))
 
 
-def _clearance(problem: Problem, plan: Plan, hazard: Hazard, eased: Array) -> float:
-    times = _instants(problem, plan, hazard)
-    away = _positions(problem, plan, times) - hazard.moved(times)
+def _apart(hazards: Sequence[Hazard], eased: Array, problem: Problem, plan: Plan) -> Array:
+    """Return how far simultaneous hazards are stayed clear of, shape (J,) [m]."""
+    times = _instants(problem, plan, hazards[0])
+    away = _positions(problem, plan, times) - moved_together(hazards, times)
     step = np.minimum((0.5 * (times[1:] + times[:-1]) / problem.step).astype(int), plan.horizon - 1)
-    apart = _apart(hazard.body, away[:-1], away[1:])
-    return float((apart + eased[step]).min())
+    apart = np.empty((len(hazards), len(step)))
+    balls = {j: each.body for j, each in enumerate(hazards) if isinstance(each.body, Ball)}
+    if balls:
+        apart[list(balls)] = _beyond_balls(list(balls.values()), away[list(balls)])
+    for j, each in enumerate(hazards):
+        if isinstance(each.body, Box):
+            ends = each.body.clearances(away[j, :-1]), each.body.clearances(away[j, 1:])
+            apart[j] = _beyond_faces(*ends)
+    return np.asarray((apart + eased[:, step]).min(axis=1))
 
 
 def _instants(problem: Problem, plan: Plan, hazard: Hazard) -> Array:
     """Return the instants between which both move along chords, shape (M,) [s]."""
     pieces = 1 if problem.translation.degree == 1 else PIECES
     end = plan.horizon * problem.step
-    turns = hazard.times[(hazard.times > 0.0) & (hazard.times < end)]
+    turns = hazard.turns[hazard.turns < end]
     return np.union1d(np.linspace(0.0, end, pieces * plan.horizon + 1), turns)
 
 
@@ -76,14 +86,14 @@ def _positions(problem: Problem, plan: Plan, times: Array) -> Array:
     return np.asarray(begin + share * leaving + share**2 * (bent - cubic) + share**3 * cubic)
 
 
-def _apart(body: Box | Ball, begin: Array, end: Array) -> Array:
-    """Return how far chords, from (M, n) to (M, n), stay outside of a body, shape (M,) [m]."""
-    if isinstance(body, Box):
-        return _beyond_faces(body.clearances(begin), body.clearances(end))
-    begin, way = begin - body.centre, end - begin
-    squared = np.maximum((way * way).sum(axis=1), np.finfo(float).tiny)
-    share = np.clip(-(begin * way).sum(axis=1) / squared, 0.0, 1.0)
-    return np.asarray(np.linalg.norm(begin + share[:, None] * way, axis=1) - body.radius)
+def _beyond_balls(balls: Sequence[Ball], away: Array) -> Array:
+    """Return how far chords, (J, M + 1, n) end to end, stay outside of balls, shape (J, M) [m]."""
+    centres = np.array([each.centre for each in balls])
+    begin, way = away[:, :-1] - centres[:, None], np.diff(away, axis=1)
+    squared = np.maximum((way * way).sum(axis=-1), np.finfo(float).tiny)
+    share = np.clip(-(begin * way).sum(axis=-1) / squared, 0.0, 1.0)
+    nearest = np.linalg.norm(begin + share[..., None] * way, axis=-1)
+    return np.asarray(nearest - np.array([[each.radius] for each in balls]))
 
 
 def _beyond_faces(begin: Array, end: Array) -> Array:

@@ -55,6 +55,8 @@ def run(args: argparse.Namespace) -> int:
     """Solve the problem and print its plan."""
     case = case_of(document.read(args.file))
     solver = Solver(case.problem, projection=args.projection, patient=True)
+    if case.state.hazards:
+        solver.expect_hazards()
     begin = time.perf_counter()
     end = begin + args.time_limit
     plan = solver.solve(case.state, case.goals, None, lambda: time.perf_counter() > end)

@@ -25,7 +25,8 @@ from orbimpc_ros.mpc.plan import Plan, shifted
 from orbimpc_ros.mpc.problem import Ball, Hazard, Problem, State, Weights
 from orbimpc_ros.mpc.solve.solver import Solver
 
-FULL, NEAR, SLOW = 3.0, 0.15, 0.05
+NEAR, SLOW = 0.15, 0.05
+THRUST = 0.3  # of the 3 per axis that are allowed: who is fast swings wide
 MARGIN = 0.01  # on every radius: tracks are chords of curves
 KNOTS = 4  # of a track in a step
 FINE = 200
@@ -120,7 +121,7 @@ def planned_for(dimension: int) -> Problem:
     effort = {'input': 0.5} if dimension == 2 else {'input': 0.0, 'length': 1.0}
     weights = Weights(position=1.0, terminal=0.0, **effort)
     return Problem(
-        dimension=dimension, translation_order=2, horizon=10, step=1.0, forward=FULL,
+        dimension=dimension, translation_order=2, horizon=14, step=1.0, forward=THRUST,
         discretisation='held', weights=weights, arrival_weight=20.0,
     )  # fmt: skip
 
@@ -149,8 +150,10 @@ def fly(task: Task, start: np.ndarray, solver: Solver) -> Flight:
         begun = time.process_time()
         plan = planned(solver, state, goals, plan, Budget(DEADLINE))
         times.append(time.process_time() - begun)
-        u = np.zeros(n) if plan is None else FULL * plan.rotations[1, :, 0]
-        u = u if plan is not None else -np.clip(velocity, -FULL, FULL)  # brake
+        if plan is None:
+            u = -np.clip(velocity, -problem.forward, problem.forward)  # brake
+        else:
+            u = problem.forward * plan.rotations[1, :, 0]
         heading = heading if plan is None else plan.rotations[1]
         moments = np.linspace(0.0, 1.0, FINE + 1)[:, None]
         flown = place + moments * velocity + 0.5 * moments**2 * u

@@ -6,6 +6,7 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Box, Floor, Problem
 from orbimpc_ros.mpc.solve.annulus_newton import AnnulusNewton
 from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
+from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.polygon_bnb import PolygonSearch
 from orbimpc_ros.mpc.solve.scouting import Scout
 from orbimpc_ros.mpc.solve.sector_bnb import SectorSearch
@@ -18,5 +19,6 @@ if COMPILED:
     AnnulusNewton(Problem(floor=Floor('circle')), 1e-6)
     SectorSearch(Problem(floor=Floor('circle'), max_rate=1.0), 1e-6)
     SO3Multipliers(Problem(dimension=3))
+    PlaceProgram(Problem())
     Scout(Problem())
     SpatialSearch(Problem(dimension=3, obstacles=(Box(np.ones(3), 2.0 * np.ones(3)),)), 1e-6)

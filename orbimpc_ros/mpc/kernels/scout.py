@@ -75,98 +75,106 @@ class World(NamedTuple):
 
 
 @compiled
-def _hits(world, k, begin, end):
+def _hits(centres, radii, k, begin, end):
     """Return whether a straight way hits a ball that moves evenly in step k."""
-    for j in range(len(world.radii)):
+    for j in range(len(radii)):
         along = squared = first = 0.0
         for c in range(len(begin)):
-            a = begin[c] - world.centres[j, k, c]
-            d = end[c] - world.centres[j, k + 1, c] - a
+            a = begin[c] - centres[j, k, c]
+            d = end[c] - centres[j, k + 1, c] - a
             along += a * d
             squared += d * d
             first += a * a
         share = min(1.0, max(0.0, -along / squared)) if squared > 0.0 else 0.0
         near = first + share * (2.0 * along + share * squared)
-        if near < world.radii[j, k] ** 2:
+        if near < radii[j, k] ** 2:
             return True
     return False
 
 
 @compiled
-def _distance(world, place, goal):
+def _distance(field, corner, spacing, place, goal):
     """Return how far a goal is: around what stands still where the grid tells."""
     total = 0.0
     for c in range(len(place)):
         total += (place[c] - goal[c]) ** 2
     straight = np.sqrt(total)
-    size = len(world.field)
+    size = len(field)
     if size == 0:
         return straight
-    x = int((place[0] - world.corner[0]) / world.spacing + 0.5)
-    y = int((place[1] - world.corner[1]) / world.spacing + 0.5)
+    x = int((place[0] - corner[0]) / spacing + 0.5)
+    y = int((place[1] - corner[1]) / spacing + 0.5)
     if 0 <= x < size and 0 <= y < size:
-        if world.field[x, y] < BLOCKED:
-            return max(straight, world.field[x, y])
-        return straight + size * world.spacing
+        if field[x, y] < BLOCKED:
+            return max(straight, field[x, y])
+        return straight + size * spacing
     return straight
 
 
 @compiled
-def _left(vehicle, away, ahead):
-    """Return how far away a goal is so many steps later, gone to straight from where it rests."""
-    if not vehicle.inertial:
-        return max(0.0, away - ahead * (vehicle.push[0] + vehicle.follow[0]))
-    pushed = vehicle.push[1] + vehicle.follow[1]  # full thrust, in units of steps
-    half = np.sqrt(away / pushed)  # when it turns to brake
-    if ahead <= half:
-        return away - 0.5 * pushed * ahead**2
-    return 0.5 * pushed * max(0.0, 2.0 * half - ahead) ** 2
+def _set_halt(braking, y, halt):
+    """Set where a vehicle comes to rest if it brakes at once; without inertia, where it is."""
+    speed = 0.0
+    if braking > 0.0:
+        for c in range(len(halt)):
+            speed += y[1, c] ** 2
+        speed = np.sqrt(speed) / (2.0 * braking)
+    for c in range(len(halt)):
+        halt[c] = y[0, c] + speed * y[1, c]
 
 
 @compiled
-def _promise(world, vehicle, k, y):
-    """Return about what steps k and later cost, ending step k at y; with inertia, from its halt."""
-    if k == len(world.goals):
-        return 0.0
-    halt, speed = y[0].copy(), 0.0
-    if vehicle.inertial:
-        for c in range(y.shape[1]):
-            speed += y[1, c] ** 2
-        halt += y[1] * np.sqrt(speed) / (2.0 * (vehicle.push[1] + vehicle.follow[1]))
-    away, total = _distance(world, halt, world.goals[-1]), 0.0
-    for i in range(k, len(world.goals)):
-        total += world.weights[i] * _left(vehicle, away, i - k) ** 2
+def _promise(weights, advance, braking, k, away):
+    """Return about what steps k and later cost, gone straight to a goal so far away."""
+    total = 0.0
+    if braking == 0.0:
+        for i in range(k, len(weights)):
+            total += weights[i] * max(0.0, away - (i - k) * advance) ** 2
+        return total
+    half = np.sqrt(away / braking)  # when it turns to brake
+    for i in range(k, len(weights)):
+        ahead = i - k
+        if ahead <= half:
+            left = away - 0.5 * braking * ahead**2
+        else:
+            left = 0.5 * braking * max(0.0, 2.0 * half - ahead) ** 2
+        total += weights[i] * left * left
     return total
 
 
 @compiled
-def _heading(vehicle, unit, before, i, after):
+def _heading(kind, move, unit, before, after):
     """Set the heading of a move, shape (n,); return whether it is one."""
-    move = vehicle.moves[i]
-    if vehicle.kind == TURNING:
+    if kind == TURNING:
         cosine, sine = np.cos(move[0]), np.sin(move[0])
         after[0] = move[1] * (cosine * unit[0] - sine * unit[1])
         after[1] = move[1] * (sine * unit[0] + cosine * unit[1])
         return True
     size = 0.0
     for c in range(len(after)):
-        after[c] = move[c] + (before[c] if vehicle.kind == CHANGING else 0.0)
+        after[c] = move[c] + (before[c] if kind == CHANGING else 0.0)
         size += after[c] ** 2
     if size > 1.0:
-        if vehicle.kind == CHANGING and size > 1.5:
+        if kind == CHANGING and size > 1.5:
             return False
         after /= np.sqrt(size)
     return True
 
 
 @compiled
-def _moved(vehicle, y, before, after, out):
-    """Set position and velocity, shape (2, n), after a step."""
-    a = vehicle.transition
+def _moved(coasted, push, follow, before, after, out):
+    """Set position and velocity, shape (2, n), after a step, given where it leads unpushed."""
+    for c in range(len(before)):
+        for i in range(2):
+            out[i, c] = coasted[i, c] + push[i] * before[c] + follow[i] * after[c]
+
+
+@compiled
+def _set_coasted(transition, blown, y, out):
+    """Set position and velocity, shape (2, n), after a step without thrust."""
     for c in range(y.shape[1]):
         for i in range(2):
-            out[i, c] = a[i, 0] * y[0, c] + a[i, 1] * y[1, c] + vehicle.blown[i, c]
-            out[i, c] += vehicle.push[i] * before[c] + vehicle.follow[i] * after[c]
+            out[i, c] = transition[i, 0] * y[0, c] + transition[i, 1] * y[1, c] + blown[i, c]
 
 
 @compiled
@@ -194,24 +202,42 @@ def _spread(vehicle, world, k, y, z, unit, cost, made):
     these lead in another step.
     """
     promises, costs, origins, reached, headings, onward = made
-    after, count = np.empty(z.shape[1]), 0
+    centres, radii, goal, field = world.centres, world.radii, world.goals[k], world.field
+    corner, spacing, last = world.corner, world.spacing, world.goals[-1]
+    transition, push, follow, blown = (
+        vehicle.transition,
+        vehicle.push,
+        vehicle.follow,
+        vehicle.blown,
+    )
+    moves, weights, advance = vehicle.moves, world.weights, push[0] + follow[0]
+    braking = push[1] + follow[1] if vehicle.inertial else 0.0
+    stopping = world.stopping if k == len(weights) - 1 else 0.0
+    n, count, coasted = z.shape[1], 0, np.empty_like(y[0])
+    after, halt = np.empty(n), np.empty(n)
     for b in range(len(cost)):
-        for i in range(len(vehicle.moves)):
-            if count == len(costs) or not _heading(vehicle, unit[b], z[b], i, after):
+        _set_coasted(transition, blown, y[b], coasted)
+        for i in range(len(moves)):
+            if count == len(costs) or not _heading(vehicle.kind, moves[i], unit[b], z[b], after):
                 continue
-            _moved(vehicle, y[b], z[b], after, reached[count])
-            if _hits(world, k, y[b, 0], reached[count, 0]):
+            place = reached[count]
+            _moved(coasted, push, follow, z[b], after, place)
+            if _hits(centres, radii, k, y[b, 0], place[0]):
                 continue
-            missed = changed = 0.0
-            for c in range(len(after)):
-                missed += (reached[count, 0, c] - world.goals[k, c]) ** 2
+            missed = changed = stopped = 0.0
+            for c in range(n):
+                missed += (place[0, c] - goal[c]) ** 2
                 changed += (after[c] - z[b, c]) ** 2
-            costs[count] = cost[b] + world.weights[k] * missed + world.turning * changed
-            if k == len(world.goals) - 1:
-                for c in range(len(after)):
-                    costs[count] += world.stopping * reached[count, 1, c] ** 2
-            _moved(vehicle, reached[count], after, after, onward[count])
-            promises[count] = costs[count] + _promise(world, vehicle, k + 1, onward[count])
+                stopped += place[1, c] ** 2
+            costs[count] = cost[b] + weights[k] * missed + world.turning * changed
+            costs[count] += stopping * stopped
+            _set_coasted(transition, blown, place, onward[count])
+            _moved(onward[count], push, follow, after, after, onward[count])
+            _set_halt(braking, onward[count], halt)
+            promises[count] = costs[count]
+            if k + 1 < len(weights):
+                away = _distance(field, corner, spacing, halt, last)
+                promises[count] += _promise(weights, advance, braking, k + 1, away)
             origins[count], headings[count] = b, after
             count += 1
     return count

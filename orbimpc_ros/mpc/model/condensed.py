@@ -20,6 +20,7 @@ from orbimpc_ros.mpc.model.cost import (
     first_length,
     input_weight,
     position_weights,
+    velocity_weight,
 )
 from orbimpc_ros.mpc.problem import Problem, State
 
@@ -36,7 +37,7 @@ class Condensed:
     disturbance w, R_g e1 (zero where no rotation is wanted), and g_1 - s_0..g_N - s_0.
 
     Attributes:
-        hessian: H, shape (N, N), without the weight on the last velocity, which only adds to it.
+        hessian: H, shape (N, N).
         turning: its part from the weights on inputs and attitude, shape (N, N): all that
             coordinates of R_k other than those of R_k e1 are subject to.
         pulled: q of the knowns, shape (N, N + 4).
@@ -63,12 +64,22 @@ class Condensed:
         self.pulled[:, TURNED] += self.turned
         self.squared: Array = miss.T * weights @ miss
         self.squared[np.ix_(TURNED, TURNED)] += self.turned_squared
+        self._stop(velocity_weight(problem))
 
     def _want(self, weight: float) -> None:
         """Add a weight on the squared coordinates of R_N - R_g."""
         self.turning[-1, -1] += 2.0 * weight
         self.turned[-1, 1] -= 2.0 * weight
         self.turned_squared[1, 1] += weight
+
+    def _stop(self, weight: float) -> None:
+        """Add a weight on the squared last velocity of an inertial vehicle."""
+        maps, known = self._problem.maps, len(self.squared) - 3
+        pushed, rest = maps.pushed[-1, 1:], np.zeros(known)
+        left = np.concatenate([maps.pushed[-1, :1], maps.carried[-1], maps.hastened[-1], rest])
+        self.hessian += 2.0 * weight * np.outer(pushed, pushed)
+        self.pulled += 2.0 * weight * np.outer(pushed, left)
+        self.squared += weight * np.outer(left, left)
 
     def affine(self, state: State, goals: Array) -> tuple[Array, float]:
         """Return q, shape (N, n), and c for a state and goals g_1..g_N, shape (N, n).

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,13 +11,15 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array, frozen
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.model.translation import DISCRETISATIONS
-from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State, Weights
+from orbimpc_ros.mpc.problem.obstacle import tracked
 from orbimpc_ros.mpc.problem.scaling import weighed
 
 MODEL = ('dimension', 'rotation_order', 'translation_order', 'horizon', 'step', 'forward')
 EXTRAS = ('terminal', 'max_rate', 'max_acceleration', 'no_corner_cutting', 'discretisation')
 CONES = ('tilt', 'glide_slope')
 PARTS = ('weights', 'floor', 'obstacles', 'approach')
+BODIES = 'boxes {min, max} and balls {centre, radius}'
 WEIGHTS = ('position', 'input', 'length', 'terminal', 'attitude')
 
 
@@ -44,17 +47,21 @@ def case_of(mapping: Any) -> Case:
     ``max_rate``, ``max_acceleration``, ``obstacles``, ``tilt``, ``glide_slope`` and ``approach``
     (``cone``, and a ``direction`` unless it is the goal's) there is a penalty and no limit;
     without ``discretisation`` it is ``euler``, and without a ``disturbance`` of the state there is
-    none. A weight on ``attitude``, or an approach along the goal's own axis, needs
+    none. Of ``hazards``, bodies like those among ``obstacles``, each has a ``velocity``, or a track
+    of ``times`` and ``shifts`` (:class:`~orbimpc_ros.mpc.problem.Hazard`), its time beginning with
+    the plan. A weight on ``attitude``, or an approach along the goal's own axis, needs
     ``goal_attitude``, the rotation wanted at the end.
 
     Raises:
         BadInput: a field is unknown, missing, of another type or out of range.
     """
     needed = (*MODEL, 'weights', 'state', 'goal')
-    known = _fields(mapping, 'case', needed, (*EXTRAS, *CONES, *PARTS, 'goal_attitude'))
+    optional = (*EXTRAS, *CONES, *PARTS, 'hazards', 'goal_attitude')
+    known = _fields(mapping, 'case', needed, optional)
     problem = _problem(known)
     state = _state(problem, known['state'], known.get('goal_attitude'))
-    return Case(problem, state, _goals(problem, known['goal']))
+    hazards = _hazards(problem, known.get('hazards', []))
+    return Case(problem, replace(state, hazards=hazards), _goals(problem, known['goal']))
 
 
 def _problem(known: Mapping[str, Any]) -> Problem:
@@ -91,7 +98,7 @@ def _approach(value: Any) -> Approach:
 
 def _obstacles(value: Any) -> tuple[Box | Ball, ...]:
     if not isinstance(value, list):
-        raise BadInput('obstacles', value, 'a list of boxes {min, max} and balls {centre, radius}')
+        raise BadInput('obstacles', value, f'a list of {BODIES}')
     return tuple(_obstacle(each, f'obstacles[{i}]') for i, each in enumerate(value))
 
 
@@ -101,6 +108,24 @@ def _obstacle(value: Any, culprit: str) -> Box | Ball:
         return Ball(_numbers(ball['centre'], 'obstacles.centre'), ball['radius'])
     box = _fields(value, culprit, ('min', 'max'))
     return Box(_numbers(box['min'], 'obstacles.min'), _numbers(box['max'], 'obstacles.max'))
+
+
+def _hazards(problem: Problem, value: Any) -> tuple[Hazard, ...]:
+    if not isinstance(value, list):
+        raise BadInput('hazards', value, f'a list of {BODIES} that move')
+    made = tuple(_hazard(each, f'hazards[{i}]') for i, each in enumerate(value))
+    return tracked(made, problem.dimension)
+
+
+def _hazard(value: Any, culprit: str) -> Hazard:
+    moves = ('times', 'shifts') if isinstance(value, dict) and 'times' in value else ('velocity',)
+    kind = ('centre', 'radius') if isinstance(value, dict) and 'centre' in value else ('min', 'max')
+    known = _fields(value, culprit, (*kind, *moves))
+    body = _obstacle({name: known[name] for name in kind}, culprit)
+    given = [_numbers(known[name], f'{culprit}.{name}') for name in moves]
+    if len(given) == 2:
+        return Hazard(body, *given)
+    return Hazard.drifting(body, frozen(given[0], (body.dimension,), f'{culprit}.velocity'))
 
 
 def _state(problem: Problem, value: Any, wanted: Any) -> State:

@@ -12,6 +12,7 @@ Mathematics: docs/mathematics.md, 3.7.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.model.motion import controls
 from orbimpc_ros.mpc.problem.cones import pursuit
+from orbimpc_ros.mpc.problem.obstacle import Ball, Box
 from orbimpc_ros.mpc.problem.problem import Problem
 from orbimpc_ros.mpc.problem.state import State
 
@@ -28,22 +30,27 @@ INSIDE = 1e-7  # in units of a step's length: who is deeper begins inside
 SPARE = 1e-3  # of a step's length: what plans may be farther inside than the escape
 
 
-def inside(problem: Problem, state: State, centres: Array, radii: Array) -> Array:
-    """Return how far inside of balls each step of a plan may be, shape (J, N) [m].
+def inside(
+    problem: Problem, state: State, bodies: Sequence[Box | Ball], shifts: Array, strays: Array
+) -> Array:
+    """Return how far inside of bodies each step of a plan may be, shape (J, N) [m].
 
     Args:
         problem: gives the model and its limits.
         state: from where.
-        centres: of the balls at the ends of steps, shape (J, N + 1, n) [m].
-        radii: in each step, shape (J, N) [m].
+        bodies: when the plan starts.
+        shifts: how far each has moved by the ends of steps, shape (J, N + 1, n) [m].
+        strays: by how much each counts as larger in each step, shape (J, N) [m].
     """
-    allowed, unit = np.zeros(radii.shape), problem.length_unit
-    depth = radii[:, 0] - np.linalg.norm(state.position - centres[:, 0], axis=1)
+    allowed, unit = np.zeros(strays.shape), problem.length_unit
+    here = state.position[None]
+    depth = strays[:, 0] + np.array([float(body.depth(here)[0]) for body in bodies])
     held = depth > INSIDE * unit
     if not held.any():
         return allowed
     escapes = [
-        _depths(problem, state, centres, radii, way) for way in directions(problem.dimension)
+        _depths(problem, state, bodies, shifts, strays, way)
+        for way in directions(problem.dimension)
     ]
     best = min(escapes, key=lambda each: _price(each, held))
     if (best[held, -1] > 0.0).any():
@@ -52,15 +59,32 @@ def inside(problem: Problem, state: State, centres: Array, radii: Array) -> Arra
     return allowed
 
 
-def _depths(problem: Problem, state: State, centres: Array, radii: Array, way: Array) -> Array:
+def _depths(
+    problem: Problem,
+    state: State,
+    bodies: Sequence[Box | Ball],
+    shifts: Array,
+    strays: Array,
+    way: Array,
+) -> Array:
     """Return how far inside an escape in a direction is in each step, shape (J, N); 0 outside."""
     headings = pursuit(problem, state, lambda _, y: way)
     flown = dynamics.translation_rollout(problem, state, headings)
     points = controls(problem.translation.degree, problem.step, *flown)
     weights = np.linspace(0.0, 1.0, points.shape[1])[:, None]
-    begin, end = centres[:, :-1, None], centres[:, 1:, None]
-    _, apart = separation(points - begin - weights * (end - begin))
-    return np.maximum(radii - apart, 0.0)
+    begin, end = shifts[:, :-1, None], shifts[:, 1:, None]
+    away = points - begin - weights * (end - begin)
+    outside = np.array([_outside(*each) for each in zip(bodies, away, strict=True)])
+    return np.maximum(strays - outside, 0.0)
+
+
+def _outside(body: Box | Ball, points: Array) -> Array:
+    """Return how far beyond a plane or face the points of steps, (N, m, n), are, shape (N,)."""
+    if isinstance(body, Ball):
+        return np.asarray(separation(points - body.centre)[1] - body.radius)
+    steps, m, n = points.shape
+    beyond = body.clearances(points.reshape(-1, n)).reshape(steps, m, 2 * n)
+    return np.asarray(beyond.min(axis=1).max(axis=1))
 
 
 def _price(depths: Array, held: np.ndarray) -> tuple[float, int, float]:

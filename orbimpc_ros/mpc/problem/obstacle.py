@@ -5,6 +5,7 @@ Mathematics: docs/mathematics.md, 3.7.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -134,11 +135,38 @@ class Hazard(ByContent):
 
     def moved(self, times: Array) -> Array:
         """Return how far it will have moved at times >= 0, shape (M,) [s], shape (M, n) [m]."""
-        last = len(self.times) - 2
-        at = np.clip(np.searchsorted(self.times, times, side='right') - 1, 0, last)
-        share = (times - self.times[at]) / np.diff(self.times)[at]
-        moved: Array = self.shifts[at] + share[:, None] * np.diff(self.shifts, axis=0)[at]
-        return moved
+        return _interpolated(self.times, self.shifts, times)
+
+    @property
+    def turns(self) -> Array:
+        """Return the times at which it may change its velocity, shape (K - 2,) [s]."""
+        return self.times[1:-1]
+
+
+def simultaneous(hazards: Sequence[Hazard]) -> list[list[int]]:
+    """Return the numbers of hazards, those together whose tracks have the same times."""
+    groups: dict[bytes, list[int]] = {}
+    for j, each in enumerate(hazards):
+        groups.setdefault(each.times.tobytes(), []).append(j)
+    return list(groups.values())
+
+
+def moved_together(hazards: Sequence[Hazard], times: Array) -> Array:
+    """Return how far simultaneous hazards will have moved, shape (J, M, n) [m].
+
+    Args:
+        hazards: J of them, whose tracks have the same times.
+        times: shape (M,) [s].
+    """
+    return _interpolated(hazards[0].times, np.array([each.shifts for each in hazards]), times)
+
+
+def _interpolated(knots: Array, shifts: Array, times: Array) -> Array:
+    """Return shifts, shape (..., K, n), between knots and after them, shape (..., M, n)."""
+    at = np.searchsorted(knots[1:-1], times, side='right')
+    share = (times - knots[at]) / (knots[at + 1] - knots[at])
+    begin = shifts[..., at, :]
+    return np.asarray(begin + share[:, None] * (shifts[..., at + 1, :] - begin))
 
 
 def tracked(hazards: tuple[Hazard, ...], dimension: int) -> tuple[Hazard, ...]:

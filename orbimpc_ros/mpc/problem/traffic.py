@@ -8,13 +8,14 @@ Mathematics: docs/mathematics.md, 3.7.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem.leaving import inside
-from orbimpc_ros.mpc.problem.obstacle import Ball, Box, Hazard
+from orbimpc_ros.mpc.problem.obstacle import Ball, Box, Hazard, moved_together, simultaneous
 from orbimpc_ros.mpc.problem.problem import Problem
 from orbimpc_ros.mpc.problem.state import State
 
@@ -48,38 +49,30 @@ def traffic_of(problem: Problem, state: State) -> Traffic | None:
     still = {name: each for name, each in balls.items() if isinstance(each, Ball)}
     if not still and not state.hazards:
         return None
-    moving = {f'hazard {i}': each for i, each in enumerate(state.hazards)}
     ends = problem.step * np.arange(problem.horizon + 1)
-    standing = np.zeros((problem.horizon + 1, problem.dimension))
-    shifts = [*[standing] * len(still), *(each.moved(ends) for each in state.hazards)]
-    strays = [*[ends[1:] * 0.0] * len(still), *(_strays(each, ends) for each in state.hazards)]
+    count = len(still)
     bodies = (*still.values(), *(each.body for each in state.hazards))
-    nothing = np.zeros((len(bodies), problem.horizon))
-    made = Traffic((*still, *moving), bodies, np.array(shifts), np.array(strays), nothing)
-    return made._replace(eased=_eased(problem, state, made))
+    shifts = np.zeros((len(bodies), len(ends), problem.dimension))
+    strays = np.zeros((len(bodies), problem.horizon))
+    for group in simultaneous(state.hazards):
+        moving = [state.hazards[j] for j in group]
+        at = [count + j for j in group]
+        shifts[at], strays[at] = moved_together(moving, ends), _strays(moving, ends)
+    names = (*still, *(f'hazard {i}' for i in range(len(state.hazards))))
+    eased = inside(problem, state, bodies, shifts, strays)
+    return Traffic(names, bodies, shifts, strays, eased)
 
 
-def _eased(problem: Problem, state: State, traffic: Traffic) -> Array:
-    """Return how far inside of each ball a plan may be, shape (J, N) [m]; of boxes not at all."""
-    balls = [j for j, body in enumerate(traffic.bodies) if isinstance(body, Ball)]
-    eased = np.zeros(traffic.strays.shape)
-    if balls:
-        bodies = [body for body in traffic.bodies if isinstance(body, Ball)]
-        centres = np.array([body.centre for body in bodies])[:, None] + traffic.shifts[balls]
-        radii = np.array([body.radius for body in bodies])[:, None] + traffic.strays[balls]
-        eased[balls] = inside(problem, state, centres, radii)
-    return eased
-
-
-def _strays(hazard: Hazard, ends: Array) -> Array:
-    """Return by how much a track strays from even motion in each step, shape (N,) [m]."""
-    strays = np.zeros(len(ends) - 1)
-    inside = hazard.times[(hazard.times > 0.0) & (hazard.times < ends[-1])]
+def _strays(hazards: Sequence[Hazard], ends: Array) -> Array:
+    """Return by how much simultaneous tracks stray from even motion in steps, shape (J, N) [m]."""
+    strays, turns = np.zeros((len(hazards), len(ends) - 1)), hazards[0].turns
+    inside = turns[turns < ends[-1]]
     if not len(inside):
         return strays
     at = np.searchsorted(ends, inside, side='right') - 1
-    moved = hazard.moved(ends)
+    moved = moved_together(hazards, ends)
     share = (inside - ends[at]) / (ends[at + 1] - ends[at])
-    even = moved[at] + share[:, None] * (moved[at + 1] - moved[at])
-    np.maximum.at(strays, at, np.linalg.norm(hazard.moved(inside) - even, axis=1))
+    even = moved[:, at] + share[:, None] * (moved[:, at + 1] - moved[:, at])
+    apart = np.linalg.norm(moved_together(hazards, inside) - even, axis=-1)
+    np.maximum.at(strays.T, at, apart.T)
     return strays

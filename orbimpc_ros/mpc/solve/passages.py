@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.model.motion import coasting_controls, control_maps
 from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
 from orbimpc_ros.mpc.problem.traffic import Traffic
+from orbimpc_ros.mpc.solve.relaxation import Halfspace, Point
 
 SATISFIED = 1e-7  # a tenth of what the plan's check allows
 REFUTED = 1e-6  # what is decided by so much on the wrong side is no way
@@ -45,6 +47,7 @@ class Passage:
         free: where the points are without, relative to the body, shape (m, n).
         radius: of a ball; zero for a box.
         cells: the alternatives: of a ball, for radius one.
+        first: number of the first control point.
         grown: by how much a box counts as larger.
         spread: D, how far apart the points get at most.
     """
@@ -53,6 +56,7 @@ class Passage:
     free: Array
     radius: float
     cells: tuple[Cell, ...]
+    first: int
     grown: float = 0.0
     spread: float = 0.0
 
@@ -74,11 +78,16 @@ class Passage:
         within = (self.offsets(cells) <= most + REFUTED).all(axis=1)
         return [cell for cell, each in zip(cells, within, strict=True) if each]
 
-    def halfspaces(self, cell: Cell) -> Iterator[tuple[Array, Array, float]]:
+    def halfspaces(self, cell: Cell) -> Iterator[Halfspace]:
         """Yield what a cell asks of R_1 e1..R_N e1, for every point that they move."""
-        for row, free, offset in zip(self.rows, self.free, self.offsets([cell])[0], strict=True):
-            if row.any():
-                yield row, cell.normal, offset - float(cell.normal @ free)
+        offsets = self.offsets([cell])[0] - self.free @ cell.normal
+        for i in np.flatnonzero(self.moved):
+            yield Point(self.first + int(i), self.rows[i]), cell.normal, float(offsets[i])
+
+    @cached_property
+    def moved(self) -> np.ndarray:
+        """Return whether each point is moved at all, shape (m,)."""
+        return np.asarray(self.rows.any(axis=1))
 
     def nearest(self, values: Array) -> Cell:
         """Return the cell that points, shape (m, n), miss least; of a ball, a tangent plane."""
@@ -131,8 +140,9 @@ class Passages:
                 spread = float(self._spread[j, k])
                 free, radius = self._free[j, k], float(self._radii[j, k])
                 grown = float(traffic.grown[j, k])
-                yield Passage(rows, free, radius, cells, grown, spread)
-                yield Passage(rows[-1:], free[-1:], radius, cells, grown)
+                first, end = k * len(rows), (k + 1) * len(rows) - 1
+                yield Passage(rows, free, radius, cells, first, grown, spread)
+                yield Passage(rows[-1:], free[-1:], radius, cells, end, grown)
 
     def near(self, headings: Array, within: float) -> dict[int, tuple[float, Array]]:
         """Return, by choice that is missed or nearly so, by how much and where the points are.

@@ -32,7 +32,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.conic import SOLVED, Certifier, extended, run, solver_for
 from orbimpc_ros.mpc.solve.direct_statement import DirectStatement
 from orbimpc_ros.mpc.solve.disjunction import Slot
-from orbimpc_ros.mpc.solve.relaxation import Halfspace, Relaxation
+from orbimpc_ros.mpc.solve.relaxation import Halfspace, Point, Relaxation
 from orbimpc_ros.mpc.solve.request import Request
 
 SMALL = 1e-2  # a cost below this is solved once more, scaled up
@@ -127,8 +127,8 @@ class Program:
             b[self._rows[rows]] = self._b_0[self._rows[rows]] + self._signs[rows] * chords
         cuts: list[Cut] = []
         for slot, normal, offset in halfspaces:
-            if isinstance(slot, np.ndarray):
-                cuts.append((slot, normal, offset))
+            if isinstance(slot, Point):
+                cuts.append((slot.row, normal, offset))
                 continue
             row, entries = self._slots[slot]
             put = self._statement.slots[slot]

@@ -7,14 +7,26 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.solve.request import Request
 
-# What it is put on, a unit normal and an offset: normal . v >= offset. Put on is a slot, or
-# v = sum_k row_k R_k e1, k = 1..N, of a row, shape (N,).
-Halfspace = tuple[int | Array, Array, float]
+
+class Point(NamedTuple):
+    """A control point of the motion within a step, less what the state alone decides of it.
+
+    Attributes:
+        number: of the control points of all steps.
+        row: what R_1 e1..R_N e1 add to it, shape (N,).
+    """
+
+    number: int
+    row: Array
+
+
+# What it is put on, a slot or a control point v, a unit normal and an offset: normal . v >= offset.
+Halfspace = tuple[int | Point, Array, float]
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from orbimpc_ros.mpc.model.cost import (
 )
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.disjunction import Slot
-from orbimpc_ros.mpc.solve.relaxation import Halfspace, Relaxation, Relaxed
+from orbimpc_ros.mpc.solve.relaxation import Halfspace, Point, Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.unconstrained import other_axes, thrust_axis
 
@@ -231,6 +231,7 @@ class SO3Multipliers:
             return self._unbound
         rows, offsets = np.zeros((self._places, 3)), np.full(self._places, INERT)
         for slot, normal, offset in imposed:
+            assert not isinstance(slot, Point)  # of which this has none
             step = self._slots[slot].step
             if step > self._given:
                 place = step - 1 - self._given + self._coasting

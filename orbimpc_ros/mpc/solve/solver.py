@@ -115,7 +115,7 @@ class Solver:
             return self._instead(query, found, SolverFailure(found.reason))
         if plan.gap <= self._tolerance:  # not just as near as rounding allows to tell
             return plan
-        return min([plan, *self._unsought(query, plan.proof)], key=_objective)
+        return self._cheapest(query, plan.proof, plan.objective) or plan
 
     def propose(
         self,
@@ -205,23 +205,31 @@ class Solver:
     def _instead(self, query: _Query, found: Found, failure: OrbimpcError) -> Plan:
         """Return the cheapest of the plans that can stand in for one that was not found."""
         proof = self._proof(found)
-        sound = list(self._unsought(query, proof))
-        if not sound and isinstance(failure, SolverFailure):
-            sound = self._turning(query, proof)
-        if not sound:
+        plan = self._cheapest(query, proof, np.inf)
+        if plan is not None:
+            return plan
+        turning = self._turning(query, proof) if isinstance(failure, SolverFailure) else []
+        if not turning:
             raise failure
-        return min(sound, key=_objective)
+        return min(turning, key=_objective)
+
+    def _cheapest(self, query: _Query, proof: Proof, below: float) -> Plan | None:
+        """Return the cheapest of the plans that cost no search, pass the check and cost less."""
+        for plan in sorted(self._unsought(query, proof), key=_objective):
+            if plan.objective >= below:
+                return None
+            if self._sound(query, plan):
+                return plan
+        return None
 
     def _unsought(self, query: _Query, proof: Proof) -> Iterator[Plan]:
-        """Yield the plans that cost no search and pass the check, held against a proof."""
+        """Yield the plans that cost no search, held against a proof."""
         known, guess = (self.problem, query.state, query.goals), query.guess
         made = straight(*known)
         if guess is not None and guess.horizon == self.problem.horizon:
             made = itertools.chain([guess.rotations[1:]], made)  # from this state on
         for rotations in made:
-            plan = self._assembled(query, coordinates(rotations), proof)
-            if self._sound(query, plan):
-                yield plan
+            yield self._assembled(query, coordinates(rotations), proof)
 
     def _turning(self, query: _Query, proof: Proof) -> list[Plan]:
         """Return plans that turn, as far as they pass the check; once late, one of them."""
