@@ -24,11 +24,14 @@ NEAR = 0.1  # radius of a catch, a share of what is flown in a step
 
 
 class Reference(NamedTuple):
-    """A chase, and when it ends at the earliest."""
+    """A chase, and when it ends at the earliest; the same with a given heading at the end."""
 
     chase: Chase
     time: float
     word: str
+    heading: float
+    headed_time: float
+    headed_word: str
 
 
 class Attempt(NamedTuple):
@@ -55,7 +58,9 @@ def _reference(case):
         np.array(target['velocity']),
         np.array(case['wind']),
     )
-    return Reference(chase, case['free']['time'], case['free']['word'])
+    free, given = case['free'], case['prescribed']
+    headed = given['heading'], given['time'], given['word'][:3]
+    return Reference(chase, free['time'], free['word'], *headed)
 
 
 def drawn(rng, shortest, longest):
@@ -101,11 +106,12 @@ def goals(chase, step, count):
     return chase.goal + np.multiply.outer(step * np.arange(1, count + 1), chase.course)
 
 
-def catch(chase, step, horizon):
+def catch(chase, step, horizon, approach=None):
     """The catch of a controller's first tick."""
     controller = Controller(
         problem(chase, step, horizon),
         capture_radius=radius(chase, step),
+        approach=approach,
         disturbance=chase.wind,
         velocity_source='air',
     )

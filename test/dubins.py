@@ -2,12 +2,13 @@
 
 A vehicle of constant airspeed v turns no tighter than with a radius r, in a constant wind w; a goal
 moves with a constant velocity u. In the air's frame the goal moves with u - w. With a free heading
-at the end, the earliest path is one arc and a straight line (CS) or two arcs (CC); what is left is
-an equation in one unknown for each of these words.
+at the end, the earliest path is one arc and a straight line (CS) or two arcs (CC); with a given one
+it has a third part (CSC, CCC). What is left is an equation in one unknown for each of these words.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -59,6 +60,71 @@ def earliest(chase: Chase) -> tuple[float, str]:
     """The time of the earliest interception [s], and its word; inf and '' if there is none."""
     found = [*_straight_ends(chase), *_round_ends(chase)]
     return min(found, default=(math.inf, ''))
+
+
+def earliest_headed(chase: Chase, heading: float) -> tuple[float, str]:
+    """The same with a given heading through the air at the end [rad]."""
+    away = float(np.linalg.norm(chase.goal - chase.position))
+    closing = chase.airspeed - float(np.linalg.norm(chase.course - chase.wind))
+    longest = 8.0 * math.pi / chase.rate + 2.0 * away / closing
+    found = []
+    for first, last, branch in itertools.product((LEFT, RIGHT), (LEFT, RIGHT), (None, 1.0, -1.0)):
+        if branch and first != last:
+            continue
+
+        def spare(
+            times: np.ndarray,
+            first: float = first,
+            last: float = last,
+            branch: float | None = branch,
+        ) -> np.ndarray:
+            """By how much a path of the word is shorter than what is flown by then [m]."""
+            aside = np.array([-math.sin(heading), math.cos(heading)])
+            middle = chase.goal_at(times) + chase.radius * last * aside
+            given = chase.radius, first, middle - chase.centre(first), chase.heading, heading
+            length = _three_arcs(branch, *given) if branch else _two_arcs(last, *given)
+            return chase.airspeed * times - length
+
+        word = NAMES[first] + (NAMES[-first] if branch else 'S') + NAMES[last]
+        found += [(time, word) for time in roots(spare, 0.0, longest)]
+    return min(found, default=(math.inf, ''))
+
+
+def _two_arcs(
+    last: float, radius: float, first: float, apart: np.ndarray, begin: float, end: float
+) -> np.ndarray:
+    """The length of two arcs with a straight line in between, nan where there is none [m].
+
+    Args:
+        last, first: sides of the arcs.
+        radius: of both [m].
+        apart: from the middle of the first to that of the last, shape (..., 2) [m].
+        begin, end: headings [rad].
+    """
+    across = radius * (first - last)
+    with np.errstate(invalid='ignore'):
+        straight = np.sqrt(np.sum(apart**2, axis=-1) - across**2)
+    line = np.arctan2(apart[..., 1], apart[..., 0]) + np.arctan2(across, straight)
+    turned = np.mod(first * (line - begin), 2.0 * math.pi) + np.mod(
+        last * (end - line), 2.0 * math.pi
+    )
+    return straight + radius * turned
+
+
+def _three_arcs(
+    branch: float, radius: float, side: float, apart: np.ndarray, begin: float, end: float
+) -> np.ndarray:
+    """The length of three arcs, nan where there are none [m]; ``branch``: which middle circle."""
+    with np.errstate(invalid='ignore'):
+        aside = np.arccos(np.linalg.norm(apart, axis=-1) / (4.0 * radius))
+    towards = np.arctan2(apart[..., 1], apart[..., 0])
+    there, back = towards + branch * aside, towards + math.pi - branch * aside
+    turned = (
+        np.mod(side * (there - begin) + 0.5 * math.pi, 2.0 * math.pi)
+        + np.mod(side * (there - back), 2.0 * math.pi)
+        + np.mod(side * (end - back) - 0.5 * math.pi, 2.0 * math.pi)
+    )
+    return radius * turned
 
 
 def _straight_ends(chase: Chase) -> Iterator[tuple[float, str]]:

@@ -73,6 +73,27 @@ def test_a_steady_disturbance_is_found_whatever_is_commanded(n, plant):
     np.testing.assert_allclose(watched.found, plant.blown, atol=0.01 * plant.forward)
 
 
+@pytest.mark.parametrize('velocity_source', ['air', 'ground'])
+def test_who_is_met_in_flight_is_not_taken_for_one_at_rest_in_a_wind(velocity_source):
+    """A lagging vehicle that flies before its first command covers what it could not from rest."""
+    plant = PLANTS[0][1]
+    problem = Problem(forward=plant.forward)
+    estimator, history = Estimator(problem, plant.speed_lag, velocity_source), CommandHistory()
+    motion, off = at_rest(2, 0.3, 0.8, plant), []
+    for k in range(12):
+        at = measured(0.5 * k, motion)
+        if velocity_source == 'air':
+            through = motion.attitude.T @ (motion.velocity - plant.blown)
+            at = replace(at, body_velocity=through)
+        estimator.observe(at, history, np.zeros(2))
+        off.append(np.linalg.norm(estimator.disturbance - plant.blown))
+        command = Command(0.9, np.array([0.3]), motion.attitude)
+        history.add(command, 0.5 * k)
+        motion = flown(plant, motion, 0.9, command.body_rate, 0.5)
+    assert max(off) <= np.linalg.norm(plant.blown)  # from rest, it seems to be a wind of 10 m/s
+    assert off[6] < {'air': 0.3, 'ground': 0.5}[velocity_source]
+
+
 def test_what_is_known_is_not_estimated_again():
     plant = PLANTS[3][1]
     watched = Watched(plant, 3, given=np.array([0.0, 0.0, -9.0]))

@@ -5,11 +5,13 @@ import math
 import chases
 import numpy as np
 import pytest
-from dubins import earliest
+from dubins import earliest, earliest_headed
 
 from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.problem import Approach
 
 REFERENCES = chases.references()
+HEADED = [known for known in REFERENCES if known.headed_time < 15.0]
 needs_machine_code = pytest.mark.skipif(
     not COMPILED, reason='takes minutes in plain Python: install numba'
 )
@@ -20,6 +22,13 @@ def test_the_closed_form_is_that_of_others(known):
     time, word = earliest(known.chase)
     assert time == pytest.approx(known.time, abs=1e-6)
     assert word == known.word
+
+
+@pytest.mark.parametrize('known', REFERENCES)
+def test_the_closed_form_with_a_given_heading_is_that_of_others(known):
+    time, word = earliest_headed(known.chase, known.heading)
+    assert time == pytest.approx(known.headed_time, abs=1e-6)
+    assert word == known.headed_word
 
 
 def first_end(time, step):
@@ -34,6 +43,17 @@ def test_the_earliest_catch_is_at_the_first_step_that_ends_after_the_closed_form
     catch = chases.catch(known.chase, step, 30)
     assert known.time - 1e-6 <= catch.time <= known.time + 1.5 * step
     assert known.time - step <= catch.bound <= catch.time
+
+
+@needs_machine_code
+@pytest.mark.parametrize('known', HEADED)
+def test_a_catch_in_a_cone_is_between_the_closed_forms_of_its_axis_and_of_any_heading_in_it(known):
+    step, cone = 0.8, 0.2
+    axis = (math.cos(known.heading), math.sin(known.heading))
+    catch = chases.catch(known.chase, step, 20, Approach(cone, axis))
+    within = known.heading + cone * np.linspace(-1.0, 1.0, 41)
+    soonest = min(earliest_headed(known.chase, each)[0] for each in within)
+    assert soonest - step <= catch.bound <= catch.time <= known.headed_time + 1.5 * step
 
 
 @needs_machine_code

@@ -16,7 +16,7 @@ from orbimpc_ros.mpc.loop.interception import AIM, EFFORT, Interception, Target,
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
-from orbimpc_ros.mpc.problem import Ball, Box, Floor, Hazard, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State, Weights
 
 RADIUS = 3.0
 WING = Problem(
@@ -177,6 +177,16 @@ def test_steps_get_no_longer_where_boxes_would_be_jumped_over():
     assert Interception(replace(WING, obstacles=(box,)), 2.0).farthest == 8
     assert Interception(replace(WING, max_rate=1.0), 2.0).farthest == 25
     assert Interception(replace(WING, rotation_order=2, floor=Floor()), 2.0).farthest == 8
+
+
+@pytest.mark.parametrize('cone', [0.0, 0.5])
+def test_what_is_made_at_the_start_are_the_ends_of_steps(cone):
+    """There are three times as many ends between them, of which a search tries two."""
+    approach = Approach(cone) if cone else Approach()
+    targets = Interception(replace(WING, approach=approach), 2.0).targets
+    kinds = {False, True} if cone else {False}
+    assert set(targets) == {Target(end, kind) for end in range(1, 9) for kind in kinds}
+    assert len(targets) == len(set(targets))
 
 
 @pytest.mark.parametrize('discretisation', ['euler', 'exact'])

@@ -1,20 +1,27 @@
 """A live planner among bodies and other vehicles, over DDS."""
 
+import time
+
 import numpy as np
 import pytest
 
 pytest.importorskip('rclpy')
 
+from conftest import PATIENCE
 from nav_msgs.msg import Path
 from planners import QUICK, Bench, told
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import ReliabilityPolicy
+from rclpy.utilities import get_default_context
 from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.mpc.problem import Ball
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.obstacles import shown
-from orbimpc_ros.ros.process import qos
+from orbimpc_ros.ros.planner.node import PlannerNode
+from orbimpc_ros.ros.planner.ticker import Ticker
+from orbimpc_ros.ros.process import initialised, qos
 
 OTHER = '/uav2/plan'
 FRAMES = Frames('odom', 'base_link')
@@ -67,3 +74,23 @@ def test_who_sees_bodies_without_promising_to_say_so_is_told_of(bench, observer)
     observer.node.create_publisher(MarkerArray, 'obstacles', qos(1, ReliabilityPolicy.BEST_EFFORT))
     bench.says('/obstacles of')
     bench.says('does not match')
+
+
+def test_who_may_tell_of_obstacles_has_the_planner_get_ready(domain, monkeypatch):
+    """Before the first message, which is often in flight."""
+    ready = []
+    monkeypatch.setattr(Ticker, 'expect_hazards', lambda _: ready.append(True))
+    with initialised(['planner'], domain=domain, context=get_default_context()):
+        node, executor = PlannerNode(), SingleThreadedExecutor()
+        executor.add_node(node)
+        try:
+            executor.spin_once(timeout_sec=0.1)
+            assert not ready
+            node.create_publisher(MarkerArray, 'obstacles', qos(10))
+            end = time.monotonic() + PATIENCE
+            while not ready:
+                assert time.monotonic() < end, 'a publisher that nobody noticed'
+                executor.spin_once(timeout_sec=0.05)
+        finally:
+            executor.shutdown()
+            node.destroy_node()

@@ -335,7 +335,7 @@ class Controller:
         return f'approach: no turn meets the cone of a catch before {catch.bound:.4g} s'
 
     def _catcher(self, target: Target) -> Solver:
-        """Return the solver of catching the goal."""
+        """Return the solver of catching the goal; between ends and past the horizon few are."""
         if target not in self._catchers:
             assert self._interception is not None
             enough = self._interception.enough(target.end)

@@ -52,26 +52,33 @@ class CommandHistory:
         """Return the share of full speed or thrust commanded last; 0 before the first command."""
         return 0.0 if self.last is None else self.last.speed_fraction
 
-    def applied(self, time: float, lag: float) -> float:
+    @property
+    def is_empty(self) -> bool:
+        """Return whether it is unknown of every command when it was sent."""
+        return not self._sent
+
+    def applied(self, time: float, lag: float, begun: float = 0.0) -> float:
         """Return the share of speed or thrust at a time [s], behind commands by a lag [s].
 
-        Where nobody said when commands were sent, the last one counts as reached.
+        Where nobody said when commands were sent, the last one counts as reached. ``begun`` is the
+        share before the first of them.
         """
         if not self._sent or lag == 0.0:
             return self.fraction
         since, first = self._sent[0]
-        reached = 0.0 if len(self._sent) < MEMORY else first.speed_fraction
+        reached = begun if len(self._sent) < MEMORY else first.speed_fraction
         for interval in self.intervals(since, time):
             assert interval.command is not None
             reached, _ = _followed(reached, interval.command, interval.duration, lag)
         return reached
 
-    def mean(self, begin: float, end: float, lag: float) -> float | None:
+    def mean(self, begin: float, end: float, lag: float, begun: float = 0.0) -> float | None:
         """Return the mean share of speed or thrust from ``begin`` to ``end`` [s]; None if unknown.
 
         Without a lag a command's speed or thrust is taken over when the next command comes.
+        ``begun`` is the share before the first command.
         """
-        flown, reached = 0.0, self.applied(begin, lag)
+        flown, reached = 0.0, self.applied(begin, lag, begun)
         for interval in self.intervals(begin, end):
             given = interval.before if lag == 0.0 else interval.command
             if given is None:

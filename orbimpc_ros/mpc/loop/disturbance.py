@@ -21,7 +21,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import log
 from orbimpc_ros.mpc.loop.delay import CommandHistory, turned
-from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.mpc.loop.odometry import Odometry, airspeed
 from orbimpc_ros.mpc.problem import Problem
 
 GIVEN, ESTIMATED = 'given', 'estimated'
@@ -33,7 +33,7 @@ LARGEST = 0.8  # of full speed or thrust: what is left steers
 
 
 @dataclass(frozen=True)
-class Noise:
+class Deviations:
     """Standard deviations of the model, as shares of full speed or thrust z.
 
     Attributes:
@@ -57,6 +57,7 @@ class Estimator:
     Args:
         problem: gives the orders and the full speed or thrust.
         lag: of speed or thrust [s]; see :class:`orbimpc_ros.mpc.loop.response.Response`.
+        velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
         noise: of the model.
 
     Attributes:
@@ -65,8 +66,15 @@ class Estimator:
         refused: measurements in a row that were too far off to be believed.
     """
 
-    def __init__(self, problem: Problem, lag: float = 0.0, noise: Noise | None = None) -> None:
-        self._problem, self._lag, self._noise = problem, lag, noise or Noise()
+    def __init__(
+        self,
+        problem: Problem,
+        lag: float = 0.0,
+        velocity_source: str = 'ground',
+        noise: Deviations | None = None,
+    ) -> None:
+        self._problem, self._lag, self._noise = problem, lag, noise or Deviations()
+        self._velocity_source = velocity_source
         self.reset()
 
     def reset(self) -> None:
@@ -78,12 +86,14 @@ class Estimator:
     def start_afresh(self) -> None:
         """Forget where the vehicle was, for instance because the clock jumped."""
         self._last: Odometry | None = None
+        self._begun = 0.0  # share of full speed with which the first command found the vehicle
         self.innovation, self.refused = 0.0, 0
 
     def continue_from(self, other: Estimator) -> None:
         """Take over what another estimator of the same vehicle knows."""
         self._estimate, self._covariance = other._estimate, other._covariance
-        self._last, self.innovation, self.refused = other._last, other.innovation, other.refused
+        self._last, self._begun = other._last, other._begun
+        self.innovation, self.refused = other.innovation, other.refused
 
     @property
     def disturbance(self) -> Array:
@@ -108,6 +118,8 @@ class Estimator:
         if last is not None and odometry.time <= last.time:
             return
         self._last = odometry
+        if history.is_empty and not self._problem.inertial:
+            self._begun = self._share(odometry, given)
         moved = None if last is None else self._moved(last, odometry, history, given)
         if moved is None:
             self._believe(odometry)
@@ -130,6 +142,12 @@ class Estimator:
         unit = 'm/s^2' if problem.inertial else 'm/s'
         return f'the disturbance is estimated to be {size:.3g} {unit}, taken as {most:.3g} {unit}'
 
+    def _share(self, odometry: Odometry, given: Array) -> float:
+        """Return the measured share of full airspeed."""
+        whole = given + self._estimate[-1]
+        speed = airspeed(odometry, whole, self._velocity_source)
+        return min(1.0, max(0.0, speed / self._problem.forward))
+
     def _seen(self, odometry: Odometry) -> Array:
         """Return what is measured: the position, and at order 2 the velocity; shape (1 or 2, n)."""
         if not self._problem.inertial:
@@ -149,7 +167,7 @@ class Estimator:
     ) -> Array | None:
         """Return what commands and the given disturbance did since, shape (1 or 2, n); or None."""
         time = now.time - last.time
-        share = history.mean(last.time, now.time, self._lag)
+        share = history.mean(last.time, now.time, self._lag, self._begun)
         if time > GAP or share is None:
             return None
         ahead = np.zeros(self._problem.dimension)

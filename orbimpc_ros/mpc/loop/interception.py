@@ -154,12 +154,9 @@ class Interception:
 
     @property
     def targets(self) -> list[Target]:
-        """Return what is tried within the horizon: at the ends of its steps, and in between."""
-        ends = range(1, self._horizon + 1)
+        """Return what nearly every search tries: the ends of the steps within the horizon."""
         kinds = (False, True) if self._coned else (False,)
-        whole = [Target(end, narrow) for end in ends for narrow in kinds]
-        parts = FINEST * np.arange(1.0, self._horizon / FINEST) if self._divides else ()
-        return whole + [Target(float(end), self._coned) for end in parts if end % 1.0]
+        return [Target(end, narrow) for end in range(1, self._horizon + 1) for narrow in kinds]
 
     def enough(self, end: float) -> Enough:
         """Return what settles whether the goal is caught at an end.

@@ -151,8 +151,11 @@ class PlannerNode(Managed):
         are to be reliable; who offers less is told of as a mismatch. Plans are whole each time.
         """
         silent = SubscriptionEventCallbacks(use_default_callbacks=False)
+        met = SubscriptionEventCallbacks(
+            matched=self.guard(self._on_publisher), use_default_callbacks=False
+        )
         seen = self.at_work(self._on_obstacles)
-        self.create_subscription(MarkerArray, OBSTACLES, seen, qos(MARKERS), event_callbacks=silent)
+        self.create_subscription(MarkerArray, OBSTACLES, seen, qos(MARKERS), event_callbacks=met)
         for topic in self._inbox.others:
             heard = self.at_work(self._hearing(topic))
             whole = qos(1, ReliabilityPolicy.BEST_EFFORT)
@@ -212,8 +215,12 @@ class PlannerNode(Managed):
     def _on_path(self, message: Path) -> None:
         self._take('goal_path', message)
 
+    def _on_publisher(self, _: Any) -> None:
+        """Get ready for obstacles as soon as somebody may tell of some, which takes a second."""
+        self._ticker.expect_hazards()
+
     def _on_obstacles(self, message: MarkerArray) -> None:
-        self._ticker.expect_hazards()  # of which the first takes a second: not within a tick
+        self._ticker.expect_hazards()  # where a publisher was not told of
         self._take(OBSTACLES, message)
 
     def _hearing(self, topic: str) -> Callable[[Path], None]:

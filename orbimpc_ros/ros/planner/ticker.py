@@ -52,7 +52,9 @@ def _is_past(clock: Callable[[], float], end: float) -> bool:
 
 
 def _estimator(settings: PlannerSettings) -> Estimator | None:
-    return Estimator(settings.problem, settings.response.speed) if settings.estimated else None
+    if not settings.estimated:
+        return None
+    return Estimator(settings.problem, settings.response.speed, settings.velocity_source)
 
 
 class Timing:

@@ -126,27 +126,39 @@ class Bank:
     def _learn(self, time: float, position: Array, waited: float) -> None:
         rows = self._fits.rows(time - self._epoch)
         if not self._expected(position, rows, waited):
-            self._apart.append((time, position))
-            if len(self._apart) == BELIEVED:
-                times, seen = zip(*self._apart, strict=True)
-                self._begin(np.array(times), np.array(seen), self._fits.noise())
+            self._doubt(time, position)
             return
         self._apart = []
         if self._waiting:
             self._put_waiting()
             rows = self._fits.rows(time - self._epoch)
         self._append(time, position, rows)
-        at_leisure = self._count < YOUNG or waited > PATIENCE
-        if at_leisure or self._count % 2 == 0:
+        self._work(waited)
+        if self._count == MEMORY:
+            self._shorten()
+
+    def _doubt(self, time: float, position: Array) -> None:
+        """Keep a sighting off the forecast apart; with some more it is a new motion."""
+        self._apart.append((time, position))
+        if len(self._apart) == BELIEVED:
+            times, seen = zip(*self._apart, strict=True)
+            self._begin(np.array(times), np.array(seen), self._fits.noise())
+
+    def _work(self, waited: float) -> None:
+        """Do what is due after a sighting: of two tasks one, or both where there is time.
+
+        Args:
+            waited: since the sighting before [s].
+        """
+        at_leisure, odd = self._count < YOUNG or waited > PATIENCE, self._count % 2
+        if at_leisure or not odd:
             for _ in range(min(int(waited / PATIENCE), MOST_TASKS) + (1 if at_leisure else 2)):
                 self._refine()
-        if at_leisure or self._count % 2:
+        if at_leisure or odd:
             self._put_waiting()
             self._conclude()
             if self._changes.found():
                 self._reconsider()
-        if self._count == MEMORY:
-            self._shorten()
 
     def _put_waiting(self) -> None:
         """Put families where tasks want them, now that a fit to all sightings follows."""
