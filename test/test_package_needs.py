@@ -41,7 +41,8 @@ def test_a_problem_that_takes_more_says_what_and_how_to_get_it():
         from orbimpc_ros.mpc.errors import BadInput
         from orbimpc_ros.mpc.loop.controller import Controller
         from orbimpc_ros.mpc.problem import Box, Problem
-        among = Problem(translation_order=2, obstacles=(Box([1.0, 1.0], [2.0, 2.0]),))
+        boxes = (Box([1.0, 1.0, 1.0], [2.0, 2.0, 2.0]),)
+        among = Problem(dimension=3, max_rate=1.0, obstacles=boxes)
         try:
             Controller(among)
         except BadInput as error:
