@@ -5,11 +5,8 @@ Mathematics: docs/mathematics.md, 4.1.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from importlib import import_module
 
-from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.request import Method
 
@@ -23,7 +20,6 @@ METHODS = [
     ('spatial_bnb', 'SpatialSearch'),
     ('disjunctive_bnb', 'DisjunctiveSearch'),
 ]
-GENERAL = ('clarabel', 'cvxpy')  # of the general program: no package of a distribution has them
 PACED = ('paced_speeds', 'PacedSpeeds')  # brings Clarabel: only where a limit asks for it
 
 
@@ -34,16 +30,12 @@ def method_for(problem: Problem, tolerance: float, *, coasting: bool = False) ->
         problem: what to solve.
         tolerance: relative gap at which a search stops.
         coasting: whether states come with a ``coasted`` rotation.
-
-    Raises:
-        BadInput: it takes the general program, and what that is made of is not installed.
     """
-    with _general_program():
-        for place, name in [PACED, *METHODS] if problem.max_acceleration else METHODS:
-            method = getattr(import_module(f'orbimpc_ros.mpc.solve.{place}'), name)
-            if method.solves(problem):
-                made: Method = method(problem, tolerance, coasting=coasting)
-                return made
+    for place, name in [PACED, *METHODS] if problem.max_acceleration else METHODS:
+        method = getattr(import_module(f'orbimpc_ros.mpc.solve.{place}'), name)
+        if method.solves(problem):
+            made: Method = method(problem, tolerance, coasting=coasting)
+            return made
     raise AssertionError('the last method solves every problem')
 
 
@@ -54,23 +46,7 @@ def method_among(problem: Problem, tolerance: float, *, coasting: bool = False) 
         problem: what to solve.
         tolerance: relative gap at which a search stops.
         coasting: whether states come with a ``coasted`` rotation.
-
-    Raises:
-        BadInput: as :func:`method_for`.
     """
-    with _general_program():
-        from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch  # may bring CVXPY
+    from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch  # may bring CVXPY
 
-        return DisjunctiveSearch(problem, tolerance, coasting=coasting, among=True)
-
-
-@contextmanager
-def _general_program() -> Iterator[None]:
-    """Say what is missing where a method needs the general program, which others do without."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        if error.name not in GENERAL:
-            raise
-        problem = f'solving it takes {error.name}, which is missing'
-        raise BadInput.stating('problem', problem, "pip install 'cvxpy>=1.7'") from None
+    return DisjunctiveSearch(problem, tolerance, coasting=coasting, among=True)
