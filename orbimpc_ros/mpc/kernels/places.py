@@ -184,6 +184,26 @@ def _drop(held, i, count):
 
 
 @compiled
+def _append(held, count, place, row, offset, own, inner):
+    """Put a row at the end of the active set; return whether it is independent of the others.
+
+    Args:
+        held: the active set.
+        count: of its rows.
+        place: of the row.
+        row: its normal.
+        offset: of it.
+        own: its curvature a . H^-1 a.
+        inner: a . H^-1 a_i of the others.
+    """
+    held.at[count], held.offsets[count] = place, offset
+    held.normals[count], held.gram[count, count] = row, own
+    for i in range(count):
+        held.gram[count, i] = inner[i]
+    return extend_factor(held.gram, held.factor, count, count + 1, SINGULAR)
+
+
+@compiled
 def _add(known, held, count, place, row, offset, r, inner):
     """Add a violated row to the active set, dropping those in its way.
 
@@ -225,14 +245,9 @@ def _add(known, held, count, place, row, offset, r, inner):
             held.u[i] = max(0.0, held.u[i] - move * r[i])
         gap -= move * max(0.0, curvature)
         if whole <= limit:
-            if count == size:
+            if count == size or not _append(held, count, place, row, offset, own, inner):
                 return BROKEN, 0
-            held.at[count], held.offsets[count], held.u[count] = place, offset, multiplier
-            held.normals[count], held.gram[count, count] = row, own
-            for i in range(count):
-                held.gram[count, i] = inner[i]
-            if not extend_factor(held.gram, held.factor, count, count + 1, SINGULAR):
-                return BROKEN, 0
+            held.u[count] = multiplier
             return ADDED, count + 1
         if not _drop(held, blocking, count):
             return BROKEN, 0
