@@ -20,6 +20,7 @@ SCENARIOS = (
     'dubins',
     'spacecraft',
     'fixed_wing',
+    'cessna',
     'multirotor',
     'lander',
     'fleet',

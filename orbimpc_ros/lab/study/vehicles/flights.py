@@ -17,7 +17,7 @@ from orbimpc_ros.ros.parameters import sim_settings
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.world.airspeed import Airspeeds
 from orbimpc_ros.world.flight import departure
-from orbimpc_ros.world.plant import Plant
+from orbimpc_ros.world.vehicle import Continuous
 
 Row = dict[str, Any]
 
@@ -43,7 +43,7 @@ def row(scenario: Mission, name: str, seed: int, index: int, tuned: Mapping[str,
     planner = Planner(values, patient=True, pilot=made)
     flight = departure(simulated.scenario, simulated.begin)
     model = flight.scenario.model
-    airspeeds = Airspeeds(model.stall_speed if isinstance(model, Plant) else 0.0)
+    airspeeds = Airspeeds(model.stall_speed if isinstance(model, Continuous) else 0.0)
     closest, proved, unplanned, spent = np.inf, 0, 0, []
     while not flight.over:
         tell(planner, flight, simulated.goal_path_steps)
