@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 
 class EngineFailure(Exception):
@@ -71,6 +71,9 @@ class Engine(Protocol):
             speed: commanded, forward [m/s].
             turn: commanded, to the left [rad/s].
         """
+
+    def steer_to(self, point: Array) -> None:
+        """Have the vehicle's own guidance fly to a waypoint, shape (2,) [m], from now on."""
 
 
 def checked(engine: Engine, before: float, motions: list[Motion], span: float) -> list[Motion]:

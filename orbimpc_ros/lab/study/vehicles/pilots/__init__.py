@@ -10,6 +10,7 @@ from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.ticker import prepared
 
 ORBITOPE = 'orbitope'
+WAYPOINT = 'waypoint'  # an engine's own guidance
 RIVALS = {
     'pursuit': ('guidance', 'PurePursuit'),
     'lead': ('guidance', 'Lead'),
@@ -17,8 +18,9 @@ RIVALS = {
     'sampling': ('sampling', 'Sampling'),
     'linearised': ('programs', 'LinearisedPilot'),
     'nonlinear': ('programs', 'NonlinearPilot'),
+    WAYPOINT: ('guidance', 'Waypoint'),
 }
-PILOTS = (ORBITOPE, *RIVALS)
+PILOTS = (ORBITOPE, *(name for name in RIVALS if name != WAYPOINT))  # those that fly anything
 _made: dict[str, Controller] = {}  # the last one, by its settings
 
 
