@@ -1,4 +1,7 @@
-"""Imports run one way, mpc, physics <- world <- ros <- tool <- lab, and the mathematics needs no ROS."""
+"""Imports run one way, mpc <- world <- ros <- tool <- lab; maths and physics need no ROS.
+
+Physics, which world flies, imports nothing of the rest.
+"""
 
 import ast
 import subprocess

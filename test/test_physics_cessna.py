@@ -197,5 +197,5 @@ def test_an_engine_that_fails_is_named(monkeypatch, kind):
 def test_an_engine_does_not_go_back():
     engine = Broken()
     later = engine.run(1.0, 45.0, 0.0)
-    with pytest.raises(EngineFailure, match='went from t = 5.000 s to 1.000 s'):
+    with pytest.raises(EngineFailure, match=r'went from t = 5\.000 s to 1\.000 s'):
         checked(engine, 5.0, later, 1.0)

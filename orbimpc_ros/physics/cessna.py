@@ -5,8 +5,8 @@ The aircraft ``c172x`` comes with two autopilots, both of which are on: the alti
 is off, by 30 degrees at most, and rolls at 10 degrees a second at most. Both are left as they are.
 
 A turn is commanded by a heading: the one that is off by the bank of a coordinated turn,
-tan(bank) = turn * speed / g. The autopilots leave the throttle alone. It is set to what the engine's
-own trim needs at the speed that is commanded, with a share of what the speed is off on top.
+tan(bank) = turn * speed / g. The autopilots leave the throttle alone. It is set to what JSBSim's
+own trim takes at the speed that is commanded, with a share of what the speed is off on top.
 """
 
 from __future__ import annotations
@@ -91,8 +91,8 @@ class Cessna:
         seed: int = 0,
     ) -> None:
         self._place = np.array(place, dtype=float)
+        jsbsim.FGJSBBase().debug_lvl = 0  # of all that is made from now on: no banner
         self._fdm = jsbsim.FGFDMExec(jsbsim.get_default_root_dir())
-        self._fdm.set_debug_level(0)
         self._fdm.load_model('c172x')
         self._fdm.set_dt(self.tick)
         self._set(_start(speed, heading, np.asarray(wind, dtype=float), seed))

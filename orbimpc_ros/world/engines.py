@@ -93,7 +93,8 @@ class Aircraft(Continuous):
         Raises:
             EngineFailure: the engine has failed.
         """
-        assert isinstance(vehicle, Flown) and vehicle.engine is not None
+        assert isinstance(vehicle, Flown)
+        assert vehicle.engine is not None
         speed, engine = self.forward * float(np.clip(fraction, 0.0, 1.0)), vehicle.engine
         motions = checked(engine, elapsed, engine.run(span, speed, float(body_rate[0])), span)
         return tuple(self._read(engine, each, vehicle.time - elapsed) for each in motions)

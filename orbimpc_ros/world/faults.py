@@ -20,9 +20,8 @@ from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.loop.observation import Sighting
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.world.flight import Flight
-from orbimpc_ros.world.vehicle import Continuous
 from orbimpc_ros.world.scenario import MAX_TICKS
-from orbimpc_ros.world.vehicle import Vehicle, between, measured
+from orbimpc_ros.world.vehicle import Continuous, Vehicle, between, measured
 
 ODOMETRY, GOAL, COMMAND = range(3)  # rows of a tick's chances
 CHANCES = ('dropout', 'reorder', 'duplicate', 'nan')  # columns
