@@ -73,7 +73,7 @@ class Aircraft(Continuous):
         speed = self.forward * vehicle.fraction
         start = speed, heading, vehicle.position, self.blown, self.turbulence, self.seed
         try:
-            engine: Engine = _class_of(self.engine)(*start)
+            engine = class_of(self.engine)(*start)
         except EngineFailure as error:
             raise BadInput('start.speed_fraction', vehicle.fraction, f'a start ({error})') from None
         return self._read(engine, engine.motion(), vehicle.time)
@@ -116,7 +116,12 @@ class Aircraft(Continuous):
         )
 
 
-def _class_of(name: str) -> Callable[..., Engine]:
+def class_of(name: str) -> Callable[..., Engine]:
+    """Return the engine of a vehicle, by its name in :data:`ENGINES`.
+
+    Raises:
+        BadInput: its library is not installed.
+    """
     library, kind = ENGINES[name]
     try:
         module = import_module(f'orbimpc_ros.physics.{name}')
