@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from dying_engine import FAILURES
+from scipy.integrate import trapezoid
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.physics.engine import EngineFailure
@@ -56,7 +57,7 @@ def test_positions_follow_velocities(cessna, heading):
     """The globe is turned into a plane well enough, in both of its directions."""
     trail = [v for each in flown(flight_of(heading), 40)[1:] for v in each.trail]
     times = np.array([v.time for v in trail])
-    way = np.trapezoid([v.velocity for v in trail], times, axis=0)
+    way = trapezoid([v.velocity for v in trail], times, axis=0)
     np.testing.assert_allclose(trail[-1].position - trail[0].position, way, rtol=1e-4)
 
 
