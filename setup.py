@@ -66,6 +66,7 @@ setup(
         'bench': ['casadi', 'gurobipy', 'pyscipopt', 'qoco'],
         'fast': ['numba>=0.59'],
         'mutation': ['mutmut>=3.8,<4'],
+        'physics': ['jsbsim>=1.2'],
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         # Newer Arrows want NumPy 2, which not every ROS workspace has.
         'study': ['casadi', 'distributed>=2024.1', 'pyarrow>=14,<25'],
@@ -76,6 +77,7 @@ setup(
             'colcon-ros',
             'colcon-test-result',
             'hypothesis',
+            'jsbsim>=1.2',
             'mypy',
             'pytest',
             'pytest-xdist',

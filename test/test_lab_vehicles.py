@@ -12,7 +12,7 @@ from orbimpc_ros.mpc.errors import BadInput
 
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
 
-from orbimpc_ros.lab.study.vehicles import results, tuning
+from orbimpc_ros.lab.study.vehicles import flights, results, tuning
 from orbimpc_ros.lab.study.vehicles.pilots import ORBITOPE, PILOTS, RIVALS, class_of, pilot
 from orbimpc_ros.lab.study.vehicles.pilots.guidance import crabbed
 from orbimpc_ros.lab.study.vehicles.pilots.rival import Sight
@@ -230,3 +230,26 @@ def test_samples_can_be_drawn_where_the_speed_is_constant():
     fraction, rate = rival.steered(sight([3.0, 4.0], steps=5))
     assert fraction == pytest.approx(1.0)
     assert math.isfinite(rate)
+
+
+def test_an_engine_is_studied_beside_its_own_guidance(tmp_path, capsys):
+    pytest.importorskip('jsbsim')
+    near = 'rope.center=[300.0, 20.0, 0.0]'
+    words = ['study', '--engine', 'cessna', '--controllers', 'lead,waypoint', '--runs', '1']
+    words += ['--set', near, '--seed', '700', '--workers', '1', '-o', str(tmp_path / 'study')]
+    assert cli.main(words) == 0
+    text = (tmp_path / 'study' / 'report.md').read_text()
+    assert 'least airspeed' in text
+    assert '- `waypoint` missed' in text
+    rows = [json.loads(line) for line in (tmp_path / 'study' / 'flights.jsonl').open()][1:]
+    assert [row['pilot'] for row in rows] == ['lead', 'waypoint']
+    for row in rows:
+        assert row['apart'] >= row['closest'] - 1e-9
+        assert row['airspeed'] > 1.1 * 27.6
+        assert 0.0 < row['bank'] < 0.6
+        assert 5.0 < row['closing'] < 40.0
+
+
+def test_only_an_engine_has_guidance_of_its_own():
+    with pytest.raises(BadInput, match='--controllers is waypoint'):
+        flights.row(scenario_named('fixed_wing'), 'waypoint', 0, 0, {})

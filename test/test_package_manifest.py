@@ -92,7 +92,7 @@ def test_the_interface_is_there_and_costs_nothing_until_it_is_used():
 def optional():
     """Return the modules of commands that ask for an extra when they are used."""
     extras = setup_keyword('extras_require')
-    wanted = [r for name in ('bench', 'study', 'view') for r in extras.get(name, [])]
+    wanted = [r for name in ('bench', 'physics', 'study', 'view') for r in extras.get(name, [])]
     brought = {re.split(r'[<>=\[]', r)[0] for r in wanted}
     return brought | {module for name in brought for module in MODULES.get(name, ())}
 

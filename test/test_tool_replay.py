@@ -30,7 +30,7 @@ from orbimpc_ros.tool.replay.resolving import replayed
 
 FLIGHTS = (
     *('retrieval', 'dubins', 'spacecraft', 'obstacles', 'multirotor'),
-    *('disturbed', 'faulty', 'fixed_wing', 'lander'),
+    *('disturbed', 'faulty', 'fixed_wing', 'lander', 'cessna'),
 )
 RETRIEVAL = GOLDEN / 'retrieval'
 
@@ -70,7 +70,7 @@ def without(*topics):
 def quickly(name):
     """A flight of that name, marked where plain Python would search for minutes."""
     reason = 'searched for minutes in plain Python: pip install numba'
-    slow = name == 'fixed_wing' and not COMPILED
+    slow = name in ('fixed_wing', 'cessna') and not COMPILED
     return pytest.param(name, marks=pytest.mark.skipif(slow, reason=reason))
 
 
@@ -97,6 +97,8 @@ def test_golden_bags_hold_what_they_are_for():
     assert all(a.force is not None for a in answers['spacecraft'])
     assert [a.status for a in answers['fixed_wing']].count('optimal') >= 10  # not past the horizon
     assert any(each.topic == 'goal_path' for each in recording_of(GOLDEN / 'fixed_wing').inputs)
+    assert not any(each.topic == 'goal_path' for each in recording_of(GOLDEN / 'cessna').inputs)
+    assert min(a.speed for a in answers['cessna']) >= 40.0 - 1e-6
     assert all(a.status == 'optimal' and a.gap < 1e-6 for a in answers['lander'])
     assert sum(a.status == 'optimal' and a.force > 0.0 for a in answers['multirotor']) > 25
     assert max(f.stat().st_size for f in GOLDEN.rglob('*.mcap')) < 100_000

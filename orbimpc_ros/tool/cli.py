@@ -13,6 +13,7 @@ from typing import NamedTuple, NoReturn
 
 from orbimpc_ros import __version__
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError
+from orbimpc_ros.physics.engine import EngineFailure
 from orbimpc_ros.ros.entry import in_a_line
 from orbimpc_ros.tool.io.files import why
 
@@ -85,6 +86,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         _complain(line)
         return BAD_INPUT
+    except EngineFailure as error:
+        _complain(f'the engine has failed: {error}')
+        return FAILED
     except KeyboardInterrupt:
         _complain('interrupted')
         return INTERRUPTED

@@ -20,9 +20,8 @@ from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.loop.observation import Sighting
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.world.flight import Flight
-from orbimpc_ros.world.plant import Plant
 from orbimpc_ros.world.scenario import MAX_TICKS
-from orbimpc_ros.world.vehicle import Vehicle, between, measured
+from orbimpc_ros.world.vehicle import Continuous, Vehicle, between, measured
 
 ODOMETRY, GOAL, COMMAND = range(3)  # rows of a tick's chances
 CHANCES = ('dropout', 'reorder', 'duplicate', 'nan')  # columns
@@ -194,7 +193,7 @@ class View:
 
 def _way(flight: Flight) -> tuple[Vehicle, ...]:
     """Return the vehicle on its way through the last step, as finely as its model moves it."""
-    if isinstance(flight.scenario.model, Plant) and flight.trail:
+    if isinstance(flight.scenario.model, Continuous) and flight.trail:
         return flight.trail
     return (flight.vehicle,)
 

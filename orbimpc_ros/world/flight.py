@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
@@ -55,6 +56,17 @@ class Flight:
     def goal(self) -> Array:
         """Return where the goal is now, shape (n,) [m]."""
         return self.scenario.rope.at(self.elapsed)
+
+    @property
+    def _place(self) -> Array:
+        """Return where the vehicle is, and how far past the rope's ends, shape (n + 1,) [m]."""
+        height = self.vehicle.height
+        past = max(0.0, abs(height) - 0.5 * self.scenario.rope_length)
+        return np.append(self.vehicle.position, math.copysign(past, height))
+
+    @property
+    def _place_of_goal(self) -> Array:
+        return np.append(self.goal, 0.0)
 
     @property
     def distance(self) -> float:
@@ -129,15 +141,16 @@ class Flight:
     def _flown(self, span: float, fraction: float, body_rate: Array) -> Flight:
         """Return the flight after a time [s] under one command, its goal swinging on."""
         trail = self.scenario.model.flown(self.vehicle, span, fraction, body_rate, self.elapsed)
-        piece, miss, missed_at, headed = span / len(trail), np.inf, np.nan, False
+        miss, missed_at, headed = np.inf, np.nan, False
         before = self
         for vehicle in trail:
             now = replace(before, vehicle=vehicle)
             near, share = closest_approach(
-                (before.vehicle.position, vehicle.position), (before.goal, now.goal)
+                (before._place, now._place), (before._place_of_goal, now._place_of_goal)
             )
             if near < miss:
-                miss, missed_at = near, before.vehicle.time + share * piece
+                begun = before.vehicle.time
+                miss, missed_at = near, begun + share * (vehicle.time - begun)
                 ends = before.vehicle.attitude[:, 0], vehicle.attitude[:, 0]
                 headed = is_headed(self.scenario.approach, ends, share)
             before = replace(now, touched=now.touched | before._touched(now))

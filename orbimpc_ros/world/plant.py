@@ -13,7 +13,7 @@ from orbimpc_ros.mpc.arrays import Array, within
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, nearest
 from orbimpc_ros.world.gusts import Gusts
-from orbimpc_ros.world.vehicle import Model, Vehicle
+from orbimpc_ros.world.vehicle import Continuous, Vehicle
 
 SUBSTEP = 0.02  # [s] longest piece of the integration
 CALM = Gusts()
@@ -29,7 +29,7 @@ PLANT_RANGES: dict[str, tuple[float, float]] = {  # by attribute
 
 
 @dataclass(frozen=True)
-class Plant(Model):
+class Plant(Continuous):
     """A vehicle in continuous time, pushed along its x axis.
 
     Both orders of translation take their commands at once and follow them with a first-order lag,
@@ -44,7 +44,6 @@ class Plant(Model):
         gain: speed or thrust that it reaches, a share of what is commanded.
         drag: deceleration by its own velocity (order 2) [1/s].
         gusts: on top of the steady wind (order 1) or acceleration (2).
-        stall_speed: airspeed below which it is counted as stalled [m/s]; it flies on.
     """
 
     speed_lag: float = 0.0
@@ -54,7 +53,6 @@ class Plant(Model):
     gain: float = 1.0
     drag: float = 0.0
     gusts: Gusts = CALM
-    stall_speed: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -91,10 +89,6 @@ class Plant(Model):
             vehicle = self._moved(vehicle, piece, *wanted, elapsed + k * piece)
             trail.append(vehicle)
         return tuple(trail)
-
-    def released(self, vehicle: Vehicle) -> Vehicle:
-        """Return the vehicle once no command is in force: nothing changes at once."""
-        return vehicle
 
     def _wind(self, elapsed: float) -> Array:
         """Return the wind [m/s] or acceleration [m/s^2], shape (n,), at a time since the start."""

@@ -24,6 +24,7 @@ LIMITS: dict[str, tuple[float, float]] = {  # of a scenario, by attribute
     'max_ticks': (1, MAX_TICKS),
     'arrival_radius': (ABOVE_ZERO, 1e6),
     'arrival_speed': (0.0, 1e6),
+    'rope_length': (0.0, 1e6),
 }
 
 
@@ -45,6 +46,8 @@ class Scenario:
         traffic: balls that move, each evenly from the start on; who touches one has not either.
         approach: who is headed elsewhere at a capture has not done it either; its direction is
             given where there is a cone.
+        rope_length: the rope hangs so far [m], half of it above the plane of flight, for vehicles
+            that may leave it.
     """
 
     model: Model
@@ -58,6 +61,7 @@ class Scenario:
     obstacles: tuple[Box, ...] = ()
     traffic: tuple[Hazard, ...] = ()
     approach: Approach = field(default_factory=Approach)
+    rope_length: float = 0.0
 
     def __post_init__(self) -> None:
         n = self.model.dimension

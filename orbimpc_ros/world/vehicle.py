@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -111,6 +112,21 @@ class Model:
         return failsafe(self, vehicle)
 
 
+@dataclass(frozen=True)
+class Continuous(Model):
+    """A vehicle in continuous time, which takes commands at once and follows them as it can.
+
+    Attributes:
+        stall_speed: airspeed below which it is counted as stalled [m/s]; it flies on.
+    """
+
+    stall_speed: float = 0.0
+
+    def released(self, vehicle: Vehicle) -> Vehicle:
+        """Return the vehicle once no command is in force: nothing changes at once."""
+        return vehicle
+
+
 def model_of(problem: Problem, mass: float = 1.0) -> Model:
     """Return the vehicle that a planning problem believes in."""
     return Model(
@@ -136,6 +152,7 @@ class Vehicle:
         body_rate: omega, in the body frame, shape (1,) or (3,) [rad/s].
         fraction: sigma, share of full speed or thrust now applied, in [0, 1].
         wind: velocity of the air around it, shape (n,) [m/s]; still air if empty.
+        height: how far it is above the plane that it is to fly in [m]; 0 in space.
     """
 
     time: float
@@ -145,6 +162,7 @@ class Vehicle:
     body_rate: Array
     fraction: float
     wind: Array = field(default_factory=lambda: np.zeros(0))
+    height: float = 0.0
 
     def __post_init__(self) -> None:
         n = len(np.atleast_1d(self.position))
@@ -167,6 +185,11 @@ class Vehicle:
     def airspeed(self) -> float:
         """Return how fast it moves through the air [m/s]."""
         return float(np.linalg.norm(self.velocity - self.wind))
+
+    @property
+    def facts(self) -> Mapping[str, float]:
+        """Return what else is known of it, by name."""
+        return {}
 
 
 def launched(

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Collection
 from dataclasses import fields
 
 import numpy as np
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters.parameter import Row, Value, Values, span
+from orbimpc_ros.world.engines import ENGINES, Aircraft
 from orbimpc_ros.world.gusts import GUST_RANGES, Gusts
 from orbimpc_ros.world.plant import PLANT_RANGES, Plant
 from orbimpc_ros.world.vehicle import Model
 
-VEHICLES = ('discrete', 'continuous')
+VEHICLES = ('discrete', 'continuous', *ENGINES)
+OF_AIRCRAFT = ('gust', 'stall_speed', 'odom_rate')  # what of a plant an aircraft has, too
 IDEAL = Plant()  # its numbers are the defaults
 FASTEST = 1e3  # [Hz]
 
@@ -34,7 +37,7 @@ LIMITS = (  # of the planner, too: with a discrete vehicle they are the planner'
         'The speed changes no faster (translation order 1); 0 for no limit', 'm/s^2'),
 )  # fmt: skip
 
-CONTINUOUS = (  # has no meaning with a discrete vehicle, and is refused there
+CONTINUOUS = (  # where one has no meaning it is refused
     _row('response.speed', 'speed_lag', 'Lag of speed or thrust, first order', 's'),
     _row('response.rate', 'rate_lag', 'Lag of the body rate, first order', 's'),
     _gust_row('gust', 'deviation', 'Standard deviation of gusts along each axis, on top of wind',
@@ -50,14 +53,15 @@ CONTINUOUS = (  # has no meaning with a discrete vehicle, and is refused there
 
 PLANT = (
     Row('vehicle', VEHICLES[0], 'Whether the vehicle moves in the steps that the planner '
-        'believes in, or in continuous time, with lags and limits, in wind', choices=VEHICLES),
+        'believes in, or in continuous time, with lags and limits, in wind, or in an engine: '
+        'cessna is that of JSBSim', choices=VEHICLES),
     *LIMITS,
     *CONTINUOUS,
 )  # fmt: skip
 
 
 def moved_by(values: Values, model: Model) -> Model:
-    """Return how the simulated vehicle moves: the discrete model as it is, or a plant.
+    """Return how the simulated vehicle moves: the discrete model, a plant, or an engine.
 
     Args:
         values: a full set of the simulator's parameters.
@@ -66,12 +70,17 @@ def moved_by(values: Values, model: Model) -> Model:
     Raises:
         BadInput: a value, or a combination, is not allowed.
     """
-    if values['vehicle'] == 'discrete':
-        _refuse_unused(values)
+    kind = values['vehicle']
+    kept = {'discrete': (), 'continuous': [row.name for row in CONTINUOUS]}.get(kind, OF_AIRCRAFT)
+    _refuse_unused(values, kept)
+    if kind == 'discrete':
         return model
     common = {each.name: getattr(model, each.name) for each in fields(Model)}
     if values['odom_rate']:
         common['step'] = 1.0 / values['odom_rate']
+    common['stall_speed'] = values['stall_speed']
+    if kind in ENGINES:
+        return Aircraft(**common, engine=kind, turbulence=values['gust'], seed=values['seed'])
     return Plant(
         **common,
         speed_lag=values['response.speed'],
@@ -81,15 +90,14 @@ def moved_by(values: Values, model: Model) -> Model:
         gain=values['gain'],
         drag=values['drag'],
         gusts=Gusts(values['gust'], values['gust_time'], values['seed']),
-        stall_speed=values['stall_speed'],
     )
 
 
-def _refuse_unused(values: Values) -> None:
-    """Refuse what a discrete vehicle does not have: it would have no effect."""
+def _refuse_unused(values: Values, kept: Collection[str]) -> None:
+    """Refuse what a vehicle does not have, beside what is kept: it would have no effect."""
     for row in CONTINUOUS:
-        if not np.array_equal(values[row.name], row.default):
-            allowed = f'{_shown(row.default)} with vehicle: discrete'
+        if row.name not in kept and not np.array_equal(values[row.name], row.default):
+            allowed = f'{_shown(row.default)} with vehicle: {values["vehicle"]}'
             raise BadInput(row.name, _shown(values[row.name]), allowed)
 
 

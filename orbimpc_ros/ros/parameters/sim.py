@@ -56,6 +56,8 @@ ROPE = (
         'rad', -100.0, 100.0),
     Row('rope.velocity', _triple(FLOWN.rope.velocity), 'Drift of the middle: x, y, z',
         'm/s', -1e3, 1e3),
+    Row('rope.length', 0.0, 'It hangs so far, half of it above the plane of flight, for '
+        'aircraft, which leave that', 'm', *LIMITS['rope_length']),
 )  # fmt: skip
 
 ENDING = (
@@ -256,6 +258,7 @@ def _scenario(values: Values) -> Scenario:
         obstacles=boxes_of(values),
         traffic=_traffic(values),
         approach=_approach(values),
+        rope_length=values['rope.length'],
     )
 
 

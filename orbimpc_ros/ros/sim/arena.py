@@ -17,6 +17,7 @@ from std_msgs.msg import Bool
 from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.physics.engine import EngineFailure
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.markers import traffic_markers, world_markers
 from orbimpc_ros.ros.messages import SECOND, Stamp
@@ -28,7 +29,7 @@ from orbimpc_ros.ros.sim.readers import Readers
 from orbimpc_ros.world.airspeed import Airspeeds
 from orbimpc_ros.world.faults import Delivery, View
 from orbimpc_ros.world.flight import Flight, departure
-from orbimpc_ros.world.plant import Plant
+from orbimpc_ros.world.vehicle import Continuous
 
 try:
     from tf2_ros import TransformBroadcaster
@@ -84,7 +85,7 @@ class Arena:
             self._goal_path = create(Path, 'goal_path', qos(DEPTH))
         if self.settings.lockstep:
             self._time = create(Clock, '/clock', qos(DEPTH))
-        if isinstance(self.settings.scenario.model, Plant):
+        if isinstance(self.settings.scenario.model, Continuous):
             self._truth = create(DiagnosticArray, 'truth', qos(DEPTH))
         if TransformBroadcaster is not None:
             self._transforms = TransformBroadcaster(self.node)
@@ -149,11 +150,18 @@ class Arena:
         return messages.goal_path_message(stamp, step, [rope.at(time) for time in times])
 
     def fly(self, order: Order | None, held: float) -> None:
-        """Fly a step on an order that is in force for ``held`` [s] of it; on none, stand."""
-        if order is None:
-            self.flight = self.flight.after(0.0, np.zeros(self.settings.scenario.model.rates), 0.0)
-        else:
-            self.flight = self.flight.after(order.fraction, order.body_rate, held)
+        """Fly a step on an order that is in force for ``held`` [s] of it; on none, stand.
+
+        An engine that fails ends the flight, and this node.
+        """
+        still = 0.0, np.zeros(self.settings.scenario.model.rates), 0.0
+        command = still if order is None else (order.fraction, order.body_rate, held)
+        try:
+            self.flight = self.flight.after(*command)
+        except EngineFailure as error:
+            self.finished, self.node.exit_code = True, FAILED
+            self.node.get_logger().fatal(f'the engine has failed: {error}')
+            return
         if self.airspeeds is not None:
             self.airspeeds = self.airspeeds.seeing(self.flight.trail)
 
@@ -188,9 +196,9 @@ class Arena:
 
 def _airspeeds_of(flight: Flight) -> Airspeeds | None:
     model = flight.scenario.model
-    return (
-        Airspeeds(model.stall_speed).seeing([flight.vehicle]) if isinstance(model, Plant) else None
-    )
+    if not isinstance(model, Continuous):
+        return None
+    return Airspeeds(model.stall_speed).seeing([flight.vehicle])
 
 
 def truth_message(at: int, name: str, flight: Flight, airspeeds: Airspeeds) -> DiagnosticArray:
@@ -213,6 +221,7 @@ def truth_message(at: int, name: str, flight: Flight, airspeeds: Airspeeds) -> D
         'body_rate': vehicle.body_rate.tolist(),
         'speed_fraction': vehicle.fraction,
         'touched': sorted(flight.touched),
+        **vehicle.facts,
     }
     if airspeeds.stalled:
         slow = f'stalled: {now:.3g} m/s, below {airspeeds.stall_speed:g} m/s'

@@ -178,7 +178,7 @@ class LockStep:
         held = self._heard + self._arena.settings.command_timeout - self._arena.flight.vehicle.time
         self._arena.fly(self._order, held)
         self._asking, self._awaited = False, None
-        if not self._paced:
+        if not self._paced and not self._arena.finished:
             self._ask()
 
 
@@ -263,6 +263,8 @@ class RealTime:
             return
         if self._order is not None:
             self._arena.fly(self._order, self._until - self._begun)
+        if self._arena.finished:
+            return
         self._begun = self._arena.node.steady_now()
         self._arena.show(self.now, self._arena.view.of(self._arena.flight))
         if self._arena.flight.over:

@@ -20,6 +20,7 @@ SCENARIOS = (
     'dubins',
     'spacecraft',
     'fixed_wing',
+    'cessna',
     'multirotor',
     'lander',
     'fleet',
@@ -66,6 +67,8 @@ def _run_alone(args: argparse.Namespace) -> int:
     from orbimpc_ros.tool.run.flying import fly
 
     flights = _flights(args.scenario, args.set)
+    for values in flights.values():
+        _require_engine(values['vehicle'])
     folder = new_folder(args.out, args.scenario)
     places = {name: folder / name if name else folder for name in flights}
     with writing_to(folder):
@@ -73,6 +76,14 @@ def _run_alone(args: argparse.Namespace) -> int:
             places[name].mkdir(exist_ok=True)
             fly(values, places[name])
         return report(folder, places)
+
+
+def _require_engine(vehicle: str) -> None:
+    """Refuse a vehicle whose engine is not installed, before anything is started."""
+    from orbimpc_ros.world.engines import ENGINES, class_of
+
+    if vehicle in ENGINES:
+        class_of(vehicle)
 
 
 def _flights(scenario: str, changes: list[str]) -> dict[str, Values]:

@@ -29,7 +29,7 @@ def swing(history: History) -> Array:
     Where it was sighted elsewhere than the parameters say, these are the sightings: a bag may have
     been recorded by others, without parameters.
     """
-    rope = sim_settings(history.values).scenario.rope
+    rope = sim_settings(settings.of_sim(history.values)).scenario.rope
     elapsed = history.times - history.times[0]
     fine = np.linspace(0.0, elapsed[-1], 500)
     known = [np.pad([rope.at(t) for t in at], _to_space(rope.center)) for at in (elapsed, fine)]

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from orbimpc_ros.lab.study.vehicles.picture import draw
-from orbimpc_ros.lab.study.vehicles.pilots import ORBITOPE, PILOTS
+from orbimpc_ros.lab.study.vehicles.pilots import ORBITOPE, PILOTS, WAYPOINT
 from orbimpc_ros.lab.study.vehicles.report import report, scores_of
 from orbimpc_ros.lab.study.vehicles.results import Job, completed
 from orbimpc_ros.lab.study.vehicles.scenario import scenario_named
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace, runs: int, folder: Path) -> int:
 def _pilots(given: str | None) -> list[str]:
     names = given.split(',') if given else list(PILOTS)
     for name in names:
-        if name not in PILOTS or names.count(name) > 1:
-            allowed = f'each of {",".join(PILOTS)} at most once'
+        if name not in (*PILOTS, WAYPOINT) or names.count(name) > 1:
+            allowed = f'each of {",".join((*PILOTS, WAYPOINT))} at most once'
             raise BadInput('--controllers', given, allowed)
     return names

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from orbimpc_ros.lab.onboard import Planner, tell
-from orbimpc_ros.lab.study.vehicles.pilots import pilot
+from orbimpc_ros.lab.study.vehicles.pilots import WAYPOINT, pilot
 from orbimpc_ros.lab.study.vehicles.scenario import Mission
+from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.ros.parameters import sim_settings
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.world.airspeed import Airspeeds
-from orbimpc_ros.world.flight import departure
-from orbimpc_ros.world.plant import Plant
+from orbimpc_ros.world.engines import Flown
+from orbimpc_ros.world.flight import Flight, departure
+from orbimpc_ros.world.vehicle import Continuous, Vehicle
 
 Row = dict[str, Any]
+MOMENT = 0.05  # [s] to either side, for the velocity of a goal
 
 
 def row(scenario: Mission, name: str, seed: int, index: int, tuned: Mapping[str, float]) -> Row:
@@ -36,18 +41,17 @@ def row(scenario: Mission, name: str, seed: int, index: int, tuned: Mapping[str,
         ``caught``, ``time`` [s] (None without a catch), ``closest`` [m], ``touched`` (whether it
         ended at an obstacle), ``ticks``, ``proved`` (ticks proved optimal), ``unplanned`` (ticks
         by a fallback), ``stalls``, and the processor time of the ticks, ``p50_ms`` and
-        ``longest_ms``.
+        ``longest_ms``; of an aircraft in an engine what :func:`seen` returns, too.
     """
     values = scenario.values | scenario.drawn(seed, index)
     simulated = sim_settings(settings.of_sim(values))
     made = partial(pilot, name, tuned=tuned)
-    planner = Planner(
-        values, pilot=made, clock=time.thread_time
-    )  # others may keep the machine busy
+    # Others may keep the machine busy: what ticks take is counted in processor time.
+    planner = Planner(values, pilot=made, clock=time.thread_time)
     flight = departure(simulated.scenario, simulated.begin)
     model = flight.scenario.model
-    airspeeds = Airspeeds(model.stall_speed if isinstance(model, Plant) else 0.0)
-    closest, proved, unplanned, spent = np.inf, 0, 0, []
+    airspeeds = Airspeeds(model.stall_speed if isinstance(model, Continuous) else 0.0)
+    closest, proved, unplanned, spent, facts = np.inf, 0, 0, [], Facts()
     while not (flight.over or flight.touched):
         tell(planner, flight, simulated.goal_path_steps, scenario.margin)
         begun = time.thread_time()
@@ -56,8 +60,11 @@ def row(scenario: Mission, name: str, seed: int, index: int, tuned: Mapping[str,
         tick = report.tick
         proved += tick.status is Status.OPTIMAL
         unplanned += tick.fallback is not Fallback.NONE
+        if name == WAYPOINT:
+            _aim(flight)
         flight = flight.after(tick.command.speed_fraction, tick.command.body_rate)
         airspeeds = airspeeds.seeing(flight.trail)
+        facts = facts.seeing(flight, closest)
         closest = min(closest, flight.miss)
     caught = flight.captured
     return {
@@ -74,4 +81,54 @@ def row(scenario: Mission, name: str, seed: int, index: int, tuned: Mapping[str,
         'stalls': airspeeds.stalls,
         'p50_ms': float(np.median(spent)),
         'longest_ms': max(spent),
+        **(asdict(facts) | {'airspeed': airspeeds.least} if facts.bank else {}),
     }
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What an engine knows of a flight.
+
+    Attributes:
+        bank: the largest so far, either way [rad].
+        height: above the middle of the line, at the closest approach [m].
+        apart: distance to that middle then [m].
+        closing: speed relative to the goal then [m/s].
+        headed: whether the aircraft was within the cone of approach then.
+    """
+
+    bank: float = 0.0
+    height: float = 0.0
+    apart: float = math.inf
+    closing: float = 0.0
+    headed: bool = False
+
+    def seeing(self, flight: Flight, closest: float) -> Facts:
+        """Return what is known after a step more; ``closest`` is the least miss before it [m]."""
+        banks = [abs(each.facts.get('bank', 0.0)) for each in flight.trail]
+        known = replace(self, bank=max(self.bank, *banks))
+        if flight.miss >= closest:
+            return known
+        there = min(flight.trail, key=lambda each: abs(each.time - flight.missed_at))
+        return replace(
+            known,
+            height=there.height,
+            apart=math.hypot(flight.miss, there.height),
+            closing=_closing(flight, there),
+            headed=flight.headed,
+        )
+
+
+def _closing(flight: Flight, vehicle: Vehicle) -> float:
+    """Return how fast a vehicle moves past the goal [m/s]."""
+    rope, now = flight.scenario.rope, vehicle.time - flight.scenario.start.time
+    moved = (rope.at(now + MOMENT) - rope.at(now - MOMENT)) / (2.0 * MOMENT)
+    return float(np.linalg.norm(vehicle.velocity - moved))
+
+
+def _aim(flight: Flight) -> None:
+    """Have the engine's own guidance fly to where the goal is now."""
+    vehicle = flight.vehicle
+    if not isinstance(vehicle, Flown) or vehicle.engine is None:
+        raise BadInput('--controllers', WAYPOINT, 'a scenario that flies in an engine')
+    vehicle.engine.steer_to(flight.goal)

@@ -21,6 +21,7 @@ LOOKS = {
     'sampling': (RED, '-.'),
     'linearised': (ORANGE, '--'),
     'nonlinear': (SKY, ':'),
+    'waypoint': (GREY, ':'),
 }
 
 

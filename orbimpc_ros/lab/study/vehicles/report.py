@@ -63,7 +63,10 @@ def report(scenario: Mission, rows: Rows) -> str:
     lines = [f'# {scenario.name}: {scenario.about}', '', f'{count} flights by each pilot.', '']
     if ORBITOPE in scores:
         lines += [*_losses(scores), '', _lead(scores), '']
-    return '\n'.join([*lines, *_table(scores, rows), '', *_pairs(scores)]) + '\n'
+    lines += [*_table(scores, rows), '', *_pairs(scores)]
+    if all('bank' in each for found in rows.values() for each in found):
+        lines += ['', *_distributions(rows), '', *_failures(rows)]
+    return '\n'.join(lines) + '\n'
 
 
 def _losses(scores: Mapping[str, Standing]) -> Iterator[str]:
@@ -144,3 +147,38 @@ def _pairs(scores: Mapping[str, Standing]) -> Iterator[str]:
             f'{sign_test(apart):.1g} | {apart.mean():+.2f} | {low:+.2f} to {high:+.2f} | '
             f'{halves[0]:.3f} to {halves[1]:.3f} | {means[0]:.3f} to {means[1]:.3f} |'
         )
+
+
+# Of a flight in an engine, by heading of a column: what, and by how much it is multiplied.
+MEASURES = {
+    'miss [m]': ('closest', 1.0),
+    'height above the middle [m]': ('height', 1.0),
+    'distance to the middle [m]': ('apart', 1.0),
+    'speed past the goal [m/s]': ('closing', 1.0),
+    'least airspeed [m/s]': ('airspeed', 1.0),
+    'largest bank [deg]': ('bank', 180.0 / math.pi),
+}
+
+
+def _distributions(rows: Rows) -> Iterator[str]:
+    """Give the range, the median and the 5 and 95 % quantiles of what an engine knows."""
+    yield f'| least, 5 %, half, 95 %, most | {" | ".join(f"`{name}`" for name in rows)} |'
+    yield '|' + ' --- |' * (1 + len(rows))
+    for title, (field, scale) in MEASURES.items():
+        words = []
+        for found in rows.values():
+            values = scale * np.array([each[field] for each in found])
+            levels = np.quantile(values, [0.0, 0.05, 0.5, 0.95, 1.0])
+            words.append(', '.join(f'{level:.1f}' for level in levels))
+        yield f'| {title} | {" | ".join(words)} |'
+
+
+def _failures(rows: Rows) -> Iterator[str]:
+    """Name every flight without a catch: its number, and how close it came."""
+    for name, found in rows.items():
+        missed = [each for each in found if not each['caught']]
+        words = [
+            f'{each["index"]} ({each["closest"]:.1f} m{"" if each["headed"] else ", headed away"})'
+            for each in missed
+        ]
+        yield f'- `{name}` missed {len(missed)}: {", ".join(words) or "none"}.'

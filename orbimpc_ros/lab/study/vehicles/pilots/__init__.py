@@ -10,6 +10,7 @@ from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.ticker import prepared
 
 ORBITOPE = 'orbitope'
+WAYPOINT = 'waypoint'  # an engine's own guidance
 RIVALS = {
     'pursuit': ('guidance', 'PurePursuit'),
     'lead': ('guidance', 'Lead'),
@@ -18,13 +19,14 @@ RIVALS = {
     'linearised': ('programs', 'LinearisedPilot'),
     'nonlinear': ('programs', 'NonlinearPilot'),
 }
+GUIDED = {WAYPOINT: ('guidance', 'Waypoint')}  # takes an engine
 PILOTS = (ORBITOPE, *RIVALS)
 _made: dict[str, Controller] = {}  # the last one, by its settings
 
 
 def class_of(name: str) -> type:
-    """Return the class of a rival, by its name in :data:`RIVALS`."""
-    module, kind = RIVALS[name]
+    """Return the class of a rival, by its name in :data:`RIVALS` or :data:`GUIDED`."""
+    module, kind = (RIVALS | GUIDED)[name]
     found: type = getattr(import_module(f'{__name__}.{module}'), kind)
     return found
 
@@ -33,7 +35,7 @@ def pilot(name: str, settings: PlannerSettings, tuned: Mapping[str, float]) -> C
     """Return a pilot, by its name in :data:`PILOTS`.
 
     Args:
-        name: of the pilot.
+        name: of the pilot, or of one in :data:`GUIDED`.
         settings: of the planner in whose place it flies.
         tuned: what is set of a rival's :attr:`Rival.SPACE`.
     """

@@ -97,6 +97,14 @@ class Lead(_Guided):
         return float(angle[first]), min(fraction, float(needed)) if met.any() else fraction
 
 
+class Waypoint(Rival):
+    """Leaves turns to the guidance of an engine, which flies to where the goal is; full speed."""
+
+    def steered(self, sight: Sight) -> tuple[float, float]:
+        """Return full speed, and no turn."""
+        return 1.0, 0.0
+
+
 class Proportional(_Guided):
     """Proportional navigation: turns in proportion to how the line of sight turns.
 

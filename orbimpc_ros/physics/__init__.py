@@ -1,0 +1,6 @@
+"""Physics that nobody here wrote: engines that fly a vehicle on the commands that a real one takes.
+
+An engine is a library of its own, such as JSBSim, with a vehicle and an inner loop that it has
+published. What is here sets it up, tells it what is commanded, and reads what became of it. Nothing
+here knows of a planner: nothing of the rest of the package is imported.
+"""

@@ -1,0 +1,96 @@
+"""What engines have in common: how they are asked, what they answer, and how they fail."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.floating]
+
+
+class EngineFailure(Exception):
+    """An engine did what no vehicle can: it stopped, went back in time, or lost its numbers."""
+
+
+class Motion(NamedTuple):
+    """A vehicle in an engine at one moment; axes are ENU, and x forward, y left, z up in the body.
+
+    Attributes:
+        time: since the engine was made [s].
+        position: shape (3,) [m].
+        velocity: over ground, shape (3,) [m/s].
+        attitude: body to world, shape (3, 3).
+        body_rate: shape (3,) [rad/s].
+        air: velocity of the air around it, shape (3,) [m/s].
+        facts: what else an engine knows of its vehicle, by name.
+    """
+
+    time: float
+    position: Array
+    velocity: Array
+    attitude: Array
+    body_rate: Array
+    air: Array
+    facts: Mapping[str, float]
+
+    @property
+    def airspeed(self) -> float:
+        """Return how fast it moves through the air [m/s]."""
+        return float(np.linalg.norm(self.velocity - self.air))
+
+    @property
+    def finite(self) -> bool:
+        """Return whether all its numbers are."""
+        numbers = np.concatenate([np.ravel(part) for part in self[:-1]])
+        return bool(np.isfinite(numbers).all()) and all(map(math.isfinite, self.facts.values()))
+
+
+class Engine(Protocol):
+    """A vehicle in an engine.
+
+    Attributes:
+        name: of the library.
+        tick: the step of its integration, to which it rounds times [s].
+    """
+
+    name: str
+    tick: float
+
+    def motion(self) -> Motion:
+        """Return how the vehicle moves now."""
+
+    def run(self, span: float, speed: float, turn: float) -> list[Motion]:
+        """Fly for a time and return the motions on the way, the last one at its end.
+
+        Args:
+            span: how long [s].
+            speed: commanded, forward [m/s].
+            turn: commanded, to the left [rad/s].
+        """
+
+    def steer_to(self, point: Array) -> None:
+        """Have the vehicle's own guidance fly to a waypoint, shape (2,) [m], from now on."""
+
+
+def checked(engine: Engine, before: float, motions: list[Motion], span: float) -> list[Motion]:
+    """Return motions that follow on a time ``before`` [s] and last a span [s].
+
+    Raises:
+        EngineFailure: they do not, or have numbers that are none.
+    """
+    time = before
+    for motion in motions:
+        if not motion.finite:
+            raise EngineFailure(f'{engine.name}: numbers that are none, after t = {time:.3f} s')
+        if motion.time <= time:
+            raise EngineFailure(f'{engine.name}: went from t = {time:.3f} s to {motion.time:.3f} s')
+        time = motion.time
+    if not math.isclose(time, before + span, abs_tol=engine.tick):
+        raise EngineFailure(
+            f'{engine.name}: its clock is at {time:.3f} s, and not at {before + span:.3f} s'
+        )
+    return motions

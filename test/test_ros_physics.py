@@ -1,0 +1,88 @@
+"""A vehicle in an engine: its parameters, a flight over DDS, an engine that dies."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+from bags import messages_of
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros.parameters import SIM, sim_settings
+from orbimpc_ros.tool import cli
+from orbimpc_ros.tool.io import settings
+from orbimpc_ros.tool.io.content import fields
+from orbimpc_ros.tool.io.share import config
+from orbimpc_ros.world.engines import Aircraft
+
+DEFAULTS = {row.name: row.default for row in SIM}
+DYING = Path(__file__).with_name('dying_engine.py')
+
+
+def test_parameters_make_the_aircraft_that_they_say():
+    values = settings.resolve(config('cessna.yaml'))
+    told = sim_settings(settings.of_sim(values))
+    model = told.scenario.model
+    assert isinstance(model, Aircraft)
+    assert (model.engine, model.step, model.forward, model.turbulence) == ('cessna', 0.5, 50.0, 0.7)
+    assert model.stall_speed == 27.6
+    assert told.scenario.rope_length == 40.0
+    assert told.goal_path_steps == 0  # nobody is told of the future
+    assert values['wind'] == (0.0, 0.0, 0.0)  # nor of the wind
+    assert values['floor.fraction'] * model.forward >= 1.1 * model.stall_speed
+
+
+@pytest.mark.parametrize('name', ['response.rate', 'drag', 'gain', 'gust_time'])
+def test_what_an_engine_has_of_its_own_is_refused(name):
+    with pytest.raises(BadInput, match=f'{name} is 0.7; allowed: .* with vehicle: cessna'):
+        sim_settings(DEFAULTS | {'vehicle': 'cessna', name: 0.7})
+
+
+def test_a_demo_without_its_engine_says_how_to_get_it(monkeypatch, capsys, tmp_path):
+    monkeypatch.setitem(__import__('sys').modules, 'jsbsim', None)
+    monkeypatch.delitem(__import__('sys').modules, 'orbimpc_ros.physics.cessna', raising=False)
+    assert cli.main(['demo', 'cessna', '--out', str(tmp_path)]) == 2
+    out, err = capsys.readouterr()
+    hint = "jsbsim is missing; pip install 'orbimpc_ros[physics]'"
+    assert err == f'orbimpc: vehicle cessna: {hint}\n'
+    assert not out
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_cessna_meets_the_line(capfd, tmp_path):
+    """A short flight; the bag tells it as the engine does. A planner that starves may miss it."""
+    pytest.importorskip('jsbsim')
+    changes = ('rope.center=[300.0, 30.0, 0.0]', 'odom_timeout=60.0', 'goal_timeout=60.0')
+    words = [word for each in changes for word in ('--set', each)]
+    folders = (tmp_path / str(number) for number in range(3))
+    command = ['demo', 'cessna', *words, '--out']
+    folder = next(each for each in folders if cli.main([*command, str(each)]) == 0)
+    out, _ = capfd.readouterr()
+    assert re.search(r'captured +t = \d+\.\d+ s, [0-4]\.\d+ m from the rope', out)
+    found = messages_of(folder / 'cessna')
+    truths = [fields(each) for each in found['truth'].values()]
+    assert min(each['airspeed'] for each in truths) > 1.1 * 27.6
+    assert max(abs(each['bank']) for each in truths) < 0.55
+    assert max(abs(each['height']) for each in truths) < 30.0
+    commands = [each.twist for each in found['cmd_vel'].values()]
+    assert min(each.linear.x for each in commands) >= 40.0 - 1e-6
+    assert max(abs(each.angular.z) for each in commands) <= 0.09 + 1e-9
+
+
+@pytest.mark.parametrize(
+    ('failure', 'blame'),
+    [
+        ('Poisoned', 'broken: numbers that are none, after t = 2.000 s'),
+        ('Stopping', 'broken: stopped at t = 2.000 s'),
+    ],
+)
+def test_an_engine_that_fails_ends_the_flight_with_a_line(launch, monkeypatch, failure, blame):
+    monkeypatch.setenv('FAILURE', failure)
+    launch('planner', {'odom_timeout': 60.0, 'goal_timeout': 60.0}, 'cessna')
+    sim = launch(DYING, {'odom_rate': 1.0}, 'cessna')
+    assert sim.wait() == 1
+    (said,) = [line for line in sim.output.splitlines() if 'the engine has failed' in line]
+    assert said.endswith(f'the engine has failed: {blame}')
+    assert 'Traceback' not in sim.output
