@@ -64,7 +64,7 @@ def complaints(diagnostics, word):
         for message in diagnostics
         for status in message.status
         if status.level == DiagnosticStatus.ERROR
-        and status.name == '/sim'
+        and status.name == 'sim: flight'
         and word in status.message
     ]
 
