@@ -83,6 +83,7 @@ def test_who_may_tell_of_obstacles_has_the_planner_get_ready(domain, monkeypatch
     with initialised(['planner'], domain=domain, context=get_default_context()):
         node, executor = PlannerNode(), SingleThreadedExecutor()
         executor.add_node(node)
+        node.begin()
         try:
             executor.spin_once(timeout_sec=0.1)
             assert not ready
