@@ -234,7 +234,7 @@ def test_samples_can_be_drawn_where_the_speed_is_constant():
 
 def test_an_engine_is_studied_beside_its_own_guidance(tmp_path, capsys):
     pytest.importorskip('jsbsim')
-    near = 'rope.center=[300.0, 20.0, 0.0]'
+    near = 'rope.center=[400.0, 100.0, 0.0]'
     words = ['study', '--engine', 'cessna', '--controllers', 'lead,waypoint', '--runs', '1']
     words += ['--set', near, '--seed', '700', '--workers', '1', '-o', str(tmp_path / 'study')]
     assert cli.main(words) == 0

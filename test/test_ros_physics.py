@@ -54,7 +54,7 @@ def test_a_demo_without_its_engine_says_how_to_get_it(monkeypatch, capsys, tmp_p
 def test_the_cessna_meets_the_line(capfd, tmp_path):
     """A short flight; the bag tells it as the engine does. A planner that starves may miss it."""
     pytest.importorskip('jsbsim')
-    changes = ('rope.center=[300.0, 30.0, 0.0]', 'odom_timeout=60.0', 'goal_timeout=60.0')
+    changes = ('rope.center=[350.0, 60.0, 0.0]', 'odom_timeout=60.0', 'goal_timeout=60.0')
     words = [word for each in changes for word in ('--set', each)]
     folders = (tmp_path / str(number) for number in range(3))
     command = ['demo', 'cessna', *words, '--out']
