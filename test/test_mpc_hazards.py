@@ -8,6 +8,7 @@ import pytest
 
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.loop.controller import Controller
@@ -28,6 +29,7 @@ from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve import solver
 from orbimpc_ros.mpc.solve.solver import Solver
+from orbimpc_ros.mpc.solve.stand_ins import turning
 
 needs_machine_code = pytest.mark.skipif(
     not COMPILED, reason='a way is scouted for too slowly without numba'
@@ -277,6 +279,39 @@ def test_who_is_inside_of_a_margin_leaves_by_a_short_way(model, hull):
     still = replace(start, hazards=(Hazard.drifting(Ball([0.0, 0.0], 40.0), [0.0, 0.0]),))
     with pytest.raises((Infeasible, SolverFailure)):  # shut in, not just inside of a margin
         Solver(problem).solve(still, goals, None, lambda: next(polls) > 1200)
+
+
+@needs_machine_code
+@pytest.mark.parametrize('between', [False, True])
+def test_who_is_bound_to_enter_a_margin_leaves_it_again(between):
+    """The present velocity alone decides the way to s_1, which the disc holds, or is across."""
+    problem = Problem(horizon=8, step=0.5, forward=2.0)
+    disc = Ball([0.55, -0.45], 0.5) if between else Ball([1.3, 0.1], 0.4)
+    start = State.at([0.0, 0.0], np.eye(2), hazards=(Hazard.drifting(disc, [0.0, 0.0]),))
+    goals = np.tile([6.0, 0.0], (8, 1))
+    plan = Solver(problem).solve(start, goals)
+    assert violations(problem, start, goals, plan) == []
+    middle = 0.5 * (plan.positions[:1] + plan.positions[1:2])
+    depth = disc.depth(np.vstack([middle, plan.positions[1:]]))
+    assert depth[int(not between)] > 1e-3
+    assert (depth[2:] <= 1e-6).all()
+
+
+@pytest.mark.parametrize('order', [1, 2])
+def test_among_hazards_plans_to_all_sides_stand_in(order):
+    problem = Problem(horizon=6, step=0.5, forward=2.0, max_rate=1.0, rotation_order=order)
+    disc = Hazard.drifting(Ball([3.0, 0.0], 1.0), [0.0, 0.0])
+    start, goals = State.at([0.0, 0.0], np.eye(2)), np.tile([6.0, 0.0], (6, 1))
+    without = list(turning(problem, start, goals))
+    among = list(turning(problem, replace(start, hazards=(disc,)), goals))
+    to_sides = np.array(among[: len(among) - len(without)])
+    assert len(to_sides) == 16
+    angles = np.arctan2(to_sides[:, -1, 1, 0], to_sides[:, -1, 0, 0])
+    assert angles.max() > 1.0
+    assert angles.min() < -1.0
+    within = [trajectory_of(problem, start, goals, coordinates(each)) for each in to_sides]
+    chords = [np.diff(each.rotations[:, :, 0], axis=0) for each in within]
+    assert np.linalg.norm(chords, axis=2).max() <= problem.chord + 1e-9
 
 
 def test_what_a_hazard_costs_is_what_a_smaller_one_would_save():

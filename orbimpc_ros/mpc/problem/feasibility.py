@@ -67,7 +67,7 @@ def _boxed_in(problem: Problem, state: State) -> Iterator[str]:
     """The state alone decides s_1, and s_2 too of an inertial vehicle."""
     reach = problem.maps.reach
     decided = dynamics.drift(problem, state) + np.outer(reach[:, 0], state.rotation[:, 0])
-    known = int((reach[:, 1:] == 0.0).all(axis=1).sum())
+    known = problem.decided_steps
     for i, box in enumerate(problem.obstacles):
         inside = np.flatnonzero(box.depth(decided[:known]) > 0.0)
         if inside.size:

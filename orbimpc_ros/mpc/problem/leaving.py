@@ -1,10 +1,10 @@
 """The way out for a vehicle that is inside of what it ought to stay clear of.
 
 A vehicle pushed inside of the margin around a body must not be left without a plan: it needs one
-the most. What is demanded of it is what an *escape* achieves, at full thrust away as the vehicle
-can turn: in no step may a plan be farther inside than that. Of all directions the escape takes the
-one that is out the soonest. Where none is out within the horizon nothing is eased: a vehicle shut
-in has no plan.
+the most; so does one that is bound to enter it by what the state has decided. What is demanded of
+it is what an *escape* achieves, at full thrust away as the vehicle can turn: in no step may a plan
+be farther inside than that. Of all directions the escape takes the one that is out the soonest.
+Where none is out within the horizon nothing is eased: a vehicle shut in has no plan.
 
 Mathematics: docs/mathematics.md, 3.7.
 """
@@ -46,6 +46,7 @@ def inside(
     here = state.position[None]
     depth = strays[:, 0] + np.array([float(body.depth(here)[0]) for body in bodies])
     held = depth > INSIDE * unit
+    held |= _bound_to_enter(problem, state, bodies, shifts, strays, depth)
     if not held.any():
         return allowed
     escapes = [
@@ -57,6 +58,33 @@ def inside(
         return allowed
     allowed[held] = np.where(best[held] > 0.0, best[held] + SPARE * unit, 0.0)
     return allowed
+
+
+def _bound_to_enter(
+    problem: Problem,
+    state: State,
+    bodies: Sequence[Box | Ball],
+    shifts: Array,
+    strays: Array,
+    depth: Array,
+) -> np.ndarray:
+    """Return which bodies no plan stays clear of, in the steps that the state decides, (J,)."""
+    found, known, unit = (
+        np.zeros(len(bodies), dtype=bool),
+        problem.decided_steps,
+        problem.length_unit,
+    )
+    if not known:
+        return found
+    reached = np.linalg.norm(dynamics.adrift(problem, state)[:known] - state.position, axis=1).max()
+    ways = np.linalg.norm(shifts[:, : known + 1], axis=2).max(axis=1)
+    near = np.flatnonzero(depth + ways + known * unit + reached > 0.0)
+    if len(near):
+        some: list[Box | Ball] = [bodies[int(j)] for j in near]
+        way = directions(problem.dimension)[0]  # any
+        depths = _depths(problem, state, some, shifts[near], strays[near], way)
+        found[near] = (depths[:, :known] > INSIDE * unit).any(axis=1)
+    return found
 
 
 def _depths(

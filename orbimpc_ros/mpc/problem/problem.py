@@ -245,6 +245,11 @@ class Problem:
         """Return the maps of the translation model over the horizon."""
         return maps_of(self.translation, self.horizon, self.step, self.forward)
 
+    @cached_property
+    def decided_steps(self) -> int:
+        """Return how many of s_1..s_N the state alone decides."""
+        return int((self.maps.reach[:, 1:] == 0.0).all(axis=1).sum())
+
     @property
     def translation(self) -> Translation:
         """Return the model that says how R e1 moves the vehicle."""

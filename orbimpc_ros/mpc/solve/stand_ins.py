@@ -18,7 +18,8 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, carried, turned_onto
 from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.problem.cones import climb
+from orbimpc_ros.mpc.problem.cones import climb, pursuit
+from orbimpc_ros.mpc.problem.leaving import directions
 
 # [rad] over the horizon, positive towards the goal, as far as ``max_rate`` allows.
 TURNS = (0.0, 0.5, -1.5, 1.5, 3.0, -4.0, 5.0, -6.3, 6.3)
@@ -67,8 +68,9 @@ def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
 def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
     """Yield R_1..R_N, shape (N, n, n), that turn; they pass through anything in their way.
 
-    Slow and fast ones; with a terminal constraint those between and the fast ones, for arrivals
-    that only full speed leads to, corrected until they meet it.
+    Among hazards away to all sides first, as fast as may be. Then slow and fast ones; with a
+    terminal constraint those between and the fast ones, for arrivals that only full speed leads
+    to, corrected until they meet it.
 
     Args:
         problem: what is to be solved.
@@ -76,6 +78,11 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
         goals: g_1..g_N, shape (N, n) [m].
     """
     ahead, first = _ahead(problem, state)
+    for way in directions(problem.dimension) if state.hazards else ():
+        rotations = carried(ahead, _towards(problem, state, way))
+        if first is not None:
+            rotations[0] = first
+        yield rotations
     least = min(1.0, problem.floor.least(ahead[:, 0]))
     arrives = problem.terminal == 'constraint'
     for speed in dict.fromkeys((0.5 * (1.0 + least) if arrives else least, 1.0)):
@@ -91,6 +98,11 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
             if first is not None:
                 rotations[0] = first
             yield rotations
+
+
+def _towards(problem: Problem, state: State, way: Array) -> Array:
+    """Return z_1..z_N, shape (N, n), that turn to a direction as fast as may be, at full speed."""
+    return pursuit(problem, state, lambda _, y: way)[1:]
 
 
 def _ahead(problem: Problem, state: State) -> tuple[Array, Array | None]:
