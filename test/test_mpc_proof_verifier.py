@@ -47,7 +47,7 @@ def posed(problem, rng):
     )
     goals = rng.normal(size=(problem.horizon, n))
     said = statement(problem, state, goals)
-    return verifier.Posed(said['problem'], said['state'], said['goals']), state, goals
+    return verifier.StatedProblem(said['problem'], said['state'], said['goals']), state, goals
 
 
 @pytest.mark.parametrize(('n', 'order', 'inertia', 'kind'), MODELS)
@@ -150,7 +150,7 @@ def test_least_over_the_orbitope_is_below_all_rotations(seed):
     sizes = np.linalg.svd(slope.reshape(3, 3).T, compute_uv=False)
     sign = -np.sign(np.linalg.det(slope.reshape(3, 3)))
     least = -(sizes[0] + sizes[1] + sign * sizes[2])
-    exact = verifier.Posed._least_over_orbitope
+    exact = verifier.StatedProblem._least_over_orbitope
     given = [Fraction(float(s)) for s in slope]
     assert float(exact(given, Fraction(-least))) == pytest.approx(least, abs=1e-9)
     assert float(exact(given, Fraction(-least + 1.0))) <= least  # tops that are loose, or too low

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 HOLDS, FAILS, NOTHING, NONE = 'holds', 'DOES NOT HOLD', 'nothing claimed', 'no certificate'
 
 
-class Row(NamedTuple):
+class TickVerdict(NamedTuple):
     """What became of a tick's bound.
 
     Attributes:
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     return 1 if counts[FAILS] else 0
 
 
-def _file(path: Path, args: argparse.Namespace) -> Row:
+def _file(path: Path, args: argparse.Namespace) -> TickVerdict:
     try:
         known = verifier.read(path)
         row = _verified(None, known)
@@ -89,13 +89,13 @@ def _file(path: Path, args: argparse.Namespace) -> Row:
     return row
 
 
-def _verified(tick: int | None, known: Any) -> Row:
+def _verified(tick: int | None, known: Any) -> TickVerdict:
     verdict = verifier.verified(known)
     outcome = HOLDS if verdict.holds else FAILS
-    return Row(tick, verdict.claimed, verdict.proved, verdict.leaves, outcome)
+    return TickVerdict(tick, verdict.claimed, verdict.proved, verdict.leaves, outcome)
 
 
-def _bag(path: Path, args: argparse.Namespace) -> Iterator[Row]:
+def _bag(path: Path, args: argparse.Namespace) -> Iterator[TickVerdict]:
     from orbimpc_ros.tool.replay.report import ticks_of  # needs ROS, which a file does not
 
     for number, each in enumerate(ticks_of(path, args.params, args.namespace)):
@@ -103,11 +103,11 @@ def _bag(path: Path, args: argparse.Namespace) -> Iterator[Row]:
             yield _tick(number, each, args)
 
 
-def _tick(number: int, each: ReplayedTick, args: argparse.Namespace) -> Row:
+def _tick(number: int, each: ReplayedTick, args: argparse.Namespace) -> TickVerdict:
     """Certify what was published on a tick, of the problem that its inputs pose."""
     claimed, tick = each.recorded.answer.lower_bound, each.tick
     if claimed is None or claimed <= 0.0 or tick.plan is None or not tick.plan.lower_bound > 0.0:
-        return Row(number, claimed)
+        return TickVerdict(number, claimed)
     assert tick.problem is not None
     assert tick.state is not None
     assert tick.goals is not None
@@ -115,7 +115,7 @@ def _tick(number: int, each: ReplayedTick, args: argparse.Namespace) -> Row:
     try:
         made = certificate_of(*posed, tick.plan.rotations[1:], claimed)
     except Unproved as error:
-        return Row(number, claimed, outcome=NONE, words=str(error))
+        return TickVerdict(number, claimed, outcome=NONE, words=str(error))
     if args.out:
         _write(Path(args.out), number, made)
     return _verified(number, verifier.parsed(made.text().encode()))

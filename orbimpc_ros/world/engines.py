@@ -18,7 +18,7 @@ ENGINES = {'cessna': ('jsbsim', 'Cessna')}  # by module of physics: its library 
 
 
 @dataclass(frozen=True)
-class Flown(Vehicle):
+class EngineVehicle(Vehicle):
     """The state of a vehicle in an engine, which keeps all that is not here.
 
     Attributes:
@@ -93,16 +93,16 @@ class Aircraft(Continuous):
         Raises:
             EngineFailure: the engine has failed.
         """
-        assert isinstance(vehicle, Flown)
+        assert isinstance(vehicle, EngineVehicle)
         assert vehicle.engine is not None
         speed, engine = self.forward * float(np.clip(fraction, 0.0, 1.0)), vehicle.engine
         motions = checked(engine, elapsed, engine.run(span, speed, float(body_rate[0])), span)
         return tuple(self._read(engine, each, vehicle.time - elapsed) for each in motions)
 
-    def _read(self, engine: Engine, motion: Motion, begun: float) -> Flown:
+    def _read(self, engine: Engine, motion: Motion, begun: float) -> EngineVehicle:
         """Return what a motion in space is in the plane, the engine having begun at a time [s]."""
         yaw = math.atan2(motion.attitude[1, 0], motion.attitude[0, 0])
-        return Flown(
+        return EngineVehicle(
             time=begun + motion.time,
             position=motion.position[:2],
             velocity=motion.velocity[:2],

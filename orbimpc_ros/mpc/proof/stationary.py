@@ -28,7 +28,7 @@ STIFF = (0.0, 1.0, 1e2, 1e4, 1e6)  # in curvatures of the cost, of what an arriv
 
 
 @dataclass(frozen=True)
-class Setting:
+class HeadingProblem:
     """The cost 1/2 sum_jk H_jk z_j.z_k + sum_k q_k.z_k + sum_k l_k |z_k|, and what holds of z.
 
     Attributes:
@@ -52,7 +52,7 @@ class Setting:
     coasting: bool
 
 
-def setting(problem: Problem, state: State, goals: Array) -> Setting:
+def setting(problem: Problem, state: State, goals: Array) -> HeadingProblem:
     """Return what a problem comes to where its cost sees thrust axes alone."""
     condensed, n = Condensed(problem), problem.dimension
     q, _ = condensed.affine(state, goals)
@@ -64,7 +64,7 @@ def setting(problem: Problem, state: State, goals: Array) -> Setting:
         decided = coordinates(given if state.coasted is None else state.coasted)
     floor = problem.floor.clearance(n)
     length = length_weights(problem)[1:]
-    return Setting(condensed.hessian, q, length, floor, arrival, left, decided, coasting)
+    return HeadingProblem(condensed.hessian, q, length, floor, arrival, left, decided, coasting)
 
 
 def arrival_of(problem: Problem, state: State, goals: Array) -> tuple[Array, Array]:
@@ -93,7 +93,7 @@ class Stationary:
         near: moduli as near as that to 1, the floor, or 0 where lengths count, begin there.
     """
 
-    def __init__(self, asked: Setting, z: Array, near: float) -> None:
+    def __init__(self, asked: HeadingProblem, z: Array, near: float) -> None:
         self._asked, self._z, self._near = asked, z.copy(), near
         self._theta, self._nu = np.zeros(len(z)), np.zeros(asked.left.shape)
         size = np.linalg.norm(z, axis=1)
@@ -207,7 +207,7 @@ def _most_bent(theta: float, length: float, floor: float, side: int) -> float:
     return max(theta, min(theta + length / floor, -2.0 * theta * floor / (1.0 - floor)))
 
 
-def _stiffness(asked: Setting, bends: Array) -> float:
+def _stiffness(asked: HeadingProblem, bends: Array) -> float:
     """Return what makes the cost convex where headings that arrive say that it is."""
     bent = asked.hessian + np.diag(bends)
     square, top = asked.arrival.T @ asked.arrival, float(np.abs(asked.hessian).max())

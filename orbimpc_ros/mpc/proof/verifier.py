@@ -71,7 +71,7 @@ def verified(document: Any) -> Verdict:
             ('origins',))  # fmt: skip
     if document['format'] != FORMAT:
         raise Refused(f'format is not {FORMAT!r}')
-    posed = Posed(document['problem'], document['state'], document['goals'])
+    posed = StatedProblem(document['problem'], document['state'], document['goals'])
     claimed = _number(document['lower_bound'], 'lower_bound')
     root = posed.root(document.get('origins'))
     bounds = [posed.bound(leaf, region) for leaf, region in _leaves(posed, document['tree'], root)]
@@ -272,7 +272,9 @@ class Region(NamedTuple):
     sectors: tuple[Sector | None, ...]
 
 
-def _leaves(posed: Posed, tree: Any, root: Region) -> Iterator[tuple[dict[str, Any], Region]]:
+def _leaves(
+    posed: StatedProblem, tree: Any, root: Region
+) -> Iterator[tuple[dict[str, Any], Region]]:
     """Yield the leaves of a tree of splits, each with its region; the tree must be complete."""
     waiting = [(tree, root)]
     for _ in range(DEEPEST):
@@ -286,7 +288,7 @@ def _leaves(posed: Posed, tree: Any, root: Region) -> Iterator[tuple[dict[str, A
     raise Refused(f'the tree has more than {DEEPEST} nodes')
 
 
-def _parts(posed: Posed, node: dict[str, Any], region: Region) -> list[tuple[Any, Region]]:
+def _parts(posed: StatedProblem, node: dict[str, Any], region: Region) -> list[tuple[Any, Region]]:
     _fields(node, 'a split', ('split', 'parts'), ('at',))
     k = _whole(node['split'], 'split', 1, posed.horizon) - 1
     if 'at' in node:
@@ -303,7 +305,7 @@ def _parts(posed: Posed, node: dict[str, Any], region: Region) -> list[tuple[Any
 # --- the problem
 
 
-class Posed:
+class StatedProblem:
     """A problem with its state and goals, in exact numbers."""
 
     def __init__(self, problem: Any, state: Any, goals: Any) -> None:

@@ -173,7 +173,7 @@ class Ageing(Enum):
 
 
 @dataclass(frozen=True)
-class Tree:
+class FrameTree:
     """How other frames are known.
 
     Attributes:
@@ -264,7 +264,7 @@ class PlannerSettings:
     avoid: tuple[str, ...]
     distance: Distance
     frames: Frames
-    tree: Tree
+    tree: FrameTree
 
 
 def planner_settings(values: Values) -> PlannerSettings:
@@ -354,13 +354,13 @@ def _hover_thrust(values: Values) -> float:
     return float(share)
 
 
-def _tree(values: Values) -> Tree:
+def _tree(values: Values) -> FrameTree:
     """Return how other frames are known: each stated one lies in one other."""
     found = tuple(map(stated, values['transforms']))
     for each in found:
         if [other.child for other in found].count(each.child) > 1:
             raise BadInput('transforms', list(values['transforms']), f'{each.child} in one parent')
-    return Tree(values['tf'], found, values['transform_timeout'])
+    return FrameTree(values['tf'], found, values['transform_timeout'])
 
 
 def _avoided(values: Values) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.ros.parameters import sim_settings
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.world.airspeed import Airspeeds
-from orbimpc_ros.world.engines import Flown
+from orbimpc_ros.world.engines import EngineVehicle
 from orbimpc_ros.world.flight import Flight, departure
 from orbimpc_ros.world.vehicle import Continuous, Vehicle
 
@@ -129,6 +129,6 @@ def _closing(flight: Flight, vehicle: Vehicle) -> float:
 def _aim(flight: Flight) -> None:
     """Have the engine's own guidance fly to where the goal is now."""
     vehicle = flight.vehicle
-    if not isinstance(vehicle, Flown) or vehicle.engine is None:
+    if not isinstance(vehicle, EngineVehicle) or vehicle.engine is None:
         raise BadInput('--controllers', WAYPOINT, 'a scenario that flies in an engine')
     vehicle.engine.steer_to(flight.goal)
