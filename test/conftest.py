@@ -61,6 +61,16 @@ def domain() -> int:
     return new_domain()
 
 
+@pytest.fixture
+def default_context():
+    """The context of nodes that are made without one, fresh: it can be started only once."""
+    from rclpy.utilities import get_default_context
+
+    get_default_context(shutting_down=True)
+    yield get_default_context()
+    get_default_context(shutting_down=True)
+
+
 class LaunchedProcess:
     """A node in a process of its own, its output kept: a module's, or a test's own script's."""
 

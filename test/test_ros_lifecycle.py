@@ -15,7 +15,6 @@ from nav_msgs.msg import Odometry
 from planners import QUICK, goal, moving, odometry, told
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from rclpy.utilities import get_default_context
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
@@ -279,13 +278,11 @@ class Worker(Managed):
 
 
 @pytest.fixture
-def worker(domain):
-    get_default_context(shutting_down=True)  # one that was used cannot be used again
-    with initialised(domain=domain, context=get_default_context()):
+def worker(domain, default_context):
+    with initialised(domain=domain, context=default_context):
         node = Worker()
         yield node
         node.destroy_node()
-    get_default_context(shutting_down=True)
 
 
 def endpoints(node):

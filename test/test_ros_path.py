@@ -14,7 +14,6 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.publisher import Publisher
-from rclpy.utilities import get_default_context
 
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
@@ -50,11 +49,11 @@ class Trace:
 
 
 @pytest.fixture
-def planner(domain):
+def planner(domain, default_context):
     """The planner's node in this process, as configured for the retrieval, and its inputs."""
     file = ROOT / 'config' / 'retrieval.yaml'
     words = ['planner', '--ros-args', '--params-file', str(file), '-p', 'use_sim_time:=false']
-    with initialised(words, domain=domain, context=get_default_context()):
+    with initialised(words, domain=domain, context=default_context):
         node, executor = PlannerNode(), SingleThreadedExecutor()
         node.begin()
         executor.add_node(node)

@@ -12,7 +12,6 @@ from nav_msgs.msg import Path
 from planners import QUICK, Bench, told
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import ReliabilityPolicy
-from rclpy.utilities import get_default_context
 from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.mpc.problem import Ball
@@ -76,11 +75,11 @@ def test_who_sees_bodies_without_promising_to_say_so_is_told_of(bench, observer)
     bench.says('does not match')
 
 
-def test_who_may_tell_of_obstacles_has_the_planner_get_ready(domain, monkeypatch):
+def test_who_may_tell_of_obstacles_has_the_planner_get_ready(domain, default_context, monkeypatch):
     """Before the first message, which is often in flight."""
     ready = []
     monkeypatch.setattr(Ticker, 'expect_hazards', lambda _: ready.append(True))
-    with initialised(['planner'], domain=domain, context=get_default_context()):
+    with initialised(['planner'], domain=domain, context=default_context):
         node, executor = PlannerNode(), SingleThreadedExecutor()
         executor.add_node(node)
         node.begin()
