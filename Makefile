@@ -65,13 +65,13 @@ docs: $(VENV)/.installed-demo
 	$(BIN)/python docs/pictures.py
 
 $(VENV)/.installed-demo: $(BIN)/python setup.py setup.cfg pyproject.toml requirements-jazzy.txt
-	$(SAY) 'Installing orbimpc_ros into $(VENV) (a minute, only once)'
+	$(SAY) 'Installing orbimpc_ros into $(VENV) (some minutes, only once)'
 	@$(BIN)/python -m pip install -qq --disable-pip-version-check --editable '.$(EXTRAS_DEMO)' $(PINS)
 	$(COMPILE)
 	@touch $@
 
 $(VENV)/.installed-test: $(BIN)/python setup.py setup.cfg pyproject.toml requirements-jazzy.txt
-	$(SAY) 'Installing orbimpc_ros and its test tools into $(VENV) (a minute, only once)'
+	$(SAY) 'Installing orbimpc_ros and its test tools into $(VENV) (some minutes, only once)'
 	@$(BIN)/python -m pip install -qq --disable-pip-version-check --editable '.$(EXTRAS_TEST)' $(PINS)
 	$(COMPILE)
 	@touch $@ $(VENV)/.installed-demo

@@ -1,4 +1,4 @@
-"""Compilation of machine code, for which a start takes up to a minute: said, and broken off."""
+"""Compilation of machine code, for which a start takes a minute or more: said, and broken off."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.ros.entry import leave_at_signals
 
 NOTICE = (
-    'compiling machine code, which takes up to a minute and is kept for later starts; '
+    'compiling machine code, which takes a minute or more and is kept for later starts; '
     'python -m orbimpc_ros.mpc.kernels does it beforehand'
 )
 MISSING = (
