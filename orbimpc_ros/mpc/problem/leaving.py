@@ -69,11 +69,8 @@ def _bound_to_enter(
     depth: Array,
 ) -> np.ndarray:
     """Return which bodies no plan stays clear of, in the steps that the state decides, (J,)."""
-    found, known, unit = (
-        np.zeros(len(bodies), dtype=bool),
-        problem.decided_steps,
-        problem.length_unit,
-    )
+    found = np.zeros(len(bodies), dtype=bool)
+    known, unit = problem.decided_steps, problem.length_unit
     if not known:
         return found
     reached = np.linalg.norm(dynamics.adrift(problem, state)[:known] - state.position, axis=1).max()
@@ -96,14 +93,18 @@ def _depths(
     way: Array,
 ) -> Array:
     """Return how far inside an escape in a direction is in each step, shape (J, N); 0 outside."""
-    headings = pursuit(problem, state, lambda _, y: way)
-    flown = dynamics.translation_rollout(problem, state, headings)
+    flown = dynamics.translation_rollout(problem, state, escape(problem, state, way))
     points = controls(problem.translation.degree, problem.step, *flown)
     weights = np.linspace(0.0, 1.0, points.shape[1])[:, None]
     begin, end = shifts[:, :-1, None], shifts[:, 1:, None]
     away = points - begin - weights * (end - begin)
     outside = np.array([_outside(*each) for each in zip(bodies, away, strict=True)])
     return np.maximum(strays - outside, 0.0)
+
+
+def escape(problem: Problem, state: State, way: Array) -> Array:
+    """Return R_0 e1..R_N e1, shape (N + 1, n), at full thrust along a unit vector, shape (n,)."""
+    return pursuit(problem, state, lambda _, y: way)
 
 
 def _outside(body: Box | Ball, points: Array) -> Array:

@@ -18,8 +18,8 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, carried, turned_onto
 from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.problem.cones import climb, pursuit
-from orbimpc_ros.mpc.problem.leaving import directions
+from orbimpc_ros.mpc.problem.cones import climb
+from orbimpc_ros.mpc.problem.leaving import directions, escape
 
 # [rad] over the horizon, positive towards the goal, as far as ``max_rate`` allows.
 TURNS = (0.0, 0.5, -1.5, 1.5, 3.0, -4.0, 5.0, -6.3, 6.3)
@@ -79,7 +79,7 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
     """
     ahead, first = _ahead(problem, state)
     for way in directions(problem.dimension) if state.hazards else ():
-        rotations = carried(ahead, _towards(problem, state, way))
+        rotations = carried(ahead, escape(problem, state, way)[1:])
         if first is not None:
             rotations[0] = first
         yield rotations
@@ -98,11 +98,6 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
             if first is not None:
                 rotations[0] = first
             yield rotations
-
-
-def _towards(problem: Problem, state: State, way: Array) -> Array:
-    """Return z_1..z_N, shape (N, n), that turn to a direction as fast as may be, at full speed."""
-    return pursuit(problem, state, lambda _, y: way)[1:]
 
 
 def _ahead(problem: Problem, state: State) -> tuple[Array, Array | None]:
