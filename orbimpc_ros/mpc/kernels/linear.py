@@ -119,6 +119,31 @@ def extend_factor(matrix, factor, first, count, least):
 
 
 @vectorised
+def solve_factored(factor, right, count):
+    """Solve with Cholesky's factor in place; return |L^-1 right|^2.
+
+    Args:
+        factor: its diagonal inverted, shape (count, count) at least.
+        right: shape (count,) at least; becomes the solution.
+        count: of the rows that belong to the system.
+    """
+    square = 0.0
+    for i in range(count):
+        value = right[i]
+        for k in range(i):
+            value -= factor[i, k] * right[k]
+        value *= factor[i, i]
+        right[i] = value
+        square += value * value
+    for i in range(count - 1, -1, -1):
+        value = right[i] * factor[i, i]
+        right[i] = value
+        for k in range(i):
+            right[k] -= factor[i, k] * value
+    return square
+
+
+@vectorised
 def solve_spd(matrix, right, count):
     """Solve a positive definite system in place; return False if it is singular.
 
@@ -129,15 +154,7 @@ def solve_spd(matrix, right, count):
     """
     if not _factorise(matrix, count, SINGULAR):
         return False
-    for i in range(count):
-        total = right[i]
-        for k in range(i):
-            total -= matrix[i, k] * right[k]
-        right[i] = total * matrix[i, i]
-    for i in range(count - 1, -1, -1):
-        right[i] *= matrix[i, i]
-        for k in range(i):
-            right[k] -= matrix[i, k] * right[i]
+    solve_factored(matrix, right, count)
     return True
 
 

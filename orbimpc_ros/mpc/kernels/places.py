@@ -23,7 +23,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.linear import SINGULAR, extend_factor
+from orbimpc_ros.mpc.kernels.linear import SINGULAR, extend_factor, solve_factored
 
 SOLVED, STALLED, REFUTED, INTERRUPTED = range(4)  # what becomes of a solve
 ADDED, BLOCKED, BROKEN = range(3)  # and of a row
@@ -152,25 +152,6 @@ def _most_violated(known, asked, values, row):
 
 
 @compiled
-def _solve(factor, right, count):
-    """Solve with Cholesky's factor in place; return |L^-1 right|^2."""
-    square = 0.0
-    for i in range(count):
-        value = right[i]
-        for k in range(i):
-            value -= factor[i, k] * right[k]
-        value *= factor[i, i]
-        right[i] = value
-        square += value * value
-    for i in range(count - 1, -1, -1):
-        value = right[i] * factor[i, i]
-        right[i] = value
-        for k in range(i):
-            right[k] -= factor[i, k] * value
-    return square
-
-
-@compiled
 def _drop(held, i, count):
     """Take a row out of the active set; return whether those that are left are independent."""
     for j in range(i, count - 1):
@@ -231,7 +212,7 @@ def _add(known, held, count, place, row, offset, r, inner):
             for c in range(len(row)):
                 along += row[c] * held.normals[i, c]
             inner[i] = r[i] = along * known.gram[held.at[i], place]
-        curvature = own - _solve(held.factor, r, count)
+        curvature = own - solve_factored(held.factor, r, count)
         blocking, limit = -1, np.inf
         for i in range(count):
             if r[i] > FLAT and held.u[i] < limit * r[i]:

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.kernels import compiled, vectorised
+from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.kernels.active_set import FLAT, lagrangian
 from orbimpc_ros.mpc.kernels.best_first import (
     ACTIVE,
@@ -51,7 +51,13 @@ from orbimpc_ros.mpc.kernels.best_first import (
     set_least,
     worked,
 )
-from orbimpc_ros.mpc.kernels.linear import SINGULAR, add_product, extend_factor, quadratic
+from orbimpc_ros.mpc.kernels.linear import (
+    SINGULAR,
+    add_product,
+    extend_factor,
+    quadratic,
+    solve_factored,
+)
 from orbimpc_ros.mpc.kernels.steering import (
     least_speed,
     set_headings,
@@ -251,25 +257,6 @@ def _set_image(inverse, step, row, image):
         image[j, 0], image[j, 1] = inverse[j, step] * row[0], inverse[j, step] * row[1]
 
 
-@vectorised
-def _solve(factor, right, count):
-    """Solve with Cholesky's factor in place; return |L^-1 right|^2."""
-    square = 0.0
-    for i in range(count):
-        value = right[i]
-        for k in range(i):
-            value -= factor[i, k] * right[k]
-        value *= factor[i, i]
-        right[i] = value
-        square += value * value
-    for i in range(count - 1, -1, -1):
-        value = right[i] * factor[i, i]
-        right[i] = value
-        for k in range(i):
-            right[k] -= factor[i, k] * value
-    return square
-
-
 @compiled
 def _drop(tree, own, i, count):
     """Take a row out of the active set, and what is kept of it."""
@@ -306,7 +293,7 @@ def _add_row(inverse, tree, own, count, step, row, offset):
         spent += count * (2.0 * count + 4.0)
         for i in range(count):
             held[i] = r[i] = normals[i, 0] * image[rows[i], 0] + normals[i, 1] * image[rows[i], 1]
-        curvature = own_curvature - _solve(tree.factor, r, count)
+        curvature = own_curvature - solve_factored(tree.factor, r, count)
         blocking, limit = -1, np.inf
         for i in range(count):
             if r[i] > FLAT and u[i] < limit * r[i]:
@@ -472,7 +459,7 @@ def _set_multipliers(tree, own, count):
         for i in range(count):
             free = tree.free[rows[i]]
             u[i] = offsets[i] - normals[i, 0] * free[0] - normals[i, 1] * free[1]
-        _solve(tree.factor, u, count)
+        solve_factored(tree.factor, u, count)
         least = 0
         for i in range(count):
             if u[i] < u[least]:
@@ -547,7 +534,7 @@ def _gain(quad, tree, own, count, step, row, offset):
     for i in range(count):
         image = tree.image[rows[i]]
         r[i] = normals[i, 0] * image[0] + normals[i, 1] * image[1]
-    curvature = quad.inverse[step, step] - _solve(tree.factor, r, count)
+    curvature = quad.inverse[step, step] - solve_factored(tree.factor, r, count)
     limit = np.inf
     for i in range(count):
         if r[i] > FLAT and u[i] < limit * r[i]:
