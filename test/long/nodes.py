@@ -111,19 +111,15 @@ def told(row: Row, took: list[Took], worst: list[Took]) -> str:
                            strict=True)
     )  # fmt: skip
     up = max(worst)
-    pace = np.polyfit(nodes, times, 1)[0]
+    pace = up.time / up.nodes
+    whole = f'; the whole tree has {row.most:g}, {1e3 * pace * row.most:.3g} ms'
     return (
         f'  nodes (and times): {quantiles}\n'
         f'  most of {n} draws: {top.nodes:g} ({1e3 * top.time:.1f} ms): with 95 % confidence more '
         f'in less than {3.0 / n:.2g} of the box\n'
-        f'  climbing from the {len(worst)} worst: {up.nodes:g} ({1e3 * up.time:.1f} ms)\n'
-        f'  proved: {100.0 * proved.mean():.3f} %; a node more takes '
-        f'{1e6 * pace:.1f} us'
-        + (
-            f'; the whole tree: {row.most:g} nodes, {1e3 * pace * row.most:.3g} ms'
-            if row.most < math.inf
-            else ''
-        )
+        f'  climbing from the {len(worst)} worst: {up.nodes:g} ({1e3 * up.time:.1f} ms), '
+        f'{1e6 * pace:.1f} us a node{whole if row.most < math.inf else ""}\n'
+        f'  proved: {100.0 * proved.mean():.3f} %'
     )
 
 
