@@ -78,7 +78,8 @@ class PlannerNode(Managed):
             names['odom'] = ' and '.join(map(self.resolve_topic_name, HALVES))
         self._inbox = Inbox(self._settings, names, avoided)
         self._ticker = Ticker(self._settings, controller, simulated=self._time.simulated)
-        self._report: Report | None = None  # on the last tick
+        self._stamp = Stamp(0)  # of the last tick
+        self._report: Report | None = None  # on it
         self._outlet = Outlet(self, outputs(self._settings))
         self._outlet.engaged = not self._settings.gated
         self._mode_changes = ModeChanges()
@@ -256,8 +257,11 @@ class PlannerNode(Managed):
         """Answer again who asks again: the first answer may have been lost in discovery."""
         stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
         waited = self.steady_now() - self._outlet.at > REPEAT
-        if stamp == self._answered and waited and not self._unsafe():
-            self._outlet.repeat()
+        if stamp != self._answered or not waited or self._unsafe():
+            return
+        self._outlet.repeat()
+        if self._report is not None:
+            self._tell(self._stamp, self._report)  # also readers who were not there yet
 
     def _tick_or_wait(self) -> None:
         """Plan, once the goal of the odometry's own stamp is there too.
@@ -318,19 +322,24 @@ class PlannerNode(Managed):
         return Reason(Cause.SOURCES, sources) if sources else None
 
     def _publish(self, stamp: Stamp, report: Report) -> None:
-        command, name = report.tick.command, self.get_fully_qualified_name()
+        command = report.tick.command
         self._outlet.begin(command_messages(self._settings, stamp, command))
         if self._outlet.engaged and not self._settings.dry_run:
             self._ticker.went_out(command, self._time.seconds)
+        self._stamp, self._report = stamp, report
+        self._tell(stamp, report)  # the vehicle did not wait for it
+        self._console.note(report.tick)
+        self._health.show_changes()
+
+    def _tell(self, stamp: Stamp, report: Report) -> None:
+        """Report on a tick to whoever listens."""
         known, heard = self._inbox.odometry is not None, self._outlet.heard
-        if 'tick' in heard:  # the vehicle did not wait for it
+        name = self.get_fully_qualified_name()
+        if 'tick' in heard:
             report = replace(report, binding=prices(report.tick))
         self._outlet.add(
             report_messages(self._settings, stamp, report, name, oriented=known, heard=heard)
         )
-        self._report = report
-        self._console.note(report.tick)
-        self._health.show_changes()
 
     # --- watching
 
