@@ -6,6 +6,8 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 
+from builtin_interfaces.msg import Time
+
 from orbimpc_ros.lab.faults import injection, stimulus
 from orbimpc_ros.lab.faults.fixtures import Fixtures
 from orbimpc_ros.lab.faults.harness import Harness
@@ -23,6 +25,7 @@ STAMPS = {
     'future stamps': shifted(5.0, 1e6),
     'nanosec >= 1e9': with_field('header.stamp.nanosec', 10**9, 2**32 - 1),
     'sec < 0': with_field('header.stamp.sec', -1, -(2**31)),
+    'unset stamps': with_field('header.stamp', Time()),
     'the same stamp': None,  # made anew for every case: it remembers
 }
 NUMBERS = {

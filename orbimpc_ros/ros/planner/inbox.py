@@ -183,6 +183,8 @@ class Inbox:
                 message = self._placed(message)
             stamp, value = READ[topic](message, settings.problem.dimension, settings.frames)
             ros.require_past(stamp.nanoseconds, settings.future_tolerance)
+            if topic == 'odom' and not stamp.nanoseconds and ros.runs:
+                raise BadInput.stating('unset stamp', '0', NOT_SET)
             self._require_newer(topic, stamp, last, now)
             if topic in GOALS:
                 require_attitude(value, settings)
