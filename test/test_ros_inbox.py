@@ -306,11 +306,13 @@ def test_stamps_that_nobody_sets_are_told_as_what_they_are(inbox):
     assert inbox.refused == {'odom: unset stamp': 1}
 
 
-def test_a_stamp_that_is_not_set_moves_nothing_where_no_clock_shows_zero(inbox):
-    unset = inbox.take('odom', odometry(0.0), 0.0, RosTime(10**18))
-    assert 'unset stamp: 0; set header.stamp to the time' in unset
-    assert inbox.odometry is None
-    assert inbox.take('odom', odometry(0.0), 0.0, RosTime(10**9, lag=0.2)) == ''  # simulated time
+def test_odometry_that_loses_its_stamp_is_not_taken_for_the_beginning_of_time(inbox):
+    """Not even once the last good one is stale."""
+    good = odometry(NOW / SECOND)
+    assert inbox.take('odom', good, 0.0, clock(0.0)) == ''
+    refusal = inbox.take('odom', odometry(0.0), 100.0, clock(100.0))
+    assert 'unset stamp: 0; set header.stamp to the time' in refusal
+    assert inbox.odometry.stamp.nanoseconds == NOW
 
 
 def test_refusals_and_what_is_missing_name_the_topics_as_they_are_resolved(default):

@@ -27,11 +27,6 @@ class RosTime:
     nanoseconds: int | None = None
     lag: float = 0.0
 
-    @property
-    def runs(self) -> bool:
-        """Return whether it is a clock that never shows 0: simulated time begins there."""
-        return self.nanoseconds is not None and self.lag == 0.0
-
     def since(self, stamp: int) -> float:
         """Return the time since a stamp [ns], negative before it [s]; NaN if it is not known."""
         if self.nanoseconds is None:

@@ -183,8 +183,6 @@ class Inbox:
                 message = self._placed(message)
             stamp, value = READ[topic](message, settings.problem.dimension, settings.frames)
             ros.require_past(stamp.nanoseconds, settings.future_tolerance)
-            if topic == 'odom' and not stamp.nanoseconds and ros.runs:
-                raise BadInput.stating('unset stamp', '0', NOT_SET)
             self._require_newer(topic, stamp, last, now)
             if topic in GOALS:
                 require_attitude(value, settings)
@@ -258,6 +256,8 @@ class Inbox:
     def _require_newer(
         self, topic: str, stamp: Stamp, last: Received[Any] | None, now: float
     ) -> None:
+        if topic == 'odom' and topic in self.timed and stamp.nanoseconds == 0:
+            raise BadInput.stating('unset stamp', '0', NOT_SET)
         if last is None or stamp.nanoseconds > last.stamp.nanoseconds:
             return
         if stamp.nanoseconds == last.stamp.nanoseconds:
