@@ -21,7 +21,8 @@ from orbimpc_ros.ros.process import qos
 TIMEOUT = 0.2  # [s] transform_timeout
 FLIPS = 15  # of the mode
 FLIP = 0.1  # [s] from one to the next
-REPORT = 1.2  # [s] in which a restless mode must be reported
+RESTLESS = 'the mode has changed'
+REPORT = 2.0  # [s] in which that must be reported: it takes four flips, and diagnostics a second
 UNDERWAY = 0.1  # [s] a change of mode may take, and a command that went out before
 
 _TRANSFORMS = (
@@ -72,7 +73,7 @@ def _flipped(harness: Harness) -> Outcome:
     for flip in range(FLIPS):
         mode.publish(Bool(data=bool(flip % 2)))
         harness.spin(FLIP)
-    reported = harness.until_first(harness.monitor.first_complaint, begin, 'mode') - begin
+    reported = harness.until_first(harness.monitor.first_complaint, begin, RESTLESS) - begin
     outcome = Outcome('at 10 Hz', _spoken(harness) + harness.monitor.broken(), reported)
     mode.publish(Bool(data=True))
     return injection.recovered(harness, outcome)
