@@ -303,11 +303,14 @@ def test_a_planner_is_timed_beside_a_node_that_only_answers():
     from orbimpc_ros.lab.bench import live
 
     rows = live._latency('latency', 20.0, 'events', 1.0)
-    whole, _, _, bare = rows[:4]
-    lost, ours, theirs = rows[4:]
+    whole, _, beside, bare, added = rows[:5]
+    lost, ours, theirs = rows[5:]
     assert lost.n == 20
     assert whole.n + lost.objective == lost.n
     assert bare.n > 0
+    assert added.p50_ms == pytest.approx(beside.p50_ms - bare.p50_ms)
+    assert added.p99_ms == pytest.approx(beside.p99_ms - bare.p99_ms)
+    assert not added.required  # asked at 50 Hz
     assert [row.problem for row in (ours, theirs)] == ['latency: processor [ms]'] * 2
     assert ours.objective > theirs.objective >= 0.0
 

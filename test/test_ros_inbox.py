@@ -306,6 +306,15 @@ def test_stamps_that_nobody_sets_are_told_as_what_they_are(inbox):
     assert inbox.refused == {'odom: unset stamp': 1}
 
 
+def test_odometry_that_loses_its_stamp_is_not_taken_for_the_beginning_of_time(inbox):
+    """Not even once the last good one is stale."""
+    good = odometry(NOW / SECOND)
+    assert inbox.take('odom', good, 0.0, clock(0.0)) == ''
+    refusal = inbox.take('odom', odometry(0.0), 100.0, clock(100.0))
+    assert 'unset stamp: 0; set header.stamp to the time' in refusal
+    assert inbox.odometry.stamp.nanoseconds == NOW
+
+
 def test_refusals_and_what_is_missing_name_the_topics_as_they_are_resolved(default):
     names = {'odom': '/boat/gps', 'goal': '/boat/goal', 'goal_path': '/boat/path'}
     remapped = Inbox(default.settings, names)

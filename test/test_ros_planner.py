@@ -77,6 +77,26 @@ def test_outputs_carry_the_odometrys_stamp_and_frame(flying):
     assert command.twist.linear.y == command.twist.linear.z == 0.0
 
 
+def test_a_reader_that_came_too_late_hears_the_report_when_the_answer_is_repeated(launch, observer):
+    """Nobody heard the first tick, so its report was not even made."""
+    commands = observer.listen(TwistStamped, 'cmd_vel')
+    sources = [observer.node.create_publisher(kind, topic, qos())
+               for kind, topic in ((Odometry, 'odom'), (PoseStamped, 'goal'))]  # fmt: skip
+    launch('planner', {'trigger': 'odom', 'odom_timeout': 1e3, 'goal_timeout': 1e3})
+    observer.until_connected('cmd_vel')
+
+    def asked_for(heard):
+        for source, message in zip(sources, (odometry(1.0), goal(1.0)), strict=True):
+            source.publish(message)
+        return heard
+
+    observer.until(lambda: asked_for(commands), 'a command')
+    ticks = observer.listen(DiagnosticArray, 'tick')
+    observer.until(lambda: asked_for(ticks), 'its report')
+    assert ticks[0].header.stamp == commands[0].header.stamp
+    assert told(ticks[0])['status'] == 'optimal'
+
+
 def test_stale_odometry_brings_the_safe_command_again_and_again(flying):
     assert moving(flying.fly(1.0))
     flown = len(flying.commands)

@@ -8,8 +8,8 @@ own parts take in, and what they answer is what the vehicle flies. One bag per f
 
 from __future__ import annotations
 
+import argparse
 import shutil
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -179,7 +179,9 @@ class Loop:
 
 
 if __name__ == '__main__':
-    place = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent
+    parser = argparse.ArgumentParser(description='Make the golden bags, from seeds, without DDS.')
+    parser.add_argument('folder', nargs='?', type=Path, default=Path(__file__).parent)
+    place = parser.parse_args().folder
     for each in FLIGHTS:
         shutil.rmtree(place / each, ignore_errors=True)
         make(each, place / each)

@@ -1,6 +1,7 @@
 """``python -m orbimpc_ros.lab.bench.echo``: answers each odometry message at once.
 
-A command of the same type and stamp, without any thought: what rclpy and DDS cost at least.
+A command of the same type and stamp, without any thought: what rclpy and DDS cost at least. Goals
+are taken in as well, since they come just before odometry.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ import signal
 import sys
 
 import rclpy
-from geometry_msgs.msg import TwistStamped
+from geometry_msgs.msg import PoseStamped, TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.qos import ReliabilityPolicy
 from rclpy.utilities import get_default_context
@@ -29,7 +30,9 @@ def main() -> None:
         def answer(message: Odometry) -> None:
             commands.publish(TwistStamped(header=message.header))
 
-        node.create_subscription(Odometry, 'odom', answer, qos(1, ReliabilityPolicy.BEST_EFFORT))
+        latest = qos(1, ReliabilityPolicy.BEST_EFFORT)
+        node.create_subscription(Odometry, 'odom', answer, latest)
+        node.create_subscription(PoseStamped, 'goal', lambda _message: None, latest)
         executor = executor_named(node.get_parameter('executor').value)
         executor.add_node(node)
         while not signals:

@@ -35,6 +35,7 @@ SETTLED = 50  # answers before the clock counts
 WARM_UP = 2.0  # [s] of many planners at once
 PLANNERS = (1, 5, 20)
 LEAVE = 5.0  # [s] in which a planner ends
+BARE = 'a node that only answers'
 PLANNER, ECHO = 'orbimpc_ros.ros.planner', 'orbimpc_ros.lab.bench.echo'
 PARAMETERS = {
     'trigger': 'odom',
@@ -135,7 +136,8 @@ def _start(count: int) -> list[BenchRow]:
 def _latency(title: str, rate: float, executor: str, seconds: float) -> list[BenchRow]:
     """Return the rows of a planner, and beside it of a node that answers without any thought.
 
-    They are driven in turns within a period, so that both meet the same machine.
+    They are driven in turns within a period, so that both meet the same machine: what the planner
+    adds to the other's latency, its solve left out, is its own.
     """
     with _driven({'/ours': PLANNER, '/bare': ECHO}, executor) as (driver, processes, _):
         driver.until_answered(FAST, MEETING)
@@ -149,20 +151,23 @@ def _latency(title: str, rate: float, executor: str, seconds: float) -> list[Ben
     pairs = [(1e3 * t.latency, t.solve_ms) for t in ours if t.complete]
     beside = [latency - solve for latency, solve in pairs]
     echoed = [1e3 * t.latency for t in bare if t.latency < math.inf]
+    floor, reached = percentiles(echoed), percentiles(beside)
+    added = reached[0] - floor[0], reached[1] - floor[1]
     limits = {'p50_ms': 0.6, 'p99_ms': 2.0} if rate == FAST else None
     lost = sum(t.latency == math.inf for t in ours)
     return [
         BenchRow(title, OURS, len(pairs), *percentiles([latency for latency, _ in pairs])),
         BenchRow(title, 'the solve alone', len(pairs), *percentiles([solve for _, solve in pairs])),
-        BenchRow(title, 'what ROS and DDS add', len(pairs), *percentiles(beside), required=limits),
-        BenchRow(title, 'a node that only answers', len(echoed), *percentiles(echoed)),
+        BenchRow(title, 'without the solve', len(pairs), *reached),
+        BenchRow(title, BARE, len(echoed), *floor),
+        BenchRow(title, 'what the planner adds to that', len(pairs), *added, required=limits),
         BenchRow(
             f'{title}: lost', OURS, len(ours), objective=float(lost),
             required={'objective': 0.0},
         ),
         *(
             BenchRow(f'{title}: processor [ms]', who, len(ours), objective=1e3 * time / len(ours))
-            for who, time in zip((OURS, 'a node that only answers'), taken, strict=True)
+            for who, time in zip((OURS, BARE), taken, strict=True)
         ),
     ]  # fmt: skip
 

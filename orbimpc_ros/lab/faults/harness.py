@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped
 from nav_msgs.msg import Odometry
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -20,6 +20,7 @@ from orbimpc_ros.lab.faults.session import Place, Session
 from orbimpc_ros.lab.test_node import KEPT
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.process import qos
+from orbimpc_ros.ros.transforms import TF
 
 STEP = 0.2  # [s]
 EPOCH = 1000.0  # [s] at which simulated time begins
@@ -75,6 +76,9 @@ class Harness(Session):
         self.node = self.test_node.node
         self.odometry: Any = self.node.create_publisher(Odometry, 'odom', qos(KEPT))
         self.goal = self.node.create_publisher(PoseStamped, 'goal', qos(KEPT))
+        self._transforms: Any = None
+        if self._values.get('tf'):
+            self._transforms = self.node.create_publisher(TransformStamped, TF, qos(KEPT))
         self._clock = self.node.create_publisher(Clock, '/clock', qos(KEPT))
         self.start()
 
@@ -122,6 +126,10 @@ class Harness(Session):
         if self._simulated:
             self._clock.publish(Clock(clock=messages.time_message(self.now)))
         goal = stimulus.goal_at(time.monotonic() - self._begun, self.now)
+        if self._transforms is not None:
+            transform = stimulus.transform_at(self.now)
+            goal.header.frame_id = transform.header.frame_id
+            self._publish(self._transforms, transform, self.spoiled.transform)
         self._publish(self.goal, goal, self.spoiled.goal)
         if self.odometry is not None:
             odometry = stimulus.odometry_at(time.monotonic() - self._begun, self.now)

@@ -6,6 +6,8 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 
+from builtin_interfaces.msg import Time
+
 from orbimpc_ros.lab.faults import injection, stimulus
 from orbimpc_ros.lab.faults.fixtures import Fixtures
 from orbimpc_ros.lab.faults.harness import Harness
@@ -67,6 +69,13 @@ def _fault_case(
     return FaultCase(name, title, 1.0, run)
 
 
+def _unset(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+    """Odometry that loses its stamp: at the start it might be that of simulated time."""
+    spoiled = Spoiled('stamps not set', odometry=with_field('header.stamp', Time()))
+    for harness, when in injection.harnesses(fixtures, long, (MIDWAY, SOLVING), label='unset'):
+        yield injection.spoiling(harness, spoiled, when, ODOMETRY)
+
+
 def _mixed(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
     """Old messages and doubles among good ones: refused and counted, planned on all the same."""
     spoiled = Spoiled('old among new', stimulus.interleaved(), stimulus.interleaved())
@@ -105,6 +114,7 @@ FAULT_CASES = (
     ),
     _fault_case('goal', 'stale goal', lambda: [Spoiled('no goal', goal=stimulus.lost)], MIDWAY),
     _fault_case('stamps', 'future, repeated, malformed stamps', _stamps, MIDWAY, SOLVING),
+    FaultCase('unset', 'stamps that are not set, after good ones', 1.0, _unset),
     FaultCase('mixed', 'duplicates and older stamps among good ones', 1.0, _mixed),
     _fault_case('garbage', 'bytes that are no message', _garbage, MIDWAY),
     _fault_case(

@@ -9,7 +9,8 @@ from orbimpc_ros.lab.faults import (
     parameters,
     plans,
     shutdowns,
+    vehicle,
 )
 
-GROUPS = (inputs, clocks, plans, network, shutdowns, parameters)
+GROUPS = (inputs, clocks, vehicle, plans, network, shutdowns, parameters)
 MATRIX = tuple(each for group in GROUPS for each in group.FAULT_CASES)

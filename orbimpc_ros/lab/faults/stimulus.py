@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped
 from nav_msgs.msg import Odometry
 from rclpy.serialization import serialize_message
 
@@ -20,6 +20,7 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 
 FRAMES = Frames('odom', 'base_link')
+GOALS = 'map'  # the frame of goals where transforms are told of
 RADIUS = 3.0  # [m] of the circle that the vehicle flies
 SPEED = 0.8  # [m/s]
 HUGE = 1_000_000  # characters
@@ -49,6 +50,11 @@ def goal_at(seconds: float, stamp: int) -> PoseStamped:
     return messages.goal_message(Stamp(stamp, FRAMES), np.array([swing, RADIUS]))
 
 
+def transform_at(stamp: int) -> TransformStamped:
+    """Return that the goals' own frame, if they have one, coincides with the world's."""
+    return TransformStamped(header=messages.header(stamp, GOALS), child_frame_id=FRAMES.world)
+
+
 @dataclass(frozen=True)
 class Spoiled:
     """A fault of what comes in.
@@ -57,11 +63,13 @@ class Spoiled:
         name: of the fault.
         odometry: what becomes of odometry; None leaves it as it is.
         goal: what becomes of goals.
+        transform: what becomes of transforms.
     """
 
     name: str
     odometry: Spoiler | None = None
     goal: Spoiler | None = None
+    transform: Spoiler | None = None
 
 
 def lost(_message: Any, _draw: random.Random) -> list[Any]:

@@ -256,6 +256,8 @@ class Inbox:
     def _require_newer(
         self, topic: str, stamp: Stamp, last: Received[Any] | None, now: float
     ) -> None:
+        if topic == 'odom' and topic in self.timed and stamp.nanoseconds == 0:
+            raise BadInput.stating('unset stamp', '0', NOT_SET)
         if last is None or stamp.nanoseconds > last.stamp.nanoseconds:
             return
         if stamp.nanoseconds == last.stamp.nanoseconds:

@@ -41,6 +41,8 @@ from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.ros.process import qos, run
 from orbimpc_ros.ros.reports import AFRESH, DISABLED, INACTIVE, Report, prices
 
+# Who is connected is looked at instead: an event handler makes every wait of the node longer.
+NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 GOAL_PATIENCE = 0.1  # [s] to wait for the goal that belongs to an odometry message
 LEADERS_PATIENCE = 10.0  # [s] the same for plans of other vehicles, while simulated time stands
 MARKERS = 10  # messages on obstacles that may wait, for each may matter
@@ -78,7 +80,8 @@ class PlannerNode(Managed):
             names['odom'] = ' and '.join(map(self.resolve_topic_name, HALVES))
         self._inbox = Inbox(self._settings, names, avoided)
         self._ticker = Ticker(self._settings, controller, simulated=self._time.simulated)
-        self._report: Report | None = None  # on the last tick
+        self._stamp = Stamp(0)  # of the last tick
+        self._report: Report | None = None  # on it
         self._outlet = Outlet(self, outputs(self._settings))
         self._outlet.engaged = not self._settings.gated
         self._mode_changes = ModeChanges()
@@ -136,13 +139,8 @@ class PlannerNode(Managed):
         self.create_service(SetBool, '~/enable', self.guard(self._on_enable))
 
     def _listen(self, kind: type, topic: str, callback: Callable[[Any], None]) -> Subscription:
-        return self.create_subscription(
-            kind,
-            topic,
-            callback,
-            qos(1, ReliabilityPolicy.BEST_EFFORT),
-            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
-        )
+        latest = qos(1, ReliabilityPolicy.BEST_EFFORT)
+        return self.create_subscription(kind, topic, callback, latest, event_callbacks=NO_EVENTS)
 
     def _create_lookout(self) -> None:
         """Subscribe to what moves around the vehicle.
@@ -150,16 +148,12 @@ class PlannerNode(Managed):
         Markers add up: one that is lost leaves a body out, or leaves one where none is. So these
         are to be reliable; who offers less is told of as a mismatch. Plans are whole each time.
         """
-        silent = SubscriptionEventCallbacks(use_default_callbacks=False)
-        met = SubscriptionEventCallbacks(
-            matched=self.guard(self._on_publisher), use_default_callbacks=False
-        )
         seen = self.at_work(self._on_obstacles)
-        self.create_subscription(MarkerArray, OBSTACLES, seen, qos(MARKERS), event_callbacks=met)
+        self._obstacles = self.create_subscription(
+            MarkerArray, OBSTACLES, seen, qos(MARKERS), event_callbacks=NO_EVENTS
+        )
         for topic in self._inbox.others:
-            heard = self.at_work(self._hearing(topic))
-            whole = qos(1, ReliabilityPolicy.BEST_EFFORT)
-            self.create_subscription(Path, topic, heard, whole, event_callbacks=silent)
+            self._listen(Path, topic, self.at_work(self._hearing(topic)))
 
     def _create_timers(self) -> None:
         period = self._settings.period
@@ -215,12 +209,8 @@ class PlannerNode(Managed):
     def _on_path(self, message: Path) -> None:
         self._take('goal_path', message)
 
-    def _on_publisher(self, _: Any) -> None:
-        """Get ready for obstacles as soon as somebody may tell of some, which takes a second."""
-        self._ticker.expect_hazards()
-
     def _on_obstacles(self, message: MarkerArray) -> None:
-        self._ticker.expect_hazards()  # where a publisher was not told of
+        self._ticker.expect_hazards()  # its publisher may not have been noticed yet
         self._take(OBSTACLES, message)
 
     def _hearing(self, topic: str) -> Callable[[Path], None]:
@@ -256,8 +246,11 @@ class PlannerNode(Managed):
         """Answer again who asks again: the first answer may have been lost in discovery."""
         stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
         waited = self.steady_now() - self._outlet.at > REPEAT
-        if stamp == self._answered and waited and not self._unsafe():
-            self._outlet.repeat()
+        if stamp != self._answered or not waited or self._unsafe():
+            return
+        self._outlet.repeat()
+        if self._report is not None:
+            self._tell(self._stamp, self._report)  # also readers who were not there yet
 
     def _tick_or_wait(self) -> None:
         """Plan, once the goal of the odometry's own stamp is there too.
@@ -318,19 +311,24 @@ class PlannerNode(Managed):
         return Reason(Cause.SOURCES, sources) if sources else None
 
     def _publish(self, stamp: Stamp, report: Report) -> None:
-        command, name = report.tick.command, self.get_fully_qualified_name()
+        command = report.tick.command
         self._outlet.begin(command_messages(self._settings, stamp, command))
         if self._outlet.engaged and not self._settings.dry_run:
             self._ticker.went_out(command, self._time.seconds)
+        self._stamp, self._report = stamp, report
+        self._tell(stamp, report)  # the vehicle did not wait for it
+        self._console.note(report.tick)
+        self._health.show_changes()
+
+    def _tell(self, stamp: Stamp, report: Report) -> None:
+        """Report on a tick to whoever listens."""
         known, heard = self._inbox.odometry is not None, self._outlet.heard
-        if 'tick' in heard:  # the vehicle did not wait for it
+        name = self.get_fully_qualified_name()
+        if 'tick' in heard:
             report = replace(report, binding=prices(report.tick))
         self._outlet.add(
             report_messages(self._settings, stamp, report, name, oriented=known, heard=heard)
         )
-        self._report = report
-        self._console.note(report.tick)
-        self._health.show_changes()
 
     # --- watching
 
@@ -349,6 +347,8 @@ class PlannerNode(Managed):
         """Repeat the safe command every period while it is not safe to follow a plan."""
         self._neighbours.look()
         self._time.look()
+        if self._obstacles.get_publisher_count():  # somebody may tell of some: ready in a second
+            self._ticker.expect_hazards()
         flying = self._outlet.used or not self._enabled
         due = self.steady_now() - self._outlet.at >= self._settings.period
         unsafe = self._unsafe() or self._stuck

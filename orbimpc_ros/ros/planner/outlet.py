@@ -125,7 +125,7 @@ def obeyed(problem: Problem, state: State, command: Command) -> list[Vehicle]:
 
 
 class Outlet:
-    """Publishes ticks, and repeats the last one on request.
+    """Publishes ticks, and repeats the last one's commands on request.
 
     Args:
         node: that publishes.
@@ -166,7 +166,6 @@ class Outlet:
 
     def add(self, more: Mapping[str, Any]) -> None:
         """Publish the other messages of the tick, by topic."""
-        self._last = {**self._last, **more}
         self._send(more)
 
     def forget(self) -> None:
@@ -174,7 +173,7 @@ class Outlet:
         self.at, self._last = -math.inf, {}
 
     def repeat(self) -> None:
-        """Publish the last tick again."""
+        """Publish the first messages of the last tick again."""
         self._send(self._last)
 
     def _send(self, sent: Mapping[str, Any]) -> None:
