@@ -324,7 +324,7 @@ class Controller:
         if task.state.hazards and violations(chosen.problem, chosen.state, chosen.goals, plan):
             blocked = f'the catch at {catch.time:.4g} s leads through traffic'
             return task, _with(tracked or _solved(task), blocked), replace(catch, time=math.nan)
-        self._catch = now + catch.time
+        self._catch = now + chosen.problem.step * chosen.problem.horizon
         self._pace, self._goals = chosen.problem.step, chosen.goals
         return chosen, answer, catch
 

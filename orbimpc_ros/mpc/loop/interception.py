@@ -45,7 +45,8 @@ from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State, Weights
 from orbimpc_ros.mpc.solve.request import Enough
 
-AIM = 0.5  # of the radius and the cone: what to come within, so that gusts leave some of it
+GRAZE = 1.5
+AIM = 0.95  # of the radius and the cone: what to come within, so that gusts leave some of it
 EFFORT = 0.1  # of the squared radius: what the inputs of a plan cost at most
 LARGEST_CHANGE = 8.0  # of a rotation, |R' - R|_F^2, that of half a turn
 FARTHEST = 4  # times the horizon, to look beyond it
@@ -170,23 +171,36 @@ class Interception:
     def earliest(self, hunt: Hunt) -> tuple[Plan | None, Catch]:
         """Return the plan of the earliest catch, if one is found, and how early one can be."""
         kept = self._kept(hunt)  # first of all: time may run out
-        bound, excluded, best = 1, True, MISSED
-        goals = hunt.goals(self._horizon)
-        too_far = self._too_far(hunt.state, goals, self._tracked)
-        for end in range(1, self._horizon + 1):
-            attempt = NEVER if too_far[end - 1] else self._tried(hunt, end, goals[:end])
-            best = min(best, attempt, key=_miss)
-            if best.miss <= AIM * self._radius:
-                break
-            excluded = excluded and attempt.never
-            bound = end + 1 if excluded else bound
+        best, bound = self._in_view(hunt)
+        grazing = self._radius < best.miss <= GRAZE * self._radius
+        if grazing and 0 < hunt.expected <= self._horizon:
+            return best.plan, Catch(math.nan, self._step * bound)
         if best.miss > self._radius:  # not even nearly
             best = self._sooner(hunt, kept) if kept.plan else self._beyond(hunt)
         if best.plan is None:
             return None, Catch(math.nan, self._step * bound)
-        if hunt.between and self._divides and best.miss <= AIM * self._radius:
+        if best.end == int(best.end) and self._is_well(best):
             best = self._within(hunt, best)
         return best.plan, Catch(self._step * best.end, self._step * min(bound, best.end))
+
+    def _in_view(self, hunt: Hunt) -> tuple[_Attempt, int]:
+        """Return the first catch within the horizon, or the nearest miss, and the bound in steps."""
+        bound, excluded, best = 1, True, MISSED
+        goals = hunt.goals(self._horizon)
+        too_far = self._too_far(hunt.state, goals, self._tracked)
+        travel = self._travel(goals)
+        for end in range(1, self._horizon + 1):
+            attempt = NEVER if too_far[end - 1] else self._tried(hunt, end, goals[:end])
+            if self._is_well(attempt):
+                return attempt, bound
+            excluded = excluded and attempt.never
+            bound = end + 1 if excluded else bound
+            if attempt.miss <= self._radius + travel:
+                attempt = min(attempt, self._passing(hunt, end), key=_miss)
+            best = min(best, attempt, key=_miss)
+            if self._is_well(best):
+                break
+        return best, bound
 
     def _kept(self, hunt: Hunt) -> _Attempt:
         """Try to catch the goal past the horizon when it was to be caught so far."""
@@ -230,15 +244,41 @@ class Interception:
         """Return the first catch that halving finds within the step at whose end one is found."""
         away = 0.5
         while away >= FINEST:
-            end = found.end - away
-            share = end / math.ceil(end)
-            if self._turns_within or share >= hunt.pause:
-                sooner = self._attempted(hunt, Target(end, narrow=self._coned), hunt.goals(end))
-                plan, well = sooner.plan, sooner.miss <= AIM * self._radius
-                if well and plan is not None and _first_turn(plan) <= share * math.pi:
-                    found = sooner
+            sooner = self._at(hunt, found.end - away)
+            if self._is_well(sooner):
+                found = sooner
             away *= 0.5
         return found
+
+    def _passing(self, hunt: Hunt, end: int) -> _Attempt:
+        """Return the first catch in the step before an end that has none, or the nearest miss.
+
+        Who cannot wait for the goal passes it between the ends of steps.
+        """
+        best = MISSED
+        for away in np.arange(1.0 - FINEST, 0.0, -FINEST):
+            best = min(best, self._at(hunt, float(end - away)), key=_miss)
+            if self._is_well(best):
+                break
+        return best
+
+    def _at(self, hunt: Hunt, end: float) -> _Attempt:
+        """Try to catch the goal between the ends of steps."""
+        share = end / math.ceil(end)
+        allowed = self._turns_within or share >= hunt.pause
+        if not (hunt.between and self._divides and allowed):
+            return MISSED
+        found = self._attempted(hunt, Target(end, narrow=self._coned), hunt.goals(end))
+        turned = found.plan is not None and _first_turn(found.plan) > share * math.pi
+        return MISSED if turned else found
+
+    def _is_well(self, attempt: _Attempt) -> bool:
+        return attempt.miss <= AIM * self._radius
+
+    def _travel(self, goals: Array) -> float:
+        """Return how far a step takes a vehicle past the goal at most [m]."""
+        moved = np.linalg.norm(np.diff(goals, axis=0), axis=1)
+        return self._step * self._tracked.forward + float(moved.max(initial=0.0))
 
     def _surely(self, hunt: Hunt, end: float) -> _Attempt:
         """Try to come well within the radius at an end past the horizon."""
@@ -249,7 +289,7 @@ class Interception:
         if self._too_far(hunt.state, goals, self.problem(target))[-1]:
             return MISSED
         attempt = self._attempted(hunt, target, goals)
-        return attempt if attempt.miss <= AIM * self._radius else MISSED
+        return attempt if self._is_well(attempt) else MISSED
 
     def _tried(self, hunt: Hunt, end: int, goals: Array) -> _Attempt:
         """Try to catch the goal at an end, given where it is at the steps that lead there.
@@ -259,7 +299,7 @@ class Interception:
         if not self._coned:
             return self._attempted(hunt, Target(end), goals)
         within = self._attempted(hunt, Target(end, narrow=True), goals)
-        if within.miss <= AIM * self._radius:
+        if self._is_well(within):
             return within
         wider = self._attempted(hunt, Target(end), goals)
         wider = wider._replace(miss=max(wider.miss, self._radius))
