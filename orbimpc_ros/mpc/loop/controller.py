@@ -147,7 +147,7 @@ class Controller:
             if shrinking or problem.terminal != 'penalty':
                 raise BadInput('capture_radius', capture_radius, '0 with an arrival in time')
             caught = replace(problem, approach=self._approach)
-            self._interception = Interception(caught, capture_radius)
+            self._interception = Interception(caught, capture_radius, self.response.speed)
             for target in self._interception.targets:
                 self._catcher(target)
         by_its_axis = self._interception is not None and self._approach.is_the_goals

@@ -19,8 +19,15 @@ Where the problem has a cone of approach, a catch counts only if its last headin
 then "none catches the goal" means none that is headed as it should be. Well within is then a catch
 that is inside of a narrower cone, too.
 
+A catch that was flown towards, and is then lost by little, is still flown at: the forecast, the
+wind and the model of the vehicle are no better than that, and another pass takes long. So is it
+with a plan: flown by the vehicle it ends where the discrete model does not
+(:mod:`orbimpc_ros.mpc.loop.defect`), and is made anew for a goal that is so much nearer.
+
 Who can catch the goal at the end of a step, but not of the one before, can perhaps do it in
-between: steps that are a little shorter are tried, where it is known where the goal is then. A
+between: steps that are a little shorter are tried, where it is known where the goal is then. Who
+cannot wait for it may pass it in between and be near it at neither end: wherever a step could have
+led past, the times within it are tried in turn, so finely that no radius is jumped over. A
 command is obeyed until the next tick, which may come after the first of these steps. Then none is
 tried but where turns are limited, or take place within a step; and none that would turn by more
 than half a turn until then.
@@ -40,17 +47,20 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import log
+from orbimpc_ros.mpc.loop.defect import defect
 from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State, Weights
 from orbimpc_ros.mpc.solve.request import Enough
 
-GRAZE = 1.5
-AIM = 0.95  # of the radius and the cone: what to come within, so that gusts leave some of it
+AIM = 0.95  # of the radius, within which the plan of a catch ends
+NARROW = 0.5  # of the cone, within which it is headed if it can be: gusts leave some of it
+GRAZE = 1.5  # radii: a goal missed by no more is still flown at
+TRIES = 3  # plans for one end, each for a goal moved by the defect of the one before
 EFFORT = 0.1  # of the squared radius: what the inputs of a plan cost at most
 LARGEST_CHANGE = 8.0  # of a rotation, |R' - R|_F^2, that of half a turn
 FARTHEST = 4  # times the horizon, to look beyond it
-FINEST = 0.25  # of a step, to which the time of a catch is looked for
+COARSEST, FINEST = 0.25, 0.0625  # of a step: to what the time of a catch is looked for
 SHARPEST = 0.5 * math.pi  # turn within a step: beyond it the way is a caricature
 
 
@@ -129,15 +139,17 @@ class Interception:
     Args:
         problem: what is solved where no catch is found, with the cone of approach of a catch.
         radius: within which the goal is caught [m].
+        lag: of the speed [s].
 
     Attributes:
         farthest: the last end at which a catch is looked for.
     """
 
-    def __init__(self, problem: Problem, radius: float) -> None:
-        self._tracked, self._radius = problem, radius
+    def __init__(self, problem: Problem, radius: float, lag: float = 0.0) -> None:
+        self._tracked, self._radius, self._lag = problem, radius, lag
         self._step, self._horizon = problem.step, problem.horizon
         self.farthest = _farthest(problem)
+        self._finest = _finest(problem, radius)
         self._divides = problem.rotation_order == 1  # at order 2, what coasts does so for a step
         self._turns_within = problem.max_rate > 0.0 or problem.discretisation != 'euler'
         self._coned = problem.approach.exists
@@ -148,7 +160,7 @@ class Interception:
         if target not in self._problems:
             made = catching(self._tracked, self._radius, target.end)
             if target.narrow:
-                narrower = replace(made.approach, cone=AIM * made.approach.cone)
+                narrower = replace(made.approach, cone=NARROW * made.approach.cone)
                 made = replace(made, approach=narrower)
             self._problems[target] = made
         return self._problems[target]
@@ -169,11 +181,15 @@ class Interception:
         return Enough(well, (1.0 + EFFORT) * squared)
 
     def earliest(self, hunt: Hunt) -> tuple[Plan | None, Catch]:
-        """Return the plan of the earliest catch, if one is found, and how early one can be."""
+        """Return the plan of the earliest catch, if one is found, and how early one can be.
+
+        Where the catch that was flown towards has just been lost, it is the plan of the nearest
+        miss, without a time, if that is by little.
+        """
         kept = self._kept(hunt)  # first of all: time may run out
         best, bound = self._in_view(hunt)
-        grazing = self._radius < best.miss <= GRAZE * self._radius
-        if grazing and 0 < hunt.expected <= self._horizon:
+        near = self._radius < best.miss <= GRAZE * self._radius
+        if near and 0 < hunt.expected <= self._horizon:
             return best.plan, Catch(math.nan, self._step * bound)
         if best.miss > self._radius:  # not even nearly
             best = self._sooner(hunt, kept) if kept.plan else self._beyond(hunt)
@@ -184,7 +200,7 @@ class Interception:
         return best.plan, Catch(self._step * best.end, self._step * min(bound, best.end))
 
     def _in_view(self, hunt: Hunt) -> tuple[_Attempt, int]:
-        """Return the first catch within the horizon, or the nearest miss, and the bound in steps."""
+        """Return the first catch in the horizon, or the nearest miss, and the bound in steps."""
         bound, excluded, best = 1, True, MISSED
         goals = hunt.goals(self._horizon)
         too_far = self._too_far(hunt.state, goals, self._tracked)
@@ -243,7 +259,7 @@ class Interception:
     def _within(self, hunt: Hunt, found: _Attempt) -> _Attempt:
         """Return the first catch that halving finds within the step at whose end one is found."""
         away = 0.5
-        while away >= FINEST:
+        while away >= self._finest:
             sooner = self._at(hunt, found.end - away)
             if self._is_well(sooner):
                 found = sooner
@@ -256,7 +272,7 @@ class Interception:
         Who cannot wait for the goal passes it between the ends of steps.
         """
         best = MISSED
-        for away in np.arange(1.0 - FINEST, 0.0, -FINEST):
+        for away in np.arange(1.0 - self._finest, 0.0, -self._finest):
             best = min(best, self._at(hunt, float(end - away)), key=_miss)
             if self._is_well(best):
                 break
@@ -306,12 +322,24 @@ class Interception:
         return min(within, wider, key=_miss)._replace(never=wider.never)
 
     def _attempted(self, hunt: Hunt, target: Target, goals: Array) -> _Attempt:
-        plan = not hunt.late() and hunt.solved(target, goals)
-        if isinstance(plan, bool):
-            return NEVER if plan else MISSED
-        miss = float(np.linalg.norm(plan.positions[-1] - goals[-1]))
-        never = plan.lower_bound > self.enough(target.end).bound
-        return _Attempt(plan, target.end, miss, never)
+        """Try to catch the goal at an end, less the defect of the plans towards it."""
+        found, aims = MISSED, goals
+        for _ in range(TRIES):
+            plan = not hunt.late() and hunt.solved(target, aims)
+            if isinstance(plan, bool):
+                return NEVER if plan and aims is goals else found
+            astray = defect(self.problem(target), hunt.state, plan, self._lag)
+            miss = float(np.linalg.norm(plan.positions[-1] + astray - goals[-1]))
+            if aims is goals:  # what is proved is about the goal itself
+                never = plan.lower_bound > self.enough(target.end).bound
+                found = _Attempt(plan, target.end, miss, never)
+            elif miss < found.miss:
+                found = found._replace(plan=plan, miss=miss)
+            size = float(np.linalg.norm(astray))
+            if size == 0.0 or self._is_well(found) or miss > self._radius + 2.0 * size:
+                break
+            aims = np.concatenate([goals[:-1], goals[-1:] - astray])
+        return found
 
     def _too_far(self, state: State, goals: Array, problem: Problem) -> np.ndarray:
         """Return at the end of which steps the goal is out of reach, whatever the headings (7.10b).
@@ -356,6 +384,12 @@ def _farthest(problem: Problem) -> int:
     if problem.max_rate:
         longest = min(longest, max(problem.step, SHARPEST / problem.max_rate))
     return int(problem.horizon * longest / problem.step)
+
+
+def _finest(problem: Problem, radius: float) -> float:
+    """Return the share of a step in which a vehicle flies no farther than a radius [m], bounded."""
+    share = radius / (problem.step * problem.forward)
+    return float(min(COARSEST, max(FINEST, 2.0 ** math.floor(math.log2(share)))))
 
 
 def _doubling(first: int, last: int) -> Iterator[int]:
