@@ -41,7 +41,8 @@ def first_end(time, step):
 def test_the_earliest_catch_is_at_the_first_step_that_ends_after_the_closed_form(known):
     step = next(step for step in (0.2, 0.4, 0.8) if known.time < 29.0 * step)
     catch = chases.catch(known.chase, step, 30)
-    assert known.time - 1e-6 <= catch.time <= known.time + 1.5 * step
+    sooner = 2.0 * chases.NEAR * step  # what a radius may save, should the goal go along
+    assert known.time - sooner <= catch.time <= known.time + 1.5 * step
     assert known.time - step <= catch.bound <= catch.time
 
 

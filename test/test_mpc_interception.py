@@ -7,16 +7,27 @@ import pytest
 from problems import floor, rotation
 
 from orbimpc_ros.mpc.check import violations
+from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.interception import AIM, EFFORT, Interception, Target, catching
+from orbimpc_ros.mpc.loop.defect import defect
+from orbimpc_ros.mpc.loop.interception import (
+    AIM,
+    EFFORT,
+    GRAZE,
+    Interception,
+    Target,
+    catching,
+)
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State, Weights
+from orbimpc_ros.world.plant import Plant
+from orbimpc_ros.world.vehicle import Vehicle
 
 RADIUS = 3.0
 WING = Problem(
@@ -254,3 +265,67 @@ def test_a_catch_is_flown_among_hazards_only_where_it_is_clear_of_them():
     assert blocked.plan.horizon == 12
     assert not violations(boat, blocked.state, goals, blocked.plan)
     assert violations(alone.problem, blocked.state, alone.goals, alone.plan)
+
+
+@needs_speed
+def test_who_cannot_wait_catches_a_goal_that_it_passes_between_the_ends_of_steps():
+    """7.5 m a step at constant speed: at 11 m, a goal is 3.5 and 4 m from the ends about it."""
+    bird = replace(WING, floor=floor('circle', 1.0))
+    goal, here = np.array([11.0, 0.0]), measured([0.0, 0.0], 0.0, 15.0)
+    tick = Controller(bird, capture_radius=RADIUS).tick(
+        here, np.tile(goal, (8, 1)), None, lambda times: np.tile(goal, (len(times), 1))
+    )
+    assert 0.5 < tick.catch.time < 1.0
+    assert np.linalg.norm(tick.plan.positions[-1] - goal) <= AIM * RADIUS
+    blind = Controller(bird, capture_radius=RADIUS).tick(here, np.tile(goal, (8, 1)))
+    assert not blind.catch.time < 1.0  # where the goal is in between is not known
+
+
+@needs_speed
+def test_a_catch_that_is_lost_by_little_is_still_flown_at():
+    here, later = measured([0.0, 0.0], 0.0, 15.0), measured([7.5, 0.0], 0.0, 15.0, time=0.5)
+
+    def ticked(goal, *before):
+        controller = Controller(WING, capture_radius=RADIUS)
+        for odometry, place in (*before, (later, goal)):
+            place = np.array(place)
+            known = np.tile(place, (8, 1)), None, lambda t, at=place: np.tile(at, (len(t), 1))
+            tick = controller.tick(odometry, *known)
+        miss = np.linalg.norm(tick.plan.positions[-1] - place)
+        return tick, miss
+
+    meant = here, (15.0, 0.0)
+    tick, miss = ticked((15.0, 4.0), meant)
+    assert RADIUS < miss <= GRAZE * RADIUS
+    assert np.isnan(tick.catch.time)
+    assert tick.problem.step * tick.plan.horizon <= 1.0
+    tick, miss = ticked((15.0, 4.0))  # nothing was meant so far: the way out and back
+    assert tick.catch.time > 4.0
+    tick, miss = ticked((15.0, 9.0), meant)  # lost by much
+    assert tick.catch.time > 4.0
+
+
+@needs_speed
+def test_a_goal_is_where_the_vehicle_ends_that_flies_the_plan():
+    """A vehicle that turns by a wide angle within a step ends elsewhere than the plan's chords."""
+    rope = Problem(horizon=5, step=1.0, forward=1.0, floor=floor('circle', 1.0))
+    rope = replace(rope, discretisation='exact')
+    rng, radius, far, found = np.random.default_rng(5), 0.05, 0, 0
+    vehicle = Plant(dimension=2, step=1.0, forward=1.0)
+    for _ in range(20):
+        goal = rng.uniform(1.0, 2.5) * exp(rng.uniform(-3.1, 3.1, 1))[:, 0]
+        known = np.tile(goal, (5, 1)), None, lambda times, at=goal: np.tile(at, (len(times), 1))
+        tick = Controller(rope, capture_radius=radius).tick(measured([0, 0], 0.0, 1.0), *known)
+        flown = Vehicle(0.0, np.zeros(2), np.array([1.0, 0.0]), np.eye(2), np.zeros(1), 1.0)
+        for step in range(tick.plan.horizon):
+            told = command_of(tick.problem, tick.state, tick.plan, step)
+            flown = vehicle.flown(
+                flown, tick.problem.step, told.speed_fraction, told.body_rate, flown.time
+            )[-1]
+        gap = flown.position - tick.plan.positions[-1]
+        np.testing.assert_allclose(defect(tick.problem, tick.state, tick.plan, 0.0), gap, atol=1e-6)
+        if not np.isnan(tick.catch.time):
+            found, far = found + 1, far + (np.linalg.norm(gap) > radius)
+            assert np.linalg.norm(flown.position - goal) <= radius
+    assert found >= 12
+    assert far > 5

@@ -147,7 +147,7 @@ class Controller:
             if shrinking or problem.terminal != 'penalty':
                 raise BadInput('capture_radius', capture_radius, '0 with an arrival in time')
             caught = replace(problem, approach=self._approach)
-            self._interception = Interception(caught, capture_radius)
+            self._interception = Interception(caught, capture_radius, self.response.speed)
             for target in self._interception.targets:
                 self._catcher(target)
         by_its_axis = self._interception is not None and self._approach.is_the_goals
@@ -324,7 +324,7 @@ class Controller:
         if task.state.hazards and violations(chosen.problem, chosen.state, chosen.goals, plan):
             blocked = f'the catch at {catch.time:.4g} s leads through traffic'
             return task, _with(tracked or _solved(task), blocked), replace(catch, time=math.nan)
-        self._catch = now + catch.time
+        self._catch = now + chosen.problem.step * chosen.problem.horizon
         self._pace, self._goals = chosen.problem.step, chosen.goals
         return chosen, answer, catch
 

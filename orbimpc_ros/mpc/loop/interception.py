@@ -19,8 +19,15 @@ Where the problem has a cone of approach, a catch counts only if its last headin
 then "none catches the goal" means none that is headed as it should be. Well within is then a catch
 that is inside of a narrower cone, too.
 
+A catch that was flown towards, and is then lost by little, is still flown at: the forecast, the
+wind and the model of the vehicle are no better than that, and another pass takes long. So is it
+with a plan: flown by the vehicle it ends where the discrete model does not
+(:mod:`orbimpc_ros.mpc.loop.defect`), and is made anew for a goal that is so much nearer.
+
 Who can catch the goal at the end of a step, but not of the one before, can perhaps do it in
-between: steps that are a little shorter are tried, where it is known where the goal is then. A
+between: steps that are a little shorter are tried, where it is known where the goal is then. Who
+cannot wait for it may pass it in between and be near it at neither end: wherever a step could have
+led past, the times within it are tried in turn, so finely that no radius is jumped over. A
 command is obeyed until the next tick, which may come after the first of these steps. Then none is
 tried but where turns are limited, or take place within a step; and none that would turn by more
 than half a turn until then.
@@ -40,16 +47,20 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import log
+from orbimpc_ros.mpc.loop.defect import defect
 from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State, Weights
 from orbimpc_ros.mpc.solve.request import Enough
 
-AIM = 0.5  # of the radius and the cone: what to come within, so that gusts leave some of it
+AIM = 0.95  # of the radius, within which the plan of a catch ends
+NARROW = 0.5  # of the cone, within which it is headed if it can be: gusts leave some of it
+GRAZE = 1.5  # radii: a goal missed by no more is still flown at
+TRIES = 3  # plans for one end, each for a goal moved by the defect of the one before
 EFFORT = 0.1  # of the squared radius: what the inputs of a plan cost at most
 LARGEST_CHANGE = 8.0  # of a rotation, |R' - R|_F^2, that of half a turn
 FARTHEST = 4  # times the horizon, to look beyond it
-FINEST = 0.25  # of a step, to which the time of a catch is looked for
+COARSEST, FINEST = 0.25, 0.0625  # of a step: to what the time of a catch is looked for
 SHARPEST = 0.5 * math.pi  # turn within a step: beyond it the way is a caricature
 
 
@@ -128,15 +139,17 @@ class Interception:
     Args:
         problem: what is solved where no catch is found, with the cone of approach of a catch.
         radius: within which the goal is caught [m].
+        lag: of the speed [s].
 
     Attributes:
         farthest: the last end at which a catch is looked for.
     """
 
-    def __init__(self, problem: Problem, radius: float) -> None:
-        self._tracked, self._radius = problem, radius
+    def __init__(self, problem: Problem, radius: float, lag: float = 0.0) -> None:
+        self._tracked, self._radius, self._lag = problem, radius, lag
         self._step, self._horizon = problem.step, problem.horizon
         self.farthest = _farthest(problem)
+        self._finest = _finest(problem, radius)
         self._divides = problem.rotation_order == 1  # at order 2, what coasts does so for a step
         self._turns_within = problem.max_rate > 0.0 or problem.discretisation != 'euler'
         self._coned = problem.approach.exists
@@ -147,7 +160,7 @@ class Interception:
         if target not in self._problems:
             made = catching(self._tracked, self._radius, target.end)
             if target.narrow:
-                narrower = replace(made.approach, cone=AIM * made.approach.cone)
+                narrower = replace(made.approach, cone=NARROW * made.approach.cone)
                 made = replace(made, approach=narrower)
             self._problems[target] = made
         return self._problems[target]
@@ -168,25 +181,42 @@ class Interception:
         return Enough(well, (1.0 + EFFORT) * squared)
 
     def earliest(self, hunt: Hunt) -> tuple[Plan | None, Catch]:
-        """Return the plan of the earliest catch, if one is found, and how early one can be."""
+        """Return the plan of the earliest catch, if one is found, and how early one can be.
+
+        Where the catch that was flown towards has just been lost, it is the plan of the nearest
+        miss, without a time, if that is by little.
+        """
         kept = self._kept(hunt)  # first of all: time may run out
-        bound, excluded, best = 1, True, MISSED
-        goals = hunt.goals(self._horizon)
-        too_far = self._too_far(hunt.state, goals, self._tracked)
-        for end in range(1, self._horizon + 1):
-            attempt = NEVER if too_far[end - 1] else self._tried(hunt, end, goals[:end])
-            best = min(best, attempt, key=_miss)
-            if best.miss <= AIM * self._radius:
-                break
-            excluded = excluded and attempt.never
-            bound = end + 1 if excluded else bound
+        best, bound = self._in_view(hunt)
+        near = self._radius < best.miss <= GRAZE * self._radius
+        if near and 0 < hunt.expected <= self._horizon:
+            return best.plan, Catch(math.nan, self._step * bound)
         if best.miss > self._radius:  # not even nearly
             best = self._sooner(hunt, kept) if kept.plan else self._beyond(hunt)
         if best.plan is None:
             return None, Catch(math.nan, self._step * bound)
-        if hunt.between and self._divides and best.miss <= AIM * self._radius:
+        if best.end == int(best.end) and self._is_well(best):
             best = self._within(hunt, best)
         return best.plan, Catch(self._step * best.end, self._step * min(bound, best.end))
+
+    def _in_view(self, hunt: Hunt) -> tuple[_Attempt, int]:
+        """Return the first catch in the horizon, or the nearest miss, and the bound in steps."""
+        bound, excluded, best = 1, True, MISSED
+        goals = hunt.goals(self._horizon)
+        too_far = self._too_far(hunt.state, goals, self._tracked)
+        travel = self._travel(goals)
+        for end in range(1, self._horizon + 1):
+            attempt = NEVER if too_far[end - 1] else self._tried(hunt, end, goals[:end])
+            if self._is_well(attempt):
+                return attempt, bound
+            excluded = excluded and attempt.never
+            bound = end + 1 if excluded else bound
+            if attempt.miss <= self._radius + travel:
+                attempt = min(attempt, self._passing(hunt, end), key=_miss)
+            best = min(best, attempt, key=_miss)
+            if self._is_well(best):
+                break
+        return best, bound
 
     def _kept(self, hunt: Hunt) -> _Attempt:
         """Try to catch the goal past the horizon when it was to be caught so far."""
@@ -229,16 +259,42 @@ class Interception:
     def _within(self, hunt: Hunt, found: _Attempt) -> _Attempt:
         """Return the first catch that halving finds within the step at whose end one is found."""
         away = 0.5
-        while away >= FINEST:
-            end = found.end - away
-            share = end / math.ceil(end)
-            if self._turns_within or share >= hunt.pause:
-                sooner = self._attempted(hunt, Target(end, narrow=self._coned), hunt.goals(end))
-                plan, well = sooner.plan, sooner.miss <= AIM * self._radius
-                if well and plan is not None and _first_turn(plan) <= share * math.pi:
-                    found = sooner
+        while away >= self._finest:
+            sooner = self._at(hunt, found.end - away)
+            if self._is_well(sooner):
+                found = sooner
             away *= 0.5
         return found
+
+    def _passing(self, hunt: Hunt, end: int) -> _Attempt:
+        """Return the first catch in the step before an end that has none, or the nearest miss.
+
+        Who cannot wait for the goal passes it between the ends of steps.
+        """
+        best = MISSED
+        for away in np.arange(1.0 - self._finest, 0.0, -self._finest):
+            best = min(best, self._at(hunt, float(end - away)), key=_miss)
+            if self._is_well(best):
+                break
+        return best
+
+    def _at(self, hunt: Hunt, end: float) -> _Attempt:
+        """Try to catch the goal between the ends of steps."""
+        share = end / math.ceil(end)
+        allowed = self._turns_within or share >= hunt.pause
+        if not (hunt.between and self._divides and allowed):
+            return MISSED
+        found = self._attempted(hunt, Target(end, narrow=self._coned), hunt.goals(end))
+        turned = found.plan is not None and _first_turn(found.plan) > share * math.pi
+        return MISSED if turned else found
+
+    def _is_well(self, attempt: _Attempt) -> bool:
+        return attempt.miss <= AIM * self._radius
+
+    def _travel(self, goals: Array) -> float:
+        """Return how far a step takes a vehicle past the goal at most [m]."""
+        moved = np.linalg.norm(np.diff(goals, axis=0), axis=1)
+        return self._step * self._tracked.forward + float(moved.max(initial=0.0))
 
     def _surely(self, hunt: Hunt, end: float) -> _Attempt:
         """Try to come well within the radius at an end past the horizon."""
@@ -249,7 +305,7 @@ class Interception:
         if self._too_far(hunt.state, goals, self.problem(target))[-1]:
             return MISSED
         attempt = self._attempted(hunt, target, goals)
-        return attempt if attempt.miss <= AIM * self._radius else MISSED
+        return attempt if self._is_well(attempt) else MISSED
 
     def _tried(self, hunt: Hunt, end: int, goals: Array) -> _Attempt:
         """Try to catch the goal at an end, given where it is at the steps that lead there.
@@ -259,19 +315,31 @@ class Interception:
         if not self._coned:
             return self._attempted(hunt, Target(end), goals)
         within = self._attempted(hunt, Target(end, narrow=True), goals)
-        if within.miss <= AIM * self._radius:
+        if self._is_well(within):
             return within
         wider = self._attempted(hunt, Target(end), goals)
         wider = wider._replace(miss=max(wider.miss, self._radius))
         return min(within, wider, key=_miss)._replace(never=wider.never)
 
     def _attempted(self, hunt: Hunt, target: Target, goals: Array) -> _Attempt:
-        plan = not hunt.late() and hunt.solved(target, goals)
-        if isinstance(plan, bool):
-            return NEVER if plan else MISSED
-        miss = float(np.linalg.norm(plan.positions[-1] - goals[-1]))
-        never = plan.lower_bound > self.enough(target.end).bound
-        return _Attempt(plan, target.end, miss, never)
+        """Try to catch the goal at an end, less the defect of the plans towards it."""
+        found, aims = MISSED, goals
+        for _ in range(TRIES):
+            plan = not hunt.late() and hunt.solved(target, aims)
+            if isinstance(plan, bool):
+                return NEVER if plan and aims is goals else found
+            astray = defect(self.problem(target), hunt.state, plan, self._lag)
+            miss = float(np.linalg.norm(plan.positions[-1] + astray - goals[-1]))
+            if aims is goals:  # what is proved is about the goal itself
+                never = plan.lower_bound > self.enough(target.end).bound
+                found = _Attempt(plan, target.end, miss, never)
+            elif miss < found.miss:
+                found = found._replace(plan=plan, miss=miss)
+            size = float(np.linalg.norm(astray))
+            if size == 0.0 or self._is_well(found) or miss > self._radius + 2.0 * size:
+                break
+            aims = np.concatenate([goals[:-1], goals[-1:] - astray])
+        return found
 
     def _too_far(self, state: State, goals: Array, problem: Problem) -> np.ndarray:
         """Return at the end of which steps the goal is out of reach, whatever the headings (7.10b).
@@ -316,6 +384,12 @@ def _farthest(problem: Problem) -> int:
     if problem.max_rate:
         longest = min(longest, max(problem.step, SHARPEST / problem.max_rate))
     return int(problem.horizon * longest / problem.step)
+
+
+def _finest(problem: Problem, radius: float) -> float:
+    """Return the share of a step in which a vehicle flies no farther than a radius [m], bounded."""
+    share = radius / (problem.step * problem.forward)
+    return float(min(COARSEST, max(FINEST, 2.0 ** math.floor(math.log2(share)))))
 
 
 def _doubling(first: int, last: int) -> Iterator[int]:
