@@ -13,6 +13,7 @@ from orbimpc_ros.ros.parameters.parameter import Row, Value, Values, span
 from orbimpc_ros.world.engines import ENGINES, Aircraft
 from orbimpc_ros.world.gusts import GUST_RANGES, Gusts
 from orbimpc_ros.world.plant import PLANT_RANGES, Plant
+from orbimpc_ros.world.rope import Rope
 from orbimpc_ros.world.vehicle import Model
 
 VEHICLES = ('discrete', 'continuous', *ENGINES)
@@ -60,12 +61,13 @@ PLANT = (
 )  # fmt: skip
 
 
-def moved_by(values: Values, model: Model) -> Model:
+def moved_by(values: Values, model: Model, rope: Rope) -> Model:
     """Return how the simulated vehicle moves: the discrete model, a plant, or an engine.
 
     Args:
         values: a full set of the simulator's parameters.
         model: the discrete one, with the orders, speed, mass, failsafe and wind of a plant, too.
+        rope: the goal, which some engines move themselves.
 
     Raises:
         BadInput: a value, or a combination, is not allowed.
@@ -80,7 +82,8 @@ def moved_by(values: Values, model: Model) -> Model:
         common['step'] = 1.0 / values['odom_rate']
     common['stall_speed'] = values['stall_speed']
     if kind in ENGINES:
-        return Aircraft(**common, engine=kind, turbulence=values['gust'], seed=values['seed'])
+        chance = {'turbulence': values['gust'], 'seed': values['seed']}
+        return Aircraft(**common, engine=kind, **chance, rope=rope)
     return Plant(
         **common,
         speed_lag=values['response.speed'],

@@ -24,7 +24,7 @@ from orbimpc_ros.world.flight import Flight, departure
 from orbimpc_ros.world.vehicle import Continuous, Vehicle
 
 Row = dict[str, Any]
-MOMENT = 0.05  # [s] to either side, for the velocity of a goal
+MOMENT = 1e-6  # [s] shorter than between two vehicles on a trail
 
 
 def row(scenario: Mission, name: str, seed: int, index: int, tuned: Mapping[str, float]) -> Row:
@@ -120,9 +120,12 @@ class Facts:
 
 
 def _closing(flight: Flight, vehicle: Vehicle) -> float:
-    """Return how fast a vehicle moves past the goal [m/s]."""
-    rope, now = flight.scenario.rope, vehicle.time - flight.scenario.start.time
-    moved = (rope.at(now + MOMENT) - rope.at(now - MOMENT)) / (2.0 * MOMENT)
+    """Return how fast a vehicle on the last step's trail moves past the goal [m/s]."""
+    trail = flight.trail
+    place = next(k for k, each in enumerate(trail) if each is vehicle)
+    before, after = trail[max(place - 1, 0)], trail[min(place + 1, len(trail) - 1)]
+    moved = flight.goal_of(after) - flight.goal_of(before)
+    moved = moved / max(after.time - before.time, MOMENT)
     return float(np.linalg.norm(vehicle.velocity - moved))
 
 
