@@ -16,7 +16,7 @@ import math
 import jsbsim
 import numpy as np
 
-from orbimpc_ros.physics.engine import Array, EngineFailure, Motion, Start
+from orbimpc_ros.physics.engine import Array, EngineFailure, Motion, NoStart, Start
 
 FOOT = 0.3048  # [m]
 GRAVITY = 9.80665  # [m/s^2]
@@ -71,7 +71,7 @@ class Cessna:
         start: in the plane, east and north; its gust is the strength of the turbulence.
 
     Raises:
-        EngineFailure: there is no level flight at that speed.
+        NoStart: there is no level flight at that speed.
     """
 
     name = 'jsbsim'
@@ -89,7 +89,8 @@ class Cessna:
         try:
             self._set({'simulation/do_simple_trim': 1.0})
         except jsbsim.TrimFailureError as error:
-            raise EngineFailure(f'{self.name}: no level flight at {start.push:g} m/s') from error
+            why = f'{self.name}: no level flight at {start.push:g} m/s'
+            raise NoStart('start.speed_fraction', why) from error
         self._set(_engaged(start.gust))
 
     def _set(self, values: dict[str, float]) -> None:

@@ -16,6 +16,18 @@ class EngineFailure(Exception):
     """An engine did what no vehicle can: it stopped, went back in time, or lost its numbers."""
 
 
+class NoStart(Exception):
+    """An engine cannot begin so.
+
+    Attributes:
+        culprit: the parameter that is to blame.
+    """
+
+    def __init__(self, culprit: str, why: str) -> None:
+        super().__init__(why)
+        self.culprit = culprit
+
+
 class Start(NamedTuple):
     """How a vehicle and its goal begin, in as many dimensions n as the vehicle is flown in.
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.physics.engine import Engine, EngineFailure, Motion, Start, checked
+from orbimpc_ros.physics.engine import Engine, Motion, NoStart, Start, checked
 from orbimpc_ros.world.rope import Rope, fixed
 from orbimpc_ros.world.vehicle import Continuous, Vehicle
 
@@ -33,7 +33,10 @@ class Kind(NamedTuple):
     translation_order: int
 
 
-ENGINES = {'cessna': Kind(('jsbsim',), 'Cessna', 2, 1)}
+ENGINES = {
+    'cessna': Kind(('jsbsim',), 'Cessna', 2, 1),
+    'hummingbird': Kind(('mujoco', 'rotorpy'), 'Hummingbird', 2, 1),
+}
 
 
 @dataclass(frozen=True)
@@ -116,8 +119,13 @@ class Aircraft(Continuous):
         )
         try:
             engine = class_of(self.engine)(start)
-        except EngineFailure as error:
-            raise BadInput('start.speed_fraction', vehicle.fraction, f'a start ({error})') from None
+        except NoStart as error:
+            given = {
+                'start.speed_fraction': vehicle.fraction,
+                'rope.amplitude': goal.amplitude.tolist(),
+            }
+            allowed = f'a start ({error})'
+            raise BadInput(error.culprit, given[error.culprit], allowed) from None
         return self._read(engine, engine.motion(), vehicle.time)
 
     def flown(
