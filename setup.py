@@ -7,6 +7,11 @@ from setuptools import find_packages, setup
 
 NAME = 'orbimpc_ros'
 SHARE = f'share/{NAME}'
+MULTIROTOR = [  # MuJoCo 4.0 takes no other core than its own
+    'mujoco==4.0.0; python_version >= "3.11"',
+    'mujoco-core==4.0.0; python_version >= "3.11"',
+    'rotorpy>=3.0; python_version >= "3.11"',
+]
 FOR_PIP = {'bdist_wheel', 'dist_info', 'editable_wheel'}  # commands that pip builds with
 
 
@@ -66,7 +71,7 @@ setup(
         'bench': ['casadi', 'gurobipy', 'pyscipopt', 'qoco'],
         'fast': ['numba>=0.59'],
         'mutation': ['mutmut>=3.8,<4'],
-        'physics': ['jsbsim>=1.2'],
+        'physics': ['jsbsim>=1.2', *MULTIROTOR],
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         # Newer Arrows want NumPy 2, which not every ROS workspace has.
         'study': ['casadi', 'distributed>=2024.1', 'pyarrow>=14,<25'],
@@ -78,6 +83,7 @@ setup(
             'colcon-test-result',
             'hypothesis',
             'jsbsim>=1.2',
+            *MULTIROTOR,
             'mypy',
             'pytest',
             'pytest-xdist',

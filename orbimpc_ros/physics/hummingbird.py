@@ -23,7 +23,7 @@ from rotorpy.controllers.quadrotor_control import SE3Control
 from rotorpy.vehicles.hummingbird_params import quad_params
 from rotorpy.vehicles.multirotor import Multirotor
 
-from orbimpc_ros.physics.engine import Array, EngineFailure, Motion, Start
+from orbimpc_ros.physics.engine import Array, EngineFailure, Motion, NoStart, Start
 
 STEP = 0.002  # [s] of MuJoCo
 CONTROL = 2  # steps from one command to the rotors to the next
@@ -38,7 +38,7 @@ MEMORY = 1.0  # [s] of gusts
 
 SCENE = """
 <mujoco model="hummingbird and rope">
-  <option timestep="{step}" density="1.2" viscosity="1.8e-5" integrator="implicitfast"/>
+  <option timestep="{step}" density="1.2" viscosity="1.8e-5"/>
   <visual><global offwidth="960" offheight="640"/></visual>
   <default>
     <default class="vehicle">
@@ -116,7 +116,8 @@ class Hummingbird:
         self._controller = SE3Control(quad_params)
         hover = math.sqrt(quad_params['mass'] * 9.81 / (4.0 * quad_params['k_eta']))
         self._rotors = np.full(4, hover)
-        self._wind, self._gust, self._draw = start.wind, start.gust, np.random.default_rng(start.seed)
+        self._wind, self._gust = start.wind, start.gust
+        self._draw = np.random.default_rng(start.seed)
         self._blown = start.gust * self._draw.normal(size=2)
         yaw = math.atan2(start.attitude[1, 0], start.attitude[0, 0])
         place = np.append(start.position, 0.0) - _turned(yaw) @ NOSE
@@ -211,7 +212,7 @@ class Hummingbird:
 
     def _judge(self) -> None:
         """See what has touched the rope, unless that is known: the hook, or something else."""
-        if self._caught or self._struck:
+        if self._caught or self._struck or not self._data.ncon:
             return
         for contact in self._data.contact[: self._data.ncon]:
             if self._parts.hook.isdisjoint(contact.geom.tolist()):

@@ -176,9 +176,10 @@ def class_of(name: str) -> Callable[..., Engine]:
     try:
         module = import_module(f'orbimpc_ros.physics.{name}')
     except ModuleNotFoundError as error:
-        if error.name not in kind.libraries:
+        library = str(error.name).partition('.')[0]
+        if library not in kind.libraries:
             raise
         hint = "pip install 'orbimpc_ros[physics]'"
-        raise BadInput.stating(f'vehicle {name}', f'{error.name} is missing', hint) from None
+        raise BadInput.stating(f'vehicle {name}', f'{library} is missing', hint) from None
     made: Callable[..., Engine] = getattr(module, kind.made_by)
     return made

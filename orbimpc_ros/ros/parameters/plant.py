@@ -55,7 +55,7 @@ CONTINUOUS = (  # where one has no meaning it is refused
 PLANT = (
     Row('vehicle', VEHICLES[0], 'Whether the vehicle moves in the steps that the planner '
         'believes in, or in continuous time, with lags and limits, in wind, or in an engine: '
-        'cessna is that of JSBSim', choices=VEHICLES),
+        'cessna is that of JSBSim, hummingbird that of RotorPy in MuJoCo', choices=VEHICLES),
     *LIMITS,
     *CONTINUOUS,
 )  # fmt: skip

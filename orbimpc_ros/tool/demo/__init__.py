@@ -21,6 +21,7 @@ SCENARIOS = (
     'spacecraft',
     'fixed_wing',
     'cessna',
+    'rope',
     'multirotor',
     'lander',
     'fleet',
