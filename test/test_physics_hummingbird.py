@@ -8,6 +8,7 @@ import pytest
 from orbimpc_ros.lab.study.vehicles.flights import row
 from orbimpc_ros.lab.study.vehicles.scenario import scenario_named
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.physics.engine import EngineFailure
 from orbimpc_ros.world.engines import Aircraft
 from orbimpc_ros.world.flight import departure
 from orbimpc_ros.world.rope import Rope
@@ -111,6 +112,13 @@ def test_a_seed_brings_the_same_gusts_again(hummingbird):
     ]
     assert np.array_equal(ends[0], ends[1])
     assert not np.array_equal(ends[0], ends[2])
+
+
+def test_a_motion_that_mujoco_gives_up_is_a_failure(hummingbird):
+    flight = flown(flight_of(), 0.2)[-1]
+    flight.vehicle.engine._data.qvel[-1] = 1e12
+    with pytest.raises(EngineFailure, match=r'mujoco: unstable after t = 0.200 s'):
+        flight.after(0.0, np.zeros(1))
 
 
 def test_a_rope_that_would_be_let_go_too_high_is_refused(hummingbird):

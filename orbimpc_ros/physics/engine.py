@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,6 +120,14 @@ class Engine(Protocol):
 
     def steer_to(self, point: Array) -> None:
         """Have the vehicle's own guidance fly to a waypoint, shape (n,) [m], from now on."""
+
+
+@runtime_checkable
+class Depicted(Protocol):
+    """An engine that can draw its bodies."""
+
+    def picture(self) -> NDArray[np.uint8]:
+        """Return what they look like now, shape (height, width, 3), red, green, blue."""
 
 
 def checked(engine: Engine, before: float, motions: list[Motion], span: float) -> list[Motion]:

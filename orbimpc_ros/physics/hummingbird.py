@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 from rotorpy.controllers.quadrotor_control import SE3Control
 from rotorpy.vehicles.hummingbird_params import quad_params
 from rotorpy.vehicles.multirotor import Multirotor
@@ -35,6 +36,7 @@ FASTEST = 1.5  # [rad/s] turn on the way to a waypoint
 QUICKEST, SHARPEST = 3.0, 6.0  # the setpoint's speed and turn change no faster [m/s^2, rad/s^2]
 NOSE = np.array([0.45, 0.0, 0.0])  # [m] the middle of the hook, in the body
 MEMORY = 1.0  # [s] of gusts
+SIZE = 480, 720  # [px] height and width of pictures
 
 SCENE = """
 <mujoco model="hummingbird and rope">
@@ -109,6 +111,9 @@ class Hummingbird:
         if math.hypot(*aside) > FARTHEST:
             why = f'{self.name}: a rope is let go at most {FARTHEST:g} m aside'
             raise NoStart('rope.amplitude', why)
+        mujoco.set_mju_user_warning(
+            lambda _: None
+        )  # what is wrong is raised, and not put in a file
         self._model = mujoco.MjModel.from_xml_string(scene(np.append(start.rest, ABOVE)))
         self._data = mujoco.MjData(self._model)
         self._parts = _Parts.of(self._model)
@@ -124,6 +129,7 @@ class Hummingbird:
         self._setpoint = _Setpoint(place, yaw, start.push, 0.0, 0.0)
         self._waypoint: Array | None = None
         self._caught = self._struck = False
+        self._renderer: mujoco.Renderer | None = None
         self._place(aside)
 
     def _place(self, aside: Array) -> None:
@@ -156,7 +162,7 @@ class Hummingbird:
         Raises:
             EngineFailure: MuJoCo has given up.
         """
-        motions, count = [], max(1, round(span / self.tick))
+        motions, count, begun = [], max(1, round(span / self.tick)), self._data.time
         for k in range(1, count + 1):
             self._lead(push, float(rate[0]))
             self._push()
@@ -166,7 +172,7 @@ class Hummingbird:
             if k % READ == 0 or k == count:
                 motions.append(self.motion())
         if any(warning.number for warning in self._data.warning):
-            raise EngineFailure(f'{self.name}: unstable before t = {self._data.time:.3f} s')
+            raise EngineFailure(f'{self.name}: unstable after t = {begun:.3f} s')
         return motions
 
     def _lead(self, speed: float, turn: float) -> None:
@@ -244,6 +250,21 @@ class Hummingbird:
             self._crossing(),
             self._caught,
         )
+
+    def picture(self) -> NDArray[np.uint8]:
+        """Return what MuJoCo renders, shape (height, width, 3).
+
+        Raises:
+            Exception: MuJoCo finds no OpenGL; of what kind depends on what is missing.
+        """
+        if self._renderer is None:
+            self._renderer = mujoco.Renderer(self._model, *SIZE)
+        camera = mujoco.MjvCamera()
+        camera.lookat[:] = 0.5 * (self._data.qpos[:3] + self._crossing()) + [0.0, 0.0, 0.3]
+        apart = float(np.linalg.norm(self._data.qpos[:3] - self._crossing()))
+        camera.distance, camera.azimuth, camera.elevation = 3.0 + 0.8 * apart, 60.0, -15.0
+        self._renderer.update_scene(self._data, camera)
+        return self._renderer.render().copy()
 
     def _crossing(self) -> Array:
         """Return where the rope crosses the plane of flight, or its end, shape (3,) [m]."""

@@ -25,17 +25,19 @@ class Kind(NamedTuple):
         made_by: the class of the module in ``physics`` that has the vehicle's name.
         dimension: in which it is flown.
         translation_order: 1, it takes speeds; 2, thrusts.
+        moves_goal: whether the goal is a body of the engine, too.
     """
 
     libraries: tuple[str, ...]
     made_by: str
     dimension: int
     translation_order: int
+    moves_goal: bool = False
 
 
 ENGINES = {
     'cessna': Kind(('jsbsim',), 'Cessna', 2, 1),
-    'hummingbird': Kind(('mujoco', 'rotorpy'), 'Hummingbird', 2, 1),
+    'hummingbird': Kind(('mujoco', 'rotorpy'), 'Hummingbird', 2, 1, moves_goal=True),
 }
 
 

@@ -18,6 +18,7 @@ from orbimpc_ros.world.vehicle import Model
 
 VEHICLES = ('discrete', 'continuous', *ENGINES)
 OF_AIRCRAFT = ('gust', 'stall_speed', 'odom_rate')  # what of a plant an aircraft has, too
+OF_GOAL = ('goal_path_steps', 'rope.frequency', 'rope.velocity')  # unknown where an engine moves it
 IDEAL = Plant()  # its numbers are the defaults
 FASTEST = 1e3  # [Hz]
 
@@ -82,6 +83,7 @@ def moved_by(values: Values, model: Model, rope: Rope) -> Model:
         common['step'] = 1.0 / values['odom_rate']
     common['stall_speed'] = values['stall_speed']
     if kind in ENGINES:
+        _refuse_goals_of(values, kind)
         chance = {'turbulence': values['gust'], 'seed': values['seed']}
         return Aircraft(**common, engine=kind, **chance, rope=rope)
     return Plant(
@@ -102,6 +104,13 @@ def _refuse_unused(values: Values, kept: Collection[str]) -> None:
         if row.name not in kept and not np.array_equal(values[row.name], row.default):
             allowed = f'{_shown(row.default)} with vehicle: {values["vehicle"]}'
             raise BadInput(row.name, _shown(values[row.name]), allowed)
+
+
+def _refuse_goals_of(values: Values, kind: str) -> None:
+    """Refuse what says how a goal moves that the engine of a vehicle moves itself."""
+    for name in OF_GOAL if ENGINES[kind].moves_goal else ():
+        if np.any(values[name]):
+            raise BadInput(name, _shown(values[name]), f'0 with vehicle: {kind}')
 
 
 def _shown(value: Value) -> object:
