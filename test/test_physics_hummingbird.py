@@ -1,20 +1,27 @@
 """The Hummingbird in MuJoCo behind the simulator: commands, rope, wind, contacts, seeds."""
 
 import math
+import os
 
 import numpy as np
 import pytest
+
+pytest.importorskip('rclpy')
+
+from bags import GOLDEN
 
 from orbimpc_ros.lab.study.vehicles.flights import row
 from orbimpc_ros.lab.study.vehicles.scenario import scenario_named
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.physics.engine import EngineFailure
+from orbimpc_ros.tool.demo.rendering import flown_again
 from orbimpc_ros.world.engines import Aircraft
 from orbimpc_ros.world.flight import departure
 from orbimpc_ros.world.rope import Rope
 from orbimpc_ros.world.scenario import Scenario
 from orbimpc_ros.world.vehicle import launched
 
+os.environ.setdefault('MUJOCO_GL', 'egl')  # read when MuJoCo is imported
 STILL, FAR = np.zeros(2), np.array([50.0, 0.0])
 
 
@@ -135,6 +142,21 @@ def test_a_library_that_is_missing_is_said_with_the_way_to_get_it(monkeypatch, m
     library = module.partition('.')[0]
     with pytest.raises(BadInput, match=f'vehicle hummingbird: {library} is missing; pip install'):
         flight_of()
+
+
+def test_a_recorded_flight_can_be_flown_again(hummingbird):
+    flights = list(flown_again(GOLDEN / 'rope'))
+    assert flights[-1].captured
+    assert not any(each.captured for each in flights[:-1])
+
+
+def test_it_can_be_rendered(hummingbird):
+    try:
+        picture = flight_of([1.0, 0.0]).vehicle.engine.picture()
+    except Exception as error:
+        pytest.skip(f'MuJoCo cannot draw here ({error}): an EGL or a display runs this')
+    assert picture.shape == (480, 720, 3)
+    assert picture.std() > 5.0
 
 
 def test_the_planner_catches_the_rope(hummingbird):

@@ -41,7 +41,14 @@ SIZE = 480, 720  # [px] height and width of pictures
 SCENE = """
 <mujoco model="hummingbird and rope">
   <option timestep="{step}" density="1.2" viscosity="1.8e-5"/>
-  <visual><global offwidth="960" offheight="640"/></visual>
+  <visual>
+    <global offwidth="960" offheight="640"/>
+    <headlight ambient="0.5 0.5 0.5" diffuse="0.4 0.4 0.4" specular="0 0 0"/>
+  </visual>
+  <asset>
+    <texture type="skybox" builtin="gradient" rgb1="1 1 1" rgb2="0.7 0.8 0.9"
+             width="64" height="64"/>
+  </asset>
   <default>
     <default class="vehicle">
       <geom contype="1" conaffinity="0" fluidshape="ellipsoid" fluidcoef="0 0 0 0 0"/>
@@ -53,7 +60,7 @@ SCENE = """
     </default>
   </default>
   <worldbody>
-    <light pos="0 0 4" dir="0 0 -1"/>
+    <light pos="0 0 4" dir="0.2 0.3 -1" directional="true" diffuse="0.3 0.3 0.3"/>
     <geom name="ground" type="plane" size="20 20 0.1" pos="0 0 -2" contype="0" conaffinity="0"
           rgba="0.8 0.82 0.85 1"/>
     <body name="vehicle" pos="0 0 0" childclass="vehicle">
