@@ -68,6 +68,7 @@ class Motion(NamedTuple):
         facts: what else an engine knows of its vehicle, by name.
         goal: where the goal is, shape (3,) [m], if the engine moves it, too.
         caught: whether the goal has been caught, if the engine judges that.
+        lost: whether it cannot be caught any more.
     """
 
     time: float
@@ -80,6 +81,7 @@ class Motion(NamedTuple):
     facts: Mapping[str, float]
     goal: Array | None = None
     caught: bool | None = None
+    lost: bool = False
 
     @property
     def airspeed(self) -> float:

@@ -252,10 +252,10 @@ class Hummingbird:
                 'bank': math.acos(min(max(attitude[2, 2], -1.0), 1.0)),
                 'turn': float((attitude @ state['w'])[2]),
                 'off': float(np.linalg.norm(setpoint.position - state['x'])),
-                'struck': float(self._struck),
             },
             self._crossing(),
             self._caught,
+            self._struck,
         )
 
     def picture(self) -> NDArray[np.uint8]:

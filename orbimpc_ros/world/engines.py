@@ -75,6 +75,11 @@ class EngineVehicle(Vehicle):
         """Return whether it has caught the goal, if the engine judges that."""
         return None if self.motion is None else self.motion.caught
 
+    @property
+    def lost(self) -> bool:
+        """Return whether it cannot catch the goal any more, as the engine judges."""
+        return self.motion is not None and self.motion.lost
+
 
 @dataclass(frozen=True)
 class Aircraft(Continuous):

@@ -117,8 +117,8 @@ class Flight:
 
     @property
     def over(self) -> bool:
-        """Return whether the goal is caught or the steps are used up."""
-        return self.captured or self._out_of_ticks
+        """Return whether the goal is caught or lost, or the steps are used up."""
+        return self.captured or self.vehicle.lost or self._out_of_ticks
 
     def after(self, fraction: float, body_rate: Array, held: float = np.inf) -> Flight:
         """Return the flight one step later, the command taken over as the vehicle's model says.
@@ -158,7 +158,7 @@ class Flight:
             near, share = closest_approach(
                 (before._place, now._place), (before._place_of_goal, now._place_of_goal)
             )
-            if near < miss and not before.vehicle.caught:
+            if near < miss and not (before.vehicle.caught or before.vehicle.lost):
                 begun = before.vehicle.time
                 miss, missed_at = near, begun + share * (vehicle.time - begun)
                 ends = before.vehicle.attitude[:, 0], vehicle.attitude[:, 0]

@@ -201,6 +201,11 @@ class Vehicle:
         """Return whether it has caught the goal, if that is not for distances to say."""
         return None
 
+    @property
+    def lost(self) -> bool:
+        """Return whether it cannot catch the goal any more."""
+        return False
+
 
 def launched(
     model: Model,
