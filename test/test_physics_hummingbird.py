@@ -13,6 +13,7 @@ from bags import GOLDEN
 from orbimpc_ros.lab.study.vehicles.flights import row
 from orbimpc_ros.lab.study.vehicles.scenario import scenario_named
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.physics.engine import EngineFailure
 from orbimpc_ros.ros.sim.arena import outcome
 from orbimpc_ros.tool.demo.rendering import flown_again
@@ -162,6 +163,7 @@ def test_it_can_be_rendered(hummingbird):
     assert picture.std() > 5.0
 
 
+@pytest.mark.skipif(not COMPILED, reason='slow in plain Python: pip install numba')
 def test_the_planner_catches_the_rope(hummingbird):
     """The first flight of a seed that no study has used."""
     flown_by_us = row(scenario_named('rope'), 'orbitope', 901, 0, {})
