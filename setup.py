@@ -66,7 +66,13 @@ setup(
         'bench': ['casadi', 'gurobipy', 'pyscipopt', 'qoco'],
         'fast': ['numba>=0.59'],
         'mutation': ['mutmut>=3.8,<4'],
-        'physics': ['jsbsim>=1.2'],
+        # MuJoCo 4.0 takes no other core than its own.
+        'physics': [
+            'jsbsim>=1.2',
+            'mujoco==4.0.0; python_version >= "3.11"',
+            'mujoco-core==4.0.0; python_version >= "3.11"',
+            'rotorpy>=3.0; python_version >= "3.11"',
+        ],
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         # Newer Arrows want NumPy 2, which not every ROS workspace has.
         'study': ['casadi', 'distributed>=2024.1', 'pyarrow>=14,<25'],
@@ -78,9 +84,12 @@ setup(
             'colcon-test-result',
             'hypothesis',
             'jsbsim>=1.2',
+            'mujoco==4.0.0; python_version >= "3.11"',
+            'mujoco-core==4.0.0; python_version >= "3.11"',
             'mypy',
             'pytest',
             'pytest-xdist',
+            'rotorpy>=3.0; python_version >= "3.11"',
             'ruff',
             'types-PyYAML',
             'wheel',

@@ -15,17 +15,17 @@ class Straight:
 
     name, tick, lasts = 'broken', 0.01, 2.0
 
-    def __init__(self, *_start):
+    def __init__(self, _start):
         self.time = 0.0
 
     def motion(self):
         still, facts = np.zeros(3), {'bank': 0.0, 'turn': 0.0}
         ahead = np.array([1.0, 0.0, 0.0])
         return Motion(
-            self.time, 45.0 * self.time * ahead, 45.0 * ahead, np.eye(3), still, still, facts
+            self.time, 45.0 * self.time * ahead, 45.0 * ahead, np.eye(3), still, still, 45.0, facts
         )
 
-    def run(self, span, _speed, _turn):
+    def run(self, span, _push, _rate):
         if self.time >= self.lasts:
             return self.failing(span)
         self.time += span

@@ -9,7 +9,7 @@ from dying_engine import FAILURES
 from scipy.integrate import trapezoid
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.physics.engine import EngineFailure
+from orbimpc_ros.physics.engine import EngineFailure, Start
 from orbimpc_ros.world import engines
 from orbimpc_ros.world.engines import Aircraft
 from orbimpc_ros.world.faults import Faults, View
@@ -81,8 +81,9 @@ def test_it_tends_to_the_airspeed_that_it_is_told(cessna):
 
 def test_throttles_are_those_of_the_engines_own_trim(cessna):
     for speed, throttle in zip(cessna.SPEEDS, cessna.THROTTLES, strict=True):
-        engine = cessna.Cessna(speed, 0.0, np.zeros(2), np.zeros(2))
-        assert engine.motion().facts['throttle'] == pytest.approx(throttle, abs=2e-3)
+        still = np.zeros(2)
+        start = Start(still, still, np.eye(2), speed, still, 0.0, 0, still, still)
+        assert cessna.Cessna(start).motion().facts['throttle'] == pytest.approx(throttle, abs=2e-3)
 
 
 def test_its_own_guidance_flies_to_a_waypoint(cessna):

@@ -3,19 +3,25 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy')
 
 from bags import messages_of
+from dying_engine import FAILURES
 
+from orbimpc_ros.lab.onboard import Planner, tell
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.physics.engine import EngineFailure
 from orbimpc_ros.ros.parameters import SIM, sim_settings
 from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.content import fields
 from orbimpc_ros.tool.io.share import config
+from orbimpc_ros.world import engines
 from orbimpc_ros.world.engines import Aircraft
+from orbimpc_ros.world.flight import departure
 
 DEFAULTS = {row.name: row.default for row in SIM}
 DYING = Path(__file__).with_name('dying_engine.py')
@@ -38,6 +44,15 @@ def test_parameters_make_the_aircraft_that_they_say():
 def test_what_an_engine_has_of_its_own_is_refused(name):
     with pytest.raises(BadInput, match=f'{name} is 0.7; allowed: .* with vehicle: cessna'):
         sim_settings(DEFAULTS | {'vehicle': 'cessna', name: 0.7})
+
+
+@pytest.mark.parametrize(
+    'change', ['goal_path_steps=3', 'rope.frequency=0.4', 'rope.velocity=[1,0,0]']
+)
+def test_how_a_goal_moves_is_not_said_where_the_engine_moves_it(change):
+    name = change.partition('=')[0]
+    with pytest.raises(BadInput, match=f'{name} is .*; allowed: 0 with vehicle: hummingbird'):
+        settings.resolve(config('rope.yaml'), [change])
 
 
 def test_a_demo_without_its_engine_says_how_to_get_it(monkeypatch, capsys, tmp_path):
@@ -69,6 +84,42 @@ def test_the_cessna_meets_the_line(capfd, tmp_path):
     commands = [each.twist for each in found['cmd_vel'].values()]
     assert min(each.linear.x for each in commands) >= 40.0 - 1e-6
     assert max(abs(each.angular.z) for each in commands) <= 0.09 + 1e-9
+
+
+def test_the_multirotor_is_told_nothing_of_wind_and_swing():
+    values = settings.resolve(config('rope.yaml'))
+    told = sim_settings(settings.of_sim(values))
+    model = told.scenario.model
+    assert (model.engine, model.step, model.turbulence) == ('hummingbird', 0.1, 0.5)
+    np.testing.assert_allclose(model.rope.at(0.0), [6.3, 2.2])
+    assert told.goal_path_steps == 0
+    assert values['wind'] == (0.0, 0.0, 0.0)
+
+
+def last_before_failure(planner, flight):
+    """Return the last flight that an engine shows, the planner in command."""
+    while True:
+        tell(planner, flight, 0)
+        command = planner.report(flight.vehicle.time)[1].tick.command
+        try:
+            flight = flight.after(command.speed_fraction, command.body_rate)
+        except EngineFailure:
+            return flight
+
+
+@pytest.mark.parametrize('failure', FAILURES)
+def test_a_planner_whose_engine_has_failed_stops_once_odometry_is_stale(monkeypatch, failure):
+    """The simulator says nothing more; odometry is stale after 0.2 s, two ticks."""
+    monkeypatch.setattr(engines, 'class_of', lambda _name: FAILURES[failure])
+    values = settings.resolve(config('rope.yaml'), ['odom_timeout=0.0', 'odom_rate=1.0'])
+    start = departure(sim_settings(settings.of_sim(values)).scenario)
+    planner = Planner(values)
+    failed = last_before_failure(planner, start).vehicle.time
+    assert failed == 2.0
+    road, report = planner.report(failed + 2.01 * planner.period)
+    assert road == 'odometry lost'
+    assert report.tick.command.speed_fraction == 0.0
+    assert not report.tick.command.body_rate.any()
 
 
 @pytest.mark.parametrize(

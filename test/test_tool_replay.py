@@ -30,7 +30,7 @@ from orbimpc_ros.tool.replay.resolving import replayed
 
 FLIGHTS = (
     *('retrieval', 'dubins', 'spacecraft', 'obstacles', 'multirotor'),
-    *('disturbed', 'faulty', 'fixed_wing', 'lander', 'cessna'),
+    *('disturbed', 'faulty', 'fixed_wing', 'lander', 'cessna', 'rope'),
 )
 RETRIEVAL = GOLDEN / 'retrieval'
 
@@ -70,7 +70,7 @@ def without(*topics):
 def quickly(name):
     """A flight of that name, marked where plain Python would search for minutes."""
     reason = 'searched for minutes in plain Python: pip install numba'
-    slow = name in ('fixed_wing', 'cessna') and not COMPILED
+    slow = name in ('fixed_wing', 'cessna', 'rope') and not COMPILED
     return pytest.param(name, marks=pytest.mark.skipif(slow, reason=reason))
 
 

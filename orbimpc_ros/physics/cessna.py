@@ -16,7 +16,7 @@ import math
 import jsbsim
 import numpy as np
 
-from orbimpc_ros.physics.engine import Array, EngineFailure, Motion
+from orbimpc_ros.physics.engine import Array, EngineFailure, Motion, NoStart, Start
 
 FOOT = 0.3048  # [m]
 GRAVITY = 9.80665  # [m/s^2]
@@ -32,11 +32,12 @@ MILITARY = 3  # turbulence by MIL-F-8785C, Dryden's spectra
 LIGHT = 3.0  # how severe it is above 1,000 ft; with 0 there is none anywhere
 
 
-def _start(speed: float, heading: float, wind: Array, seed: int) -> dict[str, float]:
+def _begun(start: Start) -> dict[str, float]:
     """Return the initial conditions: wings level, in the air that moves."""
-    over_ground = speed * np.array([math.cos(heading), math.sin(heading)]) + wind
+    speed, axis, wind = start.push, start.attitude[:, 0], start.wind
+    heading, over_ground = math.atan2(axis[1], axis[0]), speed * axis + wind
     return {
-        'simulation/randomseed': seed,
+        'simulation/randomseed': start.seed,
         'ic/h-agl-ft': HEIGHT,
         'ic/lat-geod-deg': 0.0,
         'ic/long-gc-deg': 0.0,
@@ -67,42 +68,30 @@ class Cessna:
     """The aircraft in flight, trimmed at the start.
 
     Args:
-        speed: through the air at the start [m/s].
-        heading: at the start, from east to the left [rad].
-        place: where it starts, east and north, shape (2,) [m].
-        wind: steady, east and north, shape (2,) [m/s].
-        turbulence: standard deviation of the air's velocity along each axis [m/s].
-        seed: of the turbulence.
+        start: in the plane, east and north; its gust is the strength of the turbulence.
 
     Raises:
-        EngineFailure: there is no level flight at that speed.
+        NoStart: there is no level flight at that speed.
     """
 
     name = 'jsbsim'
     tick = 1.0 / RATE
 
-    def __init__(
-        self,
-        speed: float,
-        heading: float,
-        place: Array,
-        wind: Array,
-        turbulence: float = 0.0,
-        seed: int = 0,
-    ) -> None:
-        self._place = np.array(place, dtype=float)
+    def __init__(self, start: Start) -> None:
+        self._place = start.position
         jsbsim.FGJSBBase().debug_lvl = 0  # of all that is made from now on: no banner
         self._fdm = jsbsim.FGFDMExec(jsbsim.get_default_root_dir())
         self._fdm.load_model('c172x')
         self._fdm.set_dt(self.tick)
-        self._set(_start(speed, heading, np.asarray(wind, dtype=float), seed))
+        self._set(_begun(start))
         self._fdm.run_ic()
         self._set({'propulsion/set-running': -1.0})
         try:
             self._set({'simulation/do_simple_trim': 1.0})
         except jsbsim.TrimFailureError as error:
-            raise EngineFailure(f'{self.name}: no level flight at {speed:g} m/s') from error
-        self._set(_engaged(turbulence))
+            why = f'{self.name}: no level flight at {start.push:g} m/s'
+            raise NoStart('start.speed_fraction', why) from error
+        self._set(_engaged(start.gust))
 
     def _set(self, values: dict[str, float]) -> None:
         for name, value in values.items():
@@ -123,20 +112,20 @@ class Cessna:
             }
         )
 
-    def run(self, span: float, speed: float, turn: float) -> list[Motion]:
+    def run(self, span: float, push: float, rate: Array) -> list[Motion]:
         """Fly for a time and return the motions on the way, the last one at its end.
 
         Args:
             span: how long, rounded to steps of the engine [s].
-            speed: commanded, through the air [m/s].
-            turn: commanded, to the left [rad/s].
+            push: commanded, the speed through the air [m/s].
+            rate: commanded, to the left, shape (1,) [rad/s].
 
         Raises:
             EngineFailure: the engine has stopped.
         """
         motions, count = [], max(1, round(span * RATE))
         for k in range(1, count + 1):
-            self._steer(speed, turn)
+            self._steer(push, float(rate[0]))
             if not self._fdm.run():
                 raise EngineFailure(f'{self.name}: stopped at t = {self._time:.3f} s')
             if k % READ == 0 or k == count:
@@ -171,6 +160,7 @@ class Cessna:
             _attitude(*(fdm[f'attitude/{name}-rad'] for name in ('phi', 'theta', 'psi'))),
             np.array([fdm[f'velocities/{axis}-rad_sec'] for axis in 'pqr']) * [1.0, -1.0, -1.0],
             self._enu('atmosphere/total-wind-{}-fps'),
+            speed,
             {
                 'bank': bank,
                 'turn': GRAVITY * math.tan(bank) / speed,

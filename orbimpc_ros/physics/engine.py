@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,44 @@ Array = NDArray[np.floating]
 
 class EngineFailure(Exception):
     """An engine did what no vehicle can: it stopped, went back in time, or lost its numbers."""
+
+
+class NoStart(Exception):
+    """An engine cannot begin so.
+
+    Attributes:
+        culprit: the parameter that is to blame.
+    """
+
+    def __init__(self, culprit: str, why: str) -> None:
+        super().__init__(why)
+        self.culprit = culprit
+
+
+class Start(NamedTuple):
+    """How a vehicle and its goal begin, in as many dimensions n as the vehicle is flown in.
+
+    Attributes:
+        position: shape (n,) [m].
+        velocity: shape (n,) [m/s].
+        attitude: body to world, shape (n, n).
+        push: speed through the air [m/s], or acceleration by thrust [m/s^2].
+        wind: that is steady, shape (n,) [m/s].
+        gust: standard deviation of the air's velocity along each axis, on top [m/s].
+        seed: of the gusts.
+        rest: where the goal is when it is at rest, shape (n,) [m].
+        goal: where it is at the start, shape (n,) [m].
+    """
+
+    position: Array
+    velocity: Array
+    attitude: Array
+    push: float
+    wind: Array
+    gust: float
+    seed: int
+    rest: Array
+    goal: Array
 
 
 class Motion(NamedTuple):
@@ -26,7 +64,11 @@ class Motion(NamedTuple):
         attitude: body to world, shape (3, 3).
         body_rate: shape (3,) [rad/s].
         air: velocity of the air around it, shape (3,) [m/s].
+        push: speed through the air [m/s], or acceleration by thrust [m/s^2].
         facts: what else an engine knows of its vehicle, by name.
+        goal: where the goal is, shape (3,) [m], if the engine moves it, too.
+        caught: whether the goal has been caught, if the engine judges that.
+        lost: whether it cannot be caught any more.
     """
 
     time: float
@@ -35,7 +77,11 @@ class Motion(NamedTuple):
     attitude: Array
     body_rate: Array
     air: Array
+    push: float
     facts: Mapping[str, float]
+    goal: Array | None = None
+    caught: bool | None = None
+    lost: bool = False
 
     @property
     def airspeed(self) -> float:
@@ -45,7 +91,9 @@ class Motion(NamedTuple):
     @property
     def finite(self) -> bool:
         """Return whether all its numbers are."""
-        numbers = np.concatenate([np.ravel(part) for part in self[:-1]])
+        numbers = np.concatenate([np.ravel(part) for part in self[:7]])
+        if self.goal is not None:
+            numbers = np.append(numbers, self.goal)
         return bool(np.isfinite(numbers).all()) and all(map(math.isfinite, self.facts.values()))
 
 
@@ -63,17 +111,25 @@ class Engine(Protocol):
     def motion(self) -> Motion:
         """Return how the vehicle moves now."""
 
-    def run(self, span: float, speed: float, turn: float) -> list[Motion]:
+    def run(self, span: float, push: float, rate: Array) -> list[Motion]:
         """Fly for a time and return the motions on the way, the last one at its end.
 
         Args:
             span: how long [s].
-            speed: commanded, forward [m/s].
-            turn: commanded, to the left [rad/s].
+            push: commanded, along the axis that pushes [m/s or m/s^2].
+            rate: commanded, in the body frame: to the left, shape (1,), or shape (3,) [rad/s].
         """
 
     def steer_to(self, point: Array) -> None:
-        """Have the vehicle's own guidance fly to a waypoint, shape (2,) [m], from now on."""
+        """Have the vehicle's own guidance fly to a waypoint, shape (n,) [m], from now on."""
+
+
+@runtime_checkable
+class Depicted(Protocol):
+    """An engine that can draw its bodies."""
+
+    def picture(self) -> NDArray[np.uint8]:
+        """Return what they look like now, shape (height, width, 3), red, green, blue."""
 
 
 def checked(engine: Engine, before: float, motions: list[Motion], span: float) -> list[Motion]:

@@ -6,15 +6,39 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
+from typing import NamedTuple
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.physics.engine import Engine, EngineFailure, Motion, checked
+from orbimpc_ros.physics.engine import Engine, Motion, NoStart, Start, checked
+from orbimpc_ros.world.rope import Rope, fixed
 from orbimpc_ros.world.vehicle import Continuous, Vehicle
 
-ENGINES = {'cessna': ('jsbsim', 'Cessna')}  # by module of physics: its library and its class
+
+class Kind(NamedTuple):
+    """A vehicle in an engine.
+
+    Attributes:
+        libraries: that it takes, by the names of their modules.
+        made_by: the class of the module in ``physics`` that has the vehicle's name.
+        dimension: in which it is flown.
+        translation_order: 1, it takes speeds; 2, thrusts.
+        moves_goal: whether the goal is a body of the engine, too.
+    """
+
+    libraries: tuple[str, ...]
+    made_by: str
+    dimension: int
+    translation_order: int
+    moves_goal: bool = False
+
+
+ENGINES = {
+    'cessna': Kind(('jsbsim',), 'Cessna', 2, 1),
+    'hummingbird': Kind(('mujoco', 'rotorpy'), 'Hummingbird', 2, 1, moves_goal=True),
+}
 
 
 @dataclass(frozen=True)
@@ -40,26 +64,45 @@ class EngineVehicle(Vehicle):
         more = {} if self.motion is None else self.motion.facts
         return {'height': self.height, **more}
 
+    @property
+    def goal(self) -> Array | None:
+        """Return where the goal is, shape (n,) [m], if the engine moves it."""
+        known = None if self.motion is None else self.motion.goal
+        return None if known is None else known[: len(self.position)]
+
+    @property
+    def caught(self) -> bool | None:
+        """Return whether it has caught the goal, if the engine judges that."""
+        return None if self.motion is None else self.motion.caught
+
+    @property
+    def lost(self) -> bool:
+        """Return whether it cannot catch the goal any more, as the engine judges."""
+        return self.motion is not None and self.motion.lost
+
 
 @dataclass(frozen=True)
 class Aircraft(Continuous):
-    """An aircraft in an engine, on its own autopilots, in the plane of one altitude.
+    """An aircraft in an engine, on its own autopilots; in the plane it is that of one altitude.
 
-    It takes airspeeds and turns. Its wind is the steady one of the model, with turbulence on top.
+    Its wind is the steady one of the model, with turbulence on top.
 
     Attributes:
         engine: of :data:`ENGINES`.
         turbulence: standard deviation of the air's velocity along each axis [m/s].
         seed: of the turbulence.
+        rope: the goal, for engines that move it themselves: where it is at rest, and at the start.
     """
 
     engine: str = 'cessna'
     turbulence: float = 0.0
     seed: int = 0
+    rope: Rope | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, needed in (('dimension', 2), ('translation_order', 1)):
+        for name in ('dimension', 'translation_order'):
+            needed = getattr(ENGINES[self.engine], name)
             if getattr(self, name) != needed:
                 raise BadInput(name, getattr(self, name), f'{needed} with vehicle: {self.engine}')
 
@@ -69,13 +112,27 @@ class Aircraft(Continuous):
         Raises:
             BadInput: the engine is not installed, or cannot start so.
         """
-        heading = math.atan2(vehicle.attitude[1, 0], vehicle.attitude[0, 0])
-        speed = self.forward * vehicle.fraction
-        start = speed, heading, vehicle.position, self.blown, self.turbulence, self.seed
+        goal = self.rope or fixed(vehicle.position)
+        start = Start(
+            vehicle.position,
+            vehicle.velocity,
+            vehicle.attitude,
+            self.forward * vehicle.fraction,
+            self.blown,
+            self.turbulence,
+            self.seed,
+            goal.center,
+            goal.at(0.0),
+        )
         try:
-            engine = class_of(self.engine)(*start)
-        except EngineFailure as error:
-            raise BadInput('start.speed_fraction', vehicle.fraction, f'a start ({error})') from None
+            engine = class_of(self.engine)(start)
+        except NoStart as error:
+            given = {
+                'start.speed_fraction': vehicle.fraction,
+                'rope.amplitude': goal.amplitude.tolist(),
+            }
+            allowed = f'a start ({error})'
+            raise BadInput(error.culprit, given[error.culprit], allowed) from None
         return self._read(engine, engine.motion(), vehicle.time)
 
     def flown(
@@ -87,7 +144,7 @@ class Aircraft(Continuous):
             vehicle: the last one that the engine has shown: it cannot go back.
             span: how long [s].
             fraction: commanded share of full speed.
-            body_rate: commanded, shape (1,) [rad/s].
+            body_rate: commanded, shape (1,) or (3,) [rad/s].
             elapsed: time since the start of the flight [s].
 
         Raises:
@@ -95,8 +152,8 @@ class Aircraft(Continuous):
         """
         assert isinstance(vehicle, EngineVehicle)
         assert vehicle.engine is not None
-        speed, engine = self.forward * float(np.clip(fraction, 0.0, 1.0)), vehicle.engine
-        motions = checked(engine, elapsed, engine.run(span, speed, float(body_rate[0])), span)
+        push, engine = self.forward * float(np.clip(fraction, 0.0, 1.0)), vehicle.engine
+        motions = checked(engine, elapsed, engine.run(span, push, body_rate), span)
         return tuple(self._read(engine, each, vehicle.time - elapsed) for each in motions)
 
     def _read(self, engine: Engine, motion: Motion, begun: float) -> EngineVehicle:
@@ -108,7 +165,7 @@ class Aircraft(Continuous):
             velocity=motion.velocity[:2],
             attitude=np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]),
             body_rate=np.array([motion.facts['turn']]),
-            fraction=min(motion.airspeed / self.forward, 1.0),
+            fraction=min(max(motion.push / self.forward, 0.0), 1.0),
             wind=motion.air[:2],
             height=float(motion.position[2]),
             engine=engine,
@@ -120,15 +177,16 @@ def class_of(name: str) -> Callable[..., Engine]:
     """Return the engine of a vehicle, by its name in :data:`ENGINES`.
 
     Raises:
-        BadInput: its library is not installed.
+        BadInput: a library that it takes is not installed.
     """
-    library, kind = ENGINES[name]
+    kind = ENGINES[name]
     try:
         module = import_module(f'orbimpc_ros.physics.{name}')
     except ModuleNotFoundError as error:
-        if error.name != library:
+        library = str(error.name).partition('.')[0]
+        if library not in kind.libraries:
             raise
         hint = "pip install 'orbimpc_ros[physics]'"
         raise BadInput.stating(f'vehicle {name}', f'{library} is missing', hint) from None
-    made: Callable[..., Engine] = getattr(module, kind)
+    made: Callable[..., Engine] = getattr(module, kind.made_by)
     return made

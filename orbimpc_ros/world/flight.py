@@ -55,7 +55,13 @@ class Flight:
     @property
     def goal(self) -> Array:
         """Return where the goal is now, shape (n,) [m]."""
-        return self.scenario.rope.at(self.elapsed)
+        return self.goal_of(self.vehicle)
+
+    def goal_of(self, vehicle: Vehicle) -> Array:
+        """Return where the goal is at the time of a vehicle of this flight, shape (n,) [m]."""
+        if vehicle.goal is not None:
+            return vehicle.goal
+        return self.scenario.rope.at(vehicle.time - self.scenario.start.time)
 
     @property
     def _place(self) -> Array:
@@ -92,8 +98,12 @@ class Flight:
 
     @property
     def near(self) -> bool:
-        """Return whether the goal came within the capture radius in the last step."""
-        return self.miss <= self.scenario.capture_radius
+        """Return whether the goal came within the capture radius in the last step.
+
+        Where an engine judges, it is whether the goal has been caught.
+        """
+        judged = self.vehicle.caught
+        return self.miss <= self.scenario.capture_radius if judged is None else judged
 
     @property
     def _arrived(self) -> bool:
@@ -107,8 +117,8 @@ class Flight:
 
     @property
     def over(self) -> bool:
-        """Return whether the goal is caught or the steps are used up."""
-        return self.captured or self._out_of_ticks
+        """Return whether the goal is caught or lost, or the steps are used up."""
+        return self.captured or self.vehicle.lost or self._out_of_ticks
 
     def after(self, fraction: float, body_rate: Array, held: float = np.inf) -> Flight:
         """Return the flight one step later, the command taken over as the vehicle's model says.
@@ -148,7 +158,7 @@ class Flight:
             near, share = closest_approach(
                 (before._place, now._place), (before._place_of_goal, now._place_of_goal)
             )
-            if near < miss:
+            if near < miss and not (before.vehicle.caught or before.vehicle.lost):
                 begun = before.vehicle.time
                 miss, missed_at = near, begun + share * (vehicle.time - begun)
                 ends = before.vehicle.attitude[:, 0], vehicle.attitude[:, 0]

@@ -191,6 +191,21 @@ class Vehicle:
         """Return what else is known of it, by name."""
         return {}
 
+    @property
+    def goal(self) -> Array | None:
+        """Return where the goal is, shape (n,) [m], if that is not for the scenario to say."""
+        return None
+
+    @property
+    def caught(self) -> bool | None:
+        """Return whether it has caught the goal, if that is not for distances to say."""
+        return None
+
+    @property
+    def lost(self) -> bool:
+        """Return whether it cannot catch the goal any more."""
+        return False
+
 
 def launched(
     model: Model,

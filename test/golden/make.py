@@ -51,6 +51,7 @@ FLIGHTS = {
     ),
     'fixed_wing': ('fixed_wing', ()),
     'cessna': ('cessna', ('rope.center=[350.0, 60.0, 0.0]',)),  # takes JSBSim
+    'rope': ('rope', ()),  # takes MuJoCo and RotorPy
     # As long as the arrival is exact: what comes nearest to it is known to five digits only.
     'lander': ('lander', ('max_ticks=25',)),
     'multirotor': ('multirotor', ('max_ticks=30', 'gap_tolerance=0.00001')),

@@ -13,10 +13,12 @@ from orbimpc_ros.ros.parameters.parameter import Row, Value, Values, span
 from orbimpc_ros.world.engines import ENGINES, Aircraft
 from orbimpc_ros.world.gusts import GUST_RANGES, Gusts
 from orbimpc_ros.world.plant import PLANT_RANGES, Plant
+from orbimpc_ros.world.rope import Rope
 from orbimpc_ros.world.vehicle import Model
 
 VEHICLES = ('discrete', 'continuous', *ENGINES)
 OF_AIRCRAFT = ('gust', 'stall_speed', 'odom_rate')  # what of a plant an aircraft has, too
+OF_GOAL = ('goal_path_steps', 'rope.frequency', 'rope.velocity')  # unknown where an engine moves it
 IDEAL = Plant()  # its numbers are the defaults
 FASTEST = 1e3  # [Hz]
 
@@ -54,18 +56,19 @@ CONTINUOUS = (  # where one has no meaning it is refused
 PLANT = (
     Row('vehicle', VEHICLES[0], 'Whether the vehicle moves in the steps that the planner '
         'believes in, or in continuous time, with lags and limits, in wind, or in an engine: '
-        'cessna is that of JSBSim', choices=VEHICLES),
+        'cessna is that of JSBSim, hummingbird that of RotorPy in MuJoCo', choices=VEHICLES),
     *LIMITS,
     *CONTINUOUS,
 )  # fmt: skip
 
 
-def moved_by(values: Values, model: Model) -> Model:
+def moved_by(values: Values, model: Model, rope: Rope) -> Model:
     """Return how the simulated vehicle moves: the discrete model, a plant, or an engine.
 
     Args:
         values: a full set of the simulator's parameters.
         model: the discrete one, with the orders, speed, mass, failsafe and wind of a plant, too.
+        rope: the goal, which some engines move themselves.
 
     Raises:
         BadInput: a value, or a combination, is not allowed.
@@ -80,7 +83,9 @@ def moved_by(values: Values, model: Model) -> Model:
         common['step'] = 1.0 / values['odom_rate']
     common['stall_speed'] = values['stall_speed']
     if kind in ENGINES:
-        return Aircraft(**common, engine=kind, turbulence=values['gust'], seed=values['seed'])
+        _refuse_goals_of(values, kind)
+        chance = {'turbulence': values['gust'], 'seed': values['seed']}
+        return Aircraft(**common, engine=kind, **chance, rope=rope)
     return Plant(
         **common,
         speed_lag=values['response.speed'],
@@ -99,6 +104,13 @@ def _refuse_unused(values: Values, kept: Collection[str]) -> None:
         if row.name not in kept and not np.array_equal(values[row.name], row.default):
             allowed = f'{_shown(row.default)} with vehicle: {values["vehicle"]}'
             raise BadInput(row.name, _shown(values[row.name]), allowed)
+
+
+def _refuse_goals_of(values: Values, kind: str) -> None:
+    """Refuse what says how a goal moves that the engine of a vehicle moves itself."""
+    for name in OF_GOAL if ENGINES[kind].moves_goal else ():
+        if np.any(values[name]):
+            raise BadInput(name, _shown(values[name]), f'0 with vehicle: {kind}')
 
 
 def _shown(value: Value) -> object:

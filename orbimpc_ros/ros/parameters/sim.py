@@ -231,7 +231,14 @@ def _scenario(values: Values) -> Scenario:
         discretisation=values['discretisation'],
         source=values['velocity_source'],
     )
-    model = moved_by(values, steps)
+    rope = Rope(
+        vector(values, 'rope.center', n),
+        vector(values, 'rope.amplitude', n),
+        values['rope.frequency'],
+        vector(values, 'rope.phase', n),
+        vector(values, 'rope.velocity', n),
+    )
+    model = moved_by(values, steps, rope)
     frames = frames_of(values)
     start = launched(
         model,
@@ -240,13 +247,6 @@ def _scenario(values: Values) -> Scenario:
         fraction=values['start.speed_fraction'],
         velocity=vector(values, 'start.velocity', n),
         body_rate=frames.turned(vector(values, 'start.body_rate', 3))[-model.rates :],
-    )
-    rope = Rope(
-        vector(values, 'rope.center', n),
-        vector(values, 'rope.amplitude', n),
-        values['rope.frequency'],
-        vector(values, 'rope.phase', n),
-        vector(values, 'rope.velocity', n),
     )
     ending = ('capture_radius', 'max_ticks', 'finish', 'arrival_radius', 'arrival_speed')
     known_ends = {name: values[name] for name in ending}

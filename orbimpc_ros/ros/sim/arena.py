@@ -256,6 +256,8 @@ def outcome(flight: Flight) -> str:
         return f'{done}arrived: {where}'
     if not flight.captured and flight.near:
         return f'not captured: {flight.miss:.3f} m from the goal, outside the cone of approach'
+    if flight.vehicle.lost:
+        return 'not captured: something else of the vehicle touched the goal first'
     if not flight.captured:
         return 'not captured'
     when = flight.missed_at - flight.scenario.start.time

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,6 +21,7 @@ SCENARIOS = (
     'spacecraft',
     'fixed_wing',
     'cessna',
+    'rope',
     'multirotor',
     'lander',
     'fleet',
@@ -117,6 +118,7 @@ def report(folder: Path, places: Mapping[str, Path]) -> int:
     from orbimpc_ros.tool import figures
     from orbimpc_ros.tool.demo import summary
     from orbimpc_ros.tool.io import history
+    from orbimpc_ros.world.engines import ENGINES
 
     flown = {name: history.of_bag(place / 'bag') for name, place in places.items()}
     for name, each in flown.items():
@@ -129,7 +131,23 @@ def report(folder: Path, places: Mapping[str, Path]) -> int:
         figures.save(figure, folder / name)
         label = 'picture' if name == figures.TRAJECTORY else Path(name).stem
         print(f'{label:<14}{folder / name}')
+    if any(each.values['vehicle'] in ENGINES for each in flown.values()):
+        _render(folder, places.values())
     return 0 if all(each.captured for each in flown.values()) else 1
+
+
+def _render(folder: Path, places: Iterable[Path]) -> None:
+    """Have the engine of a flight draw it, if it can here; the flight is none the worse if not."""
+    from orbimpc_ros.tool.demo.rendering import render
+
+    for place in places:
+        try:
+            rendered = render(place / 'bag', folder)
+        except Exception as error:  # of what kind depends on the graphics that are missing
+            print(f'rendered      not here: {error}'.splitlines()[0])
+            continue
+        if rendered is not None:
+            print(f'rendered      {rendered}')
 
 
 def _arrivals(flown: Mapping[str, History]) -> str:

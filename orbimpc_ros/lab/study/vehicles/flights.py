@@ -24,7 +24,7 @@ from orbimpc_ros.world.flight import Flight, departure
 from orbimpc_ros.world.vehicle import Continuous, Vehicle
 
 Row = dict[str, Any]
-MOMENT = 0.05  # [s] to either side, for the velocity of a goal
+MOMENT = 1e-6  # [s] shorter than between two vehicles on a trail
 
 
 def row(scenario: Mission, name: str, seed: int, index: int, tuned: Mapping[str, float]) -> Row:
@@ -91,6 +91,7 @@ class Facts:
 
     Attributes:
         bank: the largest so far, either way [rad].
+        astray: the farthest so far from what the inner loop was to track, if it says so [m].
         height: above the middle of the line, at the closest approach [m].
         apart: distance to that middle then [m].
         closing: speed relative to the goal then [m/s].
@@ -98,6 +99,7 @@ class Facts:
     """
 
     bank: float = 0.0
+    astray: float = 0.0
     height: float = 0.0
     apart: float = math.inf
     closing: float = 0.0
@@ -105,8 +107,12 @@ class Facts:
 
     def seeing(self, flight: Flight, closest: float) -> Facts:
         """Return what is known after a step more; ``closest`` is the least miss before it [m]."""
-        banks = [abs(each.facts.get('bank', 0.0)) for each in flight.trail]
-        known = replace(self, bank=max(self.bank, *banks))
+        loose = [each.facts for each in flight.trail if not each.caught]
+        banks, astray = (
+            max([abs(facts.get(name, 0.0)) for facts in loose], default=0.0)
+            for name in ('bank', 'off')
+        )
+        known = replace(self, bank=max(self.bank, banks), astray=max(self.astray, astray))
         if flight.miss >= closest:
             return known
         there = min(flight.trail, key=lambda each: abs(each.time - flight.missed_at))
@@ -120,9 +126,12 @@ class Facts:
 
 
 def _closing(flight: Flight, vehicle: Vehicle) -> float:
-    """Return how fast a vehicle moves past the goal [m/s]."""
-    rope, now = flight.scenario.rope, vehicle.time - flight.scenario.start.time
-    moved = (rope.at(now + MOMENT) - rope.at(now - MOMENT)) / (2.0 * MOMENT)
+    """Return how fast a vehicle on the last step's trail moves past the goal [m/s]."""
+    trail = flight.trail
+    place = next(k for k, each in enumerate(trail) if each is vehicle)
+    before, after = trail[max(place - 1, 0)], trail[min(place + 1, len(trail) - 1)]
+    moved = flight.goal_of(after) - flight.goal_of(before)
+    moved = moved / max(after.time - before.time, MOMENT)
     return float(np.linalg.norm(vehicle.velocity - moved))
 
 

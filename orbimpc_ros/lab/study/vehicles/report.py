@@ -157,6 +157,7 @@ MEASURES = {
     'speed past the goal [m/s]': ('closing', 1.0),
     'least airspeed [m/s]': ('airspeed', 1.0),
     'largest bank [deg]': ('bank', 180.0 / math.pi),
+    'farthest from the setpoint [m]': ('astray', 1.0),
 }
 
 

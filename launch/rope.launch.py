@@ -1,0 +1,8 @@
+"""The Hummingbird and the rope in MuJoCo: ros2 launch orbimpc_ros rope.launch.py."""
+
+from orbimpc_ros.ros.launching import flight
+
+
+def generate_launch_description():
+    """Return both nodes on one parameter file."""
+    return flight('rope')

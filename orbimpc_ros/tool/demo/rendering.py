@@ -1,0 +1,69 @@
+"""An animation of a flight as its engine renders it, flown again from the commands in its bag."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from orbimpc_ros.physics.engine import Depicted
+from orbimpc_ros.ros.messages import SECOND, read_speed_and_rate
+from orbimpc_ros.ros.parameters import sim_settings
+from orbimpc_ros.tool.io import bag, settings
+from orbimpc_ros.world.engines import EngineVehicle
+from orbimpc_ros.world.flight import Flight, departure
+
+RENDERED = 'rendered.gif'
+
+
+def flown_again(path: Path) -> Iterator[Flight]:
+    """Yield a flight tick by tick as the commands in its bag have it.
+
+    An engine does the same again on the same commands: in lock-step each answers one odometry.
+
+    Args:
+        path: of the bag.
+    """
+    told = sim_settings(settings.of_sim(settings.of_bag(path, '') or settings.read('{}')))
+    model, flight = told.scenario.model, departure(told.scenario, told.begin)
+    commands = {}
+    for topic, message in bag.of_vehicle(path, '', ('cmd_vel', 'goal', 'odom')):
+        if topic == 'cmd_vel':
+            stamp, speed, rate = read_speed_and_rate(message, model.dimension, told.frames)
+            commands[stamp] = speed / model.forward, rate
+    yield flight
+    while not flight.over and (at := round(flight.vehicle.time * SECOND)) in commands:
+        flight = flight.after(*commands[at])
+        yield flight
+
+
+def render(path: Path, folder: Path) -> Path | None:
+    """Write the animation of a flight in real time; None if its engine draws nothing.
+
+    Args:
+        path: of the bag.
+        folder: takes the animation.
+
+    Raises:
+        Exception: the engine cannot draw here.
+    """
+    os.environ.setdefault('MUJOCO_GL', 'egl')  # without a display
+    pictures: list[Image.Image] = []
+    period = 0.0
+    for flight in flown_again(path):
+        vehicle, period = flight.vehicle, flight.scenario.model.step
+        if not isinstance(vehicle, EngineVehicle) or not isinstance(vehicle.engine, Depicted):
+            return None
+        pictures.append(_quantised(vehicle.engine.picture()))
+    place = folder / RENDERED
+    duration = round(1e3 * period)
+    pictures[0].save(place, save_all=True, append_images=pictures[1:], duration=duration, loop=0)
+    return place
+
+
+def _quantised(picture: NDArray[np.uint8]) -> Image.Image:
+    return Image.fromarray(picture).quantize(128)
