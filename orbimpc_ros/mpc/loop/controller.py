@@ -17,6 +17,7 @@ from orbimpc_ros.mpc.loop.interception import Catch, Hunt, Interception, Target
 from orbimpc_ros.mpc.loop.odometry import Odometry, odd_speed, state_of
 from orbimpc_ros.mpc.loop.response import Response, held_back
 from orbimpc_ros.mpc.loop.safety import entry_of_safety, may_stop, safe_command
+from orbimpc_ros.mpc.loop.traffic.reserve import keeping, kept
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
 from orbimpc_ros.mpc.plan import Plan, later, shifted
 from orbimpc_ros.mpc.problem import Approach, Hazard, Problem, State
@@ -111,6 +112,8 @@ class Controller:
             receding horizon and a terminal penalty. A catch is looked for as if there were no
             hazards, and flown if it is clear of them.
         approach: the cone of headings in which a catch counts; by default any heading does.
+        reserve: what plans keep away from hazards beyond what is demanded, as far as there is a
+            plan that does; see :mod:`orbimpc_ros.mpc.loop.traffic.reserve` [m].
 
     Attributes:
         history: the commands of late; a tick's command counts as sent unless another is added.
@@ -131,7 +134,9 @@ class Controller:
         response: Response | None = None,
         capture_radius: float = 0.0,
         approach: Approach | None = None,
+        reserve: float = 0.0,
     ) -> None:
+        self._reserve = number(reserve, 'reserve', 0.0)
         self.problem, self._safe_kind = problem, safe
         self.response = response or Response()
         self.disturbance, self._velocity_source = disturbance, velocity_source
@@ -263,9 +268,11 @@ class Controller:
         self._goals = goals
         catch = None
         if self._interception is None or shortened:
-            plan, status, words = _solved(task)
+            task, (plan, status, words) = self._tracked(task)
         else:
-            tracked = _solved(task) if state.hazards else None  # first of all: time may run out
+            tracked = None
+            if state.hazards:  # first of all: time may run out
+                task, tracked = self._tracked(task)
             task, (plan, status, words), catch = self._caught(
                 task, self._interception, ahead, passed or math.inf, tracked
             )
@@ -278,6 +285,22 @@ class Controller:
         self._arriving, self._aim = True, goals[-1]
         tick = self._following(task, plan, status, reason)
         return self._finish(replace(tick, catch=catch) if catch and tick.plan else tick)
+
+    def _tracked(self, task: _Task) -> tuple[_Task, _Answer]:
+        """Return a task with as much of the reserve as there is a plan for, and its answer.
+
+        That is all of it, or what the plan before keeps.
+        """
+        if not (self._reserve and task.state.hazards):
+            return task, _solved(task)
+        every = np.full(len(task.state.hazards), self._reserve)
+        wary = replace(task, state=keeping(task.state, every))
+        answer = _solved(wary)
+        if answer[0] is None:
+            left = kept(task.problem, task.state, task.guess, self._reserve)
+            wary = replace(task, state=keeping(task.state, left))
+            answer = _solved(wary)
+        return wary, answer
 
     def _caught(
         self,
