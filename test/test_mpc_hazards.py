@@ -13,8 +13,10 @@ from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.mpc.loop.traffic.clearest import clear_instead, is_clear
 from orbimpc_ros.mpc.loop.traffic.reserve import keeping, kept
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
+from orbimpc_ros.mpc.plan import UNPROVED, assemble
 from orbimpc_ros.mpc.problem import (
     MAX_HAZARDS,
     Ball,
@@ -308,6 +310,59 @@ def test_a_reserve_is_not_negative(reserve):
         replace(Hazard.drifting(DISC, [0.0, 0.0]), reserve=reserve)
     with pytest.raises(BadInput, match='reserve'):
         Controller(Problem(horizon=2), reserve=reserve)
+
+
+# --- what is flown where a plan does not keep the vehicle clear
+
+BOAT = Problem(horizon=8, step=0.5, forward=3.0, max_rate=0.7, discretisation='exact')
+FAR = np.tile([20.0, 0.0], (8, 1))
+
+
+def meeting(away):
+    """A boat that goes slowly along x, towards a disc that comes up to it from so far away."""
+    disc = Hazard.drifting(Ball([away, 0.0], 1.0), [-0.5, 0.0])
+    return State.at([0.0, 0.0], 0.3 * np.eye(2), hazards=(disc,))
+
+
+def swerving(angles, speeds):
+    """A plan with such headings [rad] and shares of full speed."""
+    headings = np.array(speeds)[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    start = meeting(9.0)
+    known = {'projection': 'thrust_aligned', 'proof': UNPROVED}
+    return assemble(BOAT, start, FAR, headings, **known)
+
+
+def test_a_turn_that_is_cut_does_not_keep_clear():
+    """60 degrees in a step at a low speed are a short chord, and three steps of turning."""
+    speeds = [0.3, 0.4, 0.6, 0.9, 1.0, 1.0, 1.0, 1.0]
+    plan = swerving(np.radians([-60.0] * 8), speeds)
+    start = meeting(2.5)
+    assert violations(BOAT, start, FAR, plan) == []
+    assert not is_clear(BOAT, start, FAR, plan)
+    able = swerving(np.radians([-20.0, -40.0] + [-60.0] * 6), speeds)
+    assert is_clear(BOAT, meeting(4.0), FAR, able)
+    floored = replace(BOAT, floor=Floor('circle', fraction=0.2))  # turns are angles: none is cut
+    assert is_clear(floored, start, FAR, plan)
+
+    instead = clear_instead(BOAT, start, FAR, plan, None)
+    assert is_clear(BOAT, start, FAR, instead)
+    assert violations(BOAT, start, FAR, instead) == []
+    assert instead.lower_bound == plan.lower_bound
+
+
+def test_the_clearest_way_is_flown_where_none_is_clear():
+    """Shut in by a disc that is too large to leave within the horizon."""
+    controller = Controller(BOAT)
+    controller.hazards = (Hazard.drifting(Ball([9.0, 1.0], 30.0), [0.0, 0.0]),)
+    odometry = Odometry(0.0, np.zeros(2), np.eye(2), np.array([1.0, 0.0]), np.zeros(1))
+    tick = controller.tick(odometry, FAR)
+    assert tick.status in ('infeasible', 'failed')
+    assert tick.fallback == 'clearest way'
+    assert 'm inside of a hazard' in tick.reason
+    assert violations(BOAT, replace(tick.state, hazards=()), FAR, tick.plan) == []
+    away = np.linalg.norm(tick.plan.positions - [9.0, 1.0], axis=1)
+    assert away[-1] > away[0] + 2.0  # backwards, out of it
+    assert controller.tick(replace(odometry, time=0.5), FAR).command.body_rate != 0.0
 
 
 @pytest.mark.parametrize('n', [2, 3])
