@@ -43,7 +43,8 @@ class Tick(ByContent):
             plan outside of the cones of a descent, or a measured speed that the model does not
             know; else empty.
         state: the state that the plan starts from; None if nothing was to be planned.
-        plan: the checked plan behind the command; None if the command is the safe one.
+        plan: the checked plan behind the command, but for hazards where that follows the clearest
+            way; None if the command is the safe one.
         command: what to do next.
         fallback: what the command follows, if not a new plan.
         problem: what the plan solves; None without a plan, as is the next.
