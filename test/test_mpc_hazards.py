@@ -13,7 +13,10 @@ from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.mpc.loop.traffic.clearest import clear_instead, is_clear
+from orbimpc_ros.mpc.loop.traffic.reserve import keeping, kept
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
+from orbimpc_ros.mpc.plan import UNPROVED, assemble
 from orbimpc_ros.mpc.problem import (
     MAX_HAZARDS,
     Ball,
@@ -41,9 +44,10 @@ DISC = Ball([3.0, 1.0], 0.5)
 def test_a_hazard_moves_with_the_units():
     problem = Problem(step=0.5, forward=4.0)
     units = Units.of(problem)
-    drifting = Hazard.drifting(DISC, [0.4, -0.2])
+    drifting = replace(Hazard.drifting(DISC, [0.4, -0.2]), reserve=0.3)
     start = State.at([1.0, 2.0], np.eye(2), hazards=(drifting,))
     (scaled,) = units.state(start).hazards
+    assert scaled.reserve * units.length == pytest.approx(0.3)
     times = np.array([0.0, 0.7, 3.0])
     np.testing.assert_allclose(
         scaled.body.centre + scaled.moved(times / units.time),
@@ -243,6 +247,122 @@ def test_a_controller_stays_clear_of_what_it_is_told_moves():
         heading, speed = tick.command.rotation, tick.command.speed_fraction
     assert nearest >= 0.5 - 1e-6
     assert place[0] > 2.0
+
+
+# --- what plans keep beyond what is demanded
+
+
+def test_a_reserve_counts_later_in_a_plan():
+    problem = Problem(horizon=6, step=0.5, forward=1.0)
+    disc = Hazard.drifting(Ball([3.0, 0.2], 0.5), [-0.2, 0.0])
+    goals = np.tile([4.0, 0.0], (6, 1))
+
+    def apart(reserve):
+        start = State.at([0.0, 0.0], np.eye(2), hazards=(replace(disc, reserve=reserve),))
+        plan = Solver(problem, gap_tolerance=1e-3).solve(start, goals)
+        assert violations(problem, start, goals, plan) == []
+        away = plan.positions - disc.body.centre - disc.moved(0.5 * np.arange(7))
+        return plan, np.linalg.norm(away, axis=1) - 0.5
+
+    bare, grazing = apart(0.0)
+    _, wary = apart(0.4)
+    shares = 0.4 * np.minimum(np.arange(6) / 4, 1.0)
+    assert (wary[:-1] >= shares - 1e-6).all()  # at the beginnings of steps
+    assert (wary[1:] >= shares - 1e-6).all()  # and at their ends
+    assert (grazing[1:] < shares - 0.01).any()
+    asked = State.at([0.0, 0.0], np.eye(2), hazards=(replace(disc, reserve=0.4),))
+    assert 'hazard 0 violated' in violations(problem, asked, goals, bare)[0]
+
+
+def test_a_reserve_is_given_up_where_no_plan_keeps_it():
+    """The goal is 0.2 m from both discs, so that who keeps 0.4 m away cannot arrive."""
+    problem = Problem(horizon=6, step=0.5, forward=1.0, terminal='constraint')
+    controller = Controller(problem, gap_tolerance=0.01, reserve=0.4)
+    still = [Hazard.drifting(Ball([2.5, 0.7 * side], 0.5), [0.0, 0.0]) for side in (-1.0, 1.0)]
+    controller.hazards = tuple(still)
+    goals = np.tile([2.5, 0.0], (6, 1))
+    rest, attitude = np.zeros(2), np.eye(2)
+    tick = controller.tick(Odometry(0.0, np.zeros(2), attitude, rest, np.zeros(1)), goals)
+    assert tick.status == 'optimal'
+    assert [each.reserve for each in tick.state.hazards] == [0.0, 0.0]
+    moved = Odometry(0.5, tick.plan.positions[1], attitude, rest, np.zeros(1))
+    tick = controller.tick(moved, goals)
+    assert tick.status == 'optimal'
+    assert [each.reserve for each in tick.state.hazards] == pytest.approx([0.4 / 3.0] * 2)
+
+
+def test_as_much_of_a_reserve_counts_as_the_plan_before_keeps():
+    problem = Problem(horizon=6, step=0.5, forward=1.0)
+    asides = 0.65, -0.8, 1.5  # the way passes the discs at 0.15, 0.3 and 1 m
+    hazards = tuple(Hazard.drifting(Ball([2.5, y], 0.5), [0.0, 0.0]) for y in asides)
+    start, goals = State.at([0.0, 0.0], np.eye(2)), np.tile([3.0, 0.0], (6, 1))
+    plan = Solver(problem).solve(start, goals)
+    found = kept(problem, replace(start, hazards=hazards), plan, 0.6)
+    assert found.tolist() == pytest.approx([0.0, 0.2, 0.6])
+    assert kept(problem, replace(start, hazards=hazards), None, 0.6).tolist() == [0.0] * 3
+    asked = [each.reserve for each in keeping(replace(start, hazards=hazards), found).hazards]
+    assert asked == pytest.approx(found.tolist())
+
+
+@pytest.mark.parametrize('reserve', [-0.1, np.nan])
+def test_a_reserve_is_not_negative(reserve):
+    with pytest.raises(BadInput, match=r'obstacles\.reserve'):
+        replace(Hazard.drifting(DISC, [0.0, 0.0]), reserve=reserve)
+    with pytest.raises(BadInput, match='reserve'):
+        Controller(Problem(horizon=2), reserve=reserve)
+
+
+# --- what is flown where a plan does not keep the vehicle clear
+
+BOAT = Problem(horizon=8, step=0.5, forward=3.0, max_rate=0.7, discretisation='exact')
+FAR = np.tile([20.0, 0.0], (8, 1))
+
+
+def meeting(away):
+    """A boat that goes slowly along x, towards a disc that comes up to it from so far away."""
+    disc = Hazard.drifting(Ball([away, 0.0], 1.0), [-0.5, 0.0])
+    return State.at([0.0, 0.0], 0.3 * np.eye(2), hazards=(disc,))
+
+
+def swerving(angles, speeds):
+    """A plan with such headings [rad] and shares of full speed."""
+    headings = np.array(speeds)[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    start = meeting(9.0)
+    known = {'projection': 'thrust_aligned', 'proof': UNPROVED}
+    return assemble(BOAT, start, FAR, headings, **known)
+
+
+def test_a_turn_that_is_cut_does_not_keep_clear():
+    """60 degrees in a step at a low speed are a short chord, and three steps of turning."""
+    speeds = [0.3, 0.4, 0.6, 0.9, 1.0, 1.0, 1.0, 1.0]
+    plan = swerving(np.radians([-60.0] * 8), speeds)
+    start = meeting(2.5)
+    assert violations(BOAT, start, FAR, plan) == []
+    assert not is_clear(BOAT, start, FAR, plan)
+    able = swerving(np.radians([-20.0, -40.0] + [-60.0] * 6), speeds)
+    assert is_clear(BOAT, meeting(4.0), FAR, able)
+    floored = replace(BOAT, floor=Floor('circle', fraction=0.2))  # turns are angles: none is cut
+    assert is_clear(floored, start, FAR, plan)
+
+    instead = clear_instead(BOAT, start, FAR, plan, None)
+    assert is_clear(BOAT, start, FAR, instead)
+    assert violations(BOAT, start, FAR, instead) == []
+    assert instead.lower_bound == plan.lower_bound
+
+
+def test_the_clearest_way_is_flown_where_none_is_clear():
+    """Shut in by a disc that is too large to leave within the horizon."""
+    controller = Controller(BOAT)
+    controller.hazards = (Hazard.drifting(Ball([9.0, 1.0], 30.0), [0.0, 0.0]),)
+    odometry = Odometry(0.0, np.zeros(2), np.eye(2), np.array([1.0, 0.0]), np.zeros(1))
+    tick = controller.tick(odometry, FAR)
+    assert tick.status in ('infeasible', 'failed')
+    assert tick.fallback == 'clearest way'
+    assert 'm inside of a hazard' in tick.reason
+    assert violations(BOAT, replace(tick.state, hazards=()), FAR, tick.plan) == []
+    away = np.linalg.norm(tick.plan.positions - [9.0, 1.0], axis=1)
+    assert away[-1] > away[0] + 2.0  # backwards, out of it
+    assert controller.tick(replace(odometry, time=0.5), FAR).command.body_rate != 0.0
 
 
 @pytest.mark.parametrize('n', [2, 3])

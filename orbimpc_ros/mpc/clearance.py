@@ -38,12 +38,13 @@ def clearances(problem: Problem, state: State, plan: Plan) -> dict[str, float]:
     every = [*still, *state.hazards]
     found = np.empty(len(every))
     for group in simultaneous(every):
-        found[group] = _apart([every[j] for j in group], traffic.eased[group], problem, plan)
+        eased = traffic.eased[group] - traffic.kept[group]
+        found[group] = _apart([every[j] for j in group], eased, problem, plan)
     return dict(zip(traffic.names, found.tolist(), strict=True))
 
 
 def _apart(hazards: Sequence[Hazard], eased: Array, problem: Problem, plan: Plan) -> Array:
-    """Return how far simultaneous hazards are stayed clear of, shape (J,) [m]."""
+    """Return how far simultaneous hazards, eased by shape (J, N), are stayed clear of, (J,) [m]."""
     times = _instants(problem, plan, hazards[0])
     away = _positions(problem, plan, times) - moved_together(hazards, times)
     step = np.minimum((0.5 * (times[1:] + times[:-1]) / problem.step).astype(int), plan.horizon - 1)

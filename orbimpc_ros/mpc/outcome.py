@@ -31,6 +31,7 @@ class Fallback(Word):
     NONE = ''
     SHIFTED_PLAN = 'shifted plan'
     SOFT_ARRIVAL = 'soft arrival'
+    CLEAREST_WAY = 'clearest way'
     SAFE_COMMAND = 'safe command'
 
 

@@ -17,6 +17,8 @@ from orbimpc_ros.mpc.loop.interception import Catch, Hunt, Interception, Target
 from orbimpc_ros.mpc.loop.odometry import Odometry, odd_speed, state_of
 from orbimpc_ros.mpc.loop.response import Response, held_back
 from orbimpc_ros.mpc.loop.safety import entry_of_safety, may_stop, safe_command
+from orbimpc_ros.mpc.loop.traffic.clearest import clear_instead, clearest, is_clear
+from orbimpc_ros.mpc.loop.traffic.reserve import keeping, kept
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
 from orbimpc_ros.mpc.plan import Plan, later, shifted
 from orbimpc_ros.mpc.problem import Approach, Hazard, Problem, State
@@ -41,7 +43,8 @@ class Tick(ByContent):
             plan outside of the cones of a descent, or a measured speed that the model does not
             know; else empty.
         state: the state that the plan starts from; None if nothing was to be planned.
-        plan: the checked plan behind the command; None if the command is the safe one.
+        plan: the checked plan behind the command, but for hazards where that follows the clearest
+            way; None if the command is the safe one.
         command: what to do next.
         fallback: what the command follows, if not a new plan.
         problem: what the plan solves; None without a plan, as is the next.
@@ -91,6 +94,7 @@ class Controller:
       never past its horizon;
     - a *soft arrival*, where a terminal constraint that could be met before no longer can be,
       because of disturbances: the plan that comes nearest; in a descent from the start on;
+    - among hazards, the *clearest way*: a plan that meets all else, and stays out of them the most;
     - the safe command.
 
     Ticks may come as often as they like. How far the previous plan is flown, and what a shrinking
@@ -111,6 +115,8 @@ class Controller:
             receding horizon and a terminal penalty. A catch is looked for as if there were no
             hazards, and flown if it is clear of them.
         approach: the cone of headings in which a catch counts; by default any heading does.
+        reserve: what plans keep away from hazards beyond what is demanded, as far as there is a
+            plan that does; see :mod:`orbimpc_ros.mpc.loop.traffic.reserve` [m].
 
     Attributes:
         history: the commands of late; a tick's command counts as sent unless another is added.
@@ -131,7 +137,9 @@ class Controller:
         response: Response | None = None,
         capture_radius: float = 0.0,
         approach: Approach | None = None,
+        reserve: float = 0.0,
     ) -> None:
+        self._reserve = number(reserve, 'reserve', 0.0)
         self.problem, self._safe_kind = problem, safe
         self.response = response or Response()
         self.disturbance, self._velocity_source = disturbance, velocity_source
@@ -263,9 +271,11 @@ class Controller:
         self._goals = goals
         catch = None
         if self._interception is None or shortened:
-            plan, status, words = _solved(task)
+            task, (plan, status, words) = self._tracked(task)
         else:
-            tracked = _solved(task) if state.hazards else None  # first of all: time may run out
+            tracked = None
+            if state.hazards:  # first of all: time may run out
+                task, tracked = self._tracked(task)
             task, (plan, status, words), catch = self._caught(
                 task, self._interception, ahead, passed or math.inf, tracked
             )
@@ -278,6 +288,22 @@ class Controller:
         self._arriving, self._aim = True, goals[-1]
         tick = self._following(task, plan, status, reason)
         return self._finish(replace(tick, catch=catch) if catch and tick.plan else tick)
+
+    def _tracked(self, task: _Task) -> tuple[_Task, _Answer]:
+        """Return a task with as much of the reserve as there is a plan for, and its answer.
+
+        That is all of it, or what the plan before keeps.
+        """
+        if not self._reserve or not task.state.hazards:
+            return task, _clear(task, _solved(task))
+        every = np.full(len(task.state.hazards), self._reserve)
+        wary = replace(task, state=keeping(task.state, every))
+        answer = _solved(wary)
+        if answer[0] is None:
+            left = kept(task.problem, task.state, task.guess, self._reserve)
+            wary = replace(task, state=keeping(task.state, left))
+            answer = _solved(wary)
+        return wary, _clear(wary, answer)
 
     def _caught(
         self,
@@ -321,7 +347,7 @@ class Controller:
             return task, _with(tracked or _solved(task), self._unmet(catch)), catch
         chosen, answer = next(each for each in tried if each[1][0] is plan)
         chosen = replace(chosen, state=task.state)
-        if task.state.hazards and violations(chosen.problem, chosen.state, chosen.goals, plan):
+        if task.state.hazards and not _is_free(chosen, plan):
             blocked = f'the catch at {catch.time:.4g} s leads through traffic'
             return task, _with(tracked or _solved(task), blocked), replace(catch, time=math.nan)
         self._catch = now + chosen.problem.step * chosen.problem.horizon
@@ -437,7 +463,19 @@ class Controller:
         arriving = self._arriving or task.problem.has_cones  # to wait is to fall
         if arriving and task.problem.terminal == 'constraint' and not reason.cause:
             return self._arrive_softly(task, status, reason)
+        if task.state.hazards and not reason.cause:
+            return self._sidestep(task, status, reason)
         return self._without_plan(task.state, status, reason)
+
+    def _sidestep(self, task: _Task, status: Status, reason: Reason) -> Tick:
+        """Return the tick that follows the clearest way, if there is any that meets all else."""
+        known = task.problem, task.state, task.goals
+        guess = task.guess or self._shifted(task)
+        plan, apart = clearest(*known, guess, self._projection)
+        if plan is None:
+            return self._without_plan(task.state, status, reason)
+        reason = reason.and_so(f'the clearest way is {-apart:.3g} m inside of a hazard')
+        return self._following(task, plan, status, reason, Fallback.CLEAREST_WAY)
 
     def _arrive_softly(self, task: _Task, status: Status, reason: Reason) -> Tick:
         solver = self._solver(len(task.knots), self._pace, soft=True)
@@ -547,6 +585,25 @@ def _with(answer: _Answer, more: str) -> _Answer:
     """Return an answer with more words to it."""
     plan, status, words = answer
     return plan, status, '; '.join(filter(None, (words, more)))
+
+
+def _is_free(task: _Task, plan: Plan) -> bool:
+    """Return whether a plan that was made without hazards is clear of them, as it is flown."""
+    known = task.problem, task.state, task.goals, plan
+    return not violations(*known) and is_clear(*known)
+
+
+def _clear(task: _Task, answer: _Answer) -> _Answer:
+    """Return an answer whose plan is clear of hazards when its turns are cut, as far as one is."""
+    plan, _, words = answer
+    known = task.problem, task.state, task.goals
+    if plan is None or not task.state.hazards or is_clear(*known, plan):
+        return answer
+    instead = clear_instead(*known, plan, task.guess)
+    if instead is plan:
+        return _with(answer, 'it turns into a hazard, as every way does')
+    less = 'a way that can be turned in time is flown instead of a cheaper one'
+    return instead, instead.status, '; '.join(filter(None, (words, less)))
 
 
 def _solved(task: _Task) -> _Answer:

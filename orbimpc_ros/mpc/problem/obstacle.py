@@ -15,6 +15,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.cells import Cell
 
 MAX_HAZARDS = 64
+RESERVE_STEPS = 4  # by then all of a reserve counts
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,11 +102,14 @@ class Hazard(ByContent):
         times: from the start of the plan, increasing from 0, shape (K,), K >= 2 [s].
         shifts: how far it will have moved by then, shape (K, n), the first zero [m]. In between it
             moves evenly, and after the last as between the last two.
+        reserve: by how much it counts as larger later on [m]: from not at all in the first step of
+            a plan to all of it after ``RESERVE_STEPS``.
     """
 
     body: Box | Ball
     times: Array
     shifts: Array
+    reserve: float = 0.0
 
     def __post_init__(self) -> None:
         count = np.size(self.times)
@@ -117,6 +121,7 @@ class Hazard(ByContent):
             raise BadInput('obstacles.times', self.times.tolist(), allowed)
         if self.shifts[0].any():
             raise BadInput('obstacles.shifts', self.shifts[0].tolist(), 'zeros at the start')
+        number(self.reserve, 'obstacles.reserve', 0.0)
 
     @classmethod
     def drifting(cls, body: Box | Ball, velocity: Array) -> Hazard:
@@ -131,7 +136,9 @@ class Hazard(ByContent):
 
     def scaled(self, length: float, time: float) -> Hazard:
         """Return it in units in which lengths and times are so many times as large."""
-        return Hazard(self.body.scaled(length), self.times * time, self.shifts * length)
+        return Hazard(
+            self.body.scaled(length), self.times * time, self.shifts * length, self.reserve * length
+        )
 
     def moved(self, times: Array) -> Array:
         """Return how far it will have moved at times >= 0, shape (M,) [s], shape (M, n) [m]."""
@@ -141,6 +148,12 @@ class Hazard(ByContent):
     def turns(self) -> Array:
         """Return the times at which it may change its velocity, shape (K - 2,) [s]."""
         return self.times[1:-1]
+
+
+def reserves(hazards: Sequence[Hazard], horizon: int) -> Array:
+    """Return by how much hazards count as larger in each step, shape (J, N) [m]."""
+    shares = np.minimum(np.arange(horizon) / RESERVE_STEPS, 1.0)
+    return np.outer([each.reserve for each in hazards], shares)
 
 
 def simultaneous(hazards: Sequence[Hazard]) -> list[list[int]]:

@@ -15,7 +15,14 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem.leaving import inside
-from orbimpc_ros.mpc.problem.obstacle import Ball, Box, Hazard, moved_together, simultaneous
+from orbimpc_ros.mpc.problem.obstacle import (
+    Ball,
+    Box,
+    Hazard,
+    moved_together,
+    reserves,
+    simultaneous,
+)
 from orbimpc_ros.mpc.problem.problem import Problem
 from orbimpc_ros.mpc.problem.state import State
 
@@ -28,6 +35,7 @@ class Traffic(NamedTuple):
         bodies: when the plan starts.
         shifts: how far each has moved by the ends of steps 0..N, shape (J, N + 1, n) [m].
         strays: by how much each strays from even motion in each step, shape (J, N) [m].
+        kept: by how much each is kept away from as if it were larger, shape (J, N) [m].
         eased: how far inside of each a plan may be in each step, shape (J, N) [m].
     """
 
@@ -35,12 +43,13 @@ class Traffic(NamedTuple):
     bodies: tuple[Box | Ball, ...]
     shifts: Array
     strays: Array
+    kept: Array
     eased: Array
 
     @property
     def grown(self) -> Array:
         """Return how much larger each counts in each step, shape (J, N) [m]."""
-        return self.strays - self.eased
+        return self.strays + self.kept - self.eased
 
 
 def traffic_of(problem: Problem, state: State) -> Traffic | None:
@@ -59,8 +68,10 @@ def traffic_of(problem: Problem, state: State) -> Traffic | None:
         at = [count + j for j in group]
         shifts[at], strays[at] = moved_together(moving, ends), _strays(moving, ends)
     names = (*still, *(f'hazard {i}' for i in range(len(state.hazards))))
-    eased = inside(problem, state, bodies, shifts, strays)
-    return Traffic(names, bodies, shifts, strays, eased)
+    kept = np.zeros_like(strays)
+    kept[count:] = reserves(state.hazards, problem.horizon)
+    eased = inside(problem, state, bodies, shifts, strays + kept)
+    return Traffic(names, bodies, shifts, strays, kept, eased)
 
 
 def _strays(hazards: Sequence[Hazard], ends: Array) -> Array:

@@ -96,6 +96,9 @@ PLANNER: tuple[Row, ...] = (
         live=True),
     Row('obstacle_speed_limit', 50.0, 'What jumps on the topic obstacles faster than this is taken '
         'for a new body at rest', 'm/s', TINY, FAR, live=True),
+    Row('obstacle_reserve', 0.0, 'Kept away from what moves beyond what is demanded, as far as a '
+        'plan is found that does: from nothing at the start of a plan to this much 4 steps later',
+        'm', 0.0, FAR, live=True),
     Row('avoid', (), "Topics of other vehicles' plans (nav_msgs/Path) to stay clear of; one's own "
         'among them is passed over', words=True),
     Row('avoid_radius', 0.0, 'Least distance from other vehicles, middle to middle: the sum of '
@@ -226,6 +229,7 @@ class PlannerSettings:
         gated: whether commands wait until the vehicle says that it takes them.
         halves: whether odometry comes as a pose and a twist.
         obstacle_speed_limit: of bodies seen; faster ones have jumped [m/s].
+        obstacle_reserve: kept away from what moves, as far as it can be [m].
         avoid: topics of other vehicles' plans, as given.
         distance: how other vehicles are avoided.
         frames: that messages must be in.
@@ -261,6 +265,7 @@ class PlannerSettings:
     gated: bool
     halves: bool
     obstacle_speed_limit: float
+    obstacle_reserve: float
     avoid: tuple[str, ...]
     distance: Distance
     frames: Frames
@@ -314,6 +319,7 @@ def planner_settings(values: Values) -> PlannerSettings:
         frames=replace(frames_of(values), velocity=values['velocity_frame']),
         tree=_tree(values),
         obstacle_speed_limit=values['obstacle_speed_limit'],
+        obstacle_reserve=values['obstacle_reserve'],
         avoid=_avoided(values),
         distance=_distance(values, problem, period),
     )

@@ -41,6 +41,7 @@ def prepared(settings: PlannerSettings) -> tuple[PlannerSettings, Controller]:
         velocity_source=settings.velocity_source,
         capture_radius=settings.capture_radius,
         approach=settings.approach,
+        reserve=settings.obstacle_reserve,
     )
     if settings.avoid:
         controller.expect_hazards()

@@ -1,0 +1,150 @@
+"""What a vehicle among hazards flies instead of a plan that does not keep it clear of them.
+
+Without a floor ``max_rate`` bounds chords, and at a low speed a short chord is a wide angle: a plan
+may pass a body by a turn that is cut when it is flown. So each plan is *steered*: its headings are
+followed as fast as the vehicle turns. One whose first steps then meet a hazard gives way to a way
+that takes no search and does not. Where no plan is found at all, the clearest of these ways is
+flown: to stop is no way out of traffic, what moves comes on.
+
+Mathematics: docs/mathematics.md, 7.12.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.check import violations
+from orbimpc_ros.mpc.clearance import clearances
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.plan import UNPROVED, Plan, Proof, assemble
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.solve.stand_ins import straight, turning
+
+SURE_STEPS = 4  # of a steered plan, that have to be clear
+TOUCHING = 1e-6  # of a step's length
+SAME = 1e-2  # of a step's length: ways that differ by less stay out as far
+
+
+def is_clear(problem: Problem, state: State, goals: Array, plan: Plan) -> bool:
+    """Return whether the first steps of a plan stay clear of hazards when its turns are cut.
+
+    Args:
+        problem: gives the model and its limits.
+        state: from where, with the hazards.
+        goals: g_1..g_N, shape (N, n) [m].
+        plan: that passes its check.
+    """
+    if not _cuts_turns(problem):
+        return True
+    return _room(problem, state, goals, plan, SURE_STEPS) >= -TOUCHING * problem.length_unit
+
+
+def clear_instead(
+    problem: Problem, state: State, goals: Array, plan: Plan, guess: Plan | None
+) -> Plan:
+    """Return the cheapest way that is clear when steered instead of a plan that is not.
+
+    Where none is, that way or plan whose first steps stay the farthest out of hazards.
+
+    Args:
+        problem: gives the model and its limits.
+        state: from where, with the hazards.
+        goals: g_1..g_N, shape (N, n) [m].
+        plan: to be replaced; its bound holds for what takes its place.
+        guess: a plan from this very state; None for none.
+    """
+    known, rooms = (problem, state, goals), []
+    ways = _ways(*known, guess, plan.projection, plan.proof)
+    for each in sorted(ways, key=lambda way: way.objective):
+        if violations(*known, each):
+            continue
+        if is_clear(*known, each):
+            return each
+        rooms.append((_room(*known, each, SURE_STEPS), each))
+    rooms.append((_room(*known, plan, SURE_STEPS), plan))
+    return max(rooms, key=lambda pair: pair[0])[1]
+
+
+def clearest(
+    problem: Problem, state: State, goals: Array, guess: Plan | None, projection: str
+) -> tuple[Plan | None, float]:
+    """Return the way that stays out of hazards the most, and how far outside of them it is [m].
+
+    Of ways that meet all else: the guess, straight ones and turns to all sides; None if none does.
+    Who begins inside can get no farther out than that: then where ways end decides.
+
+    Args:
+        problem: gives the model and its limits.
+        state: from where, with the hazards.
+        goals: g_1..g_N, shape (N, n) [m].
+        guess: a plan from this very state; None for none.
+        projection: ``nearest`` or ``thrust_aligned``.
+    """
+    alone, known = replace(state, hazards=()), (problem, state, goals)
+    found = [
+        (_room(*known, each, problem.horizon), each)
+        for each in _ways(*known, guess, projection, UNPROVED)
+        if not violations(problem, alone, goals, each)
+    ]
+    if not found:
+        return None, 0.0
+    unit = SAME * problem.length_unit
+    room, plan = max(found, key=lambda each: (round(each[0] / unit), _end(problem, state, each[1])))
+    return plan, room
+
+
+def _end(problem: Problem, state: State, plan: Plan) -> float:
+    """Return how far outside of hazards a plan ends [m]."""
+    over, place = np.array([problem.step * plan.horizon]), plan.positions[-1:]
+    return min(-float(each.body.depth(place - each.moved(over))[0]) for each in state.hazards)
+
+
+def _ways(
+    problem: Problem,
+    state: State,
+    goals: Array,
+    guess: Plan | None,
+    projection: str,
+    proof: Proof,
+) -> Iterator[Plan]:
+    """Yield plans that take no search, held against a proof."""
+    if guess is not None:
+        yield replace(guess, proof=proof)
+    known = problem, state, goals
+    for rotations in (*straight(*known), *turning(*known)):
+        yield assemble(*known, coordinates(rotations), projection=projection, proof=proof)
+
+
+def _room(problem: Problem, state: State, goals: Array, plan: Plan, steps: int) -> float:
+    """Return how far outside of hazards the first steps of a plan are when it is steered [m]."""
+    steps = min(steps, plan.horizon)
+    part, x = replace(problem, horizon=steps), coordinates(plan.rotations[1 : steps + 1])
+    if _cuts_turns(problem):
+        x = _steered(problem, state, x)
+    begun = assemble(part, state, goals[:steps], x, projection=plan.projection, proof=UNPROVED)
+    return min(clearances(part, state, begun).values())
+
+
+def _cuts_turns(problem: Problem) -> bool:
+    """Return whether commands may turn less than plans of a problem, in the plane."""
+    planar = problem.dimension == 2 and problem.rotation_order == 1
+    return planar and problem.max_rate > 0.0 and not problem.turns_are_angles
+
+
+def _steered(problem: Problem, state: State, x: Array) -> Array:
+    """Return headings followed by turns that the vehicle can make, shape (N, 2); (7.2a)."""
+    widest, followed = problem.max_rate * problem.step, np.zeros_like(x)
+    angle = math.atan2(state.attitude[1, 0], state.attitude[0, 0])
+    for k, (along, aside) in enumerate(x.tolist()):
+        size = math.hypot(along, aside)
+        wanted = math.remainder(math.atan2(aside, along) - angle, 2.0 * math.pi) if size else 0.0
+        turn = min(max(wanted, -widest), widest)
+        angle += turn
+        share = size * max(0.0, math.cos(wanted - turn))
+        followed[k] = share * math.cos(angle), share * math.sin(angle)
+    return followed
