@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from orbimpc_ros.tool import cli
+from orbimpc_ros.tool.replay import recording
 
 HERE = Path(__file__).parent
 CASES = json.loads((HERE / 'reference' / 'cases.json').read_text())
@@ -82,6 +83,13 @@ def test_a_plan_without_a_certificate_is_printed_and_says_so(run, tmp_path):
     assert json.loads(out)['status'] == 'optimal'
     assert 'none yet for obstacles' in error
     assert not (tmp_path / 'none.json').exists()
+
+
+def test_a_bound_above_what_a_trajectory_costs_fails(run, monkeypatch):
+    monkeypatch.setitem(recording.READERS, 'lower_bound', lambda value: 1.01 * float(value))
+    code, out, _ = run('verify', HERE / 'golden' / 'disturbed', '--tick', 3)
+    assert code == 1
+    assert 'DOES NOT HOLD: a trajectory costs' in out
 
 
 def test_ticks_of_a_bag_hold(run, tmp_path):

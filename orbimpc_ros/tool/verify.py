@@ -12,11 +12,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem.case import case_of
 from orbimpc_ros.mpc.proof import verifier
 from orbimpc_ros.mpc.proof.certificate import Certificate, statement
-from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
+from orbimpc_ros.mpc.proof.prove import Unproved, certificate_for
 from orbimpc_ros.tool.io import document
 from orbimpc_ros.tool.io.files import write_whole
 
@@ -35,7 +36,7 @@ class TickVerdict(NamedTuple):
         proved: the bound that holds; None without a certificate.
         leaves: of the certificate.
         outcome: in a word or two.
-        words: why there is no certificate, if there is none.
+        words: why there is no certificate, or none can be, if that is so.
     """
 
     tick: int | None
@@ -111,9 +112,12 @@ def _tick(number: int, each: ReplayedTick, args: argparse.Namespace) -> TickVerd
     assert tick.problem is not None
     assert tick.state is not None
     assert tick.goals is not None
-    posed = tick.problem, tick.state, tick.goals
+    posed, cost = (tick.problem, tick.state, tick.goals), tick.plan.objective
+    if claimed > cost + TOLERANCE * (cost + tick.plan.proof.cost_unit):
+        words = f'{FAILS}: a trajectory costs {cost!r}'
+        return TickVerdict(number, claimed, outcome=FAILS, words=words)
     try:
-        made = certificate_of(*posed, tick.plan.rotations[1:], claimed)
+        made = certificate_for(*posed, tick.plan, claimed)
     except Unproved as error:
         return TickVerdict(number, claimed, outcome=NONE, words=str(error))
     if args.out:

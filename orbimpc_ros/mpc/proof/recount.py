@@ -28,29 +28,26 @@ GROWTH, HALVINGS = 16.0, 8  # of shifts that are tried for want of convexity
 ALL = 2.0 * np.pi - 1e-9  # [rad], a sector that leaves nothing out
 HALF = np.pi - 1e-9
 EMPTY = 1e-12  # [rad] that the ends of a sector may pass each other by, for rounding
-DRIFT, KEEP, PUSH, FOLLOW, BLOW = range(5)  # in Posed.motion
-TURNING, STEADYING, BRAKING = range(3)  # in Posed.turning
-FRACTION, TURN = range(2)  # in Posed.floor
 
 
 class Posed(NamedTuple):
     """A problem, as far as its bounds depend on it.
 
     Attributes:
-        motion: of y = (s, p): what p adds to it in a step, what is kept of p, and what R_k e1,
-            R_{k+1} e1 and the disturbance add, shape (5, 2).
+        motion: what p adds to s in a step, and what is kept of p; then what R_k e1, R_{k+1} e1 and
+            the disturbance add to s and to p.
         weights: on |s_k - g_k|^2, shape (N,).
         lengths: on |R_k e1|, k = 0..N, shape (N + 1,).
-        turning: weights on |R_{k+1} e1 - R_k e1|^2, |R_N e1 - R_g e1|^2 and |p_N|^2, shape (3,).
-        floor: least speed; how far directions may turn in a step [rad], 0 for any, shape (2,).
+        turning: weights on |R_{k+1} e1 - R_k e1|^2, |R_N e1 - R_g e1|^2 and |p_N|^2.
+        floor: least speed; how far directions may turn in a step [rad], 0 for any.
         normals: of a polygonal floor's faces, shape (F, 2).
     """
 
-    motion: Array
+    motion: tuple[float, ...]
     weights: Array
     lengths: Array
-    turning: Array
-    floor: Array
+    turning: tuple[float, float, float]
+    floor: tuple[float, float]
     normals: Array
 
 
@@ -112,24 +109,24 @@ def _posed(problem: Problem) -> Posed:
     lengths[0] *= 1.0 - late
     lengths[-1] *= late
     braking = problem.arrival_weight * problem.step**2 if problem.inertial else 0.0
-    turning = np.array([double * w.input / problem.step**2, double * w.attitude, braking])
+    turning = double * w.input / problem.step**2, double * w.attitude, float(braking)
     count = problem.floor.faces if problem.floor.shape == 'polygon' else 0
     corners = 2.0 * np.pi * np.arange(count) / max(count, 1)
     fraction = float(problem.floor.fraction) if problem.floor.exists else 0.0
-    turn = problem.step * problem.max_rate if problem.floor.exists else 0.0
-    floor = np.array([fraction, turn])
+    turn = float(problem.step * problem.max_rate) if problem.floor.exists else 0.0
+    floor = fraction, turn
     normals = np.column_stack([np.cos(corners), np.sin(corners)])
     return Posed(_motion(once), weights, lengths, turning, floor, normals)
 
 
-def _motion(once: Step) -> Array:
-    """Return what a step adds to positions and velocities, one row after another."""
-    motion = np.zeros((5, 2))
-    for row, values in zip((PUSH, FOLLOW, BLOW), once[1:], strict=True):
-        motion[row, : len(values)] = values
+def _motion(once: Step) -> tuple[float, ...]:
+    """Return what a step adds to positions and velocities: see :class:`Posed`."""
+    none, moved = (0.0, 0.0), [0.0, 0.0]
     if len(once.transition) > 1:
-        motion[DRIFT, 0], motion[KEEP, 1] = once.transition[0, 1], once.transition[1, 1]
-    return motion
+        moved = [float(once.transition[0, 1]), float(once.transition[1, 1])]
+    for values in once[1:]:
+        moved += (*values.tolist(), *none)[:2]
+    return tuple(moved)
 
 
 def _hessian(posed: Posed, rest: Array) -> Array:
@@ -154,36 +151,36 @@ def _set_slopes(posed, start, goals, x, slopes):
         x: headings R_1 e1..R_N e1, shape (N, n).
         slopes: to be set, shape (N, n).
     """
-    motion, weights, (turning, steadying, braking) = posed.motion, posed.weights, posed.turning
+    drift, keep, push, add, follow, after, blow, gust = posed.motion
+    weights, (turning, steadying, braking) = posed.weights, posed.turning
     count, n = x.shape
     value, size, forces = 0.0, 0.0, np.empty(count)
     for c in range(n):
         s, p, before = 0.0, start[0, c], start[2, c]
+        blown, hastened = blow * start[1, c], gust * start[1, c]
         for k in range(count):
-            s += motion[DRIFT, 0] * p + motion[BLOW, 0] * start[1, c]
-            s += motion[PUSH, 0] * before + motion[FOLLOW, 0] * x[k, c]
-            p = motion[KEEP, 1] * p + motion[BLOW, 1] * start[1, c]
-            p += motion[PUSH, 1] * before + motion[FOLLOW, 1] * x[k, c]
-            missed, change = s - goals[k, c], x[k, c] - before
-            forces[k] = 2.0 * weights[k] * missed
-            value += weights[k] * missed * missed + turning * change * change
-            slopes[k, c] = 2.0 * turning * change
+            ahead = x[k, c]
+            s += drift * p + push * before + follow * ahead + blown
+            p = keep * p + add * before + after * ahead + hastened
+            missed, change = s - goals[k, c], ahead - before
+            force, turned = weights[k] * missed, turning * change
+            value += force * missed + turned * change
+            forces[k] = 2.0 * force
+            slopes[k, c] = 2.0 * turned
             if k > 0:
-                slopes[k - 1, c] -= 2.0 * turning * change
-            before = x[k, c]
+                slopes[k - 1, c] -= 2.0 * turned
+            before = ahead
         off = before - start[3, c]
         value += steadying * off * off + braking * p * p
         slopes[count - 1, c] += 2.0 * steadying * off
-        on_s, on_p = 0.0, 2.0 * braking * p
+        on_s, on_p, earlier = 0.0, 2.0 * braking * p, 0.0
         for k in range(count - 1, -1, -1):
             on_s += forces[k]
-            now = motion[FOLLOW, 0] * on_s + motion[FOLLOW, 1] * on_p
-            earlier = motion[PUSH, 0] * on_s + motion[PUSH, 1] * on_p
-            slopes[k, c] += now
-            if k > 0:
-                slopes[k - 1, c] += earlier
-            size += abs(now) + abs(earlier)
-            on_p = motion[KEEP, 1] * on_p + motion[DRIFT, 0] * on_s
+            now = follow * on_s + after * on_p
+            slopes[k, c] += earlier + now
+            size += abs(earlier) + abs(now)
+            earlier = push * on_s + add * on_p
+            on_p = keep * on_p + drift * on_s
     return value, size + value
 
 
@@ -239,9 +236,9 @@ def _least_along(slope, bend, least):
 
 
 @compiled
-def _least_beyond(gx, gy, normal, least):
+def _least_beyond(gx, gy, nx, ny, least):
     """Return the least g . z over the part of the disk beyond a face n . z >= least."""
-    inward, across = gx * normal[0] + gy * normal[1], abs(gy * normal[0] - gx * normal[1])
+    inward, across = gx * nx + gy * ny, abs(gy * nx - gx * ny)
     size = np.sqrt(gx * gx + gy * gy)
     if -inward >= least * size:
         return -size
@@ -285,21 +282,30 @@ def _least_within(gx, gy, low, high, normals, least):
 
 
 @compiled
-def _least(posed, k, slope, bend, face, low, high):
-    """Return the least slope . z + l |z| - bend |z|^2 / 2 over what R_{k+1} e1 can be."""
-    length, least, size = posed.lengths[k + 1], posed.floor[FRACTION], 0.0
-    for c in range(len(slope)):
-        size += slope[c] * slope[c]
-    size = np.sqrt(size)
+def _least(slope, size, length, bend, normals, least, face, low, high):
+    """Return the least slope . z + l |z| - bend |z|^2 / 2 over what a heading can be.
+
+    Args:
+        slope: its first two coordinates.
+        size: of the slope.
+        length: l.
+        bend: of the tangent.
+        normals: of the floor's faces.
+        least: speed that the floor allows.
+        face: that the heading is beyond, -1 for none.
+        low: least direction [rad].
+        high: greatest.
+    """
+    gx, gy = slope
     if face >= 0:
         if bend != 0.0 or length != 0.0:
             return -np.inf
-        return _least_beyond(slope[0], slope[1], posed.normals[face], least)
+        return _least_beyond(gx, gy, normals[face, 0], normals[face, 1], least)
     if high - low >= ALL:
         return _least_along(length - size, bend, least)
     if bend == 0.0 and length == 0.0 and high - low < HALF:
-        return _least_within(slope[0], slope[1], low, high, posed.normals, least)
-    rim = _least_within(slope[0], slope[1], low, high, posed.normals[:0], 1.0)
+        return _least_within(gx, gy, low, high, normals, least)
+    rim = _least_within(gx, gy, low, high, normals[:0], 1.0)
     return _least_along(length + rim, bend, least)
 
 
@@ -307,15 +313,20 @@ def _least(posed, k, slope, bend, face, low, high):
 def _leaf(posed, hessian, start, goals, x, bends, unit, region, slopes):
     """Return the bound that a tangent proves over a region: faces, and sectors' ends."""
     faces, low, high = region
+    lengths, normals, floor = posed.lengths, posed.normals, posed.floor[0]
     value, size = _set_slopes(posed, start, goals, x, slopes)
     curved, reach = False, 0.0
     for k in range(len(x)):
-        bend, square, along = unit * bends[k], 0.0, 0.0
+        bend, square, along, steepness = unit * bends[k], 0.0, 0.0, 0.0
         for c in range(x.shape[1]):
             slopes[k, c] += bend * x[k, c]
             along += slopes[k, c] * x[k, c]
             square += x[k, c] * x[k, c]
-        least = _least(posed, k, slopes[k], bend, faces[k], low[k], high[k])
+            steepness += slopes[k, c] * slopes[k, c]
+        least = _least(
+            (slopes[k, 0], slopes[k, 1]), np.sqrt(steepness), lengths[k + 1], bend, normals, floor,
+            faces[k], low[k], high[k],
+        )  # fmt: skip
         value += 0.5 * bend * square - along + least
         size += abs(bend) * square + abs(along) + abs(least)
         reach += 1.0 + square
@@ -350,10 +361,10 @@ def recounted(posed, hessian, start, goals, heading, grounds, unit):
         unit: of the bends, in that of the cost.
     """
     splits, parts, angles, points, bends = grounds
-    total, count, turn = len(splits), len(goals), posed.floor[TURN]
+    total, count, turn = len(splits), len(goals), posed.floor[1]
     faces, reached = np.full((total, count), -1), np.zeros(total, np.bool_)
-    low, high = np.zeros((total, count)), np.empty((total, count))
-    high[0] = 2.0 * np.pi
+    sectors = total if turn > 0.0 else 1  # without a turn limit, all have the root's
+    low, high = np.zeros((sectors, count)), np.full((sectors, count), 2.0 * np.pi)
     if turn > 0.0:
         for k in range(count):
             low[0, k], high[0, k] = heading - (k + 1) * turn, heading + (k + 1) * turn
@@ -364,7 +375,7 @@ def recounted(posed, hessian, start, goals, heading, grounds, unit):
             continue
         k, first, angle = splits[t], parts[t], angles[t]
         if k < 0:
-            known = faces[t], low[t], high[t]
+            known = faces[t], low[min(t, sectors - 1)], high[min(t, sectors - 1)]
             bound = _leaf(posed, hessian, start, goals, points[t], bends[t], unit, known, slopes)
             if not bound > -np.inf:  # or no number
                 return -np.inf
@@ -372,7 +383,7 @@ def recounted(posed, hessian, start, goals, heading, grounds, unit):
             continue
         by_faces = np.isnan(angle)
         made = len(posed.normals) if by_faces else 2
-        if first <= t or first + made > total or reached[first : first + made].any():
+        if first <= t or first + made > total:
             return -np.inf
         if made == 0 or faces[t, k] >= 0 or k >= count:
             return -np.inf
@@ -380,9 +391,17 @@ def recounted(posed, hessian, start, goals, heading, grounds, unit):
             return -np.inf
         for i in range(made):
             part = first + i
-            faces[part], low[part], high[part], reached[part] = faces[t], low[t], high[t], True
+            if reached[part]:
+                return -np.inf
+            reached[part] = True
+            for j in range(count):
+                faces[part, j] = faces[t, j]
             if by_faces:
                 faces[part, k] = i
+            if turn == 0.0:
+                continue
+            low[part], high[part] = low[t], high[t]
+            if by_faces:
                 continue
             if i == 0:
                 high[part, k] = angle
