@@ -132,7 +132,7 @@ def endpoints(shared, tmp_path_factory):
     time add the simulator's last ones.
     """
     launch, observer = shared
-    launch('planner', {}, 'spacecraft')
+    launch('planner', {'publish_certificate': True}, 'spacecraft')
     sim = {'wait_subscribers': 9, 'goal_path_steps': 3, 'vehicle': 'continuous'}
     sim['traffic'] = [9.0, 9.0, 9.0, 0.0, 0.0, 0.0, 1.0]
     launch('sim', sim, 'spacecraft')

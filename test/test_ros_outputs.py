@@ -41,6 +41,7 @@ def told(fraction, **given):
 def test_topics_follow_from_what_the_vehicle_takes():
     reports = {'plan', 'plan_markers', 'tick'}
     drive = {*reports, 'cmd_vel', 'rotation'}
+    assert set(outputs(settings(publish_certificate=True))) == {*drive, 'certificate'}
     assert set(outputs(settings())) == drive
     assert set(outputs(settings(**CRAFT))) == {*drive, 'cmd_thrust'}
     assert set(outputs(settings(**CRAFT, hover_thrust=0.4))) == {*drive, 'cmd_thrust', 'thrust'}

@@ -70,6 +70,7 @@ DOCUMENTED = {
     'trigger': 'timer',
     'goal_prediction': 'hold',
     'dry_run': False,
+    'publish_certificate': False,
     'gated': False,
     'odometry': 'odom',
     'velocity_frame': 'body',

@@ -11,11 +11,13 @@ pytest.importorskip('rclpy')
 from orbimpc_ros.mpc.command import flaw
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.loop import controller as controllers
 from orbimpc_ros.mpc.loop.safety import CIRCLE_STEPS, safe_command
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.mpc.problem.floor import largest_fraction
+from orbimpc_ros.mpc.proof.verifier import parsed, verified
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
@@ -400,3 +402,14 @@ def test_only_what_somebody_listens_to_is_made():
         'plan': everything['plan']
     }
     assert report_messages(*known, oriented=True, heard=()) == {}
+
+
+@pytest.mark.skipif(not COMPILED, reason='the method that leaves a certificate needs numba')
+def test_a_certificate_on_the_wire_proves_the_bound_of_the_tick():
+    driven = Driven(publish_certificate=True)
+    report = driven.tick_again(1.0)
+    known = driven.inbox.settings, Stamp(stamp(1.0), FRAMES), report, '/planner'
+    sent = report_messages(*known, oriented=True, heard={'certificate'})['certificate']
+    verdict = verified(parsed(bytes(sent.data)))
+    assert verdict.holds
+    assert verdict.claimed == report.tick.plan.lower_bound > 0.0

@@ -3,10 +3,20 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
+from rosbags.typesys import Stores, get_typestore
 
+from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool import cli
+from orbimpc_ros.tool.io.bag.writer import BagWriter
+from orbimpc_ros.tool.io.topics import Topic
+from orbimpc_ros.tool.replay import recording
+from orbimpc_ros.tool.verify import _recorded
 
+STORE = get_typestore(Stores.ROS2_JAZZY)
+TYPES = STORE.types
+PROOFS = (Topic('/certificate', 'std_msgs/msg/UInt8MultiArray'),)
 HERE = Path(__file__).parent
 CASES = json.loads((HERE / 'reference' / 'cases.json').read_text())
 
@@ -82,6 +92,47 @@ def test_a_plan_without_a_certificate_is_printed_and_says_so(run, tmp_path):
     assert json.loads(out)['status'] == 'optimal'
     assert 'none yet for obstacles' in error
     assert not (tmp_path / 'none.json').exists()
+
+
+def test_a_bound_above_what_a_trajectory_costs_fails(run, monkeypatch):
+    monkeypatch.setitem(recording.READERS, 'lower_bound', lambda value: 1.01 * float(value))
+    code, out, _ = run('verify', HERE / 'golden' / 'disturbed', '--tick', 3)
+    assert code == 1
+    assert 'DOES NOT HOLD: a trajectory costs' in out
+
+
+def bag_of(path, *texts):
+    made = TYPES['std_msgs/msg/UInt8MultiArray']
+    layout = TYPES['std_msgs/msg/MultiArrayLayout']([], 0)
+    with BagWriter(path, PROOFS, {}) as writer:
+        for text in texts:
+            message = made(layout, np.frombuffer(text.encode(), np.uint8))
+            writer.write('/certificate', 1, bytes(STORE.serialize_cdr(message, made.__msgtype__)))
+    return path
+
+
+def test_certificates_are_taken_from_a_bag(tmp_path, solved):
+    text = solved[1].read_text()
+    (known,) = _recorded(bag_of(tmp_path / 'run', text), '').items()
+    assert known == (json.loads(text)['lower_bound'], json.loads(text))
+
+
+@pytest.mark.parametrize('text', ['', '[]', '{"lower_bound": "much"}'])
+def test_a_bag_with_what_is_no_certificate_is_bad_input(tmp_path, text):
+    with pytest.raises(BadInput, match='certificate'):
+        _recorded(bag_of(tmp_path / 'run', text), '')
+
+
+def test_a_recorded_certificate_that_does_not_prove_its_bound_fails(run, tmp_path, monkeypatch):
+    asked = 'verify', HERE / 'golden' / 'disturbed', '--tick', 3
+    assert run(*asked, '--out', tmp_path)[0] == 0
+    known = json.loads((tmp_path / 'tick_00003.json').read_text())
+    known['tree']['point'] = [[0.0, 0.0]] * len(known['tree']['point'])
+    recorded = {known['lower_bound']: known}
+    monkeypatch.setattr('orbimpc_ros.tool.verify._recorded', lambda *_: recorded)
+    code, out, _ = run(*asked)
+    assert code == 1
+    assert '1 DOES NOT HOLD' in out
 
 
 def test_ticks_of_a_bag_hold(run, tmp_path):

@@ -5,7 +5,7 @@ Mathematics: docs/mathematics.md, 6.1 and 7.6.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from orbimpc_ros.mpc.geometry.rotations import project_all
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.proof.grounds import Grounds
 
 TINY = 1e-12  # a size that has no direction
 ROUNDING = 1e-14  # of the cost unit: at the goal the cost vanishes, its rounding does not
@@ -30,6 +31,9 @@ class Proof:
         gap_tolerance: relative gap within which a plan counts as proved optimal.
         cost_unit: the natural size of costs of the problem, which rounding is measured against.
         reason: why no more was proved, where there is more to say than the gap.
+        checked: whether the bound is no more than what was counted again, by code that shares
+            nothing with the method; else it is the method's word.
+        grounds: what the bound rests on, its bends in cost units; None where that is not known.
     """
 
     lower_bound: float
@@ -37,6 +41,8 @@ class Proof:
     gap_tolerance: float
     cost_unit: float
     reason: str = ''
+    checked: bool = False
+    grounds: Grounds | None = field(default=None, compare=False, repr=False)
 
 
 UNPROVED = Proof(-np.inf, 0, 0.0, 0.0)

@@ -11,6 +11,7 @@ plane (n = 2) poses lie at z = 0 and turn about z.
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -31,7 +32,7 @@ from geometry_msgs.msg import (
 )
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
-from std_msgs.msg import Header
+from std_msgs.msg import Header, UInt8MultiArray
 
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.command import Command
@@ -344,6 +345,11 @@ def share_message(stamp: Stamp, share: float) -> Vector3Stamped:
     """Return a share of full thrust along the pushing axis, in the body frame."""
     head = header(stamp.nanoseconds, stamp.frames.body)
     return Vector3Stamped(header=head, vector=pushing(share, stamp.frames))
+
+
+def bytes_message(content: bytes) -> UInt8MultiArray:
+    """Return bytes, in one dimension."""
+    return UInt8MultiArray(data=array('B', content))
 
 
 def rotation_message(stamp: Stamp, command: Command) -> QuaternionStamped:

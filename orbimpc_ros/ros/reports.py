@@ -88,6 +88,7 @@ class Report:
             'objective': math.nan if plan is None else plan.objective,
             'lower_bound': math.nan if plan is None else plan.lower_bound,
             'gap': math.nan if plan is None else plan.gap,
+            'bound_checked': plan is not None and plan.proof.checked,
             'nodes': 0 if plan is None else plan.nodes,
             'solve_time_ms': self.solve_time_ms,
             'speed_fraction': fractions,

@@ -12,7 +12,7 @@ from typing import Any
 from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem.case import Case, case_of
-from orbimpc_ros.mpc.proof.prove import certificate_of
+from orbimpc_ros.mpc.proof.prove import certificate_for
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool.io import document
 from orbimpc_ros.tool.io.files import write_whole
@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     elapsed = time.perf_counter() - begin
     print(json.dumps(answer(case, plan, 1e3 * elapsed), indent=1, allow_nan=False))
     if args.certificate:
-        text = certificate_of(*case, plan.rotations[1:], plan.lower_bound).text()
+        text = certificate_for(*case, plan, plan.lower_bound).text()
         write_whole(Path(args.certificate), lambda file: file.write_text(text + '\n'))
     return 0
 

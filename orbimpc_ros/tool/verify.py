@@ -12,12 +12,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem.case import case_of
 from orbimpc_ros.mpc.proof import verifier
 from orbimpc_ros.mpc.proof.certificate import Certificate, statement
-from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
-from orbimpc_ros.tool.io import document
+from orbimpc_ros.mpc.proof.prove import Unproved, certificate_for
+from orbimpc_ros.tool.io import bag, document
 from orbimpc_ros.tool.io.files import write_whole
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ class TickVerdict(NamedTuple):
         proved: the bound that holds; None without a certificate.
         leaves: of the certificate.
         outcome: in a word or two.
-        words: why there is no certificate, if there is none.
+        words: why there is no certificate, or none can be, if that is so.
     """
 
     tick: int | None
@@ -98,12 +99,29 @@ def _verified(tick: int | None, known: Any) -> TickVerdict:
 def _bag(path: Path, args: argparse.Namespace) -> Iterator[TickVerdict]:
     from orbimpc_ros.tool.replay.report import ticks_of  # needs ROS, which a file does not
 
+    recorded = _recorded(path, args.namespace)
     for number, each in enumerate(ticks_of(path, args.params, args.namespace)):
         if args.tick in (None, number):
-            yield _tick(number, each, args)
+            yield _tick(number, each, recorded, args)
 
 
-def _tick(number: int, each: ReplayedTick, args: argparse.Namespace) -> TickVerdict:
+def _recorded(path: Path, namespace: str) -> dict[float, Any]:
+    """Return the certificates that a planner published, by the bounds that they claim."""
+    found = {}
+    for each in bag.read(path, {'certificate'}):
+        if each.topic != f'{namespace}/certificate':
+            continue
+        try:
+            known = verifier.parsed(bytes(each.content.data))
+            found[float(known['lower_bound'])] = known
+        except (verifier.Refused, KeyError, TypeError, ValueError) as error:
+            raise BadInput.stating(str(path), 'certificate refused', str(error)) from None
+    return found
+
+
+def _tick(
+    number: int, each: ReplayedTick, recorded: dict[float, Any], args: argparse.Namespace
+) -> TickVerdict:
     """Certify what was published on a tick, of the problem that its inputs pose."""
     claimed, tick = each.recorded.answer.lower_bound, each.tick
     if claimed is None or claimed <= 0.0 or tick.plan is None or not tick.plan.lower_bound > 0.0:
@@ -111,9 +129,15 @@ def _tick(number: int, each: ReplayedTick, args: argparse.Namespace) -> TickVerd
     assert tick.problem is not None
     assert tick.state is not None
     assert tick.goals is not None
-    posed = tick.problem, tick.state, tick.goals
+    posed, cost = (tick.problem, tick.state, tick.goals), tick.plan.objective
+    if claimed > cost + TOLERANCE * (cost + tick.plan.proof.cost_unit):
+        words = f'{FAILS}: a trajectory costs {cost!r}'
+        return TickVerdict(number, claimed, outcome=FAILS, words=words)
+    known = recorded.get(claimed)
+    if known is not None and all(known[k] == v for k, v in statement(*posed).items()):
+        return _verified(number, known)
     try:
-        made = certificate_of(*posed, tick.plan.rotations[1:], claimed)
+        made = certificate_for(*posed, tick.plan, claimed)
     except Unproved as error:
         return TickVerdict(number, claimed, outcome=NONE, words=str(error))
     if args.out:

@@ -4,6 +4,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Box, Floor, Problem
+from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.solve.annulus_newton import AnnulusNewton
 from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
@@ -14,6 +15,7 @@ from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 from orbimpc_ros.mpc.solve.spatial_bnb import SpatialSearch
 
 if COMPILED:
+    Recount(Problem())
     HullRiccati(Problem(), 1e-6)
     PolygonSearch(Problem(floor=Floor('polygon')), 1e-6)
     AnnulusNewton(Problem(floor=Floor('circle')), 1e-6)

@@ -86,6 +86,8 @@ class Tree(NamedTuple):
         active: how many there are, shape (S,); the first state is empty, for the root.
         choice: the cell of each step of a node, -1 for none, shape (M, N).
         parent: whose active set a node begins with, shape (M,).
+        solved: the nodes in the order in which they were solved, from 1 on, shape (S,).
+        split: the steps that they were branched on, -1 for none, shape (S,).
         keys: bounds of the open nodes, a heap, shape (M,).
         heap: their numbers, shape (M,); of equal bounds the latest, the deepest, comes first.
         x: of the last node, shape (N, 2).
@@ -100,6 +102,8 @@ class Tree(NamedTuple):
     active: np.ndarray
     choice: np.ndarray
     parent: np.ndarray
+    solved: np.ndarray
+    split: np.ndarray
     keys: Array
     heap: np.ndarray
     x: Array
@@ -130,6 +134,8 @@ def tree(steps: int, nodes: int, most: int) -> Tree:
         active,
         np.empty((made, steps), np.int32),
         np.empty(made, np.int64),
+        np.empty(states, np.int64),
+        np.empty(states, np.int64),
         np.empty(made),
         np.empty(made, np.int64),
         np.zeros((steps, 2)),
@@ -331,6 +337,7 @@ def _branch(quad, table, tree, node, cutoff):
         if reached < numbers[VALUE]:
             tree.best[:], numbers[VALUE] = tree.x, reached
         return
+    tree.split[counts[NODES]] = k
     gains = np.empty(count)
     for cell in range(count):
         miss = _miss(table.normals, table.bounds, cell, tree.x[k])
@@ -357,6 +364,7 @@ def _search(quad, table, constant, tolerance, tree, room, work):
         node, own = counts[CURRENT], counts[NODES]
         rows, normals = tree.rows[own], tree.normals[own]
         if coming == OPENED:
+            tree.solved[own], tree.split[own] = node, -1
             _minimiser(quad.inverse, quad.q, rows, normals, tree.u[own], counts[ACTIVE], tree.x)
             work -= NODE + 2.0 * len(tree.x) ** 2
         status, bound, count, counts[ROWS_ADDED], work = _relax(
@@ -392,6 +400,51 @@ def search(quad, table, constant, tolerance, tree, room, work):
     status = _search(quad, table, constant, tolerance, tree, room, work)
     set_least(tree)
     return status
+
+
+@compiled
+def grounds_of(quad, table, tree):
+    """Return what the bound of a search rests on; see :mod:`orbimpc_ros.mpc.proof.grounds`.
+
+    A node that was solved has its Lagrangian's minimiser for a point. One that was not has its
+    parent's, one dual step along its own row farther: what its bound was taken from.
+
+    Args:
+        quad: what was minimised.
+        table: the cells of the floor.
+        tree: of a search that has begun.
+
+    Returns:
+        Splits, parts and points; the splits are by cells, and nothing is bent.
+    """
+    solved, count, steps = tree.counts[NODES], len(table.bounds), len(tree.x)
+    total = 1
+    for own in range(1, solved + 1):
+        total += count * (tree.split[own] >= 0)
+    splits, parts = np.full(total, -1), np.zeros(total, np.int64)
+    points, place = np.zeros((total, steps, 2)), np.empty(tree.counts[MADE], np.int64)
+    place[0], following, child = 0, 1, 1
+    for own in range(1, solved + 1):
+        at, k, x = place[tree.solved[own]], tree.split[own], points[place[tree.solved[own]]]
+        if own == 1 or tree.active[own] > 0:
+            _minimiser(
+                quad.inverse, quad.q, tree.rows[own], tree.normals[own], tree.u[own],
+                tree.active[own], x,
+            )  # fmt: skip
+        if k < 0:
+            continue
+        splits[at], parts[at] = k, following
+        for cell in range(count):
+            normal, moved = table.normals[cell], points[following + cell]
+            share = _miss(table.normals, table.bounds, cell, x[k]) / quad.inverse[k, k]
+            for j in range(steps):
+                along = share * quad.inverse[j, k]
+                moved[j, 0], moved[j, 1] = x[j, 0] + along * normal[0], x[j, 1] + along * normal[1]
+        while child < len(place) and tree.parent[child] == own:
+            place[child] = following + tree.choice[child, k]
+            child += 1
+        following += count
+    return splits, parts, points
 
 
 @compiled

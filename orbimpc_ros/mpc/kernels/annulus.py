@@ -580,6 +580,24 @@ def _bound(annulus, q, left, z, side, mu, nu, known):
 
 
 @compiled
+def bends_at(annulus, q, z, side):
+    """Return theta, shape (N,), of the bound at a stationary point of a problem without an arrival.
+
+    Args:
+        annulus: what is minimised over.
+        q: linear terms, shape (N, n).
+        z: headings, shape (N, n).
+        side: the bounds they sit on, shape (N,).
+    """
+    gradient, mu, theta = np.empty_like(z), np.empty(len(z)), np.empty(len(z))
+    _set_gradient(annulus, q, z, gradient)
+    _set_multipliers(annulus, z, side, gradient, np.zeros(0), mu)
+    for k in range(len(z)):
+        theta[k], _ = _curvature(annulus.length[k], annulus.floor, side[k], mu[k], _size(z, k))
+    return theta
+
+
+@compiled
 def _descend(annulus, q, left, z, side, counts, numbers, longest, work):
     """Take z towards a stationary point, on from where it is.
 

@@ -36,12 +36,14 @@ class Iterate(NamedTuple):
         numbers: sigma, the penalty's parameter; the greatest lower bound; how far the last Newton
             step promised to bring the merit down, shape (3,).
         counts: steps and updates made; Newton steps since sigma last changed, shape (2,).
+        lowest: the minimiser of the Lagrangian that gave the greatest bound, shape (N, d).
     """
 
     x: Array
     held: Array
     numbers: Array
     counts: np.ndarray
+    lowest: Array
 
 
 def begun(steps: int, width: int, sigma: float) -> Iterate:
@@ -54,7 +56,8 @@ def begun(steps: int, width: int, sigma: float) -> Iterate:
     """
     numbers = np.array([sigma, -np.inf, np.inf])
     shape = (steps, width)
-    return Iterate(np.zeros(shape), np.zeros(shape), numbers, np.zeros(2, np.int64))
+    x, held, lowest = (np.zeros(shape) for _ in range(3))
+    return Iterate(x, held, numbers, np.zeros(2, np.int64), lowest)
 
 
 @compiled

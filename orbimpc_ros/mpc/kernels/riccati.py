@@ -253,7 +253,7 @@ def minimise(chain, limits, progress, work):
     """
     along, start, turning, weights, goals, wish = chain
     precision, proportion, rounding, largest = limits
-    z, held, numbers, counts = progress
+    z, held, numbers, counts, lowest = progress
     count, m = len(goals), len(along)
     gain, offset = np.empty((count, 2, m, 2)), np.empty((count, 2))
     none, bent = np.zeros((count, 2, 2)), np.empty((count, 2, 2))
@@ -261,6 +261,7 @@ def minimise(chain, limits, progress, work):
     target, trial = np.empty((count, 2)), np.empty((count, 2))
     if counts[STEPS] == 0:
         numbers[BEST] = _dual(chain, held, none, gain, offset, z)
+        lowest[:] = z
     quadratic = _cost(along, start, turning, weights, goals, wish, z)
     value, moved, worst = _project(z, held, numbers[SIGMA], new, bent)
     for _ in range(work):
@@ -270,7 +271,8 @@ def minimise(chain, limits, progress, work):
         near = numbers[PROMISED] <= max(NOTHING, ENOUGH * moved / numbers[SIGMA])
         if worst <= precision or near:
             bound = _dual(chain, new, none, gain, offset, target)
-            numbers[BEST] = max(numbers[BEST], bound)
+            if bound > numbers[BEST]:
+                numbers[BEST], lowest[:] = bound, target
             gap = quadratic - numbers[BEST]
             if worst <= precision and gap <= proportion * quadratic + rounding:
                 return quadratic, SETTLED

@@ -6,11 +6,14 @@ Format: docs/proofs.md. Numbers are written so that they are read back as they w
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from typing import Any
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.plan import Proof
+from orbimpc_ros.mpc.problem import Floor, Problem, State
+from orbimpc_ros.mpc.proof.grounds import LEAF, Grounds
 from orbimpc_ros.mpc.proof.verifier import FORMAT
 
 
@@ -84,6 +87,35 @@ class Certificate:
     def text(self) -> str:
         """Return the certificate as JSON on one line."""
         return json.dumps(self.document(), allow_nan=False, separators=(',', ':'))
+
+
+def kept(problem: Problem, state: State, goals: Array, proof: Proof) -> Certificate | None:
+    """Return the certificate that a method's grounds are; None where it left none.
+
+    Args:
+        problem: what was solved.
+        state: where plans start.
+        goals: g_1..g_N, shape (N, n) [m].
+        proof: of the plan.
+    """
+    if proof.grounds is None or not proof.checked:
+        return None
+    tree = _tree_of(proof.grounds, proof.cost_unit, problem.floor)
+    return Certificate(problem, state, goals, proof.lower_bound, tree)
+
+
+def _tree_of(grounds: Grounds, unit: float, floor: Floor) -> Tree:
+    """Return the tree that grounds are; parts come after what they are parts of."""
+    made: dict[int, Tree] = {}
+    for t in reversed(range(len(grounds.splits))):
+        if grounds.splits[t] == LEAF:
+            made[t] = Leaf(grounds.points[t], unit * grounds.bends[t])
+            continue
+        first, angle = int(grounds.parts[t]), float(grounds.angles[t])
+        at = None if math.isnan(angle) else angle
+        parts = (made.pop(first + i) for i in range(floor.faces if at is None else 2))
+        made[t] = Split(int(grounds.splits[t]) + 1, tuple(parts), at)
+    return made[0]
 
 
 def statement(problem: Problem, state: State, goals: Array) -> dict[str, Any]:

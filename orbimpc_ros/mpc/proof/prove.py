@@ -16,16 +16,18 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof import spatial
-from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Split, Tree
+from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Split, Tree, kept
 from orbimpc_ros.mpc.proof.faces import FaceProof
 from orbimpc_ros.mpc.proof.sectors import SectorProof
 from orbimpc_ros.mpc.proof.stationary import Stationary, setting
 from orbimpc_ros.mpc.proof.verifier import RELATIVE, Refused, verified
 
 NEAR = (1e-6, 1e-4, 1e-3)  # of a plan's moduli to their bounds: methods differ in accuracy
+FEW = 500  # nodes of a search up to which its own tree is the certificate
 SHARE = 0.5  # of what a bound may exceed what is proved
 
 
@@ -71,6 +73,29 @@ def certificate_of(
         )
     tree, origins = _split(scaled, x, target / units.cost)
     return replace(certificate, tree=_in_users_units(tree, units), origins=origins)
+
+
+def certificate_for(
+    problem: Problem, state: State, goals: Array, plan: Plan, bound: float
+) -> Certificate:
+    """Return what proves a bound: what the plan's method left of it, or else a proof of its own.
+
+    Args:
+        problem: what was solved.
+        state: where the plan starts.
+        goals: g_1..g_N, shape (N, n) [m].
+        plan: of the method.
+        bound: to prove.
+
+    Raises:
+        Unproved: as :func:`certificate_of` does.
+    """
+    proof, bound = plan.proof, max(0.0, bound)
+    if proof.grounds is not None and len(proof.grounds.splits) <= FEW:
+        made = kept(problem, state, goals, replace(proof, lower_bound=bound))
+        if made is not None and _proved(made) >= bound * (1.0 - SHARE * float(RELATIVE)):
+            return made
+    return certificate_of(problem, state, goals, plan.rotations[1:], bound)
 
 
 def _width(problem: Problem) -> int:

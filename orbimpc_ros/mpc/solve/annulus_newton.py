@@ -32,6 +32,7 @@ from orbimpc_ros.mpc.kernels.annulus import (
     Annulus,
     Progress,
     begun,
+    bends_at,
     improve,
     improve_from_hull,
 )
@@ -41,6 +42,7 @@ from orbimpc_ros.mpc.model.condensed import LONGEST, Condensed
 from orbimpc_ros.mpc.model.cost import first_length, length_weights
 from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Floor, Problem, State
+from orbimpc_ros.mpc.proof.grounds import Grounds, tangent
 from orbimpc_ros.mpc.solve.arc_search import ArcSearch
 from orbimpc_ros.mpc.solve.general import General
 from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
@@ -203,7 +205,14 @@ class AnnulusNewton:
         ):
             if tick.late:
                 break
-        return _better(found, progress, tick.constant)
+        grounds = None if more else self._grounds(annulus, tick, progress)
+        return _better(found, progress, tick.constant, grounds)
+
+    def _grounds(self, annulus: Annulus, tick: _Tick, progress: Progress) -> Grounds | None:
+        """Return what the bound of a stationary point rests on; with an arrival, not known."""
+        if self._arrives:
+            return None
+        return tangent(progress.z, bends_at(annulus, tick.q, progress.z, progress.side))
 
     def _from_hull(self, tick: _Tick, found: Found) -> Found:
         """Start from the optimum over the disks without lengths, of which a floor's are certain."""
@@ -211,7 +220,8 @@ class AnnulusNewton:
             relaxed, _ = self._hull.relaxed(tick.request)
             assert relaxed.x is not None
             bound = relaxed.lower_bound + first_length(self._problem, tick.request.state)
-            return self._from(tick, _raised(found, bound + self._least_length), relaxed.x[None])
+            found = _raised(found, bound + self._least_length, grounds=relaxed.grounds)
+            return self._from(tick, found, relaxed.x[None])
         hull, progress = begun(*tick.q.shape), begun(*tick.q.shape)
         progress.numbers[BOUND] = found.lower_bound - tick.constant
         floors, asked = (self._disks, self._annulus), (tick.q, tick.left, tick.constant)
@@ -219,7 +229,10 @@ class AnnulusNewton:
         while not improve_from_hull(*floors, *asked, *limits, hull, progress, SLICE):
             if tick.late:
                 break
-        found = _better(found, progress, tick.constant)
+        at = (self._annulus, tick, progress)
+        if progress.numbers[BOUND] <= hull.numbers[BOUND] + self._least_length:
+            at = (self._disks, tick, hull)
+        found = _better(found, progress, tick.constant, self._grounds(*at))
         # Where time ran out over the hull, that is still a start.
         return found if found.x is not None else self._from(tick, found, hull.best[None])
 
@@ -231,7 +244,8 @@ class AnnulusNewton:
         while not climb(self._annulus, *asked, enough - tick.constant, progress, float(SLICE)):
             if tick.late:
                 break
-        found = _raised(found, float(progress.numbers[RAISED]) + tick.constant)
+        grounds = None if self._arrives else tangent(progress.z, progress.theta)
+        found = _raised(found, float(progress.numbers[RAISED]) + tick.constant, grounds=grounds)
         return found if self.settles(found) else self._from(tick, found, progress.z[None])
 
     def _from_around(self, tick: _Tick, found: Found) -> Found:
@@ -260,8 +274,8 @@ class AnnulusNewton:
             tick.request._replace(guess=guess, out_of_time=lambda: next(asked, None) is None)
         )
         best = other if other.cost < found.cost else found
-        bound = max(found.lower_bound, other.lower_bound)
-        return Found(best.x, best.cost, bound, found.nodes + other.nodes)
+        known = replace(found, x=best.x, cost=best.cost)
+        return _raised(known, other.lower_bound, other.nodes, other.grounds)
 
 
 def _long_hull(problem: Problem, tolerance: float) -> HullRiccati | None:
@@ -274,16 +288,24 @@ def _long_hull(problem: Problem, tolerance: float) -> HullRiccati | None:
     )
 
 
-def _raised(found: Found, bound: float, nodes: int = 0) -> Found:
+def _raised(found: Found, bound: float, nodes: int = 0, grounds: Grounds | None = None) -> Found:
     """Return what was found with a bound that may be better, after so many more nodes."""
-    return Found(found.x, found.cost, max(found.lower_bound, bound), found.nodes + nodes)
+    nodes += found.nodes
+    if bound > found.lower_bound:
+        return replace(found, lower_bound=bound, nodes=nodes, grounds=grounds)
+    return replace(found, nodes=nodes)
 
 
-def _better(found: Found, progress: Progress, constant: float) -> Found:
-    """Return the cheaper of what was found and what a local search came to, with its bound."""
+def _better(found: Found, progress: Progress, constant: float, grounds: Grounds | None) -> Found:
+    """Return the cheaper of what was found and what a local search came to, with its bound.
+
+    Args:
+        found: before.
+        progress: of the local search.
+        constant: what its costs lack.
+        grounds: of its bound.
+    """
     cost, bound = progress.numbers[COST] + constant, progress.numbers[BOUND] + constant
-    x = found.x
     if cost < found.cost:
-        x = progress.best
-    bound = max(found.lower_bound, float(bound))
-    return Found(x, min(float(cost), found.cost), bound, found.nodes + int(progress.counts[TRIED]))
+        found = replace(found, x=progress.best, cost=float(cost))
+    return _raised(found, float(bound), int(progress.counts[TRIED]), grounds)

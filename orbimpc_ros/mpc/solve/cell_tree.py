@@ -11,10 +11,18 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.cells import Table
-from orbimpc_ros.mpc.kernels.active_set import Quadratic, begin_cells, dive, search, tree
+from orbimpc_ros.mpc.kernels.active_set import (
+    Quadratic,
+    begin_cells,
+    dive,
+    grounds_of,
+    search,
+    tree,
+)
 from orbimpc_ros.mpc.kernels.annulus import SLICE
 from orbimpc_ros.mpc.kernels.best_first import DONE, FULL, LEAST, NODES, STALLS, VALUE
 from orbimpc_ros.mpc.model.condensed import regular
+from orbimpc_ros.mpc.proof.grounds import Grounds
 
 FEW = 200  # nodes until a search pauses first
 DIVE = 15 * SLICE  # multiplications of a dive: one comes after the deadline
@@ -90,6 +98,13 @@ class CellSearch:
     def best(self) -> Array:
         """Return the best headings found, shape (N, 2)."""
         return self._tree.best.copy()
+
+    @property
+    def grounds(self) -> Grounds:
+        """Return what the bound rests on."""
+        splits, parts, points = grounds_of(self._quadratic, self._table, self._tree)
+        by_cells = np.full(len(splits), np.nan)
+        return Grounds(splits, parts, by_cells, points, np.zeros(points.shape[:2]))
 
     def dive(self) -> None:
         """Look for headings that satisfy the floor near the last relaxation's."""

@@ -20,6 +20,7 @@ from orbimpc_ros.mpc.model.cost import (
 )
 from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.proof.grounds import tangent
 from orbimpc_ros.mpc.solve.general import General
 from orbimpc_ros.mpc.solve.request import Found, Request
 
@@ -108,4 +109,5 @@ class HullRiccati:
                 break
         spent = first_length(self._problem, state)
         bound = float(progress.numbers[BEST]) - CANCELLED * constant
-        return Found(progress.x, cost + spent, bound + spent, 1), status == SETTLED
+        grounds = tangent(progress.lowest, np.zeros(len(goals)))
+        return Found(progress.x, cost + spent, bound + spent, 1, '', grounds), status == SETTLED

@@ -89,4 +89,5 @@ class PolygonSearch:
         """Return the best of a search, with the bound that it has proved."""
         x = self._search.best
         cost = float(quadratic(self._condensed.hessian, q, x)) + constant
-        return Found(x, cost, self._search.bound + constant, self._search.nodes)
+        bound, grounds = self._search.bound + constant, self._search.grounds
+        return Found(x, cost, bound, self._search.nodes, grounds=grounds)

@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.proof.grounds import Grounds
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,7 @@ class Found:
         lower_bound: no trajectory costs less.
         nodes: relaxations or local problems solved.
         reason: why there is no trajectory.
+        grounds: what the bound rests on, for it to be counted again; None where that is not known.
     """
 
     x: Array | None
@@ -91,6 +93,7 @@ class Found:
     lower_bound: float
     nodes: int
     reason: str = ''
+    grounds: Grounds | None = None
 
     @property
     def gap(self) -> float:

@@ -20,6 +20,7 @@ from orbimpc_ros.mpc.plan import Plan, Proof, assemble
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.feasibility import reason
 from orbimpc_ros.mpc.problem.units import Units
+from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.solve.registry import method_among, method_for
 from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Method, Request
 from orbimpc_ros.mpc.solve.stand_ins import straight, turning
@@ -68,6 +69,7 @@ class Solver:
         self.problem = problem
         self._projection, self._tolerance = projection, gap_tolerance
         self._units, self._patient = Units.of(problem), patient
+        self._recount = Recount(problem) if Recount.reads(problem) else None
         self._wants_attitude = problem.wants_attitude
         self._coasting = coasting and problem.rotation_order == 2
         tolerance = SEARCH_SHARE * gap_tolerance
@@ -108,7 +110,7 @@ class Solver:
             return self._instead(query, found, error)
         if found.x is None:
             return self._instead(query, found, SolverFailure(found.reason))
-        plan = self._assembled(query, found.x, self._proof(found))
+        plan = self._assembled(query, found.x, self._proof(query, found))
         flaws = violations(self.problem, state, goals, plan)
         if flaws:
             found = replace(NOTHING, reason='the plan found fails its check: ' + '; '.join(flaws))
@@ -135,7 +137,7 @@ class Solver:
         found = self._found(query)
         if found.x is None:
             raise SolverFailure(found.reason)
-        return self._assembled(query, found.x, self._proof(found))
+        return self._assembled(query, found.x, self._proof(query, found))
 
     def _found(self, query: _Query) -> Found:
         state, goals = query.state, query.goals
@@ -196,15 +198,24 @@ class Solver:
         known = self.problem, query.state, query.goals
         return assemble(*known, x, projection=self._projection, proof=proof)
 
-    def _proof(self, found: Found) -> Proof:
-        """Return the proof of a bound in natural units; no term of the objective is negative."""
-        bound = self._units.cost * (1.0 - OUTWARD) * found.lower_bound
+    def _proof(self, query: _Query, found: Found) -> Proof:
+        """Return the proof of a bound in natural units; no term of the objective is negative.
+
+        Where the method says what the bound rests on, what that comes to is what is proved.
+        """
+        cost, grounds = self._units.cost, found.grounds
+        bound = cost * found.lower_bound
         known = bound if 0.0 < bound < np.inf else 0.0
-        return Proof(known, found.nodes, self._tolerance, self._units.cost, found.reason)
+        checked = known == 0.0
+        if known and grounds is not None and self._recount is not None:
+            again = self._recount.bound(query.state, query.goals, grounds, cost)
+            known, checked = max(0.0, min(known, again)), True
+        known *= 1.0 - OUTWARD
+        return Proof(known, found.nodes, self._tolerance, cost, found.reason, checked, grounds)
 
     def _instead(self, query: _Query, found: Found, failure: OrbimpcError) -> Plan:
         """Return the cheapest of the plans that can stand in for one that was not found."""
-        proof = self._proof(found)
+        proof = self._proof(query, found)
         plan = self._cheapest(query, proof, np.inf)
         if plan is not None:
             return plan

@@ -142,6 +142,8 @@ PLANNER: tuple[Row, ...] = (
         choices=tuple(FORECASTS), live=True),
     Row('dry_run', False, 'Whether to plan and report, and command nothing: there is no publisher '
         'of commands then'),
+    Row('publish_certificate', False, 'Whether to publish on certificate what proves the bound of '
+        'a tick, where the method leaves that'),
     Row('odom_timeout', 0.0, 'Odometry older than this is stale; 0 for 0.2 s; at least 1.5 '
         'periods',
         's', 0.0, MAX_DURATION, live=True),
@@ -226,6 +228,7 @@ class PlannerSettings:
         estimated: whether to estimate what disturbs besides.
         velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
         dry_run: whether nothing is to be commanded.
+        publish_certificate: whether to publish what proves bounds.
         gated: whether commands wait until the vehicle says that it takes them.
         halves: whether odometry comes as a pose and a twist.
         obstacle_speed_limit: of bodies seen; faster ones have jumped [m/s].
@@ -262,6 +265,7 @@ class PlannerSettings:
     estimated: bool
     velocity_source: str
     dry_run: bool
+    publish_certificate: bool
     gated: bool
     halves: bool
     obstacle_speed_limit: float
@@ -314,6 +318,7 @@ def planner_settings(values: Values) -> PlannerSettings:
         estimated=values['disturbance'] == ESTIMATED,
         velocity_source=values['velocity_source'],
         dry_run=values['dry_run'],
+        publish_certificate=values['publish_certificate'],
         gated=values['gated'],
         halves=values['odometry'] == 'pose_twist',
         frames=replace(frames_of(values), velocity=values['velocity_frame']),

@@ -13,11 +13,13 @@ from geometry_msgs.msg import QuaternionStamped, TwistStamped, Vector3Stamped, W
 from nav_msgs.msg import Path
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.publisher import Publisher
+from std_msgs.msg import UInt8MultiArray
 from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.loop.controller import Tick
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.proof.certificate import kept
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.markers import plan_markers
 from orbimpc_ros.ros.messages import Stamp
@@ -33,18 +35,20 @@ KINDS: dict[str, type] = {
 }
 COMMANDS: dict[str, type] = {'cmd_vel': TwistStamped, 'rotation': QuaternionStamped}
 FORCES: dict[str, type] = {'cmd_thrust': WrenchStamped}
+PROOFS: dict[str, type] = {'certificate': UInt8MultiArray}
 SHARES: dict[str, type] = {'thrust': Vector3Stamped}
-TOPICS = frozenset(KINDS | COMMANDS)
+TOPICS = frozenset(KINDS | COMMANDS | PROOFS)
 # Who is connected is watched instead: every event handler makes every wait of the node longer.
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 
 
 def outputs(settings: PlannerSettings) -> dict[str, type]:
     """Return the topics that a planner publishes, with their types: no commands on a dry run."""
+    kinds = KINDS | (PROOFS if settings.publish_certificate else {})
     if settings.dry_run:
-        return KINDS
+        return kinds
     forces = FORCES if settings.problem.inertial else {}
-    return KINDS | COMMANDS | forces | (SHARES if settings.hover_thrust else {})
+    return kinds | COMMANDS | forces | (SHARES if settings.hover_thrust else {})
 
 
 def command_messages(settings: PlannerSettings, stamp: Stamp, command: Command) -> dict[str, Any]:
@@ -87,6 +91,8 @@ def report_messages(
         'plan': lambda: _path(settings, stamp, report),
         'plan_markers': lambda: _markers(settings.problem, stamp, report.tick),
     }
+    if settings.publish_certificate:
+        makers['certificate'] = lambda: _certificate(report.tick)
     if oriented:
         makers['rotation'] = lambda: messages.rotation_message(stamp, report.tick.command)
     made = {topic: make() for topic, make in makers.items() if topic in heard}
@@ -104,6 +110,13 @@ def _path(settings: PlannerSettings, stamp: Stamp, report: Report) -> Path | Non
     flown = obeyed(problem, tick.state, tick.command)
     poses = [messages.pose(v.position, stamp.frames.own(v.attitude)) for v in flown]
     return messages.path_message(stamp, problem.step, poses, start)
+
+
+def _certificate(tick: Tick) -> UInt8MultiArray | None:
+    if tick.plan is None or tick.problem is None or tick.state is None or tick.goals is None:
+        return None
+    made = kept(tick.problem, tick.state, tick.goals, tick.plan.proof)
+    return None if made is None else messages.bytes_message(made.text().encode())
 
 
 def _markers(problem: Problem, stamp: Stamp, tick: Tick) -> MarkerArray | None:
@@ -178,7 +191,7 @@ class Outlet:
 
     def _send(self, sent: Mapping[str, Any]) -> None:
         for topic, message in sent.items():
-            told = self.engaged or topic in KINDS
+            told = self.engaged or topic in KINDS or topic in PROOFS
             if told and topic in self._publishers:  # of commands, none on a dry run
                 self._publishers[topic].publish(message)
         self.at = self._node.steady_now()

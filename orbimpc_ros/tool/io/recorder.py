@@ -22,7 +22,10 @@ from orbimpc_ros.tool.io.topics import Topic
 DEPTH = 1000  # a slow disk must not cost messages
 TRIGGER = 'odom'  # a lock-step simulator starts as soon as it has its subscribers
 STAMP_AT = 4  # after CDR's own four bytes, where a message begins with its stamp
-STAMP_ELSEWHERE = {'std_msgs/msg/Bool': None, 'visualization_msgs/msg/MarkerArray': 8}
+STAMP_ELSEWHERE = {
+    **dict.fromkeys(('std_msgs/msg/Bool', 'std_msgs/msg/UInt8MultiArray')),
+    'visualization_msgs/msg/MarkerArray': 8,
+}
 LEAP = 60 * SECOND  # further off, a stamp is believed once a second one says the same
 
 

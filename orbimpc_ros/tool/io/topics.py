@@ -46,8 +46,9 @@ WORLD = (
     Topic('truth', 'diagnostic_msgs/msg/DiagnosticArray'),
     Topic('world_markers', 'visualization_msgs/msg/MarkerArray'),
 )
+PROOFS = (Topic('certificate', 'std_msgs/msg/UInt8MultiArray'),)
 NEEDED = 'odom and goal are needed'
-VEHICLE = (*INPUTS, *OUTPUTS, *WORLD)
+VEHICLE = (*INPUTS, *OUTPUTS, *WORLD, *PROOFS)
 TYPES = {topic.name.strip('/'): topic.type for topic in (*SHARED, *TREE, *VEHICLE)}
 
 

@@ -1,0 +1,50 @@
+"""What a method's lower bound rests on, as it leaves the method: tangents, and the parts they hold.
+
+Mathematics: docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+
+LEAF = -1  # in the place of the step that a node is split by
+
+
+class Grounds(NamedTuple):
+    """A tree in arrays: what is split has parts, which together hold all that it does.
+
+    Node 0 stands for all trajectories. A node that is not split is a leaf, and has a tangent to
+    the cost.
+
+    Attributes:
+        splits: the step, 0..N-1, that a node is split by, ``LEAF`` of leaves, shape (T,).
+        parts: the first of a node's parts, which the others follow, shape (T,).
+        angles: that part the directions of that step [rad]; NaN where the faces of the floor do,
+            shape (T,).
+        points: where the tangents touch, shape (T, N, d): R_k e1, all of it that the cost sees.
+        bends: what is added to the curvature of each step, in natural units, shape (T, N).
+    """
+
+    splits: np.ndarray
+    parts: np.ndarray
+    angles: Array
+    points: Array
+    bends: Array
+
+
+UNSPLIT = np.array([LEAF])
+NO_PARTS, NO_ANGLES = np.zeros(1, np.int64), np.zeros(1)
+
+
+def tangent(point: Array, bends: Array) -> Grounds:
+    """Return the grounds of a bound that needs no split.
+
+    Args:
+        point: where the cost's tangent touches, shape (N, d).
+        bends: what is added to the curvature of each step, in natural units, shape (N,).
+    """
+    return Grounds(UNSPLIT, NO_PARTS, NO_ANGLES, point[None], bends[None])

@@ -1,0 +1,416 @@
+"""Bounds counted again: what a method's tangents prove, by code that shares nothing with it.
+
+Positions are rolled out step by step and the gradient comes back the same way; neither the maps nor
+the matrices of the methods are used. The least of a tangent over all headings of a part is known in
+closed form; where a tangent is one of a cost that bends the other way, Cholesky's method says
+whether it is below the cost all the same. What proofs in exact arithmetic do is done here in
+floats, fast enough for every tick (see :mod:`orbimpc_ros.mpc.proof.verifier`).
+
+Mathematics: docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.kernels import compiled
+from orbimpc_ros.mpc.model.translation import Step, step_of
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.proof.grounds import LEAF, Grounds
+
+ROUNDING = 1e-15  # a step: of the numbers that cancel in a bound
+SHIFT = 1e-15  # a step: of the largest curvature, what rounding may hide of another
+GROWTH, HALVINGS = 16.0, 8  # of shifts that are tried for want of convexity
+ALL = 2.0 * np.pi - 1e-9  # [rad], a sector that leaves nothing out
+HALF = np.pi - 1e-9
+EMPTY = 1e-12  # [rad] that the ends of a sector may pass each other by, for rounding
+
+
+class Posed(NamedTuple):
+    """A problem, as far as its bounds depend on it.
+
+    Attributes:
+        motion: what p adds to s in a step, and what is kept of p; then what R_k e1, R_{k+1} e1 and
+            the disturbance add to s and to p.
+        weights: on |s_k - g_k|^2, shape (N,).
+        lengths: on |R_k e1|, k = 0..N, shape (N + 1,).
+        turning: weights on |R_{k+1} e1 - R_k e1|^2, |R_N e1 - R_g e1|^2 and |p_N|^2.
+        floor: least speed; how far directions may turn in a step [rad], 0 for any.
+        normals: of a polygonal floor's faces, shape (F, 2).
+    """
+
+    motion: tuple[float, ...]
+    weights: Array
+    lengths: Array
+    turning: tuple[float, float, float]
+    floor: tuple[float, float]
+    normals: Array
+
+
+class Recount:
+    """Counts the bounds of one problem again.
+
+    Args:
+        problem: whose cost sees R_k e1 alone; constraints that are not known here can only make
+            trajectories dearer.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self._posed = _posed(problem)
+        self._start = np.zeros((4, problem.dimension))
+        x = np.zeros((problem.horizon, problem.dimension))
+        self._hessian = _hessian(self._posed, x)
+        shape = (1, *x.shape)
+        grounds = Grounds(np.array([LEAF]), np.zeros(1, np.int64), np.zeros(1), np.zeros(shape),
+                          np.zeros(shape[:2]))  # fmt: skip
+        self.bound(State.at(np.zeros(x.shape[1]), np.eye(x.shape[1])), x, grounds, 1.0)
+
+    @staticmethod
+    def reads(problem: Problem) -> bool:
+        """Return whether the cost of a problem is one that can be counted again."""
+        planar, w = problem.dimension == 2, problem.weights
+        return (
+            problem.rotation_order == 1
+            and (planar or w.input == w.attitude == 0.0)
+            and problem.floor.shape in ('none', 'circle', 'polygon')
+            and (planar or problem.floor.shape != 'polygon')
+        )
+
+    def bound(self, state: State, goals: Array, grounds: Grounds, unit: float) -> float:
+        """Return what grounds prove: a cost that no trajectory undercuts; -inf for nothing.
+
+        Args:
+            state: where trajectories start.
+            goals: g_1..g_N, shape (N, n) [m].
+            grounds: of a method; whatever they are, the bound holds.
+            unit: of the bends, in that of the cost.
+        """
+        start = self._start
+        start[0], start[1], start[2] = state.velocity, state.disturbance, state.rotation[:, 0]
+        if state.wanted is not None:
+            start[3] = state.wanted[:, 0]
+        ahead = state.attitude
+        heading = math.atan2(ahead[1, 0], ahead[0, 0])
+        known = self._posed, self._hessian, start, goals - state.position
+        return float(recounted(*known, heading, grounds, unit))
+
+
+def _posed(problem: Problem) -> Posed:
+    once, w = step_of(problem.translation, problem.step, problem.forward), problem.weights
+    double = 2.0 if problem.dimension == 2 else 1.0  # coordinates of R that are there twice
+    weights = np.full(problem.horizon, float(w.position))
+    weights[-1] += w.terminal + problem.arrival_weight
+    late = float(once.follow[-1] / (once.push[-1] + once.follow[-1]))
+    lengths = np.full(problem.horizon + 1, w.length * problem.step * problem.forward)
+    lengths[0] *= 1.0 - late
+    lengths[-1] *= late
+    braking = problem.arrival_weight * problem.step**2 if problem.inertial else 0.0
+    turning = double * w.input / problem.step**2, double * w.attitude, float(braking)
+    count = problem.floor.faces if problem.floor.shape == 'polygon' else 0
+    corners = 2.0 * np.pi * np.arange(count) / max(count, 1)
+    fraction = float(problem.floor.fraction) if problem.floor.exists else 0.0
+    turn = float(problem.step * problem.max_rate) if problem.floor.exists else 0.0
+    floor = fraction, turn
+    normals = np.column_stack([np.cos(corners), np.sin(corners)])
+    return Posed(_motion(once), weights, lengths, turning, floor, normals)
+
+
+def _motion(once: Step) -> tuple[float, ...]:
+    """Return what a step adds to positions and velocities: see :class:`Posed`."""
+    none, moved = (0.0, 0.0), [0.0, 0.0]
+    if len(once.transition) > 1:
+        moved = [float(once.transition[0, 1]), float(once.transition[1, 1])]
+    for values in once[1:]:
+        moved += (*values.tolist(), *none)[:2]
+    return tuple(moved)
+
+
+def _hessian(posed: Posed, rest: Array) -> Array:
+    """Return the Hessian over one coordinate of all headings, from gradients, shape (N, N)."""
+    start, goals, columns = np.zeros((4, rest.shape[1])), np.zeros_like(rest), []
+    for k in range(len(rest)):
+        x, slopes = np.zeros_like(rest), np.zeros_like(rest)
+        x[k, 0] = 1.0
+        _set_slopes(posed, start, goals, x, slopes)
+        columns.append(slopes[:, 0])
+    return np.array(columns)
+
+
+@compiled
+def _set_slopes(posed, start, goals, x, slopes):
+    """Set the gradient of the cost but for lengths at x; return that cost, and what may cancel.
+
+    Args:
+        posed: the problem.
+        start: p_0, the disturbance, R_0 e1 and R_g e1, shape (4, n).
+        goals: g_1..g_N less s_0, shape (N, n).
+        x: headings R_1 e1..R_N e1, shape (N, n).
+        slopes: to be set, shape (N, n).
+    """
+    drift, keep, push, add, follow, after, blow, gust = posed.motion
+    weights, (turning, steadying, braking) = posed.weights, posed.turning
+    count, n = x.shape
+    value, size, forces = 0.0, 0.0, np.empty(count)
+    for c in range(n):
+        s, p, before = 0.0, start[0, c], start[2, c]
+        blown, hastened = blow * start[1, c], gust * start[1, c]
+        for k in range(count):
+            ahead = x[k, c]
+            s += drift * p + push * before + follow * ahead + blown
+            p = keep * p + add * before + after * ahead + hastened
+            missed, change = s - goals[k, c], ahead - before
+            force, turned = weights[k] * missed, turning * change
+            value += force * missed + turned * change
+            forces[k] = 2.0 * force
+            slopes[k, c] = 2.0 * turned
+            if k > 0:
+                slopes[k - 1, c] -= 2.0 * turned
+            before = ahead
+        off = before - start[3, c]
+        value += steadying * off * off + braking * p * p
+        slopes[count - 1, c] += 2.0 * steadying * off
+        on_s, on_p, earlier = 0.0, 2.0 * braking * p, 0.0
+        for k in range(count - 1, -1, -1):
+            on_s += forces[k]
+            now = follow * on_s + after * on_p
+            slopes[k, c] += earlier + now
+            size += abs(earlier) + abs(now)
+            earlier = push * on_s + add * on_p
+            on_p = keep * on_p + drift * on_s
+    return value, size + value
+
+
+@compiled
+def _is_convex(hessian, bends, unit, e, factor):
+    """Return whether Hessian, bends and e I are positive definite, by Cholesky's method."""
+    for i in range(len(hessian)):
+        for j in range(i + 1):
+            total = hessian[i, j]
+            if i == j:
+                total += unit * bends[i] + e
+            for m in range(j):
+                total -= factor[i, m] * factor[j, m]
+            if i > j:
+                factor[i, j] = total / factor[j, j]
+            elif total > 0.0:
+                factor[i, i] = np.sqrt(total)
+            else:
+                return False
+    return True
+
+
+@compiled
+def _lack(hessian, bends, unit):
+    """Return an e >= 0 such that Hessian, bends and e I are positive semidefinite; inf for none."""
+    top = 0.0
+    for k in range(len(hessian)):
+        top = max(top, abs(hessian[k, k]) + unit * abs(bends[k]))
+    factor = np.empty(hessian.shape)
+    rounding = SHIFT * len(hessian) * top
+    e = rounding
+    while not _is_convex(hessian, bends, unit, e, factor):
+        if not e < top:
+            return np.inf
+        e *= GROWTH
+    if e > rounding:
+        least = e / GROWTH
+        for _ in range(HALVINGS):
+            middle = np.sqrt(least * e)
+            if _is_convex(hessian, bends, unit, middle, factor):
+                e = middle
+            else:
+                least = middle
+    return e + rounding
+
+
+@compiled
+def _least_along(slope, bend, least):
+    """Return the least slope s - bend s^2 / 2 over speeds s from the least to 1."""
+    if bend < 0.0 and least * bend > slope > bend:  # convex, and least where it is level
+        return 0.5 * slope * slope / bend
+    return min(slope * least - 0.5 * bend * least * least, slope - 0.5 * bend)
+
+
+@compiled
+def _least_beyond(gx, gy, nx, ny, least):
+    """Return the least g . z over the part of the disk beyond a face n . z >= least."""
+    inward, across = gx * nx + gy * ny, abs(gy * nx - gx * ny)
+    size = np.sqrt(gx * gx + gy * gy)
+    if -inward >= least * size:
+        return -size
+    return least * inward - np.sqrt(1.0 - least * least) * across
+
+
+@compiled
+def _reached(normals, least, angle):
+    """Return the least speed that a floor allows in a direction."""
+    away = 1.0
+    if len(normals) > 0:
+        share = 2.0 * np.pi / len(normals)
+        away = np.cos(angle - share * np.round(angle / share))
+    return least / away
+
+
+@compiled
+def _least_within(gx, gy, low, high, normals, least):
+    """Return the least g . z over directions from low to high and speeds from the floor to 1.
+
+    The floor's boundary is round, or straight between its corners: if g . z is not least on the
+    rim, then at an end of the sector or at one of them.
+    """
+    size = np.sqrt(gx * gx + gy * gy)
+    down, middle = np.arctan2(-gy, -gx), 0.5 * (low + high)
+    down += 2.0 * np.pi * np.round((middle - down) / (2.0 * np.pi))
+    if low <= down <= high:
+        return -size
+    best = np.inf
+    for angle in (low, high):
+        along = gx * np.cos(angle) + gy * np.sin(angle)
+        best = min(best, along, along * _reached(normals, least, angle))
+    if len(normals) > 0:
+        share = 2.0 * np.pi / len(normals)
+        corner = share * (np.ceil(low / share - 0.5) + 0.5)
+        while corner < high:
+            along = gx * np.cos(corner) + gy * np.sin(corner)
+            best = min(best, along * _reached(normals, least, corner))
+            corner += share
+    return best
+
+
+@compiled
+def _least(slope, size, length, bend, normals, least, face, low, high):
+    """Return the least slope . z + l |z| - bend |z|^2 / 2 over what a heading can be.
+
+    Args:
+        slope: its first two coordinates.
+        size: of the slope.
+        length: l.
+        bend: of the tangent.
+        normals: of the floor's faces.
+        least: speed that the floor allows.
+        face: that the heading is beyond, -1 for none.
+        low: least direction [rad].
+        high: greatest.
+    """
+    gx, gy = slope
+    if face >= 0:
+        if bend != 0.0 or length != 0.0:
+            return -np.inf
+        return _least_beyond(gx, gy, normals[face, 0], normals[face, 1], least)
+    if high - low >= ALL:
+        return _least_along(length - size, bend, least)
+    if bend == 0.0 and length == 0.0 and high - low < HALF:
+        return _least_within(gx, gy, low, high, normals, least)
+    rim = _least_within(gx, gy, low, high, normals[:0], 1.0)
+    return _least_along(length + rim, bend, least)
+
+
+@compiled
+def _leaf(posed, hessian, start, goals, x, bends, unit, region, slopes):
+    """Return the bound that a tangent proves over a region: faces, and sectors' ends."""
+    faces, low, high = region
+    lengths, normals, floor = posed.lengths, posed.normals, posed.floor[0]
+    value, size = _set_slopes(posed, start, goals, x, slopes)
+    curved, reach = False, 0.0
+    for k in range(len(x)):
+        bend, square, along, steepness = unit * bends[k], 0.0, 0.0, 0.0
+        for c in range(x.shape[1]):
+            slopes[k, c] += bend * x[k, c]
+            along += slopes[k, c] * x[k, c]
+            square += x[k, c] * x[k, c]
+            steepness += slopes[k, c] * slopes[k, c]
+        least = _least(
+            (slopes[k, 0], slopes[k, 1]), np.sqrt(steepness), lengths[k + 1], bend, normals, floor,
+            faces[k], low[k], high[k],
+        )  # fmt: skip
+        value += 0.5 * bend * square - along + least
+        size += abs(bend) * square + abs(along) + abs(least)
+        reach += 1.0 + square
+        curved |= bend < 0.0
+    if curved:
+        value -= _lack(hessian, bends, unit) * reach
+    return value - ROUNDING * len(x) * size
+
+
+@compiled
+def _narrowed(low, high, k, turn):
+    """Carry what is known of a direction to its neighbours; return whether any are left."""
+    if turn > 0.0:
+        for j in range(k + 1, len(low)):
+            low[j], high[j] = max(low[j], low[j - 1] - turn), min(high[j], high[j - 1] + turn)
+        for j in range(k - 1, -1, -1):
+            low[j], high[j] = max(low[j], low[j + 1] - turn), min(high[j], high[j + 1] + turn)
+    return (low <= high + EMPTY).all()
+
+
+@compiled
+def recounted(posed, hessian, start, goals, heading, grounds, unit):
+    """Return the least bound of all leaves; -inf where they are not all there is.
+
+    Args:
+        posed: the problem.
+        hessian: of its cost over one coordinate of the headings, shape (N, N).
+        start: p_0, the disturbance, R_0 e1 and R_g e1, shape (4, n).
+        goals: g_1..g_N less s_0, shape (N, n).
+        heading: of the attitude [rad], for turn limits.
+        grounds: splits and tangents.
+        unit: of the bends, in that of the cost.
+    """
+    splits, parts, angles, points, bends = grounds
+    total, count, turn = len(splits), len(goals), posed.floor[1]
+    faces, reached = np.full((total, count), -1), np.zeros(total, np.bool_)
+    sectors = total if turn > 0.0 else 1  # without a turn limit, all have the root's
+    low, high = np.zeros((sectors, count)), np.full((sectors, count), 2.0 * np.pi)
+    if turn > 0.0:
+        for k in range(count):
+            low[0, k], high[0, k] = heading - (k + 1) * turn, heading + (k + 1) * turn
+    slopes, least = np.empty(goals.shape), np.inf
+    reached[0] = True
+    for t in range(total):
+        if not reached[t]:
+            continue
+        k, first, angle = splits[t], parts[t], angles[t]
+        if k < 0:
+            known = faces[t], low[min(t, sectors - 1)], high[min(t, sectors - 1)]
+            bound = _leaf(posed, hessian, start, goals, points[t], bends[t], unit, known, slopes)
+            if not bound > -np.inf:  # or no number
+                return -np.inf
+            least = min(least, bound)
+            continue
+        by_faces = np.isnan(angle)
+        made = len(posed.normals) if by_faces else 2
+        if first <= t or first + made > total:
+            return -np.inf
+        if made == 0 or faces[t, k] >= 0 or k >= count:
+            return -np.inf
+        if not by_faces and not (turn > 0.0 and low[t, k] <= angle <= high[t, k]):
+            return -np.inf
+        for i in range(made):
+            part = first + i
+            if reached[part]:
+                return -np.inf
+            reached[part] = True
+            for j in range(count):
+                faces[part, j] = faces[t, j]
+            if by_faces:
+                faces[part, k] = i
+            if turn == 0.0:
+                continue
+            low[part], high[part] = low[t], high[t]
+            if by_faces:
+                continue
+            if i == 0:
+                high[part, k] = angle
+            else:
+                low[part, k] = angle
+            reached[part] = _narrowed(low[part], high[part], k, turn)
+    if not least < np.inf:
+        return -np.inf
+    spent = 0.0
+    for c in range(start.shape[1]):
+        spent += start[2, c] * start[2, c]
+    return least + posed.lengths[0] * np.sqrt(spent)

@@ -1,0 +1,113 @@
+"""Bounds counted again at every tick: as exact proofs have them, and never too high."""
+
+import certified
+import numpy as np
+import pytest
+
+from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
+from orbimpc_ros.mpc.proof.certificate import kept
+from orbimpc_ros.mpc.proof.grounds import tangent
+from orbimpc_ros.mpc.proof.recount import Recount
+from orbimpc_ros.mpc.proof.verifier import parsed, verified
+from orbimpc_ros.mpc.solve.request import Found
+from orbimpc_ros.mpc.solve.solver import OUTWARD, Solver
+
+needs_machine_code = pytest.mark.skipif(
+    not COMPILED, reason='the methods that leave grounds need numba'
+)
+COUNTED = ('hull', 'polygon', 'circle', 'circle, constant speed', 'circle, length', 'shell')
+
+
+def solved(kind, seed):
+    case = certified.case(kind, np.random.default_rng([seed, *kind.encode()]))
+    return case, Solver(case.problem).solve(case.state, case.goals)
+
+
+@needs_machine_code
+@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('kind', COUNTED)
+def test_what_is_counted_again_holds_in_exact_arithmetic(kind, seed):
+    case, plan = solved(kind, seed)
+    if not plan.proof.checked:  # by arcs, which leave no grounds
+        assert kind.startswith('circle')
+        return
+    again = Recount(case.problem).bound(
+        case.state, case.goals, plan.proof.grounds, plan.proof.cost_unit
+    )
+    assert plan.lower_bound <= again <= plan.objective * (1.0 + 1e-9)
+    verdict = verified(parsed(kept(*case, plan.proof).text().encode()))
+    assert verdict.holds
+    # Floats keep a distance from what they may have rounded away.
+    assert again <= verdict.proved <= again + 1e-9 * max(1.0, again)
+
+
+@needs_machine_code
+@pytest.mark.parametrize('kind', ['hull', 'polygon', 'circle'])
+def test_no_grounds_prove_more_than_there_is(kind):
+    rng, (case, plan) = np.random.default_rng(5), solved(kind, 1)
+    recount, grounds = Recount(case.problem), plan.proof.grounds
+    for _ in range(100):
+        size = 10.0 ** rng.uniform(-6.0, 1.0)
+        points = grounds.points + size * rng.normal(size=grounds.points.shape)
+        bends = grounds.bends + size * rng.normal(size=grounds.bends.shape)
+        moved = grounds._replace(points=points, bends=bends)
+        again = recount.bound(case.state, case.goals, moved, plan.proof.cost_unit)
+        assert again <= plan.objective * (1.0 + 1e-9)
+
+
+def branched():
+    """Return a problem whose proof has splits, with its plan."""
+    problem = Problem(floor=Floor('polygon', 4, np.sqrt(0.3)))
+    state, goals = State.at(np.zeros(2), np.eye(2)), np.full((5, 2), 0.1)
+    plan = Solver(problem).solve(state, goals)
+    assert len(plan.proof.grounds.splits) > 1
+    return problem, state, goals, plan
+
+
+def changed(array, place, value):
+    made = array.copy()
+    made[place] = value
+    return made
+
+
+@needs_machine_code
+@pytest.mark.parametrize(
+    'spoilt',
+    [
+        lambda g: g._replace(parts=changed(g.parts, 0, 0)),
+        lambda g: g._replace(parts=changed(g.parts, 0, len(g.parts))),
+        lambda g: g._replace(parts=np.where(g.splits >= 0, 1, g.parts)),
+        lambda g: g._replace(splits=changed(g.splits, 0, 5)),
+        lambda g: g._replace(angles=changed(g.angles, 0, 0.3)),
+        lambda g: g._replace(points=changed(g.points, -1, np.nan)),
+        lambda g: g._replace(bends=changed(g.bends, np.flatnonzero(g.splits < 0), 0.1)),
+    ],
+    ids=['a circle', 'beyond the end', 'parts twice', 'no step', 'an angle', 'nan', 'bent faces'],
+)
+def test_grounds_that_leave_something_out_prove_nothing(spoilt):
+    problem, state, goals, plan = branched()
+    grounds = spoilt(plan.proof.grounds)
+    assert Recount(problem).bound(state, goals, grounds, plan.proof.cost_unit) == -np.inf
+
+
+@pytest.mark.parametrize('excess', [1e-6, 1e-2])
+def test_a_bound_beyond_its_grounds_is_lowered_to_what_they_prove(excess):
+    problem = Problem(weights=Weights(terminal=3.0), horizon=3)
+    case = certified.case('hull', np.random.default_rng(2))
+    state, goals = case.state, case.goals[:1].repeat(3, axis=0)
+    solver = Solver(problem, gap_tolerance=1e-9)
+    honest = solver.solve(state, goals)
+    x = honest.rotations[1:, :, 0]
+
+    class Boaster:
+        takes_guess = trusts_guess = False
+
+        def solve(self, request):
+            cost = honest.objective / solver._units.cost
+            return Found(x, cost, (1.0 + excess) * cost, 1, '', tangent(x, np.zeros(3)))
+
+    solver._method = Boaster()
+    plan = solver.solve(state, goals)
+    assert plan.proof.checked
+    assert plan.lower_bound <= honest.objective * (1.0 - 0.5 * OUTWARD)
