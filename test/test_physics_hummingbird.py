@@ -1,7 +1,6 @@
 """The Hummingbird in MuJoCo behind the simulator: commands, rope, wind, contacts, seeds."""
 
 import math
-import os
 
 import numpy as np
 import pytest
@@ -23,7 +22,6 @@ from orbimpc_ros.world.rope import Rope
 from orbimpc_ros.world.scenario import Scenario
 from orbimpc_ros.world.vehicle import launched
 
-os.environ.setdefault('MUJOCO_GL', 'egl')  # read when MuJoCo is imported
 STILL, FAR = np.zeros(2), np.array([50.0, 0.0])
 
 

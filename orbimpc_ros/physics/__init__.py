@@ -4,3 +4,7 @@ An engine is a library of its own, such as JSBSim, with a vehicle and an inner l
 published. What is here sets it up, tells it what is commanded, and reads what became of it. Nothing
 here knows of a planner: nothing of the rest of the package is imported.
 """
+
+import os
+
+os.environ.setdefault('MUJOCO_GL', 'egl')  # read when MuJoCo is imported: it needs no display

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -51,7 +50,6 @@ def render(path: Path, folder: Path) -> Path | None:
     Raises:
         Exception: the engine cannot draw here.
     """
-    os.environ.setdefault('MUJOCO_GL', 'egl')  # without a display
     pictures: list[Image.Image] = []
     period = 0.0
     for flight in flown_again(path):
