@@ -210,7 +210,7 @@ def test_from_the_command_line_a_scenario_is_flown_reported_and_gone_on_with(tmp
 def test_pilots_keep_their_limits_and_see_the_same(name):
     from orbimpc_ros.lab.study.vehicles.flights import row
 
-    scenario = scenario_named('fixed_wing', ('max_ticks=4', 'deadline=0.02'))
+    scenario = scenario_named('fixed_wing', ('max_ticks=4',))
     flown = [row(scenario, name, 1, 0, {}) for _ in range(2)]
     assert flown[0]['ticks'] == 4
     assert flown[0]['stalls'] == flown[0]['unplanned'] == 0

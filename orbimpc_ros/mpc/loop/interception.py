@@ -54,7 +54,7 @@ from orbimpc_ros.mpc.problem import Problem, State, Weights
 from orbimpc_ros.mpc.solve.request import Enough
 
 AIM = 0.95  # of the radius, within which the plan of a catch ends
-NARROW = 0.5  # of the cone, within which it is headed if it can be: gusts leave some of it
+NARROW = 0.5  # of radius and cone, where a heading is asked for: gusts leave some of it
 GRAZE = 1.5  # radii: a goal missed by no more is still flown at
 TRIES = 3  # plans for one end, each for a goal moved by the defect of the one before
 EFFORT = 0.1  # of the squared radius: what the inputs of a plan cost at most
@@ -153,6 +153,7 @@ class Interception:
         self._divides = problem.rotation_order == 1  # at order 2, what coasts does so for a step
         self._turns_within = problem.max_rate > 0.0 or problem.discretisation != 'euler'
         self._coned = problem.approach.exists
+        self._aim = (NARROW if self._coned else AIM) * radius
         self._problems: dict[Target, Problem] = {}
 
     def problem(self, target: Target) -> Problem:
@@ -177,7 +178,7 @@ class Interception:
         Past the horizon any way will do; within it the best one is wanted.
         """
         squared = self._radius**2
-        well = AIM**2 * squared if end > self._horizon else -math.inf
+        well = self._aim**2 if end > self._horizon else -math.inf
         return Enough(well, (1.0 + EFFORT) * squared)
 
     def earliest(self, hunt: Hunt) -> tuple[Plan | None, Catch]:
@@ -289,7 +290,7 @@ class Interception:
         return MISSED if turned else found
 
     def _is_well(self, attempt: _Attempt) -> bool:
-        return attempt.miss <= AIM * self._radius
+        return attempt.miss <= self._aim
 
     def _travel(self, goals: Array) -> float:
         """Return how far a step takes a vehicle past the goal at most [m]."""
