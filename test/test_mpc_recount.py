@@ -111,3 +111,11 @@ def test_a_bound_beyond_its_grounds_is_lowered_to_what_they_prove(excess):
     plan = solver.solve(state, goals)
     assert plan.proof.checked
     assert plan.lower_bound <= honest.objective * (1.0 - 0.5 * OUTWARD)
+
+
+def test_a_bound_that_is_the_methods_word_says_so_in_a_word_for_messages():
+    goal = np.tile([1.0, 2.0, 3.0], (4, 1))
+    problem = Problem(dimension=3, horizon=4, rotation_order=2, translation_order=2)
+    proof = Solver(problem).solve(State.at(np.zeros(3), np.eye(3)), goal).proof
+    assert proof.lower_bound > 0.0
+    assert proof.checked is False

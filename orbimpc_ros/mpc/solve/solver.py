@@ -204,7 +204,7 @@ class Solver:
         Where the method says what the bound rests on, what that comes to is what is proved.
         """
         cost, grounds = self._units.cost, found.grounds
-        bound = cost * found.lower_bound
+        bound = cost * float(found.lower_bound)
         known = bound if 0.0 < bound < np.inf else 0.0
         checked = known == 0.0
         if known and grounds is not None and self._recount is not None:
