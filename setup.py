@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Packaging for pip and for colcon (ament_python)."""
 
 import sys

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Flies the demos and draws the pictures of their flights, light and dark: python docs/flights.py.
 
 Names of demos as arguments draw only these.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The spacecraft: ros2 launch orbimpc_ros spacecraft.launch.py."""
 
 from orbimpc_ros.ros.launching import flight

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A planner for a real vehicle: ros2 launch orbimpc_ros vehicle.launch.py autopilot:=mavros."""
 
 from orbimpc_ros.ros.launching import vehicle

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Convex model predictive control over rotations, as ROS 2 nodes and as a library.
 
 What is named here is the library's interface (docs/library.md); it needs no ROS. Each name is

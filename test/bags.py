@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The bags of demos and golden ones in tests: read, rewritten, every plan rolled out."""
 
 import itertools

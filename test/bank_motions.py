@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Goals of every family that the bank of goal models has, sightings of them, and oracles.
 
 An oracle is the one family that a goal belongs to, fitted by nonlinear least squares to the same

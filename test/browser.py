@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A Chromium without a screen: opens a page and takes its picture, over a pair of pipes."""
 
 from __future__ import annotations

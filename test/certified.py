@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Random problems of every kind that certificates are of, and mutants of certificates."""
 
 from __future__ import annotations

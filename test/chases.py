@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Chases by a Dubins vehicle, put to the planner: constant airspeed, steps instead of time."""
 
 from __future__ import annotations

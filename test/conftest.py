@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The common ground of tests over DDS: a domain of their own, real processes, and an observer."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A vehicle in continuous time, in the plane or in space: lags, gain, wind. No code of the package.
 
 Rates and speed (or thrust) follow their commands with first-order lags as soon as a command comes,

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Crossings in lock-step: planners that hear each other's plans, and vehicles that obey them.
 
 A planner is whoever answers odometry: here the planner's own path from messages to messages without

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The closed loop of controller and vehicle with faults in between, without ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The viewer in tests: what to install, and a recording that can be asked."""
 
 from collections import defaultdict

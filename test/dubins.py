@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The earliest interception by a Dubins vehicle, in closed form. No code of the package.
 
 A vehicle of constant airspeed v turns no tighter than with a radius r, in a constant wind w; a goal

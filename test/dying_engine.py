@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A simulator whose engine flies on for two seconds, and then fails as ``FAILURE`` says."""
 
 import os

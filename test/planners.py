@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A live planner whose inputs are in a test's hands, and what it says."""
 
 from __future__ import annotations

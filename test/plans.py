@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Plans to be checked: good ones, and good ones that are then changed at one place."""
 
 import numpy as np

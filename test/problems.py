@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Seeded random problems, and the reference cases with their optimal values."""
 
 from __future__ import annotations

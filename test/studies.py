@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Small studies, and how tests run and compare them."""
 
 from orbimpc_ros.lab.study.controllers import CONTROLLERS

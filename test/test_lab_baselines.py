@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The controllers to compare with: right where there is an oracle, and flown by the same loop."""
 
 from dataclasses import replace

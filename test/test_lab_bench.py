@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """`orbimpc bench`: who takes part, what is written, and that the objectives agree."""
 
 import json

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The fault matrix: what the monitor notices, how rows are judged, and the short form itself."""
 
 import gc

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Bench rows of real vehicles: met in flight, and the same problem for everybody."""
 
 import math

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The runs of a study: what they draw, how they are flown, what is measured."""
 
 import json

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The scores of a study: rates, times and duels of runs that are known."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A study's folder: whole parts or none, and nothing in it that is not this study's."""
 
 import json

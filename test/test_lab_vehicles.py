@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Studies of vehicles as they are: draws, rivals, statistics, results, report."""
 
 import json

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Studies in traffic and with cones of approach: what is drawn and told, and who does what."""
 
 import itertools

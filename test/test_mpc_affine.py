@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Laws of steady disturbances and of exact integration, against oracles that share no code."""
 
 import itertools

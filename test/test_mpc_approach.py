@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The cone of approach: optima, refutations and catches are those inside of it."""
 
 from contextlib import suppress

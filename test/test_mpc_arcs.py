@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Arcs of a round floor: their rows hold, their bounds are sound and the lifted relaxation's."""
 
 from dataclasses import replace

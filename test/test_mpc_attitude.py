@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A weight on the attitude at the end: every method finds the optimum that other code finds."""
 
 import itertools

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Goals that change their course, and sightings that are wrong: what the bank makes of them."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Laws of the bank of goal models: what it knows of each family, and how well it knows that."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Active constraints of an optimum and their prices, against optima of the relaxed problem."""
 
 from dataclasses import replace

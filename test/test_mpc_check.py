@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The check before publishing: finite numbers, and a rollout from the measured state."""
 
 from dataclasses import replace

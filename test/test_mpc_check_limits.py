@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The check before publishing: limits, each at every step, and the terminal constraint."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The check before publishing: projected rotations, and the command made of them."""
 
 from dataclasses import replace

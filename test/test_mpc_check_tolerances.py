@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Every tolerance of the check: what it allows passes, the next number beyond does not.
 
 The vehicle rests at the origin, where sums and differences with zero are exact, and no weight

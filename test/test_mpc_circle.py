@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The circular floor: its bounds are sound, the best of them is the lifted relaxation's."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Commands made of plans, and the last look at them: a good one, broken in one way at a time."""
 
 import math

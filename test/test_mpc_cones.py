@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The cones of a descent: tilt and glide slope, kept by plans, priced, eased where they must be."""
 
 import math

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The cone program in space made without CVXPY: the same as the one stated in CVXPY."""
 
 import subprocess

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Proofs by Clarabel's answers, judged by points that are feasible, whatever the solver says."""
 
 from types import SimpleNamespace

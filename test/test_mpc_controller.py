@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The controller: commands reproduce plans, and what happens when there is no plan."""
 
 from dataclasses import replace

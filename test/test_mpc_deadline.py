@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Every engine asks for the time after each short slice of work, and ends soon after its deadline.
 
 A slice is a call of machine code with a budget of work. Here budgets are the smallest possible, and

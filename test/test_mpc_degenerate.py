@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Random and degenerate problems: whatever is asked, only what was checked is commanded.
 
 Six hundred in ``make test``; ``ORBIMPC_LONG=1 pytest test/test_mpc_degenerate.py``

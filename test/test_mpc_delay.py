@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Delay compensation: arcs against fine steps, what was in force when, and what it is worth."""
 
 import numpy as np

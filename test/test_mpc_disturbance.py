@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The estimated disturbance: what it learns, what it does not, and that loops lose their offset."""
 
 import math

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Catches against the closed form: minimum-time interception by a Dubins vehicle in wind."""
 
 import math

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The discrete dynamics: rollouts, inputs and linear maps all say the same."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A controller without a plan or a goal, and with a goal beyond all reach."""
 
 import numpy as np

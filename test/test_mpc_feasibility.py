@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """An infeasible problem names the constraint that makes it so."""
 
 import numpy as np

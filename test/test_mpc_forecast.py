@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Forecasts of a swinging goal: how far off they are, and when."""
 
 import numpy as np

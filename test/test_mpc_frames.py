@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Velocities in the wrong frame are told from those in the right one by the way flown."""
 
 import numpy as np

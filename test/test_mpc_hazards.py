@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Obstacles that are round and that move: what they are, and what plans make of them."""
 
 import itertools

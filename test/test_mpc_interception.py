@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Interception: catches are what they are said to be, and steps that are excluded have none."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Machine code and general methods agree; needs numba, as an installation with [fast] has."""
 
 import json

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The linear algebra of the kernels obeys its laws; without numba it is the same code, slower."""
 
 import numpy as np

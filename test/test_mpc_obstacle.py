@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Obstacles by themselves: balls, and what moves."""
 
 import numpy as np

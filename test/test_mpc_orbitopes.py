@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Membership of conv SO(2) and conv SO(3): the singular-value margin against the paper's LMI."""
 
 import numpy as np

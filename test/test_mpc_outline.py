@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Outlines of floors: every edge lies on two faces, every circle is round."""
 
 import numpy as np

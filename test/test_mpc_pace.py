@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A limit of the change of speed: plans, bounds, prices and commands keep to it."""
 
 from dataclasses import replace

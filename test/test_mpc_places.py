@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The quadratic over thrust axes, its rows on places: against the general program."""
 
 import numpy as np

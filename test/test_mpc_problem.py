@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Refusals and their words: the value, what is allowed, who is to blame."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The compiled convex program: optimality judged without a solver, updates in place, far goals."""
 
 from dataclasses import replace

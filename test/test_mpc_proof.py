@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Certificates of every kind of problem: what is published holds in exact arithmetic."""
 
 import json

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The verifier: its cost, its brackets, what it refuses; all against other ways to know."""
 
 import ast

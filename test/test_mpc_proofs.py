@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Random problems of every route, judged by an evaluation and a solver that share no code."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Bounds counted again at every tick: as exact proofs have them, and never too high."""
 
 import certified

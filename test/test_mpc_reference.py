@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Optimal values found with other formulations and other solvers."""
 
 import numpy as np

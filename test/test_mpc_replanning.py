@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Planning more often than every step: what is left of a plan, of a horizon, and of a job."""
 
 import math

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Lags: where they leave a vehicle, what it is sent, and how well it arrives in spite of them."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Laws of the rotation groups and of the projections onto them."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A multirotor among boxes: the machine-code search agrees with the general one; needs numba."""
 
 import itertools

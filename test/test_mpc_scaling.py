@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Weights as integrals: the same problem at any step and speed, and the same job done."""
 
 import math

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Branch and bound: against exhaustive enumeration, its child bounds, and its honesty."""
 
 import itertools

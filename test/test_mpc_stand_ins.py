@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Plans that turn stand in where a search has no time to find any."""
 
 import numpy as np

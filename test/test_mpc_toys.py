@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A floor and a model of one file each, unknown to the package: all of it respects them."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """What moves around a vehicle: bodies seen again, courses of others, and which of them matter."""
 
 import math

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A floor with a turn rate: plans turn by legal angles, are flown as planned, and are optimal."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Natural units: what is solved is the problem itself, whatever its lengths, times and weights."""
 
 import itertools

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Laws of the loop in wind and under gravity: measurements, delays, safe commands, flights."""
 
 from dataclasses import replace

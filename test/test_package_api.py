@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The declared interface of the library: complete, documented, and made of values."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Installed, the package works from where it is installed: a colcon workspace, and a wheel."""
 
 import os

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """What contributors meet: workflows and forms that are valid, a declaration that is true."""
 
 import re

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The documentation is true: tables, links, commands, and the tutorial's own vehicle over DDS."""
 
 import importlib.util

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Imports run one way, mpc <- world <- ros <- tool <- lab; maths and physics need no ROS.
 
 Physics, which world flies, imports nothing of the rest.

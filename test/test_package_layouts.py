@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Layouts for RViz, Foxglove and PlotJuggler name topics, fields and keys that there are."""
 
 import json

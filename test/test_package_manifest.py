@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """package.xml, setup.py and the sources agree on what the package is and needs."""
 
 import ast

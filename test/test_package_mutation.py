@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The list of equivalent mutants speaks of code that is there, and hides nothing else."""
 
 import sys

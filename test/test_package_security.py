@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The SROS2 policy grants what the nodes use and nothing else; without security nothing flies."""
 
 import os

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The Cessna of JSBSim behind the simulator: axes, wind, limits, seeds, and engines that fail."""
 
 import math

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The Hummingbird in MuJoCo behind the simulator: commands, rope, wind, contacts, seeds."""
 
 import math

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """What is not installed: fast methods do without, the others say in a line what they need."""
 
 import textwrap

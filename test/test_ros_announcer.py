@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planner's voice: what is said once, again later, or not at all; a line on the vehicle."""
 
 import math

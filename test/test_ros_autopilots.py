@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Planners on the topics of autopilots, with the QoS, the rates and the frames that these have."""
 
 import math

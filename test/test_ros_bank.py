@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The bank of goal models at work: from messages on ``goal`` to targets, and to ``tick``."""
 
 import numpy as np

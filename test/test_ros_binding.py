@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Binding constraints, as the planner reports them on ``tick``."""
 
 import json

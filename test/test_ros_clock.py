@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Simulated time that jumps or stands still under a live planner."""
 
 import pytest

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Tilt and glide slope as parameters, what a planner says of them, and the lander's flight."""
 
 import math

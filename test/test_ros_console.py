@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planner on the console and on /diagnostics: what it says, once, and what it does then."""
 
 import itertools

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Vehicles whose ways cross, in lock-step without nodes: nobody comes closer than asked for."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A continuous vehicle with a floor and a rate limit, flown by the planner: never beyond them."""
 
 import functools

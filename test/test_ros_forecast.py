@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Forecasts of the goal decide the job: over DDS, against the same flights without ROS."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Hostile messages: 10,000 against the validators, 500 against a live planner."""
 
 import math

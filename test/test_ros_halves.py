@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Odometry in two halves: which twist a pose goes with, and what is refused."""
 
 import itertools

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planner's inputs: order, age and togetherness of what came."""
 
 import numpy as np

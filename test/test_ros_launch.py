@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The launch files, where ROS's launch is installed (PyPI has none of it)."""
 
 import importlib.util

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Planner and simulator as managed nodes: real processes, real services, and errors on the way."""
 
 import itertools

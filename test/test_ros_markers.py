@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Markers: the plan, its thrust, floor and obstacles where they are; nothing left of before."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Messages and plain types: what goes out comes back, and nothing malformed gets in."""
 
 import math

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Missions: configurations flown in process on the simulator's vehicle in continuous time."""
 
 import json

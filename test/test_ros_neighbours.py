@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The other ends of the planner's topics: more sources, rivals, and who cannot hear or be heard."""
 
 import pytest

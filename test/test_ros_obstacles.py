@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Markers on obstacles, and plans of other vehicles: what is made of them, and what is refused."""
 
 import math

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """What a planner publishes for whom: topics by its settings, and thrust as autopilots count it."""
 
 import itertools

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Parameters: the table is the documented one, and every nonsense is refused by name."""
 
 import math

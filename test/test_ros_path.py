@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The way of a command through the package: from odometry to ``cmd_vel`` in few files."""
 
 import sys

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A vehicle in an engine: its parameters, a flight over DDS, an engine that dies."""
 
 import re

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planner as a process: what it says while it waits, what it refuses, how it stops."""
 
 import itertools

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A vehicle in continuous time as a simulator's: its parameters, and flights over DDS."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A node as a process: callbacks that fail, signals at any time, nothing said on a bad start."""
 
 import re

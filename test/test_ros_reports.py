@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Reports as those read them who gather them: diagnostic_aggregator's analyzers, and monitors."""
 
 import json

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The simulator as a process: faults on purpose, commands refused, and a stop in time."""
 
 import contextlib

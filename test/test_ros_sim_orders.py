@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The commands that a simulated vehicle obeys, and those that it refuses."""
 
 import math

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Answers without publishing: safe commands, held plans, compensation, the last look."""
 
 import random

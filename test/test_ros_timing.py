@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Clocks that jump or stand still, ticks that take too long, and what is made of them."""
 
 import pytest

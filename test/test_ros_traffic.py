@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A live planner among bodies and other vehicles, over DDS."""
 
 import time

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Goals, obstacles and plans in other frames: moved by transforms, or refused in one line."""
 
 import math

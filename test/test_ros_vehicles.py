@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The vehicles that the documentation sets up, flown with lags, wind and faults."""
 
 import re

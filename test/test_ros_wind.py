@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Wind, gravity and exact steps as parameters: what they add up to, and what a planner says."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Bags: what is written is read back, by us and by what reads rosbag2; damage is noticed."""
 
 import random

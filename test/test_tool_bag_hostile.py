@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Hostile files: each is read as it was written, or refused in one line; nothing hangs."""
 
 import os

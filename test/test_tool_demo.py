@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The demo as a newcomer runs it: real processes over DDS."""
 
 import os

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A fleet over DDS: pairs of processes in namespaces, in real time, in one bag."""
 
 import subprocess

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The demos beside the retrieval, end to end: real processes over DDS, numbers, bags, pictures."""
 
 import re

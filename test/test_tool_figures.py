@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Pictures of demos: what they show, from runs made up for the purpose."""
 
 from dataclasses import replace

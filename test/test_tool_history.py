@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """From a run to its near misses, its summary and its picture."""
 
 import numpy as np

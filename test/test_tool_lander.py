@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The lander's demo, end to end over DDS, and its figure."""
 
 import re

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Pictures of bags: what is written, what is never replaced, and what can be told apart."""
 
 from dataclasses import replace

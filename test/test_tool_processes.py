@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Processes that the tool has started end with it, whatever it ignores and however it ends."""
 
 import os

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A recorder that is told to stop, or killed: what it heard is there, and can be read."""
 
 import errno

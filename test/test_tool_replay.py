@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Golden bags as regression tests, and what the replay must notice, tell and accept."""
 
 import importlib

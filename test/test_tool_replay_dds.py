@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Golden bags through the real planner process over DDS: what is flown is what is replayed."""
 
 import time

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Replays of flights among traffic: the same hazards, whatever came late."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Hostile YAML and JSON: 100 damaged files and shapes that blow up parsers; one line, no hang."""
 
 import json

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """`orbimpc solve` as a user meets it: a process with a file, an answer, an exit code."""
 
 import copy

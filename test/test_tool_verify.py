@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """`orbimpc verify` as a user meets it: certificates and bags in, a table and an exit code out."""
 
 import json

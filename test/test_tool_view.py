@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The viewer: what it draws of bags, and what it refuses."""
 
 import resource

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The viewer's page: served to this machine alone, seen in a browser; and live nodes drawn."""
 
 import os

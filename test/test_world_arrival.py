@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Arriving: what counts as it, and how near the paper's two vehicles come."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The true minimum speed in closed loop: 500 ticks at each floor, proved or said not to be."""
 
 from dataclasses import replace

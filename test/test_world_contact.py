@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Boxes that a simulated vehicle touches on its way, whatever its odometry says."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Faults between a flight and its planner: each does what it says, from a seed alone."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Rope, capture and scenarios: geometry against brute force, and the paper's story."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Laws of gusts: their statistics are those asked for, and a seed brings them again."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Laws and oracles of the vehicle in continuous time: lags, limits, wind, drag, gravity."""
 
 import itertools

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Traffic in the simulated world: balls that are touched, and vehicles that cross over."""
 
 import math

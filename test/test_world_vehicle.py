@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Laws of the simulated vehicle: it does what the planner's dynamics say, and stays on SO(n)."""
 
 import itertools

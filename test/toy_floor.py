@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A floor that the package does not have, in one file: eastward at a share of full speed."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A vehicle that the package does not have, in one file: thrust against drag."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The garbage collector, whose pauses would be taken for those of what is measured."""
 
 from __future__ import annotations

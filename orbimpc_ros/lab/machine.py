@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The machine that measures: processor, versions, and what its processes take."""
 
 from __future__ import annotations

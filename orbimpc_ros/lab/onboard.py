@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planner's path from messages to commands, without its node and with its clock given."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A node of the laboratory's own, in any domain, spun for as long as something lasts."""
 
 from __future__ import annotations

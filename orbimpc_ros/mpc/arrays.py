@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Arrays of frozen types: one gate for untrusted values, and equality by content."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The independent check that every plan and command passes before it leaves.
 
 It takes nothing over from how a plan was found: the inputs are rolled out from the measured state,

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Distances of a plan from balls and from what moves, at all times: for the check of plans.
 
 Nothing of how plans are found enters: the motion within steps is followed along short chords, each

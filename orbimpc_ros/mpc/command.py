@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """From a plan to the command for its first step.
 
 Mathematics: docs/mathematics.md, 7.2.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The errors of this package: each names a culprit, its value and what is allowed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The words for how a tick ended: enumerations whose values are what the topics say."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A plan: the trajectory found, and how good it is proved to be.
 
 Mathematics: docs/mathematics.md, 6.1 and 7.6.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Physics that nobody here wrote: engines that fly a vehicle on the commands that a real one takes.
 
 An engine is a library of its own, such as JSBSim, with a vehicle and an inner loop that it has

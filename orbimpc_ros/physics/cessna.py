@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """JSBSim's Cessna 172P on its own autopilot.
 
 The aircraft ``c172x`` comes with two autopilots, both of which are on: the altitude hold of

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """What engines have in common: how they are asked, what they answer, and how they fail."""
 
 from __future__ import annotations

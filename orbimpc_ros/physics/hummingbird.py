@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A Hummingbird by RotorPy in MuJoCo, that catches a rope with a hook on its nose.
 
 MuJoCo moves the bodies, the rope among them, and finds the contacts. What the rotors and the air do

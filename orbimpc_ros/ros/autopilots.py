@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planner's topics, as autopilots name them; ``config/`` has parameters for each."""
 
 from __future__ import annotations

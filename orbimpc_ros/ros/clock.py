@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A node's ROS clock, the system's or a simulated one: its time, jumps and standstills."""
 
 from __future__ import annotations

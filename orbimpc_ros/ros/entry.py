@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The entry points of the installed executables: they obey signals before a node is imported.
 
 Importing a node takes the better part of a second, in which a signal would end in a traceback. And

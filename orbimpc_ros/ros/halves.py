@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Odometry in two halves: the pose and the twist that autopilots publish apart, put together.
 
 Where the two come with the same stamps, in whatever order, they belong together. Elsewhere each is

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Launch descriptions: planner and simulator on one parameter file, or a planner by itself.
 
 Needs ROS 2's launch, which PyPI does not have: only launch files import this module.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A managed node: work that is set up, begun, ended and cleared away by lifecycle transitions.
 
 rclpy's own managed node swallows what a transition raises, and ends spinning where one is asked

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Markers for a 3-D viewer: the plan and its limits, and the simulated world."""
 
 from __future__ import annotations

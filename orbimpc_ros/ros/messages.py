@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """ROS messages to plain types and back: pure functions.
 
 What comes in is untrusted. A message is taken whole or refused whole, with the field to blame;

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Markers to bodies: the topic ``obstacles``, and the marker that shows a body.
 
 What a marker covers is what counts, so that a body is never smaller than its marker. A turned cube

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A node as a process: start, signals, guarded callbacks, a last safe command, exit codes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A node's reports on itself: one record a tick, and diagnostics."""
 
 from __future__ import annotations

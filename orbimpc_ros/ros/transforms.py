@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Frames to one another: what ``/tf`` and stated transforms tell, and messages moved by them.
 
 A transform says how a child frame lies in its parent: p_parent = R p_child + t. Those of

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A fleet in ROS's terms: a namespace for each vehicle, and what its simulator has of its own."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """``orbimpc plot``: the paper's figures of a bag, its numbers, and an animation."""
 
 from __future__ import annotations

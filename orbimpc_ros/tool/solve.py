@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """``orbimpc solve``: one problem from a file, one plan as JSON."""
 
 from __future__ import annotations

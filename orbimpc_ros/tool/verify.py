@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """``orbimpc verify``: lower bounds proved again, in exact arithmetic.
 
 A file's certificate is verified as it is. A bag's ticks are solved again, for the problem that each

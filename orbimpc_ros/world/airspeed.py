@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The airspeeds of a flight: how slow it became, and how often it stalled."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Arrivals of a vehicle that flies one plan to its end, without planning again."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Capture of the rope: the closest approach of two points that move straight during a step."""
 
 from __future__ import annotations

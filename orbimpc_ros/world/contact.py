@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Contact with boxes, and with bodies that move, on the way from one place to another."""
 
 from __future__ import annotations

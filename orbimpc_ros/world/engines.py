@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Vehicles that an engine moves: somebody else's physics behind the simulator of this package."""
 
 from __future__ import annotations

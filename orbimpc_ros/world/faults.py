@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Faults between a flight and its planner: noise, losses, delays, lies; all from a seed.
 
 Every tick draws all its chances from the seed and its own number, so that a run repeats exactly,

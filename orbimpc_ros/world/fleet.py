@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Fleets from a seed: vehicles in a ring that fly outwards, each after a rope, or cross over."""
 
 from __future__ import annotations

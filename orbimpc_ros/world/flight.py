@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A flight: a scenario in progress, and the loop that a controller closes around it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Gusts: what changes with time in the wind that a vehicle flies through, from a seed."""
 
 from __future__ import annotations

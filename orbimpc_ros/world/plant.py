@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A vehicle in continuous time, with lags and limits, in moving air."""
 
 from __future__ import annotations

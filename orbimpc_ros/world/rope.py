@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The goal: a rope that swings and drifts, or stands still where it does neither."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Scenarios by name: what flies from where, what it is after, and the problem its planner solves.
 
 The numbers that the paper does not give were chosen; the files of the same names in ``config/`` say

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The vehicle as it really moves: on SO(n), turned by body rates, pushed along its x axis."""
 
 from __future__ import annotations

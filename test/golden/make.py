@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Make the golden bags: ``python test/golden/make.py [FOLDER]``, from seeds, without DDS.
 
 The loop is closed as over DDS in lock-step: what the simulator would publish is what the planner's

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A vehicle of its own in continuous time: what a planner meets outside of its own simulator.
 
 A unicycle in the plane that lags behind its commands, reaches a little more or less speed than is

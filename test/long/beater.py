@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """IPOPT from many starts, to beat a plan: a local solver of the problem as the judge states it.
 
 Floors by faces and boxes are unions of half-spaces: each start settles which of them holds when,

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Certified catches against the closed form of Dubins interception, as steps get shorter.
 
     python test/long/catches.py --count 200 --seed 1

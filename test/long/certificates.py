@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Random problems of every kind that certificates are of, each bound verified exactly.
 
     python test/long/certificates.py --count 1000 --seed 1 --mutants 500

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Crossings in lock-step: each planner a process of its own, the vehicles and their clock in here.
 
     python test/long/crossing.py --runs 10 --vehicles 8 --first-seed 1000 --out FOLDER

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Flights among sixteen discs that move, N = 12: how long ticks take, and what they come to.
 
     python test/long/discs.py

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Flights of a continuous vehicle with a floor and a rate limit: no command ever beyond them.
 
     python test/long/flights.py --count 200 --seed 1

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """What only proved gaps can tell: when relaxing a floor is enough, and what local optima cost.
 
     python test/long/gaps.py --count 1000

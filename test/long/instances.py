@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Random planning problems, each from a seed and an index alone."""
 
 from __future__ import annotations

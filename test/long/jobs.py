@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The missions: a configuration, what its planner is told on top, and what is drawn at random.
 
 A value is for planner and simulator alike; under ``sim.`` it is the simulator's alone, and the

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planning problem stated once more, in plain NumPy: what a plan costs, and what it violates.
 
 Written from the problem's definition alone. It shares no code with the package: whatever the

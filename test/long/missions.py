@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Missions of the package's own vehicle in continuous time, flown in process.
 
 The planner's path from messages to commands flies the simulator's vehicle, each of the two with the

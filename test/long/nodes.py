@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """How many nodes a tick can take: the worst over a whole box of states and goals, by sampling.
 
     python test/long/nodes.py --count 100000 --seed 1

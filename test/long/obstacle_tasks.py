@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Tasks of flight among discs and spheres, after the published examples of TinySDP (2605.13748).
 
     python test/long/obstacle_tasks.py

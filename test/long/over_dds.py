@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Missions flown by the real nodes over DDS, in lock-step, and judged by what they said.
 
 Planner and simulator are processes, as in ``orbimpc demo``. The vehicle is judged by the topic

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Random problems through the solver, its plans and proofs judged by an evaluation of its own.
 
     python test/long/proofs.py --count 3000 --seed 1 --jobs 2

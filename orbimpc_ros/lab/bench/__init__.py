@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """``orbimpc bench``: side by side, in one run, with the solvers that are installed."""
 
 from __future__ import annotations

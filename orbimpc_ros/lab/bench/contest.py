@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A contest: a problem, its instances, who takes part and what is required.
 
 Everybody gets the same problem, the same instances, the same relative gap and one thread.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The problems that are solved side by side, the contenders, and what is required of us."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A node that drives planners with odometry at a fixed rate and takes the time of their answers."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Side by side: every contender on the same instance before the next instance comes."""
 
 from __future__ import annotations

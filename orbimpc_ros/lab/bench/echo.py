@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """``python -m orbimpc_ros.lab.bench.echo``: answers each odometry message at once.
 
 A command of the same type and stamp, without any thought: what rclpy and DDS cost at least. Goals

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Instances that arise in flight: states, goals and disturbances that a controller has met.
 
 The vehicles are in continuous time; what they do is followed by this package's own controller.

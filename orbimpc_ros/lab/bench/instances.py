@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Seeded streams of states and goals to solve for."""
 
 from __future__ import annotations

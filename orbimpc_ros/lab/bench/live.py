@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Planner processes, live: start, memory, latency over DDS, many at once on one machine.
 
 A driver in this process publishes odometry and hears commands; a command carries the stamp of the

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The result of a measurement: rows in a file that is whole after each of them, table, picture."""
 
 from __future__ import annotations

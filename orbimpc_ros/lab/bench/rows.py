@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Rows of the result: what `orbimpc bench` prints and writes."""
 
 from __future__ import annotations

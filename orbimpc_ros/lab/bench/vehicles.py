@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Contests about real vehicles: a wing, a multirotor and a lander, in problems met in flight.
 
 A minute goes by for a solver that states a minimum speed and a turn rate as what they are, not

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """``orbimpc faults``: the fault matrix, with real nodes as processes of their own over DDS."""
 
 from __future__ import annotations

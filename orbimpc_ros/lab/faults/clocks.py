@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Rows on a clock that stops or jumps, under simulated time."""
 
 from __future__ import annotations

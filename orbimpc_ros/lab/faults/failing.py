@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planner node with a controller that raises on odometry that slips sideways fast.
 
 No message makes the planner itself raise, as far as is known, so that what happens then can only

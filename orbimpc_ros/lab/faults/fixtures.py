@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Fixtures of fault cases: folders, domains, and harnesses that several rows share."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The retrieval in real time, planner and simulator as processes, and a monitor on both."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A process that publishes odometry at a given rate, until it is killed.
 
 It prints its own pauses: a planner that stops since none came is right to.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A test harness: one planner in a process of its own, its stimulus, and the monitor on it."""
 
 from __future__ import annotations

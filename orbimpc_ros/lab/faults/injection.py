@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Injection of faults: the times at which they set in, and the reactions that follow."""
 
 from __future__ import annotations

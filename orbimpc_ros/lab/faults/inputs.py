@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Rows on inputs: none, too late, out of order, out of range."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The fault matrix: every row, in the order in which they are tried."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The monitor: every command that is heard, judged by its content and by when it was sent."""
 
 from __future__ import annotations

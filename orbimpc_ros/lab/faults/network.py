@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Rows on the other participants: publishers, qualities of service, a flood."""
 
 from __future__ import annotations

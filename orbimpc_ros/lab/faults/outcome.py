@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Outcomes of single cases, rows of the matrix, and the table."""
 
 from __future__ import annotations

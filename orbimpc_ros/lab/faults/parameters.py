@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Rows on nonsense in parameters: at the start, and of a running planner."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Rows on plans that cannot be made: no way out, no time, a goal that leaps."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Nodes under test: processes in a domain of their own, and the monitor that hears them."""
 
 from __future__ import annotations

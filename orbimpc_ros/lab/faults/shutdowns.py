@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Rows on planners that end, by a signal or an exception, and that come back."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planner node with a /tf that carries single transforms, as geometry_msgs/TransformStamped.
 
 PyPI has no tf2_msgs, whose messages are lists of them. All but the list is as on a vehicle.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The soak: memory and gaps of one planner for a long time at 20 Hz, on odometry at 1 kHz."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The stimulus of a planner: a healthy vehicle and goal, and ways in which messages go wrong."""
 
 from __future__ import annotations

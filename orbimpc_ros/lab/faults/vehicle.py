@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Rows on the vehicle: how its frames lie to one another, and the mode that it is in."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """``orbimpc study``: many flights from a seed, everyone's controllers side by side."""
 
 from __future__ import annotations

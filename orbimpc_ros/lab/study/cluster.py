@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The workers that fly: processes on this machine, or those of a Dask cluster."""
 
 from __future__ import annotations

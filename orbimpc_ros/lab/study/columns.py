@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The columns of a study's results: one row for each run and controller."""
 
 from __future__ import annotations

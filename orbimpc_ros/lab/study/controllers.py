@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The controllers that fly: the planner of this package and the baselines, by name."""
 
 from __future__ import annotations

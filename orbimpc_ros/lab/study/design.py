@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A study: how many runs from which seed, who flies them, what each of them draws."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The picture of a study: catches over frequency and over time, costs, and who was sooner."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The report of a study: a table for people, who won where, and the picture."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The score of each controller: rates, times and costs over all runs of a study."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The settings of a study: default and range of each; numbers may be ranges to draw from."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Results on disk: parts that appear whole or not at all, one Parquet file at the end.
 
 A study's folder holds ``study.json`` (what is studied), ``parts/`` while it runs, then

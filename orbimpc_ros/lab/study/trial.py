@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """One run, flown by every controller from the same sightings: a row of results for each."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Cells: the half-spaces that a search chooses from, and how a round floor is cut ever finer.
 
 Mathematics: docs/mathematics.md, 3.5.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The faces of the paper's floor: a polygon in the disk, a Platonic solid in the ball.
 
 Mathematics: docs/mathematics.md, 3.3.

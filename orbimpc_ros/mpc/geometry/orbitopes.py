@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 r"""The orbitopes conv SO(2) and conv SO(3): coordinates, membership, constraints.
 
 A matrix R of conv SO(n) is held in the coordinates the programs optimise over:

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Outlines of sets in the space of R e1, as lines to draw."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 r"""The rotation groups SO(2) and SO(3): exponential, logarithm, projections, quaternions.
 
 A tangent vector is an angular velocity times time: shape (1,) [rad] for n = 2, (3,) [rad] for

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The half-space that keeps points farthest from the origin: what separates their hull from it.
 
 Mathematics: docs/mathematics.md, 3.7.

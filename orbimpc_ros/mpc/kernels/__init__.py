@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Machine code for the hottest loops, compiled by numba where that is installed.
 
 Without numba the functions are ordinary Python: right, and too slow to be used.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """``python -m orbimpc_ros.mpc.kernels``: compile the machine code now, so that no start waits."""
 
 import numpy as np

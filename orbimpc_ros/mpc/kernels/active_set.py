@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Branch and bound over the cells of a planar floor, and over none: the hull.
 
 For n = 2, orders (1, any), no length weight and no constraint but orbitope and floor, the problem

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 r"""Stationary points over the annulus floor <= |z_k| <= 1, and the bounds that they prove.
 
 With z_k = R_k e1, a stationary point of 1/2 z.Hz + q.z + l.|z| subject to an arrival, if there is

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The relaxation over SO(3) by the method of multipliers, its steps by Newton's method.
 
 With positions eliminated, the problem is a strictly convex quadratic in R_1..R_N (nine coordinates

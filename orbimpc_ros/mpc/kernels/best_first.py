@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Best-first search: a heap of open nodes, and what trees of every kind have in common.
 
 A tree is a tuple with the fields below. A node begins with its parent's active set, and ends with

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The best bound that multipliers of the annulus prove, whatever point they belong to.
 
 With multipliers theta of the moduli, and lengths bounded below by their chord in |z|^2, the dual

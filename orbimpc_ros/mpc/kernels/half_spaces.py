@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Branch and bound over half-spaces on positions and thrust axes, for rotations in conv SO(3).
 
 A *choice* is a group of places that must all be beyond one of a list of half-spaces: the sides of a

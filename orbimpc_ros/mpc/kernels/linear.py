@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Small dense linear algebra in machine code."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The 4x4 matrix S(R) whose positive semidefiniteness is conv SO(3), in machine code.
 
 S(R) = I + K(R) with K linear onto the traceless symmetric matrices; K* is its adjoint for the

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The method of multipliers: its progress, its line search, and how stiff its penalty becomes.
 
 What both engines of augmented Lagrangians share: :mod:`orbimpc_ros.mpc.kernels.riccati` and

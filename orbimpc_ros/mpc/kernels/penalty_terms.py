@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Penalty terms over SO(3): what the method of multipliers adds to the quadratic.
 
 Each term is a maximum over multipliers, linear in R. Its Moreau envelope of parameter 1/sigma has

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A quadratic over thrust axes, beyond half-spaces on places that they lead to, within balls.
 
 A *place* is a linear function of z_1..z_N: a thrust axis itself, a position, a control point of the

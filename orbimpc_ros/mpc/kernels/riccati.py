@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planar hull over long horizons: linear-quadratic sweeps and the method of multipliers.
 
 For n = 2 and rotation order 1 the problem is a linear-quadratic one in the state (s, R e1), or

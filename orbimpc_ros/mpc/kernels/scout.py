@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A coarse search for a way among what is round or moves, step by step.
 
 Vehicles are flown by a few headings at every step, and of the places reached the most promising are

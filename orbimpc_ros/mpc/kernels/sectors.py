@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Branch and bound over headings within sectors: a floor together with a turn rate.
 
 Headings are unwrapped: a node holds theta_k in [low_k, high_k] at every step. The first heading is

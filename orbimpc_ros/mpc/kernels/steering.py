@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A local optimum over speeds and turns: trajectories that hold floor and turn rate all the way.
 
 In the plane a heading is z_k = m_k (cos theta_k, sin theta_k). With the modulus written as

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The receding-horizon controller: odometry and goals in, a checked command out, each tick."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """What a vehicle that follows a plan does, and the plan's steps do not.
 
 An ``exact`` step takes the chord between the thrust axes at its ends, and the speed changes evenly

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Delay compensation: the motion of a vehicle from its measurement to its next command.
 
 Mathematics: docs/mathematics.md, 7.3.

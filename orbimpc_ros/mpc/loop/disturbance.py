@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 r"""The estimated disturbance: what moves a vehicle besides its commands, by a Kalman filter.
 
 The model of the loop with a constant disturbance w for a state, which makes the loop offset-free:

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Forecasts of a moving goal from its observations: the targets g_1..g_N of a plan.
 
 Mathematics: docs/mathematics.md, 7.4.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Measured velocities held against the way flown: are they in the frame that they should be?
 
 A velocity in the body's frame that is taken for one in the world's, or the other way round, is

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 r"""A forecast that learns the swing: the goal as a harmonic oscillation of unknown everything.
 
 The model is :math:`g(t) = c + a \cos\omega t + b \sin\omega t + \varepsilon`, one frequency for

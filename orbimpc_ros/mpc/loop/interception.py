@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Interception: the earliest step of a plan that can catch the goal, and that none before it can.
 
 To be near a goal on average is not to touch it. For each step k that the goal is within reach of, a

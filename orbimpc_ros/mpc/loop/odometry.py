@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Measurements of the vehicle, and the states of the planning problem that they mean.
 
 Mathematics: docs/mathematics.md, 7.1.

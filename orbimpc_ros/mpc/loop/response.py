@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 r"""Lags of a vehicle's response: where it stands once they are over.
 
 A body rate that follows its command by a first-order lag, :math:`\tau\dot\omega = c - \omega`,

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The safe command, in force while there is no plan to follow.
 
 Mathematics: docs/mathematics.md, 7.7.

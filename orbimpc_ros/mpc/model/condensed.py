@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The quadratic part of the objective as a function of the thrust axes R_1 e1..R_N e1 alone.
 
 With positions eliminated by the dynamics, and for n = 2 (where R e1 is all of R),

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 r"""The objective, term by term: weights per step, value and gradient.
 
 .. math::

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The discrete dynamics, as rollouts and as maps over the thrust axes R_0 e1..R_N e1.
 
 Rotations: R_{k+1} = R_k + h u_k, or W_{k+1} = W_k + h u_k and R_{k+1} = R_k + h W_k (explicit

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The motion within steps: polynomials, by the control points that they stay in the hull of.
 
 A step of explicit Euler moves along a straight line, one integrated exactly along a curve of degree

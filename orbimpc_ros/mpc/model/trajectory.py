@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A trajectory of the discrete dynamics and what it costs.
 
 Mathematics: docs/mathematics.md, 1.1.

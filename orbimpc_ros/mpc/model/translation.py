@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Translation models: what thrust along R e1 does to position and velocity, as maps.
 
 A model is one class, registered under the value of ``translation_order`` that selects it. Along

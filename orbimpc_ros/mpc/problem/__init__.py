@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planning problem: its weights, floor, obstacles and state, and what follows from them."""
 
 from orbimpc_ros.mpc.problem.approach import Approach

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The approach: a cone of directions that the last heading of a plan has to be in.
 
 It is about where the vehicle points at the end, R_N e1, not about how it moves past what it meets:

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A planning problem with its state and goal, from the plain mapping that a file holds."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The cones of a descent: how far the thrust axis may lean, and the glide slope above the goal.
 
 Both are demanded of every step of a plan. A state that is outside already, or is bound to leave the

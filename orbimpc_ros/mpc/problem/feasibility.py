@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The constraint to blame where no trajectory exists, as far as that shows at once.
 
 Mathematics: docs/mathematics.md, 5.3.

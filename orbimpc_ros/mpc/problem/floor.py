@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Floors: the least speed of a vehicle, as the set of thrust axes R e1 that it may fly.
 
 A shape of floor is one class, in one file, registered under the word that selects it. It covers

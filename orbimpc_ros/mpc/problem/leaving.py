@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The way out for a vehicle that is inside of what it ought to stay clear of.
 
 A vehicle pushed inside of the margin around a body must not be left without a plan: it needs one

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Obstacles: sets of positions to stay outside of.
 
 Mathematics: docs/mathematics.md, 3.7.

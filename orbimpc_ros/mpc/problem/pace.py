@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Changes of speed where they are limited: from which speed on, and how far they get.
 
 Mathematics: docs/mathematics.md, 3.10.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 r"""The planning problem: its model, weights and limits.
 
 The problem (Huang, Horowitz, Burdick, *Convex Model Predictive Control for Vehicular Systems*):

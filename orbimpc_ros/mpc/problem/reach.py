@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The reach of a horizon, and goals so far beyond it that only their direction counts.
 
 Mathematics: docs/mathematics.md, 7.5.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 r"""The meaning of a problem's weights: the paper's sums, or integrals without a unit.
 
 The paper adds up steps, so that the same weights ask for something else at another step or speed.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The state that a plan starts from.
 
 Mathematics: docs/mathematics.md, 1.5.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Balls, and bodies that move, over the steps of a plan.
 
 Within a step a body counts as moving evenly from where it is at the beginning to where it is at the

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Natural units: a problem whose step, full speed and costs are all of the order of one.
 
 Lengths are measured by what a step moves the vehicle at most, times by the step, costs by the

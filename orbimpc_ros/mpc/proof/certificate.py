@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Certificates: what proves a lower bound, as plain data that a file holds.
 
 Format: docs/proofs.md. Numbers are written so that they are read back as they were.

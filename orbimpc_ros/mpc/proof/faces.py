@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Proof by the faces of a polygonal floor in the plane.
 
 Mathematics: docs/mathematics.md, 4.3, and docs/proofs.md.

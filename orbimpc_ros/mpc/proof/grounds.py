@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """What a method's lower bound rests on, as it leaves the method: tangents, and the parts they hold.
 
 Mathematics: docs/proofs.md.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """From a plan to the certificate of its bound, whatever the method that found it.
 
 A bound that is known is easier to prove than to find: one tangent at the plan proves most; where it

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Bounds counted again: what a method's tangents prove, by code that shares nothing with it.
 
 Positions are rolled out step by step and the gradient comes back the same way; neither the maps nor
@@ -348,6 +349,45 @@ def _narrowed(low, high, k, turn):
 
 
 @compiled
+def _parted(t, posed, grounds, regions, reached):
+    """Hand the region of a split on to its parts; return whether they are all there is of it."""
+    splits, parts, angles, _, _ = grounds
+    faces, low, high = regions
+    k, first, angle, turn = splits[t], parts[t], angles[t], posed.floor[1]
+    by_faces = np.isnan(angle)
+    made = len(posed.normals) if by_faces else 2
+    if made == 0 or first <= t or first + made > len(splits) or k >= faces.shape[1]:
+        return False
+    if faces[t, k] >= 0 or reached[first : first + made].any():
+        return False
+    if not by_faces and not (turn > 0.0 and low[t, k] <= angle <= high[t, k]):
+        return False
+    for i in range(made):
+        part = first + i
+        reached[part], faces[part] = True, faces[t]
+        if turn > 0.0:
+            low[part], high[part] = low[t], high[t]
+        if by_faces:
+            faces[part, k] = i
+            continue
+        ends = high if i == 0 else low
+        ends[part, k] = angle
+        reached[part] = _narrowed(low[part], high[part], k, turn)
+    return True
+
+
+@compiled
+def _regions(splits, count, heading, turn):
+    """Return what each cell knows, the root's set: faces, least and greatest directions."""
+    sectors = splits if turn > 0.0 else 1  # without a turn limit, all have the root's
+    low, high = np.zeros((sectors, count)), np.full((sectors, count), 2.0 * np.pi)
+    if turn > 0.0:
+        for k in range(count):
+            low[0, k], high[0, k] = heading - (k + 1) * turn, heading + (k + 1) * turn
+    return np.full((splits, count), -1), low, high
+
+
+@compiled
 def recounted(posed, hessian, start, goals, heading, grounds, unit):
     """Return the least bound of all leaves; -inf where they are not all there is.
 
@@ -360,54 +400,24 @@ def recounted(posed, hessian, start, goals, heading, grounds, unit):
         grounds: splits and tangents.
         unit: of the bends, in that of the cost.
     """
-    splits, parts, angles, points, bends = grounds
-    total, count, turn = len(splits), len(goals), posed.floor[1]
-    faces, reached = np.full((total, count), -1), np.zeros(total, np.bool_)
-    sectors = total if turn > 0.0 else 1  # without a turn limit, all have the root's
-    low, high = np.zeros((sectors, count)), np.full((sectors, count), 2.0 * np.pi)
-    if turn > 0.0:
-        for k in range(count):
-            low[0, k], high[0, k] = heading - (k + 1) * turn, heading + (k + 1) * turn
-    slopes, least = np.empty(goals.shape), np.inf
+    splits, _, _, points, bends = grounds
+    regions = _regions(len(splits), len(goals), heading, posed.floor[1])
+    faces, low, high = regions
+    reached, slopes, least = np.zeros(len(splits), np.bool_), np.empty(goals.shape), np.inf
     reached[0] = True
-    for t in range(total):
+    for t in range(len(splits)):
         if not reached[t]:
             continue
-        k, first, angle = splits[t], parts[t], angles[t]
-        if k < 0:
-            known = faces[t], low[min(t, sectors - 1)], high[min(t, sectors - 1)]
-            bound = _leaf(posed, hessian, start, goals, points[t], bends[t], unit, known, slopes)
-            if not bound > -np.inf:  # or no number
+        if splits[t] >= 0:
+            if not _parted(t, posed, grounds, regions, reached):
                 return -np.inf
-            least = min(least, bound)
             continue
-        by_faces = np.isnan(angle)
-        made = len(posed.normals) if by_faces else 2
-        if first <= t or first + made > total:
+        sector = min(t, len(low) - 1)
+        known = faces[t], low[sector], high[sector]
+        bound = _leaf(posed, hessian, start, goals, points[t], bends[t], unit, known, slopes)
+        if not bound > -np.inf:  # or no number
             return -np.inf
-        if made == 0 or faces[t, k] >= 0 or k >= count:
-            return -np.inf
-        if not by_faces and not (turn > 0.0 and low[t, k] <= angle <= high[t, k]):
-            return -np.inf
-        for i in range(made):
-            part = first + i
-            if reached[part]:
-                return -np.inf
-            reached[part] = True
-            for j in range(count):
-                faces[part, j] = faces[t, j]
-            if by_faces:
-                faces[part, k] = i
-            if turn == 0.0:
-                continue
-            low[part], high[part] = low[t], high[t]
-            if by_faces:
-                continue
-            if i == 0:
-                high[part, k] = angle
-            else:
-                low[part, k] = angle
-            reached[part] = _narrowed(low[part], high[part], k, turn)
+        least = min(least, bound)
     if not least < np.inf:
         return -np.inf
     spent = 0.0

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Proof by sectors of directions: a round floor in the plane, or any with a turn limit.
 
 Mathematics: docs/mathematics.md, 4.6 and 4.10, and docs/proofs.md.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The tangent at an optimum over SO(3), with multipliers that complement a plan's rotations.
 
 With G the gradient at a plan, the multipliers of S(R) >= 0 are sought among those that vanish on

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The tangent at an optimum: a plan's headings made stationary to rounding, with their multipliers.
 
 What methods publish is accurate to about 1e-9; a tangent's bound lacks what its point is off by,

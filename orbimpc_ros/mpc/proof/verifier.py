@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Whether a certificate proves its lower bound: in exact arithmetic, from the standard library.
 
     python verifier.py CERTIFICATE.json

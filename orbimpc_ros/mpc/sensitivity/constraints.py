@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 r"""Active constraints of a plan and their shadow prices: the reasons why it is not better.
 
 At an optimum the gradient of the cost is a combination of the gradients of the slacks that have

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The slacks that have run out at a plan, and how they change with its rotations R_1..R_N.
 
 A slack is a function c >= 0 that vanishes where its constraint is met with nothing to spare.

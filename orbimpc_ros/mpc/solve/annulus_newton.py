@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The true floor where the cost sees R e1 alone: a local optimum, and the proof that it is global.
 
 That is all of R for n = 2. For n = 3 it takes an input weight of zero; the other columns are then

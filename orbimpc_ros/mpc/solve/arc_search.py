@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Branch and bound over a round floor in the plane: headings within arcs, bounds by multipliers.
 
 An arc of half-width d about the unit vector m, d < pi/2, holds the headings z that lie between its

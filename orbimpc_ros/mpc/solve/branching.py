@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Which choice a node is branched on, and by how much its children's bounds are raised at least.
 
 With the parent's multipliers held, the dual function along the multiplier t >= 0 of a new row

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A search over the cells of a planar floor, in slices between which the time is looked at.
 
 Mathematics: docs/mathematics.md, 4.3.

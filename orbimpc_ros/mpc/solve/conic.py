@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Clarabel on data that CVXPY compiled, and what its multipliers prove.
 
 For the program

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The relaxed problem in space as the data of its cone program, made without CVXPY.
 
 The same program as :class:`orbimpc_ros.mpc.solve.statement.Statement` states, for the problems of

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Choices that make a problem mixed-integer: at least one half-space of a list must hold.
 
 The paper writes them with binaries and a big M; here they are kept as what they are, so there is

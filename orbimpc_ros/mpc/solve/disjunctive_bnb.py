@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Branch and bound over disjunctions, with the convex program at its nodes.
 
 Best first: the open node with the least bound is solved next, so that no node is solved whose bound

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Trajectories for a search to begin with: along ways, near solutions, and turning in time.
 
 A *dive* holds all that a solution misses at its nearest cell, and solves again; of a round floor

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The general search, made when something is first left to it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planar hull, however long the horizon: linear in it, in machine code.
 
 Mathematics: docs/mathematics.md, 4.2.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The best trajectory of a search so far, and what may take its place.
 
 Mathematics: docs/mathematics.md, 4.9.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A limit of the change of speed on top of any other method.
 
 Without that limit a problem costs no more, so the bound of another method for it holds with it.

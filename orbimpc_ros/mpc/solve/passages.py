@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The choices that bodies which are round or move leave: on which side each is passed.
 
 A step stays clear of a convex body that moves evenly just if some plane separates all of the step

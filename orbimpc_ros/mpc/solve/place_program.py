@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The convex program of a quadratic over thrust axes alone, in machine code.
 
 In the plane R e1 is all of R; in space it is all that the cost sees where neither inputs nor an

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The search for the commonest problems of SE(2), in machine code where numba is installed.
 
 Mathematics: docs/mathematics.md, 4.3.

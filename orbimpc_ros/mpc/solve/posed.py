@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A request, and all that is to be chosen for it: what choices ask for, and which are missed.
 
 Mathematics: docs/mathematics.md, 4.9.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The convex program behind every plan: compiled once, then only updated in place and solved.
 
 Compiling the statement gives Clarabel's data (P, q, A, b). The state enters b, linearly, and the

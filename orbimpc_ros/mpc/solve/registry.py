@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The methods, fastest first, and which of them solves a problem.
 
 Mathematics: docs/mathematics.md, 4.1.

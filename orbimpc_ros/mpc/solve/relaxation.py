@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The interface of a convex program of the problem: half-spaces in, a relaxation out.
 
 Mathematics: docs/mathematics.md, 4.8.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The interface of solution methods: a request in, a trajectory and its bound out."""
 
 from __future__ import annotations

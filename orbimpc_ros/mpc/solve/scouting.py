@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A first way among what is round or moves, for a search to start from.
 
 Mathematics: docs/mathematics.md, 4.12.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planar floor with a turn rate: branch and bound over headings within sectors.
 
 A search begins from the trajectories that the previous plan and its own relaxations round to, and

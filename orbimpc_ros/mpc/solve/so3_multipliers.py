@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The convex program over SO(3) in machine code, where numba is installed.
 
 Condensed: positions are eliminated, and a terminal constraint is met by every point of the search,

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The search for vehicles among boxes in space, in machine code where numba is installed.
 
 Mathematics: docs/mathematics.md, 4.11.

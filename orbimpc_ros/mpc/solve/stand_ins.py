@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Trajectories that take no search: straight on, straight to the goal, up, and turns that arrive.
 
 A terminal constraint is linear in the headings z_k = R_k e1. What they miss it by is spread over

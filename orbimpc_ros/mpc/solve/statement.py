@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The relaxed problem in CVXPY, term by term as the paper has it, R_k in conv SO(n).
 
 Mathematics: docs/mathematics.md, 4.8.

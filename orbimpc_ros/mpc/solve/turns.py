@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The angle of each turn, for a search whose relaxations know it as a chord.
 
 With a floor f, headings that turn by an angle a at most are up to a chord apart that depends on

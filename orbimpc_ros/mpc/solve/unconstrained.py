@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The minimiser of the quadratic alone, no orbitope in its way, as a linear map.
 
 A coordinate of R_1..R_N depends on nothing but the same coordinate of what is known: for R e1 the

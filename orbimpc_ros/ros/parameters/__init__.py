@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A node's parameters: declared from a table, checked as a whole, changed whole or not at all."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The parameters of a catch within a cone of headings: the same for planner and simulator."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """``python -m orbimpc_ros.ros.parameters.page``: prints docs/parameters.md from the tables."""
 
 from __future__ import annotations

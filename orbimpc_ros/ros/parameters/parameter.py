@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A parameter: one row of a table from which its descriptor, checks and documentation follow."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planner's parameters, in one table, and the settings that they add up to."""
 
 from __future__ import annotations

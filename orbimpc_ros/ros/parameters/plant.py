@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The parameters of a simulated vehicle in continuous time, in one table."""
 
 from __future__ import annotations

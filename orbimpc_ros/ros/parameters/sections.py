@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The sections of the parameter files on a command line, and which of them reach a node.
 
 rcl matches sections with node names and passes over the rest without a word: a misspelt name

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planner's voice on the console: each trouble when it begins, seldom while it lasts."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Compilation of machine code, for which a start takes a minute or more: said, and broken off."""
 
 from __future__ import annotations

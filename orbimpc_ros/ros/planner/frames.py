@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planner's ear for transforms: /tf and /tf_static, with the qualities of service of tf2."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planner's condition on /diagnostics: every second, and at once when its level changes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planner's inputs: the latest of each, its age, and what was refused."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planner's view of what moves around it: bodies on ``obstacles``, plans of others."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The vehicle's mode, in which it takes commands or not: how often it has changed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The other ends of the planner's topics: rivals, and QoS or types that do not match."""
 
 from __future__ import annotations

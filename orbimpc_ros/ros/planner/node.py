@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planner node: odometry and goal in, a checked command out, at each odometry or step."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planner's one way out: the messages of a tick, their publishers, and what went out last."""
 
 from __future__ import annotations

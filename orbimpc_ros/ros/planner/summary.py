@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The vehicle that the planner believes in, in one line, and what is doubtful about it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Ticks of the planner: its inputs put to the controller, within a deadline."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The simulated world over DDS: a flight in progress, and the messages that show it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The commands a simulated vehicle gets: twist, joined by thrust at translation order 2."""
 
 from __future__ import annotations

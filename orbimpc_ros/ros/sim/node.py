@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The simulator node: flies a scenario on the commands it gets, in lock-step or in real time."""
 
 from __future__ import annotations

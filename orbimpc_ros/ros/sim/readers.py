@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The readers that a flight waits for: recorders and viewers, beside its own two nodes."""
 
 from __future__ import annotations

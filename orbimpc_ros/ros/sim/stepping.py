@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The paces of a simulated flight: a step as soon as it is commanded, or when its time is over."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """``orbimpc demo``: planner and simulator as processes over DDS, a bag, a summary, a picture."""
 
 from __future__ import annotations

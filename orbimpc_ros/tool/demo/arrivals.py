@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Errors at arrival: of the plan by itself, flown open loop by each projection, re-planned."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """``orbimpc demo fleet`` and ``crossing``: vehicles in namespaces, in real time.
 
 In a fleet each is after a rope of its own; in a crossing each is to get to the other side, clear of

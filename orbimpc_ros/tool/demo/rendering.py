@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """An animation of a flight as its engine renders it, flown again from the commands in its bag."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A run in a few lines: what was caught or reached, how often missed, what a tick cost."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Pictures of a run: from its history to matplotlib figures, a module for each family."""
 
 from __future__ import annotations

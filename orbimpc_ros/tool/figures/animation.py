@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A flight that moves: vehicle, plan and rope beside distance and speed, frame by frame."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Distances and speeds over time, and a flight in one line for the head of its pictures."""
 
 from __future__ import annotations

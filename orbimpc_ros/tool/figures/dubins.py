@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The Dubins car, the paper's two figures: paths, and determinants, with and without a floor."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A fleet from above: every flight, every rope's swing, and when each rope was caught."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A powered descent: the path in its glide cone, thrust, tilt, and the way down from the side."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A multirotor among boxes: the flight in space, from above and from the side, thrust and tilt."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A flight in numbers over time: motion and thrust, and the cost of planning it, tick by tick."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A retrieval in the plane: the whole flight, its end, and what happened when."""
 
 from __future__ import annotations

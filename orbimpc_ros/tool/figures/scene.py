@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A flight as seen from above: its path, the rope, and marks for what happened."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Nine moments of a retrieval, as in the paper: the vehicle, its plan and the rope."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Pictures in space: axes to scale, bodies as frames, shadows on the ground."""
 
 from __future__ import annotations

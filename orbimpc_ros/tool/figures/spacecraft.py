@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The spacecraft, the paper's figure: path and frames, determinant and thrust."""
 
 from __future__ import annotations

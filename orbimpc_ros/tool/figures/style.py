@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Looks for every picture: one for print, legible in grey, and one for dark pages.
 
 Figures are drawn in colours by place in the cycle, ``C0`` and so on; a look says what colour that

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The content of messages in plain numbers, whoever decoded them."""
 
 from __future__ import annotations

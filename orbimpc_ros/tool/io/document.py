@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """JSON and YAML from files that may be hostile: capped, without aliases, without duplicates."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Files that may be hostile: opened without blocking, never led out of their folder by a link."""
 
 from __future__ import annotations

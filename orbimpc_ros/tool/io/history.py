@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A recorded run as plain arrays, for summaries, pictures and comparisons."""
 
 from __future__ import annotations

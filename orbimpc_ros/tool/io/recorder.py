@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A recorder of a run: messages byte by byte as they come, under the stamps they carry."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The parameters of a run: defaults, then the scenario's file, then ``--set``, checked.
 
 A value is for both nodes. Where the simulator has another one than the planner, such as a wind that

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The folder of the configuration: in a checkout, a workspace or where pip installed it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The topics of a run: their names, their types, and which of them a bag is asked for."""
 
 from __future__ import annotations

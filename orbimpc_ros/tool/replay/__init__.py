@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """``orbimpc replay``: a bag's inputs solved again, tick by tick, and compared with its outputs."""
 
 from __future__ import annotations

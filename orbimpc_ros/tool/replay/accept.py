@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Accepting a replay: the bag anew, with the same inputs and the new outputs."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The inputs of a bag that have no answer in it, and the answers that have no input."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The differences of two answers, how large they may be, and how they read."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planner without a node: its own ticker and messages, given inputs and asked for answers."""
 
 from __future__ import annotations

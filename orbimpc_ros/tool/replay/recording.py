@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A bag as a regression test sees it: inputs in the order of their arrival, and the answers."""
 
 from __future__ import annotations

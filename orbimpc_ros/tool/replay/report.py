@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A replay from its arguments to its exit code: ticks made anew, compared, and summed up."""
 
 from __future__ import annotations

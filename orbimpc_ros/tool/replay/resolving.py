@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planner's answers made anew, from the inputs that a bag holds.
 
 What was planned is solved again; when it was planned is timing, and taken from the recording. So

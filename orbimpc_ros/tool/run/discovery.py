@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A DDS domain for one run: its own number, this machine only, and nodes that meet at once."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A run: vehicles, each two processes in its namespace, and a bag of all that they say over DDS."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A progress bar in plain text: redrawn in a terminal, a few lines elsewhere."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A module run as by ``python -m``, or a program, that ends with the process that started it."""
 
 from __future__ import annotations

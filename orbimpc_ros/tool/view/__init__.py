@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """``orbimpc view``: a flight to look at and to scrub through in a browser, live or from a bag."""
 
 from __future__ import annotations

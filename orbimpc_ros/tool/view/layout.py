@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The layout of the page: the world, the set of thrusts, the tick in words, and charts."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A viewer of running nodes: it only listens, and draws messages as they come."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A bag's messages, drawn in the order of their stamps."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Messages, drawn at the time of their stamps: the same for a bag and for running nodes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Rerun's web viewer, served from its own wheel to this machine alone."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The interface of a contender, and its refusal to take part."""
 
 from __future__ import annotations

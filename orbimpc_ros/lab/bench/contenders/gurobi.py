@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Gurobi: condensed model, rotations and binaries alone, quadratic disks, least big M.
 
 A round floor and turns are quadratic and not convex; the first turn is from an axis whose bounds

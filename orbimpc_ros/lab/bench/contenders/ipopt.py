@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """IPOPT through CasADi: the study's nonlinear program, one cold start.
 
 A local solver: it proves nothing about the global optimum. One thread.

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """This package, as its controller uses it: the guess is the shifted previous plan."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The planar problem in z_k = R_k e1, k = 1..N, as mixed-integer solvers take it.
 
 For n = 2 and orders (1, 1), with s_k = s_1 + h z sum_{j<k} R_j e1 (and, without boxes and an

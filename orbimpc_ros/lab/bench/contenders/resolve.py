@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """CVXPY solved anew at each tick: stated once, DPP, only parameters change.
 
 Its solver runs on one thread, with its own tolerances (Clarabel: 1e-8, QOCO: 1e-7).

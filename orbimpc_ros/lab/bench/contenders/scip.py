@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """SCIP: the same condensed model; the quadratic cost, which never changes, in one constraint.
 
 A round floor and turns are quadratic and not convex; the first turn is from an axis whose bounds

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The base of the baselines: from a state and chosen thrust axes to a plan and a command."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 r"""Linearised MPC: the heading angle as a state, one quadratic program a tick.
 
 About the previous plan, moved one step on, the thrust axes are

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 r"""Nonlinear MPC: CasADi and IPOPT on the very problem, exact derivatives, warm start.
 
 Circle: :math:`f^2 \le |z_k|^2 \le 1`. Polygon, without integers: beyond one of the faces means that

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Pure pursuit: straight towards where the goal will be, as fast as need be."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Studies of vehicles as they are: continuous time, lags, limits and wind, over many seeds.
 
 A scenario is a file of data. Every pilot flies it behind the planner's own path from messages to

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """One flight of a scenario by one pilot: a row of results."""
 
 from __future__ import annotations

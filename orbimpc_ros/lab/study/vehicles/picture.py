@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The picture of a study of a vehicle: the share caught over time, by pilot."""
 
 from __future__ import annotations

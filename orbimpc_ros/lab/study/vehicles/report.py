@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The report of a study of a vehicle: shares, times and pairs; where the planner loses, first."""
 
 from __future__ import annotations

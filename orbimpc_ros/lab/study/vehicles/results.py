@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The rows of a study in a file: a line for each flight, so that it can be gone on with."""
 
 from __future__ import annotations

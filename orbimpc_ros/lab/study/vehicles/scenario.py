@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A scenario: a configuration, what is changed in it, and what every flight draws.
 
 A file names a configuration, lists changes ``name=value``, and has a rule for each parameter that

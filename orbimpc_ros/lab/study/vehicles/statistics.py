@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Intervals and paired tests: Wilson for shares, bootstrap for times, the sign test for pairs."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Tuning of the rivals: a random search on seeds of its own, reproducible, written to a file."""
 
 from __future__ import annotations

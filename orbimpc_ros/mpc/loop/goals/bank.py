@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A forecast that fits the goal at hand: a bank of motions, each as likely as its evidence.
 
 Work is shared out so that no sighting costs much: of two, the first is gated, summed up, and pays

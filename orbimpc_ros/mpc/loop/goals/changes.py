@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A test for changes of course: whether the latest sightings are better told as a new motion."""
 
 from __future__ import annotations

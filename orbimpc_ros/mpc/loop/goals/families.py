@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 r"""Families of goal motion, all written over one basis.
 
 Every family is :math:`g(t) = \sum_i x_i(t)\,\theta_i` over the seven columns

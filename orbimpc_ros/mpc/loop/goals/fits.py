@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 r"""Fits of all families to one stretch of sightings, kept up to date by sums.
 
 A family's fit is Bayesian and linear about its present coefficients, frequency and damping: with

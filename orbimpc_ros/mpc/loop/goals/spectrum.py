@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The frequencies that a stretch of sightings may hold, searched on a grid kept as sums."""
 
 from __future__ import annotations

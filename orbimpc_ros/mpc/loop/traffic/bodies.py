@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Bodies that are seen again and again under their names: where they are, and how they move."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """What a vehicle among hazards flies instead of a plan that does not keep it clear of them.
 
 Without a floor ``max_rate`` bounds chords, and at a low speed a short chord is a wide angle: a plan

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Courses of other vehicles: the plans that they publish, and what becomes of who falls silent.
 
 A vehicle flies what it planned last, and then on as between the last two points of that. One that

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The hazards that matter to a plan, and how far it stays clear of them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The reserve: what plans keep away from what moves beyond what is demanded, as far as they can.
 
 What grazes a body is inside of it after the next gust. So each body counts as larger later in a

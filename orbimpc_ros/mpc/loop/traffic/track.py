@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Bodies on tracks: the hazard that one is, seen from a moment on."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Reading bags that may be hostile: checked as a whole first, then only the topics that we know.
 
 Both of rosbag2's storages, MCAP and SQLite, plain or compressed, as our recorder or ``ros2 bag

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The files of a bag, and its metadata."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The limits of a bag: far more than a long flight, far less than a machine has."""
 
 from __future__ import annotations

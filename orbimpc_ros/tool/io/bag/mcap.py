@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """MCAP files: every checksum checked, every size bounded before anything is allocated."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Messages as bytes, and their types as the sender had them: they must be those we decode."""
 
 from __future__ import annotations

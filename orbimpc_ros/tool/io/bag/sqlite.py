@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """SQLite files, rosbag2's older storage: read only, from plain tables, with bounded effort.
 
 They carry no checksums: damage to the file's structure is noticed, damage to a message only where

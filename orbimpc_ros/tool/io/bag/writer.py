@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Writing a bag as rosbag2 has them: a folder of metadata.yaml and an MCAP file."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Pilots: what one would fly instead, each behind the same forecast, wind and lags."""
 
 from __future__ import annotations

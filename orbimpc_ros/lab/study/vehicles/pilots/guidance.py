@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Guidance laws: towards the goal, to where it can be met, by the turn of the line of sight."""
 
 from __future__ import annotations

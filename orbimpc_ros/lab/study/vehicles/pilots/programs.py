@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Model predictive control by other programs: linearised, and nonlinear by IPOPT."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The base of the rivals: a controller whose commands come from elsewhere than from a plan."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 r"""Sampling: model predictive path integral control, with the settings of Nav2's MPPI controller.
 
 2,000 sequences of commands about the last one, each rolled out by the planner's own model; the new

@@ -1,3 +1,4 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Sidestepping: the course nearest to the wanted one that stays clear of what moves.
 
 Courses all around, at three speeds, are flown ahead as the vehicle can turn; of those that stay
