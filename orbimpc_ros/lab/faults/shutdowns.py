@@ -16,6 +16,7 @@ from orbimpc_ros.lab.faults.fixtures import Fixtures
 from orbimpc_ros.lab.faults.flights import LATCH, Flying
 from orbimpc_ros.lab.faults.harness import RATE, STEP, Harness
 from orbimpc_ros.lab.faults.injection import SLOW
+from orbimpc_ros.lab.faults.inputs import ODOMETRY
 from orbimpc_ros.lab.faults.outcome import FaultCase, Outcome
 from orbimpc_ros.lab.faults.session import PATIENCE
 from orbimpc_ros.lab.faults.stimulus import SLIP, Spoiled, with_field
@@ -78,7 +79,8 @@ def _exceptions(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
             harness.spin(PATIENCE, lambda: not harness.planner.running)
             code = harness.planner.wait(0.0)
             failure = '' if code == 1 else f'exit code {code} after many in a row'
-            moving = harness.monitor.moving_again(begin, begin + 2 * STEP)
+            stale = begin + ODOMETRY.wait  # until then, sound odometry on its way may be answered
+            moving = harness.monitor.moving_again(stale, begin + 2 * STEP)
             unsafe = harness.monitor.broken() + moving
             yield Outcome('raises again and again', unsafe, math.nan, failure)
 
