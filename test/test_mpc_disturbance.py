@@ -201,7 +201,8 @@ def flight(estimated, *, inertial, time=60.0):
     else:
         problem = Problem(horizon=12, step=0.5, forward=full, floor=Floor('circle', 4, 2.0 / 3.0))
     problem = weighed(problem, 'time')
-    controller = Controller(problem, disturbance=given, response=Response(*lags))
+    kept = {'disturbance': given, 'response': Response(*lags), 'gap_tolerance': 1e-2}
+    controller = Controller(problem, **kept)
     estimator, speed, ahead = Estimator(problem, lags[0]), np.zeros(n), np.zeros(n)
     speed[0] = 0.0 if inertial else 12.5
     ahead[0] = 1.0 if inertial else 30.0
