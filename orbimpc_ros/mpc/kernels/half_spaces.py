@@ -29,8 +29,8 @@ from orbimpc_ros.mpc.kernels.best_first import DONE, FULL, cutoff_of, pop, push
 from orbimpc_ros.mpc.kernels.penalty import BEST, PROVED, SETTLED, Iterate
 from orbimpc_ros.mpc.kernels.penalty_terms import Multipliers, Terms
 
-OPEN, MADE, NODES, NEXT, STALLS, PLUNGING = range(6)  # in Tree.counts
-VALUE, CLOSED, LEAST, PENDING, CEILING = range(5)  # in Tree.numbers
+OPEN, MADE, NODES, NEXT, STALLS, PLUNGING = range(6)  # in SideTree.counts
+VALUE, CLOSED, LEAST, PENDING, CEILING = range(5)  # in SideTree.numbers
 PRECISION = 1e-7  # on constraints
 SHARE = 0.2  # of the tolerance: the gap that a node may leave
 LARGEST = 1e6  # of sigma, in its first values
@@ -80,7 +80,7 @@ class Choices(NamedTuple):
     offsets: Array
 
 
-class Tree(NamedTuple):
+class SideTree(NamedTuple):
     """A search: its nodes, the multipliers of those that were branched on, the best point.
 
     Attributes:
@@ -110,7 +110,7 @@ class Tree(NamedTuple):
     numbers: Array
 
 
-def tree(steps: int, groups: int, nodes: int, most: int) -> Tree:
+def tree(steps: int, groups: int, nodes: int, most: int) -> SideTree:
     """Return room for a search; memory is handed out page by page, as it is first written to.
 
     Args:
@@ -122,7 +122,7 @@ def tree(steps: int, groups: int, nodes: int, most: int) -> Tree:
     made = 1 + nodes * most
     orbitopes, held = np.empty((nodes + 1, steps, 4, 4)), np.empty((nodes + 1, groups, 2))
     orbitopes[0], held[0] = 0.0, 0.0
-    return Tree(
+    return SideTree(
         orbitopes,
         held,
         np.empty((made, groups), np.int32),
@@ -136,7 +136,7 @@ def tree(steps: int, groups: int, nodes: int, most: int) -> Tree:
     )
 
 
-def begin(tree: Tree, ceiling: float) -> None:
+def begin(tree: SideTree, ceiling: float) -> None:
     """Begin a search.
 
     Args:

@@ -31,7 +31,7 @@ HALF = np.pi - 1e-9
 EMPTY = 1e-12  # [rad] that the ends of a sector may pass each other by, for rounding
 
 
-class Posed(NamedTuple):
+class Terms(NamedTuple):
     """A problem, as far as its bounds depend on it.
 
     Attributes:
@@ -61,10 +61,10 @@ class Recount:
     """
 
     def __init__(self, problem: Problem) -> None:
-        self._posed = _posed(problem)
+        self._terms = _terms(problem)
         self._start = np.zeros((4, problem.dimension))
         x = np.zeros((problem.horizon, problem.dimension))
-        self._hessian = _hessian(self._posed, x)
+        self._hessian = _hessian(self._terms, x)
         shape = (1, *x.shape)
         grounds = Grounds(np.array([LEAF]), np.zeros(1, np.int64), np.zeros(1), np.zeros(shape),
                           np.zeros(shape[:2]))  # fmt: skip
@@ -96,11 +96,11 @@ class Recount:
             start[3] = state.wanted[:, 0]
         ahead = state.attitude
         heading = math.atan2(ahead[1, 0], ahead[0, 0])
-        known = self._posed, self._hessian, start, goals - state.position
+        known = self._terms, self._hessian, start, goals - state.position
         return float(recounted(*known, heading, grounds, unit))
 
 
-def _posed(problem: Problem) -> Posed:
+def _terms(problem: Problem) -> Terms:
     once, w = step_of(problem.translation, problem.step, problem.forward), problem.weights
     double = 2.0 if problem.dimension == 2 else 1.0  # coordinates of R that are there twice
     weights = np.full(problem.horizon, float(w.position))
@@ -117,11 +117,11 @@ def _posed(problem: Problem) -> Posed:
     turn = float(problem.step * problem.max_rate) if problem.floor.exists else 0.0
     floor = fraction, turn
     normals = np.column_stack([np.cos(corners), np.sin(corners)])
-    return Posed(_motion(once), weights, lengths, turning, floor, normals)
+    return Terms(_motion(once), weights, lengths, turning, floor, normals)
 
 
 def _motion(once: Step) -> tuple[float, ...]:
-    """Return what a step adds to positions and velocities: see :class:`Posed`."""
+    """Return what a step adds to positions and velocities: see :class:`Terms`."""
     none, moved = (0.0, 0.0), [0.0, 0.0]
     if len(once.transition) > 1:
         moved = [float(once.transition[0, 1]), float(once.transition[1, 1])]
@@ -130,30 +130,30 @@ def _motion(once: Step) -> tuple[float, ...]:
     return tuple(moved)
 
 
-def _hessian(posed: Posed, rest: Array) -> Array:
+def _hessian(terms: Terms, rest: Array) -> Array:
     """Return the Hessian over one coordinate of all headings, from gradients, shape (N, N)."""
     start, goals, columns = np.zeros((4, rest.shape[1])), np.zeros_like(rest), []
     for k in range(len(rest)):
         x, slopes = np.zeros_like(rest), np.zeros_like(rest)
         x[k, 0] = 1.0
-        _set_slopes(posed, start, goals, x, slopes)
+        _set_slopes(terms, start, goals, x, slopes)
         columns.append(slopes[:, 0])
     return np.array(columns)
 
 
 @compiled
-def _set_slopes(posed, start, goals, x, slopes):
+def _set_slopes(terms, start, goals, x, slopes):
     """Set the gradient of the cost but for lengths at x; return that cost, and what may cancel.
 
     Args:
-        posed: the problem.
+        terms: the problem.
         start: p_0, the disturbance, R_0 e1 and R_g e1, shape (4, n).
         goals: g_1..g_N less s_0, shape (N, n).
         x: headings R_1 e1..R_N e1, shape (N, n).
         slopes: to be set, shape (N, n).
     """
-    drift, keep, push, add, follow, after, blow, gust = posed.motion
-    weights, (turning, steadying, braking) = posed.weights, posed.turning
+    drift, keep, push, add, follow, after, blow, gust = terms.motion
+    weights, (turning, steadying, braking) = terms.weights, terms.turning
     count, n = x.shape
     value, size, forces = 0.0, 0.0, np.empty(count)
     for c in range(n):
@@ -311,11 +311,11 @@ def _least(slope, size, length, bend, normals, least, face, low, high):
 
 
 @compiled
-def _leaf(posed, hessian, start, goals, x, bends, unit, region, slopes):
+def _leaf(terms, hessian, start, goals, x, bends, unit, region, slopes):
     """Return the bound that a tangent proves over a region: faces, and sectors' ends."""
     faces, low, high = region
-    lengths, normals, floor = posed.lengths, posed.normals, posed.floor[0]
-    value, size = _set_slopes(posed, start, goals, x, slopes)
+    lengths, normals, floor = terms.lengths, terms.normals, terms.floor[0]
+    value, size = _set_slopes(terms, start, goals, x, slopes)
     curved, reach = False, 0.0
     for k in range(len(x)):
         bend, square, along, steepness = unit * bends[k], 0.0, 0.0, 0.0
@@ -349,13 +349,13 @@ def _narrowed(low, high, k, turn):
 
 
 @compiled
-def _parted(t, posed, grounds, regions, reached):
+def _parted(t, terms, grounds, regions, reached):
     """Hand the region of a split on to its parts; return whether they are all there is of it."""
     splits, parts, angles, _, _ = grounds
     faces, low, high = regions
-    k, first, angle, turn = splits[t], parts[t], angles[t], posed.floor[1]
+    k, first, angle, turn = splits[t], parts[t], angles[t], terms.floor[1]
     by_faces = np.isnan(angle)
-    made = len(posed.normals) if by_faces else 2
+    made = len(terms.normals) if by_faces else 2
     if made == 0 or first <= t or first + made > len(splits) or k >= faces.shape[1]:
         return False
     if faces[t, k] >= 0 or reached[first : first + made].any():
@@ -388,11 +388,11 @@ def _regions(splits, count, heading, turn):
 
 
 @compiled
-def recounted(posed, hessian, start, goals, heading, grounds, unit):
+def recounted(terms, hessian, start, goals, heading, grounds, unit):
     """Return the least bound of all leaves; -inf where they are not all there is.
 
     Args:
-        posed: the problem.
+        terms: the problem.
         hessian: of its cost over one coordinate of the headings, shape (N, N).
         start: p_0, the disturbance, R_0 e1 and R_g e1, shape (4, n).
         goals: g_1..g_N less s_0, shape (N, n).
@@ -401,7 +401,7 @@ def recounted(posed, hessian, start, goals, heading, grounds, unit):
         unit: of the bends, in that of the cost.
     """
     splits, _, _, points, bends = grounds
-    regions = _regions(len(splits), len(goals), heading, posed.floor[1])
+    regions = _regions(len(splits), len(goals), heading, terms.floor[1])
     faces, low, high = regions
     reached, slopes, least = np.zeros(len(splits), np.bool_), np.empty(goals.shape), np.inf
     reached[0] = True
@@ -409,12 +409,12 @@ def recounted(posed, hessian, start, goals, heading, grounds, unit):
         if not reached[t]:
             continue
         if splits[t] >= 0:
-            if not _parted(t, posed, grounds, regions, reached):
+            if not _parted(t, terms, grounds, regions, reached):
                 return -np.inf
             continue
         sector = min(t, len(low) - 1)
         known = faces[t], low[sector], high[sector]
-        bound = _leaf(posed, hessian, start, goals, points[t], bends[t], unit, known, slopes)
+        bound = _leaf(terms, hessian, start, goals, points[t], bends[t], unit, known, slopes)
         if not bound > -np.inf:  # or no number
             return -np.inf
         least = min(least, bound)
@@ -423,4 +423,4 @@ def recounted(posed, hessian, start, goals, heading, grounds, unit):
     spent = 0.0
     for c in range(start.shape[1]):
         spent += start[2, c] * start[2, c]
-    return least + posed.lengths[0] * np.sqrt(spent)
+    return least + terms.lengths[0] * np.sqrt(spent)
