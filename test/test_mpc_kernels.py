@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from problems import floor, goals, rotation, state, weights
 
+from orbimpc_ros.mpc import kernels
 from orbimpc_ros.mpc.check import floor_margin
 from orbimpc_ros.mpc.geometry.cells import faces
 from orbimpc_ros.mpc.geometry.orbitopes import margin, matrix
@@ -339,3 +340,22 @@ def test_an_interrupted_hull_stays_in_its_disks_with_its_bound():
         assert np.linalg.norm(found.x, axis=1).max() <= 1.0 + 1e-12
         assert found.lower_bound <= optimum.cost * (1 + 1e-9)
         assert found.cost >= optimum.lower_bound
+
+
+def test_code_from_other_sources_is_forgotten(tmp_path):
+    """Code contains what it calls in other files: one of them that changes makes all of it old."""
+    source, kept = tmp_path / 'one.py', tmp_path / 'kept'
+    kept.mkdir()
+    source.write_text('a = 1')
+
+    def left():
+        (kept / 'one.f-1.nbi').touch()
+        (kept / 'one.f-1.1.nbc').touch()
+        kernels._forget_other_sources.__wrapped__(tmp_path, kept)
+        return sorted(each.suffix for each in kept.iterdir() if each.suffix != '.sha256')
+
+    assert left() == []
+    assert left() == ['.nbc', '.nbi']
+    source.write_text('a = 2')
+    assert left() == []
+    kernels._forget_other_sources.__wrapped__(tmp_path, tmp_path / 'where nobody may write')
