@@ -24,7 +24,7 @@ from orbimpc_ros.tool.replay.recording import published, recording_of, stamp_of
 
 INPUTS = {'/clock': Clock, '/goal': PoseStamped, '/goal_path': Path, '/odom': Odometry}
 AGAIN, ATTEMPTS = 2.0, 10  # [s] without an answer, after which to ask again
-FLIGHTS = 2  # on a machine so busy that ticks run out of time
+LATE = 0.45  # of a step, half of which is the deadline: cut short by it on a busy machine
 OUTPUTS = {'cmd_vel': TwistStamped, 'cmd_thrust': WrenchStamped, 'tick': DiagnosticArray}
 
 
@@ -82,8 +82,8 @@ class Player:
     @property
     def in_time(self):
         """Return, tick by tick, whether it was answered before its deadline."""
-        deadline = 500.0 * settings.of_bag(self.path)['step']  # [ms], half a period
-        return [now.solve_time_ms < deadline for _, now in self.compared()]
+        late = 1e3 * LATE * settings.of_bag(self.path)['step']  # [ms]
+        return [now.solve_time_ms < late for _, now in self.compared()]
 
     def compared(self):
         for recorded in self.recording.answers:
@@ -125,14 +125,10 @@ def planner(launch, tmp_path):
 
 @pytest.mark.parametrize('name', ['retrieval', 'spacecraft'])
 def test_a_bag_flies_over_dds_as_it_is_replayed(planner, observer, name):
-    for _ in range(FLIGHTS):
-        player = Player(observer, GOLDEN / name)
-        process = planner(GOLDEN / name)
-        player.meet()
-        player.play()
-        if all(player.in_time):
-            break
-        process.stop()
+    player = Player(observer, GOLDEN / name)
+    planner(GOLDEN / name)
+    player.meet()
+    player.play()
     assert any(player.in_time)
     assert player.differences() == []
 
