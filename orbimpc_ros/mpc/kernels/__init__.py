@@ -35,8 +35,9 @@ def vectorised(function: Callable) -> Callable:
 
 def _kept(function: Callable, **options: Any) -> Callable:
     made = njit(cache=True, **options)(function)
-    folder = Path(function.__code__.co_filename).parent
-    _forget_other_sources(folder, Path(made.stats.cache_path))
+    if made is not function:  # as it is with NUMBA_DISABLE_JIT
+        folder = Path(function.__code__.co_filename).parent
+        _forget_other_sources(folder, Path(made.stats.cache_path))
     return made
 
 
