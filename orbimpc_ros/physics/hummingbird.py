@@ -119,9 +119,8 @@ class Hummingbird:
         if math.hypot(*aside) > FARTHEST:
             why = f'{self.name}: a rope is let go at most {FARTHEST:g} m aside'
             raise NoStart('rope.amplitude', why)
-        mujoco.set_mju_user_warning(
-            lambda _: None
-        )  # what is wrong is raised, and not put in a file
+        # What is wrong is raised, and not put in a file.
+        mujoco.set_mju_user_warning(lambda _: None)
         self._model = mujoco.MjModel.from_xml_string(scene(np.append(start.rest, ABOVE)))
         self._data = mujoco.MjData(self._model)
         self._parts = _Parts.of(self._model)
