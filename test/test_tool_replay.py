@@ -467,6 +467,12 @@ def test_objectives_are_compared_relative_but_near_zero():
     assert not distances({'objective': 0.0}, {'objective': 1e-8})['objective'].differs
 
 
+def test_a_gap_that_is_left_open_depends_on_where_the_search_was_stopped():
+    assert not distances({'gap': 0.5}, {'gap': 0.504})['gap'].differs
+    assert distances({'gap': 0.5}, {'gap': 0.51})['gap'].differs
+    assert distances({'gap': 0.0}, {'gap': 0.002})['gap'].differs
+
+
 @pytest.mark.parametrize(
     ('before', 'now', 'apart'),
     [
