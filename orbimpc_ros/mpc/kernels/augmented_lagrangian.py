@@ -225,13 +225,12 @@ def minimise(terms, start, held, limits, work, progress, budget):
         ``PROVED``, also where there is no solution.
     """
     precision, proportion, least, rounding, largest, enough = limits
-    x, held_force, numbers, counts, lowest = progress
+    x, held_force, numbers, counts = progress
     trial, direction, force = np.empty_like(start), np.empty_like(start), np.empty_like(start)
     residual, change = np.empty_like(start), np.empty_like(start)
     new = multipliers(len(start), len(held.sides))
     if counts[STEPS] == 0:
         numbers[BEST] = _begin(terms, start, held, held_force, x, work)
-        lowest[:] = x
         if numbers[BEST] > 0.0:
             numbers[SIGMA] *= WARM
     value, moved, worst = project(terms, x, held, numbers[SIGMA], new, work)
@@ -243,9 +242,7 @@ def minimise(terms, start, held, limits, work, progress, budget):
         left = inner(residual, direction)
         quadratic = 0.5 * inner(held_force, start - x)
         cost = _with_lengths(quadratic, terms, x)
-        bound = quadratic + value - 0.5 * left
-        if bound > numbers[BEST]:
-            numbers[BEST], lowest[:] = bound, x - direction
+        numbers[BEST] = max(numbers[BEST], quadratic + value - 0.5 * left)
         gap = abs(cost - numbers[BEST])
         if worst <= precision and gap <= proportion * abs(least + cost) + rounding:
             return cost, SETTLED

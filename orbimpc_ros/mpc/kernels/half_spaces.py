@@ -251,8 +251,7 @@ def _relax(space, choices, choice, tree, kept, limits, work, budget):
     _pick_up(n, choices, choice, tree.held[kept], sides)
     held = Multipliers(tree.orbitopes[kept].copy(), np.zeros((n, 3)), rows, np.zeros(1), sides)
     numbers = np.array([space.scale[0], -np.inf, np.inf])
-    counts, lowest = np.zeros(2, np.int64), np.empty((n, 9))
-    progress = Iterate(tree.x, np.zeros((n, 9)), numbers, counts, lowest)
+    progress = Iterate(tree.x, np.zeros((n, 9)), numbers, np.zeros(2, np.int64))
     value, status = minimise(terms, space.start, held, limits, work, progress, budget)
     tree.orbitopes[own] = held.orbitopes
     _put_down(n, choices, choice, held, tree.held[own])

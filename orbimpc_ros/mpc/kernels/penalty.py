@@ -37,14 +37,12 @@ class Iterate(NamedTuple):
         numbers: sigma, the penalty's parameter; the greatest lower bound; how far the last Newton
             step promised to bring the merit down, shape (3,).
         counts: steps and updates made; Newton steps since sigma last changed, shape (2,).
-        lowest: the minimiser of the Lagrangian that gave the greatest bound, shape (N, d).
     """
 
     x: Array
     held: Array
     numbers: Array
     counts: np.ndarray
-    lowest: Array
 
 
 def begun(steps: int, width: int, sigma: float) -> Iterate:
@@ -56,9 +54,8 @@ def begun(steps: int, width: int, sigma: float) -> Iterate:
         sigma: the penalty's first parameter.
     """
     numbers = np.array([sigma, -np.inf, np.inf])
-    shape = (steps, width)
-    x, held, lowest = (np.zeros(shape) for _ in range(3))
-    return Iterate(x, held, numbers, np.zeros(2, np.int64), lowest)
+    x, held = np.zeros((steps, width)), np.zeros((steps, width))
+    return Iterate(x, held, numbers, np.zeros(2, np.int64))
 
 
 @compiled

@@ -235,7 +235,7 @@ class Chain(NamedTuple):
 
 
 @compiled
-def minimise(chain, limits, progress, work):
+def minimise(chain, limits, progress, lowest, work):
     """Minimise the cost over headings in their disks, on from where the progress is.
 
     By Newton's method on the augmented Lagrangian, each step a Riccati recursion.
@@ -246,6 +246,7 @@ def minimise(chain, limits, progress, work):
             may make of the gap; the largest sigma.
         progress: its x are z_1..z_N, shape (N, 2), its held the multipliers of their disks;
             updated in place.
+        lowest: set to the minimiser of the Lagrangian that gives the greatest bound, shape (N, 2).
         work: Newton steps and updates of the multipliers to make at most.
 
     Returns:
@@ -254,7 +255,7 @@ def minimise(chain, limits, progress, work):
     """
     along, start, turning, weights, goals, wish = chain
     precision, proportion, rounding, largest = limits
-    z, held, numbers, counts, lowest = progress
+    z, held, numbers, counts = progress
     count, m = len(goals), len(along)
     gain, offset = np.empty((count, 2, m, 2)), np.empty((count, 2))
     none, bent = np.zeros((count, 2, 2)), np.empty((count, 2, 2))
@@ -322,13 +323,13 @@ def within(chain, z):
 
 
 @compiled
-def settle(chain, limits, progress, work):
+def settle(chain, limits, progress, lowest, work):
     """Do as :func:`minimise`; once that is over, pull the headings into their disks as well.
 
     In one call, since to pass the arrays takes as long as the minimisation of a short horizon. For
     arguments and result see there.
     """
-    cost, status = minimise(chain, limits, progress, work)
+    cost, status = minimise(chain, limits, progress, lowest, work)
     if status != PAUSED:
         cost = within(chain, progress.x)
     return cost, status

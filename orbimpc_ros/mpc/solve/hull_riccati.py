@@ -100,9 +100,9 @@ class HullRiccati:
         constant = float(self._weights @ np.einsum('kc,kc->k', targets, targets)) + self._steadying
         rounding = ROUNDING * constant
         limits = (PRECISION, GAP, rounding, LARGEST * self._stiffness)
-        progress = begun(len(goals), 2, self._stiffness)
+        progress, lowest = begun(len(goals), 2, self._stiffness), np.empty_like(targets)
         while True:
-            cost, status = settle(chain, limits, progress, self._slice)
+            cost, status = settle(chain, limits, progress, lowest, self._slice)
             if status != PAUSED:
                 break
             if request.late:
@@ -110,5 +110,5 @@ class HullRiccati:
                 break
         spent = first_length(self._problem, state)
         bound = float(progress.numbers[BEST]) - CANCELLED * constant
-        grounds = tangent(progress.lowest, np.zeros(len(goals)))
+        grounds = tangent(lowest, np.zeros(len(goals)))
         return Found(progress.x, cost + spent, bound + spent, 1, '', grounds), status == SETTLED
