@@ -1,6 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """``python -m orbimpc_ros.mpc.kernels``: compile the machine code now, so that no start waits."""
 
+from concurrent.futures import ProcessPoolExecutor
+
 import numpy as np
 
 from orbimpc_ros.mpc.kernels import COMPILED
@@ -15,13 +17,25 @@ from orbimpc_ros.mpc.solve.sector_bnb import SectorSearch
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 from orbimpc_ros.mpc.solve.spatial_bnb import SpatialSearch
 
-if COMPILED:
+
+def round_floors() -> None:
+    """Compile what searches round floors: half of all machine code."""
+    AnnulusNewton(Problem(floor=Floor('circle')), 1e-6)
+    SectorSearch(Problem(floor=Floor('circle'), max_rate=1.0), 1e-6)
+
+
+def the_rest() -> None:
+    """Compile all else."""
     Recount(Problem())
     HullRiccati(Problem(), 1e-6)
     PolygonSearch(Problem(floor=Floor('polygon')), 1e-6)
-    AnnulusNewton(Problem(floor=Floor('circle')), 1e-6)
-    SectorSearch(Problem(floor=Floor('circle'), max_rate=1.0), 1e-6)
     SO3Multipliers(Problem(dimension=3))
     PlaceProgram(Problem())
     Scout(Problem())
     SpatialSearch(Problem(dimension=3, obstacles=(Box(np.ones(3), 2.0 * np.ones(3)),)), 1e-6)
+
+
+if COMPILED and __name__ == '__main__':
+    with ProcessPoolExecutor(2) as pool:
+        for half in [pool.submit(round_floors), pool.submit(the_rest)]:
+            half.result()
