@@ -42,7 +42,7 @@ def is_clear(problem: Problem, state: State, goals: Array, plan: Plan) -> bool:
     """
     if not _cuts_turns(problem):
         return True
-    return _room(problem, state, goals, plan, SURE_STEPS) >= -TOUCHING * problem.length_unit
+    return _suffices(problem, _room(problem, state, goals, plan, SURE_STEPS))
 
 
 def clear_instead(
@@ -64,9 +64,10 @@ def clear_instead(
     for each in sorted(ways, key=lambda way: way.objective):
         if violations(*known, each):
             continue
-        if is_clear(*known, each):
+        room = _room(*known, each, SURE_STEPS)
+        if _suffices(problem, room):
             return each
-        rooms.append((_room(*known, each, SURE_STEPS), each))
+        rooms.append((room, each))
     rooms.append((_room(*known, plan, SURE_STEPS), plan))
     return max(rooms, key=lambda pair: pair[0])[1]
 
@@ -97,6 +98,11 @@ def clearest(
     unit = SAME * problem.length_unit
     room, plan = max(found, key=lambda each: (round(each[0] / unit), _end(problem, state, each[1])))
     return plan, room
+
+
+def _suffices(problem: Problem, room: float) -> bool:
+    """Return whether a distance out of hazards [m] counts as clear of them."""
+    return room >= -TOUCHING * problem.length_unit
 
 
 def _end(problem: Problem, state: State, plan: Plan) -> float:
