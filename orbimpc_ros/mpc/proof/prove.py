@@ -54,9 +54,9 @@ def certificate_of(
     _require(problem, state)
     units = Units.of(problem)
     x = coordinates(rotations)[:, : _width(problem)]
-    bound = max(0.0, bound)  # no term of the cost is negative
+    bound = _posed(bound)
     certificate = Certificate(problem, state, goals, bound, Leaf(x))
-    target = bound * (1.0 - SHARE * float(RELATIVE))
+    target = _enough(bound)
     scaled = units.problem, units.state(state), units.lengths(goals)
     if _width(problem) == 9:
         tangents = iter(spatial.tangents(*scaled, x))
@@ -91,12 +91,22 @@ def certificate_for(
     Raises:
         Unproved: as :func:`certificate_of` does.
     """
-    proof, bound = plan.proof, max(0.0, bound)
+    proof, bound = plan.proof, _posed(bound)
     if proof.grounds is not None and len(proof.grounds.splits) <= FEW:
         made = kept(problem, state, goals, replace(proof, lower_bound=bound))
-        if made is not None and _proved(made) >= bound * (1.0 - SHARE * float(RELATIVE)):
+        if made is not None and _proved(made) >= _enough(bound):
             return made
     return certificate_of(problem, state, goals, plan.rotations[1:], bound)
+
+
+def _posed(bound: float) -> float:
+    """Return a bound as it is stated: no term of the cost is negative."""
+    return max(0.0, bound)
+
+
+def _enough(bound: float) -> float:
+    """Return what has to be proved for a bound to hold, with some of the allowance to spare."""
+    return bound * (1.0 - SHARE * float(RELATIVE))
 
 
 def _width(problem: Problem) -> int:

@@ -21,7 +21,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.model.translation import Step, step_of
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.grounds import LEAF, Grounds
+from orbimpc_ros.mpc.proof.grounds import Grounds, tangent
 
 ROUNDING = 1e-15  # a step: of the numbers that cancel in a bound
 SHIFT = 1e-15  # a step: of the largest curvature, what rounding may hide of another
@@ -65,10 +65,8 @@ class Recount:
         self._start = np.zeros((4, problem.dimension))
         x = np.zeros((problem.horizon, problem.dimension))
         self._hessian = _hessian(self._terms, x)
-        shape = (1, *x.shape)
-        grounds = Grounds(np.array([LEAF]), np.zeros(1, np.int64), np.zeros(1), np.zeros(shape),
-                          np.zeros(shape[:2]))  # fmt: skip
-        self.bound(State.at(np.zeros(x.shape[1]), np.eye(x.shape[1])), x, grounds, 1.0)
+        here = State.at(np.zeros(problem.dimension), np.eye(problem.dimension))
+        self.bound(here, x, tangent(x, np.zeros(problem.horizon)), 1.0)
 
     @staticmethod
     def reads(problem: Problem) -> bool:
@@ -340,11 +338,10 @@ def _leaf(terms, hessian, start, goals, x, bends, unit, region, slopes):
 @compiled
 def _narrowed(low, high, k, turn):
     """Carry what is known of a direction to its neighbours; return whether any are left."""
-    if turn > 0.0:
-        for j in range(k + 1, len(low)):
-            low[j], high[j] = max(low[j], low[j - 1] - turn), min(high[j], high[j - 1] + turn)
-        for j in range(k - 1, -1, -1):
-            low[j], high[j] = max(low[j], low[j + 1] - turn), min(high[j], high[j + 1] + turn)
+    for j in range(k + 1, len(low)):
+        low[j], high[j] = max(low[j], low[j - 1] - turn), min(high[j], high[j - 1] + turn)
+    for j in range(k - 1, -1, -1):
+        low[j], high[j] = max(low[j], low[j + 1] - turn), min(high[j], high[j + 1] + turn)
     return (low <= high + EMPTY).all()
 
 
