@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import runpy
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 
 from orbimpc_ros.lab.faults.harness import Harness
 from orbimpc_ros.lab.faults.session import Place
+from orbimpc_ros.mpc.kernels.__main__ import PARTS
 from orbimpc_ros.tool.run import discovery
 
 
@@ -28,7 +28,8 @@ class Fixtures(AbstractContextManager['Fixtures']):
         self._folder, self._executor, self._count = folder, executor, 0
         self._shared: dict[str, Harness] = {}
         self._stack = ExitStack()
-        runpy.run_module('orbimpc_ros.mpc.kernels', run_name='__main__')
+        for part in PARTS:
+            part()
 
     def place(self) -> Place:
         """Return a place with a folder and a DDS domain of its own."""

@@ -35,7 +35,9 @@ def the_rest() -> None:
     SpatialSearch(Problem(dimension=3, obstacles=(Box(np.ones(3), 2.0 * np.ones(3)),)), 1e-6)
 
 
-if COMPILED and __name__ == '__main__':
+PARTS = (round_floors, the_rest) if COMPILED else ()
+
+if __name__ == '__main__':
     with ProcessPoolExecutor(2) as pool:
-        for half in [pool.submit(round_floors), pool.submit(the_rest)]:
-            half.result()
+        for part in [pool.submit(each) for each in PARTS]:
+            part.result()
