@@ -286,7 +286,10 @@ class Interception:
         allowed = self._turns_within or share >= hunt.pause
         if not (hunt.between and self._divides and allowed):
             return MISSED
-        found = self._attempted(hunt, Target(end, narrow=self._coned), hunt.goals(end))
+        target, goals = Target(end, narrow=self._coned), hunt.goals(end)
+        if self._too_far(hunt.state, goals, self.problem(target))[-1]:
+            return NEVER
+        found = self._attempted(hunt, target, goals)
         turned = found.plan is not None and _first_turn(found.plan) > share * math.pi
         return MISSED if turned else found
 
@@ -302,8 +305,7 @@ class Interception:
         """Try to come well within the radius at an end past the horizon."""
         if end <= self._horizon:
             return MISSED
-        goals = hunt.goals(end)
-        target = Target(end, narrow=self._coned)
+        target, goals = Target(end, narrow=self._coned), hunt.goals(end)
         if self._too_far(hunt.state, goals, self.problem(target))[-1]:
             return MISSED
         attempt = self._attempted(hunt, target, goals)
@@ -324,8 +326,11 @@ class Interception:
         return min(within, wider, key=_miss)._replace(never=wider.never)
 
     def _attempted(self, hunt: Hunt, target: Target, goals: Array) -> _Attempt:
-        """Try to catch the goal at an end, less the defect of the plans towards it."""
-        found, aims = MISSED, goals
+        """Try to catch the goal at an end, less the defect of the plans towards it.
+
+        For a goal that is moved by so much, a plan comes nearer by no more than twice that.
+        """
+        found, aims, moved = MISSED, goals, np.zeros_like(goals[-1])
         for _ in range(TRIES):
             plan = not hunt.late() and hunt.solved(target, aims)
             if isinstance(plan, bool):
@@ -337,10 +342,10 @@ class Interception:
                 found = _Attempt(plan, target.end, miss, never)
             elif miss < found.miss:
                 found = found._replace(plan=plan, miss=miss)
-            size = float(np.linalg.norm(astray))
+            size, moved = float(np.linalg.norm(astray - moved)), astray
             if size == 0.0 or self._is_well(found) or miss > self._radius + 2.0 * size:
                 break
-            aims = np.concatenate([goals[:-1], goals[-1:] - astray])
+            aims = np.concatenate([goals[:-1], goals[-1:] - moved])
         return found
 
     def _too_far(self, state: State, goals: Array, problem: Problem) -> np.ndarray:
