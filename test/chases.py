@@ -107,8 +107,8 @@ def goals(chase, step, count):
     return chase.goal + np.multiply.outer(step * np.arange(1, count + 1), chase.course)
 
 
-def catch(chase, step, horizon, approach=None):
-    """The catch of a controller's first tick."""
+def catch(chase, step, horizon, approach=None, *, between=False):
+    """The catch of a controller's first tick, at ends of steps or ``between`` them."""
     controller = Controller(
         problem(chase, step, horizon),
         capture_radius=radius(chase, step),
@@ -118,7 +118,8 @@ def catch(chase, step, horizon, approach=None):
     )
     along, still = np.array([chase.airspeed, 0.0]), np.zeros(1)
     odometry = Odometry(0.0, chase.position, exp(np.array([chase.heading])), along, still)
-    return controller.tick(odometry, goals(chase, step, horizon)).catch
+    ahead = (lambda times: chase.goal + np.outer(times, chase.course)) if between else None
+    return controller.tick(odometry, goals(chase, step, horizon), None, ahead).catch
 
 
 def tried(chase, step, end, out_of_time=None):

@@ -56,6 +56,21 @@ def test_a_change_of_course_is_known_soon(change, n):
     assert bank < 0.3 * old
 
 
+def test_a_swing_that_becomes_another_is_known_soon():
+    """What there is of it in a second is neither still nor straight, but bent."""
+    errors = []
+    for seed in range(16):
+        rng = np.random.default_rng([14, seed])
+        before, other = drawn('swing', 2, rng), drawn('swing', 2, rng)
+        offset = before([CHANGED]) - other([CHANGED])
+        times, seen = sighted(before, rng, seconds=12.0 + SOON)
+        new = times >= CHANGED
+        seen[new] = other(times[new]) + offset
+        ahead = times[-1:] + AHEAD
+        errors.append(np.linalg.norm(shown(times, seen).at(ahead) - other(ahead) - offset))
+    assert np.median(errors) < 0.15  # of swings of some metres
+
+
 def test_an_outlier_is_no_velocity():
     rng = np.random.default_rng(8)
     times, seen = sighted(drawn('carrier', 2, rng), rng, noise=0.02)

@@ -1,6 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Interception: catches are what they are said to be, and steps that are excluded have none."""
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from orbimpc_ros.mpc.loop.interception import (
     AIM,
     EFFORT,
     GRAZE,
+    Hunt,
     Interception,
     Target,
     catching,
@@ -27,6 +29,7 @@ from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State, Weights
+from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.world.plant import Plant
 from orbimpc_ros.world.vehicle import Vehicle
 
@@ -330,3 +333,28 @@ def test_a_goal_is_where_the_vehicle_ends_that_flies_the_plan():
             assert np.linalg.norm(flown.position - goal) <= radius
     assert found >= 12
     assert far > 5
+
+
+@needs_speed
+@pytest.mark.parametrize('away', [30.0, 33.0, 36.0])
+def test_no_plan_is_made_for_what_is_out_of_reach_nor_again_where_that_cannot_help(away):
+    """The speed is 10 of 15 m/s, and lags by 0.8 s: who flies a plan ends metres before its end."""
+    wing, asked = Interception(replace(WING, discretisation='exact'), RADIUS, 0.8), Counter()
+    start = State.at([0.0, 0.0], np.eye(2) * 2.0 / 3.0)
+    goal = np.array([away, 0.0])
+
+    def solved(target, aims):
+        asked[target] += 1
+        problem = wing.problem(target)
+        reach = np.abs(problem.maps.reach[-1]).sum()
+        assert np.linalg.norm(goal - drift(problem, start)[-1]) <= reach + RADIUS
+        return Solver(problem, enough=wing.enough(target.end)).solve(start, aims)
+
+    def goals(end):
+        return np.tile(goal, (min(int(np.ceil(end)), WING.horizon), 1))
+
+    plan, catch = wing.earliest(Hunt(start, goals, solved, lambda: False, 32, between=True))
+    ended = plan.positions[-1] + defect(wing.problem(Target(catch.time / 0.5)), start, plan, 0.8)
+    assert np.linalg.norm(ended - goal) <= AIM * RADIUS
+    assert any(target.end % 1.0 for target in asked)
+    assert max(asked.values()) == 2  # the defect is that of full speed at once

@@ -37,15 +37,28 @@ def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
     """
     if problem.inertial or problem.rotation_order == 2 or problem.discretisation == 'euler':
         return np.zeros(problem.dimension)
-    speeds = _speeds(problem.step, plan.speed_fraction, lag)
-    ahead, way = np.eye(problem.dimension)[0], np.zeros(problem.dimension)
-    for speed, begun, end in zip(speeds, plan.projected, plan.projected[1:], strict=False):
-        mean = begun @ turned(log(begun.T @ end), ahead)[0]
-        way += problem.step * problem.forward * speed * mean
+    flown = _speeds(problem.step, plan.speed_fraction, lag) @ _means(plan.projected)
+    way = problem.step * problem.forward * flown
     return np.asarray(drift(problem, state)[-1] + way - plan.positions[-1])
 
 
-def _speeds(step: float, told: Array, lag: float) -> list[float]:
+def _means(attitudes: Array) -> Array:
+    """Return the mean of the thrust axis in each step, shape (N, n), of one that turns evenly.
+
+    Args:
+        attitudes: at the ends of the steps, shape (N + 1, n, n).
+    """
+    turns = np.swapaxes(attitudes[:-1], 1, 2) @ attitudes[1:]
+    if turns.shape[-1] == 2:
+        half = 0.5 * np.arctan2(turns[:, 1, 0], turns[:, 0, 0])
+        reached = np.stack([np.cos(half), np.sin(half)], axis=1) * np.sinc(half / np.pi)[:, None]
+    else:
+        ahead = np.eye(3)[0]
+        reached = np.array([turned(log(each), ahead)[0] for each in turns])
+    return np.einsum('kij,kj->ki', attitudes[:-1], reached)
+
+
+def _speeds(step: float, told: Array, lag: float) -> Array:
     """Return the mean share of full speed in each step, of one that follows what is told at it.
 
     Args:
@@ -59,4 +72,4 @@ def _speeds(step: float, told: Array, lag: float) -> list[float]:
     for wanted in told[1:].tolist():
         means.append(wanted + spread * (now - wanted))
         now = wanted + left * (now - wanted)
-    return means
+    return np.array(means)

@@ -58,6 +58,7 @@ AIM = 0.95  # of the radius, within which the plan of a catch ends
 NARROW = 0.5  # of radius and cone, where a heading is asked for: gusts leave some of it
 GRAZE = 1.5  # radii: a goal missed by no more is still flown at
 TRIES = 3  # plans for one end, each for a goal moved by the defect of the one before
+WORTH = 0.01  # of the radius, by which another plan for the same end should come nearer
 EFFORT = 0.1  # of the squared radius: what the inputs of a plan cost at most
 LARGEST_CHANGE = 8.0  # of a rotation, |R' - R|_F^2, that of half a turn
 FARTHEST = 4  # times the horizon, to look beyond it
@@ -262,7 +263,7 @@ class Interception:
         """Return the first catch that halving finds within the step at whose end one is found."""
         away = 0.5
         while away >= self._finest:
-            sooner = self._at(hunt, found.end - away)
+            sooner = self._at(hunt, found.end - away, self._radius)
             if self._is_well(sooner):
                 found = sooner
             away *= 0.5
@@ -275,18 +276,21 @@ class Interception:
         """
         best = MISSED
         for away in np.arange(1.0 - self._finest, 0.0, -self._finest):
-            best = min(best, self._at(hunt, float(end - away)), key=_miss)
+            best = min(best, self._at(hunt, float(end - away), GRAZE * self._radius), key=_miss)
             if self._is_well(best):
                 break
         return best
 
-    def _at(self, hunt: Hunt, end: float) -> _Attempt:
-        """Try to catch the goal between the ends of steps."""
+    def _at(self, hunt: Hunt, end: float, near: float) -> _Attempt:
+        """Try to catch the goal between the ends of steps, as in :meth:`_attempted`."""
         share = end / math.ceil(end)
         allowed = self._turns_within or share >= hunt.pause
         if not (hunt.between and self._divides and allowed):
             return MISSED
-        found = self._attempted(hunt, Target(end, narrow=self._coned), hunt.goals(end))
+        target, goals = Target(end, narrow=self._coned), hunt.goals(end)
+        if self._too_far(hunt.state, goals, self.problem(target))[-1]:
+            return NEVER
+        found = self._attempted(hunt, target, goals, near)
         turned = found.plan is not None and _first_turn(found.plan) > share * math.pi
         return MISSED if turned else found
 
@@ -302,11 +306,10 @@ class Interception:
         """Try to come well within the radius at an end past the horizon."""
         if end <= self._horizon:
             return MISSED
-        goals = hunt.goals(end)
-        target = Target(end, narrow=self._coned)
+        target, goals = Target(end, narrow=self._coned), hunt.goals(end)
         if self._too_far(hunt.state, goals, self.problem(target))[-1]:
             return MISSED
-        attempt = self._attempted(hunt, target, goals)
+        attempt = self._attempted(hunt, target, goals, self._radius)
         return attempt if self._is_well(attempt) else MISSED
 
     def _tried(self, hunt: Hunt, end: int, goals: Array) -> _Attempt:
@@ -314,34 +317,57 @@ class Interception:
 
         What only the wider cone allows is not well within, however close it comes.
         """
+        near = GRAZE * self._radius
         if not self._coned:
-            return self._attempted(hunt, Target(end), goals)
-        within = self._attempted(hunt, Target(end, narrow=True), goals)
+            return self._attempted(hunt, Target(end), goals, near)
+        within = self._attempted(hunt, Target(end, narrow=True), goals, near)
         if self._is_well(within):
             return within
-        wider = self._attempted(hunt, Target(end), goals)
+        wider = self._attempted(hunt, Target(end), goals, near)
         wider = wider._replace(miss=max(wider.miss, self._radius))
         return min(within, wider, key=_miss)._replace(never=wider.never)
 
-    def _attempted(self, hunt: Hunt, target: Target, goals: Array) -> _Attempt:
-        """Try to catch the goal at an end, less the defect of the plans towards it."""
+    def _attempted(self, hunt: Hunt, target: Target, goals: Array, near: float) -> _Attempt:
+        """Try to catch the goal at an end, less the defect of the plans towards it.
+
+        Plans are made again where they are expected to miss by less than the one before, and by no
+        more than counts as ``near`` [m].
+        """
         found, aims = MISSED, goals
         for _ in range(TRIES):
             plan = not hunt.late() and hunt.solved(target, aims)
             if isinstance(plan, bool):
                 return NEVER if plan and aims is goals else found
+            end = plan.positions[-1]
             astray = defect(self.problem(target), hunt.state, plan, self._lag)
-            miss = float(np.linalg.norm(plan.positions[-1] + astray - goals[-1]))
+            miss = float(np.linalg.norm(end + astray - goals[-1]))
             if aims is goals:  # what is proved is about the goal itself
                 never = plan.lower_bound > self.enough(target.end).bound
                 found = _Attempt(plan, target.end, miss, never)
             elif miss < found.miss:
                 found = found._replace(plan=plan, miss=miss)
-            size = float(np.linalg.norm(astray))
-            if size == 0.0 or self._is_well(found) or miss > self._radius + 2.0 * size:
+            left, change = aims[-1] - end, goals[-1] - astray - aims[-1]
+            worth = min(near, miss - WORTH * self._radius)
+            if self._is_well(found) or self._expected(left, change, miss) > worth:
                 break
-            aims = np.concatenate([goals[:-1], goals[-1:] - astray])
+            aims = np.concatenate([goals[:-1], aims[-1:] + change])
         return found
+
+    def _expected(self, left: Array, change: Array, miss: float) -> float:
+        """Return how near a plan will come to the goal if what is aimed at changes [m].
+
+        To first order, where the last one came as near to its aim as any; no plan for an aim that
+        changes by so much, which the defect does then too, is nearer by more than twice that.
+
+        Args:
+            left: from the end of the last plan to what it was aimed at, shape (n,) [m].
+            change: of that aim, shape (n,) [m].
+            miss: of the last plan, flown [m].
+        """
+        away, size = math.sqrt(left @ left), math.sqrt(change @ change)
+        if away <= self._aim:  # where any way will do, there may be nearer ones
+            return miss - 2.0 * size
+        return float(away + change @ left / max(away, size))
 
     def _too_far(self, state: State, goals: Array, problem: Problem) -> np.ndarray:
         """Return at the end of which steps the goal is out of reach, whatever the headings (7.10b).

@@ -6,9 +6,9 @@ Mathematics: docs/mathematics.md, 5.5 and 6.1.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFailure
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.plan import Plan, Proof, assemble
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.feasibility import reason
@@ -227,21 +228,23 @@ class Solver:
 
     def _cheapest(self, query: _Query, proof: Proof, below: float) -> Plan | None:
         """Return the cheapest of the plans that cost no search, pass the check and cost less."""
-        for plan in sorted(self._unsought(query, proof), key=_objective):
-            if plan.objective >= below:
+        known = self.problem, query.state, query.goals
+        priced = [(trajectory_of(*known, x).cost, x) for x in self._unsought(query)]
+        for cost, x in sorted(priced, key=itemgetter(0)):
+            if cost >= below:
                 return None
+            plan = self._assembled(query, x, proof)
             if self._sound(query, plan):
                 return plan
         return None
 
-    def _unsought(self, query: _Query, proof: Proof) -> Iterator[Plan]:
-        """Yield the plans that cost no search, held against a proof."""
-        known, guess = (self.problem, query.state, query.goals), query.guess
-        made = straight(*known)
+    def _unsought(self, query: _Query) -> Iterator[Array]:
+        """Yield the coordinates of the plans that cost no search, shape (N, d)."""
+        guess = query.guess
         if guess is not None and guess.horizon == self.problem.horizon:
-            made = itertools.chain([guess.rotations[1:]], made)  # from this state on
-        for rotations in made:
-            yield self._assembled(query, coordinates(rotations), proof)
+            yield coordinates(guess.rotations[1:])  # from this state on
+        for rotations in straight(self.problem, query.state, query.goals):
+            yield coordinates(rotations)
 
     def _turning(self, query: _Query, proof: Proof) -> list[Plan]:
         """Return plans that turn, as far as they pass the check; once late, one of them."""

@@ -6,17 +6,19 @@ from __future__ import annotations
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.loop.goals.families import PLACE, SPEED
+from orbimpc_ros.mpc.loop.goals.families import PLACE, SPEED, THRUST
 from orbimpc_ros.mpc.loop.goals.fits import Noise, data_evidence
 
 # Sightings of a new motion: even, for of older sightings every other one was weighed.
 LENGTHS = np.array([4, 6, 8, 10, 12, 16, 20, 26, 34, 42, 50])
 TIE = 4.0  # lengths whose evidence is that close are as likely; the longest tells most
 RARE = -5.0  # logarithm of the prior odds that the goal changes its course at a sighting
+WIDTHS = np.array([PLACE, SPEED, THRUST])  # prior standard deviations of a new motion
+ODDS = np.array([0.0, 0.0, -3.0])  # logarithms: still, straight, bent
 
 
 class Changes:
-    """Compares one motion from the beginning with another one, still or straight, since lately.
+    """Compares one motion from the beginning with another, still, straight or bent, since lately.
 
     Args:
         n: dimension.
@@ -24,20 +26,17 @@ class Changes:
 
     def __init__(self, n: int) -> None:
         self._n = n
-        self._sums = np.zeros((LENGTHS[-1] + 1, 3 + 2 * n))  # up to and with each sighting
+        self._times = np.zeros(LENGTHS[-1] + 1)
+        self._seen = np.zeros((LENGTHS[-1] + 1, n))
         self._evidence = np.full(LENGTHS[-1] + 1, -np.inf)
         self._noise = np.ones((LENGTHS[-1] + 1, 2))
         self._count = 0
 
     def note(self, time: float, position: Array) -> None:
         """Note a sighting."""
-        n, last = self._n, self._count % len(self._sums)
         self._count += 1
-        new = self._count % len(self._sums)
-        sums = self._sums[new]
-        sums[0], sums[1], sums[2] = time, time * time, float(position @ position)
-        sums[3 : 3 + n], sums[3 + n :] = position, time * position
-        sums += self._sums[last]
+        new = self._count % len(self._times)
+        self._times[new], self._seen[new] = time, position
 
     def weigh(self, evidence: float, noise: Noise) -> None:
         """Note the evidence of one motion through all sightings so far, and what noise it has."""
@@ -53,27 +52,38 @@ class Changes:
         usable = int(np.searchsorted(LENGTHS, self._count - LENGTHS[0], side='right'))
         if not usable:
             return 0
-        now, size = self._count, len(self._sums)
+        now, size = self._count, len(self._evidence)
         before = (now - LENGTHS[:usable]) % size
-        gain = self._evidence[before] + self._straight(before)
+        gain = self._evidence[before] + self._anew(before)
         if gain.max() + RARE <= self._evidence[now % size]:
             return 0
         return int(LENGTHS[np.flatnonzero(gain > gain.max() - TIE)[-1]])
 
-    def _straight(self, before: np.ndarray) -> Array:
-        """Return the evidence of a still or straight motion after each of ``before``."""
-        n, count = self._n, LENGTHS[: len(before)].astype(float)
+    def _anew(self, before: np.ndarray) -> Array:
+        """Return the evidence of a still, straight or bent motion after each of ``before``.
+
+        One factor holds the fits of all three, for the columns of each are the first of the next.
+        """
+        n, lengths = self._n, LENGTHS[: len(before)]
         share, scale = self._noise[before].T
         variance = scale / share
-        sums = (self._sums[self._count % len(self._sums)] - self._sums[before]).T
-        time, lever, square = sums[:3]
-        place, moment = sums[3 : 3 + n], sums[3 + n :]
-        lever = np.maximum(lever - time * time / count, 0.0) + variance / SPEED**2
-        slope = moment - time * place / count
-        misfit = np.empty((2, len(before)))
-        misfit[0] = square - (place * place).sum(axis=0) / count
-        misfit[1] = misfit[0] - (slope * slope).sum(axis=0) / lever
-        found = data_evidence(np.maximum(misfit, 0.0), float(n) * count, share, scale)
-        found += 0.5 * n * np.log(variance / (PLACE**2 * count))
-        found[1] += 0.5 * n * np.log(variance / (SPEED**2 * lever))
-        return np.asarray(np.logaddexp(found[0], found[1]))
+        latest = (self._count - np.arange(lengths[-1])) % len(self._times)
+        rows = (self._times[latest] - self._times[latest[0]])[:, None] ** np.arange(3.0)
+        seen = self._seen[latest] - self._seen[latest[0]]
+        gram = np.cumsum(rows[:, :, None] * rows[:, None, :], axis=0)[lengths - 1]
+        moments = np.cumsum(rows[:, :, None] * seen[:, None, :], axis=0)[lengths - 1]
+        square = np.cumsum(np.sum(seen * seen, axis=1))[lengths - 1]
+        prior = variance[:, None] / WIDTHS**2
+        gram[:, range(1, 3), range(1, 3)] += prior[:, 1:]
+        factor = np.linalg.cholesky(gram)
+        white = np.linalg.solve(factor, moments)
+        explained = np.cumsum(np.sum(white * white, axis=2), axis=1)
+        spread = np.log(prior) - 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2))
+        found = data_evidence(
+            np.maximum(square[:, None] - explained, 0.0),
+            float(n) * lengths[:, None],
+            share[:, None],
+            scale[:, None],
+        )
+        found += 0.5 * n * np.cumsum(spread, axis=1) + ODDS
+        return np.asarray(np.logaddexp.reduce(found, axis=1))
