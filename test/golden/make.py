@@ -54,6 +54,7 @@ FLIGHTS = {
     # Up to the line: as it is passed, rounding decides to which side to turn. Takes JSBSim.
     'cessna': ('cessna', ('rope.center=[350.0, 60.0, 0.0]', 'max_ticks=55')),
     'rope': ('rope', ()),  # takes MuJoCo and RotorPy
+    'servicer': ('servicer', ()),  # takes Basilisk
     # As long as the arrival is exact: what comes nearest to it is known to five digits only.
     'lander': ('lander', ('max_ticks=25',)),
     'multirotor': ('multirotor', ('max_ticks=30', 'gap_tolerance=0.00001')),
