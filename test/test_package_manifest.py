@@ -34,7 +34,8 @@ PROVIDERS = {
     'yaml': ('python3-yaml', 'pyyaml'),
     'zstandard': ('mcap-ros2-support', 'zstandard'),
 }
-MODULES = {'bsk': ('Basilisk',), 'rerun-sdk': ('rerun', 'rerun_cli')}  # of what is not named as its module is
+# Of what is not named as its module is.
+MODULES = {'bsk': ('Basilisk',), 'rerun-sdk': ('rerun', 'rerun_cli')}
 
 
 def setup_keyword(name):

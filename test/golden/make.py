@@ -54,9 +54,9 @@ FLIGHTS = {
     # Up to the line: as it is passed, rounding decides to which side to turn. Takes JSBSim.
     'cessna': ('cessna', ('rope.center=[350.0, 60.0, 0.0]', 'max_ticks=55')),
     'rope': ('rope', ()),  # takes MuJoCo and RotorPy
-    'servicer': ('servicer', ()),  # takes Basilisk
     # As long as the arrival is exact: what comes nearest to it is known to five digits only.
     'lander': ('lander', ('max_ticks=25',)),
+    'servicer': ('servicer', ('max_ticks=22',)),  # takes Basilisk
     'multirotor': ('multirotor', ('max_ticks=30', 'gap_tolerance=0.00001')),
     'disturbed': ('dubins', ('floor.shape=none', 'faults.position_noise=0.05')),
     'faulty': (

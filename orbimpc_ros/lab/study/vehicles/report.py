@@ -62,9 +62,12 @@ def report(scenario: Mission, rows: Rows) -> str:
     scores = scores_of(scenario, rows)
     count = len(next(iter(rows.values())))
     lines = [f'# {scenario.name}: {scenario.about}', '', f'{count} flights by each pilot.', '']
-    if ORBITOPE in scores:
+    compared = ORBITOPE in scores and bool(_rivals(scores))
+    if compared:
         lines += [*_losses(scores), '', _lead(scores), '']
-    lines += [*_table(scores, rows), '', *_pairs(scores)]
+    lines += _table(scores, rows)
+    if compared:
+        lines += ['', *_pairs(scores)]
     lines += _measured(rows)
     return '\n'.join(lines) + '\n'
 
@@ -87,8 +90,6 @@ def _losses(scores: Mapping[str, Standing]) -> Iterator[str]:
 def _lead(scores: Mapping[str, Standing]) -> str:
     """Say how far the planner is ahead of the rival that is the best in the mean."""
     rivals, ours = _rivals(scores), scores[ORBITOPE]
-    if not rivals:
-        return ''
     name = min(rivals, key=lambda each: float(rivals[each].times.mean()))
     points = 100.0 * (ours.share - rivals[name].share)
     sooner = 1.0 - ours.times.mean() / rivals[name].times.mean()
@@ -129,8 +130,6 @@ def _table(scores: Mapping[str, Standing], rows: Rows) -> Iterator[str]:
 
 def _pairs(scores: Mapping[str, Standing]) -> Iterator[str]:
     """Compare the planner with each rival flight by flight; one without a catch lasts the limit."""
-    if ORBITOPE not in scores:
-        return
     ours = scores[ORBITOPE].times
     head = (
         *('the planner against', 'sooner', 'later', 'p, sign test', 'mean difference [s]', '95 %'),
