@@ -64,6 +64,8 @@ setup(
         'zstandard>=0.18',
     ],
     extras_require={
+        # Apart from the others: 250 MB, and it wants a Matplotlib and a Pillow of its own.
+        'basilisk': ['bsk>=2.12'],
         'bench': ['casadi', 'gurobipy', 'pyscipopt', 'qoco'],
         'fast': ['numba>=0.59'],
         'mutation': ['mutmut>=3.8,<4'],

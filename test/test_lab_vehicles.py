@@ -251,6 +251,33 @@ def test_an_engine_is_studied_beside_its_own_guidance(tmp_path, capsys):
         assert 5.0 < row['closing'] < 40.0
 
 
+def test_a_study_of_arrivals_tells_where_they_end(tmp_path, capsys):
+    """In the vehicle of this package that an engine is compared with."""
+    words = ['study', '--scenario', 'servicer', '--set', 'vehicle=continuous', '--runs', '1']
+    assert cli.main([*words, '--workers', '1', '-o', str(tmp_path / 'study')]) == 0
+    text = (tmp_path / 'study' / 'report.md').read_text()
+    assert 'distance at the end [m]' in text
+    assert '- `orbitope` missed 0: none.' in text
+    assert 'rival' not in text
+    assert 'attitude' not in text  # which only an engine's inner loop tracks
+    (row,) = [json.loads(line) for line in (tmp_path / 'study' / 'flights.jsonl').open()][1:]
+    assert row['missed'] < 0.1
+    assert row['speed'] < 0.05
+
+
+def test_rivals_do_not_fly_in_space(tmp_path, capsys):
+    words = ['study', '--engine', 'servicer', '--controllers', 'lead', '-o', str(tmp_path / 'no')]
+    assert cli.main(words) == 2
+    assert '--controllers is lead; allowed: each of orbitope' in capsys.readouterr().err
+
+
+def test_an_attitude_in_space_is_drawn_as_a_unit_quaternion():
+    scenario = scenario_named('servicer')
+    drawn = [scenario.drawn(0, k)['start.orientation'] for k in range(50)]
+    np.testing.assert_allclose(np.linalg.norm(drawn, axis=1), 1.0)
+    np.testing.assert_allclose(np.mean(drawn, axis=0), 0.0, atol=0.3)
+
+
 def test_only_an_engine_has_guidance_of_its_own():
     with pytest.raises(BadInput, match='--controllers is waypoint'):
         flights.row(scenario_named('fixed_wing'), 'waypoint', 0, 0, {})

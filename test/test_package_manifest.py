@@ -34,7 +34,8 @@ PROVIDERS = {
     'yaml': ('python3-yaml', 'pyyaml'),
     'zstandard': ('mcap-ros2-support', 'zstandard'),
 }
-MODULES = {'rerun-sdk': ('rerun', 'rerun_cli')}  # of what is not named as its module is
+# Of what is not named as its module is.
+MODULES = {'bsk': ('Basilisk',), 'rerun-sdk': ('rerun', 'rerun_cli')}
 
 
 def setup_keyword(name):
@@ -93,7 +94,8 @@ def test_the_interface_is_there_and_costs_nothing_until_it_is_used():
 def optional():
     """Return the modules of commands that ask for an extra when they are used."""
     extras = setup_keyword('extras_require')
-    wanted = [r for name in ('bench', 'physics', 'study', 'view') for r in extras.get(name, [])]
+    names = ('basilisk', 'bench', 'physics', 'study', 'view')
+    wanted = [r for name in names for r in extras.get(name, [])]
     brought = {re.split(r'[<>=\[]', r)[0] for r in wanted}
     return brought | {module for name in brought for module in MODULES.get(name, ())}
 

@@ -83,7 +83,7 @@ def test_it_tends_to_the_airspeed_that_it_is_told(cessna):
 def test_throttles_are_those_of_the_engines_own_trim(cessna):
     for speed, throttle in zip(cessna.SPEEDS, cessna.THROTTLES, strict=True):
         still = np.zeros(2)
-        start = Start(still, still, np.eye(2), speed, still, 0.0, 0, still, still)
+        start = Start(still, still, np.eye(2), np.zeros(1), speed, still, 0.0, 0, still, still)
         assert cessna.Cessna(start).motion().facts['throttle'] == pytest.approx(throttle, abs=2e-3)
 
 

@@ -17,6 +17,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.physics.engine import EngineFailure
 from orbimpc_ros.ros.parameters import SIM, sim_settings
 from orbimpc_ros.tool import cli
+from orbimpc_ros.tool.demo.arrivals import planned_at_start
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.content import fields
 from orbimpc_ros.tool.io.share import config
@@ -45,6 +46,13 @@ def test_parameters_make_the_aircraft_that_they_say():
 def test_what_an_engine_has_of_its_own_is_refused(name):
     with pytest.raises(BadInput, match=f'{name} is 0.7; allowed: .* with vehicle: cessna'):
         sim_settings(DEFAULTS | {'vehicle': 'cessna', name: 0.7})
+
+
+@pytest.mark.parametrize('name', ['gust', 'stall_speed', 'response.speed'])
+def test_a_thrust_knows_no_air(name):
+    known = {'vehicle': 'servicer', 'dimension': 3, 'translation_order': 2}
+    with pytest.raises(BadInput, match=f'{name} is 0.7; allowed: 0.0 with vehicle: servicer'):
+        sim_settings(DEFAULTS | known | {name: 0.7})
 
 
 @pytest.mark.parametrize(
@@ -95,6 +103,35 @@ def test_the_multirotor_is_told_nothing_of_wind_and_swing():
     np.testing.assert_allclose(model.rope.at(0.0), [6.3, 2.2])
     assert told.goal_path_steps == 0
     assert values['wind'] == (0.0, 0.0, 0.0)
+
+
+def test_the_spacecraft_is_told_nothing_of_what_pushes_it():
+    values = settings.resolve(config('servicer.yaml'), ['sim.wind=[1e-4, 0.0, 0.0]'])
+    model = sim_settings(settings.of_sim(values)).scenario.model
+    assert isinstance(model, Aircraft)
+    assert (model.engine, model.dimension, model.disturbance) == ('servicer', 3, (1e-4, 0.0, 0.0))
+    assert values['wind'] == (0.0, 0.0, 0.0)
+
+
+def test_the_plan_at_the_start_takes_no_engine():
+    """Its planner's lags are not the simulator's, which would refuse them."""
+    plan = planned_at_start(settings.resolve(config('servicer.yaml')))
+    np.testing.assert_allclose(plan.positions[-1], [5.0, 10.0, 25.0], atol=1e-6)
+
+
+def test_the_spacecraft_arrives(capfd, tmp_path):
+    """Over DDS, on Basilisk's own wheels and thrusters."""
+    pytest.importorskip('Basilisk', reason="pip install 'orbimpc_ros[basilisk]' runs this")
+    words = ['--set', 'odom_timeout=60.0', '--set', 'goal_timeout=60.0', '--out', str(tmp_path)]
+    assert cli.main(['demo', 'servicer', *words]) == 0
+    out, _ = capfd.readouterr()
+    assert re.search(r'arrived +yes, \d\.\de-0\d m from the goal', out)
+    found = messages_of(tmp_path / 'servicer')
+    truths = [fields(each) for each in found['truth'].values()]
+    assert max(each['pointing'] for each in truths) < 0.1
+    forces = [each.wrench.force.x for each in found['cmd_thrust'].values()]
+    assert 0.0 <= min(forces) <= max(forces) <= 0.9 + 1e-9
+    assert (tmp_path / 'servicer' / 'trajectory.png').is_file()
 
 
 def last_before_failure(planner, flight):

@@ -32,7 +32,7 @@ from orbimpc_ros.tool.replay.resolving import replayed
 # Not the rope: near it, the last bits of NumPy's sums decide whether a search ends with a plan.
 FLIGHTS = (
     *('retrieval', 'dubins', 'spacecraft', 'obstacles', 'multirotor'),
-    *('disturbed', 'faulty', 'fixed_wing', 'lander', 'cessna'),
+    *('disturbed', 'faulty', 'fixed_wing', 'lander', 'cessna', 'servicer'),
 )
 RETRIEVAL = GOLDEN / 'retrieval'
 
@@ -101,7 +101,8 @@ def test_golden_bags_hold_what_they_are_for():
     assert any(each.topic == 'goal_path' for each in recording_of(GOLDEN / 'fixed_wing').inputs)
     assert not any(each.topic == 'goal_path' for each in recording_of(GOLDEN / 'cessna').inputs)
     assert min(a.speed for a in answers['cessna']) >= 40.0 - 1e-6
-    assert all(a.status == 'optimal' and a.gap < 1e-6 for a in answers['lander'])
+    for arrival in ('lander', 'servicer'):
+        assert all(a.status == 'optimal' and a.gap < 1e-6 for a in answers[arrival])
     assert sum(a.status == 'optimal' and a.force > 0.0 for a in answers['multirotor']) > 25
     assert max(f.stat().st_size for f in GOLDEN.rglob('*.mcap')) < 100_000
 

@@ -36,10 +36,11 @@ class Start(NamedTuple):
         position: shape (n,) [m].
         velocity: shape (n,) [m/s].
         attitude: body to world, shape (n, n).
+        body_rate: in the body frame, shape (1,) or (3,) [rad/s].
         push: speed through the air [m/s], or acceleration by thrust [m/s^2].
-        wind: that is steady, shape (n,) [m/s].
+        wind: that is steady, shape (n,) [m/s], or an acceleration [m/s^2] of what takes thrusts.
         gust: standard deviation of the air's velocity along each axis, on top [m/s].
-        seed: of the gusts.
+        seed: of the gusts, or of what else an engine draws.
         rest: where the goal is when it is at rest, shape (n,) [m].
         goal: where it is at the start, shape (n,) [m].
     """
@@ -47,6 +48,7 @@ class Start(NamedTuple):
     position: Array
     velocity: Array
     attitude: Array
+    body_rate: Array
     push: float
     wind: Array
     gust: float
@@ -121,8 +123,13 @@ class Engine(Protocol):
             rate: commanded, in the body frame: to the left, shape (1,), or shape (3,) [rad/s].
         """
 
+
+@runtime_checkable
+class Guided(Protocol):
+    """An engine whose vehicle has a guidance of its own."""
+
     def steer_to(self, point: Array) -> None:
-        """Have the vehicle's own guidance fly to a waypoint, shape (n,) [m], from now on."""
+        """Have it fly to a waypoint, shape (n,) [m], from now on."""
 
 
 @runtime_checkable

@@ -27,6 +27,7 @@ class Kind(NamedTuple):
         dimension: in which it is flown.
         translation_order: 1, it takes speeds; 2, thrusts.
         moves_goal: whether the goal is a body of the engine, too.
+        extra: of this package, that has the libraries.
     """
 
     libraries: tuple[str, ...]
@@ -34,11 +35,13 @@ class Kind(NamedTuple):
     dimension: int
     translation_order: int
     moves_goal: bool = False
+    extra: str = 'physics'
 
 
 ENGINES = {
     'cessna': Kind(('jsbsim',), 'Cessna', 2, 1),
     'hummingbird': Kind(('mujoco', 'rotorpy'), 'Hummingbird', 2, 1, moves_goal=True),
+    'servicer': Kind(('Basilisk',), 'Servicer', 3, 2, extra='basilisk'),
 }
 
 
@@ -84,14 +87,14 @@ class EngineVehicle(Vehicle):
 
 @dataclass(frozen=True)
 class Aircraft(Continuous):
-    """An aircraft in an engine, on its own autopilots; in the plane it is that of one altitude.
+    """A vehicle in an engine, on its own inner loop; in the plane it is that of one altitude.
 
     Its wind is the steady one of the model, with turbulence on top.
 
     Attributes:
         engine: of :data:`ENGINES`.
         turbulence: standard deviation of the air's velocity along each axis [m/s].
-        seed: of the turbulence.
+        seed: of the turbulence, and of what else the engine draws.
         rope: the goal, for engines that move it themselves: where it is at rest, and at the start.
     """
 
@@ -118,6 +121,7 @@ class Aircraft(Continuous):
             vehicle.position,
             vehicle.velocity,
             vehicle.attitude,
+            vehicle.body_rate,
             self.forward * vehicle.fraction,
             self.blown,
             self.turbulence,
@@ -158,17 +162,22 @@ class Aircraft(Continuous):
         return tuple(self._read(engine, each, vehicle.time - elapsed) for each in motions)
 
     def _read(self, engine: Engine, motion: Motion, begun: float) -> EngineVehicle:
-        """Return what a motion in space is in the plane, the engine having begun at a time [s]."""
-        yaw = math.atan2(motion.attitude[1, 0], motion.attitude[0, 0])
+        """Return what a motion is to a planner, the engine having begun at a time [s]."""
+        n, height, rate = self.dimension, 0.0, motion.body_rate
+        attitude = motion.attitude
+        if n == 2:
+            yaw = math.atan2(attitude[1, 0], attitude[0, 0])
+            attitude = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+            height, rate = float(motion.position[2]), np.array([motion.facts['turn']])
         return EngineVehicle(
             time=begun + motion.time,
-            position=motion.position[:2],
-            velocity=motion.velocity[:2],
-            attitude=np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]),
-            body_rate=np.array([motion.facts['turn']]),
+            position=motion.position[:n],
+            velocity=motion.velocity[:n],
+            attitude=attitude,
+            body_rate=rate,
             fraction=min(max(motion.push / self.forward, 0.0), 1.0),
-            wind=motion.air[:2],
-            height=float(motion.position[2]),
+            wind=motion.air[:n],
+            height=height,
             engine=engine,
             motion=motion,
         )
@@ -187,7 +196,7 @@ def class_of(name: str) -> Callable[..., Engine]:
         library = str(error.name).partition('.')[0]
         if library not in kind.libraries:
             raise
-        hint = "pip install 'orbimpc_ros[physics]'"
+        hint = f"pip install 'orbimpc_ros[{kind.extra}]'"
         raise BadInput.stating(f'vehicle {name}', f'{library} is missing', hint) from None
     made: Callable[..., Engine] = getattr(module, kind.made_by)
     return made

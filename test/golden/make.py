@@ -56,6 +56,7 @@ FLIGHTS = {
     'rope': ('rope', ()),  # takes MuJoCo and RotorPy
     # As long as the arrival is exact: what comes nearest to it is known to five digits only.
     'lander': ('lander', ('max_ticks=25',)),
+    'servicer': ('servicer', ('max_ticks=22',)),  # takes Basilisk
     'multirotor': ('multirotor', ('max_ticks=30', 'gap_tolerance=0.00001')),
     'disturbed': ('dubins', ('floor.shape=none', 'faults.position_noise=0.05')),
     'faulty': (

@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     vehicles = 'such as fixed_wing, retrieval, crossing: a vehicle in continuous time instead'
     add('--scenario', metavar='NAME', help=vehicles)
-    engines = 'cessna or rope: as --scenario, of a vehicle in an engine that is not ours'
+    engines = 'cessna, rope or servicer: as --scenario, of a vehicle in an engine that is not ours'
     add('--engine', dest='scenario', metavar='NAME', help=engines)
     add('--tune', action='store_true', help='with --scenario: look for the best settings of rivals')
     add('-o', '--out', metavar='DIR', help='takes the results (default: a new one in out/)')

@@ -18,7 +18,8 @@ from orbimpc_ros.world.rope import Rope
 from orbimpc_ros.world.vehicle import Model
 
 VEHICLES = ('discrete', 'continuous', *ENGINES)
-OF_AIRCRAFT = ('gust', 'stall_speed', 'odom_rate')  # what of a plant an aircraft has, too
+# What of a plant a vehicle in an engine has, too, by its order of translation.
+OF_ENGINES = {1: ('gust', 'stall_speed', 'odom_rate'), 2: ('odom_rate',)}
 OF_GOAL = ('goal_path_steps', 'rope.frequency', 'rope.velocity')  # unknown where an engine moves it
 IDEAL = Plant()  # its numbers are the defaults
 FASTEST = 1e3  # [Hz]
@@ -57,7 +58,8 @@ CONTINUOUS = (  # where one has no meaning it is refused
 PLANT = (
     Row('vehicle', VEHICLES[0], 'Whether the vehicle moves in the steps that the planner '
         'believes in, or in continuous time, with lags and limits, in wind, or in an engine: '
-        'cessna is that of JSBSim, hummingbird that of RotorPy in MuJoCo', choices=VEHICLES),
+        'cessna is that of JSBSim, hummingbird that of RotorPy in MuJoCo, servicer a spacecraft in '
+        'Basilisk', choices=VEHICLES),
     *LIMITS,
     *CONTINUOUS,
 )  # fmt: skip
@@ -75,8 +77,7 @@ def moved_by(values: Values, model: Model, rope: Rope) -> Model:
         BadInput: a value, or a combination, is not allowed.
     """
     kind = values['vehicle']
-    kept = {'discrete': (), 'continuous': [row.name for row in CONTINUOUS]}.get(kind, OF_AIRCRAFT)
-    _refuse_unused(values, kept)
+    _refuse_unused(values, _kept_by(kind))
     if kind == 'discrete':
         return model
     common = {each.name: getattr(model, each.name) for each in fields(Model)}
@@ -97,6 +98,13 @@ def moved_by(values: Values, model: Model, rope: Rope) -> Model:
         drag=values['drag'],
         gusts=Gusts(values['gust'], values['gust_time'], values['seed']),
     )
+
+
+def _kept_by(kind: str) -> Collection[str]:
+    """Return what of a plant a kind of vehicle has."""
+    if kind in ENGINES:
+        return OF_ENGINES[ENGINES[kind].translation_order]
+    return [row.name for row in CONTINUOUS] if kind == 'continuous' else ()
 
 
 def _refuse_unused(values: Values, kept: Collection[str]) -> None:

@@ -23,6 +23,7 @@ SCENARIOS = (
     'fixed_wing',
     'cessna',
     'rope',
+    'servicer',
     'multirotor',
     'lander',
     'fleet',

@@ -7,17 +7,26 @@ import math
 from collections.abc import Mapping
 
 from orbimpc_ros.mpc.plan import Plan
+from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.parameters import planner_settings, sim_settings
 from orbimpc_ros.ros.parameters.planner import PROJECTIONS
+from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.history import History
 from orbimpc_ros.tool.io.settings import Values
 from orbimpc_ros.world.arrival import Arrival, OpenLoop, open_loop
+from orbimpc_ros.world.scenario import Scenario
 
 
 def opened(values: Values) -> dict[str, OpenLoop]:
     """Return what a run's parameters come to when planned once, by projection."""
-    problem, scenario = planner_settings(values).problem, sim_settings(values).scenario
+    problem, scenario = _stated(values)
     return {each: open_loop(problem, scenario, each) for each in PROJECTIONS}
+
+
+def _stated(values: Values) -> tuple[Problem, Scenario]:
+    """Return what a planner with a run's parameters solves, and what its simulator flies."""
+    scenario = sim_settings(settings.of_sim(values)).scenario
+    return planner_settings(values).problem, scenario
 
 
 def title(values: Values) -> str:
@@ -58,5 +67,5 @@ def table(columns: Mapping[str, Mapping[str, str]]) -> str:
 
 def planned_at_start(values: Values) -> Plan:
     """Return the plan made at a run's start."""
-    problem, scenario = planner_settings(values).problem, sim_settings(values).scenario
+    problem, scenario = _stated(values)
     return open_loop(problem, scenario, values['projection']).plan

@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from orbimpc_ros.physics.engine import Depicted
-from orbimpc_ros.ros.messages import SECOND, read_speed_and_rate
+from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters import sim_settings
+from orbimpc_ros.ros.sim.commands import Orders
 from orbimpc_ros.tool.io import bag, settings
 from orbimpc_ros.world.engines import EngineVehicle
 from orbimpc_ros.world.flight import Flight, departure
 
 RENDERED = 'rendered.gif'
+LATER = 2**62  # [ns] after any flight
 
 
 def flown_again(path: Path) -> Iterator[Flight]:
@@ -29,15 +31,15 @@ def flown_again(path: Path) -> Iterator[Flight]:
         path: of the bag.
     """
     told = sim_settings(settings.of_sim(settings.of_bag(path, '') or settings.read('{}')))
-    model, flight = told.scenario.model, departure(told.scenario, told.begin)
-    commands = {}
-    for topic, message in bag.of_vehicle(path, '', ('cmd_vel', 'goal', 'odom')):
-        if topic == 'cmd_vel':
-            stamp, speed, rate = read_speed_and_rate(message, model.dimension, told.frames)
-            commands[stamp] = speed / model.forward, rate
+    flight, given = departure(told.scenario, told.begin), {}
+    orders = Orders(told.scenario.model, told.frames)
+    take = {'cmd_vel': orders.take_twist, 'cmd_thrust': orders.take_force}
+    for topic, message in bag.of_vehicle(path, '', (*take, 'goal', 'odom')):
+        if topic in take and take[topic](message, LATER) and orders.latest:
+            given[orders.latest.stamp] = orders.latest
     yield flight
-    while not flight.over and (at := round(flight.vehicle.time * SECOND)) in commands:
-        flight = flight.after(*commands[at])
+    while not flight.over and (at := round(flight.vehicle.time * SECOND)) in given:
+        flight = flight.after(given[at].fraction, given[at].body_rate)
         yield flight
 
 

@@ -11,7 +11,7 @@ from orbimpc_ros.lab.study.vehicles.picture import draw
 from orbimpc_ros.lab.study.vehicles.pilots import ORBITOPE, PILOTS, WAYPOINT
 from orbimpc_ros.lab.study.vehicles.report import report, scores_of
 from orbimpc_ros.lab.study.vehicles.results import Job, completed
-from orbimpc_ros.lab.study.vehicles.scenario import scenario_named
+from orbimpc_ros.lab.study.vehicles.scenario import Mission, scenario_named
 from orbimpc_ros.lab.study.vehicles.tuning import searched, tuned_of, written
 from orbimpc_ros.mpc.arrays import whole
 from orbimpc_ros.mpc.errors import BadInput
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace, runs: int, folder: Path) -> int:
         raise BadInput(name, args.forecast or args.scheduler, 'only without --scenario')
     folder.mkdir(parents=True, exist_ok=True)
     if args.tune:
-        rivals = [name for name in _pilots(args.controllers) if name != ORBITOPE]
+        rivals = [name for name in _pilots(args.controllers, scenario) if name != ORBITOPE]
         found = {}
         for name, best, _ in searched(scenario, args.set, workers, rivals):
             found[name] = best
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace, runs: int, folder: Path) -> int:
     count = whole(args.runs or runs, '--runs', 1, MOST_RUNS)
     tuned, changes = tuned_of(args.scenario), tuple(args.set)
     rows = {}
-    for name in _pilots(args.controllers):
+    for name in _pilots(args.controllers, scenario):
         jobs = [
             Job(args.scenario, changes, name, seed, index, tuned.get(name, {}))
             for index in range(count)
@@ -59,10 +59,11 @@ def run(args: argparse.Namespace, runs: int, folder: Path) -> int:
     return 0
 
 
-def _pilots(given: str | None) -> list[str]:
-    names = given.split(',') if given else list(PILOTS)
+def _pilots(given: str | None, scenario: Mission) -> list[str]:
+    """Return the names of the pilots that are to fly; all rivals are planar."""
+    known = (*PILOTS, WAYPOINT) if scenario.values['dimension'] == 2 else (ORBITOPE,)
+    names = given.split(',') if given else [name for name in PILOTS if name in known]
     for name in names:
-        if name not in (*PILOTS, WAYPOINT) or names.count(name) > 1:
-            allowed = f'each of {",".join((*PILOTS, WAYPOINT))} at most once'
-            raise BadInput('--controllers', given, allowed)
+        if name not in known or names.count(name) > 1:
+            raise BadInput('--controllers', given, f'each of {",".join(known)} at most once')
     return names

@@ -17,6 +17,7 @@ from orbimpc_ros.lab.study.vehicles.pilots import WAYPOINT, pilot
 from orbimpc_ros.lab.study.vehicles.scenario import Mission
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Fallback, Status
+from orbimpc_ros.physics.engine import Guided
 from orbimpc_ros.ros.parameters import sim_settings
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.world.airspeed import Airspeeds
@@ -42,7 +43,8 @@ def row(scenario: Mission, name: str, seed: int, index: int, tuned: Mapping[str,
         ``caught``, ``time`` [s] (None without a catch), ``closest`` [m], ``touched`` (whether it
         ended at an obstacle), ``ticks``, ``proved`` (ticks proved optimal), ``unplanned`` (ticks
         by a fallback), ``stalls``, and the processor time of the ticks, ``p50_ms`` and
-        ``longest_ms``; of an aircraft in an engine what :func:`seen` returns, too.
+        ``longest_ms``; of an arrival ``missed`` [m] and ``speed`` [m/s] at its end, and of a
+        vehicle in an engine ``airspeed`` [m/s] and what :class:`Facts` has, too.
     """
     values = scenario.values | scenario.drawn(seed, index)
     simulated = sim_settings(settings.of_sim(values))
@@ -82,8 +84,19 @@ def row(scenario: Mission, name: str, seed: int, index: int, tuned: Mapping[str,
         'stalls': airspeeds.stalls,
         'p50_ms': float(np.median(spent)),
         'longest_ms': max(spent),
-        **(asdict(facts) | {'airspeed': airspeeds.least} if facts.bank else {}),
+        **_end(flight),
+        **(asdict(facts) | {'airspeed': airspeeds.least} if _has_engine(flight) else {}),
     }
+
+
+def _end(flight: Flight) -> Row:
+    """Return where an arrival has ended; nothing of a catch."""
+    arrival = flight.scenario.finish == 'arrival'
+    return {'missed': flight.distance, 'speed': flight.speed} if arrival else {}
+
+
+def _has_engine(flight: Flight) -> bool:
+    return isinstance(flight.vehicle, EngineVehicle)
 
 
 @dataclass(frozen=True)
@@ -93,6 +106,7 @@ class Facts:
     Attributes:
         bank: the largest so far, either way [rad].
         astray: the farthest so far from what the inner loop was to track, if it says so [m].
+        pointing: the largest angle so far to the attitude that it was to track, if it does [rad].
         height: above the middle of the line, at the closest approach [m].
         apart: distance to that middle then [m].
         closing: speed relative to the goal then [m/s].
@@ -101,6 +115,7 @@ class Facts:
 
     bank: float = 0.0
     astray: float = 0.0
+    pointing: float = 0.0
     height: float = 0.0
     apart: float = math.inf
     closing: float = 0.0
@@ -109,11 +124,11 @@ class Facts:
     def seeing(self, flight: Flight, closest: float) -> Facts:
         """Return what is known after a step more; ``closest`` is the least miss before it [m]."""
         loose = [each.facts for each in flight.trail if not each.caught]
-        banks, astray = (
-            max([abs(facts.get(name, 0.0)) for facts in loose], default=0.0)
-            for name in ('bank', 'off')
-        )
-        known = replace(self, bank=max(self.bank, banks), astray=max(self.astray, astray))
+        largest = {
+            mine: max([getattr(self, mine), *(abs(facts.get(theirs, 0.0)) for facts in loose)])
+            for mine, theirs in (('bank', 'bank'), ('astray', 'off'), ('pointing', 'pointing'))
+        }
+        known = replace(self, **largest)
         if flight.miss >= closest:
             return known
         there = min(flight.trail, key=lambda each: abs(each.time - flight.missed_at))
@@ -139,6 +154,6 @@ def _closing(flight: Flight, vehicle: Vehicle) -> float:
 def _aim(flight: Flight) -> None:
     """Have the engine's own guidance fly to where the goal is now."""
     vehicle = flight.vehicle
-    if not isinstance(vehicle, EngineVehicle) or vehicle.engine is None:
-        raise BadInput('--controllers', WAYPOINT, 'a scenario that flies in an engine')
+    if not isinstance(vehicle, EngineVehicle) or not isinstance(vehicle.engine, Guided):
+        raise BadInput('--controllers', WAYPOINT, 'an engine with a guidance of its own')
     vehicle.engine.steer_to(flight.goal)

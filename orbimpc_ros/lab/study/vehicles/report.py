@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,11 +62,13 @@ def report(scenario: Mission, rows: Rows) -> str:
     scores = scores_of(scenario, rows)
     count = len(next(iter(rows.values())))
     lines = [f'# {scenario.name}: {scenario.about}', '', f'{count} flights by each pilot.', '']
-    if ORBITOPE in scores:
+    compared = ORBITOPE in scores and bool(_rivals(scores))
+    if compared:
         lines += [*_losses(scores), '', _lead(scores), '']
-    lines += [*_table(scores, rows), '', *_pairs(scores)]
-    if all('bank' in each for found in rows.values() for each in found):
-        lines += ['', *_distributions(rows), '', *_failures(rows)]
+    lines += _table(scores, rows)
+    if compared:
+        lines += ['', *_pairs(scores)]
+    lines += _measured(rows)
     return '\n'.join(lines) + '\n'
 
 
@@ -88,8 +90,6 @@ def _losses(scores: Mapping[str, Standing]) -> Iterator[str]:
 def _lead(scores: Mapping[str, Standing]) -> str:
     """Say how far the planner is ahead of the rival that is the best in the mean."""
     rivals, ours = _rivals(scores), scores[ORBITOPE]
-    if not rivals:
-        return ''
     name = min(rivals, key=lambda each: float(rivals[each].times.mean()))
     points = 100.0 * (ours.share - rivals[name].share)
     sooner = 1.0 - ours.times.mean() / rivals[name].times.mean()
@@ -130,8 +130,6 @@ def _table(scores: Mapping[str, Standing], rows: Rows) -> Iterator[str]:
 
 def _pairs(scores: Mapping[str, Standing]) -> Iterator[str]:
     """Compare the planner with each rival flight by flight; one without a catch lasts the limit."""
-    if ORBITOPE not in scores:
-        return
     ours = scores[ORBITOPE].times
     head = (
         *('the planner against', 'sooner', 'later', 'p, sign test', 'mean difference [s]', '95 %'),
@@ -150,8 +148,14 @@ def _pairs(scores: Mapping[str, Standing]) -> Iterator[str]:
         )
 
 
-# Of a flight in an engine, by heading of a column: what, and by how much it is multiplied.
-MEASURES = {
+# By heading of a column: what of a flight, and by how much it is multiplied. First of an arrival,
+# then of a catch by a vehicle in an engine.
+ARRIVAL = {
+    'distance at the end [m]': ('missed', 1.0),
+    'speed at the end [m/s]': ('speed', 1.0),
+    'largest error of the attitude [deg]': ('pointing', 180.0 / math.pi),
+}
+CATCH = {
     'miss [m]': ('closest', 1.0),
     'height above the middle [m]': ('height', 1.0),
     'distance to the middle [m]': ('apart', 1.0),
@@ -162,25 +166,42 @@ MEASURES = {
 }
 
 
-def _distributions(rows: Rows) -> Iterator[str]:
-    """Give the range, the median and the 5 and 95 % quantiles of what an engine knows."""
+def _measured(rows: Rows) -> Iterator[str]:
+    """Give distributions, and name the failures, of an arrival or a vehicle in an engine."""
+    known = set.intersection(*(set(each) for found in rows.values() for each in found))
+    arrival = 'missed' in known
+    if arrival or 'bank' in known:
+        measures = ARRIVAL if arrival else CATCH
+        shown = {title: each for title, each in measures.items() if each[0] in known}
+        yield ''
+        yield from _distributions(rows, shown)
+        yield ''
+        yield from _failures(rows, _arrived if arrival else _passed)
+
+
+def _distributions(rows: Rows, measures: Mapping[str, tuple[str, float]]) -> Iterator[str]:
+    """Give the range, the median and the 5 and 95 % quantiles of measures."""
     yield f'| least, 5 %, half, 95 %, most | {" | ".join(f"`{name}`" for name in rows)} |'
     yield '|' + ' --- |' * (1 + len(rows))
-    for title, (field, scale) in MEASURES.items():
+    for title, (field, scale) in measures.items():
         words = []
         for found in rows.values():
             values = scale * np.array([each[field] for each in found])
             levels = np.quantile(values, [0.0, 0.05, 0.5, 0.95, 1.0])
-            words.append(', '.join(f'{level:.1f}' for level in levels))
+            words.append(', '.join(f'{level:.3g}' for level in levels))
         yield f'| {title} | {" | ".join(words)} |'
 
 
-def _failures(rows: Rows) -> Iterator[str]:
-    """Name every flight without a catch: its number, and how close it came."""
+def _failures(rows: Rows, told: Callable[[Row], str]) -> Iterator[str]:
+    """Name every flight without a catch: its number, and how it missed."""
     for name, found in rows.items():
-        missed = [each for each in found if not each['caught']]
-        words = [
-            f'{each["index"]} ({each["closest"]:.1f} m{"" if each["headed"] else ", headed away"})'
-            for each in missed
-        ]
-        yield f'- `{name}` missed {len(missed)}: {", ".join(words) or "none"}.'
+        words = [f'{each["index"]} ({told(each)})' for each in found if not each['caught']]
+        yield f'- `{name}` missed {len(words)}: {", ".join(words) or "none"}.'
+
+
+def _arrived(row: Row) -> str:
+    return f'{row["missed"]:.3g} m at {row["speed"]:.2g} m/s'
+
+
+def _passed(row: Row) -> str:
+    return f'{row["closest"]:.1f} m{"" if row["headed"] else ", headed away"}'

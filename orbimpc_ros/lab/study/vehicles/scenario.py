@@ -6,7 +6,8 @@ is drawn:
 
 - a range ``[low, high]``; ``{x: range, y: range}`` for a vector; ``{towards: range, length:
   range}`` for one in the plane by its angle [rad] and length; ``{heading: range}`` for an
-  attitude; ``{whole: n}`` for a whole number below n.
+  attitude in the plane, ``{turned: any}`` for any in space; ``{whole: n}`` for a whole number
+  below n.
 - ``{bodies: n, at: vector, when: range, speed: range, radius: range, clear: distance}``: n discs
   that move evenly, any way, through places that they are at then, and start clear of the origin.
 - ``{gates: [x, ...], radius: [r, ...], middle: range, gap: range}``: walls of four standing discs
@@ -136,6 +137,11 @@ def _heading(rule: Mapping[str, Any], rng: np.random.Generator) -> tuple[float, 
     return 0.0, 0.0, math.sin(half), math.cos(half)
 
 
+def _turned(rule: Mapping[str, Any], rng: np.random.Generator) -> tuple[float, ...]:
+    quaternion = rng.normal(size=4)
+    return tuple((quaternion / np.linalg.norm(quaternion)).tolist())
+
+
 def _whole(rule: Mapping[str, Any], rng: np.random.Generator) -> int:
     return int(rng.integers(rule['whole']))
 
@@ -169,6 +175,7 @@ RULES: dict[str, Callable[[Mapping[str, Any], np.random.Generator], Any]] = {
     'towards': _polar,
     'length': _polar,
     'heading': _heading,
+    'turned': _turned,
     'whole': _whole,
     'x': _vector,
     'y': _vector,
