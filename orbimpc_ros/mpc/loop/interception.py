@@ -288,17 +288,23 @@ class Interception:
         It ends at the same time, before the goal by what that is short of it, and a little more.
         """
         target, goals = Target(found.end, narrow=self._coned), hunt.goals(found.end)
-        plan, problem = found.plan, self.problem(target)
-        if plan is None or len(goals) < 2:  # too late to change much
+        if found.plan is None or len(goals) < 2:  # too late to change much
             return found
-        passed = np.diff(plan.positions[-2:], axis=0)[0] - np.diff(goals[-2:], axis=0)[0]
+        passed = np.diff(found.plan.positions[-2:], axis=0)[0] - np.diff(goals[-2:], axis=0)[0]
         ahead = passed / max(float(np.linalg.norm(passed)), TINY)
-        off = plan.positions[-1] + defect(problem, hunt.state, plan, self._lag) - goals[-1]
-        short = min(0.0, float(off @ ahead)) - SLACK * self._aim
-        through = self._attempted(
-            hunt, target, np.concatenate([goals[:-1], goals[-1:] + short * ahead])
-        )
-        return found._replace(plan=through.plan) if self._is_well(through) else found
+        off = self._off(hunt, target, found.plan, goals)
+        short = max(min(0.0, float(off @ ahead)) - SLACK * self._aim, -AIM * self._radius)
+        before = np.concatenate([goals[:-1], goals[-1:] + short * ahead])
+        through = self._attempted(hunt, target, before)
+        if through.plan is None or not self._is_well(through):
+            return found
+        miss = float(np.linalg.norm(self._off(hunt, target, through.plan, goals)))
+        return found._replace(plan=through.plan, miss=miss) if miss <= self._radius else found
+
+    def _off(self, hunt: Hunt, target: Target, plan: Plan, goals: Array) -> Array:
+        """Return how far from the goal a vehicle ends that flies a plan, shape (n,) [m]."""
+        astray = defect(self.problem(target), hunt.state, plan, self._lag)
+        return np.asarray(plan.positions[-1] + astray - goals[-1])
 
     def _passing(self, hunt: Hunt, end: int) -> _Attempt:
         """Return the first catch in the step before an end that has none, or the nearest miss.
