@@ -95,6 +95,21 @@ def test_who_is_met_in_flight_is_not_taken_for_one_at_rest_in_a_wind(velocity_so
     assert off[6] < {'air': 0.3, 'ground': 0.5}[velocity_source]
 
 
+@pytest.mark.parametrize('believed', [True, False])
+def test_speed_that_is_not_as_commanded_is_no_wind_where_what_is_measured_is_believed(believed):
+    """A wing that is told 15 m/s flies 12, and is blown along by a wind besides."""
+    wind, velocity = np.array([3.0, -2.0]), np.array([12.0, 0.0])
+    estimator = Estimator(Problem(forward=15.0), 0.0, 'air', measured=believed)
+    history = CommandHistory()
+    for k in range(30):
+        place = 0.5 * k * (velocity + wind)
+        at = Odometry(0.5 * k, place, np.eye(2), velocity, np.zeros(1))
+        estimator.observe(at, history, np.zeros(2))
+        history.add(Command(1.0, np.zeros(1), np.eye(2)), 0.5 * k)
+    slower = np.zeros(2) if believed else np.array([-3.0, 0.0])
+    np.testing.assert_allclose(estimator.disturbance, wind + slower, atol=0.1)
+
+
 def test_what_is_known_is_not_estimated_again():
     plant = PLANTS[3][1]
     watched = Watched(plant, 3, given=np.array([0.0, 0.0, -9.0]))

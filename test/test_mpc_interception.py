@@ -3,6 +3,7 @@
 
 from collections import Counter
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.geometry.rotations import exp, log
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.loop.defect import defect
@@ -307,6 +308,31 @@ def test_a_catch_that_is_lost_by_little_is_still_flown_at():
     assert tick.catch.time > 4.0
     tick, miss = ticked((15.0, 9.0), meant)  # lost by much
     assert tick.catch.time > 4.0
+
+
+@needs_speed
+@pytest.mark.parametrize('cone', [0.0, 0.6])
+def test_a_catch_through_the_middle_is_as_soon_and_turns_gently(cone):
+    """The earliest one turns as fast as it may: that gains centimetres. Turns are 11 deg a step."""
+    wing, goal = replace(WING, discretisation='exact'), np.array([40.0, 12.0])
+    known = np.tile(goal, (8, 1)), None, lambda times: np.tile(goal, (len(times), 1))
+    approach = Approach(cone, (1.0, 0.0)) if cone else Approach()
+
+    def caught(centred):
+        options = {'capture_radius': RADIUS, 'approach': approach, 'centred': centred}
+        tick = Controller(wing, **options).tick(measured([0.0, 0.0], 0.0, 15.0), *known)
+        attitudes = tick.plan.projected
+        turns = np.abs([log(a.T @ b) for a, b in pairwise(attitudes)])
+        gap, way = goal - tick.plan.positions[-1], np.diff(tick.plan.positions[-2:], axis=0)[0]
+        aside = abs(way[0] * gap[1] - way[1] * gap[0]) / np.linalg.norm(way)
+        assert not violations(tick.problem, tick.state, tick.goals, tick.plan)
+        return tick.catch, turns.max(), aside, np.linalg.norm(gap)
+
+    (soonest, sharp, _, _), (same, gentle, aside, miss) = caught(False), caught(True)
+    assert same == soonest
+    assert gentle < 0.9 * sharp
+    assert aside < 0.1 * RADIUS
+    assert miss <= RADIUS
 
 
 @needs_speed

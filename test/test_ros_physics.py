@@ -1,6 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A vehicle in an engine: its parameters, a flight over DDS, an engine that dies."""
 
+import math
 import re
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from dying_engine import FAILURES
 
 from orbimpc_ros.lab.onboard import Planner, tell
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.physics.engine import EngineFailure
 from orbimpc_ros.ros.parameters import SIM, sim_settings
 from orbimpc_ros.tool import cli
@@ -27,6 +30,7 @@ from orbimpc_ros.world.flight import departure
 
 DEFAULTS = {row.name: row.default for row in SIM}
 DYING = Path(__file__).with_name('dying_engine.py')
+needs_speed = pytest.mark.skipif(not COMPILED, reason='takes minutes in plain Python; needs numba')
 
 
 def test_parameters_make_the_aircraft_that_they_say():
@@ -40,6 +44,26 @@ def test_parameters_make_the_aircraft_that_they_say():
     assert told.goal_path_steps == 0  # nobody is told of the future
     assert values['wind'] == (0.0, 0.0, 0.0)  # nor of the wind
     assert values['floor.fraction'] * model.forward >= 1.1 * model.stall_speed
+
+
+@needs_speed
+@pytest.mark.parametrize('believed', [True, False])
+def test_a_gust_that_turns_the_nose_turns_no_plan(believed):
+    """A gust of 2 m/s from the left: the nose is turned into it, and the way over ground is not."""
+    values = settings.resolve(config('cessna.yaml')) | {'sideslip': believed}
+    planner, slip = Planner(values), 0.04
+    turned = np.array([[math.cos(slip), -math.sin(slip)], [math.sin(slip), math.cos(slip)]])
+    velocity = turned.T @ [45.0, 0.0]
+    for k in range(5):
+        place = np.array([0.5 * k * 45.0, 0.0])
+        planner.goal(0.5 * k, place + np.array([300.0 - 5.0 * k, 0.0]))
+        planner.odometry(0.5 * k, Odometry(0.5 * k, place, turned, velocity, np.zeros(1)))
+        _, report = planner.report(0.5 * k)
+    heading = math.atan2(*report.tick.state.attitude[::-1, 0])
+    assert heading == pytest.approx(0.0 if believed else slip, abs=1e-6)
+    if believed:
+        np.testing.assert_allclose(report.disturbance, 0.0, atol=1e-3)
+        assert abs(report.tick.command.body_rate[0]) < 1e-3
 
 
 @pytest.mark.parametrize('name', ['response.rate', 'drag', 'gain', 'gust_time'])

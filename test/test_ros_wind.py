@@ -41,7 +41,8 @@ def test_the_start_up_line_says_what_moves_the_vehicle():
     assert 'integrated exactly' not in said()
     assert 'wind (0.3, -0.2) m/s,' in said(wind=(0.3, -0.2))
     assert 'integrated exactly' in said(discretisation='exact')
-    assert 'odometry through the air' in said(velocity_source='air')
+    assert 'odometry through the air,' in said(velocity_source='air')
+    assert 'through the air, with its slip,' in said(velocity_source='air', sideslip=True)
     assert 'gravity 9.81 m/s^2: hovers at 0.491 of its thrust' in said(**CRAFT)
     assert 'safe command hover' in said(**CRAFT)
 

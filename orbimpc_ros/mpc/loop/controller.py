@@ -118,6 +118,8 @@ class Controller:
         approach: the cone of headings in which a catch counts; by default any heading does.
         reserve: what plans keep away from hazards beyond what is demanded, as far as there is a
             plan that does; see :mod:`orbimpc_ros.mpc.loop.traffic.reserve` [m].
+        centred: whether catches lead through the middle of the goal, which takes gentler turns than
+            to be within the radius as soon as can be.
 
     Attributes:
         history: the commands of late; a tick's command counts as sent unless another is added.
@@ -139,6 +141,7 @@ class Controller:
         capture_radius: float = 0.0,
         approach: Approach | None = None,
         reserve: float = 0.0,
+        centred: bool = False,
     ) -> None:
         self._reserve = number(reserve, 'reserve', 0.0)
         self.problem, self._safe_kind = problem, safe
@@ -156,7 +159,9 @@ class Controller:
             if shrinking or problem.terminal != 'penalty':
                 raise BadInput('capture_radius', capture_radius, '0 with an arrival in time')
             caught = replace(problem, approach=self._approach)
-            self._interception = Interception(caught, capture_radius, self.response.speed)
+            self._interception = Interception(
+                caught, capture_radius, self.response.speed, centred=centred
+            )
             for target in self._interception.targets:
                 self._catcher(target)
         by_its_axis = self._interception is not None and self._approach.is_the_goals

@@ -52,6 +52,9 @@ class Deviations:
     prior: float = 0.3
 
 
+MEASURED = Deviations(model=0.01)  # gusts are seen in the velocity, and commands have no part
+
+
 class Estimator:
     """Learns a disturbance from odometry and the commands that were in force.
 
@@ -60,6 +63,7 @@ class Estimator:
         lag: of speed or thrust [s]; see :class:`orbimpc_ros.mpc.loop.response.Response`.
         velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
         noise: of the model.
+        measured: whether the measured speed is believed, through the air, not the commanded one.
 
     Attributes:
         innovation: how far the last measurement was from what was expected, in standard
@@ -73,8 +77,11 @@ class Estimator:
         lag: float = 0.0,
         velocity_source: str = 'ground',
         noise: Deviations | None = None,
+        *,
+        measured: bool = False,
     ) -> None:
-        self._problem, self._lag, self._noise = problem, lag, noise or Deviations()
+        self._noise = noise or (MEASURED if measured else Deviations())
+        self._problem, self._lag, self._as_measured = problem, lag, measured
         self._velocity_source = velocity_source
         self.reset()
 
@@ -168,7 +175,7 @@ class Estimator:
     ) -> Array | None:
         """Return what commands and the given disturbance did since, shape (1 or 2, n); or None."""
         time = now.time - last.time
-        share = history.mean(last.time, now.time, self._lag, self._begun)
+        share = self._mean_share(last, now, history)
         if time > GAP or share is None:
             return None
         ahead = np.zeros(self._problem.dimension)
@@ -178,6 +185,12 @@ class Estimator:
             return np.array([time * (last.attitude @ once + given)])
         place = time * time * (last.attitude @ twice + 0.5 * given)
         return np.array([place, time * (last.attitude @ once + given)])
+
+    def _mean_share(self, last: Odometry, now: Odometry, history: CommandHistory) -> float | None:
+        """Return the mean share of full speed, or thrust, in between; None if it is unknown."""
+        if self._as_measured:
+            return 0.5 * float(last.body_velocity[0] + now.body_velocity[0]) / self._problem.forward
+        return history.mean(last.time, now.time, self._lag, self._begun)
 
     def _predict(self, moved: Array, time: float) -> None:
         """Move the state on by so much, and by itself for a time [s]."""

@@ -33,6 +33,12 @@ command is obeyed until the next tick, which may come after the first of these s
 tried but where turns are limited, or take place within a step; and none that would turn by more
 than half a turn until then.
 
+The first catch that there is ends at the rim of what counts as well within, no nearer to the goal
+than full speed leads. So it turns at once and as fast as it may, for a centimetre's sake. A vehicle
+whose turns take time to begin, and to end, swings about such plans. On demand a catch is *centred*:
+it ends at the same time, a little short of that, and heads through the middle of the goal. Then
+there is a little to spare, effort decides, and turns are gentle.
+
 Mathematics: docs/mathematics.md, 7.10.
 """
 
@@ -57,12 +63,14 @@ from orbimpc_ros.mpc.solve.request import Enough
 AIM = 0.95  # of the radius, within which the plan of a catch ends
 NARROW = 0.5  # of radius and cone, where a heading is asked for: gusts leave some of it
 GRAZE = 1.5  # radii: a goal missed by no more is still flown at
+SLACK = 0.5  # of that, by which a plan that leads through the middle ends before it
 TRIES = 3  # plans for one end, each for a goal moved by the defect of the one before
 WORTH = 0.01  # of the radius, by which another plan for the same end should come nearer
 EFFORT = 0.1  # of the squared radius: what the inputs of a plan cost at most
 LARGEST_CHANGE = 8.0  # of a rotation, |R' - R|_F^2, that of half a turn
 FARTHEST = 4  # times the horizon, to look beyond it
 COARSEST, FINEST = 0.25, 0.0625  # of a step: to what the time of a catch is looked for
+TINY = 1e-9  # [m]
 SHARPEST = 0.5 * math.pi  # turn within a step: beyond it the way is a caricature
 
 
@@ -142,13 +150,17 @@ class Interception:
         problem: what is solved where no catch is found, with the cone of approach of a catch.
         radius: within which the goal is caught [m].
         lag: of the speed [s].
+        centred: whether a catch leads through the middle of the goal, with a little to spare.
 
     Attributes:
         farthest: the last end at which a catch is looked for.
     """
 
-    def __init__(self, problem: Problem, radius: float, lag: float = 0.0) -> None:
+    def __init__(
+        self, problem: Problem, radius: float, lag: float = 0.0, *, centred: bool = False
+    ) -> None:
         self._tracked, self._radius, self._lag = problem, radius, lag
+        self._centred = centred
         self._step, self._horizon = problem.step, problem.horizon
         self.farthest = _farthest(problem)
         self._finest = _finest(problem, radius)
@@ -200,6 +212,8 @@ class Interception:
             return None, Catch(math.nan, self._step * bound)
         if best.end == int(best.end) and self._is_well(best):
             best = self._within(hunt, best)
+        if self._centred and self._is_well(best):
+            best = self._through_the_middle(hunt, best)
         return best.plan, Catch(self._step * best.end, self._step * min(bound, best.end))
 
     def _in_view(self, hunt: Hunt) -> tuple[_Attempt, int]:
@@ -268,6 +282,30 @@ class Interception:
                 found = sooner
             away *= 0.5
         return found
+
+    def _through_the_middle(self, hunt: Hunt, found: _Attempt) -> _Attempt:
+        """Return the catch that leads through the middle of the goal, if there is one.
+
+        It ends at the same time, before the goal by what that is short of it, and a little more.
+        """
+        target, goals = Target(found.end, narrow=self._coned), hunt.goals(found.end)
+        if found.plan is None or len(goals) < 2:  # too late to change much
+            return found
+        passed = np.diff(found.plan.positions[-2:], axis=0)[0] - np.diff(goals[-2:], axis=0)[0]
+        ahead = passed / max(float(np.linalg.norm(passed)), TINY)
+        off = self._off(hunt, target, found.plan, goals)
+        short = max(min(0.0, float(off @ ahead)) - SLACK * self._aim, -AIM * self._radius)
+        before = np.concatenate([goals[:-1], goals[-1:] + short * ahead])
+        through = self._attempted(hunt, target, before)
+        if through.plan is None or not self._is_well(through):
+            return found
+        miss = float(np.linalg.norm(self._off(hunt, target, through.plan, goals)))
+        return found._replace(plan=through.plan, miss=miss) if miss <= self._radius else found
+
+    def _off(self, hunt: Hunt, target: Target, plan: Plan, goals: Array) -> Array:
+        """Return how far from the goal a vehicle ends that flies a plan, shape (n,) [m]."""
+        astray = defect(self.problem(target), hunt.state, plan, self._lag)
+        return np.asarray(plan.positions[-1] + astray - goals[-1])
 
     def _passing(self, hunt: Hunt, end: int) -> _Attempt:
         """Return the first catch in the step before an end that has none, or the nearest miss.

@@ -6,7 +6,10 @@ Mathematics: docs/mathematics.md, 7.1.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
 from orbimpc_ros.mpc.geometry.rotations import exp
@@ -37,6 +40,21 @@ class Odometry(ByContent):
     def __post_init__(self) -> None:
         for array in (self.position, self.attitude, self.body_velocity, self.body_rate):
             sealed(array)
+
+
+def along_the_air(odometry: Odometry) -> Odometry:
+    """Return the measurement of a wing with its axis along its velocity through the air.
+
+    A gust from the side turns the nose of a wing into it, and leaves its way over ground nearly as
+    it is: what goes on is the velocity, and the nose is turned back to it.
+
+    Args:
+        odometry: in the plane, through the air.
+    """
+    ahead, aside = odometry.body_velocity.tolist()
+    slip = np.array([math.atan2(aside, ahead)])
+    velocity = np.array([math.hypot(ahead, aside), 0.0])
+    return replace(odometry, attitude=odometry.attitude @ exp(slip), body_velocity=velocity)
 
 
 def airspeed(odometry: Odometry, wind: Array | None, velocity_source: str = 'ground') -> float:

@@ -112,6 +112,9 @@ PLANNER: tuple[Row, ...] = (
         'it can be', choices=OBJECTIVES, live=True),
     Row('capture_radius', retrieval().capture_radius, 'The goal is caught within it (objective '
         'intercept)', 'm', *span(*LIMITS['capture_radius']), live=True),
+    Row('capture_centred', False, 'Whether plans of a catch lead through the middle of the goal '
+        'with a little to spare: they turn gently, which vehicles follow whose turns take time '
+        'to begin; otherwise they gain the last centimetre', live=True),
     Row('odometry', 'odom', 'Where odometry comes from: odom, or the halves pose and twist, as '
         'autopilots publish them', choices=ODOMETRY),
     Row('velocity_frame', 'body', 'What the linear velocity of odom or twist is given in: the '
@@ -136,6 +139,10 @@ PLANNER: tuple[Row, ...] = (
     Row('response.speed', 0.0, 'First-order lag of speed or thrust; a vehicle with any lag obeys '
         'at once, not at the end of a step', 's', 0.0, 10.0, live=True),
     Row('response.rate', 0.0, 'First-order lag of the body rate', 's', 0.0, 10.0, live=True),
+    Row('sideslip', False, 'Whether the twist of odom has the velocity through the air with its '
+        'part across the axis (velocity_source air, in the plane): a wing is then taken to fly '
+        'the way that it moves through the air, not the way its nose points, and at the speed '
+        'that is measured'),
     Row('disturbance', GIVEN, 'Whether wind and gravity are all that disturbs, or more is '
         'estimated from odometry against what was commanded', choices=DISTURBANCES, live=True),
     Row('goal_prediction', 'hold', 'How the goal is expected to move: hold, not at all; velocity, '
@@ -218,6 +225,7 @@ class PlannerSettings:
         goal_jump_limit: distance from one goal to the next; 0 for no limit [m].
         delay_compensation: whether to plan from the state advanced by the odometry's age.
         capture_radius: within which the goal is caught; 0 where it is not to be [m].
+        centred: whether plans lead through its middle.
         approach: the cone of headings in which a catch counts.
         wants_attitude: whether goals need an orientation.
         safe_command: ``stop``, ``hold_rate_zero``, ``loiter`` or ``hover``; ``auto`` is decided.
@@ -228,6 +236,7 @@ class PlannerSettings:
         hover_thrust: share of full thrust that carries the weight; 0 where none is to be told.
         estimated: whether to estimate what disturbs besides.
         velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
+        sideslip: whether odometry measures how a wing slips, which is believed.
         dry_run: whether nothing is to be commanded.
         publish_certificate: whether to publish what proves bounds.
         gated: whether commands wait until the vehicle says that it takes them.
@@ -255,6 +264,7 @@ class PlannerSettings:
     goal_jump_limit: float
     delay_compensation: bool
     capture_radius: float
+    centred: bool
     approach: Approach
     wants_attitude: bool
     safe_command: str
@@ -265,6 +275,7 @@ class PlannerSettings:
     hover_thrust: float
     estimated: bool
     velocity_source: str
+    sideslip: bool
     dry_run: bool
     publish_certificate: bool
     gated: bool
@@ -308,6 +319,7 @@ def planner_settings(values: Values) -> PlannerSettings:
         goal_jump_limit=values['goal_jump_limit'],
         delay_compensation=values['delay_compensation'],
         capture_radius=_capture_radius(values),
+        centred=values['capture_centred'],
         approach=approach,
         wants_attitude=problem.wants_attitude or approach.is_the_goals,
         safe_command=decided(values['safe_command'], problem, values['gravity']),
@@ -318,6 +330,7 @@ def planner_settings(values: Values) -> PlannerSettings:
         hover_thrust=_hover_thrust(values),
         estimated=values['disturbance'] == ESTIMATED,
         velocity_source=values['velocity_source'],
+        sideslip=values['sideslip'],
         dry_run=values['dry_run'],
         publish_certificate=values['publish_certificate'],
         gated=values['gated'],
@@ -353,6 +366,9 @@ def _refuse_unfit(values: Values) -> None:
     if values['velocity_source'] == 'air' and order == 2:
         allowed = 'ground at translation_order 2, where wind is an acceleration'
         raise BadInput('velocity_source', 'air', allowed)
+    if values['sideslip'] and (values['dimension'], values['velocity_source']) != (2, 'air'):
+        allowed = 'false but with dimension 2 and velocity_source air'
+        raise BadInput('sideslip', values['sideslip'], allowed)
 
 
 def _hover_thrust(values: Values) -> float:

@@ -119,7 +119,7 @@ def _surroundings(settings: PlannerSettings) -> list[str]:
     if settings.frames.velocity == 'world':
         parts.append('velocities of the world frame')
     if settings.velocity_source == 'air':
-        parts.append('odometry through the air')
+        parts.append(f'odometry through the air{", with its slip" if settings.sideslip else ""}')
     return parts
 
 

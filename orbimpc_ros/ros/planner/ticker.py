@@ -16,7 +16,7 @@ from orbimpc_ros.mpc.loop.controller import Controller, Tick
 from orbimpc_ros.mpc.loop.delay import Interval, advanced
 from orbimpc_ros.mpc.loop.disturbance import Estimator
 from orbimpc_ros.mpc.loop.interception import FARTHEST
-from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.mpc.loop.odometry import Odometry, along_the_air
 from orbimpc_ros.mpc.loop.traffic.nearest import nearest
 from orbimpc_ros.mpc.outcome import Reason
 from orbimpc_ros.ros.clock import UNKNOWN, RosTime
@@ -43,6 +43,7 @@ def prepared(settings: PlannerSettings) -> tuple[PlannerSettings, Controller]:
         capture_radius=settings.capture_radius,
         approach=settings.approach,
         reserve=settings.obstacle_reserve,
+        centred=settings.centred,
     )
     if settings.avoid:
         controller.expect_hazards()
@@ -56,7 +57,8 @@ def _is_past(clock: Callable[[], float], end: float) -> bool:
 def _estimator(settings: PlannerSettings) -> Estimator | None:
     if not settings.estimated:
         return None
-    return Estimator(settings.problem, settings.response.speed, settings.velocity_source)
+    known = settings.problem, settings.response.speed, settings.velocity_source
+    return Estimator(*known, measured=settings.sideslip)
 
 
 class Timing:
@@ -146,10 +148,11 @@ class Ticker:
         begun = self._clock()
         received, settings = inbox.odometry, self._settings
         assert received is not None
-        limited = self._estimate(received.value)
+        measured = along_the_air(received.value) if settings.sideslip else received.value
+        limited = self._estimate(measured)
         odometry = advanced(
             settings.problem,
-            received.value,
+            measured,
             self._intervals(received, ros),
             self._controller.disturbance,
             settings.velocity_source,
