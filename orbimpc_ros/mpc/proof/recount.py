@@ -187,6 +187,26 @@ def _set_slopes(terms, start, goals, x, slopes):
 
 
 @compiled
+def _set_slopes_from(base, hessian, x, slopes):
+    """Do as :func:`_set_slopes`, on from a point where the cost, and all of it, is known."""
+    point, value, size, known, sharpest = base
+    count, n = x.shape
+    for c in range(n):
+        for j in range(count):
+            slopes[j, c] = known[j, c]
+        for k in range(count):
+            way = x[k, c] - point[k, c]
+            if way == 0.0:
+                continue
+            size += sharpest * count * abs(way)  # no entry of a Hessian is larger
+            for j in range(count):
+                slopes[j, c] += hessian[k, j] * way
+        for k in range(count):
+            value += 0.5 * (known[k, c] + slopes[k, c]) * (x[k, c] - point[k, c])
+    return value, size
+
+
+@compiled
 def _is_convex(hessian, bends, unit, e, factor):
     """Return whether Hessian, bends and e I are positive definite, by Cholesky's method."""
     for i in range(len(hessian)):
@@ -314,40 +334,48 @@ def _least(slope, size, length, bend, normals, least, face, low, high):
 
 
 @compiled
-def _leaf(terms, hessian, start, goals, x, bends, unit, region, slopes, enough):
-    """Return the bound that a tangent proves over a region: faces, and sectors' ends.
+def _tangents_least(lengths, floor, hessian, base, x, bends, unit, slopes):
+    """Set a tangent's slopes; return its least value where headings go their own ways down.
 
-    First every heading is let go its own way down; that it cannot leave its region is counted step
-    by step, until the bound is enough.
+    And the sum of what may cancel in it.
     """
-    faces, low, high = region
-    lengths, normals, floor = terms.lengths, terms.normals, terms.floor[0]
-    value, size = _set_slopes(terms, start, goals, x, slopes)
+    value, size = _set_slopes_from(base, hessian, x, slopes)
     curved, reach = False, 0.0
     for k in range(len(x)):
-        bend, square, along = unit * bends[k], 0.0, 0.0
+        bend, square, along, steepness = unit * bends[k], 0.0, 0.0, 0.0
         for c in range(x.shape[1]):
             slopes[k, c] += bend * x[k, c]
             along += slopes[k, c] * x[k, c]
             square += x[k, c] * x[k, c]
-        least = _least_along(lengths[k + 1] - _steepness(slopes, k), bend, floor)
+            steepness += slopes[k, c] * slopes[k, c]
+        least = _least_along(lengths[k + 1] - np.sqrt(steepness), bend, floor)
         value += 0.5 * bend * square - along + least
         size += abs(bend) * square + abs(along) + abs(least)
         reach += 1.0 + square
         curved |= bend < 0.0
     if curved:
         value -= _lack(hessian, bends, unit) * reach
-    value -= ROUNDING * len(x) * size
-    for k in range(len(x)):
-        if value >= enough:
-            break
+    return value - ROUNDING * len(x) * size, size
+
+
+@compiled
+def _held(lengths, normals, floor, slopes, bends, unit, region, bound, enough):
+    """Return a tangent's bound with what it gains where headings are held in their regions.
+
+    It is counted step by step, until the bound is enough.
+    """
+    value, size = bound
+    faces, low, high = region
+    for k in range(len(bends)):
         bend, steepness = unit * bends[k], _steepness(slopes, k)
         if steepness <= ROUNDING * size:
             continue
         known = lengths[k + 1], bend, normals, floor, faces[k], low[k], high[k]
         least = _least((slopes[k, 0], slopes[k, 1]), steepness, *known)
         value += least - _least_along(lengths[k + 1] - steepness, bend, floor)
-        value -= ROUNDING * len(x) * abs(least)
+        value -= ROUNDING * len(bends) * abs(least)
+        if value >= enough:
+            break
     return value
 
 
@@ -419,6 +447,29 @@ def _regions(grounds, heading, turn):
 
 
 @compiled
+def _least_of_leaves(terms, hessian, base, grounds, regions, reached, unit, enough):
+    """Return the least bound of all leaves that are reached; -inf where one proves nothing."""
+    splits, points, bends = grounds.splits, grounds.points, grounds.bends
+    faces, low, high = regions
+    lengths, normals, floor = terms.lengths, terms.normals, terms.floor[0]
+    slopes, least = np.empty(points[0].shape), np.inf
+    for t in range(len(splits)):
+        if not reached[t] or splits[t] >= 0:
+            continue
+        wanted = min(enough, least)
+        bound = _tangents_least(lengths, floor, hessian, base, points[t], bends[t], unit, slopes)
+        value = bound[0]
+        if not value >= wanted:
+            own = min(t, len(low) - 1)
+            region = faces[t], low[own], high[own]
+            value = _held(lengths, normals, floor, slopes, bends[t], unit, region, bound, wanted)
+        if not value > -np.inf:  # or no number
+            return -np.inf
+        least = min(least, value)
+    return least if least < np.inf else -np.inf
+
+
+@compiled
 def recounted(terms, hessian, start, goals, heading, grounds, unit, enough):
     """Return the least bound of all leaves; -inf where they are not all there is.
 
@@ -432,28 +483,17 @@ def recounted(terms, hessian, start, goals, heading, grounds, unit, enough):
         unit: of the bends, in that of the cost.
         enough: a bound beyond which nothing is counted.
     """
-    splits, points, bends = grounds.splits, grounds.points, grounds.bends
+    splits, point = grounds.splits, grounds.points[0]
     regions = _regions(grounds, heading, terms.floor[1])
-    faces, low, high = regions
-    reached, slopes, least = np.zeros(len(splits), np.bool_), np.empty(goals.shape), np.inf
+    reached, slopes, spent = np.zeros(len(splits), np.bool_), np.empty(goals.shape), 0.0
     reached[0] = True
-    spent = 0.0
+    for t in range(len(splits)):
+        if reached[t] and splits[t] >= 0 and not _parted(t, terms, grounds, regions, reached):
+            return -np.inf
     for c in range(start.shape[1]):
         spent += start[2, c] * start[2, c]
     spent = terms.lengths[0] * np.sqrt(spent)
-    for t in range(len(splits)):
-        if not reached[t]:
-            continue
-        if splits[t] >= 0:
-            if not _parted(t, terms, grounds, regions, reached):
-                return -np.inf
-            continue
-        sector, wanted = min(t, len(low) - 1), min(enough - spent, least)
-        known = faces[t], low[sector], high[sector]
-        bound = _leaf(
-            terms, hessian, start, goals, points[t], bends[t], unit, known, slopes, wanted
-        )
-        if not bound > -np.inf:  # or no number
-            return -np.inf
-        least = min(least, bound)
-    return least + spent if least < np.inf else -np.inf
+    value, size = _set_slopes(terms, start, goals, point, slopes)
+    base = point, value, size, slopes, np.diag(hessian).max()
+    asked = grounds, regions, reached, unit, enough - spent
+    return spent + _least_of_leaves(terms, hessian, base, *asked)
