@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import certified
 import numpy as np
+import problems
 import pytest
 
 from orbimpc_ros.mpc.kernels import COMPILED
@@ -33,9 +34,7 @@ def solved(kind, seed):
 @pytest.mark.parametrize('kind', COUNTED + TURNING)
 def test_what_is_counted_again_holds_in_exact_arithmetic(kind, seed):
     case, plan = solved(kind, seed)
-    if not plan.proof.checked:  # by arcs, which leave no grounds
-        assert kind.startswith('circle')
-        return
+    assert plan.proof.checked
     again = Recount(case.problem).bound(
         case.state, case.goals, plan.proof.grounds, plan.proof.cost_unit
     )
@@ -120,6 +119,31 @@ def test_no_split_by_directions_proves_more_than_there_is():
         assert again <= plan.objective * (1.0 + 1e-9)
         refused += again == -np.inf
     assert 0 < refused < 300  # angles out of their sectors, and others
+
+
+@needs_machine_code
+@pytest.mark.parametrize(('seed', 'parts'), [(0, 5), (32, 20)])  # with a weight on length, without
+def test_a_search_over_arcs_leaves_what_proves_its_bound(seed, parts):
+    rng = np.random.default_rng(seed)
+    problem = Problem(
+        horizon=int(rng.integers(3, 6)),
+        weights=problems.weights(rng),
+        floor=problems.floor('circle', rng.uniform(0.3, 1.0)),
+    )
+    state = problems.state(rng, problem, full_speed=False)
+    goals = problems.goals(rng, problem, distance=rng.uniform(0.1, 1.5))
+    plan = Solver(problem).solve(state, goals)
+    grounds, known = plan.proof.grounds, (problem, state, goals)
+    assert plan.proof.checked
+    assert (grounds.splits < 0).sum() > parts
+    assert plan.gap <= plan.proof.gap_tolerance
+    assert verified(parsed(kept(*known, plan.proof).text().encode())).holds
+    recount, asked = Recount(problem), (grounds, plan.proof.cost_unit)
+    assert recount.bound(*known[1:], *asked) >= plan.lower_bound
+    for _ in range(50):
+        bends = grounds.bends + 10.0 ** rng.uniform(-6, 0) * rng.normal(size=grounds.bends.shape)
+        moved = grounds._replace(bends=bends, origins=grounds.origins + 1e-3 * rng.normal())
+        assert recount.bound(*known[1:], moved, asked[1]) <= plan.objective * (1.0 + 1e-9)
 
 
 @needs_machine_code

@@ -120,7 +120,7 @@ class SectorSearch:
         return Found(best, cost, bound, int(self._tree.counts[NODES]))
 
     def _grounds(self) -> Grounds | None:
-        """Return what the bound rests on: splits of headings within a turn limit, else not known."""
+        """Return what the bound rests on, where only headings are split, within a turn limit."""
         if not self._splits_headings:
             return None
         tree, made = self._tree, int(self._tree.counts[MADE])
