@@ -124,7 +124,8 @@ class SectorSearch:
         if not self._splits_headings:
             return None
         tree, made = self._tree, int(self._tree.counts[MADE])
-        arrays = tree.splits, tree.parts, tree.angles, tree.points
-        known = (array[:made].copy() for array in arrays)
-        steps = self._problem.horizon
-        return Grounds(*known, np.zeros((made, steps)), np.zeros(steps))
+        straight, origins = np.zeros((made, len(tree.x))), np.zeros(len(tree.x))
+        splits, parts, angles = tree.splits[:made], tree.parts[:made], tree.angles[:made]
+        return Grounds(
+            splits.copy(), parts.copy(), angles.copy(), tree.points[:made].copy(), straight, origins
+        )
