@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.kernels import compiled
+from orbimpc_ros.mpc.kernels import compiled, inlined
 from orbimpc_ros.mpc.model.translation import Step, step_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.grounds import Grounds, tangent
@@ -186,7 +186,7 @@ def _set_slopes(terms, start, goals, x, slopes):
     return value, size + value
 
 
-@compiled
+@inlined
 def _set_slopes_from(base, hessian, x, slopes):
     """Do as :func:`_set_slopes`, on from a point where the cost, and all of it, is known."""
     point, value, size, known, sharpest = base
@@ -333,7 +333,7 @@ def _least(slope, size, length, bend, normals, least, face, low, high):
     return _least_along(length + rim, bend, least)
 
 
-@compiled
+@inlined
 def _tangents_least(lengths, floor, hessian, base, x, bends, unit, slopes):
     """Set a tangent's slopes; return its least value where headings go their own ways down.
 
@@ -358,7 +358,7 @@ def _tangents_least(lengths, floor, hessian, base, x, bends, unit, slopes):
     return value - ROUNDING * len(x) * size, size
 
 
-@compiled
+@inlined
 def _held(lengths, normals, floor, slopes, bends, unit, region, bound, enough):
     """Return a tangent's bound with what it gains where headings are held in their regions.
 
