@@ -33,11 +33,15 @@ KINDS: dict[str, dict[str, Any]] = {
     'space, coasting': {'dimension': 3, 'rotation_order': 2, 'translation_order': 2},
     'space, arrival': {'dimension': 3, **ARRIVES},
 }
+# Certificates of these take what a method leaves of its proof.
+LEFT: dict[str, dict[str, Any]] = {
+    'polygon, turn rate': {'floor': Floor('polygon', 6, 0.6), 'max_rate': 0.7},
+}
 
 
 def case(kind: str, rng: np.random.Generator, longest: int = 7) -> Case:
     """Return a problem of a kind with a state at full speed and goals within its reach."""
-    given = dict(KINDS[kind])
+    given = dict((KINDS | LEFT)[kind])
     weights = Weights(1.0, given.pop('input', 0.05), given.pop('length', 0.0), 10.0)
     horizon = int(rng.integers(4, longest + 1))
     step, forward = 10.0 ** rng.uniform(-1, 0), 10.0 ** rng.uniform(-0.5, 1)

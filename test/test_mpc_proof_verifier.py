@@ -144,6 +144,25 @@ def test_least_beyond_a_face_is_below_all_that_is_beyond(seed):
     assert least <= (rim @ slope).min() + 1e-12
 
 
+@pytest.mark.parametrize('seed', range(12))
+def test_least_over_a_sector_of_a_polygon_is_that_of_its_points(seed):
+    rng = np.random.default_rng(seed)
+    faces, fraction = int(rng.integers(3, 9)), rng.uniform(0.05, 0.9)
+    fraction *= np.cos(np.pi / faces)
+    problem = Problem(floor=Floor('polygon', faces, fraction))
+    exact, _, _ = posed(problem, rng)
+    low, slope = rng.uniform(-9.0, 9.0), rng.normal(size=2)
+    high = low + rng.uniform(0.01, 3.1)
+    sector, given = verifier.Sector(Fraction(low), Fraction(high)), fractions([slope])[0]
+    least = float(exact._least_reached(given, sector, verifier._least_within(given, sector)))
+    angles = np.linspace(low, high, 2001)
+    share = 2.0 * np.pi / faces
+    reach = fraction / np.cos(angles - share * np.round(angles / share))
+    along = slope[0] * np.cos(angles) + slope[1] * np.sin(angles)
+    there = min(along.min(), (along * reach).min())
+    assert there - 0.01 * np.linalg.norm(slope) <= least <= there + 1e-12
+
+
 @pytest.mark.parametrize('seed', range(4))
 def test_least_over_the_orbitope_is_below_all_rotations(seed):
     rng = np.random.default_rng([seed, 8])

@@ -1,8 +1,12 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Bounds counted again at every tick: as exact proofs have them, and never too high."""
 
+import itertools
+from dataclasses import replace
+
 import certified
 import numpy as np
+import problems
 import pytest
 
 from orbimpc_ros.mpc.kernels import COMPILED
@@ -18,21 +22,22 @@ needs_machine_code = pytest.mark.skipif(
     not COMPILED, reason='the methods that leave grounds need numba'
 )
 COUNTED = ('hull', 'polygon', 'circle', 'circle, constant speed', 'circle, length', 'shell')
+TURNING = ('circle, turn rate', 'polygon, turn rate')
 
 
 def solved(kind, seed):
-    case = certified.case(kind, np.random.default_rng([seed, *kind.encode()]))
+    case = certified.case(kind, np.random.default_rng([seed, *kind.encode()]), longest=5)
     return case, Solver(case.problem).solve(case.state, case.goals)
 
 
 @needs_machine_code
-@pytest.mark.parametrize('seed', range(4))
-@pytest.mark.parametrize('kind', COUNTED)
+@pytest.mark.parametrize(
+    ('kind', 'seed'),
+    [*itertools.product(COUNTED, range(4)), *itertools.product(TURNING, (0, 1, 3))],
+)
 def test_what_is_counted_again_holds_in_exact_arithmetic(kind, seed):
     case, plan = solved(kind, seed)
-    if not plan.proof.checked:  # by arcs, which leave no grounds
-        assert kind.startswith('circle')
-        return
+    assert plan.proof.checked
     again = Recount(case.problem).bound(
         case.state, case.goals, plan.proof.grounds, plan.proof.cost_unit
     )
@@ -44,7 +49,7 @@ def test_what_is_counted_again_holds_in_exact_arithmetic(kind, seed):
 
 
 @needs_machine_code
-@pytest.mark.parametrize('kind', ['hull', 'polygon', 'circle'])
+@pytest.mark.parametrize('kind', ['hull', 'polygon', 'circle', *TURNING])
 def test_no_grounds_prove_more_than_there_is(kind):
     rng, (case, plan) = np.random.default_rng(5), solved(kind, 1)
     recount, grounds = Recount(case.problem), plan.proof.grounds
@@ -80,7 +85,7 @@ def changed(array, place, value):
         lambda g: g._replace(parts=changed(g.parts, 0, len(g.parts))),
         lambda g: g._replace(parts=np.where(g.splits >= 0, 1, g.parts)),
         lambda g: g._replace(splits=changed(g.splits, 0, 5)),
-        lambda g: g._replace(angles=changed(g.angles, 0, 0.3)),
+        lambda g: g._replace(angles=changed(g.angles, 0, 7.0)),
         lambda g: g._replace(points=changed(g.points, -1, np.nan)),
         lambda g: g._replace(bends=changed(g.bends, np.flatnonzero(g.splits < 0), 0.1)),
     ],
@@ -90,6 +95,87 @@ def test_grounds_that_leave_something_out_prove_nothing(spoilt):
     problem, state, goals, plan = branched()
     grounds = spoilt(plan.proof.grounds)
     assert Recount(problem).bound(state, goals, grounds, plan.proof.cost_unit) == -np.inf
+
+
+def passing():
+    """Return a problem whose goal is abeam of a wing, split by directions, with its plan."""
+    problem = Problem(horizon=4, floor=Floor('circle', fraction=0.6), max_rate=0.7)
+    state, goals = State.at(np.zeros(2), np.eye(2)), np.tile([-0.3, 0.4], (4, 1))
+    plan = Solver(problem).solve(state, goals)
+    assert (plan.proof.grounds.splits >= 0).sum() > 2
+    return problem, state, goals, plan
+
+
+@needs_machine_code
+def test_no_split_by_directions_proves_more_than_there_is():
+    problem, state, goals, plan = passing()
+    rng, recount, grounds = np.random.default_rng(8), Recount(problem), plan.proof.grounds
+    inner, refused = np.flatnonzero(grounds.splits >= 0), 0
+    for _ in range(300):
+        at, size = int(rng.choice(inner)), 10.0 ** rng.uniform(-4.0, 0.5)
+        moved = grounds._replace(
+            angles=changed(grounds.angles, at, grounds.angles[at] + size * rng.normal()),
+            splits=changed(grounds.splits, at, rng.choice([grounds.splits[at], 0, 3])),
+            points=grounds.points + size * rng.normal(size=grounds.points.shape),
+        )
+        again = recount.bound(state, goals, moved, plan.proof.cost_unit)
+        assert again <= plan.objective * (1.0 + 1e-9)
+        refused += again == -np.inf
+    assert 0 < refused < 300  # angles out of their sectors, and others
+
+
+@needs_machine_code
+@pytest.mark.parametrize(('seed', 'parts'), [(0, 5), (32, 20)])  # with a weight on length, without
+def test_a_search_over_arcs_leaves_what_proves_its_bound(seed, parts):
+    rng = np.random.default_rng(seed)
+    problem = Problem(
+        horizon=int(rng.integers(3, 6)),
+        weights=problems.weights(rng),
+        floor=problems.floor('circle', rng.uniform(0.3, 1.0)),
+    )
+    state = problems.state(rng, problem, full_speed=False)
+    goals = problems.goals(rng, problem, distance=rng.uniform(0.1, 1.5))
+    plan = Solver(problem).solve(state, goals)
+    grounds, known = plan.proof.grounds, (problem, state, goals)
+    assert plan.proof.checked
+    assert (grounds.splits < 0).sum() > parts
+    assert plan.gap <= plan.proof.gap_tolerance
+    assert verified(parsed(kept(*known, plan.proof).text().encode())).holds
+    recount, asked = Recount(problem), (grounds, plan.proof.cost_unit)
+    assert recount.bound(*known[1:], *asked) >= plan.lower_bound
+    for _ in range(50):
+        bends = grounds.bends + 10.0 ** rng.uniform(-6, 0) * rng.normal(size=grounds.bends.shape)
+        moved = grounds._replace(bends=bends, origins=grounds.origins + 1e-3 * rng.normal())
+        assert recount.bound(*known[1:], moved, asked[1]) <= plan.objective * (1.0 + 1e-9)
+
+
+@needs_machine_code
+def test_a_direction_that_is_left_out_is_counted():
+    problem, state, goals, plan = passing()
+    grounds = plan.proof.grounds
+    leaf = np.flatnonzero(grounds.splits < 0)[-1]
+    short = grounds._replace(
+        **{name: getattr(grounds, name)[:leaf] for name in grounds._fields[:-1]}
+    )
+    assert Recount(problem).bound(state, goals, short, plan.proof.cost_unit) == -np.inf
+
+
+@needs_machine_code
+def test_a_wider_turn_limit_proves_less():
+    problem, state, goals, plan = passing()
+    wider = replace(problem, max_rate=1.4)
+    again = Recount(wider).bound(state, goals, plan.proof.grounds, plan.proof.cost_unit)
+    assert again <= Solver(wider).solve(state, goals).objective < 0.99 * plan.lower_bound
+
+
+@needs_machine_code
+def test_counting_ends_where_the_bound_is_enough():
+    problem, state, goals, plan = passing()
+    asked = state, goals, plan.proof.grounds, plan.proof.cost_unit
+    recount = Recount(problem)
+    whole = recount.bound(*asked)
+    for enough in (0.5 * whole, plan.lower_bound, 2.0 * whole):
+        assert min(enough, whole) <= recount.bound(*asked, enough) <= whole * (1.0 + 1e-12)
 
 
 @pytest.mark.parametrize('excess', [1e-6, 1e-2])

@@ -91,6 +91,10 @@ class Sectors(NamedTuple):
         slow: least speeds of a node, shape (M, N).
         fast: greatest, shape (M, N).
         parent: whose active set a node begins with, shape (M,).
+        splits: the step by whose heading a node was split, -1 where it was not, shape (M,).
+        parts: the first of its two children, which have the headings below and above, shape (M,).
+        angles: that heading [rad], shape (M,).
+        points: the minimiser of the Lagrangian that a node's bound is of, shape (M, N, 2).
         keys: bounds of the open nodes, a heap, shape (M,).
         heap: their numbers, shape (M,).
         chords: rows of the sectors at the node at work, normals and offsets, shape (N, 3).
@@ -120,6 +124,10 @@ class Sectors(NamedTuple):
     slow: Array
     fast: Array
     parent: np.ndarray
+    splits: np.ndarray
+    parts: np.ndarray
+    angles: Array
+    points: Array
     keys: Array
     heap: np.ndarray
     chords: Array
@@ -142,7 +150,8 @@ class Sectors(NamedTuple):
 
 def sectors(steps: int, nodes: int) -> Sectors:
     """Return room for a search over N = ``steps`` steps and so many nodes."""
-    states, made, size = nodes + 1, 1 + 2 * nodes, 2 * steps + 2
+    states, size = nodes + 1, 2 * steps + 2
+    made = 2 * nodes + steps + 2  # of which there may be as many roots as ways to wind round
     return Sectors(
         np.empty((states, size), np.int64),
         np.empty((states, size, 2)),
@@ -154,6 +163,10 @@ def sectors(steps: int, nodes: int) -> Sectors:
         np.empty((made, steps)),
         np.empty((made, steps)),
         np.zeros(made, np.int64),
+        np.empty(made, np.int64),
+        np.empty(made, np.int64),
+        np.empty(made),
+        np.empty((made, steps, 2)),
         np.empty(made),
         np.empty(made, np.int64),
         np.zeros((steps, 3)),
@@ -202,6 +215,7 @@ def _set_root(quad, ring, tree):
         reach = (k + 1) * ring.widest if ring.widest < HALF else np.pi
         tree.low[0, k], tree.high[0, k] = ring.first - reach, ring.first + reach
     _set_speeds(ring, tree.slow[0], tree.fast[0])
+    tree.splits[0], tree.points[0] = -1, tree.free
     return ring.within >= HALF or _wind(ring, tree)
 
 
@@ -224,6 +238,7 @@ def _wind(ring, tree):
         _set_way(ring, least + made, tree.low[made], tree.high[made])
         _set_speeds(ring, tree.slow[made], tree.fast[made])
         if made:
+            tree.points[made] = tree.free
             keep(tree, -np.inf)
     return most >= least
 
@@ -525,8 +540,11 @@ def _cut_at(ring, angle, low, high):
 
 
 @compiled
-def _gain(quad, tree, own, count, step, row, offset):
-    """Return by how much one dual step along a row raises the bound of the node at work."""
+def _gain(quad, tree, own, count, step, row, offset, point):
+    """Return by how much one dual step along a row raises the bound of the node at work.
+
+    The minimiser of the Lagrangian, ``point``, is taken along.
+    """
     short = offset - row[0] * tree.x[step, 0] - row[1] * tree.x[step, 1]
     if short <= 0.0:
         return 0.0
@@ -541,6 +559,12 @@ def _gain(quad, tree, own, count, step, row, offset):
         if r[i] > FLAT and u[i] < limit * r[i]:
             limit = u[i] / r[i]
     move = min(limit, short / max(curvature, FLAT * quad.inverse[step, step]))
+    for j in range(len(point)):
+        for c in range(2):
+            along = tree.image[j, c]
+            for i in range(count):
+                along -= r[i] * tree.images[i, j, c]
+            point[j, c] += move * along
     return move * (short - 0.5 * move * max(0.0, curvature))
 
 
@@ -682,17 +706,21 @@ def _branch(quad, ring, tree, node, own, cutoff):
     if cut[0] < 0:
         close(numbers, bound)
         return
+    tree.splits[node], tree.parts[node], tree.angles[node] = cut[0], counts[MADE], cut[1]
     for side in range(2):
         made = counts[MADE]
+        tree.splits[made], tree.points[made] = -1, tree.x
         if not _set_child(ring, tree, node, cut, side):
             continue
         _set_node(ring, tree, made)
         step, offset = _most_violated(tree.x, tree.chords, tree.edges, tree.fast[made], tree.row)
         key = bound
         if step >= 0:
-            key += SURE * _gain(quad, tree, own, tree.active[own], step, tree.row, offset)
+            known = tree.active[own], step, tree.row, offset
+            key += SURE * _gain(quad, tree, own, *known, tree.points[made])
         if key >= cutoff:
             close(numbers, key)
+            counts[MADE] += 1  # it is a leaf
         else:
             keep(tree, key)
 
@@ -791,6 +819,8 @@ def _search(quad, ring, constant, tolerance, tree, room, work):
         status, bound, count, counts[ROWS_ADDED], work = _relax(
             quad, tree, node, own, cutoff, counts[ACTIVE], counts[ROWS_ADDED], work
         )
+        if bound > numbers[BOUND]:
+            tree.points[node] = tree.x
         worked(counts, numbers, tree.active, status, bound, count)
         if status == GOING:
             return PAUSED
@@ -804,6 +834,7 @@ def _search(quad, ring, constant, tolerance, tree, room, work):
             work -= offer(quad, ring, constant, tree, tree.x, low, high, share)
         else:  # what arithmetic cannot settle, its parts may
             counts[ACTIVE] = tree.active[own] = 0
+            tree.x[:] = tree.points[node]
         _branch(quad, ring, tree, node, own, cutoff)
 
 

@@ -11,6 +11,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.plan import Proof
 from orbimpc_ros.mpc.problem import Floor, Problem, State
@@ -99,10 +101,13 @@ def kept(problem: Problem, state: State, goals: Array, proof: Proof) -> Certific
         goals: g_1..g_N, shape (N, n) [m].
         proof: of the plan.
     """
-    if proof.grounds is None or not proof.checked:
+    grounds = proof.grounds
+    if grounds is None or not proof.checked:
         return None
-    tree = _tree_of(proof.grounds, proof.cost_unit, problem.floor)
-    return Certificate(problem, state, goals, proof.lower_bound, tree)
+    tree = _tree_of(grounds, proof.cost_unit, problem.floor)
+    by_angles = bool(((grounds.splits != LEAF) & ~np.isnan(grounds.angles)).any())
+    origins = grounds.origins if by_angles and not problem.max_rate else None
+    return Certificate(problem, state, goals, proof.lower_bound, tree, origins)
 
 
 def _tree_of(grounds: Grounds, unit: float, floor: Floor) -> Tree:

@@ -28,6 +28,8 @@ class Grounds(NamedTuple):
             shape (T,).
         points: where the tangents touch, shape (T, N, d): R_k e1, all of it that the cost sees.
         bends: what is added to the curvature of each step, in natural units, shape (T, N).
+        origins: from where directions are counted, once around, where no turn limit says how far
+            they are from the attitude's, shape (N,) [rad].
     """
 
     splits: np.ndarray
@@ -35,6 +37,7 @@ class Grounds(NamedTuple):
     angles: Array
     points: Array
     bends: Array
+    origins: Array
 
 
 UNSPLIT = np.array([LEAF])
@@ -48,4 +51,4 @@ def tangent(point: Array, bends: Array) -> Grounds:
         point: where the cost's tangent touches, shape (N, d).
         bends: what is added to the curvature of each step, in natural units, shape (N,).
     """
-    return Grounds(UNSPLIT, NO_PARTS, NO_ANGLES, point[None], bends[None])
+    return Grounds(UNSPLIT, NO_PARTS, NO_ANGLES, point[None], bends[None], np.zeros(len(point)))

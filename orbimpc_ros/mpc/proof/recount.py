@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.kernels import compiled
+from orbimpc_ros.mpc.kernels import compiled, inlined
 from orbimpc_ros.mpc.model.translation import Step, step_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.grounds import Grounds, tangent
@@ -66,7 +66,7 @@ class Recount:
         x = np.zeros((problem.horizon, problem.dimension))
         self._hessian = _hessian(self._terms, x)
         here = State.at(np.zeros(problem.dimension), np.eye(problem.dimension))
-        self.bound(here, x, tangent(x, np.zeros(problem.horizon)), 1.0)
+        self.bound(here, x, tangent(x, np.zeros(problem.horizon)), 1.0)  # compiles
 
     @staticmethod
     def reads(problem: Problem) -> bool:
@@ -79,7 +79,9 @@ class Recount:
             and (planar or problem.floor.shape != 'polygon')
         )
 
-    def bound(self, state: State, goals: Array, grounds: Grounds, unit: float) -> float:
+    def bound(
+        self, state: State, goals: Array, grounds: Grounds, unit: float, enough: float = np.inf
+    ) -> float:
         """Return what grounds prove: a cost that no trajectory undercuts; -inf for nothing.
 
         Args:
@@ -87,6 +89,7 @@ class Recount:
             goals: g_1..g_N, shape (N, n) [m].
             grounds: of a method; whatever they are, the bound holds.
             unit: of the bends, in that of the cost.
+            enough: a bound beyond which nothing has to be counted.
         """
         start = self._start
         start[0], start[1], start[2] = state.velocity, state.disturbance, state.rotation[:, 0]
@@ -95,7 +98,7 @@ class Recount:
         ahead = state.attitude
         heading = math.atan2(ahead[1, 0], ahead[0, 0])
         known = self._terms, self._hessian, start, goals - state.position
-        return float(recounted(*known, heading, grounds, unit))
+        return float(recounted(*known, heading, grounds, unit, enough))
 
 
 def _terms(problem: Problem) -> Terms:
@@ -183,6 +186,26 @@ def _set_slopes(terms, start, goals, x, slopes):
     return value, size + value
 
 
+@inlined
+def _set_slopes_from(base, hessian, x, slopes):
+    """Do as :func:`_set_slopes`, on from a point where the cost, and all of it, is known."""
+    point, value, size, known, sharpest = base
+    count, n = x.shape
+    for c in range(n):
+        for j in range(count):
+            slopes[j, c] = known[j, c]
+        for k in range(count):
+            way = x[k, c] - point[k, c]
+            if way == 0.0:
+                continue
+            size += sharpest * count * abs(way)  # no entry of a Hessian is larger
+            for j in range(count):
+                slopes[j, c] += hessian[k, j] * way
+        for k in range(count):
+            value += 0.5 * (known[k, c] + slopes[k, c]) * (x[k, c] - point[k, c])
+    return value, size
+
+
 @compiled
 def _is_convex(hessian, bends, unit, e, factor):
     """Return whether Hessian, bends and e I are positive definite, by Cholesky's method."""
@@ -261,11 +284,13 @@ def _least_within(gx, gy, low, high, normals, least):
     The floor's boundary is round, or straight between its corners: if g . z is not least on the
     rim, then at an end of the sector or at one of them.
     """
-    size = np.sqrt(gx * gx + gy * gy)
-    down, middle = np.arctan2(-gy, -gx), 0.5 * (low + high)
-    down += 2.0 * np.pi * np.round((middle - down) / (2.0 * np.pi))
-    if low <= down <= high:
-        return -size
+    after_low = gx * np.sin(low) - gy * np.cos(low)  # of the way down, -g
+    before_high = gy * np.cos(high) - gx * np.sin(high)
+    between = after_low >= 0.0 and before_high >= 0.0
+    if high - low >= HALF:  # what is outside is narrower
+        between = after_low >= 0.0 or before_high >= 0.0
+    if between:
+        return -np.sqrt(gx * gx + gy * gy)
     best = np.inf
     for angle in (low, high):
         along = gx * np.cos(angle) + gy * np.sin(angle)
@@ -308,12 +333,13 @@ def _least(slope, size, length, bend, normals, least, face, low, high):
     return _least_along(length + rim, bend, least)
 
 
-@compiled
-def _leaf(terms, hessian, start, goals, x, bends, unit, region, slopes):
-    """Return the bound that a tangent proves over a region: faces, and sectors' ends."""
-    faces, low, high = region
-    lengths, normals, floor = terms.lengths, terms.normals, terms.floor[0]
-    value, size = _set_slopes(terms, start, goals, x, slopes)
+@inlined
+def _tangents_least(lengths, floor, hessian, base, x, bends, unit, slopes):
+    """Set a tangent's slopes; return its least value where headings go their own ways down.
+
+    And the sum of what may cancel in it.
+    """
+    value, size = _set_slopes_from(base, hessian, x, slopes)
     curved, reach = False, 0.0
     for k in range(len(x)):
         bend, square, along, steepness = unit * bends[k], 0.0, 0.0, 0.0
@@ -322,33 +348,63 @@ def _leaf(terms, hessian, start, goals, x, bends, unit, region, slopes):
             along += slopes[k, c] * x[k, c]
             square += x[k, c] * x[k, c]
             steepness += slopes[k, c] * slopes[k, c]
-        least = _least(
-            (slopes[k, 0], slopes[k, 1]), np.sqrt(steepness), lengths[k + 1], bend, normals, floor,
-            faces[k], low[k], high[k],
-        )  # fmt: skip
+        least = _least_along(lengths[k + 1] - np.sqrt(steepness), bend, floor)
         value += 0.5 * bend * square - along + least
         size += abs(bend) * square + abs(along) + abs(least)
         reach += 1.0 + square
         curved |= bend < 0.0
     if curved:
         value -= _lack(hessian, bends, unit) * reach
-    return value - ROUNDING * len(x) * size
+    return value - ROUNDING * len(x) * size, size
+
+
+@inlined
+def _held(lengths, normals, floor, slopes, bends, unit, region, bound, enough):
+    """Return a tangent's bound with what it gains where headings are held in their regions.
+
+    It is counted step by step, until the bound is enough.
+    """
+    value, size = bound
+    faces, low, high = region
+    for k in range(len(bends)):
+        bend, steepness = unit * bends[k], _steepness(slopes, k)
+        if steepness <= ROUNDING * size:
+            continue
+        known = lengths[k + 1], bend, normals, floor, faces[k], low[k], high[k]
+        least = _least((slopes[k, 0], slopes[k, 1]), steepness, *known)
+        value += least - _least_along(lengths[k + 1] - steepness, bend, floor)
+        value -= ROUNDING * len(bends) * abs(least)
+        if value >= enough:
+            break
+    return value
+
+
+@compiled
+def _steepness(slopes, k):
+    """Return the size of a slope."""
+    square = 0.0
+    for c in range(slopes.shape[1]):
+        square += slopes[k, c] * slopes[k, c]
+    return np.sqrt(square)
 
 
 @compiled
 def _narrowed(low, high, k, turn):
     """Carry what is known of a direction to its neighbours; return whether any are left."""
+    left = low[k] <= high[k] + EMPTY
     for j in range(k + 1, len(low)):
         low[j], high[j] = max(low[j], low[j - 1] - turn), min(high[j], high[j - 1] + turn)
+        left &= low[j] <= high[j] + EMPTY
     for j in range(k - 1, -1, -1):
         low[j], high[j] = max(low[j], low[j + 1] - turn), min(high[j], high[j + 1] + turn)
-    return (low <= high + EMPTY).all()
+        left &= low[j] <= high[j] + EMPTY
+    return left
 
 
 @compiled
 def _parted(t, terms, grounds, regions, reached):
     """Hand the region of a split on to its parts; return whether they are all there is of it."""
-    splits, parts, angles, _, _ = grounds
+    splits, parts, angles = grounds.splits, grounds.parts, grounds.angles
     faces, low, high = regions
     k, first, angle, turn = splits[t], parts[t], angles[t], terms.floor[1]
     by_faces = np.isnan(angle)
@@ -357,35 +413,64 @@ def _parted(t, terms, grounds, regions, reached):
         return False
     if faces[t, k] >= 0 or reached[first : first + made].any():
         return False
-    if not by_faces and not (turn > 0.0 and low[t, k] <= angle <= high[t, k]):
+    if not (by_faces or low[t, k] <= angle <= high[t, k]):
         return False
     for i in range(made):
         part = first + i
         reached[part], faces[part] = True, faces[t]
-        if turn > 0.0:
+        if len(low) > 1:
             low[part], high[part] = low[t], high[t]
         if by_faces:
             faces[part, k] = i
             continue
         ends = high if i == 0 else low
         ends[part, k] = angle
-        reached[part] = _narrowed(low[part], high[part], k, turn)
+        if turn > 0.0:
+            reached[part] = _narrowed(low[part], high[part], k, turn)
     return True
 
 
 @compiled
-def _regions(splits, count, heading, turn):
+def _regions(grounds, heading, turn):
     """Return what each cell knows, the root's set: faces, least and greatest directions."""
-    sectors = splits if turn > 0.0 else 1  # without a turn limit, all have the root's
-    low, high = np.zeros((sectors, count)), np.full((sectors, count), 2.0 * np.pi)
-    if turn > 0.0:
-        for k in range(count):
+    count, by_angles = len(grounds.origins), False
+    for t in range(len(grounds.splits)):
+        by_angles |= grounds.splits[t] >= 0 and not np.isnan(grounds.angles[t])
+    sectors = len(grounds.splits) if by_angles else 1  # else all have the root's
+    low, high = np.empty((sectors, count)), np.empty((sectors, count))
+    for k in range(count):
+        if turn > 0.0:
             low[0, k], high[0, k] = heading - (k + 1) * turn, heading + (k + 1) * turn
-    return np.full((splits, count), -1), low, high
+        else:
+            low[0, k], high[0, k] = grounds.origins[k], grounds.origins[k] + 2.0 * np.pi
+    return np.full((len(grounds.splits), count), -1), low, high
 
 
 @compiled
-def recounted(terms, hessian, start, goals, heading, grounds, unit):
+def _least_of_leaves(terms, hessian, base, grounds, regions, reached, unit, enough):
+    """Return the least bound of all leaves that are reached; -inf where one proves nothing."""
+    splits, points, bends = grounds.splits, grounds.points, grounds.bends
+    faces, low, high = regions
+    lengths, normals, floor = terms.lengths, terms.normals, terms.floor[0]
+    slopes, least = np.empty(points[0].shape), np.inf
+    for t in range(len(splits)):
+        if not reached[t] or splits[t] >= 0:
+            continue
+        wanted = min(enough, least)
+        bound = _tangents_least(lengths, floor, hessian, base, points[t], bends[t], unit, slopes)
+        value = bound[0]
+        if not value >= wanted:
+            own = min(t, len(low) - 1)
+            region = faces[t], low[own], high[own]
+            value = _held(lengths, normals, floor, slopes, bends[t], unit, region, bound, wanted)
+        if not value > -np.inf:  # or no number
+            return -np.inf
+        least = min(least, value)
+    return least if least < np.inf else -np.inf
+
+
+@compiled
+def recounted(terms, hessian, start, goals, heading, grounds, unit, enough):
     """Return the least bound of all leaves; -inf where they are not all there is.
 
     Args:
@@ -396,28 +481,19 @@ def recounted(terms, hessian, start, goals, heading, grounds, unit):
         heading: of the attitude [rad], for turn limits.
         grounds: splits and tangents.
         unit: of the bends, in that of the cost.
+        enough: a bound beyond which nothing is counted.
     """
-    splits, _, _, points, bends = grounds
-    regions = _regions(len(splits), len(goals), heading, terms.floor[1])
-    faces, low, high = regions
-    reached, slopes, least = np.zeros(len(splits), np.bool_), np.empty(goals.shape), np.inf
+    splits, point = grounds.splits, grounds.points[0]
+    regions = _regions(grounds, heading, terms.floor[1])
+    reached, slopes, spent = np.zeros(len(splits), np.bool_), np.empty(goals.shape), 0.0
     reached[0] = True
     for t in range(len(splits)):
-        if not reached[t]:
-            continue
-        if splits[t] >= 0:
-            if not _parted(t, terms, grounds, regions, reached):
-                return -np.inf
-            continue
-        sector = min(t, len(low) - 1)
-        known = faces[t], low[sector], high[sector]
-        bound = _leaf(terms, hessian, start, goals, points[t], bends[t], unit, known, slopes)
-        if not bound > -np.inf:  # or no number
+        if reached[t] and splits[t] >= 0 and not _parted(t, terms, grounds, regions, reached):
             return -np.inf
-        least = min(least, bound)
-    if not least < np.inf:
-        return -np.inf
-    spent = 0.0
     for c in range(start.shape[1]):
         spent += start[2, c] * start[2, c]
-    return least + terms.lengths[0] * np.sqrt(spent)
+    spent = terms.lengths[0] * np.sqrt(spent)
+    value, size = _set_slopes(terms, start, goals, point, slopes)
+    base = point, value, size, slopes, np.diag(hessian).max()
+    asked = grounds, regions, reached, unit, enough - spent
+    return spent + _least_of_leaves(terms, hessian, base, *asked)

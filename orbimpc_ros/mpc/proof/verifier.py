@@ -598,6 +598,8 @@ class StatedProblem:
                 raise Refused('bends and lengths beyond faces are beyond this format')
             return self._least_beyond(slope, face)
         steepest = -_size_above(slope) if sector is None else _least_within(slope, sector)
+        if sector is not None and self.faces and not bend and not length:
+            return self._least_reached(slope, sector, steepest)
         return _least_along(steepest + length, bend, self.floor)  # which a polygon is beyond, too
 
     def _least_decided(self, slope: Vector, length: Fraction, bend: Fraction) -> Fraction:
@@ -619,6 +621,27 @@ class StatedProblem:
             return -size
         corner = self.floor * inward - _root_above(1 - self.floor * self.floor) * across
         return max(-size, corner - 4 * TINY * (1 + size))
+
+    def _least_reached(self, slope: Vector, sector: Sector, rim: Fraction) -> Fraction:
+        """Return the least slope . x over a sector, from a polygonal floor to the rim.
+
+        Given the least at the rim, what is left is the floor: straight between the ends and its
+        corners. Where these are downhill of the middle, the rim is lower.
+        """
+        if sector.high - sector.low >= PI - Fraction(1, 10**9):
+            return _least_along(rim, Fraction(0), self.floor)
+        share, angles = 2 * PI / self.faces, [sector.low, sector.high]
+        first, last = (each / share - Fraction(1, 2) for each in (sector.low, sector.high))
+        corners = range(math.ceil(first), math.floor(last) + 1)
+        angles += [(i + Fraction(1, 2)) * share for i in corners]
+        best, off = rim, 4 * TINY * (1 + _size_above(slope))
+        for angle in angles:
+            (x, y), nearest = _direction(angle), round(angle / share)
+            nx, ny = _direction(nearest * share)
+            along = slope[0] * x + slope[1] * y - off
+            if along > 0:
+                best = min(best, along * self.floor / (nx * x + ny * y + 4 * TINY))
+        return best
 
     @staticmethod
     def _least_over_orbitope(slope: Vector, top: Fraction) -> Fraction:

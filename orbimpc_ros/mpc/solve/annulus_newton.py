@@ -265,7 +265,7 @@ class AnnulusNewton:
             if not (ended or self.settles(found)) and (before <= YOUNG or before % EVERY == 0):
                 found = self._from(tick, found, search.last[None])
                 search.beat(found.cost - constant)
-        return found
+        return found if found.grounds is not None else replace(found, grounds=search.grounds())
 
     def _by_branches(self, tick: _Tick, found: Found) -> Found:
         """Return the better of what was found and where the general search leads."""

@@ -26,6 +26,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels.annulus import SLICE, Annulus
 from orbimpc_ros.mpc.kernels.dual import BOUND, MU, Ascent, Cuts, ascent, climb
+from orbimpc_ros.mpc.proof.grounds import LEAF, Grounds
 
 PARTS = 5  # arcs that a whole circle is cut into
 MARGIN = 0.15  # of an arc: no part is narrower
@@ -61,6 +62,25 @@ class _Node(NamedTuple):
     low: Array
     high: Array
     parent: _Multipliers | None
+
+
+class _Cut(NamedTuple):
+    """A node that was cut, by a step, at angles between its children, the first one's number."""
+
+    node: int
+    step: int
+    angles: list[float]
+    first: int
+
+
+class _Tangent(NamedTuple):
+    """What a node's bound is of: where its Lagrangian is least, and how that is bent.
+
+    Shapes (N, 2) and (N,).
+    """
+
+    point: Array
+    bends: Array
 
 
 def cuts(low: Array, high: Array, floor: float) -> Cuts:
@@ -138,6 +158,9 @@ class ArcSearch:
         self._open = [_Node(bound, 0, circle, circle, None)]
         self._current: tuple[_Node, Cuts, Ascent] | None = None
         self._closed, self._made = np.inf, 1
+        self._cuts: list[_Cut] = []
+        self._tangents = {0: _Tangent(np.zeros_like(q), circle)}
+        self._origins: dict[int, float] = {}
         self.nodes, self.last = 0, np.zeros_like(q)
 
     @property
@@ -167,7 +190,9 @@ class ArcSearch:
             self._annulus, self._q, NO_ARRIVAL, rows, self.cutoff, progress, float(SLICE)
         ):
             if out_of_time is not None and out_of_time():
+                self._note(node, rows, progress)
                 return True
+        self._note(node, rows, progress)
         self._current, self.last = None, progress.z
         self._branch(node, rows, progress)
         return out_of_time is not None and out_of_time()
@@ -185,6 +210,31 @@ class ArcSearch:
         self.nodes += 1
         return True
 
+    def _note(self, node: _Node, rows: Cuts, progress: Ascent) -> None:
+        """Note what a node's bound is of, where it is better than its parent's."""
+        if progress.numbers[BOUND] > node.bound:
+            bends = progress.theta + _multipliers(progress, rows).held[0]
+            self._tangents[node.number] = _Tangent(progress.z, bends)
+
+    def grounds(self) -> Grounds:
+        """Return what the bound rests on; a node of several parts is cut from them one by one."""
+        splits, parts, angles, whose, place = [LEAF], [0], [np.nan], [0], {0: 0}
+        for cut in self._cuts:
+            at = place[cut.node]
+            for i, angle in enumerate(cut.angles):
+                splits[at], parts[at], angles[at] = cut.step, len(splits), angle
+                place[cut.first + i], at = len(splits), len(splits) + 1
+                splits += [LEAF, LEAF]
+                parts += [0, 0]
+                angles += [np.nan, np.nan]
+                whose += [cut.first + i, cut.first + i + 1]
+            place[cut.first + len(cut.angles)] = at
+        tangents, origins = [self._tangents[number] for number in whose], np.zeros(len(self._q))
+        for k, origin in self._origins.items():
+            origins[k] = origin
+        points, bends = (np.array(each) for each in zip(*tangents, strict=True))
+        return Grounds(np.array(splits), np.array(parts), np.array(angles), points, bends, origins)
+
     def _branch(self, node: _Node, rows: Cuts, progress: Ascent) -> None:
         """Open the children of a node that is solved, unless it needs none."""
         bound = float(progress.numbers[BOUND])
@@ -193,9 +243,12 @@ class ArcSearch:
             self._closed = min(self._closed, bound)
             return
         known = _multipliers(progress, rows)
-        for first, last in self._parts(node, k, progress.z[k]):
+        parts = self._parts(node, k, progress.z[k])
+        self._cuts.append(_Cut(node.number, k, [last for _, last in parts[:-1]], self._made))
+        for first, last in parts:
             low, high = node.low.copy(), node.high.copy()
             low[k], high[k] = first, last
+            self._tangents[self._made] = self._tangents[node.number]
             heapq.heappush(self._open, _Node(bound, self._made, low, high, known))
             self._made += 1
 
@@ -213,12 +266,14 @@ class ArcSearch:
         k = int(np.argmax(missed))
         return k if missed[k] >= 0.0 else -1
 
-    @staticmethod
-    def _parts(node: _Node, k: int, z: Array) -> list[tuple[float, float]]:
-        """Return the arcs that a step's is cut into, at the heading found."""
+    def _parts(self, node: _Node, k: int, z: Array) -> list[tuple[float, float]]:
+        """Return the arcs that a step's is cut into, at the heading found.
+
+        A whole circle is cut where it was cut first, as a proof counts directions from there.
+        """
         low, high, angle = node.low[k], node.high[k], float(np.arctan2(z[1], z[0]))
         if low == high:
-            corners = angle + np.linspace(0.0, 2.0 * np.pi, PARTS + 1)
+            corners = self._origins.setdefault(k, angle) + np.linspace(0.0, 2.0 * np.pi, PARTS + 1)
             return list(itertools.pairwise(corners.tolist()))
         middle, margin = 0.5 * (low + high), MARGIN * (high - low)
         angle += 2.0 * np.pi * np.round((middle - angle) / (2.0 * np.pi))

@@ -104,8 +104,8 @@ class CellSearch:
     def grounds(self) -> Grounds:
         """Return what the bound rests on."""
         splits, parts, points = grounds_of(self._quadratic, self._table, self._tree)
-        by_cells = np.full(len(splits), np.nan)
-        return Grounds(splits, parts, by_cells, points, np.zeros(points.shape[:2]))
+        by_cells, straight = np.full(len(splits), np.nan), np.zeros(points.shape[:2])
+        return Grounds(splits, parts, by_cells, points, straight, np.zeros(points.shape[1]))
 
     def dive(self) -> None:
         """Look for headings that satisfy the floor near the last relaxation's."""

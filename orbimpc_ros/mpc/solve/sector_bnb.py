@@ -12,18 +12,20 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.active_set import Quadratic
-from orbimpc_ros.mpc.kernels.best_first import LEAST, NODES, PAUSED, VALUE
+from orbimpc_ros.mpc.kernels.best_first import LEAST, MADE, NODES, PAUSED, VALUE
 from orbimpc_ros.mpc.kernels.sectors import HALF, begin_sectors, offer, search, sectors
 from orbimpc_ros.mpc.kernels.steering import Ring
 from orbimpc_ros.mpc.model.condensed import Condensed, regular
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.pace import entry_speed
+from orbimpc_ros.mpc.proof.grounds import Grounds
 from orbimpc_ros.mpc.solve.request import Found, Request
 
 LONGEST = 120  # horizon; up to it a search proves in a tick what sparse solves do not
@@ -53,6 +55,8 @@ class SectorSearch:
         self._hessian, self._inverse, self._excess = regular(self._condensed.hessian)
         faces = problem.floor.faces if problem.floor.shape == 'polygon' else 0
         self._problem, self._approach = problem, problem.approach
+        limited = problem.max_acceleration or problem.approach.exists
+        self._splits_headings = not limited and problem.widest_turn < HALF
         self._floor = float(problem.floor.fraction), faces, problem.widest_turn
         self._most = min(MOST, ROOM // problem.horizon)
         self._tree = sectors(problem.horizon, self._most)
@@ -99,7 +103,7 @@ class SectorSearch:
         while search(*asked) == PAUSED and not request.late:
             if request.enough.met(self._found(constant)):
                 break
-        return self._found(constant)
+        return replace(self._found(constant), grounds=self._grounds())
 
     def _last(self, state: State) -> tuple[float, float]:
         """Return the direction of the last heading, and the angle it may be off by [rad]."""
@@ -114,3 +118,14 @@ class SectorSearch:
         best, cost = self._tree.best.copy(), float(numbers[VALUE]) + constant
         bound = float(numbers[LEAST]) - self._excess + constant
         return Found(best, cost, bound, int(self._tree.counts[NODES]))
+
+    def _grounds(self) -> Grounds | None:
+        """Return what the bound rests on, where only headings are split, within a turn limit."""
+        if not self._splits_headings:
+            return None
+        tree, made = self._tree, int(self._tree.counts[MADE])
+        straight, origins = np.zeros((made, len(tree.x))), np.zeros(len(tree.x))
+        splits, parts, angles = tree.splits[:made], tree.parts[:made], tree.angles[:made]
+        return Grounds(
+            splits.copy(), parts.copy(), angles.copy(), tree.points[:made].copy(), straight, origins
+        )
