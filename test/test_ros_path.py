@@ -91,3 +91,20 @@ def test_a_command_passes_few_files(planner):
     way = [f for f in files if f not in mathematics]
     assert len(way) + 1 <= FILES, '\n'.join(way)
     assert len(mathematics) <= MATHEMATICS, '\n'.join(mathematics)
+
+
+def test_what_is_watched_waits_for_commands_and_not_the_other_way_round(planner, monkeypatch):
+    node, _ = planner
+    shown, done = [100.0], []
+    monkeypatch.setattr(node, 'steady_now', lambda: shown[0])
+    for owner, name in ((node._outlet, 'begin'), (node._neighbours, 'look')):
+        plain = getattr(owner, name)
+        monkeypatch.setattr(
+            owner, name, lambda *a, _plain=plain, _name=name: done.append(_name) or _plain(*a)
+        )
+    vehicle = launched(Model(), np.zeros(2), np.eye(2))
+    node._on_goal(messages.goal_message(Stamp(time.time_ns(), FRAMES), np.array([5.0, 0.5])))
+    for later in (0.0, 0.02, 0.04):  # an odometry message each 20 ms; it is watched each 50 ms
+        shown[0] = 100.0 + later
+        node._on_odometry(messages.odometry_message(Stamp(time.time_ns(), FRAMES), vehicle))
+    assert done == ['begin', 'look', 'begin', 'begin', 'look']
