@@ -73,6 +73,8 @@ class PlannerNode(Managed):
         self._answered = -1  # stamp of the odometry that was answered last [ns]
         self._refusal, self._refused_at = '', -np.inf
         self._watched = -np.inf  # when it was last looked around [s]
+        # Before anything is compiled: a simulator sees by cmd_vel that a planner is on its way.
+        self._outlet = Outlet(self, outputs(self._live.settings()))
         with leaving_at_signals():
             self._settings, controller = self._live.prepared()
         names = {topic: self.resolve_topic_name(topic) for topic in NAMED}
@@ -84,7 +86,6 @@ class PlannerNode(Managed):
         self._ticker = Ticker(self._settings, controller, simulated=self._time.simulated)
         self._stamp = Stamp(0)  # of the last tick
         self._report: Report | None = None  # on it
-        self._outlet = Outlet(self, outputs(self._settings))
         self._outlet.engaged = not self._settings.gated
         self._mode_changes = ModeChanges()
         self._health = Health(self, self._condition, self._counts)
