@@ -50,17 +50,24 @@ class Trace:
 
 
 @pytest.fixture
-def planner(domain, default_context):
-    """The planner's node in this process, as configured for the retrieval, and its inputs."""
+def unconfigured(domain, default_context):
+    """The planner's node in this process, with the parameters of the retrieval."""
     file = ROOT / 'config' / 'retrieval.yaml'
     words = ['planner', '--ros-args', '--params-file', str(file), '-p', 'use_sim_time:=false']
     with initialised(words, domain=domain, context=default_context):
-        node, executor = PlannerNode(), SingleThreadedExecutor()
-        node.begin()
-        executor.add_node(node)
-        yield node, executor
-        executor.shutdown()
+        node = PlannerNode()
+        yield node
         node.destroy_node()
+
+
+@pytest.fixture
+def planner(unconfigured):
+    """The planner's node, configured and active, and what spins it."""
+    node, executor = unconfigured, SingleThreadedExecutor(context=unconfigured.context)
+    node.begin()
+    executor.add_node(node)
+    yield node, executor
+    executor.shutdown()
 
 
 def files_on_the_way(node, executor):
@@ -91,3 +98,34 @@ def test_a_command_passes_few_files(planner):
     way = [f for f in files if f not in mathematics]
     assert len(way) + 1 <= FILES, '\n'.join(way)
     assert len(mathematics) <= MATHEMATICS, '\n'.join(mathematics)
+
+
+def test_what_is_watched_waits_for_commands_and_not_the_other_way_round(planner, monkeypatch):
+    node, _ = planner
+    shown, done = [100.0], []
+    monkeypatch.setattr(node, 'steady_now', lambda: shown[0])
+    for owner, name in ((node._outlet, 'begin'), (node._neighbours, 'look')):
+        plain = getattr(owner, name)
+        monkeypatch.setattr(
+            owner, name, lambda *a, _plain=plain, _name=name: done.append(_name) or _plain(*a)
+        )
+    vehicle = launched(Model(), np.zeros(2), np.eye(2))
+    node._on_goal(messages.goal_message(Stamp(time.time_ns(), FRAMES), np.array([5.0, 0.5])))
+    for later in (0.0, 0.02, 0.04):  # an odometry message each 20 ms; it is watched each 50 ms
+        shown[0] = 100.0 + later
+        node._on_odometry(messages.odometry_message(Stamp(time.time_ns(), FRAMES), vehicle))
+    assert done == ['begin', 'look', 'begin', 'begin', 'look']
+
+
+def test_a_planner_can_be_seen_before_it_compiles_and_listens_only_then(unconfigured, monkeypatch):
+    node, seen = unconfigured, []
+    plain = node._live.prepared
+
+    def prepared():
+        seen.extend(each.topic_name for each in (*node.publishers, *node.subscriptions))
+        return plain()
+
+    monkeypatch.setattr(node._live, 'prepared', prepared)
+    node.begin()
+    assert '/cmd_vel' in seen
+    assert not {'/odom', '/goal'}.intersection(seen)

@@ -6,6 +6,7 @@ import math
 import re
 import signal
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ pytest.importorskip('rclpy')
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from disturbed import fly_disturbed
 from geometry_msgs.msg import PoseStamped, QuaternionStamped, TwistStamped
+from lifecycle_msgs.msg import TransitionEvent
 from nav_msgs.msg import Odometry, Path
 from rosgraph_msgs.msg import Clock
 
@@ -24,6 +26,7 @@ from orbimpc_ros.mpc.loop.forecast import forecast_named
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
+from orbimpc_ros.ros.sim.stepping import LockStep
 from orbimpc_ros.world.faults import Faults, View
 from orbimpc_ros.world.scenario import retrieval, retrieval_problem
 
@@ -249,6 +252,49 @@ def test_a_simulator_says_for_whom_it_has_waited_in_vain(launch):
     for sim, said in ((alone, 'subscribers of odom: 1 '), (unheard, 'subscribers of odom: 3 ')):
         assert sim.wait() == 1, sim.output
         assert re.search(rf'waited \d+ s in vain for {said}\(there are 0\)', sim.output)
+
+
+def test_a_simulator_sees_that_a_planner_is_being_configured(launch, observer):
+    observer.node.create_publisher(TwistStamped, 'cmd_vel', qos())
+    observer.node.create_publisher(TransitionEvent, '~/transition_event', qos())
+    sim = launch('sim', {})
+    awaited = f'waits for {observer.node.get_fully_qualified_name()} to be configured'
+    observer.until(lambda: awaited in sim.output, 'the simulator to say so')
+    observer.listen(PoseStamped, 'goal')
+    observer.until(lambda: 'waits for subscribers of odom' in sim.output, 'the next lack')
+
+
+def test_what_a_planner_takes_to_be_configured_is_not_counted():
+    """The first start compiles for minutes on a small computer."""
+    now, lines = [0.0], []
+    logger = SimpleNamespace(info=lines.append, fatal=lines.append)
+    node = SimpleNamespace(
+        steady_now=lambda: now[0], get_logger=lambda: logger, every=lambda *_: None, exit_code=None
+    )
+    arena = SimpleNamespace(
+        node=node,
+        settings=SimpleNamespace(rate=0.0, wait_timeout=120.0),
+        finished=False,
+        planner_on_its_way='/planner',
+        readers_lacking='subscribers of odom: 1 (there are 0)',
+    )
+    pace = LockStep(arena)
+
+    def look_until(end):
+        while now[0] < end:
+            now[0] += 1.0
+            pace.look()
+        return node.exit_code
+
+    assert look_until(900.0) is None
+    arena.planner_on_its_way = ''
+    assert look_until(1019.0) is None
+    assert look_until(1021.0) == 1
+    assert [line.split()[:3] for line in lines] == [
+        ['waits', 'for', '/planner'],
+        ['waits', 'for', 'subscribers'],
+        ['waited', '121', 's'],
+    ]
 
 
 def test_lock_step_with_a_planner_on_a_timer_ends_and_says_why(launch, observer):

@@ -14,8 +14,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -26,9 +25,11 @@ from geometry_msgs.msg import (
     Quaternion,
     QuaternionStamped,
     Transform,
+    Twist,
     TwistStamped,
     Vector3,
     Vector3Stamped,
+    Wrench,
     WrenchStamped,
 )
 from nav_msgs.msg import Odometry as OdometryMessage
@@ -38,7 +39,7 @@ from std_msgs.msg import Header, UInt8MultiArray
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.rotations import from_quaternion, to_quaternion
+from orbimpc_ros.mpc.geometry.rotations import from_quaternion, heading, to_quaternion
 from orbimpc_ros.mpc.loop.forecast import Itinerary, Sighting
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.loop.traffic.courses import Course
@@ -150,24 +151,23 @@ def read_sighting(message: PoseStamped, dimension: int, frames: Frames) -> tuple
     Raises:
         BadInput: a frame, a stamp, a number or the quaternion is not acceptable.
     """
-    at, seen = _seen(message, dimension, frames)
-    return at, replace(seen, attitude=_goal_attitude(message, dimension, frames))
+    at, place, unit = _seen(message, dimension, frames)
+    attitude = _goal_attitude(unit, dimension, frames)
+    return at, Sighting(at.nanoseconds / SECOND, place, attitude)
 
 
-def _seen(message: PoseStamped, dimension: int, frames: Frames) -> tuple[Stamp, Sighting]:
-    """Return the stamp and the place in a goal's PoseStamped; its orientation must be valid."""
+def _seen(message: PoseStamped, dimension: int, frames: Frames) -> tuple[Stamp, Array, Array]:
+    """Return the stamp, the place and the unit quaternion in a goal's PoseStamped."""
     at = _stamp(message.header, frames.world)
-    _quaternion(message.pose.orientation, 'pose.orientation')
-    place = _triple(message.pose.position, 'pose.position')[:dimension]
-    return at, Sighting(at.nanoseconds / SECOND, place)
+    unit = _quaternion(message.pose.orientation, 'pose.orientation')
+    return at, _triple(message.pose.position, 'pose.position')[:dimension], unit
 
 
-def _goal_attitude(message: PoseStamped, dimension: int, frames: Frames) -> Array | None:
+def _goal_attitude(unit: Array, dimension: int, frames: Frames) -> Array | None:
     """Return which attitude a goal has; in the plane none where its x axis is vertical."""
-    with suppress(BadInput):
-        found = _attitude(message.pose.orientation, dimension, 'pose.orientation')
-        return frames.turned(found)
-    return None
+    if dimension == 2 and _steep(unit):
+        return None
+    return frames.turned(from_quaternion(unit, dimension))
 
 
 def read_itinerary(message: Path, dimension: int, frames: Frames) -> tuple[Stamp, Itinerary]:
@@ -179,10 +179,10 @@ def read_itinerary(message: Path, dimension: int, frames: Frames) -> tuple[Stamp
     at = _stamp(message.header, frames.world)
     if not 1 <= len(message.poses) <= LONGEST_PATH:
         raise BadInput('poses', f'{len(message.poses)} poses', f'1 to {LONGEST_PATH}')
-    seen = [_seen(pose, dimension, Frames())[1] for pose in message.poses]
-    times = np.array([sighting.time for sighting in seen])
-    places = np.array([sighting.position for sighting in seen])
-    return at, Itinerary(times, places, _goal_attitude(message.poses[-1], dimension, frames))
+    seen = [_seen(pose, dimension, Frames()) for pose in message.poses]
+    times = np.array([stamp.nanoseconds / SECOND for stamp, _, _ in seen])
+    places = np.array([place for _, place, _ in seen])
+    return at, Itinerary(times, places, _goal_attitude(seen[-1][2], dimension, frames))
 
 
 def read_course(message: Path, dimension: int, frames: Frames) -> tuple[Stamp, Course]:
@@ -247,10 +247,10 @@ def _frame(found: str, wanted: str, culprit: str) -> str:
 
 
 def _triple(vector: Vector3 | Point, culprit: str) -> Array:
-    numbers = np.array([vector.x, vector.y, vector.z])
-    if not np.all(np.abs(numbers) <= LARGEST):  # also refuses NaN
-        raise BadInput(culprit, numbers.tolist(), f'finite numbers within +-{LARGEST:g}')
-    return numbers
+    x, y, z = vector.x, vector.y, vector.z
+    if not (abs(x) <= LARGEST and abs(y) <= LARGEST and abs(z) <= LARGEST):  # also refuses NaN
+        raise BadInput(culprit, [x, y, z], f'finite numbers within +-{LARGEST:g}')
+    return np.array([x, y, z])
 
 
 def _rates(angular: Array, dimension: int) -> Array:
@@ -259,22 +259,23 @@ def _rates(angular: Array, dimension: int) -> Array:
 
 def _quaternion(message: Quaternion, culprit: str) -> Array:
     """Return the unit quaternion (w, x, y, z)."""
-    numbers = np.array([message.w, message.x, message.y, message.z])
-    with np.errstate(over='ignore'):
-        norm = math.sqrt(numbers @ numbers) if np.isfinite(numbers).all() else math.nan
-    if not abs(norm - 1.0) <= QUATERNION_TOLERANCE:
-        raise BadInput(
-            culprit, numbers.tolist(), f'a unit quaternion within {QUATERNION_TOLERANCE:g}'
-        )
-    return numbers / norm
+    numbers = [message.w, message.x, message.y, message.z]
+    norm = math.hypot(*numbers)
+    if not abs(norm - 1.0) <= QUATERNION_TOLERANCE:  # also refuses NaN
+        raise BadInput(culprit, numbers, f'a unit quaternion within {QUATERNION_TOLERANCE:g}')
+    return np.array(numbers) / norm
+
+
+def _steep(unit: Array) -> bool:
+    """Return whether the body's x axis is too nearly vertical to have a yaw."""
+    return math.hypot(*heading(unit)) < STEEPEST
 
 
 def _attitude(message: Quaternion, dimension: int, culprit: str) -> Array:
-    quaternion = _quaternion(message, culprit)
-    heading = from_quaternion(quaternion, 3)[:2, 0]
-    if dimension == 2 and math.hypot(*heading) < STEEPEST:
-        raise BadInput(culprit, quaternion.tolist(), 'a body x axis with a yaw, not a vertical one')
-    return from_quaternion(quaternion, dimension)
+    unit = _quaternion(message, culprit)
+    if dimension == 2 and _steep(unit):
+        raise BadInput(culprit, unit.tolist(), 'a body x axis with a yaw, not a vertical one')
+    return from_quaternion(unit, dimension)
 
 
 # --- writing
@@ -297,13 +298,13 @@ def point(position: Array) -> Point:
 
 def quaternion(rotation: Array) -> Quaternion:
     """Return a rotation, shape (n, n), as a Quaternion."""
-    w, x, y, z = map(float, to_quaternion(rotation))
+    w, x, y, z = to_quaternion(rotation).tolist()
     return Quaternion(x=x, y=y, z=z, w=w)
 
 
 def vector(xyz: Array) -> Vector3:
     """Return a vector of shape (3,) as a Vector3."""
-    x, y, z = map(float, xyz)
+    x, y, z = xyz.tolist()
     return Vector3(x=x, y=y, z=z)
 
 
@@ -329,17 +330,15 @@ def pose(position: Array, rotation: Array) -> Pose:
 
 def twist_message(stamp: Stamp, speed: float, body_rate: Array) -> TwistStamped:
     """Return a forward speed [m/s] and body rate, shape (1,) or (3,) [rad/s], in the body frame."""
-    message = TwistStamped(header=header(stamp.nanoseconds, stamp.frames.body))
-    message.twist.linear = pushing(speed, stamp.frames)
-    message.twist.angular = angular(body_rate, stamp.frames)
-    return message
+    frames = stamp.frames
+    twist = Twist(linear=pushing(speed, frames), angular=angular(body_rate, frames))
+    return TwistStamped(header=header(stamp.nanoseconds, frames.body), twist=twist)
 
 
 def wrench_message(stamp: Stamp, force: float) -> WrenchStamped:
     """Return a commanded force along the pushing axis [N], in the body frame."""
-    message = WrenchStamped(header=header(stamp.nanoseconds, stamp.frames.body))
-    message.wrench.force = pushing(force, stamp.frames)
-    return message
+    wrench = Wrench(force=pushing(force, stamp.frames))
+    return WrenchStamped(header=header(stamp.nanoseconds, stamp.frames.body), wrench=wrench)
 
 
 def share_message(stamp: Stamp, share: float) -> Vector3Stamped:

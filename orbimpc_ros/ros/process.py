@@ -15,6 +15,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from itertools import dropwhile, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -277,9 +278,10 @@ def _started(words: Sequence[str]) -> Iterator[None]:
     """Keep rclpy started with the command line as long as the block lasts.
 
     Raises:
-        BadInput: there are words on it that nobody would look at.
+        BadInput: there are words on it that nobody would look at, or a file that is not there.
     """
     with ExitStack() as stack:
+        _require_files(words)
         _initialise(words, stack)
         program, *plain = remove_ros_args(args=list(words))
         if plain:
@@ -287,6 +289,13 @@ def _started(words: Sequence[str]) -> Iterator[None]:
             problem = f'{shlex.join(plain)} is not behind --ros-args'
             raise BadInput.stating('command line', problem, f'did you mean {meant}')
         yield
+
+
+def _require_files(words: Sequence[str]) -> None:
+    """Refuse a parameter file that is not there: rcl would log of its own parser, too."""
+    for flag, word in pairwise(dropwhile('--ros-args'.__ne__, words)):
+        if flag == '--params-file' and not Path(word).exists():
+            raise BadInput.stating(word, 'no such file', '--params-file is to name one')
 
 
 def _initialise(words: Sequence[str], stack: ExitStack) -> None:

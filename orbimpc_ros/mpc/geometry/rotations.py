@@ -207,9 +207,9 @@ def from_quaternion(quaternion: Array, dimension: int) -> Array:
 
     The yaw is the heading of the body's x axis seen from above, as REP-103 has it.
     """
-    w, x, y, z = quaternion
     if dimension == 2:
-        return _from_heading_2(np.array([1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)]))
+        return _from_heading_2(np.array(heading(quaternion)))
+    w, x, y, z = quaternion.tolist()
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -219,7 +219,13 @@ def from_quaternion(quaternion: Array, dimension: int) -> Array:
     )
 
 
-def _from_heading_2(heading: Array) -> Array:
-    norm = math.hypot(heading[0], heading[1])
-    a, b = heading / norm if norm > 0.0 else (1.0, 0.0)
+def heading(quaternion: Array) -> tuple[float, float]:
+    """Return the body's x axis as seen from above, of a unit quaternion (w, x, y, z)."""
+    w, x, y, z = quaternion.tolist()
+    return 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
+
+
+def _from_heading_2(axis: Array) -> Array:
+    norm = math.hypot(axis[0], axis[1])
+    a, b = axis / norm if norm > 0.0 else (1.0, 0.0)
     return np.array([[a, -b], [b, a]])

@@ -62,16 +62,20 @@ class Live(Generic[S, W]):
         _refuse_unknown(node)
         for row in rows:
             _declare(node, row)
-        self._settings_of(self._values())
+        self.settings()
         self._install: Callable[[W], None] | None = None
         self._pending: W | None = None
         node.add_pre_set_parameters_callback(self._typed)
         node.add_on_set_parameters_callback(self._on_set)
         node.add_post_set_parameters_callback(self._on_changed)
 
+    def settings(self) -> S:
+        """Return the settings as they are now."""
+        return self._settings_of(self._values())
+
     def prepared(self) -> W:
         """Return what is made of the settings as they are now."""
-        return self._prepare(self._settings_of(self._values()))
+        return self._prepare(self.settings())
 
     def keep(self, install: Callable[[W], None]) -> None:
         """From now on install what is made of changed settings, once a change is certain."""

@@ -110,7 +110,8 @@ CONDUCT = (
     Row('wait_for', '', 'Readers that a flight waits for beside planner and simulator: '
         'topics, each with a count if there are more: tick, odom 2'),
     Row('wait_timeout', 120.0, 'Lock-step gives up after waiting so long for planner and '
-        'readers, and for an answer, for which it waits 20 s at most; 0 for never',
+        'readers, while the planner is configured not counted, and for an answer, for which it '
+        'waits 20 s at most; 0 for never',
         's', 0.0, MAX_DURATION),
 )  # fmt: skip
 

@@ -72,6 +72,9 @@ class PlannerNode(Managed):
         self._enabled = True
         self._answered = -1  # stamp of the odometry that was answered last [ns]
         self._refusal, self._refused_at = '', -np.inf
+        self._watched = -np.inf  # when it was last looked around [s]
+        # Before anything is compiled: a simulator sees by cmd_vel that a planner is on its way.
+        self._outlet = Outlet(self, outputs(self._live.settings()))
         with leaving_at_signals():
             self._settings, controller = self._live.prepared()
         names = {topic: self.resolve_topic_name(topic) for topic in NAMED}
@@ -83,7 +86,6 @@ class PlannerNode(Managed):
         self._ticker = Ticker(self._settings, controller, simulated=self._time.simulated)
         self._stamp = Stamp(0)  # of the last tick
         self._report: Report | None = None  # on it
-        self._outlet = Outlet(self, outputs(self._settings))
         self._outlet.engaged = not self._settings.gated
         self._mode_changes = ModeChanges()
         self._health = Health(self, self._condition, self._counts)
@@ -163,7 +165,8 @@ class PlannerNode(Managed):
             self.create_timer(period, self.at_work(self._on_timer))
         self._patience = self.every(0.5 * GOAL_PATIENCE, self._on_patience)
         self._patience.cancel()
-        self.every(min(WATCH, 0.5 * period), self._watch)
+        self._watch_period = min(WATCH, 0.5 * period)
+        self._watchman = self.every(self._watch_period, self._watch)
 
     # --- inputs
 
@@ -234,9 +237,9 @@ class PlannerNode(Managed):
         odometry = self._inbox.odometry
         if odometry is None or not self.active:  # transforms come in while it is inactive, too
             return False
-        if self._inbox.stale_odometry(self.steady_now(), self._time.now):
+        if odometry.stamp.nanoseconds == self._answered:
             return False
-        return odometry.stamp.nanoseconds != self._answered
+        return not self._inbox.stale_odometry(self.steady_now(), self._time.now)
 
     def _refuse(self, refusal: str) -> None:
         self._console.warn(refusal)
@@ -300,6 +303,7 @@ class PlannerNode(Managed):
             report = self._ticker.safe(self._inbox, unsafe)
         self._publish(odometry.stamp, report)
         self._answered = odometry.stamp.nanoseconds
+        self._watch_now()
 
     def _unsafe(self) -> Reason | None:
         """Return why no plan may be followed now, if none may."""
@@ -333,6 +337,12 @@ class PlannerNode(Managed):
 
     # --- watching
 
+    def _watch_now(self) -> None:
+        """Watch if that will be due soon: the next odometry, which must not wait, is farthest."""
+        if self.steady_now() - self._watched >= 0.5 * self._watch_period:
+            self._watch()
+            self._watchman.reset()
+
     def safe(self, reason: Reason) -> None:
         """Command what is safe, now; a planner that has commanded nothing yet goes on so."""
         if self.active and self._outlet.used:
@@ -346,6 +356,7 @@ class PlannerNode(Managed):
 
     def _watch(self) -> None:
         """Repeat the safe command every period while it is not safe to follow a plan."""
+        self._watched = self.steady_now()
         self._neighbours.look()
         self._time.look()
         if self._obstacles.get_publisher_count():  # somebody may tell of some: ready in a second

@@ -107,6 +107,11 @@ class Arena:
         return '' if self._commands.get_publisher_count() else 'a planner on cmd_vel'
 
     @property
+    def planner_on_its_way(self) -> str:
+        """Return the name of a planner that is being configured; empty if none is."""
+        return self._readers.planner_without(self._goal.topic_name)
+
+    @property
     def jump(self) -> float:
         """Return what stamps are off just now, by the faults [s]."""
         return self.settings.faults.jumped(self.flight.ticks)

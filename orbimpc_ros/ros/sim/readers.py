@@ -12,6 +12,7 @@ from rclpy.validate_topic_name import validate_topic_name
 
 from orbimpc_ros.mpc.errors import BadInput
 
+TRANSITIONS = 'transition_event'  # a topic of every managed node
 MEETING = 1.5  # [s] that DDS may take to have planner and readers meet, which nobody else can see
 
 
@@ -67,6 +68,16 @@ class Readers:
         self._met_at = now if self._met_at is None else self._met_at
         waited = not self._wanted or now - self._met_at >= MEETING
         return '' if waited else 'the planner to meet its readers'
+
+    def planner_without(self, goal: str) -> str:
+        """Return the name of a planner that does not read the goal yet; empty if none is so far.
+
+        Only a managed node is known to be on its way: others may read goals by another node.
+        """
+        readers = {*map(_name_of, self._node.get_subscriptions_info_by_topic(goal))}
+        found = self._planners() - readers
+        managed = (name for name in found if self._node.count_publishers(f'{name}/{TRANSITIONS}'))
+        return min(managed, default='')
 
     def _count(self, topic: str) -> int:
         found = self._node.get_subscriptions_info_by_topic(topic)

@@ -35,15 +35,20 @@ class Waiting:
     def restart(self) -> None:
         """Wait anew."""
         self._since, self._said = self._arena.node.steady_now(), ''
+        self._counted_from = self._since
+
+    def discount(self) -> None:
+        """Leave out of account how long it has lasted so far."""
+        self._counted_from = self._arena.node.steady_now()
 
     @property
     def lasted(self) -> float:
-        """Return for how long it has lasted [s]."""
-        return self._arena.node.steady_now() - self._since
+        """Return for how long it has lasted, as far as that counts [s]."""
+        return self._arena.node.steady_now() - self._counted_from
 
     def say(self, awaited: str) -> None:
         """Say what is waited for, if that is news."""
-        if self.lasted > SILENT and awaited != self._said:
+        if self._arena.node.steady_now() - self._since > SILENT and awaited != self._said:
             self._said = awaited
             self._arena.node.get_logger().info(f'waits for {awaited}')
 
@@ -106,6 +111,11 @@ class LockStep:
             self._keep_asking()
 
     def _begin_or_wait(self) -> None:
+        coming = self._arena.planner_on_its_way
+        if coming:  # its first start compiles, for as long as that takes
+            self._waiting.discount()
+            self._waiting.say(f'{coming} to be configured: it may be compiling machine code')
+            return
         absent = self._arena.readers_lacking or self._arena.planner_lacking
         if not absent:
             self._begun = True

@@ -130,7 +130,9 @@ def _show(
     ticks = max(recorder.counts[f'{each.namespace}/tick'] for each in vehicles)
     time = ticks / values['odom_rate'] if values['odom_rate'] else ticks * values['step']
     text = f'tick {ticks} of at most {values["max_ticks"]}, t = {time:.0f} s'
-    if len(vehicles) > 1:
+    if not ticks:
+        text = 'the nodes start; the first time, machine code is compiled for a minute or more'
+    elif len(vehicles) > 1:
         done = sum(not each.sim.running for each in vehicles)
         text += f', {done} of {len(vehicles)} done'
     progress.show(ticks, text)
