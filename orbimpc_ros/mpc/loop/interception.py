@@ -296,7 +296,7 @@ class Interception:
         off = self._off(hunt, target, found.plan, goals)
         short = max(min(0.0, float(off @ ahead)) - SLACK * self._aim, -AIM * self._radius)
         before = np.concatenate([goals[:-1], goals[-1:] + short * ahead])
-        through = self._attempted(hunt, target, before)
+        through = self._attempted(hunt, target, before, GRAZE * self._radius)
         if through.plan is None or not self._is_well(through):
             return found
         miss = float(np.linalg.norm(self._off(hunt, target, through.plan, goals)))
