@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from dying_engine import FAILURES
 
 from orbimpc_ros.lab.study.vehicles import statistics
 from orbimpc_ros.mpc.errors import BadInput
@@ -263,6 +264,8 @@ def test_a_study_of_arrivals_tells_where_they_end(tmp_path, capsys):
     (row,) = [json.loads(line) for line in (tmp_path / 'study' / 'flights.jsonl').open()][1:]
     assert row['missed'] < 0.1
     assert row['speed'] < 0.05
+    assert 0.0 < row['tracking'] < 1.0
+    assert 'off the plan after a tick' in text
 
 
 def test_rivals_do_not_fly_in_space(tmp_path, capsys):
@@ -276,6 +279,16 @@ def test_an_attitude_in_space_is_drawn_as_a_unit_quaternion():
     drawn = [scenario.drawn(0, k)['start.orientation'] for k in range(50)]
     np.testing.assert_allclose(np.linalg.norm(drawn, axis=1), 1.0)
     np.testing.assert_allclose(np.mean(drawn, axis=0), 0.0, atol=0.3)
+
+
+def test_an_engine_that_fails_ends_its_flight_and_not_the_study(monkeypatch):
+    monkeypatch.setattr('orbimpc_ros.world.engines.class_of', lambda _: FAILURES['Stopping'])
+    scenario = scenario_named('cessna')
+    row = flights.row(scenario, 'lead', 700, 0, {})
+    assert row['failed'] == 'broken: stopped at t = 2.000 s'
+    assert row['caught'] is False
+    assert row['tracking'] is None
+    assert '- `lead` missed 1: 0 (broken: stopped' in report(scenario, {'lead': [row]})
 
 
 def test_only_an_engine_has_guidance_of_its_own():

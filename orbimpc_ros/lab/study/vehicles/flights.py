@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
@@ -16,8 +16,9 @@ from orbimpc_ros.lab.onboard import Planner, tell
 from orbimpc_ros.lab.study.vehicles.pilots import WAYPOINT, pilot
 from orbimpc_ros.lab.study.vehicles.scenario import Mission
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.loop.controller import Tick
 from orbimpc_ros.mpc.outcome import Fallback, Status
-from orbimpc_ros.physics.engine import Guided
+from orbimpc_ros.physics.engine import EngineFailure, Guided
 from orbimpc_ros.ros.parameters import sim_settings
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.world.airspeed import Airspeeds
@@ -26,6 +27,7 @@ from orbimpc_ros.world.flight import Flight, departure
 from orbimpc_ros.world.vehicle import Continuous, Vehicle
 
 Row = dict[str, Any]
+NEARLY_ALL = 0.95  # of the ticks of a flight
 MOMENT = 1e-6  # [s] shorter than between two vehicles on a trail
 
 
@@ -43,8 +45,10 @@ def row(scenario: Mission, name: str, seed: int, index: int, tuned: Mapping[str,
         ``caught``, ``time`` [s] (None without a catch), ``closest`` [m], ``touched`` (whether it
         ended at an obstacle), ``ticks``, ``proved`` (ticks proved optimal), ``unplanned`` (ticks
         by a fallback), ``stalls``, and the processor time of the ticks, ``p50_ms`` and
-        ``longest_ms``; of an arrival ``missed`` [m] and ``speed`` [m/s] at its end, and of a
-        vehicle in an engine ``airspeed`` [m/s] and what :class:`Facts` has, too.
+        ``longest_ms``; ``tracking`` [m], how far from its plan the vehicle is a tick later, in 19
+        ticks of 20 at most (None without plans); ``failed``, how the engine has failed, if so; of
+        an arrival ``missed`` [m] and ``speed`` [m/s] at its end, and of a vehicle in an engine
+        ``airspeed`` [m/s] and what :class:`Facts` has, too.
     """
     values = scenario.values | scenario.drawn(seed, index)
     simulated = sim_settings(settings.of_sim(values))
@@ -55,6 +59,8 @@ def row(scenario: Mission, name: str, seed: int, index: int, tuned: Mapping[str,
     model = flight.scenario.model
     airspeeds = Airspeeds(model.stall_speed if isinstance(model, Continuous) else 0.0)
     closest, proved, unplanned, spent, facts = np.inf, 0, 0, [], Facts()
+    tracking: list[float] = []
+    failed = ''
     while not (flight.over or flight.touched):
         tell(planner, flight, simulated.goal_path_steps, scenario.margin)
         begun = time.thread_time()
@@ -65,7 +71,13 @@ def row(scenario: Mission, name: str, seed: int, index: int, tuned: Mapping[str,
         unplanned += tick.fallback is not Fallback.NONE
         if name == WAYPOINT:
             _aim(flight)
-        flight = flight.after(tick.command.speed_fraction, tick.command.body_rate)
+        try:
+            flown = flight.after(tick.command.speed_fraction, tick.command.body_rate)
+        except EngineFailure as error:
+            failed = str(error)
+            break
+        tracking += _off(tick, flight.vehicle, flown.vehicle)
+        flight = flown
         airspeeds = airspeeds.seeing(flight.trail)
         facts = facts.seeing(flight, closest)
         closest = min(closest, flight.miss)
@@ -84,9 +96,21 @@ def row(scenario: Mission, name: str, seed: int, index: int, tuned: Mapping[str,
         'stalls': airspeeds.stalls,
         'p50_ms': float(np.median(spent)),
         'longest_ms': max(spent),
+        'tracking': float(np.quantile(tracking, NEARLY_ALL)) if tracking else None,
+        'failed': failed,
         **_end(flight),
         **(asdict(facts) | {'airspeed': airspeeds.least} if _has_engine(flight) else {}),
     }
+
+
+def _off(tick: Tick, before: Vehicle, after: Vehicle) -> Sequence[float]:
+    """Return how far from its plan a vehicle is a tick later [m]; nothing without a plan."""
+    if tick.plan is None or tick.problem is None:
+        return ()
+    ends = tick.problem.step * np.arange(len(tick.plan.positions))
+    span = after.time - before.time
+    planned = [np.interp(span, ends, along) for along in tick.plan.positions.T]
+    return (float(np.linalg.norm(after.position - planned)),)
 
 
 def _end(flight: Flight) -> Row:

@@ -154,6 +154,7 @@ ARRIVAL = {
     'distance at the end [m]': ('missed', 1.0),
     'speed at the end [m/s]': ('speed', 1.0),
     'largest error of the attitude [deg]': ('pointing', 180.0 / math.pi),
+    'off the plan after a tick [m]': ('tracking', 1.0),
 }
 CATCH = {
     'miss [m]': ('closest', 1.0),
@@ -163,6 +164,7 @@ CATCH = {
     'least airspeed [m/s]': ('airspeed', 1.0),
     'largest bank [deg]': ('bank', 180.0 / math.pi),
     'farthest from the setpoint [m]': ('astray', 1.0),
+    'off the plan after a tick [m]': ('tracking', 1.0),
 }
 
 
@@ -172,7 +174,12 @@ def _measured(rows: Rows) -> Iterator[str]:
     arrival = 'missed' in known
     if arrival or 'bank' in known:
         measures = ARRIVAL if arrival else CATCH
-        shown = {title: each for title, each in measures.items() if each[0] in known}
+        every = [row for found in rows.values() for row in found]
+        shown = {
+            title: (field, scale)
+            for title, (field, scale) in measures.items()
+            if field in known and any(row[field] for row in every)
+        }
         yield ''
         yield from _distributions(rows, shown)
         yield ''
@@ -186,16 +193,17 @@ def _distributions(rows: Rows, measures: Mapping[str, tuple[str, float]]) -> Ite
     for title, (field, scale) in measures.items():
         words = []
         for found in rows.values():
-            values = scale * np.array([each[field] for each in found])
-            levels = np.quantile(values, [0.0, 0.05, 0.5, 0.95, 1.0])
-            words.append(', '.join(f'{level:.3g}' for level in levels))
+            values = [scale * each[field] for each in found if each[field] is not None]
+            levels = np.quantile(values, [0.0, 0.05, 0.5, 0.95, 1.0]) if values else ()
+            words.append(', '.join(f'{level:.3g}' for level in levels) or 'none')
         yield f'| {title} | {" | ".join(words)} |'
 
 
 def _failures(rows: Rows, told: Callable[[Row], str]) -> Iterator[str]:
     """Name every flight without a catch: its number, and how it missed."""
     for name, found in rows.items():
-        words = [f'{each["index"]} ({told(each)})' for each in found if not each['caught']]
+        lost = [each for each in found if not each['caught']]
+        words = [f'{each["index"]} ({each["failed"] or told(each)})' for each in lost]
         yield f'- `{name}` missed {len(words)}: {", ".join(words) or "none"}.'
 
 
