@@ -45,7 +45,7 @@ def row(scenario: Mission, name: str, seed: int, index: int, tuned: Mapping[str,
         ``caught``, ``time`` [s] (None without a catch), ``closest`` [m], ``touched`` (whether it
         ended at an obstacle), ``ticks``, ``proved`` (ticks proved optimal), ``unplanned`` (ticks
         by a fallback), ``stalls``, and the processor time of the ticks, ``p50_ms`` and
-        ``longest_ms``; ``tracking`` [m], how far from its plan the vehicle is a tick later, in 19
+        ``longest_ms``; ``tracking`` [m], how far from its plan the next one begins, in 19
         ticks of 20 at most (None without plans); ``failed``, how the engine has failed, if so; of
         an arrival ``missed`` [m] and ``speed`` [m/s] at its end, and of a vehicle in an engine
         ``airspeed`` [m/s] and what :class:`Facts` has, too.
@@ -60,24 +60,24 @@ def row(scenario: Mission, name: str, seed: int, index: int, tuned: Mapping[str,
     airspeeds = Airspeeds(model.stall_speed if isinstance(model, Continuous) else 0.0)
     closest, proved, unplanned, spent, facts = np.inf, 0, 0, [], Facts()
     tracking: list[float] = []
-    failed = ''
+    last, at, failed = None, flight.vehicle.time, ''
     while not (flight.over or flight.touched):
         tell(planner, flight, simulated.goal_path_steps, scenario.margin)
         begun = time.thread_time()
         _, report = planner.report(flight.vehicle.time)
         spent.append(1e3 * (time.thread_time() - begun))
         tick = report.tick
+        tracking += _off(last, tick, flight.vehicle.time - at)
+        last, at = tick, flight.vehicle.time
         proved += tick.status is Status.OPTIMAL
         unplanned += tick.fallback is not Fallback.NONE
         if name == WAYPOINT:
             _aim(flight)
         try:
-            flown = flight.after(tick.command.speed_fraction, tick.command.body_rate)
+            flight = flight.after(tick.command.speed_fraction, tick.command.body_rate)
         except EngineFailure as error:
             failed = str(error)
             break
-        tracking += _off(tick, flight.vehicle, flown.vehicle)
-        flight = flown
         airspeeds = airspeeds.seeing(flight.trail)
         facts = facts.seeing(flight, closest)
         closest = min(closest, flight.miss)
@@ -103,14 +103,16 @@ def row(scenario: Mission, name: str, seed: int, index: int, tuned: Mapping[str,
     }
 
 
-def _off(tick: Tick, before: Vehicle, after: Vehicle) -> Sequence[float]:
-    """Return how far from its plan a vehicle is a tick later [m]; nothing without a plan."""
-    if tick.plan is None or tick.problem is None:
+def _off(before: Tick | None, now: Tick, span: float) -> Sequence[float]:
+    """Return how far from the plan of a tick the next one begins, a time [s] later [m].
+
+    A plan begins where the lags of what was commanded before are over. Nothing without a plan.
+    """
+    if before is None or before.plan is None or before.problem is None or now.state is None:
         return ()
-    ends = tick.problem.step * np.arange(len(tick.plan.positions))
-    span = after.time - before.time
-    planned = [np.interp(span, ends, along) for along in tick.plan.positions.T]
-    return (float(np.linalg.norm(after.position - planned)),)
+    ends = before.problem.step * np.arange(len(before.plan.positions))
+    planned = [np.interp(span, ends, along) for along in before.plan.positions.T]
+    return (float(np.linalg.norm(now.state.position - planned)),)
 
 
 def _end(flight: Flight) -> Row:
