@@ -49,7 +49,7 @@ def test_a_rope_is_caught_by_a_fast_method_without_any_of_it(bare):
 
 def test_a_general_method_says_in_a_line_what_it_needs(bare):
     planner = bare('planner', {}, 'dubins')
-    assert planner.wait() == 2
+    assert planner.wait() == 2, planner.output
     assert planner.output.strip() == (
         'clarabel: not installed; this problem takes a general method, which needs it: '
         'pip install clarabel'
