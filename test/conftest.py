@@ -92,7 +92,7 @@ class LaunchedProcess:
             command += ['-p', f'{name}:={value}']
         for name, other in remapped.items():
             command += ['-r', f'{name}:={other}']
-        environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}
+        environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONFAULTHANDLER': '1'}
         self._log = log
         with log.open('wb') as output:
             self._process = subprocess.Popen(
@@ -119,8 +119,9 @@ class LaunchedProcess:
         try:
             return self.wait()
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            raise
+            self.tell(signal.SIGABRT)  # says where each of its threads hangs
+            self._process.wait(PATIENCE)
+            pytest.fail(f'did not end: {self.output}')
 
 
 @contextlib.contextmanager

@@ -191,6 +191,31 @@ def test_a_signal_in_a_callback_of_native_code_ends_a_start(script, name):
     assert (done.returncode, done.stdout, done.stderr) == (0, b'', b'')
 
 
+BLOCKED = """
+    import sys, time
+    from orbimpc_ros.ros import process
+
+    class Blocked(process.Guarded):
+        def begin(self):
+            self.declare_parameter('executor', 'wait_set')
+            print('begins', flush=True)
+
+        def destroy_node(self):
+            time.sleep(1000.0)
+
+    process.LAST_RESORT = 1.0
+    sys.exit(process.run(lambda: Blocked('blocked')))
+"""
+
+
+def test_a_node_that_hangs_at_its_end_is_ended_and_says_where(launch, observer, script):
+    node = launch(script(BLOCKED))
+    observer.until(lambda: 'begins' in node.output, 'its begin')
+    node.tell(signal.SIGTERM)
+    assert node.wait() == 1
+    assert 'in destroy_node' in node.output
+
+
 def test_the_planner_says_which_sections_it_does_not_use(launch, observer, tmp_path):
     file = tmp_path / 'wrong.yaml'
     file.write_text('/plannr: {ros__parameters: {horizon: 9}}')

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import ast
+import faulthandler
 import functools
 import gc
 import os
@@ -48,6 +49,7 @@ FAREWELLS = 3  # safe commands on the way out
 ACKNOWLEDGED = 1.0  # [s] the last messages have to arrive
 LIFE = 0.1  # [s] DDS gives signs of life of a planner so often, for who watches for them
 SPIN = 0.05  # [s] a signal waits at most this long
+LAST_RESORT = 30.0  # [s] after which a process that was to end, and hangs, is ended
 RANGE, PEERS = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS'
 CLOSED = ('LOCALHOST', 'OFF')  # ranges that keep other machines out
 SECURITY = 'ROS_SECURITY_ENABLE'
@@ -252,6 +254,7 @@ class _Signals:
             signal.signal(number, self._take)
 
     def _take(self, number: int, _frame: Any) -> None:
+        _end_within(LAST_RESORT)
         self.received.append(number)
         if self.starting and len(self.received) == 1:
             raise _Stopped
@@ -358,7 +361,17 @@ def _spin(node: Guarded, executor: Executor) -> None:
         node.failed('spinning', error)
 
 
+def _end_within(patience: float) -> None:
+    """End this process with code 1, and say where it hangs, unless it ends by itself [s].
+
+    The threads of a middleware can block its clearing away for ever. A timer outside of Python
+    sees to it: it needs no thread that answers.
+    """
+    faulthandler.dump_traceback_later(patience, exit=True)
+
+
 def _part(node: Guarded, executor: Executor, signals: Sequence[int]) -> int:
+    _end_within(LAST_RESORT)
     if signals:
         node.get_logger().info(f'received {signal.Signals(signals[0]).name}, stopping')
     farewell = node.guard(node.safe)

@@ -203,7 +203,7 @@ def _failures(rows: Rows, told: Callable[[Row], str]) -> Iterator[str]:
     """Name every flight without a catch: its number, and how it missed."""
     for name, found in rows.items():
         lost = [each for each in found if not each['caught']]
-        words = [f'{each["index"]} ({each["failed"] or told(each)})' for each in lost]
+        words = [f'{each["index"]} ({each.get("failed") or told(each)})' for each in lost]
         yield f'- `{name}` missed {len(words)}: {", ".join(words) or "none"}.'
 
 
