@@ -299,6 +299,17 @@ def test_two_planners_answer_in_time(monkeypatch):
     assert row.objective <= row.n
 
 
+def test_reports_are_waited_for_from_who_makes_any():
+    pytest.importorskip('rclpy')
+    from orbimpc_ros.lab.bench.driver import RoundTrip, answered
+
+    whole, commanded, lost = RoundTrip(0.0, 0.1, 1.0), RoundTrip(0.0, 0.1), RoundTrip(0.0)
+    assert answered([whole, whole])
+    assert not answered([whole, commanded])
+    assert answered([commanded, commanded])
+    assert not answered([commanded, lost])
+
+
 def test_a_planner_is_timed_beside_a_node_that_only_answers():
     pytest.importorskip('rclpy.experimental.events_executor')
     from orbimpc_ros.lab.bench import live

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -48,6 +48,12 @@ class RoundTrip:
         return self.latency < math.inf and not math.isnan(self.solve_ms)
 
 
+def answered(ticks: Collection[RoundTrip]) -> bool:
+    """Return whether every command is there, and every report of a node that makes any."""
+    reports = any(not math.isnan(tick.solve_ms) for tick in ticks)
+    return all(tick.complete if reports else tick.latency < math.inf for tick in ticks)
+
+
 class Driver:
     """Publishes odometry and goals in each namespace, in turns within a period.
 
@@ -58,7 +64,7 @@ class Driver:
 
     def __init__(self, namespaces: Sequence[str], executor: str = 'wait_set') -> None:
         self._test_node = TestNode(executor=executor)
-        self._ticks: list[dict[int, RoundTrip]] = [{} for _ in namespaces]
+        self._ticks = [dict[int, RoundTrip]() for _ in namespaces]
         self._answered = [0] * len(namespaces)
         self._publishers = [self._wire(i, name) for i, name in enumerate(namespaces)]
         self._flights = [flight for flight, _ in around(retrieval_problem(), POINTS)]
@@ -118,10 +124,11 @@ class Driver:
 
     def listen(self, seconds: float) -> None:
         """Only listen for a while, or until everything is answered."""
-        end = time.monotonic() + seconds
-        self._test_node.spin_until(
-            end, lambda: all(tick.latency < math.inf for tick in self.ticks())
-        )
+
+        def done() -> bool:
+            return all(answered(ticks.values()) for ticks in self._ticks)
+
+        self._test_node.spin_until(time.monotonic() + seconds, done)
 
     def forget(self) -> None:
         """Drop what was measured so far."""
