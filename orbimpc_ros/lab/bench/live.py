@@ -36,6 +36,7 @@ SETTLED = 50  # answers before the clock counts
 WARM_UP = 2.0  # [s] of many planners at once
 PLANNERS = (1, 5, 20)
 LEAVE = 5.0  # [s] in which a planner ends
+TRAILING = 10.0  # [s] in which the last answers come, or are lost
 BARE = 'a node that only answers'
 PLANNER, ECHO = 'orbimpc_ros.ros.planner', 'orbimpc_ros.lab.bench.echo'
 PARAMETERS = {
@@ -147,7 +148,7 @@ def _latency(title: str, rate: float, executor: str, seconds: float) -> list[Ben
         before = [busy(process.pid) for process in processes]
         driver.drive(rate, seconds)
         taken = [busy(each.pid) - begun for each, begun in zip(processes, before, strict=True)]
-        driver.listen(2.0)
+        driver.listen(TRAILING)
         ours, bare = driver.ticks_of(0), driver.ticks_of(1)
     pairs = [(1e3 * t.latency, t.solve_ms) for t in ours if t.complete]
     beside = [latency - solve for latency, solve in pairs]
@@ -183,7 +184,7 @@ def fleet(count: int, seconds: float) -> list[BenchRow]:
         driver.drive(SLOW, WARM_UP)
         driver.forget()
         driver.drive(SLOW, seconds)
-        driver.listen(2.0)
+        driver.listen(TRAILING)
         ticks = driver.ticks()
     times = [1e3 * t.latency for t in ticks]
     late = sum(not latency <= 1e3 / SLOW for latency in times)
