@@ -72,7 +72,11 @@ class Managed(LifecycleNodeMixin, Guarded):
             return
         self._error = None
         for trigger in (self.trigger_configure, self.trigger_activate):
-            trigger()
+            try:
+                trigger()
+            except RuntimeError:  # rclpy cannot tell others of the transition
+                if self._error is None:
+                    raise
             if self._error is not None:
                 raise self._error
 

@@ -15,7 +15,7 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import dropwhile, pairwise
 from pathlib import Path
 from typing import Any
@@ -348,10 +348,25 @@ def _born(make: Callable[[], Guarded]) -> Guarded:
             # What rclpy says about its own clearing away, where it fails.
             warnings.simplefilter('ignore', RuntimeWarning)
             node = make()
-            node.begin()
+            with _destroyed_unless_begun(node):
+                node.begin()
             return node
     except rclpy_implementation.RCLError as error:
         raise _Stillborn(f'the node cannot be created: {error}') from None
+
+
+@contextmanager
+def _destroyed_unless_begun(node: Guarded) -> Iterator[None]:
+    """Destroy the node if the block fails, as long as there is a middleware to clear it away.
+
+    Left over, its publishers would be deleted by the interpreter's end, after the context's.
+    """
+    try:
+        yield
+    except BaseException:
+        with suppress(RuntimeError):  # of rclpy; what has failed before is what to tell
+            node.destroy_node()
+        raise
 
 
 def _spin(node: Guarded, executor: Executor) -> None:
