@@ -197,6 +197,9 @@ HALF_MADE = """
             self.create_publisher(Bool, 'one', 1)
             {breaks}
 
+        def clean_up(self):
+            raise ValueError('not clean')
+
         def trigger_configure(self):
             super().trigger_configure()
             raise rclpy_implementation.RCLError('cannot publish data')

@@ -144,7 +144,7 @@ class Managed(LifecycleNodeMixin, Guarded):
         except (KeyboardInterrupt, SystemExit):
             raise
         except BaseException as error:  # a panic of a library written in Rust is no Exception
-            self._error = error
+            self._error = self._error or error  # what goes wrong first is what to tell
             return FAILURE if isinstance(error, BadInput) else ERROR
         return SUCCESS
 
