@@ -230,6 +230,8 @@ def run(make: Callable[[], Guarded], argv: Sequence[str] | None = None) -> int:
     except _Stillborn as error:
         print(_line(error), file=sys.stderr)
         return FAILED
+    finally:
+        _end_within(LAST_RESORT)  # what is left is cleared away by the interpreter's end
 
 
 class _Stopped(KeyboardInterrupt):
@@ -364,6 +366,7 @@ def _destroyed_unless_begun(node: Guarded) -> Iterator[None]:
     try:
         yield
     except BaseException:
+        _end_within(LAST_RESORT)
         with suppress(RuntimeError):  # of rclpy; what has failed before is what to tell
             node.destroy_node()
         raise
@@ -379,8 +382,8 @@ def _spin(node: Guarded, executor: Executor) -> None:
 def _end_within(patience: float) -> None:
     """End this process with code 1, and say where it hangs, unless it ends by itself [s].
 
-    The threads of a middleware can block its clearing away for ever. A timer outside of Python
-    sees to it: it needs no thread that answers.
+    The threads of a middleware can block its clearing away for ever (eProsima/Fast-DDS#6502), or
+    for minutes (#6513). A timer outside of Python sees to it: it needs no thread that answers.
     """
     faulthandler.dump_traceback_later(patience, exit=True)
 
