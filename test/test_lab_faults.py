@@ -206,6 +206,11 @@ def test_spoilers_do_what_they_say():
     assert old.header.stamp == Time()
     (bad,) = stimulus.with_field('pose.pose.position.x', NAN)(fresh(), draw)
     assert math.isnan(bad.pose.pose.position.x)
+    (along,) = stimulus.in_the_world(fresh(), draw)
+    turned = stimulus.SPEED / stimulus.RADIUS  # [rad] after a second
+    velocity = along.twist.twist.linear
+    wanted = stimulus.SPEED * math.cos(turned), stimulus.SPEED * math.sin(turned)
+    assert (velocity.x, velocity.y) == pytest.approx(wanted)
     repeat = stimulus.repeated()
     first = repeat(fresh(), draw)
     assert repeat(stimulus.odometry_at(2.0, 2 * now), draw) == first

@@ -12,7 +12,7 @@ from scipy.integrate import trapezoid
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.physics.engine import EngineFailure, Start
 from orbimpc_ros.world import engines
-from orbimpc_ros.world.engines import Aircraft
+from orbimpc_ros.world.engines import EnginePlant
 from orbimpc_ros.world.faults import Faults, View
 from orbimpc_ros.world.flight import departure
 from orbimpc_ros.world.rope import fixed
@@ -29,7 +29,7 @@ def cessna():
 
 
 def flight_of(heading=0.0, wind=WIND, goal=FAR, **others):
-    model = Aircraft(forward=50.0, step=1.0, disturbance=tuple(wind), **others)
+    model = EnginePlant(forward=50.0, step=1.0, disturbance=tuple(wind), **others)
     cos, sin = math.cos(heading), math.sin(heading)
     start = launched(model, np.zeros(2), np.array([[cos, -sin], [sin, cos]]), fraction=0.9)
     return departure(Scenario(model, start, fixed(goal), 5.0, 1000, rope_length=40.0))
@@ -130,11 +130,11 @@ def test_odometry_may_come_late(cessna):
 @pytest.mark.parametrize(('name', 'value'), [('dimension', 3), ('translation_order', 2)])
 def test_it_flies_in_the_plane_by_speeds(name, value):
     with pytest.raises(BadInput, match=f'{name} is {value}; allowed: [12] with vehicle: cessna'):
-        Aircraft(**{name: value})
+        EnginePlant(**{name: value})
 
 
 def test_a_start_that_cannot_be_flown_is_refused(cessna):
-    model = Aircraft(forward=50.0)
+    model = EnginePlant(forward=50.0)
     start = launched(model, np.zeros(2), np.eye(2), fraction=0.2)
     with pytest.raises(BadInput, match=r'start.speed_fraction is 0.2; .*no level flight'):
         model.begun(start)

@@ -17,7 +17,7 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.physics.engine import EngineFailure
 from orbimpc_ros.ros.sim.arena import outcome
 from orbimpc_ros.tool.demo.rendering import flown_again
-from orbimpc_ros.world.engines import Aircraft
+from orbimpc_ros.world.engines import EnginePlant
 from orbimpc_ros.world.flight import departure
 from orbimpc_ros.world.rope import Rope
 from orbimpc_ros.world.scenario import Scenario
@@ -34,7 +34,7 @@ def hummingbird():
 
 def flight_of(rest=FAR, aside=STILL, wind=STILL, **others):
     rope = Rope(np.asarray(rest), np.asarray(aside), 0.0, np.full(2, 0.5 * math.pi))
-    model = Aircraft(
+    model = EnginePlant(
         forward=2.0,
         step=0.1,
         engine='hummingbird',

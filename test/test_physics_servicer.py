@@ -19,7 +19,7 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.physics.engine import EngineFailure
 from orbimpc_ros.tool.demo.rendering import flown_again
 from orbimpc_ros.tool.io import history
-from orbimpc_ros.world.engines import Aircraft
+from orbimpc_ros.world.engines import EnginePlant
 from orbimpc_ros.world.flight import departure
 from orbimpc_ros.world.rope import fixed
 from orbimpc_ros.world.scenario import Scenario
@@ -37,7 +37,7 @@ def servicer():
 
 
 def flight_of(goal=AWAY, velocity=STILL, rate=STILL, push=STILL, **others):
-    model = Aircraft(
+    model = EnginePlant(
         3,
         translation_order=2,
         step=5.0,

@@ -193,12 +193,15 @@ def test_a_signal_in_a_callback_of_native_code_ends_a_start(script, name):
 
 BLOCKED = """
     import sys, time
+    from orbimpc_ros.mpc.errors import BadInput
     from orbimpc_ros.ros import process
 
     class Blocked(process.Guarded):
         def begin(self):
             self.declare_parameter('executor', 'wait_set')
             print('begins', flush=True)
+            if {refused}:
+                raise BadInput('mass', 0, '1')
 
         def destroy_node(self):
             time.sleep(1000.0)
@@ -208,10 +211,12 @@ BLOCKED = """
 """
 
 
-def test_a_node_that_hangs_at_its_end_is_ended_and_says_where(launch, observer, script):
-    node = launch(script(BLOCKED))
+@pytest.mark.parametrize('refused', [False, True])
+def test_a_node_that_hangs_at_its_end_is_ended_and_says_where(launch, observer, script, refused):
+    node = launch(script(BLOCKED.format(refused=refused)))
     observer.until(lambda: 'begins' in node.output, 'its begin')
-    node.tell(signal.SIGTERM)
+    if not refused:
+        node.tell(signal.SIGTERM)
     assert node.wait() == 1
     assert 'in destroy_node' in node.output
 

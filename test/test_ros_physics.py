@@ -25,7 +25,7 @@ from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.content import fields
 from orbimpc_ros.tool.io.share import config
 from orbimpc_ros.world import engines
-from orbimpc_ros.world.engines import Aircraft
+from orbimpc_ros.world.engines import EnginePlant
 from orbimpc_ros.world.flight import departure
 
 DEFAULTS = {row.name: row.default for row in SIM}
@@ -37,7 +37,7 @@ def test_parameters_make_the_aircraft_that_they_say():
     values = settings.resolve(config('cessna.yaml'))
     told = sim_settings(settings.of_sim(values))
     model = told.scenario.model
-    assert isinstance(model, Aircraft)
+    assert isinstance(model, EnginePlant)
     assert (model.engine, model.step, model.forward, model.turbulence) == ('cessna', 0.5, 50.0, 0.7)
     assert model.stall_speed == 27.6
     assert told.scenario.rope_length == 40.0
@@ -132,7 +132,7 @@ def test_the_multirotor_is_told_nothing_of_wind_and_swing():
 def test_the_spacecraft_is_told_nothing_of_what_pushes_it():
     values = settings.resolve(config('servicer.yaml'), ['sim.wind=[1e-4, 0.0, 0.0]'])
     model = sim_settings(settings.of_sim(values)).scenario.model
-    assert isinstance(model, Aircraft)
+    assert isinstance(model, EnginePlant)
     assert (model.engine, model.dimension, model.disturbance) == ('servicer', 3, (1e-4, 0.0, 0.0))
     assert values['wind'] == (0.0, 0.0, 0.0)
 

@@ -180,6 +180,54 @@ def test_a_bad_start_says_one_line_and_no_command(launch, observer):
     assert heard == []
 
 
+HALF_MADE = """
+    import os, signal, sys
+    from rclpy.impl.implementation_singleton import rclpy_implementation
+    from std_msgs.msg import Bool
+    from orbimpc_ros.mpc.errors import BadInput
+    from orbimpc_ros.ros.lifecycle import Managed
+    from orbimpc_ros.ros.process import run
+
+    class HalfMade(Managed):
+        def __init__(self):
+            super().__init__('half_made')
+            self.declare_parameter('autostart', True)
+
+        def configure(self):
+            self.create_publisher(Bool, 'one', 1)
+            {breaks}
+
+        def clean_up(self):
+            raise ValueError('not clean')
+
+        def trigger_configure(self):
+            super().trigger_configure()
+            raise rclpy_implementation.RCLError('cannot publish data')
+
+        def destroy_node(self):
+            print('destroyed', self.context.ok())
+            raise rclpy_implementation.RCLError('cannot delete data')
+
+    sys.exit(run(HalfMade))
+"""
+
+
+@pytest.mark.parametrize(
+    ('breaks', 'code', 'said'),
+    [
+        ("raise BadInput('mass', 0, '1')", 2, 'mass is 0; allowed: 1\n'),
+        ('os.kill(os.getpid(), signal.SIGINT)', 0, ''),
+    ],
+)
+def test_a_start_broken_off_is_cleared_away_and_says_why(tmp_path, breaks, code, said):
+    """Whatever else goes wrong meanwhile, and before the context is shut down."""
+    script = tmp_path / 'half_made.py'
+    script.write_text(textwrap.dedent(HALF_MADE).format(breaks=breaks))
+    words = [sys.executable, str(script)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (code, 'destroyed True\n', said)
+
+
 @pytest.mark.parametrize(
     ('words', 'said'),
     [

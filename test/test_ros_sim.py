@@ -26,6 +26,7 @@ from orbimpc_ros.mpc.loop.forecast import forecast_named
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
+from orbimpc_ros.ros.sim.readers import RECORDED
 from orbimpc_ros.ros.sim.stepping import LockStep
 from orbimpc_ros.world.faults import Faults, View
 from orbimpc_ros.world.scenario import retrieval, retrieval_problem
@@ -215,13 +216,13 @@ def test_a_vehicle_with_a_failsafe_is_not_stopped(launch, observer):
 # --- who a flight waits for
 
 WHOLE = {
+    '/clock': Clock,
     'odom': Odometry,
     'goal': PoseStamped,
     'cmd_vel': TwistStamped,
     'rotation': QuaternionStamped,
     'plan': Path,
     'tick': DiagnosticArray,
-    '/clock': Clock,
 }
 STEPS = 12
 LONG = LOCKSTEP | {'goal_prediction': 'hold'}  # the paper's, which catches nothing so soon
@@ -235,7 +236,7 @@ def stamp_of(message):
 def test_whoever_is_waited_for_hears_a_flight_whole(launch, domain):
     """As somebody who comes late to record a flight that takes a tenth of a second."""
     launch('planner', LONG)
-    asked = {'wait_for': ', '.join(WHOLE), 'max_ticks': STEPS, 'wait_timeout': 60.0}
+    asked = {'wait_for': RECORDED, 'max_ticks': STEPS, 'wait_timeout': 60.0}
     sim = launch('sim', asked)
     with contextlib.closing(Observer(domain)) as late:
         late.until(lambda: 'waits for readers: 1 of odom (there are 0)' in sim.output, 'waiting')

@@ -6,7 +6,7 @@ Needs ROS 2's launch, which PyPI does not have: only launch files import this mo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
@@ -38,9 +38,11 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.autopilots import TOPICS
 from orbimpc_ros.ros.parameters.sections import given
 from orbimpc_ros.ros.process import RANGE
+from orbimpc_ros.ros.sim.readers import RECORDED
 from orbimpc_ros.ros.vehicles import vehicles
 
 AUTO = 'auto'
+AWAITED = 'awaited'  # launch configuration: the readers that the simulator waits for
 
 
 def flight(scenario: str) -> LaunchDescription:
@@ -49,7 +51,14 @@ def flight(scenario: str) -> LaunchDescription:
     in_lockstep = EqualsSubstitution(clock, 'lockstep')
     simulated = IfElseSubstitution(EqualsSubstitution(asked, AUTO), in_lockstep, asked)
     planner = _node('planner', {'use_sim_time': ParameterValue(simulated, value_type=bool)})
-    sim = _node('sim', {'clock': clock, 'exit_when_done': _flag('exit_when_done')})
+    sim = _node(
+        'sim',
+        {
+            'clock': clock,
+            'exit_when_done': _flag('exit_when_done'),
+            'wait_for': ParameterValue(LaunchConfiguration(AWAITED), value_type=str),
+        },
+    )
     arguments = [
         *_arguments(scenario),
         DeclareLaunchArgument('namespace', default_value='', description='of both nodes'),
@@ -66,9 +75,9 @@ def flight(scenario: str) -> LaunchDescription:
             description='of the planner; the simulator makes the time, auto: in lock-step alone',
         ),
     ]
-    check = OpaqueFunction(function=_check_flight)
-    nodes = [planner, sim, *_ending([sim], [planner])]
-    return LaunchDescription([*arguments, check, *_surroundings(), *nodes])
+    prepare, recorder = OpaqueFunction(function=_prepare_flight), _recorder()
+    nodes = [recorder, planner, sim, *_ending([sim], [planner, recorder])]
+    return LaunchDescription([*arguments, prepare, _reach(), *nodes])
 
 
 def fleet() -> LaunchDescription:
@@ -83,7 +92,7 @@ def fleet() -> LaunchDescription:
         DeclareLaunchArgument('namespace', default_value='', description='of the whole fleet'),
     ]
     check, members = (OpaqueFunction(function=each) for each in (_check_file, _members))
-    return LaunchDescription([*arguments, check, *_surroundings(), members])
+    return LaunchDescription([*arguments, check, _reach(), members])
 
 
 def vehicle() -> LaunchDescription:
@@ -123,15 +132,27 @@ def _check_file(context: LaunchContext) -> None:
         raise BadInput.stating(file, 'no such file', 'params_file is to name one of parameters')
 
 
-def _check_flight(context: LaunchContext) -> None:
-    """Refuse a planner on a timer in lock-step: that waits for time, which waits for answers."""
+def _prepare_flight(context: LaunchContext) -> None:
+    """Check the parameters, and settle for whom the simulator waits."""
     _check_file(context)
     asked = context.launch_configurations
-    name = f'/{asked["namespace"].strip("/")}/planner'.replace('//', '/')
+    outer = f'/{asked["namespace"].strip("/")}'.rstrip('/')
+    _check_pace(asked, f'{outer}/planner')
+    asked[AWAITED] = _awaited(asked, f'{outer}/sim')
+
+
+def _check_pace(asked: Mapping[str, str], name: str) -> None:
+    """Refuse a planner on a timer in lock-step: that waits for time, which waits for answers."""
     trigger = given(asked['params_file'], name, 'trigger') or 'timer'
     if asked['clock'] == 'lockstep' and trigger != 'odom':
         where = f'trigger of {name} in {asked["params_file"]}'
         raise BadInput(where, trigger, 'odom, as clock is lockstep (or clock:=wall)')
+
+
+def _awaited(asked: Mapping[str, str], name: str) -> str:
+    """Return the readers that a simulator waits for: those of its file, or the recorder."""
+    recorder = RECORDED if asked['record'] == 'true' else ''
+    return str(given(asked['params_file'], name, 'wait_for') or recorder)
 
 
 def _members(context: LaunchContext) -> list[Action]:
@@ -139,14 +160,19 @@ def _members(context: LaunchContext) -> list[Action]:
     count, seed = (int(context.launch_configurations[name]) for name in ('vehicles', 'seed'))
     outer = context.launch_configurations['namespace'].strip('/')
     outer = f'/{outer}' if outer else ''
-    planners, sims = [], []
+    planners, sims, recorder = [], [], _recorder()
     for namespace, own in vehicles(count, seed).items():
         where = outer + namespace
         planners.append(_node('planner', {'use_sim_time': False}, where))
         plain = {name: list(v) if isinstance(v, tuple) else v for name, v in own.items()}
-        settings = {'clock': 'wall', 'exit_when_done': _flag('exit_when_done'), **plain}
+        settings = {
+            'clock': 'wall',
+            'exit_when_done': _flag('exit_when_done'),
+            'wait_for': _awaited(context.launch_configurations, f'{where}/sim'),
+            **plain,
+        }
         sims.append(_node('sim', settings, where))
-    return [*planners, *sims, *_ending(sims, planners)]
+    return [recorder, *planners, *sims, *_ending(sims, [*planners, recorder])]
 
 
 def _flag(name: str) -> ParameterValue:
@@ -170,23 +196,20 @@ def _node(
     )
 
 
-def _surroundings() -> list[Action]:
-    """Keep to this machine unless asked otherwise, and record where wanted."""
-    return [
-        _reach(),
-        ExecuteProcess(
-            cmd=['ros2', 'bag', 'record', '--storage', 'mcap', '--all'],
-            condition=IfCondition(LaunchConfiguration('record')),
-            output='screen',
-        ),
-    ]
+def _recorder() -> ExecuteProcess:
+    """Return what records all topics where that is wanted; simulators wait for it."""
+    return ExecuteProcess(
+        cmd=['ros2', 'bag', 'record', '--storage', 'mcap', '--all'],
+        condition=IfCondition(LaunchConfiguration('record')),
+        output='screen',
+    )
 
 
 def _reach() -> Action:
     return SetEnvironmentVariable(RANGE, EnvironmentVariable(RANGE, default_value='LOCALHOST'))
 
 
-def _ending(sims: list[Node], planners: list[Node]) -> list[Action]:
+def _ending(sims: Sequence[Node], others: Sequence[ExecuteProcess]) -> list[Action]:
     """Shut down when the last of the simulators has ended, or anything has failed.
 
     Raised in a handler, a failure ends the launch with a code that is not 0.
@@ -200,8 +223,8 @@ def _ending(sims: list[Node], planners: list[Node]) -> list[Action]:
         return [] if flying else [EmitEvent(event=Shutdown(reason='every flight has ended'))]
 
     return [
-        RegisterEventHandler(OnProcessExit(target_action=node, on_exit=ended))
-        for node in (*sims, *planners)
+        RegisterEventHandler(OnProcessExit(target_action=each, on_exit=ended))
+        for each in (*sims, *others)
     ]
 
 
@@ -219,7 +242,7 @@ def _arguments(scenario: str) -> list[DeclareLaunchArgument]:
             'record',
             default_value='false',
             choices=['true', 'false'],
-            description='all topics, by ros2 bag record, into the current folder',
+            description='all topics by ros2 bag record, which flights wait for; into this folder',
         ),
     ]
 

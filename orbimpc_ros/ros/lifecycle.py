@@ -72,7 +72,11 @@ class Managed(LifecycleNodeMixin, Guarded):
             return
         self._error = None
         for trigger in (self.trigger_configure, self.trigger_activate):
-            trigger()
+            try:
+                trigger()
+            except RuntimeError:  # rclpy cannot tell others of the transition
+                if self._error is None:
+                    raise
             if self._error is not None:
                 raise self._error
 
@@ -140,7 +144,7 @@ class Managed(LifecycleNodeMixin, Guarded):
         except (KeyboardInterrupt, SystemExit):
             raise
         except BaseException as error:  # a panic of a library written in Rust is no Exception
-            self._error = error
+            self._error = self._error or error  # what goes wrong first is what to tell
             return FAILURE if isinstance(error, BadInput) else ERROR
         return SUCCESS
 

@@ -15,7 +15,7 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import dropwhile, pairwise
 from pathlib import Path
 from typing import Any
@@ -230,6 +230,8 @@ def run(make: Callable[[], Guarded], argv: Sequence[str] | None = None) -> int:
     except _Stillborn as error:
         print(_line(error), file=sys.stderr)
         return FAILED
+    finally:
+        _end_within(LAST_RESORT)  # what is left is cleared away by the interpreter's end
 
 
 class _Stopped(KeyboardInterrupt):
@@ -348,10 +350,26 @@ def _born(make: Callable[[], Guarded]) -> Guarded:
             # What rclpy says about its own clearing away, where it fails.
             warnings.simplefilter('ignore', RuntimeWarning)
             node = make()
-            node.begin()
+            with _destroyed_unless_begun(node):
+                node.begin()
             return node
     except rclpy_implementation.RCLError as error:
         raise _Stillborn(f'the node cannot be created: {error}') from None
+
+
+@contextmanager
+def _destroyed_unless_begun(node: Guarded) -> Iterator[None]:
+    """Destroy the node if the block fails, as long as there is a middleware to clear it away.
+
+    Left over, its publishers would be deleted by the interpreter's end, after the context's.
+    """
+    try:
+        yield
+    except BaseException:
+        _end_within(LAST_RESORT)
+        with suppress(RuntimeError):  # of rclpy; what has failed before is what to tell
+            node.destroy_node()
+        raise
 
 
 def _spin(node: Guarded, executor: Executor) -> None:
@@ -364,8 +382,8 @@ def _spin(node: Guarded, executor: Executor) -> None:
 def _end_within(patience: float) -> None:
     """End this process with code 1, and say where it hangs, unless it ends by itself [s].
 
-    The threads of a middleware can block its clearing away for ever. A timer outside of Python
-    sees to it: it needs no thread that answers.
+    The threads of a middleware can block its clearing away for ever (eProsima/Fast-DDS#6502), or
+    for minutes (#6513). A timer outside of Python sees to it: it needs no thread that answers.
     """
     faulthandler.dump_traceback_later(patience, exit=True)
 

@@ -86,7 +86,7 @@ class EngineVehicle(Vehicle):
 
 
 @dataclass(frozen=True)
-class Aircraft(Continuous):
+class EnginePlant(Continuous):
     """A vehicle in an engine, on its own inner loop; in the plane it is that of one altitude.
 
     Its wind is the steady one of the model, with turbulence on top.

@@ -16,7 +16,7 @@ from orbimpc_ros.lab.faults.harness import Harness
 from orbimpc_ros.lab.faults.injection import recovered
 from orbimpc_ros.lab.faults.monitor import Limits
 from orbimpc_ros.lab.faults.outcome import FaultCase, Outcome
-from orbimpc_ros.lab.faults.session import Session
+from orbimpc_ros.lab.faults.session import PATIENCE, Session
 from orbimpc_ros.ros.parameters import PLANNER, SIM, Row
 
 LEAVE = 2.0  # [s] in which a node with nonsense for parameters must have ended
@@ -58,7 +58,7 @@ def _started(session: Session, number: int) -> Outcome:
     value = nonsense(row, draw)
     begin = time.monotonic()
     process = session.launch(f'orbimpc_ros.ros.{node}', {row.name: value})
-    code = process.wait(5 * LEAVE)
+    code = process.wait(PATIENCE)  # a busy machine is late, and no more
     took = time.monotonic() - begin
     process.stop()
     failure = '' if code == BAD_INPUT else f'exit code {code}'

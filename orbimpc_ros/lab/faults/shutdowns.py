@@ -8,6 +8,7 @@ import random
 import signal
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -86,18 +87,34 @@ def _exceptions(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
 
 
 def _killed(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
-    """The planner is killed or hangs in flight: the vehicle stops."""
+    """The planner is killed in flight: the vehicle stops."""
     for number in range(20 if long else 1):
-        step = 1.0 if number % 2 else 0.2
-        with Flying(fixtures.place(), step=step, seed=number) as flying:
-            flying.until_moving()
-            flying.spin(flying.draw.uniform(0.5, 1.5))
-            begin = time.monotonic()
-            flying.planner.tell(signal.SIGKILL)
-            reported = flying.until_first(flying.monitor.first_complaint, begin, 'stopped') - begin
-            flying.spin_steps(LOOKED_AT)
-            failure = '' if flying.still else 'the vehicle moves on'
-            yield Outcome(f'killed {number + 1}', flying.monitor.broken(), reported, failure)
+        with Flying(fixtures.place(), step=1.0 if number % 2 else 0.2, seed=number) as flying:
+            yield _silenced(flying, signal.SIGKILL, f'killed {number + 1}')
+
+
+def _hung(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+    """The planner hangs for a while, or its link is cut: the vehicle stops, and then flies on."""
+    for number in range(6 if long else 1):
+        with Flying(fixtures.place(), step=0.2, seed=number) as flying:
+            outcome = _silenced(flying, signal.SIGSTOP, f'hung {number + 1}')
+            flying.planner.tell(signal.SIGCONT)
+            flying.until_over()
+            lost = '' if flying.captured else 'not caught'
+            unsafe = flying.monitor.broken()
+            yield replace(outcome, unsafe=unsafe, failure=outcome.failure or lost)
+
+
+def _silenced(flying: Flying, number: int, case: str) -> Outcome:
+    """Send a planner in flight a signal that lets it say nothing more; is the vehicle stopped?"""
+    flying.until_moving()
+    flying.spin(flying.draw.uniform(0.5, 1.5))
+    begin = time.monotonic()
+    flying.planner.tell(number)
+    reported = flying.until_first(flying.monitor.first_complaint, begin, 'stopped') - begin
+    flying.spin_steps(LOOKED_AT)
+    failure = '' if flying.still else 'the vehicle moves on'
+    return Outcome(case, flying.monitor.broken(), reported, failure)
 
 
 def _restarted(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
@@ -124,5 +141,6 @@ FAULT_CASES = (
         'sigterm', 'SIGTERM: three safe commands, exit 0', LEAVE, _signalled(signal.SIGTERM), 's'
     ),
     FaultCase('sigkill', 'planner killed: the vehicle is stopped', LATCH, _killed, 's'),
+    FaultCase('hung', 'planner hangs for a while: stopped, then flies on', LATCH, _hung, 's'),
     FaultCase('restart', 'planner killed and restarted: the rope is caught', 0.0, _restarted),
 )

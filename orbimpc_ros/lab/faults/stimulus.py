@@ -104,6 +104,14 @@ def shifted(low: float, high: float) -> Spoiler:
     return spoil
 
 
+def in_the_world(message: Any, _draw: random.Random) -> list[Any]:
+    """Give an odometry's velocity along the world's axes, as if that were the body's."""
+    turned, velocity = message.pose.pose.orientation, message.twist.twist.linear
+    yaw = 2.0 * math.atan2(turned.z, turned.w)
+    velocity.x, velocity.y = velocity.x * math.cos(yaw), velocity.x * math.sin(yaw)
+    return [message]
+
+
 def repeated() -> Spoiler:
     """Return what says the first message again and again."""
     first: list[Any] = []

@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 from std_msgs.msg import Bool
 
@@ -24,6 +25,8 @@ FLIPS = 15  # of the mode
 FLIP = 0.1  # [s] from one to the next
 RESTLESS = 'the mode has changed'
 REPORT = 2.0  # [s] in which that must be reported: it takes four flips, and diagnostics a second
+DOUBT = 'see velocity_frame'
+TURNED = 6.0  # [s] in which a velocity's frame must be doubted: first the vehicle has to turn
 UNDERWAY = 0.1  # [s] a change of mode may take, and a command that went out before
 
 _TRANSFORMS = (
@@ -58,6 +61,17 @@ def _counted(harness: Harness, outcome: Outcome, spoiled: Spoiled) -> Outcome:
     return replace(outcome, failure=failure)
 
 
+def _twists(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+    """Velocities along the world's axes, as they fit the way flown: doubted, and flown with."""
+    spoiled = Spoiled('of the world', odometry=stimulus.in_the_world)
+    for seed in injection.SEEDS if long else injection.SEEDS[:1]:
+        with fixtures.harness(seed=seed) as harness:
+            begin = injection.inject(harness, MIDWAY, partial(setattr, harness, 'spoiled', spoiled))
+            told = harness.until_first(harness.monitor.first_complaint, begin, DOUBT) - begin
+            outcome = Outcome(f'{spoiled.name}, {MIDWAY}', harness.monitor.broken(), told)
+            yield injection.recovered(harness, outcome)
+
+
 def _modes(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
     """A mode that flips ten times a second: silent in the other one, and reported."""
     for seed in injection.SEEDS if long else injection.SEEDS[:1]:
@@ -89,6 +103,7 @@ def _spoken(harness: Harness) -> int:
 
 FAULT_CASES = (
     FaultCase('transforms', 'transforms missing, stale, extrapolated', 1.0, _transforms),
+    FaultCase('twist', 'velocities in the wrong frame: told', TURNED, _twists, 's'),
     FaultCase('mode', 'a mode that flips at 10 Hz: told, silent where not engaged', REPORT, _modes,
               's'),
 )  # fmt: skip

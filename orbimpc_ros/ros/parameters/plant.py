@@ -11,7 +11,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters.parameter import Row, Value, Values, span
-from orbimpc_ros.world.engines import ENGINES, Aircraft
+from orbimpc_ros.world.engines import ENGINES, EnginePlant
 from orbimpc_ros.world.gusts import GUST_RANGES, Gusts
 from orbimpc_ros.world.plant import PLANT_RANGES, Plant
 from orbimpc_ros.world.rope import Rope
@@ -87,7 +87,7 @@ def moved_by(values: Values, model: Model, rope: Rope) -> Model:
     if kind in ENGINES:
         _refuse_goals_of(values, kind)
         chance = {'turbulence': values['gust'], 'seed': values['seed']}
-        return Aircraft(**common, engine=kind, **chance, rope=rope)
+        return EnginePlant(**common, engine=kind, **chance, rope=rope)
     return Plant(
         **common,
         speed_lag=values['response.speed'],

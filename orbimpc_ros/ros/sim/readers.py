@@ -13,6 +13,7 @@ from rclpy.validate_topic_name import validate_topic_name
 from orbimpc_ros.mpc.errors import BadInput
 
 TRANSITIONS = 'transition_event'  # a topic of every managed node
+RECORDED = 'odom, goal, cmd_vel, rotation, plan, tick'  # read by whoever records everything
 MEETING = 1.5  # [s] that DDS may take to have planner and readers meet, which nobody else can see
 
 
