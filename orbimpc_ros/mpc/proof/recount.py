@@ -257,14 +257,24 @@ def _least_along(slope, bend, least):
     return min(slope * least - 0.5 * bend * least * least, slope - 0.5 * bend)
 
 
-@compiled
-def _least_beyond(gx, gy, nx, ny, least):
-    """Return the least g . z over the part of the disk beyond a face n . z >= least."""
-    inward, across = gx * nx + gy * ny, abs(gy * nx - gx * ny)
-    size = np.sqrt(gx * gx + gy * gy)
-    if -inward >= least * size:
-        return -size
-    return least * inward - np.sqrt(1.0 - least * least) * across
+@inlined
+def _least_beyond(gx, gy, size, nx, ny, least, aside):
+    """Return the least g . z over the part of the disk beyond a face n . z >= least.
+
+    Args:
+        gx: of the slope g.
+        gy: of it.
+        size: of it.
+        nx: of the face's normal n.
+        ny: of it.
+        least: how far the face is from the centre.
+        aside: how far its corners are to the sides.
+    """
+    inward = gx * nx + gy * ny
+    best = -size
+    if -inward < least * size:
+        best = least * inward - aside * abs(gy * nx - gx * ny)
+    return best
 
 
 @compiled
@@ -306,27 +316,8 @@ def _least_within(gx, gy, low, high, normals, least):
 
 
 @compiled
-def _least(slope, size, length, bend, normals, least, face, low, high):
-    """Return the least slope . z + l |z| - bend |z|^2 / 2 over what a heading can be.
-
-    Args:
-        slope: its first two coordinates.
-        size: of the slope.
-        length: l.
-        bend: of the tangent.
-        normals: of the floor's faces.
-        least: speed that the floor allows.
-        face: that the heading is beyond, -1 for none.
-        low: least direction [rad].
-        high: greatest.
-    """
-    gx, gy = slope
-    if face >= 0:
-        if bend != 0.0 or length != 0.0:
-            return -np.inf
-        return _least_beyond(gx, gy, normals[face, 0], normals[face, 1], least)
-    if high - low >= ALL:
-        return _least_along(length - size, bend, least)
+def _least_between(gx, gy, length, bend, normals, least, low, high):
+    """Return the least g . z + l |z| - bend |z|^2 / 2 over directions from low to high."""
     if bend == 0.0 and length == 0.0 and high - low < HALF:
         return _least_within(gx, gy, low, high, normals, least)
     rim = _least_within(gx, gy, low, high, normals[:0], 1.0)
@@ -334,11 +325,12 @@ def _least(slope, size, length, bend, normals, least, face, low, high):
 
 
 @inlined
-def _tangents_least(lengths, floor, hessian, base, x, bends, unit, slopes):
-    """Set a tangent's slopes; return its least value where headings go their own ways down.
+def _tangents_least(lengths, floor, hessian, base, x, bends, unit, steep):
+    """Set slopes and their sizes; return a tangent's least where headings go their own ways down.
 
     And the sum of what may cancel in it.
     """
+    slopes, sizes = steep
     value, size = _set_slopes_from(base, hessian, x, slopes)
     curved, reach = False, 0.0
     for k in range(len(x)):
@@ -348,7 +340,8 @@ def _tangents_least(lengths, floor, hessian, base, x, bends, unit, slopes):
             along += slopes[k, c] * x[k, c]
             square += x[k, c] * x[k, c]
             steepness += slopes[k, c] * slopes[k, c]
-        least = _least_along(lengths[k + 1] - np.sqrt(steepness), bend, floor)
+        sizes[k] = np.sqrt(steepness)
+        least = _least_along(lengths[k + 1] - sizes[k], bend, floor)
         value += 0.5 * bend * square - along + least
         size += abs(bend) * square + abs(along) + abs(least)
         reach += 1.0 + square
@@ -359,33 +352,31 @@ def _tangents_least(lengths, floor, hessian, base, x, bends, unit, slopes):
 
 
 @inlined
-def _held(lengths, normals, floor, slopes, bends, unit, region, bound, enough):
+def _held(lengths, normals, floor, steep, bends, unit, region, bound, enough):
     """Return a tangent's bound with what it gains where headings are held in their regions.
 
     It is counted step by step, until the bound is enough.
     """
-    value, size = bound
+    (slopes, sizes), (value, size) = steep, bound
     faces, low, high = region
+    aside = np.sqrt(1.0 - floor * floor)
     for k in range(len(bends)):
-        bend, steepness = unit * bends[k], _steepness(slopes, k)
-        if steepness <= ROUNDING * size:
+        face, between = faces[k], high[k] - low[k] < ALL
+        if sizes[k] <= ROUNDING * size or not (face >= 0 or between):
             continue
-        known = lengths[k + 1], bend, normals, floor, faces[k], low[k], high[k]
-        least = _least((slopes[k, 0], slopes[k, 1]), steepness, *known)
-        value += least - _least_along(lengths[k + 1] - steepness, bend, floor)
+        gx, gy, bend, length = slopes[k, 0], slopes[k, 1], unit * bends[k], lengths[k + 1]
+        if face < 0:
+            least = _least_between(gx, gy, length, bend, normals, floor, low[k], high[k])
+        elif bend == 0.0 and length == 0.0:
+            nx, ny = normals[face, 0], normals[face, 1]
+            least = _least_beyond(gx, gy, sizes[k], nx, ny, floor, aside)
+        else:
+            return -np.inf
+        value += least - _least_along(length - sizes[k], bend, floor)
         value -= ROUNDING * len(bends) * abs(least)
         if value >= enough:
             break
     return value
-
-
-@compiled
-def _steepness(slopes, k):
-    """Return the size of a slope."""
-    square = 0.0
-    for c in range(slopes.shape[1]):
-        square += slopes[k, c] * slopes[k, c]
-    return np.sqrt(square)
 
 
 @compiled
@@ -452,17 +443,17 @@ def _least_of_leaves(terms, hessian, base, grounds, regions, reached, unit, enou
     splits, points, bends = grounds.splits, grounds.points, grounds.bends
     faces, low, high = regions
     lengths, normals, floor = terms.lengths, terms.normals, terms.floor[0]
-    slopes, least = np.empty(points[0].shape), np.inf
+    steep, least = (np.empty(points[0].shape), np.empty(points.shape[1])), np.inf
     for t in range(len(splits)):
         if not reached[t] or splits[t] >= 0:
             continue
         wanted = min(enough, least)
-        bound = _tangents_least(lengths, floor, hessian, base, points[t], bends[t], unit, slopes)
+        bound = _tangents_least(lengths, floor, hessian, base, points[t], bends[t], unit, steep)
         value = bound[0]
         if not value >= wanted:
             own = min(t, len(low) - 1)
             region = faces[t], low[own], high[own]
-            value = _held(lengths, normals, floor, slopes, bends[t], unit, region, bound, wanted)
+            value = _held(lengths, normals, floor, steep, bends[t], unit, region, bound, wanted)
         if not value > -np.inf:  # or no number
             return -np.inf
         least = min(least, value)
