@@ -16,7 +16,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.plan import Proof
 from orbimpc_ros.mpc.problem import Floor, Problem, State
-from orbimpc_ros.mpc.proof.grounds import LEAF, Grounds
+from orbimpc_ros.mpc.proof.grounds import LEAF, Grounds, Tangent
 from orbimpc_ros.mpc.proof.verifier import FORMAT
 
 
@@ -104,6 +104,10 @@ def kept(problem: Problem, state: State, goals: Array, proof: Proof) -> Certific
     grounds = proof.grounds
     if grounds is None or not proof.checked:
         return None
+    if isinstance(grounds, Tangent):
+        tops = grounds.tops if grounds.point.shape[1] == 9 else None
+        leaf = Leaf(grounds.point, grounds.bends, grounds.pull, grounds.stiffness, tops)
+        return Certificate(problem, state, goals, proof.lower_bound, leaf)
     tree = _tree_of(grounds, proof.cost_unit, problem.floor)
     by_angles = bool(((grounds.splits != LEAF) & ~np.isnan(grounds.angles)).any())
     origins = grounds.origins if by_angles and not problem.max_rate else None

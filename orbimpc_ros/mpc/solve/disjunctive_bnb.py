@@ -32,6 +32,7 @@ from orbimpc_ros.mpc.solve.branching import (
 )
 from orbimpc_ros.mpc.solve.disjunction import Slot, disjunctions_of
 from orbimpc_ros.mpc.solve.dives import Dives
+from orbimpc_ros.mpc.solve.hull_tangent import HullTangent
 from orbimpc_ros.mpc.solve.incumbent import Incumbent, arrives, is_accurate
 from orbimpc_ros.mpc.solve.passages import Passages
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
@@ -78,6 +79,7 @@ class DisjunctiveSearch:
             slots += self.turns.slots
         self.program = _program(problem, slots, coasting, among)
         self.scout = Scout(problem) if among else None
+        self._tangent = HullTangent(problem) if HullTangent.applies(problem) else None
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -110,7 +112,10 @@ class DisjunctiveSearch:
         if relaxed.x is None:
             return Found(None, np.inf, relaxed.bound, 1)
         trajectory = trajectory_of(self.problem, state, goals, relaxed.x)
-        found = Found(relaxed.x, trajectory.cost, relaxed.bound, 1)
+        grounds = relaxed.grounds
+        if self._tangent is not None:
+            grounds = self._tangent.at(request, relaxed.x, relaxed.bound)
+        found = Found(relaxed.x, trajectory.cost, relaxed.bound, 1, grounds=grounds)
         # What was solved to the end needs no second look, which costs a quarter of a tick.
         solved = abs(found.gap) <= self.tolerance and not request.late
         accurate = arrives if solved else is_accurate
