@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
 from orbimpc_ros.mpc.proof.certificate import kept
 from orbimpc_ros.mpc.proof.grounds import Tangent, tangent
 from orbimpc_ros.mpc.proof.recount import Recount
-from orbimpc_ros.mpc.proof.verifier import parsed, verified
+from orbimpc_ros.mpc.proof.verifier import Refused, parsed, verified
 from orbimpc_ros.mpc.solve.request import Found
 from orbimpc_ros.mpc.solve.solver import OUTWARD, Solver
 
@@ -24,7 +24,7 @@ needs_machine_code = pytest.mark.skipif(
 COUNTED = ('hull', 'polygon', 'circle', 'circle, constant speed', 'circle, length', 'shell')
 TURNING = ('circle, turn rate', 'polygon, turn rate')
 FLAT = ('hull, length', 'hull, arrival', 'hull, inertia, arrival', 'hull, coasting')
-SPATIAL = ('space', 'space, coasting', 'space, arrival')
+SPATIAL = ('space', 'space, coasting', 'space, arrival', 'space, coasting, length')
 
 
 def solved(kind, seed):
@@ -88,6 +88,7 @@ def test_no_tangent_proves_more_than_there_is(kind):
             pull=(1.0 + size * rng.normal()) * leaf.pull,
             stiffness=float(rng.choice([0.0, -size, size])),
             tops=(1.0 + size * rng.normal()) * leaf.tops,
+            ways=leaf.ways + rng.choice([0.0, size]) * rng.normal(size=leaf.ways.shape),
         )
         assert recount.bound(case.state, case.goals, moved, 1.0) <= plan.objective * (1.0 + 1e-7)
     lower = leaf._replace(tops=leaf.tops - 0.1 * plan.objective)  # of what it has to pay for
@@ -102,13 +103,26 @@ def test_no_tangent_proves_more_than_there_is(kind):
         lambda t: t._replace(point=t.point[:, :1]),
         lambda t: t._replace(point=changed(t.point, 0, np.nan)),
         lambda t: t._replace(tops=t.tops[1:]),
+        lambda t: t._replace(ways=t.ways[1:]),
     ],
-    ids=['a short pull', 'less than no stiffness', 'a coordinate', 'nan', 'too few tops'],
+    ids=['a short pull', 'less than no stiffness', 'a coordinate', 'nan', 'few tops', 'few ways'],
 )
 def test_a_tangent_that_fits_no_problem_proves_nothing(spoilt):
     case, plan = solved('hull, arrival', 3)
     leaf = spoilt(plan.proof.grounds)
     assert Recount(case.problem).bound(case.state, case.goals, leaf, 1.0) == -np.inf
+
+
+@needs_machine_code
+def test_lengths_over_rotations_are_counted_along_ways_no_longer_than_1():
+    case, plan = solved('space, coasting, length', 0)
+    known = parsed(kept(*case, plan.proof).text().encode())
+    ways = np.array(known['tree']['ways'])
+    known['tree']['ways'] = np.zeros_like(ways).tolist()
+    assert not verified(known).holds
+    known['tree']['ways'] = (1.1 * ways).tolist()
+    with pytest.raises(Refused, match='longer than 1'):
+        verified(known)
 
 
 @pytest.mark.parametrize('stiffness', [0.0, 1.0])
@@ -290,7 +304,7 @@ def test_a_bound_beyond_its_grounds_is_lowered_to_what_they_prove(excess):
 
 def test_a_bound_that_is_the_methods_word_says_so_in_a_word_for_messages():
     goal = np.tile([1.0, 2.0, 3.0], (4, 1))
-    problem = Problem(dimension=3, horizon=4, weights=Weights(length=0.1))
+    problem = Problem(dimension=3, horizon=4, floor=Floor('circle', fraction=0.5))
     proof = Solver(problem).solve(State.at(np.zeros(3), np.eye(3)), goal).proof
     assert proof.lower_bound > 0.0
     assert proof.checked is False

@@ -182,18 +182,18 @@ def _begin(terms, start, held, force, x, work):
     if least < 0.0:
         _keep(multipliers(len(x), len(held.sides)), held)
         force[:], x[:], least = 0.0, start, 0.0
-    _note(work, x, force, held.orbitopes)
+    _note(work, x, force, held)
     return least
 
 
 @compiled
-def _note(work, lowest, forces, orbitopes):
+def _note(work, lowest, forces, held):
     """Note what the greatest bound so far rests on."""
-    work.lowest[:], work.forces[:] = lowest, forces
-    for k in range(len(orbitopes)):
+    work.lowest[:], work.forces[:], work.pushes[:] = lowest, forces, held.lengths
+    for k in range(len(lowest)):
         work.tops[k] = 0.0
         for i in range(4):
-            work.tops[k] += orbitopes[k, i, i]
+            work.tops[k] += held.orbitopes[k, i, i]
 
 
 @compiled
@@ -256,7 +256,7 @@ def minimise(terms, start, held, limits, work, progress, budget):
         bound = quadratic + value - 0.5 * left
         if bound > numbers[BEST]:
             numbers[BEST] = bound
-            _note(work, x - direction, force, new.orbitopes)
+            _note(work, x - direction, force, new)
         gap = abs(cost - numbers[BEST])
         if worst <= precision and gap <= proportion * abs(least + cost) + rounding:
             return cost, SETTLED

@@ -89,6 +89,7 @@ class Scratch(NamedTuple):
         small: three matrices, shape (3, 4, 4).
         lowest: the minimiser of the Lagrangian that gives the greatest bound, shape (n, 9).
         forces: what the multipliers of that exert, shape (n, 9).
+        pushes: those of the lengths, shape (n, 3).
         tops: the traces of those of the orbitopes, shape (n,).
     """
 
@@ -104,6 +105,7 @@ class Scratch(NamedTuple):
     small: Array
     lowest: Array
     forces: Array
+    pushes: Array
     tops: Array
 
 
@@ -139,6 +141,7 @@ def scratch(n: int, m: int = 0) -> Scratch:
         np.empty((3, 4, 4)),
         np.empty((n, 9)),
         np.empty((n, 9)),
+        np.empty((n, 3)),
         np.empty(n),
     )
 

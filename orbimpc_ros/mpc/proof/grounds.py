@@ -51,6 +51,8 @@ class Tangent(NamedTuple):
         pull: multipliers of s_N - g_N, and then of p_N, where a plan has to arrive, shape (m,).
         stiffness: weight on half the square of these.
         tops: over SO(3), the largest value of each step's -<G, R>, shape (N,).
+        ways: over SO(3), along which a length is at least what it counts, no longer than 1,
+            shape (N, n).
     """
 
     point: Array
@@ -58,6 +60,7 @@ class Tangent(NamedTuple):
     pull: Array
     stiffness: float
     tops: Array
+    ways: Array
 
 
 UNSPLIT = np.array([LEAF])

@@ -129,7 +129,6 @@ def _require(problem: Problem, state: State) -> None:
         'obstacles': problem.obstacles or state.hazards,
         'cones': problem.has_cones or problem.approach.exists,
         'max_acceleration': problem.max_acceleration,
-        'soft arrivals with inertia': problem.arrival_weight and problem.inertial,
         'max_rate without a floor': problem.max_rate and not problem.floor.exists,
         'max_rate with an arrival': problem.max_rate and problem.terminal == 'constraint',
         'floors at rotation_order 2': problem.floor.exists and problem.rotation_order == 2,

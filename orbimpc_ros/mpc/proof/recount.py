@@ -55,7 +55,7 @@ class Recount:
         here, bends = State.at(np.zeros(n), np.eye(n)), np.zeros(count)
         self._pulled = n * (1 + problem.inertial) * (problem.terminal == 'constraint')
         pull = np.zeros(self._pulled)
-        for grounds in (tangent(x, bends), Tangent(x, bends, pull, 0.0, bends)):
+        for grounds in (tangent(x, bends), Tangent(x, bends, pull, 0.0, bends, x[:, :n])):
             self.bound(here, x[:, :n], grounds, 1.0)  # compiles
 
     @staticmethod
@@ -119,6 +119,7 @@ class Recount:
         count = len(goals)
         sizes = (*leaf.point.shape, len(leaf.bends), len(leaf.tops), len(leaf.pull))
         fits = sizes == (count, self._width, count, count, self._pulled)
+        fits &= leaf.ways.shape == goals.shape
         if not fits or leaf.stiffness < 0.0 or (leaf.stiffness and not self._pulled):
             return -np.inf
         if leaf.stiffness:

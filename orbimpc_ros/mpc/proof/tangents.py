@@ -37,6 +37,7 @@ def tangents_bound(terms, hessian, start, goals, leaf, coasting):
         if k == 0 and terms.order == 2:
             least = _least_decided(slopes[0], start[4], terms.lengths[1], n, coasting)
         elif point.shape[1] == 9:
+            _lean(slopes[k], leaf.ways[k], terms.lengths[k + 1])
             least = _least_over_orbitope(slopes[k], leaf.tops[k])
         else:
             least = least_along(terms.lengths[k + 1] - _size(slopes[k], n), bend, terms.floor[0])
@@ -69,6 +70,14 @@ def _least_decided(slope, decided, length, n, coasting):
     for c in range(len(slope)):
         least += slope[c] * decided[c]
     return min(0.0, least) if coasting else least
+
+
+@compiled
+def _lean(slope, way, length):
+    """Add to a slope that of l way . R e1, which is at most l |R e1|."""
+    share = length / max(1.0, _size(way, len(way)))
+    for c in range(len(way)):
+        slope[c] += share * way[c]
 
 
 @compiled

@@ -88,7 +88,7 @@ class HullTangent:
         if not proved >= bound - ENOUGH * abs(bound):
             return None
         none = np.zeros(len(x))
-        return Tangent(point, none, pull.ravel(), 0.0, none)
+        return Tangent(point, none, pull.ravel(), 0.0, none, np.zeros(x.shape))
 
     def _fitted(self, slopes: Array, x: Array) -> Array:
         """Return the multipliers of an arrival that fit a plan's slopes best, shape (m, 2)."""

@@ -48,6 +48,7 @@ PRECISION = 1e-8  # on constraints
 GAP = 1e-8  # relative
 ROUNDING = 1e-15  # of the largest numbers that cancel in a cost
 CANCELLED = 1e-13  # what a bound allows for of them
+INWARD = 1.0 - 1e-15  # of a direction, for rounding
 INERT = -1.0  # offset of a row that is always satisfied
 
 
@@ -196,7 +197,7 @@ class SO3Multipliers:
             progress, status = self._minimise(terms, request)
             bound = max(bound, float(progress.numbers[BEST]))
             if status == SETTLED:
-                grounds = None if imposed or self._length else self._grounds(request)
+                grounds = None if imposed else self._grounds(request)
                 proved = self._proved(bound)
                 return Relaxation(self._rotations(progress.x), proved, grounds=grounds)
             self._held = multipliers(self._places, 0)  # what was held misled: once more without
@@ -244,7 +245,10 @@ class SO3Multipliers:
             slopes, _ = self._condensed.affine(request.state, request.goals)
             slopes += self._condensed.hessian @ point[:, :3] + forces[:, :3]
             pull = -(self._pulls @ slopes[free]).ravel()
-        return Tangent(point, np.zeros(count), pull, 0.0, tops)
+        ways, weighed = np.zeros((count, 3)), self._lengths > 0.0
+        ways[-len(weighed) :][weighed] = INWARD * work.pushes[weighed]
+        ways[-len(weighed) :][weighed] /= self._lengths[weighed, None]
+        return Tangent(point, np.zeros(count), pull, 0.0, tops, ways)
 
     def _rotations(self, x: Array) -> Array:
         if self._coasting:
