@@ -82,17 +82,16 @@ def hessian_of(terms: Terms, rest: Array, stiffness: float = 0.0) -> Array:
     """Return the Hessian over one coordinate of R_1 e1..R_N e1, from gradients, shape (N, N).
 
     Args:
-        terms: of a problem without a pull at its end.
+        terms: of a problem.
         rest: zeros, shape (N, n).
         stiffness: weight on half the square of where s_N and p_N end.
     """
-    start, none, columns = np.zeros((5, rest.shape[1])), np.zeros(0), []
-    if stiffness:
-        none = np.zeros(2 * rest.shape[1])
+    n = rest.shape[1]
+    start, pull, columns = np.zeros((5, n)), np.zeros(2 * n if stiffness else 0), []
     for k in range(len(rest)):
         x, slopes = np.zeros_like(rest), np.zeros_like(rest)
         x[k, 0] = 1.0
-        set_slopes(terms, start, rest, (none, stiffness), x, slopes)
+        set_slopes(terms, start, rest, (pull, stiffness), x, slopes)
         columns.append(slopes[:, 0])
     return np.array(columns)
 

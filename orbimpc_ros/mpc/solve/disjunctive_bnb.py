@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -112,16 +112,15 @@ class DisjunctiveSearch:
         if relaxed.x is None:
             return Found(None, np.inf, relaxed.bound, 1)
         trajectory = trajectory_of(self.problem, state, goals, relaxed.x)
-        grounds = relaxed.grounds
-        if self._tangent is not None:
-            grounds = self._tangent.at(request, relaxed.x, relaxed.bound)
-        found = Found(relaxed.x, trajectory.cost, relaxed.bound, 1, grounds=grounds)
+        found = Found(relaxed.x, trajectory.cost, relaxed.bound, 1, grounds=relaxed.grounds)
         # What was solved to the end needs no second look, which costs a quarter of a tick.
         solved = abs(found.gap) <= self.tolerance and not request.late
         accurate = arrives if solved else is_accurate
-        if accurate(self.problem, goals, trajectory):
+        if not accurate(self.problem, goals, trajectory):
+            return Found(None, np.inf, relaxed.bound, 1)
+        if self._tangent is None:
             return found
-        return Found(None, np.inf, relaxed.bound, 1)
+        return replace(found, grounds=self._tangent.at(request, relaxed.x, relaxed.bound))
 
     def _ways(self, request: Request, traffic: Traffic) -> Iterator[Array]:
         """Yield headings R_1 e1..R_N e1, shape (N, n), of ways to start from: guessed, scouted."""

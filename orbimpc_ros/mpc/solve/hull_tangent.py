@@ -52,6 +52,7 @@ class HullTangent:
             problem.dimension == 2
             and not (problem.floor.exists or problem.max_rate or problem.max_acceleration)
             and not (problem.obstacles or problem.approach.exists or problem.has_cones)
+            and problem.horizon >= 2 * max(problem.rotation_order, problem.translation_order)
             and suits_dense_code(problem)
         )
 
@@ -64,31 +65,43 @@ class HullTangent:
             bound: that the method proved.
         """
         q, constant = self._condensed.affine(request.state, request.goals)
-        pull = self._fitted(self._condensed.hessian @ x + q, x)
-        slopes = self._condensed.hessian @ x + q + self._arrival.T @ pull
-        forces = self._forces(slopes, x)
-        known = np.vstack([knowns(request.state, request.goals), np.zeros((1, 2))])
-        decided = request.state.coasted
-        if self._given:
-            known[-1] = x[0]
-        point = self._maps.minimiser @ known
-        point[self._given :] -= self._maps.inverse @ forces[self._given :]
-        slopes, pull = self._slopes(point, q, forces)
-        if decided is not None and self._given:
-            point += self._slid(slopes[0], decided[:, 0], x[0]) * self._maps.minimiser[:, -1:]
-            slopes, pull = self._slopes(point, q, forces)
+        slopes: Array = self._condensed.hessian @ x + q
+        slopes = slopes + self._arrival.T @ self._fitted(slopes, x)
+        point, slopes, pull = self._lowest(request, x[0], q, self._forces(slopes, x))
         least = np.minimum(self._lengths - _sizes(slopes), 0.0)
         if self._given:
-            along = x[0] if decided is None else decided[:, 0]
-            least[0] = slopes[0] @ along + self._lengths[0] * math.sqrt(along @ along)
-            if decided is not None:
+            coasted = request.state.coasted
+            first = x[0] if coasted is None else coasted[:, 0]
+            least[0] = slopes[0] @ first + self._lengths[0] * math.sqrt(first @ first)
+            if coasted is not None:
                 least[0] = min(0.0, least[0])
-        bent = 0.5 * self._condensed.hessian @ point + q - slopes
-        proved = constant + float(np.vdot(point, bent) + least.sum())
+        rising = 0.5 * self._condensed.hessian @ point + q - slopes
+        proved = constant + float(np.vdot(point, rising) + least.sum())
         if not proved >= bound - ENOUGH * abs(bound):
             return None
         none = np.zeros(len(x))
         return Tangent(point, none, pull.ravel(), 0.0, none, np.zeros(x.shape))
+
+    def _lowest(
+        self, request: Request, first: Array, q: Array, forces: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return where the Lagrangian is least, the slopes there, and what pulls at the arrival.
+
+        Args:
+            request: what was solved.
+            first: R_1 e1 of the plan, shape (2,).
+            q: linear terms of the cost, shape (N, 2).
+            forces: what disks and lengths exert, shape (N, 2).
+        """
+        coasted, decided = request.state.coasted, first if self._given else np.zeros(2)
+        known = np.vstack([knowns(request.state, request.goals), decided])
+        point = self._maps.minimiser @ known
+        point[self._given :] -= self._maps.inverse @ forces[self._given :]
+        slopes, pull = self._slopes(point, q, forces)
+        if self._given and coasted is not None:
+            point += self._slid(slopes[0], coasted[:, 0], first) * self._maps.minimiser[:, -1:]
+            slopes, pull = self._slopes(point, q, forces)
+        return point, slopes, pull
 
     def _fitted(self, slopes: Array, x: Array) -> Array:
         """Return the multipliers of an arrival that fit a plan's slopes best, shape (m, 2)."""
