@@ -14,6 +14,7 @@ from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
 from orbimpc_ros.mpc.proof.certificate import kept
 from orbimpc_ros.mpc.proof.grounds import Tangent, tangent
 from orbimpc_ros.mpc.proof.recount import Recount
+from orbimpc_ros.mpc.proof.tangents import tangents_bound
 from orbimpc_ros.mpc.proof.verifier import Refused, parsed, verified
 from orbimpc_ros.mpc.solve.request import Found
 from orbimpc_ros.mpc.solve.solver import OUTWARD, Solver
@@ -72,6 +73,8 @@ def test_what_is_counted_again_of_a_tangent_holds_in_exact_arithmetic(kind, seed
     # Plans may miss constraints by so much.
     assert plan.lower_bound <= again <= plan.objective * (1.0 + 1e-7)
     assert verdict.proved == pytest.approx(again, rel=1e-9)
+    if hasattr(tangents_bound, 'signatures'):  # compiled: for all at once, not in a tick
+        assert len(tangents_bound.signatures) == 1
 
 
 @pytest.mark.parametrize(

@@ -49,14 +49,14 @@ class Recount:
         self._problem, self._terms = problem, terms_of(problem)
         self._width = _width(problem)
         self._start = np.zeros((5, self._width))
-        x = np.zeros((count, self._width))
-        self._hessian = hessian_of(self._terms, x[:, :n])
-        self._stiffness = hessian_of(self._terms, x[:, :n], 1.0) - self._hessian
+        x, rest = np.zeros((count, self._width)), np.zeros((count, n))
+        self._hessian = hessian_of(self._terms, rest)
+        self._stiffness = hessian_of(self._terms, rest, 1.0) - self._hessian
         here, bends = State.at(np.zeros(n), np.eye(n)), np.zeros(count)
         self._pulled = n * (1 + problem.inertial) * (problem.terminal == 'constraint')
         pull = np.zeros(self._pulled)
-        for grounds in (tangent(x, bends), Tangent(x, bends, pull, 0.0, bends, x[:, :n])):
-            self.bound(here, x[:, :n], grounds, 1.0)  # compiles
+        for grounds in (tangent(x, bends), Tangent(x, bends, pull, 0.0, bends, rest)):
+            self.bound(here, rest, grounds, 1.0)  # compiles
 
     @staticmethod
     def reads(problem: Problem) -> bool:
