@@ -23,6 +23,7 @@ KINDS: dict[str, dict[str, Any]] = {
     'hull, length': {'length': 0.3},
     'hull, arrival': ARRIVES,
     'hull, inertia, arrival': {'translation_order': 2, **ARRIVES},
+    'hull, inertia, soft arrival': {'translation_order': 2, 'arrival_weight': 5.0},
     'polygon': {'floor': Floor('polygon', 4, 0.5)},
     'circle': {'floor': Floor('circle', fraction=0.6)},
     'circle, constant speed': {'floor': Floor('circle', fraction=1.0)},
@@ -36,6 +37,12 @@ KINDS: dict[str, dict[str, Any]] = {
 # Certificates of these take what a method leaves of its proof.
 LEFT: dict[str, dict[str, Any]] = {
     'polygon, turn rate': {'floor': Floor('polygon', 6, 0.6), 'max_rate': 0.7},
+    'space, coasting, length': {
+        'dimension': 3,
+        'rotation_order': 2,
+        'translation_order': 2,
+        'length': 0.3,
+    },
 }
 
 

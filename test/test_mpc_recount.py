@@ -12,9 +12,10 @@ import pytest
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
 from orbimpc_ros.mpc.proof.certificate import kept
-from orbimpc_ros.mpc.proof.grounds import tangent
+from orbimpc_ros.mpc.proof.grounds import Tangent, tangent
 from orbimpc_ros.mpc.proof.recount import Recount
-from orbimpc_ros.mpc.proof.verifier import parsed, verified
+from orbimpc_ros.mpc.proof.tangents import tangents_bound
+from orbimpc_ros.mpc.proof.verifier import Refused, parsed, verified
 from orbimpc_ros.mpc.solve.request import Found
 from orbimpc_ros.mpc.solve.solver import OUTWARD, Solver
 
@@ -23,11 +24,14 @@ needs_machine_code = pytest.mark.skipif(
 )
 COUNTED = ('hull', 'polygon', 'circle', 'circle, constant speed', 'circle, length', 'shell')
 TURNING = ('circle, turn rate', 'polygon, turn rate')
+FLAT = ('hull, length', 'hull, arrival', 'hull, inertia, arrival', 'hull, coasting')
+SPATIAL = ('space', 'space, coasting', 'space, arrival', 'space, coasting, length')
 
 
 def solved(kind, seed):
     case = certified.case(kind, np.random.default_rng([seed, *kind.encode()]), longest=5)
-    return case, Solver(case.problem).solve(case.state, case.goals)
+    coasting = case.state.coasted is not None
+    return case, Solver(case.problem, coasting=coasting).solve(case.state, case.goals)
 
 
 @needs_machine_code
@@ -46,6 +50,107 @@ def test_what_is_counted_again_holds_in_exact_arithmetic(kind, seed):
     assert verdict.holds
     # Floats keep a distance from what they may have rounded away.
     assert again <= verdict.proved <= again + 1e-9 * max(1.0, again)
+
+
+@pytest.mark.parametrize(
+    ('kind', 'seed'),
+    [
+        *itertools.product(FLAT, (3, 5)),
+        *(
+            pytest.param(*each, marks=needs_machine_code)
+            for each in itertools.product(SPATIAL, (0, 1))
+        ),
+    ],
+)
+def test_what_is_counted_again_of_a_tangent_holds_in_exact_arithmetic(kind, seed):
+    case, plan = solved(kind, seed)
+    assert plan.proof.checked
+    assert isinstance(plan.proof.grounds, Tangent)
+    assert plan.gap < 1e-6
+    again = Recount(case.problem).bound(case.state, case.goals, plan.proof.grounds, 1.0)
+    verdict = verified(parsed(kept(*case, plan.proof).text().encode()))
+    assert verdict.holds
+    # Plans may miss constraints by so much.
+    assert plan.lower_bound <= again <= plan.objective * (1.0 + 1e-7)
+    assert verdict.proved == pytest.approx(again, rel=1e-9)
+    if hasattr(tangents_bound, 'signatures'):  # compiled: for all at once, not in a tick
+        assert len(tangents_bound.signatures) == 1
+
+
+@pytest.mark.parametrize(
+    'kind', [*FLAT, *(pytest.param(each, marks=needs_machine_code) for each in SPATIAL)]
+)
+def test_no_tangent_proves_more_than_there_is(kind):
+    rng, (case, plan) = np.random.default_rng(5), solved(kind, 3)
+    recount, leaf = Recount(case.problem), plan.proof.grounds
+    for _ in range(60):
+        size = 10.0 ** rng.uniform(-6.0, 1.0)
+        moved = leaf._replace(
+            point=leaf.point + size * rng.normal(size=leaf.point.shape),
+            bends=leaf.bends + rng.choice([0.0, size]) * rng.normal(size=leaf.bends.shape),
+            pull=(1.0 + size * rng.normal()) * leaf.pull,
+            stiffness=float(rng.choice([0.0, -size, size])),
+            tops=(1.0 + size * rng.normal()) * leaf.tops,
+            ways=leaf.ways + rng.choice([0.0, size]) * rng.normal(size=leaf.ways.shape),
+        )
+        assert recount.bound(case.state, case.goals, moved, 1.0) <= plan.objective * (1.0 + 1e-7)
+    lower = leaf._replace(tops=leaf.tops - 0.1 * plan.objective)  # of what it has to pay for
+    assert recount.bound(case.state, case.goals, lower, 1.0) <= plan.objective * (1.0 + 1e-7)
+
+
+@pytest.mark.parametrize(
+    'spoilt',
+    [
+        lambda t: t._replace(pull=t.pull[:1]),
+        lambda t: t._replace(stiffness=-1.0),
+        lambda t: t._replace(point=t.point[:, :1]),
+        lambda t: t._replace(point=changed(t.point, 0, np.nan)),
+        lambda t: t._replace(tops=t.tops[1:]),
+        lambda t: t._replace(ways=t.ways[1:]),
+    ],
+    ids=['a short pull', 'less than no stiffness', 'a coordinate', 'nan', 'few tops', 'few ways'],
+)
+def test_a_tangent_that_fits_no_problem_proves_nothing(spoilt):
+    case, plan = solved('hull, arrival', 3)
+    leaf = spoilt(plan.proof.grounds)
+    assert Recount(case.problem).bound(case.state, case.goals, leaf, 1.0) == -np.inf
+
+
+@needs_machine_code
+def test_lengths_over_rotations_are_counted_along_ways_no_longer_than_1():
+    case, plan = solved('space, coasting, length', 0)
+    known = parsed(kept(*case, plan.proof).text().encode())
+    ways = np.array(known['tree']['ways'])
+    known['tree']['ways'] = np.zeros_like(ways).tolist()
+    assert not verified(known).holds
+    known['tree']['ways'] = (1.1 * ways).tolist()
+    with pytest.raises(Refused, match='longer than 1'):
+        verified(known)
+
+
+@pytest.mark.parametrize('stiffness', [0.0, 1.0])
+def test_nothing_pulls_where_nothing_has_to_arrive(stiffness):
+    case, plan = solved('hull, arrival', 3)
+    free = replace(case.problem, terminal='penalty')
+    leaf = plan.proof.grounds._replace(stiffness=stiffness)
+    assert Recount(free).bound(case.state, case.goals, leaf, 1.0) == -np.inf
+    if stiffness:
+        leaf = leaf._replace(pull=leaf.pull[:0], bends=leaf.bends - 0.1)
+        assert Recount(free).bound(case.state, case.goals, leaf, 1.0) == -np.inf
+
+
+def test_an_arrival_makes_costs_convex_that_bend_the_other_way():
+    problem = Problem(horizon=2, terminal='constraint')  # which decides R_1, and R_2 moves nothing
+    unit, state = problem.length_unit, State.at(np.zeros(2), np.eye(2))
+    goals = np.tile([1.5 * unit, 0.3 * unit], (2, 1))
+    plan = Solver(problem).solve(state, goals)
+    recount, leaf, cost = Recount(problem), plan.proof.grounds, plan.proof.cost_unit
+    bent = leaf._replace(bends=np.array([-3.0 * cost, 0.0]))
+    stiff = bent._replace(stiffness=5.0 * cost / unit**2)
+    assert recount.bound(state, goals, bent, 1.0) < 0.9 * plan.objective
+    again = recount.bound(state, goals, stiff, 1.0)
+    assert again == pytest.approx(plan.objective, rel=1e-6)
+    assert again <= plan.objective * (1.0 + 1e-7)
 
 
 @needs_machine_code
@@ -202,7 +307,7 @@ def test_a_bound_beyond_its_grounds_is_lowered_to_what_they_prove(excess):
 
 def test_a_bound_that_is_the_methods_word_says_so_in_a_word_for_messages():
     goal = np.tile([1.0, 2.0, 3.0], (4, 1))
-    problem = Problem(dimension=3, horizon=4, rotation_order=2, translation_order=2)
+    problem = Problem(dimension=3, horizon=4, floor=Floor('circle', fraction=0.5))
     proof = Solver(problem).solve(State.at(np.zeros(3), np.eye(3)), goal).proof
     assert proof.lower_bound > 0.0
     assert proof.checked is False

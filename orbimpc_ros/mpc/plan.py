@@ -16,7 +16,7 @@ from orbimpc_ros.mpc.geometry.rotations import project_all
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.grounds import Grounds
+from orbimpc_ros.mpc.proof.grounds import Grounds, Tangent
 
 TINY = 1e-12  # a size that has no direction
 ROUNDING = 1e-14  # of the cost unit: at the goal the cost vanishes, its rounding does not
@@ -34,7 +34,8 @@ class Proof:
         reason: why no more was proved, where there is more to say than the gap.
         checked: whether the bound is no more than what was counted again, by code that shares
             nothing with the method; else it is the method's word.
-        grounds: what the bound rests on, its bends in cost units; None where that is not known.
+        grounds: what the bound rests on, bends of what has splits in cost units; None where that
+            is not known.
     """
 
     lower_bound: float
@@ -43,7 +44,7 @@ class Proof:
     cost_unit: float
     reason: str = ''
     checked: bool = False
-    grounds: Grounds | None = field(default=None, compare=False, repr=False)
+    grounds: Grounds | Tangent | None = field(default=None, compare=False, repr=False)
 
 
 UNPROVED = Proof(-np.inf, 0, 0.0, 0.0)

@@ -182,7 +182,18 @@ def _begin(terms, start, held, force, x, work):
     if least < 0.0:
         _keep(multipliers(len(x), len(held.sides)), held)
         force[:], x[:], least = 0.0, start, 0.0
+    _note(work, x, force, held)
     return least
+
+
+@compiled
+def _note(work, lowest, forces, held):
+    """Note what the greatest bound so far rests on."""
+    work.lowest[:], work.forces[:], work.pushes[:] = lowest, forces, held.lengths
+    for k in range(len(lowest)):
+        work.tops[k] = 0.0
+        for i in range(4):
+            work.tops[k] += held.orbitopes[k, i, i]
 
 
 @compiled
@@ -215,7 +226,7 @@ def minimise(terms, start, held, limits, work, progress, budget):
         held: the multipliers, updated in place.
         limits: on the violation of a constraint; on the gap, in proportion to the cost; the cost
             of x_0; what rounding may make of it; the largest sigma; a bound that is enough.
-        work: room to work in.
+        work: room to work in; takes what the greatest bound rests on.
         progress: its x is x_0 - P F, shape (n, 9), its held the force F of the multipliers held;
             updated in place.
         budget: multiplications to do at most, though no less than a Newton step takes.
@@ -242,7 +253,10 @@ def minimise(terms, start, held, limits, work, progress, budget):
         left = inner(residual, direction)
         quadratic = 0.5 * inner(held_force, start - x)
         cost = _with_lengths(quadratic, terms, x)
-        numbers[BEST] = max(numbers[BEST], quadratic + value - 0.5 * left)
+        bound = quadratic + value - 0.5 * left
+        if bound > numbers[BEST]:
+            numbers[BEST] = bound
+            _note(work, x - direction, force, new)
         gap = abs(cost - numbers[BEST])
         if worst <= precision and gap <= proportion * abs(least + cost) + rounding:
             return cost, SETTLED

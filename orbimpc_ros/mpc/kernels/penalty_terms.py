@@ -87,6 +87,10 @@ class Scratch(NamedTuple):
         solution: of a Newton system, shape (C,).
         matrix: of a Newton system, shape (C, C).
         small: three matrices, shape (3, 4, 4).
+        lowest: the minimiser of the Lagrangian that gives the greatest bound, shape (n, 9).
+        forces: what the multipliers of that exert, shape (n, 9).
+        pushes: those of the lengths, shape (n, 3).
+        tops: the traces of those of the orbitopes, shape (n,).
     """
 
     bases: Array
@@ -99,6 +103,10 @@ class Scratch(NamedTuple):
     solution: Array
     matrix: Array
     small: Array
+    lowest: Array
+    forces: Array
+    pushes: Array
+    tops: Array
 
 
 @compiled
@@ -131,6 +139,10 @@ def scratch(n: int, m: int = 0) -> Scratch:
         np.empty(room),
         np.empty((room, room)),
         np.empty((3, 4, 4)),
+        np.empty((n, 9)),
+        np.empty((n, 9)),
+        np.empty((n, 3)),
+        np.empty(n),
     )
 
 

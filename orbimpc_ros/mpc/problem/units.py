@@ -74,6 +74,12 @@ class Units:
         """Return lengths [m] in these units."""
         return values if self.length == 1.0 else values / self.length
 
+    def pulls(self, values: Array) -> Array:
+        """Return multipliers of s_N - g_N, and of p_N, as those of the problem as it was posed."""
+        force = self.cost / self.length
+        both: Array = np.repeat([force, force * self.time], self.problem.dimension)
+        return both[: len(values)] * values
+
 
 def _in_units(problem: Problem, length: float, time: float) -> Problem:
     """Return a problem with lengths and times in other units, for costs that stay the same."""

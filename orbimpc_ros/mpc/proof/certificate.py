@@ -16,7 +16,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.plan import Proof
 from orbimpc_ros.mpc.problem import Floor, Problem, State
-from orbimpc_ros.mpc.proof.grounds import LEAF, Grounds
+from orbimpc_ros.mpc.proof.grounds import LEAF, Grounds, Tangent
 from orbimpc_ros.mpc.proof.verifier import FORMAT
 
 
@@ -30,6 +30,7 @@ class Leaf:
         pull: multiplier of the arrival, shape (m,); (0,) without one.
         stiffness: weight on the square of what the arrival misses.
         tops: over SO(3), the largest value of each step's -<G, R>, shape (N,); None otherwise.
+        ways: over SO(3), along which lengths are counted, shape (N, 3); None where none is.
     """
 
     point: Array
@@ -37,6 +38,7 @@ class Leaf:
     pull: Array | None = None
     stiffness: float = 0.0
     tops: Array | None = None
+    ways: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +106,11 @@ def kept(problem: Problem, state: State, goals: Array, proof: Proof) -> Certific
     grounds = proof.grounds
     if grounds is None or not proof.checked:
         return None
+    if isinstance(grounds, Tangent):
+        tops = grounds.tops if grounds.point.shape[1] == 9 else None
+        ways = grounds.ways if tops is not None and problem.weights.length else None
+        leaf = Leaf(grounds.point, grounds.bends, grounds.pull, grounds.stiffness, tops, ways)
+        return Certificate(problem, state, goals, proof.lower_bound, leaf)
     tree = _tree_of(grounds, proof.cost_unit, problem.floor)
     by_angles = bool(((grounds.splits != LEAF) & ~np.isnan(grounds.angles)).any())
     origins = grounds.origins if by_angles and not problem.max_rate else None
@@ -161,7 +168,7 @@ def _tree(tree: Tree) -> dict[str, Any]:
         found = {'split': tree.step, 'parts': [_tree(part) for part in tree.parts]}
         return found if tree.at is None else {**found, 'at': tree.at}
     leaf: dict[str, Any] = {'point': tree.point.tolist()}
-    for name in ('bends', 'pull', 'tops'):
+    for name in ('bends', 'pull', 'tops', 'ways'):
         value = getattr(tree, name)
         if value is not None and len(value):
             leaf[name] = value.tolist()

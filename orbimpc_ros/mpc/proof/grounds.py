@@ -40,6 +40,29 @@ class Grounds(NamedTuple):
     origins: Array
 
 
+class Tangent(NamedTuple):
+    """A tangent to the cost that needs no split, over SO(3) or with what pulls at its end.
+
+    Methods leave it in natural units, proofs have it in those of the problem as it was posed.
+
+    Attributes:
+        point: where it touches, coordinates of R_1..R_N, shape (N, d).
+        bends: what is added to the curvature of each step, shape (N,).
+        pull: multipliers of s_N - g_N, and then of p_N, where a plan has to arrive, shape (m,).
+        stiffness: weight on half the square of these.
+        tops: over SO(3), the largest value of each step's -<G, R>, shape (N,).
+        ways: over SO(3), along which a length is at least what it counts, no longer than 1,
+            shape (N, n).
+    """
+
+    point: Array
+    bends: Array
+    pull: Array
+    stiffness: float
+    tops: Array
+    ways: Array
+
+
 UNSPLIT = np.array([LEAF])
 NO_PARTS, NO_ANGLES = np.zeros(1, np.int64), np.zeros(1)
 

@@ -23,6 +23,7 @@ from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof import spatial
 from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Split, Tree, kept
 from orbimpc_ros.mpc.proof.faces import FaceProof
+from orbimpc_ros.mpc.proof.grounds import Tangent
 from orbimpc_ros.mpc.proof.sectors import SectorProof
 from orbimpc_ros.mpc.proof.stationary import Stationary, setting
 from orbimpc_ros.mpc.proof.verifier import RELATIVE, Refused, verified
@@ -92,7 +93,8 @@ def certificate_for(
         Unproved: as :func:`certificate_of` does.
     """
     proof, bound = plan.proof, _posed(bound)
-    if proof.grounds is not None and len(proof.grounds.splits) <= FEW:
+    grounds = proof.grounds
+    if isinstance(grounds, Tangent) or (grounds is not None and len(grounds.splits) <= FEW):
         made = kept(problem, state, goals, replace(proof, lower_bound=bound))
         if made is not None and _proved(made) >= _enough(bound):
             return made
@@ -127,7 +129,6 @@ def _require(problem: Problem, state: State) -> None:
         'obstacles': problem.obstacles or state.hazards,
         'cones': problem.has_cones or problem.approach.exists,
         'max_acceleration': problem.max_acceleration,
-        'soft arrivals with inertia': problem.arrival_weight and problem.inertial,
         'max_rate without a floor': problem.max_rate and not problem.floor.exists,
         'max_rate with an arrival': problem.max_rate and problem.terminal == 'constraint',
         'floors at rotation_order 2': problem.floor.exists and problem.rotation_order == 2,
@@ -186,11 +187,7 @@ def _in_users_units(tree: Tree, units: Units) -> Tree:
     if isinstance(tree, Split):
         return replace(tree, parts=tuple(_in_users_units(part, units) for part in tree.parts))
     bends = None if tree.bends is None else units.cost * tree.bends
-    pull, force = tree.pull, units.cost / units.length
-    if pull is not None and len(pull):
-        n = units.problem.dimension
-        pull = np.repeat([force, force * units.time], n)[: len(pull)] * pull
+    pull = None if tree.pull is None else units.pulls(tree.pull)
     tops = None if tree.tops is None else units.cost * tree.tops
-    return replace(
-        tree, bends=bends, tops=tops, pull=pull, stiffness=tree.stiffness * force / units.length
-    )
+    stiffness = tree.stiffness * units.cost / units.length**2
+    return replace(tree, bends=bends, tops=tops, pull=pull, stiffness=stiffness)

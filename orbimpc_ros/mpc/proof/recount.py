@@ -1,11 +1,11 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Bounds counted again: what a method's tangents prove, by code that shares nothing with it.
 
-Positions are rolled out step by step and the gradient comes back the same way; neither the maps nor
-the matrices of the methods are used. The least of a tangent over all headings of a part is known in
-closed form; where a tangent is one of a cost that bends the other way, Cholesky's method says
-whether it is below the cost all the same. What proofs in exact arithmetic do is done here in
-floats, fast enough for every tick (see :mod:`orbimpc_ros.mpc.proof.verifier`).
+What a tangent proves where nothing is split is in :mod:`orbimpc_ros.mpc.proof.tangents`; here are
+the trees of splits. The least of a tangent over all headings of a part is known in closed form;
+where a tangent is one of a cost that bends the other way, Cholesky's method says whether it is
+below the cost all the same. What proofs in exact arithmetic do is done here in floats, fast enough
+for every tick (see :mod:`orbimpc_ros.mpc.proof.verifier`).
 
 Mathematics: docs/proofs.md.
 """
@@ -13,74 +13,65 @@ Mathematics: docs/proofs.md.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.kernels import compiled, inlined
-from orbimpc_ros.mpc.model.translation import Step, step_of
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.grounds import Grounds, tangent
+from orbimpc_ros.mpc.proof.grounds import Grounds, Tangent, tangent
+from orbimpc_ros.mpc.proof.slopes import (
+    ROUNDING,
+    hessian_of,
+    lack,
+    least_along,
+    set_slopes,
+    terms_of,
+)
+from orbimpc_ros.mpc.proof.tangents import tangents_bound
 
-ROUNDING = 1e-15  # a step: of the numbers that cancel in a bound
-SHIFT = 1e-15  # a step: of the largest curvature, what rounding may hide of another
-GROWTH, HALVINGS = 16.0, 8  # of shifts that are tried for want of convexity
 ALL = 2.0 * np.pi - 1e-9  # [rad], a sector that leaves nothing out
 HALF = np.pi - 1e-9
 EMPTY = 1e-12  # [rad] that the ends of a sector may pass each other by, for rounding
-
-
-class Terms(NamedTuple):
-    """A problem, as far as its bounds depend on it.
-
-    Attributes:
-        motion: what p adds to s in a step, and what is kept of p; then what R_k e1, R_{k+1} e1 and
-            the disturbance add to s and to p.
-        weights: on |s_k - g_k|^2, shape (N,).
-        lengths: on |R_k e1|, k = 0..N, shape (N + 1,).
-        turning: weights on |R_{k+1} e1 - R_k e1|^2, |R_N e1 - R_g e1|^2 and |p_N|^2.
-        floor: least speed; how far directions may turn in a step [rad], 0 for any.
-        normals: of a polygonal floor's faces, shape (F, 2).
-    """
-
-    motion: tuple[float, ...]
-    weights: Array
-    lengths: Array
-    turning: tuple[float, float, float]
-    floor: tuple[float, float]
-    normals: Array
 
 
 class Recount:
     """Counts the bounds of one problem again.
 
     Args:
-        problem: whose cost sees R_k e1 alone; constraints that are not known here can only make
-            trajectories dearer.
+        problem: whose bounds; constraints that are not known here can only make trajectories
+            dearer.
     """
 
     def __init__(self, problem: Problem) -> None:
-        self._terms = _terms(problem)
-        self._start = np.zeros((4, problem.dimension))
-        x = np.zeros((problem.horizon, problem.dimension))
-        self._hessian = _hessian(self._terms, x)
-        here = State.at(np.zeros(problem.dimension), np.eye(problem.dimension))
-        self.bound(here, x, tangent(x, np.zeros(problem.horizon)), 1.0)  # compiles
+        n, count = problem.dimension, problem.horizon
+        self._problem, self._terms = problem, terms_of(problem)
+        self._width = _width(problem)
+        self._start = np.zeros((5, self._width))
+        x, rest = np.zeros((count, self._width)), np.zeros((count, n))
+        self._hessian = hessian_of(self._terms, rest)
+        self._stiffness = hessian_of(self._terms, rest, 1.0) - self._hessian
+        here, bends = State.at(np.zeros(n), np.eye(n)), np.zeros(count)
+        self._pulled = n * (1 + problem.inertial) * (problem.terminal == 'constraint')
+        pull = np.zeros(self._pulled)
+        for grounds in (tangent(x, bends), Tangent(x, bends, pull, 0.0, bends, rest)):
+            self.bound(here, rest, grounds, 1.0)  # compiles
 
     @staticmethod
     def reads(problem: Problem) -> bool:
-        """Return whether the cost of a problem is one that can be counted again."""
-        planar, w = problem.dimension == 2, problem.weights
-        return (
-            problem.rotation_order == 1
-            and (planar or w.input == w.attitude == 0.0)
-            and problem.floor.shape in ('none', 'circle', 'polygon')
-            and (planar or problem.floor.shape != 'polygon')
-        )
+        """Return whether bounds of a problem can be counted again."""
+        known = problem.floor.shape in ('none', 'circle', 'polygon')
+        flat = problem.dimension == 3 and problem.floor.shape == 'polygon'
+        return _width(problem) == 9 or (known and not flat)
 
     def bound(
-        self, state: State, goals: Array, grounds: Grounds, unit: float, enough: float = np.inf
+        self,
+        state: State,
+        goals: Array,
+        grounds: Grounds | Tangent,
+        unit: float,
+        enough: float = np.inf,
     ) -> float:
         """Return what grounds prove: a cost that no trajectory undercuts; -inf for nothing.
 
@@ -91,104 +82,62 @@ class Recount:
             unit: of the bends, in that of the cost.
             enough: a bound beyond which nothing has to be counted.
         """
-        start = self._start
-        start[0], start[1], start[2] = state.velocity, state.disturbance, state.rotation[:, 0]
-        if state.wanted is not None:
-            start[3] = state.wanted[:, 0]
+        start = self._begun(state)
+        known = self._terms, self._hessian, start, goals - state.position
+        if isinstance(grounds, Tangent):
+            return self._of_tangent(known, grounds, state.coasted is not None)
+        if self._width == 9 or self._problem.rotation_order == 2:
+            return -np.inf  # of which nothing is split
         ahead = state.attitude
         heading = math.atan2(ahead[1, 0], ahead[0, 0])
-        known = self._terms, self._hessian, start, goals - state.position
         return float(recounted(*known, heading, grounds, unit, enough))
 
+    def _begun(self, state: State) -> Array:
+        """Return what a state says: p_0, the disturbance, R_0, R_g, and what decides R_1."""
+        start, n = self._start, self._problem.dimension
+        start[0, :n], start[1, :n], start[2] = (
+            state.velocity,
+            state.disturbance,
+            self._seen(state.rotation),
+        )
+        if state.wanted is not None:
+            start[3] = self._seen(state.wanted)
+        if self._problem.rotation_order == 2:
+            given = state.coasted
+            if given is None:
+                given = state.rotation + self._problem.step * state.rotation_rate
+            start[4] = self._seen(given)
+        return start
 
-def _terms(problem: Problem) -> Terms:
-    once, w = step_of(problem.translation, problem.step, problem.forward), problem.weights
-    double = 2.0 if problem.dimension == 2 else 1.0  # coordinates of R that are there twice
-    weights = np.full(problem.horizon, float(w.position))
-    weights[-1] += w.terminal + problem.arrival_weight
-    late = float(once.follow[-1] / (once.push[-1] + once.follow[-1]))
-    lengths = np.full(problem.horizon + 1, w.length * problem.step * problem.forward)
-    lengths[0] *= 1.0 - late
-    lengths[-1] *= late
-    braking = problem.arrival_weight * problem.step**2 if problem.inertial else 0.0
-    turning = double * w.input / problem.step**2, double * w.attitude, float(braking)
-    count = problem.floor.faces if problem.floor.shape == 'polygon' else 0
-    corners = 2.0 * np.pi * np.arange(count) / max(count, 1)
-    fraction = float(problem.floor.fraction) if problem.floor.exists else 0.0
-    turn = float(problem.step * problem.max_rate) if problem.floor.exists else 0.0
-    floor = fraction, turn
-    normals = np.column_stack([np.cos(corners), np.sin(corners)])
-    return Terms(_motion(once), weights, lengths, turning, floor, normals)
+    def _seen(self, rotation: Array) -> Array:
+        """Return the coordinates of a rotation, as far as the cost sees them."""
+        return coordinates(rotation) if self._width == 9 else rotation[:, 0]
 
-
-def _motion(once: Step) -> tuple[float, ...]:
-    """Return what a step adds to positions and velocities: see :class:`Terms`."""
-    none, moved = (0.0, 0.0), [0.0, 0.0]
-    if len(once.transition) > 1:
-        moved = [float(once.transition[0, 1]), float(once.transition[1, 1])]
-    for values in once[1:]:
-        moved += (*values.tolist(), *none)[:2]
-    return tuple(moved)
-
-
-def _hessian(terms: Terms, rest: Array) -> Array:
-    """Return the Hessian over one coordinate of all headings, from gradients, shape (N, N)."""
-    start, goals, columns = np.zeros((4, rest.shape[1])), np.zeros_like(rest), []
-    for k in range(len(rest)):
-        x, slopes = np.zeros_like(rest), np.zeros_like(rest)
-        x[k, 0] = 1.0
-        _set_slopes(terms, start, goals, x, slopes)
-        columns.append(slopes[:, 0])
-    return np.array(columns)
+    def _of_tangent(self, known: tuple, leaf: Tangent, coasting: bool) -> float:
+        """Return what a tangent proves; its numbers are in the problem's own units."""
+        terms, hessian, start, goals = known
+        count = len(goals)
+        sizes = (*leaf.point.shape, len(leaf.bends), len(leaf.tops), len(leaf.pull))
+        fits = sizes == (count, self._width, count, count, self._pulled)
+        fits &= leaf.ways.shape == goals.shape
+        if not fits or leaf.stiffness < 0.0 or (leaf.stiffness and not self._pulled):
+            return -np.inf
+        if leaf.stiffness:
+            hessian = hessian + leaf.stiffness * self._stiffness
+        return float(tangents_bound(terms, hessian, start, goals, leaf, coasting))
 
 
-@compiled
-def _set_slopes(terms, start, goals, x, slopes):
-    """Set the gradient of the cost but for lengths at x; return that cost, and what may cancel.
-
-    Args:
-        terms: the problem.
-        start: p_0, the disturbance, R_0 e1 and R_g e1, shape (4, n).
-        goals: g_1..g_N less s_0, shape (N, n).
-        x: headings R_1 e1..R_N e1, shape (N, n).
-        slopes: to be set, shape (N, n).
-    """
-    drift, keep, push, add, follow, after, blow, gust = terms.motion
-    weights, (turning, steadying, braking) = terms.weights, terms.turning
-    count, n = x.shape
-    value, size, forces = 0.0, 0.0, np.empty(count)
-    for c in range(n):
-        s, p, before = 0.0, start[0, c], start[2, c]
-        blown, hastened = blow * start[1, c], gust * start[1, c]
-        for k in range(count):
-            ahead = x[k, c]
-            s += drift * p + push * before + follow * ahead + blown
-            p = keep * p + add * before + after * ahead + hastened
-            missed, change = s - goals[k, c], ahead - before
-            force, turned = weights[k] * missed, turning * change
-            value += force * missed + turned * change
-            forces[k] = 2.0 * force
-            slopes[k, c] = 2.0 * turned
-            if k > 0:
-                slopes[k - 1, c] -= 2.0 * turned
-            before = ahead
-        off = before - start[3, c]
-        value += steadying * off * off + braking * p * p
-        slopes[count - 1, c] += 2.0 * steadying * off
-        on_s, on_p, earlier = 0.0, 2.0 * braking * p, 0.0
-        for k in range(count - 1, -1, -1):
-            on_s += forces[k]
-            now = follow * on_s + after * on_p
-            slopes[k, c] += earlier + now
-            size += abs(earlier) + abs(now)
-            earlier = push * on_s + add * on_p
-            on_p = keep * on_p + drift * on_s
-    return value, size + value
+def _width(problem: Problem) -> int:
+    """Return how many coordinates of a rotation the cost sees."""
+    w = problem.weights
+    if problem.dimension == 3 and problem.rotation_order == 1 and not (w.input or w.attitude):
+        return 3
+    return 2 if problem.dimension == 2 else 9
 
 
 @inlined
 def _set_slopes_from(base, hessian, x, slopes):
-    """Do as :func:`_set_slopes`, on from a point where the cost, and all of it, is known."""
+    """Do as :func:`set_slopes`, on from a point where the cost, and all of it, is known."""
     point, value, size, known, sharpest = base
     count, n = x.shape
     for c in range(n):
@@ -206,65 +155,24 @@ def _set_slopes_from(base, hessian, x, slopes):
     return value, size
 
 
-@compiled
-def _is_convex(hessian, bends, unit, e, factor):
-    """Return whether Hessian, bends and e I are positive definite, by Cholesky's method."""
-    for i in range(len(hessian)):
-        for j in range(i + 1):
-            total = hessian[i, j]
-            if i == j:
-                total += unit * bends[i] + e
-            for m in range(j):
-                total -= factor[i, m] * factor[j, m]
-            if i > j:
-                factor[i, j] = total / factor[j, j]
-            elif total > 0.0:
-                factor[i, i] = np.sqrt(total)
-            else:
-                return False
-    return True
+@inlined
+def _least_beyond(gx, gy, size, nx, ny, least, aside):
+    """Return the least g . z over the part of the disk beyond a face n . z >= least.
 
-
-@compiled
-def _lack(hessian, bends, unit):
-    """Return an e >= 0 such that Hessian, bends and e I are positive semidefinite; inf for none."""
-    top = 0.0
-    for k in range(len(hessian)):
-        top = max(top, abs(hessian[k, k]) + unit * abs(bends[k]))
-    factor = np.empty(hessian.shape)
-    rounding = SHIFT * len(hessian) * top
-    e = rounding
-    while not _is_convex(hessian, bends, unit, e, factor):
-        if not e < top:
-            return np.inf
-        e *= GROWTH
-    if e > rounding:
-        least = e / GROWTH
-        for _ in range(HALVINGS):
-            middle = np.sqrt(least * e)
-            if _is_convex(hessian, bends, unit, middle, factor):
-                e = middle
-            else:
-                least = middle
-    return e + rounding
-
-
-@compiled
-def _least_along(slope, bend, least):
-    """Return the least slope s - bend s^2 / 2 over speeds s from the least to 1."""
-    if bend < 0.0 and least * bend > slope > bend:  # convex, and least where it is level
-        return 0.5 * slope * slope / bend
-    return min(slope * least - 0.5 * bend * least * least, slope - 0.5 * bend)
-
-
-@compiled
-def _least_beyond(gx, gy, nx, ny, least):
-    """Return the least g . z over the part of the disk beyond a face n . z >= least."""
-    inward, across = gx * nx + gy * ny, abs(gy * nx - gx * ny)
-    size = np.sqrt(gx * gx + gy * gy)
-    if -inward >= least * size:
-        return -size
-    return least * inward - np.sqrt(1.0 - least * least) * across
+    Args:
+        gx: of the slope g.
+        gy: of it.
+        size: of it.
+        nx: of the face's normal n.
+        ny: of it.
+        least: how far the face is from the centre.
+        aside: how far its corners are to the sides.
+    """
+    inward = gx * nx + gy * ny
+    best = -size
+    if -inward < least * size:
+        best = least * inward - aside * abs(gy * nx - gx * ny)
+    return best
 
 
 @compiled
@@ -306,39 +214,21 @@ def _least_within(gx, gy, low, high, normals, least):
 
 
 @compiled
-def _least(slope, size, length, bend, normals, least, face, low, high):
-    """Return the least slope . z + l |z| - bend |z|^2 / 2 over what a heading can be.
-
-    Args:
-        slope: its first two coordinates.
-        size: of the slope.
-        length: l.
-        bend: of the tangent.
-        normals: of the floor's faces.
-        least: speed that the floor allows.
-        face: that the heading is beyond, -1 for none.
-        low: least direction [rad].
-        high: greatest.
-    """
-    gx, gy = slope
-    if face >= 0:
-        if bend != 0.0 or length != 0.0:
-            return -np.inf
-        return _least_beyond(gx, gy, normals[face, 0], normals[face, 1], least)
-    if high - low >= ALL:
-        return _least_along(length - size, bend, least)
+def _least_between(gx, gy, length, bend, normals, least, low, high):
+    """Return the least g . z + l |z| - bend |z|^2 / 2 over directions from low to high."""
     if bend == 0.0 and length == 0.0 and high - low < HALF:
         return _least_within(gx, gy, low, high, normals, least)
     rim = _least_within(gx, gy, low, high, normals[:0], 1.0)
-    return _least_along(length + rim, bend, least)
+    return least_along(length + rim, bend, least)
 
 
 @inlined
-def _tangents_least(lengths, floor, hessian, base, x, bends, unit, slopes):
-    """Set a tangent's slopes; return its least value where headings go their own ways down.
+def _tangents_least(lengths, floor, hessian, base, x, bends, unit, steep):
+    """Set slopes and their sizes; return a tangent's least where headings go their own ways down.
 
     And the sum of what may cancel in it.
     """
+    slopes, sizes = steep
     value, size = _set_slopes_from(base, hessian, x, slopes)
     curved, reach = False, 0.0
     for k in range(len(x)):
@@ -348,44 +238,43 @@ def _tangents_least(lengths, floor, hessian, base, x, bends, unit, slopes):
             along += slopes[k, c] * x[k, c]
             square += x[k, c] * x[k, c]
             steepness += slopes[k, c] * slopes[k, c]
-        least = _least_along(lengths[k + 1] - np.sqrt(steepness), bend, floor)
+        sizes[k] = np.sqrt(steepness)
+        least = least_along(lengths[k + 1] - sizes[k], bend, floor)
         value += 0.5 * bend * square - along + least
         size += abs(bend) * square + abs(along) + abs(least)
         reach += 1.0 + square
         curved |= bend < 0.0
     if curved:
-        value -= _lack(hessian, bends, unit) * reach
+        value -= lack(hessian, bends, unit) * reach
     return value - ROUNDING * len(x) * size, size
 
 
 @inlined
-def _held(lengths, normals, floor, slopes, bends, unit, region, bound, enough):
+def _held(lengths, normals, floor, steep, bends, unit, region, bound, enough):
     """Return a tangent's bound with what it gains where headings are held in their regions.
 
     It is counted step by step, until the bound is enough.
     """
-    value, size = bound
+    (slopes, sizes), (value, size) = steep, bound
     faces, low, high = region
+    aside = np.sqrt(1.0 - floor * floor)
     for k in range(len(bends)):
-        bend, steepness = unit * bends[k], _steepness(slopes, k)
-        if steepness <= ROUNDING * size:
+        face, between = faces[k], high[k] - low[k] < ALL
+        if sizes[k] <= ROUNDING * size or not (face >= 0 or between):
             continue
-        known = lengths[k + 1], bend, normals, floor, faces[k], low[k], high[k]
-        least = _least((slopes[k, 0], slopes[k, 1]), steepness, *known)
-        value += least - _least_along(lengths[k + 1] - steepness, bend, floor)
+        gx, gy, bend, length = slopes[k, 0], slopes[k, 1], unit * bends[k], lengths[k + 1]
+        if face < 0:
+            least = _least_between(gx, gy, length, bend, normals, floor, low[k], high[k])
+        elif bend == 0.0 and length == 0.0:
+            nx, ny = normals[face, 0], normals[face, 1]
+            least = _least_beyond(gx, gy, sizes[k], nx, ny, floor, aside)
+        else:
+            return -np.inf
+        value += least - least_along(length - sizes[k], bend, floor)
         value -= ROUNDING * len(bends) * abs(least)
         if value >= enough:
             break
     return value
-
-
-@compiled
-def _steepness(slopes, k):
-    """Return the size of a slope."""
-    square = 0.0
-    for c in range(slopes.shape[1]):
-        square += slopes[k, c] * slopes[k, c]
-    return np.sqrt(square)
 
 
 @compiled
@@ -452,17 +341,17 @@ def _least_of_leaves(terms, hessian, base, grounds, regions, reached, unit, enou
     splits, points, bends = grounds.splits, grounds.points, grounds.bends
     faces, low, high = regions
     lengths, normals, floor = terms.lengths, terms.normals, terms.floor[0]
-    slopes, least = np.empty(points[0].shape), np.inf
+    steep, least = (np.empty(points[0].shape), np.empty(points.shape[1])), np.inf
     for t in range(len(splits)):
         if not reached[t] or splits[t] >= 0:
             continue
         wanted = min(enough, least)
-        bound = _tangents_least(lengths, floor, hessian, base, points[t], bends[t], unit, slopes)
+        bound = _tangents_least(lengths, floor, hessian, base, points[t], bends[t], unit, steep)
         value = bound[0]
         if not value >= wanted:
             own = min(t, len(low) - 1)
             region = faces[t], low[own], high[own]
-            value = _held(lengths, normals, floor, slopes, bends[t], unit, region, bound, wanted)
+            value = _held(lengths, normals, floor, steep, bends[t], unit, region, bound, wanted)
         if not value > -np.inf:  # or no number
             return -np.inf
         least = min(least, value)
@@ -476,7 +365,7 @@ def recounted(terms, hessian, start, goals, heading, grounds, unit, enough):
     Args:
         terms: the problem.
         hessian: of its cost over one coordinate of the headings, shape (N, N).
-        start: p_0, the disturbance, R_0 e1 and R_g e1, shape (4, n).
+        start: p_0, the disturbance, R_0 e1 and R_g e1, shape (5, n).
         goals: g_1..g_N less s_0, shape (N, n).
         heading: of the attitude [rad], for turn limits.
         grounds: splits and tangents.
@@ -493,7 +382,7 @@ def recounted(terms, hessian, start, goals, heading, grounds, unit, enough):
     for c in range(start.shape[1]):
         spent += start[2, c] * start[2, c]
     spent = terms.lengths[0] * np.sqrt(spent)
-    value, size = _set_slopes(terms, start, goals, point, slopes)
+    value, size = set_slopes(terms, start, goals, (np.zeros(0), 0.0), point, slopes)
     base = point, value, size, slopes, np.diag(hessian).max()
     asked = grounds, regions, reached, unit, enough - spent
     return spent + _least_of_leaves(terms, hessian, base, *asked)

@@ -26,6 +26,7 @@ import sys
 from collections.abc import Iterator
 from fractions import Fraction
 from functools import lru_cache
+from operator import add
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -375,8 +376,8 @@ class StatedProblem:
         """Set how many numbers a rotation is: its thrust axis alone where the cost sees no more."""
         axes = self.order == 1 and not (self.r or self.attitude)
         self.width = 2 if self.n == 2 else 3 if axes else 9
-        if self.width == 9 and (self.floor or any(self.length)):
-            raise Refused('floors and lengths over SO(3) are beyond this format')
+        if self.width == 9 and self.floor:
+            raise Refused('floors over SO(3) are beyond this format')
 
     def _set_state(self, state: Any) -> None:
         n = self.n
@@ -466,11 +467,16 @@ class StatedProblem:
 
     def bound(self, leaf: Any, region: Region) -> Fraction:
         """Return the bound that a leaf proves: a tangent's least value over a region."""
-        _fields(leaf, 'a leaf', ('point',), ('bends', 'pull', 'stiffness', 'tops'))
+        _fields(leaf, 'a leaf', ('point',), ('bends', 'pull', 'stiffness', 'tops', 'ways'))
         point = _rows(leaf['point'], 'point', self.horizon, self.width)
         none = [0.0] * self.horizon
         bends = _vector(leaf.get('bends', none), 'bends', self.horizon)
         tops = _vector(leaf.get('tops', none), 'tops', self.horizon)
+        ways = _rows(
+            leaf.get('ways', [[0.0] * self.n] * self.horizon), 'ways', self.horizon, self.n
+        )
+        if any(_dot(way, way) > 1 for way in ways):
+            raise Refused('one of ways is longer than 1')
         size = self.n * (1 + self.inertial) if self.arrives == 'constraint' else 0
         pull = _vector(leaf.get('pull', [0.0] * size), 'pull', size)
         stiffness = _weight(leaf.get('stiffness', 0.0), 'stiffness') if size else Fraction(0)
@@ -490,6 +496,9 @@ class StatedProblem:
                 tangent = [s + bend * y for s, y in zip(slope, x, strict=True)]
                 value += bend * _dot(x, x) / 2
             value -= _dot(tangent, x)
+            if self.width == 9 and (k or self.order == 1):  # |R e1| is no less than along a way
+                leaning = [self.length[k + 1] * y for y in ways[k]]
+                tangent = [*map(add, tangent, leaning), *tangent[self.n :]]
             value += self._least(k, tangent, bend, tops[k], region)
         return value
 

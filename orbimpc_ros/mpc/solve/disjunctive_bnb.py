@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from orbimpc_ros.mpc.solve.branching import (
 )
 from orbimpc_ros.mpc.solve.disjunction import Slot, disjunctions_of
 from orbimpc_ros.mpc.solve.dives import Dives
+from orbimpc_ros.mpc.solve.hull_tangent import HullTangent
 from orbimpc_ros.mpc.solve.incumbent import Incumbent, arrives, is_accurate
 from orbimpc_ros.mpc.solve.passages import Passages
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
@@ -78,6 +79,7 @@ class DisjunctiveSearch:
             slots += self.turns.slots
         self.program = _program(problem, slots, coasting, among)
         self.scout = Scout(problem) if among else None
+        self._tangent = HullTangent(problem) if HullTangent.applies(problem) else None
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -110,13 +112,15 @@ class DisjunctiveSearch:
         if relaxed.x is None:
             return Found(None, np.inf, relaxed.bound, 1)
         trajectory = trajectory_of(self.problem, state, goals, relaxed.x)
-        found = Found(relaxed.x, trajectory.cost, relaxed.bound, 1)
+        found = Found(relaxed.x, trajectory.cost, relaxed.bound, 1, grounds=relaxed.grounds)
         # What was solved to the end needs no second look, which costs a quarter of a tick.
         solved = abs(found.gap) <= self.tolerance and not request.late
         accurate = arrives if solved else is_accurate
-        if accurate(self.problem, goals, trajectory):
+        if not accurate(self.problem, goals, trajectory):
+            return Found(None, np.inf, relaxed.bound, 1)
+        if self._tangent is None:
             return found
-        return Found(None, np.inf, relaxed.bound, 1)
+        return replace(found, grounds=self._tangent.at(request, relaxed.x, relaxed.bound))
 
     def _ways(self, request: Request, traffic: Traffic) -> Iterator[Array]:
         """Yield headings R_1 e1..R_N e1, shape (N, n), of ways to start from: guessed, scouted."""

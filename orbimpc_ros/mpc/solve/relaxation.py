@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.proof.grounds import Tangent
 from orbimpc_ros.mpc.solve.request import Request
 
 
@@ -38,11 +39,13 @@ class Relaxation:
         x: rotation coordinates of R_1..R_N, shape (N, d); None if the program was not solved.
         bound: no trajectory of this relaxation costs less; -inf if nothing was proved.
         own: what the multipliers that belong to ``x`` prove, where others prove more.
+        grounds: what the bound rests on; None where that is not known.
     """
 
     x: Array | None
     bound: float
     own: float | None = None
+    grounds: Tangent | None = None
 
     @property
     def dual_value(self) -> float:

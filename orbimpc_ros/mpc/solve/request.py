@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.grounds import Grounds
+from orbimpc_ros.mpc.proof.grounds import Grounds, Tangent
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class Found:
     lower_bound: float
     nodes: int
     reason: str = ''
-    grounds: Grounds | None = None
+    grounds: Grounds | Tangent | None = None
 
     @property
     def gap(self) -> float:

@@ -32,6 +32,7 @@ from orbimpc_ros.mpc.model.cost import (
     wanted_coordinates,
 )
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.proof.grounds import Tangent
 from orbimpc_ros.mpc.solve.disjunction import Slot
 from orbimpc_ros.mpc.solve.relaxation import Halfspace, Point, Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.request import Request
@@ -47,6 +48,7 @@ PRECISION = 1e-8  # on constraints
 GAP = 1e-8  # relative
 ROUNDING = 1e-15  # of the largest numbers that cancel in a cost
 CANCELLED = 1e-13  # what a bound allows for of them
+INWARD = 1.0 - 1e-15  # of a direction, for rounding
 INERT = -1.0  # offset of a row that is always satisfied
 
 
@@ -63,7 +65,10 @@ class SO3Multipliers:
         self.problem, self._slots = problem, tuple(slots)
         self._given = problem.rotation_order - 1  # at order 2, R_1 is not free
         self._coasting = coasting and bool(self._given)
-        condensed = Condensed(problem)
+        condensed = self._condensed = Condensed(problem)
+        self._pulls: Array | None = None  # what slopes come to, as multipliers of the arrival
+        if problem.terminal == 'constraint':
+            self._pulls = np.linalg.pinv(problem.maps.arrival[:, 1 + self._given :].T)
         self._thrust = thrust_axis(problem, condensed)
         self._others = other_axes(problem, condensed)
         self._length = length_weight(problem)
@@ -192,7 +197,9 @@ class SO3Multipliers:
             progress, status = self._minimise(terms, request)
             bound = max(bound, float(progress.numbers[BEST]))
             if status == SETTLED:
-                return Relaxation(self._rotations(progress.x), self._proved(bound))
+                grounds = None if imposed else self._grounds(request)
+                proved = self._proved(bound)
+                return Relaxation(self._rotations(progress.x), proved, grounds=grounds)
             self._held = multipliers(self._places, 0)  # what was held misled: once more without
             if request.late:
                 break
@@ -220,6 +227,28 @@ class SO3Multipliers:
     def _proved(self, bound: float) -> float:
         """Return a bound above the unconstrained optimum as one on the cost, safe from rounding."""
         return self._least + bound - CANCELLED / ROUNDING * self._rounding
+
+    def _grounds(self, request: Request) -> Tangent:
+        """Return what the last solve's bound rests on: its Lagrangian's tangent where it is least.
+
+        What an arrival pulls at is what is left of the slopes there.
+        """
+        work, count = self._work, self.problem.horizon
+        point, forces, tops = np.zeros((count, 9)), np.zeros((count, 9)), np.zeros(count)
+        free = slice(self._given, None)
+        point[free], forces[free] = work.lowest[self._coasting :], work.forces[self._coasting :]
+        tops[free] = work.tops[self._coasting :]
+        if self._given:
+            point[0] = self._first * (work.lowest[0, 0] if self._coasting else 1.0)
+        pull = np.zeros(0)
+        if self._pulls is not None:
+            slopes, _ = self._condensed.affine(request.state, request.goals)
+            slopes += self._condensed.hessian @ point[:, :3] + forces[:, :3]
+            pull = -(self._pulls @ slopes[free]).ravel()
+        ways, weighed = np.zeros((count, 3)), self._lengths > 0.0
+        ways[-len(weighed) :][weighed] = INWARD * work.pushes[weighed]
+        ways[-len(weighed) :][weighed] /= self._lengths[weighed, None]
+        return Tangent(point, np.zeros(count), pull, 0.0, tops, ways)
 
     def _rotations(self, x: Array) -> Array:
         if self._coasting:

@@ -22,6 +22,7 @@ from orbimpc_ros.mpc.plan import Plan, Proof, assemble
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.feasibility import reason
 from orbimpc_ros.mpc.problem.units import Units
+from orbimpc_ros.mpc.proof.grounds import Grounds, Tangent
 from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.solve.registry import method_among, method_for
 from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Method, Request
@@ -205,7 +206,7 @@ class Solver:
 
         Where the method says what the bound rests on, what that comes to is what is proved.
         """
-        cost, grounds = self._units.cost, found.grounds
+        cost, grounds = self._units.cost, self._posed(found.grounds)
         bound = cost * float(found.lower_bound)
         known = bound if 0.0 < bound < np.inf else 0.0
         checked = known == 0.0
@@ -214,6 +215,18 @@ class Solver:
             known, checked = max(0.0, min(known, again)), True
         known *= 1.0 - OUTWARD
         return Proof(known, found.nodes, self._tolerance, cost, found.reason, checked, grounds)
+
+    def _posed(self, grounds: Grounds | Tangent | None) -> Grounds | Tangent | None:
+        """Return grounds as those of the problem as it was posed, but for bends beside splits."""
+        if not isinstance(grounds, Tangent):
+            return grounds
+        units = self._units
+        return grounds._replace(
+            bends=units.cost * grounds.bends,
+            pull=units.pulls(grounds.pull),
+            stiffness=grounds.stiffness * units.cost / units.length**2,
+            tops=units.cost * grounds.tops,
+        )
 
     def _instead(self, query: _Query, found: Found, failure: OrbimpcError) -> Plan:
         """Return the cheapest of the plans that can stand in for one that was not found."""

@@ -1,0 +1,96 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""The bound of one tangent: over SO(3), from a body rate on, and where plans have to arrive.
+
+Mathematics: docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orbimpc_ros.mpc.kernels import compiled
+from orbimpc_ros.mpc.proof.slopes import ROUNDING, lack, least_along, set_slopes
+
+
+@compiled
+def tangents_bound(terms, hessian, start, goals, leaf, coasting):
+    """Return what a tangent proves; -inf where it proves nothing.
+
+    Args:
+        terms: the problem.
+        hessian: of its cost and the leaf's stiffness over one coordinate, shape (N, N).
+        start: p_0, the disturbance, R_0, R_g and, at order 2, what decides R_1, shape (5, d).
+        goals: g_1..g_N less s_0, shape (N, n).
+        leaf: the tangent.
+        coasting: whether R_1 is what decides it, or any share of that.
+    """
+    point, bends, curved, reach = leaf.point, leaf.bends, False, 0.0
+    count, n, slopes = len(point), goals.shape[1], np.empty(point.shape)
+    arrival = leaf.pull, leaf.stiffness
+    value, size = set_slopes(terms, start, goals, arrival, point, slopes)
+    for k in range(count):
+        bend, square, along = bends[k], 0.0, 0.0
+        for c in range(point.shape[1]):
+            slopes[k, c] += bend * point[k, c]
+            along += slopes[k, c] * point[k, c]
+            square += point[k, c] * point[k, c]
+        if k == 0 and terms.order == 2:
+            least = _least_decided(slopes[0], start[4], terms.lengths[1], n, coasting)
+        elif point.shape[1] == 9:
+            _lean(slopes[k], leaf.ways[k], terms.lengths[k + 1])
+            least = _least_over_orbitope(slopes[k], leaf.tops[k])
+        else:
+            least = least_along(terms.lengths[k + 1] - _size(slopes[k], n), bend, terms.floor[0])
+        value += 0.5 * bend * square - along + least
+        size += abs(bend) * square + abs(along) + abs(least)
+        curved |= bend < 0.0
+        reach += 1.0 + square
+        if bend != 0.0 and (point.shape[1] == 9 or terms.order == 2):
+            return -np.inf  # beyond what is known
+    if curved:
+        value -= lack(hessian, bends, 1.0) * reach
+    value += terms.lengths[0] * _size(start[2], n)
+    value -= ROUNDING * count * size
+    return value if value > -np.inf else -np.inf  # or no number
+
+
+@compiled
+def _size(vector, n):
+    """Return the size of the first n coordinates."""
+    square = 0.0
+    for c in range(n):
+        square += vector[c] * vector[c]
+    return np.sqrt(square)
+
+
+@compiled
+def _least_decided(slope, decided, length, n, coasting):
+    """Return the least slope . x + l |x e1| where x is decided, or any share of what is."""
+    least = length * _size(decided, n)
+    for c in range(len(slope)):
+        least += slope[c] * decided[c]
+    return min(0.0, least) if coasting else least
+
+
+@compiled
+def _lean(slope, way, length):
+    """Add to a slope that of l way . R e1, which is at most l |R e1|."""
+    share = length / max(1.0, _size(way, len(way)))
+    for c in range(len(way)):
+        slope[c] += share * way[c]
+
+
+@compiled
+def _least_over_orbitope(slope, top):
+    """Return the least <G, R> over conv SO(3): -top, where top I + K(G) is semidefinite."""
+    matrix = np.empty((4, 4))
+    for i in range(4):
+        matrix[i, i] = top
+        for c in range(3):  # of x11, x22, x33: 0 and the one after it have their sign
+            matrix[i, i] += slope[4 * c] if i in (0, c + 1) else -slope[4 * c]
+    for c in range(3):
+        i, j = (c + 1) % 3, (c + 2) % 3
+        upper, lower = slope[3 * j + i], slope[3 * i + j]  # x_ij and x_ji
+        matrix[0, c + 1] = matrix[c + 1, 0] = lower - upper
+        matrix[i + 1, j + 1] = matrix[j + 1, i + 1] = lower + upper
+    return -top - lack(matrix, np.zeros(4), 0.0)
