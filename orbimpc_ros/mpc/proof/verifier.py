@@ -69,10 +69,10 @@ def verified(document: Any) -> Verdict:
         Refused: it is malformed, or not sound whatever the bound.
     """
     _fields(document, 'certificate', ('format', 'problem', 'state', 'goals', 'lower_bound', 'tree'),
-            ('origins',))  # fmt: skip
+            ('limits', 'origins'))  # fmt: skip
     if document['format'] != FORMAT:
         raise Refused(f'format is not {FORMAT!r}')
-    posed = StatedProblem(document['problem'], document['state'], document['goals'])
+    posed = posed_by(document)
     claimed = _number(document['lower_bound'], 'lower_bound')
     root = posed.root(document.get('origins'))
     bounds = [posed.bound(leaf, region) for leaf, region in _leaves(posed, document['tree'], root)]
@@ -81,6 +81,12 @@ def verified(document: Any) -> Verdict:
     proved = min(bounds)
     holds = claimed <= 0 or proved >= claimed - RELATIVE * claimed  # no term of the cost is < 0
     return Verdict(float(claimed), _rounded_down(proved), len(bounds), holds)
+
+
+def posed_by(document: dict[str, Any]) -> StatedProblem:
+    """Return the problem that a certificate is of."""
+    stated = (document[name] for name in ('problem', 'state', 'goals'))
+    return StatedProblem(*stated, document.get('limits', {}))
 
 
 def read(path: str | Path) -> Any:
@@ -156,6 +162,12 @@ def _weight(value: Any, name: str) -> Fraction:
 def _whole(value: Any, name: str, low: int, high: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise Refused(f'{name} is not a whole number from {low} to {high}')
+    return value
+
+
+def _list(value: Any, name: str) -> list[Any]:
+    if not isinstance(value, list):
+        raise Refused(f'{name} is not a list')
     return value
 
 
@@ -266,11 +278,30 @@ class Sector(NamedTuple):
     high: Fraction
 
 
+class Row(NamedTuple):
+    """What is known of a position: normal . s_{k+1} is at least so much."""
+
+    k: int
+    normal: Vector
+    least: Fraction
+
+
 class Region(NamedTuple):
-    """What is known of the steps in a part of a split: a face or a sector each, None if neither."""
+    """What is known in a part of a split: a face or a sector of each step, None if neither.
+
+    And of positions, beside the bodies that tell the parts apart.
+    """
 
     faces: tuple[int | None, ...]
     sectors: tuple[Sector | None, ...]
+    rows: tuple[Row, ...] = ()
+
+
+class Cone(NamedTuple):
+    """Where axes point: u . axis is at least so much of each unit vector u along them."""
+
+    axis: Vector
+    least: Fraction
 
 
 def _leaves(
@@ -290,9 +321,13 @@ def _leaves(
 
 
 def _parts(posed: StatedProblem, node: dict[str, Any], region: Region) -> list[tuple[Any, Region]]:
-    _fields(node, 'a split', ('split', 'parts'), ('at',))
+    _fields(node, 'a split', ('split', 'parts'), ('at', 'wall'))
     k = _whole(node['split'], 'split', 1, posed.horizon) - 1
-    if 'at' in node:
+    if 'wall' in node:
+        if 'at' in node:
+            raise Refused('a split beside a wall has no angle')
+        regions = posed.beside(region, k, node['wall'])
+    elif 'at' in node:
         regions = posed.halves(region, k, _number(node['at'], 'at'))
     else:
         regions = posed.beyond(region, k)
@@ -309,7 +344,7 @@ def _parts(posed: StatedProblem, node: dict[str, Any], region: Region) -> list[t
 class StatedProblem:
     """A problem with its state and goals, in exact numbers."""
 
-    def __init__(self, problem: Any, state: Any, goals: Any) -> None:
+    def __init__(self, problem: Any, state: Any, goals: Any, limits: Any) -> None:
         _fields(problem, 'problem', (
             'dimension', 'rotation_order', 'translation_order', 'discretisation', 'horizon', 'step',
             'forward', 'weights', 'terminal', 'floor', 'max_rate',
@@ -324,6 +359,7 @@ class StatedProblem:
         self._set_width()
         self._set_state(state)
         self.goals = _rows(goals, 'goals', self.horizon, self.n)
+        self._set_limits(limits)
         self.turn = self.h * _weight(problem['max_rate'], 'max_rate')
         if self.turn and not (self.n == 2 and self.order == 1 and self.floor):
             raise Refused('max_rate is beyond this format, but in the plane with a floor')
@@ -375,8 +411,6 @@ class StatedProblem:
         """Set how many numbers a rotation is: its thrust axis alone where the cost sees no more."""
         axes = self.order == 1 and not (self.r or self.attitude)
         self.width = 2 if self.n == 2 else 3 if axes else 9
-        if self.width == 9 and (self.floor or any(self.length)):
-            raise Refused('floors and lengths over SO(3) are beyond this format')
 
     def _set_state(self, state: Any) -> None:
         n = self.n
@@ -393,6 +427,37 @@ class StatedProblem:
             raise Refused('state.wanted is missing')
         unseen = [Fraction(0)] * self.width
         self.wanted = self._rotation(state, 'wanted') if state['wanted'] is not None else unseen
+
+    def _set_limits(self, limits: Any) -> None:
+        """Set the cones that thrust axes are in, that of the positions, and the walls."""
+        _fields(limits, 'limits', (), ('cones', 'glide_slope', 'walls'))
+        self.cones: list[list[Cone]] = [[] for _ in range(self.horizon)]
+        self.least = [self.floor] * self.horizon
+        for each in _list(limits.get('cones', []), 'cones'):
+            _fields(each, 'a cone', ('axis', 'angle', 'least', 'steps'))
+            angle = _weight(each['angle'], 'angle')
+            cone = Cone(_vector(each['axis'], 'axis', self.n), _direction(angle)[0] - TINY)
+            if angle > PI / 2 or not any(cone.axis):
+                raise Refused('a cone is none, or wider than half of space')
+            for step in _list(each['steps'], 'steps'):
+                k = _whole(step, 'steps', 1, self.horizon) - 1
+                self.cones[k].append(cone)
+                self.least[k] = max(self.least[k], _weight(each['least'], 'least'))
+        if max(self.least) > 1:
+            raise Refused('a least speed is above 1')
+        self.slope, self.strays = (Fraction(0), Fraction(1)), [Fraction(0)] * self.horizon
+        self.slides = 'glide_slope' in limits and self.n == 3
+        if self.slides:
+            _fields(limits['glide_slope'], 'glide_slope', ('angle', 'eased'))
+            angle = _weight(limits['glide_slope']['angle'], 'angle')
+            if not 0 < angle < PI / 2:
+                raise Refused('the angle of glide_slope is none')
+            self.slope = _direction(angle)
+            self.strays = _vector(limits['glide_slope']['eased'], 'eased', self.horizon)
+            if min(self.strays) < 0:
+                raise Refused('eased is negative')
+        walls = _list(limits.get('walls', []), 'walls')
+        self.walls = [Wall(each, self.n, self.horizon) for each in walls]
 
     def _rotation(self, state: dict[str, Any], name: str) -> Vector:
         """Return a matrix column by column, as far as it is seen."""
@@ -462,11 +527,17 @@ class StatedProblem:
         before, after = region.faces[:k], region.faces[k + 1 :]
         return [region._replace(faces=(*before, i, *after)) for i in range(self.faces)]
 
+    def beside(self, region: Region, k: int, wall: Any) -> list[Region | None]:
+        """Return what is known on each side of a body: where s_{k+1} is, and with it what it sees."""
+        body = self.walls[_whole(wall, 'wall', 0, len(self.walls) - 1)]
+        return [region._replace(rows=(*region.rows, *body.side(i, k))) for i in range(2 * self.n)]
+
     # --- bounds
 
     def bound(self, leaf: Any, region: Region) -> Fraction:
         """Return the bound that a leaf proves: a tangent's least value over a region."""
-        _fields(leaf, 'a leaf', ('point',), ('bends', 'pull', 'stiffness', 'tops'))
+        _fields(leaf, 'a leaf', ('point',), ('bends', 'pull', 'stiffness', 'tops', 'shares',
+                                             'presses', 'slides'))  # fmt: skip
         point = _rows(leaf['point'], 'point', self.horizon, self.width)
         none = [0.0] * self.horizon
         bends = _vector(leaf.get('bends', none), 'bends', self.horizon)
@@ -476,8 +547,11 @@ class StatedProblem:
         stiffness = _weight(leaf.get('stiffness', 0.0), 'stiffness') if size else Fraction(0)
         if self.width == 9 and any(bends):
             raise Refused('bends over SO(3) are beyond this format')
-        value, slopes = self.cost(point, pull, stiffness)
-        value += self.length[0] * _root_below(
+        nothing = [[0.0] * self.n] * self.horizon
+        shares = _rows(leaf.get('shares', nothing), 'shares', self.horizon, self.n)
+        push, paid = self._pushed(leaf, region)
+        value, slopes = self.cost(point, pull, stiffness, push)
+        value += paid + self.length[0] * _root_below(
             sum((x * x for x in self.first[: self.n]), Fraction(0))
         )
         if min(bends) < 0:
@@ -490,8 +564,37 @@ class StatedProblem:
                 tangent = [s + bend * y for s, y in zip(slope, x, strict=True)]
                 value += bend * _dot(x, x) / 2
             value -= _dot(tangent, x)
-            value += self._least(k, tangent, bend, tops[k], region)
+            if self.width == 9 and (k or self.order == 1):
+                value += self._least_over_orbitope(_less(tangent, shares[k]), tops[k])
+                tangent = shares[k]
+            value += self._least(k, tangent, bend, region)
         return value
+
+    def _pushed(self, leaf: dict[str, Any], region: Region) -> tuple[list[Vector] | None, Fraction]:
+        """Return forces F, shape (N, n), and an a such that a + sum_k F_k . (s_k - g_k) <= 0.
+
+        A row n . s >= b that is pressed by y >= 0 adds y (b - n . s). What slides along the cone
+        above the goal is a c with c . d <= 0 for all d in it, and as much more as that is eased.
+        """
+        presses = _vector(leaf.get('presses', [0.0] * len(region.rows)), 'presses', len(region.rows))
+        if not any(presses) and 'slides' not in leaf:
+            return None, Fraction(0)
+        push, paid = [[Fraction(0)] * self.n for _ in self.goals], Fraction(0)
+        for y, (k, normal, least) in zip(presses, region.rows, strict=True):
+            if y < 0:
+                raise Refused('presses are negative')
+            push[k] = _less(push[k], [y * x for x in normal])
+            paid += y * (least - _dot(normal, self.goals[k]))
+        if 'slides' not in leaf:
+            return push, paid
+        cosine, sine = self.slope[0] - TINY, self.slope[1] - TINY
+        for k, c in enumerate(_rows(leaf['slides'], 'slides', self.horizon, 3)):
+            aside = (c[0] * c[0] + c[1] * c[1]) * (self.slope[0] + TINY) ** 2
+            if not self.slides or c[2] > 0 or aside > (c[2] * sine) ** 2:
+                raise Refused('slides are not along the glide slope')
+            push[k] = [x + y for x, y in zip(push[k], c, strict=True)]
+            paid += c[2] * self.strays[k] / cosine
+        return push, paid
 
     def _lack(self, bends: Vector, stiffness: Fraction) -> Fraction:
         """Return e such that the matrix of the cost with its bends, plus e I, is semidefinite.
@@ -516,26 +619,28 @@ class StatedProblem:
         return _lacking(matrix)
 
     def cost(
-        self, x: list[Vector], pull: Vector, stiffness: Fraction
+        self, x: list[Vector], pull: Vector, stiffness: Fraction, push: list[Vector] | None = None
     ) -> tuple[Fraction, list[Vector]]:
         """Return the cost but for lengths at x_1..x_N, shape (N, d), and its gradient.
 
         Where a trajectory has to arrive, c = (s_N - g_N, p_N) vanishes, and pull . c and
-        stiffness |c|^2 / 2 can be added.
+        stiffness |c|^2 / 2 can be added. So is sum_k push_k . (s_k - g_k), shape (N, n).
         """
         value, slopes = self._turning([self.first, *x])
         for i in range(self.n):
             axis = [self.first[i], *(each[i] for each in x)]
-            cost, on_axis = self._flight(i, axis, pull[i :: self.n], stiffness)
+            pushed = [each[i] for each in push] if push else [Fraction(0)] * self.horizon
+            cost, on_axis = self._flight(i, axis, (pull[i :: self.n], stiffness), pushed)
             value += cost
             for slope, more in zip(slopes, on_axis, strict=True):
                 slope[i] += more
         return value, slopes[1:]
 
     def _flight(
-        self, i: int, axis: Vector, pull: Vector, stiffness: Fraction
+        self, i: int, axis: Vector, pulled: tuple[Vector, Fraction], pushed: Vector
     ) -> tuple[Fraction, Vector]:
         """Return the cost of positions along axis i, given z_0..z_N there, and its gradient."""
+        pull, stiffness = pulled
         push, add, follow, after, blow, gust = self.model
         drift, p = self.h, self.velocity[i] if self.inertial else Fraction(0)
         s, missed = self.position[i], []
@@ -547,7 +652,7 @@ class StatedProblem:
                 p += add * axis[k] + after * axis[k + 1] + hastened
             missed.append(s - self.goals[k][i])
         weighed = [weight * off for weight, off in zip(self.q, missed, strict=True)]
-        value = _dot(weighed, missed) + self.braking * p * p
+        value = _dot(weighed, missed) + _dot(pushed, missed) + self.braking * p * p
         forces = [Fraction(0), 2 * self.braking * p]  # what s_N and p_N weigh
         for j, (multiplier, off) in enumerate(zip(pull, (missed[-1], p), strict=False)):
             value += multiplier * off + stiffness * off * off / 2
@@ -555,7 +660,7 @@ class StatedProblem:
         slopes = [Fraction(0)] * len(axis)
         on_s, on_p = forces
         for k in range(self.horizon, 0, -1):  # and s_k and p_k, from the end
-            on_s += 2 * weighed[k - 1]
+            on_s += 2 * weighed[k - 1] + pushed[k - 1]
             slopes[k] += follow * on_s
             slopes[k - 1] += push * on_s
             if self.inertial:
@@ -583,15 +688,11 @@ class StatedProblem:
             slopes[-1][i] += 2 * self.attitude * off
         return value, slopes
 
-    def _least(
-        self, k: int, slope: Vector, bend: Fraction, top: Fraction, region: Region
-    ) -> Fraction:
-        """Return the least slope . x + l |x[:n]| - bend |x|^2 / 2 over what x_{k+1} can be."""
+    def _least(self, k: int, slope: Vector, bend: Fraction, region: Region) -> Fraction:
+        """Return the least slope . z + l |z| - bend |z|^2 / 2 over what z_{k+1} can be."""
         length = self.length[k + 1]
         if k == 0 and self.order == 2:
             return self._least_decided(slope, length, bend)
-        if self.width == 9:
-            return self._least_over_orbitope(slope, top)
         face, sector = region.faces[k], region.sectors[k]
         if face is not None:
             if bend or length:
@@ -600,7 +701,10 @@ class StatedProblem:
         steepest = -_size_above(slope) if sector is None else _least_within(slope, sector)
         if sector is not None and self.faces and not bend and not length:
             return self._least_reached(slope, sector, steepest)
-        return _least_along(steepest + length, bend, self.floor)  # which a polygon is beyond, too
+        steepest = max([steepest, *(_least_towards(slope, cone) for cone in self.cones[k])])
+        # Where cones end, it is flat. What is linear is least around that.
+        slowest = self.floor if bend or length else self.least[k]
+        return _least_along(steepest + length, bend, slowest)  # which a polygon is beyond, too
 
     def _least_decided(self, slope: Vector, length: Fraction, bend: Fraction) -> Fraction:
         """Return the least where a body rate decides the first rotation, but for its length."""
@@ -656,8 +760,44 @@ class StatedProblem:
         return -top - _lacking(matrix)
 
 
+class Wall:
+    """A box that positions are outside of, which may move and grow from step to step.
+
+    Args:
+        body: as stated: corners ``min`` and ``max``; where it moves, its ``shifts`` by the ends of
+            steps 0..N, and by how much it is ``grown`` in each; ``shared`` says whether the ends
+            of a step are outside of it on one side.
+        n: dimension.
+        horizon: N.
+    """
+
+    def __init__(self, body: Any, n: int, horizon: int) -> None:
+        _fields(body, 'a wall', ('min', 'max', 'shared'), ('shifts', 'grown'))
+        self._low, self._high = (_vector(body[name], name, n) for name in ('min', 'max'))
+        self._shared = body['shared'] is True
+        still = [[0.0] * n] * (horizon + 1), [0.0] * horizon
+        self._shifts = _rows(body.get('shifts', still[0]), 'shifts', horizon + 1, n)
+        self._grown = _vector(body.get('grown', still[1]), 'grown', horizon)
+
+    def side(self, i: int, k: int) -> list[Row]:
+        """Return what is known of s_{k+1}, and s_k where shared, below (i < n) or above axis i."""
+        n = len(self._low)
+        axis, sign = i % n, -1 if i < n else 1
+        face = self._low[axis] if i < n else self._high[axis]
+        normal = [Fraction(sign * (j == axis)) for j in range(n)]
+        ends = range(max(k - 1, 0) if self._shared else k, k + 1)
+        return [
+            Row(j, normal, sign * (face + self._shifts[j + 1][axis]) + self._grown[k]) for j in ends
+        ]
+
+
 def _dot(x: Vector, y: Vector) -> Fraction:
     return sum((a * b for a, b in zip(x, y, strict=True)), Fraction(0))
+
+
+def _less(x: Vector, y: Vector) -> Vector:
+    """Return x less y, which may be shorter."""
+    return [*(a - b for a, b in zip(x, y, strict=False)), *x[len(y) :]]
 
 
 def _least_along(slope: Fraction, bend: Fraction, least: Fraction) -> Fraction:
@@ -666,6 +806,17 @@ def _least_along(slope: Fraction, bend: Fraction, least: Fraction) -> Fraction:
     if bend < 0 and least * bend > slope > bend:  # convex, and least where it is level
         return slope * slope / (2 * bend)
     return ends
+
+
+def _least_towards(slope: Vector, cone: Cone) -> Fraction:
+    """Return the least slope . u over unit vectors u within a cone, which is part of a half-space."""
+    size, square = _size_above(slope), _dot(cone.axis, cone.axis)
+    along = _dot(slope, cone.axis)
+    if -along >= cone.least * size - 4 * TINY * (1 + size):
+        return -size
+    across = _root_above(max(Fraction(0), _dot(slope, slope) - along * along / square))
+    aside = _root_above(max(Fraction(0), 1 - cone.least * cone.least / square))
+    return max(-size, along * cone.least / square - across * aside)
 
 
 def _least_within(slope: Vector, sector: Sector) -> Fraction:

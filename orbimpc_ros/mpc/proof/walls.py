@@ -1,0 +1,111 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Proof by the sides on which bodies are passed.
+
+Mathematics: docs/mathematics.md, 3.7 to 3.9, and docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from fractions import Fraction
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.proof.certificate import Leaf, Split, Tree
+from orbimpc_ros.mpc.proof.part_program import Answer, PartProgram
+from orbimpc_ros.mpc.proof.verifier import Region, StatedProblem
+
+SATISFIED = 1e-9  # of a step's length: a wall missed by less is not split
+NEAR, ROUNDS = Fraction(1, 10**5), 4  # of the target, from where on digits are refined; so often
+SIZES = tuple(10.0**i for i in range(9))  # of multipliers that say that nothing is feasible
+
+
+class WallProof:
+    """Depth first over the sides of boxes, until each part costs enough.
+
+    Args:
+        program: of parts.
+        posed: the problem, which says what a leaf proves.
+        stated: returns a leaf in the user's units, as the format has it.
+        unit: of lengths [m].
+        target: the bound to prove, in the user's units.
+    """
+
+    most = 2000  # leaves
+    origins = None  # no directions are split
+
+    def __init__(
+        self,
+        program: PartProgram,
+        posed: StatedProblem,
+        stated: Callable[[Leaf], dict],
+        unit: float,
+        target: float,
+    ) -> None:
+        self._program, self._posed, self._stated = program, posed, stated
+        self._target, self._spare, self._leaves = Fraction(target), SATISFIED * unit, 0
+        n, steps = posed.n, range(posed.horizon)
+        sides = range(2 * n)
+        self._normals = np.vstack([-np.eye(n), np.eye(n)])
+        # Of each wall, step and side: what it asks of s_{k+1}, and of s_k where it is one for both.
+        self._least = np.full((len(posed.walls), len(steps), len(sides), 2), -np.inf)
+        for j, wall in enumerate(posed.walls):
+            for k in steps:
+                for i in sides:
+                    for row in wall.side(i, k):
+                        self._least[j, k, i, k - row.k] = row.least
+
+    def tree(self) -> Tree | None:
+        """Return splits and leaves that prove the target; None where that takes too many."""
+        return self._proved(self._posed.root(None))
+
+    def _proved(self, region: Region) -> Tree | None:
+        answer = self._program.answer(region)
+        for leaf in self._tried(region, answer):
+            if self._worth(region, leaf) >= self._target:
+                self._leaves += 1
+                return leaf if self._leaves <= self.most else None
+        found = self._split(answer.x) if answer.feasible else None
+        if found is None:
+            return None
+        wall, k = found
+        parts = []
+        for each in self._posed.beside(region, k, wall):
+            assert each is not None
+            part = self._proved(each)
+            if part is None:
+                return None
+            parts.append(part)
+        return Split(k + 1, tuple(parts), wall=wall)
+
+    def _tried(self, region: Region, answer: Answer) -> Iterator[Leaf]:
+        """Yield tangents of a region, better ones as long as it is digits that they lack."""
+        if not answer.feasible:
+            yield from (self._program.refutation(region, answer.held, size) for size in SIZES)
+            return
+        yield (leaf := self._program.leaf(region, answer))
+        for _ in range(ROUNDS if answer.held.factors else 0):
+            if self._worth(region, leaf) < self._target * (1 - NEAR):
+                return
+            answer = self._program.polished(region, answer)
+            yield (leaf := self._program.leaf(region, answer))
+
+    def _worth(self, region: Region, leaf: Leaf) -> Fraction:
+        return self._posed.bound(self._stated(leaf), region)
+
+    def _split(self, x: Array) -> tuple[int, int] | None:
+        """Return the wall and the step whose sides all promise most; None if none is missed."""
+        if not self._least.size:
+            return None
+        along = self._program.positions(x) @ self._normals.T
+        both = np.stack([along, np.vstack([along[:1], along[:-1]])], axis=-1)
+        short = np.maximum(self._least - both, 0.0)
+        curvature = self._program.curvatures
+        both_curved = np.stack([curvature, np.append(curvature[:1], curvature[:-1])], axis=-1)
+        with np.errstate(divide='ignore', invalid='ignore'):
+            gains = np.where(short > 0.0, short**2 / both_curved[:, None, :], 0.0).max(axis=-1)
+        missed = short.max(axis=-1).min(axis=-1) > self._spare
+        promises = np.where(missed, gains.min(axis=-1), -1.0)
+        wall, k = np.unravel_index(int(np.argmax(promises)), promises.shape)
+        return (int(wall), int(k)) if missed[wall, k] else None
