@@ -48,7 +48,7 @@ def posed(problem, rng):
     )
     goals = rng.normal(size=(problem.horizon, n))
     said = statement(problem, state, goals)
-    return verifier.StatedProblem(said['problem'], said['state'], said['goals']), state, goals
+    return verifier.posed_by(said), state, goals
 
 
 @pytest.mark.parametrize(('n', 'order', 'inertia', 'kind'), MODELS)

@@ -235,22 +235,22 @@ class PartProgram:
         leaning = np.where(active, flat[0], 0.0)[2 * count :]
         np.add.at(shares, self._owners, leaning[:, None] * self._axes)
         for k in np.flatnonzero(~(active[:count] | active[count : 2 * count])):
-            steepest = self._steepest(int(k), shares[k])  # what a length outweighs, to the digit
-            shares[k] *= -self._length[k] / steepest if steepest < 0.0 else 0.0
+            down = self._downhill(int(k), shares[k])  # there the length outweighs it, to the digit
+            shares[k] -= (shares[k] @ down + self._length[k]) * down
         return shares
 
-    def _steepest(self, k: int, slope: Array) -> float:
-        """Return the least slope along directions in the cones of a step."""
+    def _downhill(self, k: int, slope: Array) -> Array:
+        """Return the steepest way down in the cones of a step, a unit vector; or nowhere."""
         size = float(np.linalg.norm(slope))
-        found = [-size]
+        found = [-slope / size if size else slope]
         for j in np.flatnonzero(self._owners == k):
-            axis, width = self._axes[j], self._widths[j]
-            along, square = float(slope @ axis), float(axis @ axis)
-            if -along < width * size:
-                across = np.sqrt(max(0.0, size**2 - along**2 / square))
-                aside = np.sqrt(max(0.0, 1.0 - width**2 / square))
-                found.append(along * width / square - across * aside)
-        return max(found)
+            axis = self._axes[j] / np.linalg.norm(self._axes[j])
+            least, along = self._widths[j] / np.linalg.norm(self._axes[j]), float(slope @ axis)
+            aside = along * axis - slope
+            across = float(np.linalg.norm(aside))
+            if -along < least * size and across:
+                found.append(least * axis + np.sqrt(max(0.0, 1.0 - least**2)) * aside / across)
+        return max(found, key=lambda way: float(slope @ way))
 
     def _slides(self, duals: Array, slacks: Array) -> Array:
         """Return what slides along the cone above the goal, shape (N, 3)."""
