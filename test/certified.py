@@ -40,7 +40,7 @@ LIMITED: dict[str, dict[str, Any]] = {
     'boxes': {'bodies': 3},
     'boxes, shared faces': {'bodies': 3, 'no_corner_cutting': True},
     'boxes, inertia': {'bodies': 2, 'translation_order': 2},
-    'boxes that move': {'hazards': 2, 'discretisation': 'exact'},
+    'boxes that move': {'hazards': 2},
     'space, boxes': {'dimension': 3, 'bodies': 2},
     'axes, boxes': {'dimension': 3, 'bodies': 2, 'input': 0.0},
     'approach': {'approach': Approach(0.3, (1.0, 0.5))},

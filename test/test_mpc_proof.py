@@ -2,12 +2,13 @@
 """Certificates of every kind of problem: what is published holds in exact arithmetic."""
 
 import json
+from dataclasses import replace
 
 import certified
 import numpy as np
 import pytest
 
-from orbimpc_ros.mpc.problem import Ball, Floor, Problem, State
+from orbimpc_ros.mpc.problem import Ball, Box, Floor, Problem, State
 from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
 from orbimpc_ros.mpc.proof.verifier import Refused, parsed, verified
 from orbimpc_ros.mpc.solve.solver import Solver
@@ -33,10 +34,9 @@ def test_what_is_published_holds(kind, seed):
     assert verdict.proved <= plan.objective * (1.0 + 1e-7)
 
 
-# Seeds whose walls are in the way.
 @pytest.mark.parametrize('kind', certified.LIMITED)
 def test_what_is_published_beside_walls_and_within_cones_holds(kind):
-    plan, made = certificate(kind, 0)
+    plan, made = certificate(kind, 1)
     verdict = verified(parsed(made.text().encode()))
     assert verdict.holds
     assert verdict.proved <= plan.objective * (1.0 + 1e-7)
@@ -55,6 +55,56 @@ def test_mutants_are_refused_or_do_not_hold(kind):
     for _ in range(15):
         name, text = certified.mutant(known, rng)
         assert judged(text) != 'holds', name
+
+
+@pytest.mark.parametrize('kind', ['boxes', 'axes, boxes'])
+def test_mutants_with_walls_are_refused_or_do_not_hold(kind):
+    rng, known = np.random.default_rng(8), certificate(kind, 1)[1].document()
+    for _ in range(10):
+        name, text = certified.mutant(known, rng)
+        assert judged(text) != 'holds', name
+
+
+def in_the_way(**changes):
+    """Return a certificate that takes both sides of a box, which the straight way goes through."""
+    box = Box(np.array([1.2, -0.3]), np.array([2.4, 0.4]))
+    problem = Problem(horizon=4, obstacles=(box,), **changes)
+    case = problem, State.at(np.zeros(2), np.eye(2)), np.tile([3.5, 0.0], (4, 1))
+    plan = Solver(problem).solve(*case[1:])
+    return plan, certificate_of(*case, plan.rotations[1:], plan.lower_bound)
+
+
+def test_a_box_in_the_way_is_proved_to_cost_what_the_way_around_it_does():
+    plan, made = in_the_way()
+    free = Solver(replace(made.problem, obstacles=())).solve(made.state, made.goals)
+    assert verified(parsed(made.text().encode())).proved > 1.001 * free.objective
+    assert plan.lower_bound > 1.001 * free.objective
+
+
+@pytest.mark.parametrize(
+    ('path', 'value', 'outcome'),
+    [
+        (('limits', 'walls', 0, 'max'), [1.3, -0.2], 'does not hold'),
+        (('limits', 'walls', 0, 'min'), [41.2, -0.3], 'does not hold'),
+        (('limits', 'walls'), [], 'wall is not a whole number'),
+        (('tree', 'wall'), 1, 'wall is not a whole number'),
+        (('tree', 'at'), 0.0, 'has no angle'),
+    ],
+)
+def test_a_proof_beside_a_box_takes_the_box(path, value, outcome):
+    known = in_the_way()[1].document()
+    inner = known
+    for name in path[:-1]:
+        inner = inner[name]
+    inner[path[-1]] = value
+    assert outcome in judged(json.dumps(known))
+
+
+def test_pressing_from_the_wrong_side_is_refused():
+    known = in_the_way()[1].document()
+    leaf = next(each for each in certified.leaves(known['tree']) if any(each['presses']))
+    leaf['presses'] = [-y for y in leaf['presses']]
+    assert 'presses are negative' in judged(json.dumps(known))
 
 
 def test_a_bound_that_is_too_high_has_no_certificate():

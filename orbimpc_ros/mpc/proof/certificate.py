@@ -52,11 +52,11 @@ class Split:
     """Parts that together hold whatever their whole does.
 
     Attributes:
-        step: k >= 1, whose z_k tells them apart.
+        step: k >= 1, whose z_k, or s_k, tells them apart.
         parts: beyond each of a floor's faces, or the directions below and above an angle, or the
             sides of a wall.
         at: that angle [rad]; None for faces.
-        wall: number of the wall, beside which z_{k-1} pushes s_k; None for what is not split by one.
+        wall: number of the wall on whose sides s_k is; None for what is not split by one.
     """
 
     step: int

@@ -105,9 +105,7 @@ class PartProgram:
     @cached_property
     def curvatures(self) -> Array:
         """Return by how much positions give way to what presses them, shape (N,)."""
-        return np.einsum(
-            'ki,ij,kj->k', self._reach, np.linalg.pinv(self._hessians[0]), self._reach
-        )
+        return np.einsum('ki,ij,kj->k', self._reach, np.linalg.pinv(self._hessians[0]), self._reach)
 
     def positions(self, x: Array) -> Array:
         """Return s_1..s_N, shape (N, n), of rotation coordinates, in the user's units."""
@@ -220,7 +218,7 @@ class PartProgram:
             (duals[1], slacks[1]),
             tuple(each[3][:disks].reshape(count, n + 1) for each in (duals, slacks)),
         )
-        slides = np.zeros((count, n))
+        slides: Array = np.zeros((count, n))
         if self._posed.slides:
             slides = self._slides(*(each[3][disks:].reshape(count, 3) for each in (duals, slacks)))
         pairs = zip(*(_matrices(each[4]) for each in (duals, slacks)), strict=True)
@@ -293,8 +291,9 @@ class PartProgram:
         return Answer(x, held, answer.feasible)
 
     def refutation(self, region: Region, held: Held, size: float) -> Leaf:
-        """Return a tangent that multipliers lift as far as they are large, if nothing is feasible."""
-        held = Held(*(size * each for each in held[:4]))
+        """Return a tangent that multipliers lift the more the larger they are."""
+        pull, shares, presses, slides = (size * np.asarray(each) for each in held[:4])
+        held = Held(pull, shares, presses, slides)
         slopes = self._q + self._pulled(held.pull) + self._pushed(region, held)
         return self._made(np.zeros_like(self._q), held, slopes - self._wide(held.shares))
 

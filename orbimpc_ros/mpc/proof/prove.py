@@ -174,9 +174,7 @@ def _is_limited(problem: Problem, state: State) -> bool:
     """Return whether there are walls or cones, or limits of thrust over SO(3)."""
     directed = problem.has_cones or problem.approach.exists
     thrust = problem.floor.exists or problem.weights.length
-    return bool(
-        directed or problem.obstacles or state.hazards or (_width(problem) == 9 and thrust)
-    )
+    return bool(directed or problem.obstacles or state.hazards or (_width(problem) == 9 and thrust))
 
 
 def _proved(certificate: Certificate) -> float:
@@ -225,19 +223,13 @@ def _in_users_units(tree: Tree, units: Units) -> Tree:
         n = units.problem.dimension
         pull = np.repeat([force, force * units.time], n)[: len(pull)] * pull
     tops = None if tree.tops is None else units.cost * tree.tops
-    others = {
-        name: None if value is None else unit * value
-        for name, value, unit in (
-            ('shares', tree.shares, units.cost),
-            ('presses', tree.presses, force),
-            ('slides', tree.slides, force),
-        )
-    }
     return replace(
         tree,
         bends=bends,
         tops=tops,
         pull=pull,
         stiffness=tree.stiffness * force / units.length,
-        **others,
+        shares=None if tree.shares is None else units.cost * tree.shares,
+        presses=None if tree.presses is None else force * tree.presses,
+        slides=None if tree.slides is None else force * tree.slides,
     )

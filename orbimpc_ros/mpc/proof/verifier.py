@@ -85,8 +85,8 @@ def verified(document: Any) -> Verdict:
 
 def posed_by(document: dict[str, Any]) -> StatedProblem:
     """Return the problem that a certificate is of."""
-    stated = (document[name] for name in ('problem', 'state', 'goals'))
-    return StatedProblem(*stated, document.get('limits', {}))
+    problem, state, goals = (document[name] for name in ('problem', 'state', 'goals'))
+    return StatedProblem(problem, state, goals, document.get('limits', {}))
 
 
 def read(path: str | Path) -> Any:
@@ -528,7 +528,7 @@ class StatedProblem:
         return [region._replace(faces=(*before, i, *after)) for i in range(self.faces)]
 
     def beside(self, region: Region, k: int, wall: Any) -> list[Region | None]:
-        """Return what is known on each side of a body: where s_{k+1} is, and with it what it sees."""
+        """Return what is known on each side of a wall that s_{k+1} can be on."""
         body = self.walls[_whole(wall, 'wall', 0, len(self.walls) - 1)]
         return [region._replace(rows=(*region.rows, *body.side(i, k))) for i in range(2 * self.n)]
 
@@ -576,7 +576,8 @@ class StatedProblem:
         A row n . s >= b that is pressed by y >= 0 adds y (b - n . s). What slides along the cone
         above the goal is a c with c . d <= 0 for all d in it, and as much more as that is eased.
         """
-        presses = _vector(leaf.get('presses', [0.0] * len(region.rows)), 'presses', len(region.rows))
+        count = len(region.rows)
+        presses = _vector(leaf.get('presses', [0.0] * count), 'presses', count)
         if not any(presses) and 'slides' not in leaf:
             return None, Fraction(0)
         push, paid = [[Fraction(0)] * self.n for _ in self.goals], Fraction(0)
@@ -809,7 +810,7 @@ def _least_along(slope: Fraction, bend: Fraction, least: Fraction) -> Fraction:
 
 
 def _least_towards(slope: Vector, cone: Cone) -> Fraction:
-    """Return the least slope . u over unit vectors u within a cone, which is part of a half-space."""
+    """Return the least slope . u over unit vectors u within a cone."""
     size, square = _size_above(slope), _dot(cone.axis, cone.axis)
     along = _dot(slope, cone.axis)
     if -along >= cone.least * size - 4 * TINY * (1 + size):
