@@ -3,6 +3,7 @@
 
 import json
 from dataclasses import replace
+from functools import cache
 
 import certified
 import numpy as np
@@ -65,17 +66,24 @@ def test_mutants_with_walls_are_refused_or_do_not_hold(kind):
         assert judged(text) != 'holds', name
 
 
-def in_the_way(**changes):
-    """Return a certificate that takes both sides of a box, which the straight way goes through."""
-    box = Box(np.array([1.2, -0.3]), np.array([2.4, 0.4]))
-    problem = Problem(horizon=4, obstacles=(box,), **changes)
+BODIES = {
+    'box': Box(np.array([1.2, -0.3]), np.array([2.4, 0.4])),
+    'disc': Ball(np.array([1.6, 0.1]), 0.5),
+}
+
+
+@cache
+def in_the_way(name):
+    """Return a certificate that takes all sides of a body, which the straight way goes through."""
+    problem = Problem(horizon=4, obstacles=(BODIES[name],))
     case = problem, State.at(np.zeros(2), np.eye(2)), np.tile([3.5, 0.0], (4, 1))
     plan = Solver(problem).solve(*case[1:])
     return plan, certificate_of(*case, plan.rotations[1:], plan.lower_bound)
 
 
-def test_a_box_in_the_way_is_proved_to_cost_what_the_way_around_it_does():
-    plan, made = in_the_way()
+@pytest.mark.parametrize('name', BODIES)
+def test_what_is_in_the_way_is_proved_to_cost_what_the_way_around_it_does(name):
+    plan, made = in_the_way(name)
     free = Solver(replace(made.problem, obstacles=())).solve(made.state, made.goals)
     assert verified(parsed(made.text().encode())).proved > 1.001 * free.objective
     assert plan.lower_bound > 1.001 * free.objective
@@ -92,7 +100,7 @@ def test_a_box_in_the_way_is_proved_to_cost_what_the_way_around_it_does():
     ],
 )
 def test_a_proof_beside_a_box_takes_the_box(path, value, outcome):
-    known = in_the_way()[1].document()
+    known = in_the_way('box')[1].document()
     inner = known
     for name in path[:-1]:
         inner = inner[name]
@@ -100,8 +108,26 @@ def test_a_proof_beside_a_box_takes_the_box(path, value, outcome):
     assert outcome in judged(json.dumps(known))
 
 
+@pytest.mark.parametrize(
+    ('path', 'value', 'outcome'),
+    [
+        (('limits', 'walls', 0, 'radius'), 0.1, 'does not hold'),
+        (('limits', 'walls', 0, 'shared'), False, 'presses is not a list'),
+        (('tree', 'at'), 7.0, 'not within the directions'),
+        (('problem', 'discretisation'), 'exact', 'no lines'),
+    ],
+)
+def test_a_proof_beside_a_disc_takes_the_disc(path, value, outcome):
+    known = in_the_way('disc')[1].document()
+    for wall in known['limits']['walls'] if path[0] == 'limits' else ():
+        wall[path[-1]] = value
+    if path[0] != 'limits':
+        known[path[0]][path[1]] = value
+    assert outcome in judged(json.dumps(known))
+
+
 def test_pressing_from_the_wrong_side_is_refused():
-    known = in_the_way()[1].document()
+    known = in_the_way('box')[1].document()
     leaf = next(each for each in certified.leaves(known['tree']) if any(each['presses']))
     leaf['presses'] = [-y for y in leaf['presses']]
     assert 'presses are negative' in judged(json.dumps(known))
@@ -125,7 +151,7 @@ def test_a_search_that_is_too_long_has_no_certificate(monkeypatch):
 @pytest.mark.parametrize(
     ('changes', 'word'),
     [
-        ({'obstacles': (Ball(np.ones(2), 0.5),)}, 'balls'),
+        ({'dimension': 3, 'obstacles': (Ball(np.ones(3), 0.5),)}, 'balls in space'),
         ({'max_acceleration': 0.1}, 'max_acceleration'),
         ({'max_rate': 0.1}, 'max_rate without a floor'),
         ({'rotation_order': 2, 'floor': Floor('circle')}, 'rotation_order 2'),

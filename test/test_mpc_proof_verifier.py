@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 import sys
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.model.cost import length_weights
 from orbimpc_ros.mpc.model.dynamics import translation_rollout
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
-from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Ball, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.proof import verifier
 from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Split, statement
 
@@ -117,6 +118,31 @@ def test_least_within_a_cone_is_below_all_that_is_in_it(seed):
     inside = ways[ways @ axis >= width]
     assert least <= (inside @ slope).min() + 1e-12
     assert least >= (inside @ slope).min() - 0.05 * np.linalg.norm(slope)
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_what_is_known_beside_a_disc_holds_of_all_lines_that_pass_it_there(seed):
+    rng = np.random.default_rng([seed, 11])
+    problem = Problem(2, 1, 1, 3, 0.3, 1.7)
+    state = State.at(rng.normal(size=2), rotation(2, rng), disturbance=rng.normal(size=2))
+    centre, radius = rng.normal(size=2), rng.uniform(0.05, 0.4)
+    said = statement(replace(problem, obstacles=(Ball(centre, radius),)), state, np.zeros((3, 2)))
+    exact = verifier.posed_by(said)
+    low = rng.uniform(0.0, 5.0)
+    sector = verifier.Sector(Fraction(low), Fraction(low + rng.uniform(0.05, 1.2)))
+    rows = exact.walls[1].side(sector, 2)
+    angles = rng.uniform(*map(float, sector), 50_000)
+    normals = np.column_stack([np.cos(angles), np.sin(angles)])
+    apart = radius * (1.0 + rng.exponential(0.1, 50_000))
+    ways = rng.normal(size=(50_000, 2))
+    ways *= (0.3 * 1.7 * rng.uniform(size=50_000) / np.linalg.norm(ways, axis=1))[:, None]
+    ways += 0.3 * state.disturbance
+    begin = centre + apart[:, None] * normals  # the nearest, from where it leads away
+    ends = np.stack([begin, begin + ways], axis=1)[np.sum(ways * normals, axis=1) >= 0.0]
+    assert [row.k for row in rows] == [1, 2]
+    for points in (ends, ends[:, ::-1]):
+        for point, row in zip(points.swapaxes(0, 1), rows, strict=True):
+            assert (point @ np.array(row.normal, float)).min() >= float(row.least) - 1e-12
 
 
 @pytest.mark.parametrize('seed', range(4))

@@ -86,12 +86,11 @@ def test_a_missing_file_is_bad_input(run, tmp_path):
 
 def test_a_plan_without_a_certificate_is_printed_and_says_so(run, tmp_path):
     problem = tmp_path / 'problem.json'
-    ball = {'centre': [40.0, 40.0], 'radius': 1.0}
-    problem.write_text(json.dumps({**CASES['uav_square_0'], 'obstacles': [ball]}))
+    problem.write_text(json.dumps({**CASES['uav_square_0'], 'max_acceleration': 9.0}))
     code, out, error = run('solve', problem, '--certificate', tmp_path / 'none.json')
     assert code == 1
     assert json.loads(out)['status'] == 'optimal'
-    assert 'none yet for balls' in error
+    assert 'none yet for max_acceleration' in error
     assert not (tmp_path / 'none.json').exists()
 
 

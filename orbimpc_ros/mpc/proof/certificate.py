@@ -159,8 +159,14 @@ def _limits(problem: Problem, state: State, goals: Array) -> dict[str, Any]:
     walls = [_wall(box, problem.no_corner_cutting) for box in problem.boxes]
     traffic = traffic_of(problem, state)
     for body, shifts, grown in zip(*traffic[1:3], traffic.grown, strict=True) if traffic else ():
+        moving = {'shifts': shifts.tolist(), 'grown': grown.tolist()}
         if isinstance(body, Box):
-            walls.append(_wall(body, True) | {'shifts': shifts.tolist(), 'grown': grown.tolist()})
+            walls.append(_wall(body, True) | moving)
+            continue
+        disc = {'centre': body.centre.tolist(), 'radius': body.radius, **moving}
+        walls.append({**disc, 'shared': False})
+        if problem.translation.degree == 1:  # a line is outside as a whole
+            walls.append({**disc, 'shared': True})
     return found | ({'cones': cones} if cones else {}) | ({'walls': walls} if walls else {})
 
 

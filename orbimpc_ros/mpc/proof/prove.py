@@ -151,7 +151,6 @@ def _require(problem: Problem, state: State) -> None:
     """
     limited, bodies = _is_limited(problem, state), [each.body for each in state.hazards]
     limits = {
-        'balls': any(isinstance(each, Ball) for each in (*problem.obstacles, *bodies)),
         'obstacles and cones at rotation_order 2': limited and problem.rotation_order == 2,
         'obstacles and cones with a turn limit': limited and problem.max_rate,
         'max_acceleration': problem.max_acceleration,
@@ -165,6 +164,9 @@ def _require(problem: Problem, state: State) -> None:
     if problem.dimension == 3:
         limits['max_rate in space'] = problem.max_rate
         limits['a polygon in space'] = problem.floor.shape == 'polygon'
+        limits['balls in space'] = any(
+            isinstance(each, Ball) for each in (*problem.obstacles, *bodies)
+        )
     for name, there in limits.items():
         if there:
             raise Unproved(f'no certificate: there is none yet for {name}')

@@ -295,6 +295,7 @@ class Region(NamedTuple):
     faces: tuple[int | None, ...]
     sectors: tuple[Sector | None, ...]
     rows: tuple[Row, ...] = ()
+    passed: tuple[tuple[int, int, Sector], ...] = ()  # discs, at which step, and on which side
 
 
 class Cone(NamedTuple):
@@ -324,9 +325,7 @@ def _parts(posed: StatedProblem, node: dict[str, Any], region: Region) -> list[t
     _fields(node, 'a split', ('split', 'parts'), ('at', 'wall'))
     k = _whole(node['split'], 'split', 1, posed.horizon) - 1
     if 'wall' in node:
-        if 'at' in node:
-            raise Refused('a split beside a wall has no angle')
-        regions = posed.beside(region, k, node['wall'])
+        regions = posed.beside(region, k, node['wall'], node.get('at'))
     elif 'at' in node:
         regions = posed.halves(region, k, _number(node['at'], 'at'))
     else:
@@ -457,7 +456,23 @@ class StatedProblem:
             if min(self.strays) < 0:
                 raise Refused('eased is negative')
         walls = _list(limits.get('walls', []), 'walls')
-        self.walls = [Wall(each, self.n, self.horizon) for each in walls]
+        self.walls = [self._wall(each) for each in walls]
+
+    def _wall(self, body: Any) -> BoxWall | DiscWall:
+        if not isinstance(body, dict) or 'radius' not in body:
+            return BoxWall(body, self.n, self.horizon)
+        wall = DiscWall(body, self.n, self.horizon)
+        push, add, follow, after, blow, gust = self.model
+        if wall.shared and (follow or after or blow != (0 if self.inertial else self.h)):
+            raise Refused('a disc is shared by the ends of steps that are no lines')
+        for k in range(self.horizon if wall.shared else 0):
+            known = [blow * w for w in self.disturbance]
+            if self.inertial:
+                both = zip(self.velocity, self.disturbance, strict=True)
+                known = [self.h * (p + k * gust * w) for p, w in both]
+            full = max(Fraction(1), _size_above(self.first[:2])) * (push + self.h * k * add)
+            wall.spread[k] = full + _size_above(_less(known, wall.moved(k)))
+        return wall
 
     def _rotation(self, state: dict[str, Any], name: str) -> Vector:
         """Return a matrix column by column, as far as it is seen."""
@@ -527,10 +542,28 @@ class StatedProblem:
         before, after = region.faces[:k], region.faces[k + 1 :]
         return [region._replace(faces=(*before, i, *after)) for i in range(self.faces)]
 
-    def beside(self, region: Region, k: int, wall: Any) -> list[Region | None]:
+    def beside(self, region: Region, k: int, wall: Any, at: Any) -> list[Region | None]:
         """Return what is known on each side of a wall that s_{k+1} can be on."""
-        body = self.walls[_whole(wall, 'wall', 0, len(self.walls) - 1)]
-        return [region._replace(rows=(*region.rows, *body.side(i, k))) for i in range(2 * self.n)]
+        number = _whole(wall, 'wall', 0, len(self.walls) - 1)
+        body, rows = self.walls[number], region.rows
+        if isinstance(body, BoxWall):
+            if at is not None:
+                raise Refused('a split beside a box has no angle')
+            return [region._replace(rows=(*rows, *body.side(i, k))) for i in range(2 * self.n)]
+        known, angle = self.side_of(region, k, number), _number(at, 'at')
+        if not known.low <= angle <= known.high:
+            raise Refused('a split is not within the directions that it splits')
+        return [
+            region._replace(
+                rows=(*rows, *body.side(each, k)), passed=(*region.passed, (number, k, each))
+            )
+            for each in (Sector(known.low, angle), Sector(angle, known.high))
+        ]
+
+    def side_of(self, region: Region, k: int, wall: int) -> Sector:
+        """Return the directions in which s_{k+1} can be from a disc."""
+        told = [each for number, step, each in region.passed if (number, step) == (wall, k)]
+        return told[-1] if told else Sector(Fraction(0), TURN)
 
     # --- bounds
 
@@ -762,23 +795,38 @@ class StatedProblem:
 
 
 class Wall:
-    """A box that positions are outside of, which may move and grow from step to step.
+    """A body that positions are outside of, which may move and grow from step to step.
 
     Args:
-        body: as stated: corners ``min`` and ``max``; where it moves, its ``shifts`` by the ends of
-            steps 0..N, and by how much it is ``grown`` in each; ``shared`` says whether the ends
-            of a step are outside of it on one side.
+        body: as stated: where it moves, its ``shifts`` by the ends of steps 0..N, and by how much
+            it is ``grown`` in each; ``shared`` says whether the ends of a step are outside of it
+            on one side.
         n: dimension.
         horizon: N.
     """
 
+    shape: tuple[str, str]
+
     def __init__(self, body: Any, n: int, horizon: int) -> None:
-        _fields(body, 'a wall', ('min', 'max', 'shared'), ('shifts', 'grown'))
-        self._low, self._high = (_vector(body[name], name, n) for name in ('min', 'max'))
-        self._shared = body['shared'] is True
+        _fields(body, 'a wall', (*self.shape, 'shared'), ('shifts', 'grown'))
+        self.shared = body['shared'] is True
         still = [[0.0] * n] * (horizon + 1), [0.0] * horizon
         self._shifts = _rows(body.get('shifts', still[0]), 'shifts', horizon + 1, n)
         self._grown = _vector(body.get('grown', still[1]), 'grown', horizon)
+
+    def _ends(self, k: int) -> range:
+        """Return which positions are on its sides in a step: s_{k+1}, and s_k where shared."""
+        return range(max(k - 1, 0) if self.shared else k, k + 1)
+
+
+class BoxWall(Wall):
+    """A wall with corners ``min`` and ``max``."""
+
+    shape = 'min', 'max'
+
+    def __init__(self, body: Any, n: int, horizon: int) -> None:
+        super().__init__(body, n, horizon)
+        self._low, self._high = (_vector(body[name], name, n) for name in self.shape)
 
     def side(self, i: int, k: int) -> list[Row]:
         """Return what is known of s_{k+1}, and s_k where shared, below (i < n) or above axis i."""
@@ -786,10 +834,56 @@ class Wall:
         axis, sign = i % n, -1 if i < n else 1
         face = self._low[axis] if i < n else self._high[axis]
         normal = [Fraction(sign * (j == axis)) for j in range(n)]
-        ends = range(max(k - 1, 0) if self._shared else k, k + 1)
         return [
-            Row(j, normal, sign * (face + self._shifts[j + 1][axis]) + self._grown[k]) for j in ends
+            Row(j, normal, sign * (face + self._shifts[j + 1][axis]) + self._grown[k])
+            for j in self._ends(k)
         ]
+
+
+class DiscWall(Wall):
+    """A wall in the plane with ``centre`` and ``radius``.
+
+    Where the ends of a step are shared, so is the line between them: it is outside.
+
+    Attributes:
+        spread: how far the ends of each step are apart at most, as seen from the disc.
+    """
+
+    shape = 'centre', 'radius'
+
+    def __init__(self, body: Any, n: int, horizon: int) -> None:
+        super().__init__(body, n, horizon)
+        if n != 2:
+            raise Refused('balls in space are beyond this format')
+        self._centre, self._radius = _vector(body['centre'], 'centre', 2), body['radius']
+        self._radius = _weight(self._radius, 'radius')
+        self.spread = [Fraction(0)] * horizon
+
+    def moved(self, k: int) -> Vector:
+        """Return how far it moves in step k."""
+        return _less(self._shifts[k + 1], self._shifts[k])
+
+    def place(self, end: int, k: int) -> tuple[Vector, Fraction]:
+        """Return its centre by the end of a step, and its radius in step k."""
+        both = zip(self._centre, self._shifts[end], strict=True)
+        return [x + y for x, y in both], self._radius + self._grown[k]
+
+    def side(self, sector: Sector, k: int) -> list[Row]:
+        """Return what is known where the nearest point Q of a step is in such a direction.
+
+        With unit vectors u of the sector and any c, let c . u >= m > 0. Then c . Q >= m |Q|; other
+        points P have u . (P - Q) >= 0, and what c has across u is at most sqrt(|c|^2 - m^2).
+        """
+        radius = self.place(k, k)[1]
+        if sector.high - sector.low > PI - Fraction(1, 10**9) or radius <= 0:
+            return []
+        c = list(_direction((sector.low + sector.high) / 2))
+        edges = (_direction(each) for each in sector)
+        m = min(c[0] * x + c[1] * y for x, y in edges) - 4 * TINY
+        if m <= 0:
+            return []
+        least = m * radius - self.spread[k] * _root_above(max(Fraction(0), _dot(c, c) - m * m))
+        return [Row(j, c, least + _dot(c, self.place(j + 1, k)[0])) for j in self._ends(k)]
 
 
 def _dot(x: Vector, y: Vector) -> Fraction:
