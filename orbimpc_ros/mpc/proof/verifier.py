@@ -278,7 +278,7 @@ class Sector(NamedTuple):
     high: Fraction
 
 
-class Row(NamedTuple):
+class Side(NamedTuple):
     """What is known of a position: normal . s_{k+1} is at least so much."""
 
     k: int
@@ -294,7 +294,7 @@ class Region(NamedTuple):
 
     faces: tuple[int | None, ...]
     sectors: tuple[Sector | None, ...]
-    rows: tuple[Row, ...] = ()
+    rows: tuple[Side, ...] = ()
     passed: tuple[tuple[int, int, Sector], ...] = ()  # discs, at which step, and on which side
 
 
@@ -828,14 +828,14 @@ class BoxWall(Wall):
         super().__init__(body, n, horizon)
         self._low, self._high = (_vector(body[name], name, n) for name in self.shape)
 
-    def side(self, i: int, k: int) -> list[Row]:
+    def side(self, i: int, k: int) -> list[Side]:
         """Return what is known of s_{k+1}, and s_k where shared, below (i < n) or above axis i."""
         n = len(self._low)
         axis, sign = i % n, -1 if i < n else 1
         face = self._low[axis] if i < n else self._high[axis]
         normal = [Fraction(sign * (j == axis)) for j in range(n)]
         return [
-            Row(j, normal, sign * (face + self._shifts[j + 1][axis]) + self._grown[k])
+            Side(j, normal, sign * (face + self._shifts[j + 1][axis]) + self._grown[k])
             for j in self._ends(k)
         ]
 
@@ -868,7 +868,7 @@ class DiscWall(Wall):
         both = zip(self._centre, self._shifts[end], strict=True)
         return [x + y for x, y in both], self._radius + self._grown[k]
 
-    def side(self, sector: Sector, k: int) -> list[Row]:
+    def side(self, sector: Sector, k: int) -> list[Side]:
         """Return what is known where the nearest point Q of a step is in such a direction.
 
         With unit vectors u of the sector and any c, let c . u >= m > 0. Then c . Q >= m |Q|; other
@@ -883,7 +883,7 @@ class DiscWall(Wall):
         if m <= 0:
             return []
         least = m * radius - self.spread[k] * _root_above(max(Fraction(0), _dot(c, c) - m * m))
-        return [Row(j, c, least + _dot(c, self.place(j + 1, k)[0])) for j in self._ends(k)]
+        return [Side(j, c, least + _dot(c, self.place(j + 1, k)[0])) for j in self._ends(k)]
 
 
 def _dot(x: Vector, y: Vector) -> Fraction:
