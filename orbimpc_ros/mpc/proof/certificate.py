@@ -55,7 +55,7 @@ class Split:
         step: k >= 1, whose z_k, or s_k, tells them apart.
         parts: beyond each of a floor's faces, or the directions below and above an angle, or the
             sides of a wall.
-        at: that angle [rad]; None for faces.
+        at: that angle [rad]; None for faces, and for the sides of a box.
         wall: number of the wall on whose sides s_k is; None for what is not split by one.
     """
 

@@ -64,7 +64,7 @@ def stepped(hessian: Array, q: Array, rows: tuple[Array, Array], pair: Pair) -> 
     x, factors, multipliers = pair
     linear, (a, b) = lmi_parts()[1], rows
     sizes = [f.size for f in factors]
-    turning, missing, missed = np.zeros((x.size, sum(sizes))), [], []
+    turning, missed = np.zeros((x.size, sum(sizes))), []
     spans, firsts = np.zeros((sum(sizes), x.size)), np.cumsum([0, *sizes])
     spread = np.zeros((sum(sizes), sum(sizes)))
     for k, (r, f) in enumerate(zip(x, factors, strict=True)):

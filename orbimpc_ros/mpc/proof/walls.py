@@ -27,7 +27,7 @@ SIZES = tuple(10.0**i for i in range(9))  # of multipliers that say that nothing
 
 
 class WallProof:
-    """Depth first over the sides of boxes, until each part costs enough.
+    """Depth first over the sides of boxes and discs, until each part costs enough.
 
     Args:
         program: of parts.
