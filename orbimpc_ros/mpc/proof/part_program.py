@@ -203,8 +203,10 @@ class PartProgram:
         found: Any = run(solver_for(data, ACCURACY), None)
         feasible = 'Infeasible' not in str(found.status)
         ends = list(itertools.accumulate(sizes))[:-1]
-        duals = np.split(np.asarray(found.z), ends)
-        slacks = np.split(np.asarray(found.s) if feasible else 0.0 * np.asarray(found.z), ends)
+        z, s = np.asarray(found.z), np.asarray(found.s)
+        if not feasible:  # a ray, of any length
+            z, s = z / np.abs(z).max(), np.zeros_like(s)
+        duals, slacks = np.split(z, ends), np.split(s, ends)
         x = np.asarray(found.x)[: self._columns.size].reshape(self._columns.shape)
         return Answer(x, self._held(duals, slacks), feasible)
 
