@@ -4,14 +4,16 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import problems
 
-from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
 
 ARRIVES = {'terminal': 'constraint'}
@@ -34,6 +36,27 @@ KINDS: dict[str, dict[str, Any]] = {
     'space, coasting': {'dimension': 3, 'rotation_order': 2, 'translation_order': 2},
     'space, arrival': {'dimension': 3, **ARRIVES},
 }
+# Beside bodies, and within cones.
+LIMITED: dict[str, dict[str, Any]] = {
+    'boxes': {'bodies': 3},
+    'boxes, shared faces': {'bodies': 3, 'no_corner_cutting': True},
+    'boxes, inertia': {'bodies': 2, 'translation_order': 2},
+    'boxes that move': {'hazards': 2},
+    'discs': {'discs': 2},
+    'discs that move': {'discs': 2, 'hazards': 1},
+    'space, boxes': {'dimension': 3, 'bodies': 2},
+    'axes, boxes': {'dimension': 3, 'bodies': 2, 'input': 0.0},
+    'approach': {'approach': Approach(0.3, (1.0, 0.5))},
+    'space, approach': {'dimension': 3, 'approach': Approach(0.2, (1.0, 0.5, 0.1))},
+    'cones': {
+        'dimension': 3,
+        'translation_order': 2,
+        'tilt': 0.3,
+        'glide_slope': 0.4,
+        'length': 0.05,
+        'floor': Floor('circle', fraction=0.1),
+    },
+}
 # Certificates of these take what a method leaves of its proof.
 LEFT: dict[str, dict[str, Any]] = {
     'polygon, turn rate': {'floor': Floor('polygon', 6, 0.6), 'max_rate': 0.7},
@@ -48,7 +71,9 @@ LEFT: dict[str, dict[str, Any]] = {
 
 def case(kind: str, rng: np.random.Generator, longest: int = 7) -> Case:
     """Return a problem of a kind with a state at full speed and goals within its reach."""
-    given = dict((KINDS | LEFT)[kind])
+    given = dict((KINDS | LIMITED | LEFT)[kind])
+    bodies, hazards = given.pop('bodies', 0), given.pop('hazards', 0)
+    discs = given.pop('discs', 0)
     weights = Weights(1.0, given.pop('input', 0.05), given.pop('length', 0.0), 10.0)
     horizon = int(rng.integers(4, longest + 1))
     step, forward = 10.0 ** rng.uniform(-1, 0), 10.0 ** rng.uniform(-0.5, 1)
@@ -70,7 +95,28 @@ def case(kind: str, rng: np.random.Generator, longest: int = 7) -> Case:
     reach = horizon * unit * (0.25 * horizon if problem.inertial else 1.0)
     near = 0.2 if problem.inertial else 0.5
     target = state.position + rng.uniform(0.1, near) * reach * way / np.linalg.norm(way)
+    boxes = [_box(rng, state.position, target) for _ in range(bodies + hazards + discs)]
+    every = [*map(_disc, boxes[:discs]), *boxes[discs:]]
+    problem = replace(problem, obstacles=tuple(every[hazards:]))
+    drift = 0.1 * unit / step * rng.normal(size=(hazards, n))
+    moving = zip(every[:hazards], drift, strict=True)
+    state = replace(state, hazards=tuple(itertools.starmap(Hazard.drifting, moving)))
     return Case(problem, state, np.tile(target, (horizon, 1)))
+
+
+def _box(rng: np.random.Generator, begin: np.ndarray, end: np.ndarray) -> Box:
+    """Return a box on the way, that neither end is in."""
+    apart = np.linalg.norm(end - begin)
+    middle = begin + rng.uniform(0.4, 0.7) * (end - begin)
+    size = rng.uniform(0.15, 0.25, len(begin)) * apart
+    middle = middle + 0.05 * apart * rng.normal(size=len(begin)) / np.sqrt(len(begin))
+    return Box(middle - size, middle + size)
+
+
+def _disc(box: Box) -> Ball:
+    """Return the largest disc in the middle of a box."""
+    size = box.maximum - box.minimum
+    return Ball(box.minimum + 0.5 * size, 0.5 * float(size.min()))
 
 
 # --- mutants

@@ -2,12 +2,14 @@
 """Certificates of every kind of problem: what is published holds in exact arithmetic."""
 
 import json
+from dataclasses import replace
+from functools import cache
 
 import certified
 import numpy as np
 import pytest
 
-from orbimpc_ros.mpc.problem import Box, Floor, Problem, State
+from orbimpc_ros.mpc.problem import Ball, Box, Floor, Problem, State
 from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
 from orbimpc_ros.mpc.proof.verifier import Refused, parsed, verified
 from orbimpc_ros.mpc.solve.solver import Solver
@@ -33,6 +35,14 @@ def test_what_is_published_holds(kind, seed):
     assert verdict.proved <= plan.objective * (1.0 + 1e-7)
 
 
+@pytest.mark.parametrize('kind', certified.LIMITED)
+def test_what_is_published_beside_walls_and_within_cones_holds(kind):
+    plan, made = certificate(kind, 1)
+    verdict = verified(parsed(made.text().encode()))
+    assert verdict.holds
+    assert verdict.proved <= plan.objective * (1.0 + 1e-7)
+
+
 def judged(text):
     try:
         return 'holds' if verified(parsed(text.encode())).holds else 'does not hold'
@@ -46,6 +56,81 @@ def test_mutants_are_refused_or_do_not_hold(kind):
     for _ in range(15):
         name, text = certified.mutant(known, rng)
         assert judged(text) != 'holds', name
+
+
+@pytest.mark.parametrize('kind', ['boxes', 'axes, boxes'])
+def test_mutants_with_walls_are_refused_or_do_not_hold(kind):
+    rng, known = np.random.default_rng(8), certificate(kind, 1)[1].document()
+    for _ in range(10):
+        name, text = certified.mutant(known, rng)
+        assert judged(text) != 'holds', name
+
+
+BODIES = {
+    'box': Box(np.array([1.2, -0.3]), np.array([2.4, 0.4])),
+    'disc': Ball(np.array([1.6, 0.1]), 0.5),
+}
+
+
+@cache
+def in_the_way(name):
+    """Return a certificate that takes all sides of a body, which the straight way goes through."""
+    problem = Problem(horizon=4, obstacles=(BODIES[name],))
+    case = problem, State.at(np.zeros(2), np.eye(2)), np.tile([3.5, 0.0], (4, 1))
+    plan = Solver(problem).solve(*case[1:])
+    return plan, certificate_of(*case, plan.rotations[1:], plan.lower_bound)
+
+
+@pytest.mark.parametrize('name', BODIES)
+def test_what_is_in_the_way_is_proved_to_cost_what_the_way_around_it_does(name):
+    plan, made = in_the_way(name)
+    free = Solver(replace(made.problem, obstacles=())).solve(made.state, made.goals)
+    assert verified(parsed(made.text().encode())).proved > 1.001 * free.objective
+    assert plan.lower_bound > 1.001 * free.objective
+
+
+@pytest.mark.parametrize(
+    ('path', 'value', 'outcome'),
+    [
+        (('limits', 'walls', 0, 'max'), [1.3, -0.2], 'does not hold'),
+        (('limits', 'walls', 0, 'min'), [41.2, -0.3], 'does not hold'),
+        (('limits', 'walls'), [], 'wall is not a whole number'),
+        (('tree', 'wall'), 1, 'wall is not a whole number'),
+        (('tree', 'at'), 0.0, 'has no angle'),
+    ],
+)
+def test_a_proof_beside_a_box_takes_the_box(path, value, outcome):
+    known = in_the_way('box')[1].document()
+    inner = known
+    for name in path[:-1]:
+        inner = inner[name]
+    inner[path[-1]] = value
+    assert outcome in judged(json.dumps(known))
+
+
+@pytest.mark.parametrize(
+    ('path', 'value', 'outcome'),
+    [
+        (('limits', 'walls', 0, 'radius'), 0.1, 'does not hold'),
+        (('limits', 'walls', 0, 'shared'), False, 'presses is not a list'),
+        (('tree', 'at'), 7.0, 'not within the directions'),
+        (('problem', 'discretisation'), 'exact', 'no lines'),
+    ],
+)
+def test_a_proof_beside_a_disc_takes_the_disc(path, value, outcome):
+    known = in_the_way('disc')[1].document()
+    for wall in known['limits']['walls'] if path[0] == 'limits' else ():
+        wall[path[-1]] = value
+    if path[0] != 'limits':
+        known[path[0]][path[1]] = value
+    assert outcome in judged(json.dumps(known))
+
+
+def test_pressing_from_the_wrong_side_is_refused():
+    known = in_the_way('box')[1].document()
+    leaf = next(each for each in certified.leaves(known['tree']) if any(each['presses']))
+    leaf['presses'] = [-y for y in leaf['presses']]
+    assert 'presses are negative' in judged(json.dumps(known))
 
 
 def test_a_bound_that_is_too_high_has_no_certificate():
@@ -66,12 +151,11 @@ def test_a_search_that_is_too_long_has_no_certificate(monkeypatch):
 @pytest.mark.parametrize(
     ('changes', 'word'),
     [
-        ({'obstacles': (Box(np.ones(2), 2.0 * np.ones(2)),)}, 'obstacles'),
+        ({'dimension': 3, 'obstacles': (Ball(np.ones(3), 0.5),)}, 'balls in space'),
         ({'max_acceleration': 0.1}, 'max_acceleration'),
         ({'max_rate': 0.1}, 'max_rate without a floor'),
         ({'rotation_order': 2, 'floor': Floor('circle')}, 'rotation_order 2'),
-        ({'dimension': 3, 'floor': Floor('circle')}, 'floors over SO'),
-        ({'dimension': 3, 'tilt': 0.3, 'translation_order': 2}, 'cones'),
+        ({'dimension': 3, 'tilt': 0.3, 'translation_order': 2, 'rotation_order': 2}, 'cones'),
     ],
 )
 def test_problems_without_certificates_say_so(changes, word):

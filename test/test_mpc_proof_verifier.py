@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 import sys
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -15,8 +16,9 @@ import pytest
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.model.cost import length_weights
+from orbimpc_ros.mpc.model.dynamics import translation_rollout
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
-from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Ball, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.proof import verifier
 from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Split, statement
 
@@ -48,7 +50,7 @@ def posed(problem, rng):
     )
     goals = rng.normal(size=(problem.horizon, n))
     said = statement(problem, state, goals)
-    return verifier.StatedProblem(said['problem'], said['state'], said['goals']), state, goals
+    return verifier.posed_by(said), state, goals
 
 
 @pytest.mark.parametrize(('n', 'order', 'inertia', 'kind'), MODELS)
@@ -81,6 +83,87 @@ def test_its_gradient_is_exact(n, order, inertia, kind):
     along = sum(a * b for u, v in zip(slopes, d, strict=True) for a, b in zip(u, v, strict=True))
     # Of a quadratic, differences from both sides are exact.
     assert exact.cost(ahead, pull, stiff)[0] - exact.cost(behind, pull, stiff)[0] == 2 * along
+
+
+@pytest.mark.parametrize(('n', 'order', 'inertia', 'kind'), MODELS)
+def test_what_pushes_positions_is_weighed_as_it_moves_them(n, order, inertia, kind):
+    rng = np.random.default_rng([n, order, inertia, 2])
+    problem = Problem(n, order, inertia, 5, 0.3, 1.7, WEIGHTS, discretisation=kind)
+    exact, state, goals = posed(problem, rng)
+    x, push = rng.normal(size=(5, exact.width)), rng.normal(size=(5, n))
+    if order == 2:
+        x[0] = coordinates(state.rotation + problem.step * state.rotation_rate)
+    headings = np.vstack([state.rotation[:, 0], x[:, :n]])
+    positions, _ = translation_rollout(problem, state, headings)
+    (value, slopes), (pushed, steeper) = (
+        exact.cost(fractions(x), [], Fraction(0), each) for each in (None, fractions(push))
+    )
+    added = np.sum(push * (positions[1:] - goals))
+    assert float(pushed - value) == pytest.approx(added, abs=1e-11)
+    more = (np.array(steeper) - np.array(slopes)).astype(float)
+    assert more[:, :n] == pytest.approx(problem.maps.reach[:, 1:].T @ push)
+    assert not more[:, n:].any()
+
+
+@pytest.mark.parametrize('seed', range(8))
+def test_least_within_a_cone_is_below_all_that_is_in_it(seed):
+    rng = np.random.default_rng([seed, 9])
+    n = 2 + seed % 2
+    axis, slope, angle = rng.normal(size=n), rng.normal(size=n), rng.uniform(0.05, 1.5)
+    width = np.cos(angle) * np.linalg.norm(axis)
+    cone = verifier.Cone(fractions([axis])[0], Fraction(float(width)))
+    least = float(verifier._least_towards(fractions([slope])[0], cone))
+    ways = rng.normal(size=(200_000, n))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    inside = ways[ways @ axis >= width]
+    assert least <= (inside @ slope).min() + 1e-12
+    assert least >= (inside @ slope).min() - 0.05 * np.linalg.norm(slope)
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_what_is_known_beside_a_disc_holds_of_all_lines_that_pass_it_there(seed):
+    rng = np.random.default_rng([seed, 11])
+    problem = Problem(2, 1, 1, 3, 0.3, 1.7)
+    state = State.at(rng.normal(size=2), rotation(2, rng), disturbance=rng.normal(size=2))
+    centre, radius = rng.normal(size=2), rng.uniform(0.05, 0.4)
+    said = statement(replace(problem, obstacles=(Ball(centre, radius),)), state, np.zeros((3, 2)))
+    exact = verifier.posed_by(said)
+    low = rng.uniform(0.0, 5.0)
+    sector = verifier.Sector(Fraction(low), Fraction(low + rng.uniform(0.05, 1.2)))
+    rows = exact.walls[1].side(sector, 2)
+    angles = rng.uniform(*map(float, sector), 50_000)
+    normals = np.column_stack([np.cos(angles), np.sin(angles)])
+    apart = radius * (1.0 + rng.exponential(0.1, 50_000))
+    ways = rng.normal(size=(50_000, 2))
+    ways *= (0.3 * 1.7 * rng.uniform(size=50_000) / np.linalg.norm(ways, axis=1))[:, None]
+    ways += 0.3 * state.disturbance
+    begin = centre + apart[:, None] * normals  # the nearest, from where it leads away
+    ends = np.stack([begin, begin + ways], axis=1)[np.sum(ways * normals, axis=1) >= 0.0]
+    assert [row.k for row in rows] == [1, 2]
+    for points in (ends, ends[:, ::-1]):
+        for point, row in zip(points.swapaxes(0, 1), rows, strict=True):
+            assert (point @ np.array(row.normal, float)).min() >= float(row.least) - 1e-12
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_what_slides_along_the_glide_slope_is_nowhere_above_what_is_eased(seed):
+    rng = np.random.default_rng([seed, 10])
+    angle, eased = rng.uniform(0.2, 1.3), np.array([0.0, 0.3])
+    problem = Problem(3, 1, 1, 2, 0.3, 1.7, glide_slope=angle)
+    said = statement(problem, State.at(np.zeros(3), np.eye(3)), np.zeros((2, 3)))
+    said['limits']['glide_slope']['eased'] = eased.tolist()
+    exact, way = verifier.posed_by(said), rng.uniform(0.0, 2.0 * np.pi)
+    rim = np.array([np.cos(way), np.sin(way), -1.000001 / np.tan(angle)])
+    slides = rng.uniform(0.0, 2.0, (2, 1)) * rim
+    _, paid = exact._pushed({'slides': slides.tolist()}, exact.root(None))
+    away = rng.uniform(-2.0, 2.0, (20_000, 2, 3))
+    stray = np.sin(angle) * np.hypot(away[..., 0], away[..., 1]) - np.cos(angle) * away[..., 2]
+    inside = away[(stray <= eased).all(axis=1)]
+    assert len(inside)
+    assert (np.sum(inside * slides, axis=(1, 2)) + float(paid)).max() <= 1e-12
+    slides[:, 2] *= 0.99999
+    with pytest.raises(verifier.Refused, match='not along the glide slope'):
+        exact._pushed({'slides': slides.tolist()}, exact.root(None))
 
 
 @pytest.mark.parametrize('kind', ['euler', 'exact', 'held'])

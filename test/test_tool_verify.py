@@ -86,12 +86,11 @@ def test_a_missing_file_is_bad_input(run, tmp_path):
 
 def test_a_plan_without_a_certificate_is_printed_and_says_so(run, tmp_path):
     problem = tmp_path / 'problem.json'
-    box = {'min': [40.0, 40.0], 'max': [41.0, 41.0]}
-    problem.write_text(json.dumps({**CASES['uav_square_0'], 'obstacles': [box]}))
+    problem.write_text(json.dumps({**CASES['uav_square_0'], 'max_acceleration': 9.0}))
     code, out, error = run('solve', problem, '--certificate', tmp_path / 'none.json')
     assert code == 1
     assert json.loads(out)['status'] == 'optimal'
-    assert 'none yet for obstacles' in error
+    assert 'none yet for max_acceleration' in error
     assert not (tmp_path / 'none.json').exists()
 
 
@@ -134,6 +133,31 @@ def test_a_recorded_certificate_that_does_not_prove_its_bound_fails(run, tmp_pat
     code, out, _ = run(*asked)
     assert code == 1
     assert '1 DOES NOT HOLD' in out
+
+
+def test_a_certificate_without_the_problems_walls_is_refused(run, tmp_path):
+    problem, made = tmp_path / 'problem.json', tmp_path / 'certificate.json'
+    box = {'min': [1.5, -1.0], 'max': [2.5, 0.5]}
+    case = {**CASES['uav_square_0'], 'floor': {'shape': 'none'}}
+    problem.write_text(json.dumps({**case, 'obstacles': [box]}))
+    assert run('solve', problem, '--certificate', made)[0] == 0
+    assert run('verify', made, '--problem', problem)[0] == 0
+    problem.write_text(json.dumps(case))
+    code, _, error = run('verify', made, '--problem', problem)
+    assert code == 2
+    assert 'not of' in error
+
+
+def test_ticks_among_walls_hold(run):
+    code, out, _ = run('verify', HERE / 'golden' / 'obstacles')
+    assert code == 0
+    assert '28 holds, 2 nothing claimed' in out
+
+
+def test_a_tick_within_cones_holds(run):
+    code, out, _ = run('verify', HERE / 'golden' / 'lander', '--tick', 18)
+    assert code == 0
+    assert '1 holds' in out
 
 
 def test_ticks_of_a_bag_hold(run, tmp_path):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.problem.case import case_of
+from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.proof import verifier
 from orbimpc_ros.mpc.proof.certificate import Certificate, statement
 from orbimpc_ros.mpc.proof.prove import Unproved, certificate_for
@@ -86,9 +86,16 @@ def _file(path: Path, args: argparse.Namespace) -> TickVerdict:
         raise BadInput.stating('certificate', 'refused', str(error)) from None
     if args.problem:
         case = case_of(document.read(args.problem))
-        if any(known[name] != value for name, value in statement(*case).items()):
+        if not _is_of(known, case):
             raise BadInput.stating('certificate', 'refused', f'it is not of {args.problem}')
     return row
+
+
+def _is_of(known: Any, case: Case) -> bool:
+    """Return whether a certificate is of a problem, a state and goals."""
+    unlimited: dict[str, Any] = {'limits': {}}
+    stated = unlimited | statement(*case)
+    return {name: (unlimited | known).get(name) for name in stated} == stated
 
 
 def _verified(tick: int | None, known: Any) -> TickVerdict:
@@ -130,12 +137,12 @@ def _tick(
     assert tick.problem is not None
     assert tick.state is not None
     assert tick.goals is not None
-    posed, cost = (tick.problem, tick.state, tick.goals), tick.plan.objective
+    posed, cost = Case(tick.problem, tick.state, tick.goals), tick.plan.objective
     if claimed > cost + TOLERANCE * (cost + tick.plan.proof.cost_unit):
         words = f'{FAILS}: a trajectory costs {cost!r}'
         return TickVerdict(number, claimed, outcome=FAILS, words=words)
     known = recorded.get(claimed)
-    if known is not None and all(known[k] == v for k, v in statement(*posed).items()):
+    if known is not None and _is_of(known, posed):
         return _verified(number, known)
     try:
         made = certificate_for(*posed, tick.plan, claimed)

@@ -14,8 +14,11 @@ from typing import Any
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.model.cost import length_weights
 from orbimpc_ros.mpc.plan import Proof
-from orbimpc_ros.mpc.problem import Floor, Problem, State
+from orbimpc_ros.mpc.problem import Box, Floor, Problem, State
+from orbimpc_ros.mpc.problem.cones import relief
+from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.grounds import LEAF, Grounds, Tangent
 from orbimpc_ros.mpc.proof.verifier import FORMAT
 
@@ -30,7 +33,9 @@ class Leaf:
         pull: multiplier of the arrival, shape (m,); (0,) without one.
         stiffness: weight on the square of what the arrival misses.
         tops: over SO(3), the largest value of each step's -<G, R>, shape (N,); None otherwise.
-        ways: over SO(3), along which lengths are counted, shape (N, 3); None where none is.
+        shares: over SO(3), what of G is held by what R e1 alone is subject to, shape (N, n).
+        presses: multipliers of what is known of positions in the part, in the order of the splits.
+        slides: multipliers of the cone above the goal, shape (N, n).
     """
 
     point: Array
@@ -38,7 +43,9 @@ class Leaf:
     pull: Array | None = None
     stiffness: float = 0.0
     tops: Array | None = None
-    ways: Array | None = None
+    shares: Array | None = None
+    presses: Array | None = None
+    slides: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,14 +53,17 @@ class Split:
     """Parts that together hold whatever their whole does.
 
     Attributes:
-        step: k >= 1, whose z_k tells them apart.
-        parts: beyond each of a floor's faces, or the directions below and above an angle.
-        at: that angle [rad]; None for faces.
+        step: k >= 1, whose z_k, or s_k, tells them apart.
+        parts: beyond each of a floor's faces, or the directions below and above an angle, or the
+            sides of a wall.
+        at: that angle [rad]; None for faces, and for the sides of a box.
+        wall: number of the wall on whose sides s_k is; None for what is not split by one.
     """
 
     step: int
     parts: tuple[Tree, ...]
     at: float | None = None
+    wall: int | None = None
 
 
 Tree = Leaf | Split
@@ -108,8 +118,10 @@ def kept(problem: Problem, state: State, goals: Array, proof: Proof) -> Certific
         return None
     if isinstance(grounds, Tangent):
         tops = grounds.tops if grounds.point.shape[1] == 9 else None
-        ways = grounds.ways if tops is not None and problem.weights.length else None
-        leaf = Leaf(grounds.point, grounds.bends, grounds.pull, grounds.stiffness, tops, ways)
+        shares = None  # of a length, which is no less than along any way
+        if tops is not None and problem.weights.length:
+            shares = -length_weights(problem)[1:, None] * grounds.ways
+        leaf = Leaf(grounds.point, grounds.bends, grounds.pull, grounds.stiffness, tops, shares)
         return Certificate(problem, state, goals, proof.lower_bound, leaf)
     tree = _tree_of(grounds, proof.cost_unit, problem.floor)
     by_angles = bool(((grounds.splits != LEAF) & ~np.isnan(grounds.angles)).any())
@@ -133,7 +145,45 @@ def _tree_of(grounds: Grounds, unit: float, floor: Floor) -> Tree:
 
 def statement(problem: Problem, state: State, goals: Array) -> dict[str, Any]:
     """Return what a certificate says of what was solved, as plain values."""
-    return {'problem': _problem(problem), 'state': _state(state), 'goals': goals.tolist()}
+    made = {'problem': _problem(problem), 'state': _state(state), 'goals': goals.tolist()}
+    limits = _limits(problem, state, goals)
+    return {**made, 'limits': limits} if limits else made
+
+
+def _limits(problem: Problem, state: State, goals: Array) -> dict[str, Any]:
+    """Return the cones and walls, as they are for a state that may be outside of them."""
+    found: dict[str, Any] = {}
+    cones = []
+    if problem.has_cones:
+        eased = relief(problem, state, goals)
+        if problem.tilt:
+            steps = (1 + np.flatnonzero(eased.tilt == 0.0)).tolist()
+            cones.append(_cone([0.0, 0.0, 1.0], problem.tilt, 0.0, steps))
+        if problem.glide_slope:
+            found['glide_slope'] = {'angle': problem.glide_slope, 'eased': eased.slope.tolist()}
+    if problem.approach.exists:
+        axis, least = problem.approach.axis(state).tolist(), problem.least_heading
+        cones.append(_cone(axis, problem.approach.cone, least, [problem.horizon]))
+    walls = [_wall(box, problem.no_corner_cutting) for box in problem.boxes]
+    traffic = traffic_of(problem, state)
+    for body, shifts, grown in zip(*traffic[1:3], traffic.grown, strict=True) if traffic else ():
+        moving = {'shifts': shifts.tolist(), 'grown': grown.tolist()}
+        if isinstance(body, Box):
+            walls.append(_wall(body, True) | moving)
+            continue
+        disc = {'centre': body.centre.tolist(), 'radius': body.radius, **moving}
+        walls.append({**disc, 'shared': False})
+        if problem.translation.degree == 1:  # a line is outside as a whole
+            walls.append({**disc, 'shared': True})
+    return found | ({'cones': cones} if cones else {}) | ({'walls': walls} if walls else {})
+
+
+def _cone(axis: list[float], angle: float, least: float, steps: list[int]) -> dict[str, Any]:
+    return {'axis': axis, 'angle': angle, 'least': least, 'steps': steps}
+
+
+def _wall(box: Box, shared: bool) -> dict[str, Any]:
+    return {'min': box.minimum.tolist(), 'max': box.maximum.tolist(), 'shared': shared}
 
 
 def _problem(problem: Problem) -> dict[str, Any]:
@@ -166,9 +216,11 @@ def _state(state: State) -> dict[str, Any]:
 def _tree(tree: Tree) -> dict[str, Any]:
     if isinstance(tree, Split):
         found = {'split': tree.step, 'parts': [_tree(part) for part in tree.parts]}
+        if tree.wall is not None:
+            found['wall'] = tree.wall
         return found if tree.at is None else {**found, 'at': tree.at}
     leaf: dict[str, Any] = {'point': tree.point.tolist()}
-    for name in ('bends', 'pull', 'tops', 'ways'):
+    for name in ('bends', 'pull', 'tops', 'shares', 'presses', 'slides'):
         value = getattr(tree, name)
         if value is not None and len(value):
             leaf[name] = value.tolist()

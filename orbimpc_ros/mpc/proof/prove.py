@@ -11,6 +11,7 @@ Mathematics: docs/proofs.md.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -18,15 +19,17 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.plan import Plan
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem import Ball, Problem, State
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof import spatial
 from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Split, Tree, kept
 from orbimpc_ros.mpc.proof.faces import FaceProof
 from orbimpc_ros.mpc.proof.grounds import Tangent
+from orbimpc_ros.mpc.proof.part_program import PartProgram
 from orbimpc_ros.mpc.proof.sectors import SectorProof
 from orbimpc_ros.mpc.proof.stationary import Stationary, setting
-from orbimpc_ros.mpc.proof.verifier import RELATIVE, Refused, verified
+from orbimpc_ros.mpc.proof.verifier import RELATIVE, Refused, posed_by, verified
+from orbimpc_ros.mpc.proof.walls import WallProof
 
 NEAR = (1e-6, 1e-4, 1e-3)  # of a plan's moduli to their bounds: methods differ in accuracy
 FEW = 500  # nodes of a search up to which its own tree is the certificate
@@ -58,6 +61,8 @@ def certificate_of(
     bound = _posed(bound)
     certificate = Certificate(problem, state, goals, bound, Leaf(x))
     target = _enough(bound)
+    if _is_limited(problem, state):
+        return _beside_walls(certificate, units, target)
     scaled = units.problem, units.state(state), units.lengths(goals)
     if _width(problem) == 9:
         tangents = iter(spatial.tangents(*scaled, x))
@@ -75,6 +80,27 @@ def certificate_of(
         )
     tree, origins = _split(scaled, x, target / units.cost)
     return replace(certificate, tree=_in_users_units(tree, units), origins=origins)
+
+
+def _beside_walls(certificate: Certificate, units: Units, target: float) -> Certificate:
+    """Return what proves as much where there are walls, cones, or thrust limits over SO(3).
+
+    Raises:
+        Unproved: nothing was found, or it would be too large.
+    """
+    posed = posed_by(certificate.document())
+    scaled = units.problem, units.state(certificate.state), units.lengths(certificate.goals)
+
+    def stated(leaf: Leaf) -> dict[str, Any]:
+        made = replace(certificate, tree=_in_users_units(leaf, units)).document()['tree']
+        return dict(made)
+
+    program = PartProgram(*scaled, posed, units.length)
+    proof = WallProof(program, posed, stated, units.length, target)
+    tree = proof.tree()
+    if tree is None:
+        raise Unproved(f'no certificate: not within {proof.most} leaves, or as accurate')
+    return replace(certificate, tree=_in_users_units(tree, units))
 
 
 def certificate_for(
@@ -125,9 +151,10 @@ def _require(problem: Problem, state: State) -> None:
     Raises:
         Unproved: saying why.
     """
+    limited, bodies = _is_limited(problem, state), [each.body for each in state.hazards]
     limits = {
-        'obstacles': problem.obstacles or state.hazards,
-        'cones': problem.has_cones or problem.approach.exists,
+        'obstacles and cones at rotation_order 2': limited and problem.rotation_order == 2,
+        'obstacles and cones with a turn limit': limited and problem.max_rate,
         'max_acceleration': problem.max_acceleration,
         'max_rate without a floor': problem.max_rate and not problem.floor.exists,
         'max_rate with an arrival': problem.max_rate and problem.terminal == 'constraint',
@@ -138,12 +165,19 @@ def _require(problem: Problem, state: State) -> None:
     if problem.dimension == 3:
         limits['max_rate in space'] = problem.max_rate
         limits['a polygon in space'] = problem.floor.shape == 'polygon'
-    if _width(problem) == 9:
-        limits['floors over SO(3)'] = problem.floor.exists
-        limits['lengths over SO(3)'] = problem.weights.length
+        limits['balls in space'] = any(
+            isinstance(each, Ball) for each in (*problem.obstacles, *bodies)
+        )
     for name, there in limits.items():
         if there:
             raise Unproved(f'no certificate: there is none yet for {name}')
+
+
+def _is_limited(problem: Problem, state: State) -> bool:
+    """Return whether there are walls or cones, or limits of thrust over SO(3)."""
+    directed = problem.has_cones or problem.approach.exists
+    thrust = problem.floor.exists or problem.weights.length
+    return bool(directed or problem.obstacles or state.hazards or (_width(problem) == 9 and thrust))
 
 
 def _proved(certificate: Certificate) -> float:
@@ -189,5 +223,14 @@ def _in_users_units(tree: Tree, units: Units) -> Tree:
     bends = None if tree.bends is None else units.cost * tree.bends
     pull = None if tree.pull is None else units.pulls(tree.pull)
     tops = None if tree.tops is None else units.cost * tree.tops
-    stiffness = tree.stiffness * units.cost / units.length**2
-    return replace(tree, bends=bends, tops=tops, pull=pull, stiffness=stiffness)
+    force = units.cost / units.length
+    return replace(
+        tree,
+        bends=bends,
+        tops=tops,
+        pull=pull,
+        stiffness=tree.stiffness * force / units.length,
+        shares=None if tree.shares is None else units.cost * tree.shares,
+        presses=None if tree.presses is None else force * tree.presses,
+        slides=None if tree.slides is None else force * tree.slides,
+    )

@@ -31,33 +31,35 @@ def tangents(problem: Problem, state: State, goals: Array, x: Array) -> list[Lea
         goals: shape (N, 3).
         x: coordinates of its rotations R_1..R_N, shape (N, 9).
     """
-    hessians, q = _quadratic(problem, state, goals)
+    hessians, q = quadratic(problem, state, goals, 9)
     arrival, left = arrival_of(problem, state, goals)
     slopes = np.column_stack([h @ x[:, c] for c, h in enumerate(hessians)]) + q
     pulled = slopes.copy()
     if len(arrival):
         pulled[:, :3] += arrival.T @ _pull(slopes, arrival, x, problem.rotation_order - 1)
-    held = np.array([_complementary(r, g) for r, g in zip(x, pulled, strict=True)])
+    held = np.array([complementary(r, g) for r, g in zip(x, pulled, strict=True)])
     if problem.rotation_order == 2:
         held[0] = 0.0
     base, basis = _freedom(problem, state, x)
-    point, pull = _touching(hessians, q - held, (arrival, left), base, basis)
-    flat = Leaf(x, pull=np.zeros(left.size), tops=np.array([_trace(y) for y in slopes]))
-    return [Leaf(point, pull=pull, tops=np.array([_trace(y) for y in held])), flat]
+    point, pull = touching(hessians, q - held, (arrival, left), base, basis)
+    flat = Leaf(x, pull=np.zeros(left.size), tops=np.array([top(y) for y in slopes]))
+    return [Leaf(point, pull=pull, tops=np.array([top(y) for y in held])), flat]
 
 
-def _quadratic(problem: Problem, state: State, goals: Array) -> tuple[list[Array], Array]:
-    """Return the Hessian of each coordinate, shape (N, N), and linear terms, shape (N, 9)."""
-    condensed = Condensed(problem)
-    q = np.empty((problem.horizon, 9))
-    q[:, :3], _ = condensed.affine(state, goals)
-    wanted = np.zeros(9) if state.wanted is None else coordinates(state.wanted)
-    others = np.array([coordinates(state.rotation), wanted])[:, 3:]
-    q[:, 3:] = condensed.turned @ others
-    return [condensed.hessian] * 3 + [condensed.turning] * 6, q
+def quadratic(
+    problem: Problem, state: State, goals: Array, width: int
+) -> tuple[list[Array], Array]:
+    """Return the Hessian of each coordinate, shape (N, N), and linear terms, shape (N, width)."""
+    condensed, n = Condensed(problem), problem.dimension
+    q = np.empty((problem.horizon, width))
+    q[:, :n], _ = condensed.affine(state, goals)
+    first = coordinates(state.rotation)
+    wanted = np.zeros_like(first) if state.wanted is None else coordinates(state.wanted)
+    q[:, n:] = condensed.turned @ np.array([first, wanted])[:, n:width]
+    return [condensed.hessian] * n + [condensed.turning] * (width - n), q
 
 
-def _complementary(r: Array, slope: Array) -> Array:
+def complementary(r: Array, slope: Array) -> Array:
     """Return K*(L), shape (9,), of the L >= 0 next to a slope's that vanishes on S(R)'s range."""
     values, vectors = np.linalg.eigh(lmi(r))
     inside, outside = vectors[:, values > INSIDE], vectors[:, values <= INSIDE]
@@ -72,7 +74,7 @@ def _complementary(r: Array, slope: Array) -> Array:
     return np.asarray(linear.T @ (kept * np.maximum(sizes, 0.0) @ kept.T).ravel())
 
 
-def _trace(held: Array) -> float:
+def top(held: Array) -> float:
     """Return tr L of K*(L) whose L is singular: the largest -<K*(L), R> over conv SO(3)."""
     return float(-np.linalg.eigvalsh((lmi_parts()[1] @ held).reshape(4, 4))[0])
 
@@ -119,15 +121,15 @@ def _freedom(problem: Problem, state: State, x: Array) -> tuple[Array, Array]:
     return round(fraction) * along, basis
 
 
-def _touching(
+def touching(
     hessians: list[Array], q: Array, arrives: tuple[Array, Array], base: Array, basis: Array
 ) -> tuple[Array, Array]:
     """Return where the quadratic is least among what is free and arrives, and what pulls there."""
-    bent = np.zeros((q.size, q.size))
+    width, bent = q.shape[1], np.zeros((q.size, q.size))
     for c, h in enumerate(hessians):
-        bent[c::9, c::9] = h
+        bent[c::width, c::width] = h
     arrival, left = arrives
-    rows = np.kron(arrival, np.eye(9)[:3])
+    rows = np.kron(arrival, np.eye(width)[: left.shape[1]])
     missed = left.ravel() - rows @ base
     rows = rows @ basis
     free = basis.T @ bent @ basis

@@ -26,7 +26,6 @@ import sys
 from collections.abc import Iterator
 from fractions import Fraction
 from functools import lru_cache
-from operator import add
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -70,10 +69,10 @@ def verified(document: Any) -> Verdict:
         Refused: it is malformed, or not sound whatever the bound.
     """
     _fields(document, 'certificate', ('format', 'problem', 'state', 'goals', 'lower_bound', 'tree'),
-            ('origins',))  # fmt: skip
+            ('limits', 'origins'))  # fmt: skip
     if document['format'] != FORMAT:
         raise Refused(f'format is not {FORMAT!r}')
-    posed = StatedProblem(document['problem'], document['state'], document['goals'])
+    posed = posed_by(document)
     claimed = _number(document['lower_bound'], 'lower_bound')
     root = posed.root(document.get('origins'))
     bounds = [posed.bound(leaf, region) for leaf, region in _leaves(posed, document['tree'], root)]
@@ -82,6 +81,12 @@ def verified(document: Any) -> Verdict:
     proved = min(bounds)
     holds = claimed <= 0 or proved >= claimed - RELATIVE * claimed  # no term of the cost is < 0
     return Verdict(float(claimed), _rounded_down(proved), len(bounds), holds)
+
+
+def posed_by(document: dict[str, Any]) -> StatedProblem:
+    """Return the problem that a certificate is of."""
+    problem, state, goals = (document[name] for name in ('problem', 'state', 'goals'))
+    return StatedProblem(problem, state, goals, document.get('limits', {}))
 
 
 def read(path: str | Path) -> Any:
@@ -157,6 +162,12 @@ def _weight(value: Any, name: str) -> Fraction:
 def _whole(value: Any, name: str, low: int, high: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise Refused(f'{name} is not a whole number from {low} to {high}')
+    return value
+
+
+def _list(value: Any, name: str) -> list[Any]:
+    if not isinstance(value, list):
+        raise Refused(f'{name} is not a list')
     return value
 
 
@@ -267,11 +278,31 @@ class Sector(NamedTuple):
     high: Fraction
 
 
+class Side(NamedTuple):
+    """What is known of a position: normal . s_{k+1} is at least so much."""
+
+    k: int
+    normal: Vector
+    least: Fraction
+
+
 class Region(NamedTuple):
-    """What is known of the steps in a part of a split: a face or a sector each, None if neither."""
+    """What is known in a part of a split: a face or a sector of each step, None if neither.
+
+    And of positions, beside the bodies that tell the parts apart.
+    """
 
     faces: tuple[int | None, ...]
     sectors: tuple[Sector | None, ...]
+    rows: tuple[Side, ...] = ()
+    passed: tuple[tuple[int, int, Sector], ...] = ()  # discs, at which step, and on which side
+
+
+class Cone(NamedTuple):
+    """Where axes point: u . axis is at least so much of each unit vector u along them."""
+
+    axis: Vector
+    least: Fraction
 
 
 def _leaves(
@@ -291,9 +322,11 @@ def _leaves(
 
 
 def _parts(posed: StatedProblem, node: dict[str, Any], region: Region) -> list[tuple[Any, Region]]:
-    _fields(node, 'a split', ('split', 'parts'), ('at',))
+    _fields(node, 'a split', ('split', 'parts'), ('at', 'wall'))
     k = _whole(node['split'], 'split', 1, posed.horizon) - 1
-    if 'at' in node:
+    if 'wall' in node:
+        regions = posed.beside(region, k, node['wall'], node.get('at'))
+    elif 'at' in node:
         regions = posed.halves(region, k, _number(node['at'], 'at'))
     else:
         regions = posed.beyond(region, k)
@@ -310,7 +343,7 @@ def _parts(posed: StatedProblem, node: dict[str, Any], region: Region) -> list[t
 class StatedProblem:
     """A problem with its state and goals, in exact numbers."""
 
-    def __init__(self, problem: Any, state: Any, goals: Any) -> None:
+    def __init__(self, problem: Any, state: Any, goals: Any, limits: Any) -> None:
         _fields(problem, 'problem', (
             'dimension', 'rotation_order', 'translation_order', 'discretisation', 'horizon', 'step',
             'forward', 'weights', 'terminal', 'floor', 'max_rate',
@@ -325,6 +358,7 @@ class StatedProblem:
         self._set_width()
         self._set_state(state)
         self.goals = _rows(goals, 'goals', self.horizon, self.n)
+        self._set_limits(limits)
         self.turn = self.h * _weight(problem['max_rate'], 'max_rate')
         if self.turn and not (self.n == 2 and self.order == 1 and self.floor):
             raise Refused('max_rate is beyond this format, but in the plane with a floor')
@@ -376,8 +410,6 @@ class StatedProblem:
         """Set how many numbers a rotation is: its thrust axis alone where the cost sees no more."""
         axes = self.order == 1 and not (self.r or self.attitude)
         self.width = 2 if self.n == 2 else 3 if axes else 9
-        if self.width == 9 and self.floor:
-            raise Refused('floors over SO(3) are beyond this format')
 
     def _set_state(self, state: Any) -> None:
         n = self.n
@@ -394,6 +426,53 @@ class StatedProblem:
             raise Refused('state.wanted is missing')
         unseen = [Fraction(0)] * self.width
         self.wanted = self._rotation(state, 'wanted') if state['wanted'] is not None else unseen
+
+    def _set_limits(self, limits: Any) -> None:
+        """Set the cones that thrust axes are in, that of the positions, and the walls."""
+        _fields(limits, 'limits', (), ('cones', 'glide_slope', 'walls'))
+        self.cones: list[list[Cone]] = [[] for _ in range(self.horizon)]
+        self.least = [self.floor] * self.horizon
+        for each in _list(limits.get('cones', []), 'cones'):
+            _fields(each, 'a cone', ('axis', 'angle', 'least', 'steps'))
+            angle = _weight(each['angle'], 'angle')
+            cone = Cone(_vector(each['axis'], 'axis', self.n), _direction(angle)[0] - TINY)
+            if angle > PI / 2 or not any(cone.axis):
+                raise Refused('a cone is none, or wider than half of space')
+            for step in _list(each['steps'], 'steps'):
+                k = _whole(step, 'steps', 1, self.horizon) - 1
+                self.cones[k].append(cone)
+                self.least[k] = max(self.least[k], _weight(each['least'], 'least'))
+        if max(self.least) > 1:
+            raise Refused('a least speed is above 1')
+        self.slope, self.strays = (Fraction(0), Fraction(1)), [Fraction(0)] * self.horizon
+        self.slides = 'glide_slope' in limits and self.n == 3
+        if self.slides:
+            _fields(limits['glide_slope'], 'glide_slope', ('angle', 'eased'))
+            angle = _weight(limits['glide_slope']['angle'], 'angle')
+            if not 0 < angle < PI / 2:
+                raise Refused('the angle of glide_slope is none')
+            self.slope = _direction(angle)
+            self.strays = _vector(limits['glide_slope']['eased'], 'eased', self.horizon)
+            if min(self.strays) < 0:
+                raise Refused('eased is negative')
+        walls = _list(limits.get('walls', []), 'walls')
+        self.walls = [self._wall(each) for each in walls]
+
+    def _wall(self, body: Any) -> BoxWall | DiscWall:
+        if not isinstance(body, dict) or 'radius' not in body:
+            return BoxWall(body, self.n, self.horizon)
+        wall = DiscWall(body, self.n, self.horizon)
+        push, add, follow, after, blow, gust = self.model
+        if wall.shared and (follow or after or blow != (0 if self.inertial else self.h)):
+            raise Refused('a disc is shared by the ends of steps that are no lines')
+        for k in range(self.horizon if wall.shared else 0):
+            known = [blow * w for w in self.disturbance]
+            if self.inertial:
+                both = zip(self.velocity, self.disturbance, strict=True)
+                known = [self.h * (p + k * gust * w) for p, w in both]
+            full = max(Fraction(1), _size_above(self.first[:2])) * (push + self.h * k * add)
+            wall.spread[k] = full + _size_above(_less(known, wall.moved(k)))
+        return wall
 
     def _rotation(self, state: dict[str, Any], name: str) -> Vector:
         """Return a matrix column by column, as far as it is seen."""
@@ -463,27 +542,49 @@ class StatedProblem:
         before, after = region.faces[:k], region.faces[k + 1 :]
         return [region._replace(faces=(*before, i, *after)) for i in range(self.faces)]
 
+    def beside(self, region: Region, k: int, wall: Any, at: Any) -> list[Region | None]:
+        """Return what is known on each side of a wall that s_{k+1} can be on."""
+        number = _whole(wall, 'wall', 0, len(self.walls) - 1)
+        body, rows = self.walls[number], region.rows
+        if isinstance(body, BoxWall):
+            if at is not None:
+                raise Refused('a split beside a box has no angle')
+            return [region._replace(rows=(*rows, *body.side(i, k))) for i in range(2 * self.n)]
+        known, angle = self.side_of(region, k, number), _number(at, 'at')
+        if not known.low <= angle <= known.high:
+            raise Refused('a split is not within the directions that it splits')
+        return [
+            region._replace(
+                rows=(*rows, *body.side(each, k)), passed=(*region.passed, (number, k, each))
+            )
+            for each in (Sector(known.low, angle), Sector(angle, known.high))
+        ]
+
+    def side_of(self, region: Region, k: int, wall: int) -> Sector:
+        """Return the directions in which s_{k+1} can be from a disc."""
+        told = [each for number, step, each in region.passed if (number, step) == (wall, k)]
+        return told[-1] if told else Sector(Fraction(0), TURN)
+
     # --- bounds
 
     def bound(self, leaf: Any, region: Region) -> Fraction:
         """Return the bound that a leaf proves: a tangent's least value over a region."""
-        _fields(leaf, 'a leaf', ('point',), ('bends', 'pull', 'stiffness', 'tops', 'ways'))
+        _fields(leaf, 'a leaf', ('point',), ('bends', 'pull', 'stiffness', 'tops', 'shares',
+                                             'presses', 'slides'))  # fmt: skip
         point = _rows(leaf['point'], 'point', self.horizon, self.width)
         none = [0.0] * self.horizon
         bends = _vector(leaf.get('bends', none), 'bends', self.horizon)
         tops = _vector(leaf.get('tops', none), 'tops', self.horizon)
-        ways = _rows(
-            leaf.get('ways', [[0.0] * self.n] * self.horizon), 'ways', self.horizon, self.n
-        )
-        if any(_dot(way, way) > 1 for way in ways):
-            raise Refused('one of ways is longer than 1')
         size = self.n * (1 + self.inertial) if self.arrives == 'constraint' else 0
         pull = _vector(leaf.get('pull', [0.0] * size), 'pull', size)
         stiffness = _weight(leaf.get('stiffness', 0.0), 'stiffness') if size else Fraction(0)
         if self.width == 9 and any(bends):
             raise Refused('bends over SO(3) are beyond this format')
-        value, slopes = self.cost(point, pull, stiffness)
-        value += self.length[0] * _root_below(
+        nothing = [[0.0] * self.n] * self.horizon
+        shares = _rows(leaf.get('shares', nothing), 'shares', self.horizon, self.n)
+        push, paid = self._pushed(leaf, region)
+        value, slopes = self.cost(point, pull, stiffness, push)
+        value += paid + self.length[0] * _root_below(
             sum((x * x for x in self.first[: self.n]), Fraction(0))
         )
         if min(bends) < 0:
@@ -496,11 +597,38 @@ class StatedProblem:
                 tangent = [s + bend * y for s, y in zip(slope, x, strict=True)]
                 value += bend * _dot(x, x) / 2
             value -= _dot(tangent, x)
-            if self.width == 9 and (k or self.order == 1):  # |R e1| is no less than along a way
-                leaning = [self.length[k + 1] * y for y in ways[k]]
-                tangent = [*map(add, tangent, leaning), *tangent[self.n :]]
-            value += self._least(k, tangent, bend, tops[k], region)
+            if self.width == 9 and (k or self.order == 1):
+                value += self._least_over_orbitope(_less(tangent, shares[k]), tops[k])
+                tangent = shares[k]
+            value += self._least(k, tangent, bend, region)
         return value
+
+    def _pushed(self, leaf: dict[str, Any], region: Region) -> tuple[list[Vector] | None, Fraction]:
+        """Return forces F, shape (N, n), and an a such that a + sum_k F_k . (s_k - g_k) <= 0.
+
+        A row n . s >= b that is pressed by y >= 0 adds y (b - n . s). What slides along the cone
+        above the goal is a c with c . d <= 0 for all d in it, and as much more as that is eased.
+        """
+        count = len(region.rows)
+        presses = _vector(leaf.get('presses', [0.0] * count), 'presses', count)
+        if not any(presses) and 'slides' not in leaf:
+            return None, Fraction(0)
+        push, paid = [[Fraction(0)] * self.n for _ in self.goals], Fraction(0)
+        for y, (k, normal, least) in zip(presses, region.rows, strict=True):
+            if y < 0:
+                raise Refused('presses are negative')
+            push[k] = _less(push[k], [y * x for x in normal])
+            paid += y * (least - _dot(normal, self.goals[k]))
+        if 'slides' not in leaf:
+            return push, paid
+        cosine, sine = self.slope[0] - TINY, self.slope[1] - TINY
+        for k, c in enumerate(_rows(leaf['slides'], 'slides', self.horizon, 3)):
+            aside = (c[0] * c[0] + c[1] * c[1]) * (self.slope[0] + TINY) ** 2
+            if not self.slides or c[2] > 0 or aside > (c[2] * sine) ** 2:
+                raise Refused('slides are not along the glide slope')
+            push[k] = [x + y for x, y in zip(push[k], c, strict=True)]
+            paid += c[2] * self.strays[k] / cosine
+        return push, paid
 
     def _lack(self, bends: Vector, stiffness: Fraction) -> Fraction:
         """Return e such that the matrix of the cost with its bends, plus e I, is semidefinite.
@@ -525,26 +653,28 @@ class StatedProblem:
         return _lacking(matrix)
 
     def cost(
-        self, x: list[Vector], pull: Vector, stiffness: Fraction
+        self, x: list[Vector], pull: Vector, stiffness: Fraction, push: list[Vector] | None = None
     ) -> tuple[Fraction, list[Vector]]:
         """Return the cost but for lengths at x_1..x_N, shape (N, d), and its gradient.
 
         Where a trajectory has to arrive, c = (s_N - g_N, p_N) vanishes, and pull . c and
-        stiffness |c|^2 / 2 can be added.
+        stiffness |c|^2 / 2 can be added. So is sum_k push_k . (s_k - g_k), shape (N, n).
         """
         value, slopes = self._turning([self.first, *x])
         for i in range(self.n):
             axis = [self.first[i], *(each[i] for each in x)]
-            cost, on_axis = self._flight(i, axis, pull[i :: self.n], stiffness)
+            pushed = [each[i] for each in push] if push else [Fraction(0)] * self.horizon
+            cost, on_axis = self._flight(i, axis, (pull[i :: self.n], stiffness), pushed)
             value += cost
             for slope, more in zip(slopes, on_axis, strict=True):
                 slope[i] += more
         return value, slopes[1:]
 
     def _flight(
-        self, i: int, axis: Vector, pull: Vector, stiffness: Fraction
+        self, i: int, axis: Vector, pulled: tuple[Vector, Fraction], pushed: Vector
     ) -> tuple[Fraction, Vector]:
         """Return the cost of positions along axis i, given z_0..z_N there, and its gradient."""
+        pull, stiffness = pulled
         push, add, follow, after, blow, gust = self.model
         drift, p = self.h, self.velocity[i] if self.inertial else Fraction(0)
         s, missed = self.position[i], []
@@ -556,7 +686,7 @@ class StatedProblem:
                 p += add * axis[k] + after * axis[k + 1] + hastened
             missed.append(s - self.goals[k][i])
         weighed = [weight * off for weight, off in zip(self.q, missed, strict=True)]
-        value = _dot(weighed, missed) + self.braking * p * p
+        value = _dot(weighed, missed) + _dot(pushed, missed) + self.braking * p * p
         forces = [Fraction(0), 2 * self.braking * p]  # what s_N and p_N weigh
         for j, (multiplier, off) in enumerate(zip(pull, (missed[-1], p), strict=False)):
             value += multiplier * off + stiffness * off * off / 2
@@ -564,7 +694,7 @@ class StatedProblem:
         slopes = [Fraction(0)] * len(axis)
         on_s, on_p = forces
         for k in range(self.horizon, 0, -1):  # and s_k and p_k, from the end
-            on_s += 2 * weighed[k - 1]
+            on_s += 2 * weighed[k - 1] + pushed[k - 1]
             slopes[k] += follow * on_s
             slopes[k - 1] += push * on_s
             if self.inertial:
@@ -592,15 +722,11 @@ class StatedProblem:
             slopes[-1][i] += 2 * self.attitude * off
         return value, slopes
 
-    def _least(
-        self, k: int, slope: Vector, bend: Fraction, top: Fraction, region: Region
-    ) -> Fraction:
-        """Return the least slope . x + l |x[:n]| - bend |x|^2 / 2 over what x_{k+1} can be."""
+    def _least(self, k: int, slope: Vector, bend: Fraction, region: Region) -> Fraction:
+        """Return the least slope . z + l |z| - bend |z|^2 / 2 over what z_{k+1} can be."""
         length = self.length[k + 1]
         if k == 0 and self.order == 2:
             return self._least_decided(slope, length, bend)
-        if self.width == 9:
-            return self._least_over_orbitope(slope, top)
         face, sector = region.faces[k], region.sectors[k]
         if face is not None:
             if bend or length:
@@ -609,7 +735,10 @@ class StatedProblem:
         steepest = -_size_above(slope) if sector is None else _least_within(slope, sector)
         if sector is not None and self.faces and not bend and not length:
             return self._least_reached(slope, sector, steepest)
-        return _least_along(steepest + length, bend, self.floor)  # which a polygon is beyond, too
+        steepest = max([steepest, *(_least_towards(slope, cone) for cone in self.cones[k])])
+        # Where cones end, it is flat. What is linear is least around that.
+        slowest = self.floor if bend or length else self.least[k]
+        return _least_along(steepest + length, bend, slowest)  # which a polygon is beyond, too
 
     def _least_decided(self, slope: Vector, length: Fraction, bend: Fraction) -> Fraction:
         """Return the least where a body rate decides the first rotation, but for its length."""
@@ -665,8 +794,105 @@ class StatedProblem:
         return -top - _lacking(matrix)
 
 
+class Wall:
+    """A body that positions are outside of, which may move and grow from step to step.
+
+    Args:
+        body: as stated: where it moves, its ``shifts`` by the ends of steps 0..N, and by how much
+            it is ``grown`` in each; ``shared`` says whether the ends of a step are outside of it
+            on one side.
+        n: dimension.
+        horizon: N.
+    """
+
+    shape: tuple[str, str]
+
+    def __init__(self, body: Any, n: int, horizon: int) -> None:
+        _fields(body, 'a wall', (*self.shape, 'shared'), ('shifts', 'grown'))
+        self.shared = body['shared'] is True
+        still = [[0.0] * n] * (horizon + 1), [0.0] * horizon
+        self._shifts = _rows(body.get('shifts', still[0]), 'shifts', horizon + 1, n)
+        self._grown = _vector(body.get('grown', still[1]), 'grown', horizon)
+
+    def _ends(self, k: int) -> range:
+        """Return which positions are on its sides in a step: s_{k+1}, and s_k where shared."""
+        return range(max(k - 1, 0) if self.shared else k, k + 1)
+
+
+class BoxWall(Wall):
+    """A wall with corners ``min`` and ``max``."""
+
+    shape = 'min', 'max'
+
+    def __init__(self, body: Any, n: int, horizon: int) -> None:
+        super().__init__(body, n, horizon)
+        self._low, self._high = (_vector(body[name], name, n) for name in self.shape)
+
+    def side(self, i: int, k: int) -> list[Side]:
+        """Return what is known of s_{k+1}, and s_k where shared, below (i < n) or above axis i."""
+        n = len(self._low)
+        axis, sign = i % n, -1 if i < n else 1
+        face = self._low[axis] if i < n else self._high[axis]
+        normal = [Fraction(sign * (j == axis)) for j in range(n)]
+        return [
+            Side(j, normal, sign * (face + self._shifts[j + 1][axis]) + self._grown[k])
+            for j in self._ends(k)
+        ]
+
+
+class DiscWall(Wall):
+    """A wall in the plane with ``centre`` and ``radius``.
+
+    Where the ends of a step are shared, so is the line between them: it is outside.
+
+    Attributes:
+        spread: how far the ends of each step are apart at most, as seen from the disc.
+    """
+
+    shape = 'centre', 'radius'
+
+    def __init__(self, body: Any, n: int, horizon: int) -> None:
+        super().__init__(body, n, horizon)
+        if n != 2:
+            raise Refused('balls in space are beyond this format')
+        self._centre, self._radius = _vector(body['centre'], 'centre', 2), body['radius']
+        self._radius = _weight(self._radius, 'radius')
+        self.spread = [Fraction(0)] * horizon
+
+    def moved(self, k: int) -> Vector:
+        """Return how far it moves in step k."""
+        return _less(self._shifts[k + 1], self._shifts[k])
+
+    def place(self, end: int, k: int) -> tuple[Vector, Fraction]:
+        """Return its centre by the end of a step, and its radius in step k."""
+        both = zip(self._centre, self._shifts[end], strict=True)
+        return [x + y for x, y in both], self._radius + self._grown[k]
+
+    def side(self, sector: Sector, k: int) -> list[Side]:
+        """Return what is known where the nearest point Q of a step is in such a direction.
+
+        With unit vectors u of the sector and any c, let c . u >= m > 0. Then c . Q >= m |Q|; other
+        points P have u . (P - Q) >= 0, and what c has across u is at most sqrt(|c|^2 - m^2).
+        """
+        radius = self.place(k, k)[1]
+        if sector.high - sector.low > PI - Fraction(1, 10**9) or radius <= 0:
+            return []
+        c = list(_direction((sector.low + sector.high) / 2))
+        edges = (_direction(each) for each in sector)
+        m = min(c[0] * x + c[1] * y for x, y in edges) - 4 * TINY
+        if m <= 0:
+            return []
+        least = m * radius - self.spread[k] * _root_above(max(Fraction(0), _dot(c, c) - m * m))
+        return [Side(j, c, least + _dot(c, self.place(j + 1, k)[0])) for j in self._ends(k)]
+
+
 def _dot(x: Vector, y: Vector) -> Fraction:
     return sum((a * b for a, b in zip(x, y, strict=True)), Fraction(0))
+
+
+def _less(x: Vector, y: Vector) -> Vector:
+    """Return x less y, which may be shorter."""
+    return [*(a - b for a, b in zip(x, y, strict=False)), *x[len(y) :]]
 
 
 def _least_along(slope: Fraction, bend: Fraction, least: Fraction) -> Fraction:
@@ -675,6 +901,17 @@ def _least_along(slope: Fraction, bend: Fraction, least: Fraction) -> Fraction:
     if bend < 0 and least * bend > slope > bend:  # convex, and least where it is level
         return slope * slope / (2 * bend)
     return ends
+
+
+def _least_towards(slope: Vector, cone: Cone) -> Fraction:
+    """Return the least slope . u over unit vectors u within a cone."""
+    size, square = _size_above(slope), _dot(cone.axis, cone.axis)
+    along = _dot(slope, cone.axis)
+    if -along >= cone.least * size - 4 * TINY * (1 + size):
+        return -size
+    across = _root_above(max(Fraction(0), _dot(slope, slope) - along * along / square))
+    aside = _root_above(max(Fraction(0), 1 - cone.least * cone.least / square))
+    return max(-size, along * cone.least / square - across * aside)
 
 
 def _least_within(slope: Vector, sector: Sector) -> Fraction:
