@@ -345,7 +345,7 @@ def test_a_turn_that_is_cut_does_not_keep_clear():
     floored = replace(BOAT, floor=Floor('circle', fraction=0.2))  # turns are angles: none is cut
     assert is_clear(floored, start, FAR, plan)
 
-    instead = clear_instead(BOAT, start, FAR, plan, None)
+    instead = clear_instead(BOAT, start, FAR, plan)
     assert is_clear(BOAT, start, FAR, instead)
     assert violations(BOAT, start, FAR, instead) == []
     assert instead.lower_bound == plan.lower_bound
