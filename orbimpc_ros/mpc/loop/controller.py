@@ -326,32 +326,27 @@ class Controller:
         return wary, self._clear(task, wary, answer)
 
     def _clear(self, task: _Task, wary: _Task, answer: _Answer) -> _Answer:
-        """Return an answer whose plan is clear of hazards when its turns are cut, as far as any.
+        """Return an answer whose plan is clear of hazards when its turns are cut, as far as any is.
 
         Of other ways those that keep the reserve of the ``wary`` task come first.
         """
         plan, status, words = answer
-        if not task.state.hazards or status is Status.INFEASIBLE:
+        hopeless = not task.state.hazards or status is Status.INFEASIBLE
+        if hopeless or (plan is not None and is_clear(*wary.known, plan)):
             return answer
+        proof, guess = (UNPROVED, None) if plan is None else (plan.proof, task.guess)
+        instead = None
+        for each in (wary,) if wary is task else (wary, task):
+            if instead is None:
+                ways = filter(None, (plan, guess, self._scouted(each)))
+                instead = cheapest_clear(*each.known, ways)
         if plan is None:
-            found = cheapest_clear(
-                *task.known, filter(None, (self._scouted(wary), self._scouted(task)))
-            )
-            return (found, Status.FEASIBLE, words) if found else answer
-        if is_clear(*wary.known, plan):
-            return answer
-        others = [each for each in (task.guess, self._scouted(wary)) if each]
-        others = [replace(each, proof=plan.proof) for each in others]
-        instead = cheapest_clear(*wary.known, others)
-        if instead is None and wary is not task:
-            others += [each for each in (self._scouted(task),) if each]
-            instead = cheapest_clear(*task.known, [plan, *others])
-        if instead is None:
-            instead = clear_instead(*wary.known, plan)
-            if instead is plan:
-                return _with(answer, 'it turns into a hazard, as every way does')
+            return (replace(instead, proof=proof), Status.FEASIBLE, words) if instead else answer
+        instead = instead or clear_instead(*wary.known, plan)
         if instead is plan:
-            return answer
+            known = is_clear(*task.known, plan)
+            return answer if known else _with(answer, 'it turns into a hazard, as every way does')
+        instead = replace(instead, proof=proof)
         less = 'a way that can be turned in time is flown instead of a cheaper one'
         return instead, instead.status, '; '.join(filter(None, (words, less)))
 
