@@ -401,18 +401,18 @@ class Controller:
         known = ahead is not None, pause, expected
         hunt = Hunt(free.state, goals, solved, late, farthest, *known)
         plan, catch = interception.earliest(hunt)
-        if plan is None:
-            task, tracked = self._tracked(task)
-            return task, _with(tracked, self._unmet(catch)), catch
-        chosen, answer = next(each for each in tried if each[1][0] is plan)
-        chosen = replace(chosen, state=task.state)
-        if task.state.hazards and not _is_free(chosen, plan):
-            blocked = f'the catch at {catch.time:.4g} s leads through traffic'
-            task, tracked = self._tracked(task)
-            return task, _with(tracked, blocked), replace(catch, time=math.nan)
-        self._catch = now + chosen.problem.step * chosen.problem.horizon
-        self._pace, self._goals = chosen.problem.step, chosen.goals
-        return chosen, answer, catch
+        words = self._unmet(catch) if plan is None else ''
+        if plan is not None:
+            chosen, answer = next(each for each in tried if each[1][0] is plan)
+            chosen = replace(chosen, state=task.state)
+            if not task.state.hazards or _is_free(chosen, plan):
+                self._catch = now + chosen.problem.step * chosen.problem.horizon
+                self._pace, self._goals = chosen.problem.step, chosen.goals
+                return chosen, answer, catch
+            words = f'the catch at {catch.time:.4g} s leads through traffic'
+            catch = replace(catch, time=math.nan)
+        task, tracked = self._tracked(task)
+        return task, _with(tracked, words), catch
 
     def _unmet(self, catch: Catch) -> str:
         """Return in words that no catch was found with a heading inside the cone of approach."""
