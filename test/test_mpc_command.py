@@ -215,3 +215,15 @@ def test_every_step_of_a_plan_has_its_command(order):
         assert command.speed_fraction == pytest.approx(fractions[k])
         assert command.body_rate == pytest.approx([(then - first) / 0.5])
         np.testing.assert_allclose(command.rotation, exp(np.array([then])), atol=1e-12)
+
+
+def test_a_turn_that_is_cut_by_next_to_nothing_keeps_to_full_speed():
+    """Two headings that are the same but for rounding may have a cosine above 1."""
+    problem = Problem(horizon=1, step=0.5, max_rate=0.7)
+    rng = np.random.default_rng(8)
+    for _ in range(200):
+        start = State.at(np.zeros(2), exp(rng.uniform(-3.0, 3.0, 1)))
+        turn = problem.widest_turn * (1.0 + 10.0 ** -rng.uniform(9.0, 13.0, 1))
+        points = coordinates((start.attitude @ exp(turn))[None])
+        command = command_of(problem, start, assembled(problem, start, np.zeros((1, 2)), points))
+        assert flaw(problem, command) == ''

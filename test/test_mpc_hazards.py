@@ -12,11 +12,13 @@ from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.loop import controller as loop
 from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.loop.traffic.clearest import clear_instead, is_clear
 from orbimpc_ros.mpc.loop.traffic.reserve import keeping, kept
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
+from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.mpc.plan import UNPROVED, assemble
 from orbimpc_ros.mpc.problem import (
     MAX_HAZARDS,
@@ -29,9 +31,11 @@ from orbimpc_ros.mpc.problem import (
     Weights,
 )
 from orbimpc_ros.mpc.problem.case import case_of
+from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve import solver
+from orbimpc_ros.mpc.solve.scouting import Scout
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.mpc.solve.stand_ins import turning
 
@@ -345,7 +349,7 @@ def test_a_turn_that_is_cut_does_not_keep_clear():
     floored = replace(BOAT, floor=Floor('circle', fraction=0.2))  # turns are angles: none is cut
     assert is_clear(floored, start, FAR, plan)
 
-    instead = clear_instead(BOAT, start, FAR, plan, None)
+    instead = clear_instead(BOAT, start, FAR, plan)
     assert is_clear(BOAT, start, FAR, instead)
     assert violations(BOAT, start, FAR, instead) == []
     assert instead.lower_bound == plan.lower_bound
@@ -523,3 +527,84 @@ def test_what_the_first_hazard_needs_can_be_made_before_it_comes(monkeypatch):
     controller.hazards = (Hazard.drifting(DISC, [0.0, 0.1]),)
     odometry = Odometry(0.0, np.zeros(2), np.eye(2), np.zeros(2), np.zeros(1))
     assert controller.tick(odometry, np.tile([1.5, 0.0], (3, 1))).plan is not None
+
+
+# --- ways that a vehicle can turn along
+
+GATE = tuple(Hazard.drifting(Ball([8.0, y], 2.3), [0.0, 0.0]) for y in (-6.65, -2.65, 4.85, 8.85))
+THROUGH = replace(BOAT, horizon=12)
+BEYOND = np.tile([24.7, -0.6], (12, 1))
+
+
+def before_the_gate(controller):
+    """Let a boat that points away from the gate, at rest, make a plan."""
+    angle = np.radians(-60.0)
+    heading = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    controller.hazards = GATE
+    odometry = Odometry(0.0, np.array([3.8, -1.2]), heading, np.zeros(2), np.zeros(1))
+    return controller.tick(odometry, BEYOND)
+
+
+@needs_machine_code
+@pytest.mark.parametrize('seed', range(6))
+def test_scouted_ways_turn_and_change_speed_as_the_vehicle_can(seed):
+    rng = np.random.default_rng([91, seed])
+    angle, speed = rng.uniform(-np.pi, np.pi), rng.uniform(0.0, 1.0)
+    c, s = np.cos(angle), np.sin(angle)
+    attitude = np.array([[c, -s], [s, c]])
+    start = State.at([2.0, -0.5], speed * attitude, attitude=attitude, hazards=GATE)
+    way = Scout(THROUGH, steered=True).way(start, BEYOND, traffic_of(THROUGH, start))
+    z = np.vstack([speed * attitude[:, 0], way])
+    units = np.vstack([attitude[:, 0], way / np.linalg.norm(way, axis=1)[:, None]])
+    turns = np.arccos(np.clip((units[1:] * units[:-1]).sum(axis=1), -1.0, 1.0))
+    assert (turns <= THROUGH.widest_turn + 1e-6).all()
+    assert (np.linalg.norm(np.diff(z, axis=0), axis=1) <= THROUGH.chord).all()
+
+
+@needs_machine_code
+def test_a_plan_that_cannot_be_turned_along_gives_way_to_a_scouted_one(monkeypatch):
+    """Straight lines and full turns lead a boat away from a gate that it has only to turn to."""
+    ends = {}
+    for scouts in (True, False):
+        controller = Controller(THROUGH)
+        controller.expect_hazards()
+        if not scouts:
+            monkeypatch.setattr(controller, '_scout', None)
+        tick = before_the_gate(controller)
+        assert 'turned in time' in tick.reason
+        assert violations(THROUGH, tick.state, BEYOND, tick.plan) == []
+        assert is_clear(THROUGH, tick.state, BEYOND, tick.plan)
+        ends[scouts] = np.linalg.norm(tick.plan.positions[-1] - BEYOND[0])
+    assert ends[True] < ends[False] - 1.0
+
+
+@needs_machine_code
+def test_a_scouted_way_stands_in_for_a_plan_that_is_not_found(monkeypatch):
+    controller = Controller(THROUGH)
+    controller.expect_hazards()
+    monkeypatch.setattr(loop, '_solved', lambda task: (None, Status.FAILED, 'time is up'))
+    tick = before_the_gate(controller)
+    assert (tick.status, tick.fallback) == (Status.FEASIBLE, Fallback.NONE)
+    assert tick.reason == 'time is up'
+    assert violations(THROUGH, tick.state, BEYOND, tick.plan) == []
+    assert tick.plan.lower_bound <= 0.0
+
+
+def test_a_catch_that_is_clear_needs_no_search_among_hazards(monkeypatch):
+    controller = Controller(BOAT, capture_radius=0.5)
+    controller.hazards = (Hazard.drifting(Ball([0.0, 9.0], 1.0), [0.0, 0.0]),)
+    monkeypatch.setattr(controller, '_tracked', lambda task: pytest.fail('it was searched'))
+    odometry = Odometry(0.0, np.zeros(2), np.eye(2), np.array([3.0, 0.0]), np.zeros(1))
+    tick = controller.tick(odometry, np.tile([6.0, 0.0], (8, 1)))
+    assert tick.catch.time == pytest.approx(2.0, abs=0.5)
+
+
+def test_what_may_be_faster_counts_as_larger_until_it_is_seen_again():
+    disc = replace(Hazard.drifting(Ball([6.0, 0.0], 1.0), [0.0, 0.0]), reserve=0.4, unsure=1.5)
+    start = State.at([0.0, 0.0], np.eye(2), hazards=(disc,))
+    kept = traffic_of(BOAT, start).kept[0]
+    np.testing.assert_allclose(kept, [0.0, 0.85, 1.7, 2.55, 0.4, 0.4, 0.4, 0.4])
+    units = Units.of(BOAT)
+    assert units.state(start).hazards[0].unsure * units.length / units.time == pytest.approx(1.5)
+    with pytest.raises(BadInput, match=r'obstacles\.unsure'):
+        replace(disc, unsure=-1.0)

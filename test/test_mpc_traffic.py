@@ -39,7 +39,10 @@ def test_a_body_seen_once_stands_and_seen_twice_goes_on():
     bodies.see(seen(1.0, disc(0.0, 0.0)), FASTEST)
     (still,) = bodies.hazards(3.0)
     np.testing.assert_allclose(at(still, 5.0), [0.0, 0.0])
+    assert still.unsure == 0.0
+    assert bodies.hazards(3.0, 1.5)[0].unsure == 1.5
     bodies.see(seen(2.0, disc(1.0, -2.0)), FASTEST)
+    assert bodies.hazards(3.0, 1.5)[0].unsure == 0.0
     (moving,) = bodies.hazards(3.0)
     np.testing.assert_allclose(at(moving, 0.0), [2.0, -4.0])
     np.testing.assert_allclose(at(moving, 2.0), [4.0, -8.0])

@@ -59,6 +59,7 @@ DOCUMENTED = {
     'glide_slope': 0.0,
     'obstacles': (),
     'obstacle_speed_limit': 50.0,
+    'obstacle_unseen_speed': 0.0,
     'obstacle_reserve': 0.0,
     'hover_thrust': 0.0,
     'tf': False,

@@ -124,7 +124,7 @@ def command_of(problem: Problem, state: State, plan: Plan, step: int = 0) -> Com
         rate = rate * (problem.max_rate / size)
         planned, end = end, start @ exp(rate * problem.step)
         if problem.rotation_order == 1 and not problem.floor.exists:
-            along = fraction * max(0.0, float(planned[:, 0] @ end[:, 0]))
+            along = fraction * min(1.0, max(0.0, float(planned[:, 0] @ end[:, 0])))
             before = entry_speed(problem, state) if step == 0 else float(plan.speed_fraction[step])
             fraction = max(along, min(fraction, before - problem.speed_change))
     return Command(fraction, rate, np.array(end))

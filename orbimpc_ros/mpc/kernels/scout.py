@@ -36,6 +36,7 @@ class Craft(NamedTuple):
             turned by the angle and at the speed of a row; or the one before plus a row.
         moves: shape (A, n), or (A, 2) of angles and speeds.
         least: speed.
+        widest: a heading changes by no more, speed and direction together.
         inertial: whether positions follow from velocities.
     """
 
@@ -46,6 +47,7 @@ class Craft(NamedTuple):
     kind: int
     moves: Array
     least: float
+    widest: float
     inertial: bool
 
 
@@ -221,14 +223,18 @@ def _spread(vehicle, world, k, y, z, unit, cost, made):
         for i in range(len(moves)):
             if count == len(costs) or not _heading(vehicle.kind, moves[i], unit[b], z[b], after):
                 continue
+            changed = 0.0
+            for c in range(n):
+                changed += (after[c] - z[b, c]) ** 2
+            if changed > vehicle.widest**2:
+                continue
             place = reached[count]
             _moved(coasted, push, follow, z[b], after, place)
             if _hits(centres, radii, k, y[b, 0], place[0]):
                 continue
-            missed = changed = stopped = 0.0
+            missed = stopped = 0.0
             for c in range(n):
                 missed += (place[0, c] - goal[c]) ** 2
-                changed += (after[c] - z[b, c]) ** 2
                 stopped += place[1, c] ** 2
             costs[count] = cost[b] + weights[k] * missed + world.turning * changed
             costs[count] += stopping * stopped

@@ -18,19 +18,28 @@ from orbimpc_ros.mpc.loop.interception import Catch, Hunt, Interception, Target
 from orbimpc_ros.mpc.loop.odometry import Odometry, odd_speed, state_of
 from orbimpc_ros.mpc.loop.response import Response, held_back
 from orbimpc_ros.mpc.loop.safety import entry_of_safety, may_stop, safe_command
-from orbimpc_ros.mpc.loop.traffic.clearest import clear_instead, clearest, is_clear
+from orbimpc_ros.mpc.loop.traffic.clearest import (
+    cheapest_clear,
+    clear_instead,
+    clearest,
+    cuts_turns,
+    is_clear,
+)
 from orbimpc_ros.mpc.loop.traffic.reserve import keeping, kept
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
-from orbimpc_ros.mpc.plan import Plan, later, shifted
+from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble, later, shifted
 from orbimpc_ros.mpc.problem import Approach, Hazard, Problem, State
 from orbimpc_ros.mpc.problem.cones import told
 from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
 from orbimpc_ros.mpc.problem.reach import pulled_in
+from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.solve.request import Enough
+from orbimpc_ros.mpc.solve.scouting import Scout
 from orbimpc_ros.mpc.solve.solver import Solver
 
 FALLBACK_TICKS = 2  # how long the shifted previous plan may stand in for a new one
 ARRIVAL_WEIGHT = 1e4  # on the miss, when an arrival on the spot has become impossible
+CATCHES_AMONG = 16  # plans of a catch that are tried among hazards
 SNAP = 1e-3  # of a step: so exact are stamps, and steps begun
 
 
@@ -84,6 +93,11 @@ class _Task:
     def problem(self) -> Problem:
         """Return what the solver solves."""
         return self.solver.problem
+
+    @property
+    def known(self) -> tuple[Problem, State, Array]:
+        """Return what plans are held against: problem, state and goals."""
+        return self.problem, self.state, self.goals
 
 
 class Controller:
@@ -153,6 +167,7 @@ class Controller:
         self._counted = np.arange(1.0, problem.horizon + 1.0)
         self._solver(problem.horizon, problem.step)
         self._catchers: dict[Target, Solver] = {}
+        self._scout: Scout | None = None
         self._interception: Interception | None = None
         self._approach = approach or Approach()
         if number(capture_radius, 'capture_radius', 0.0) > 0.0:
@@ -194,6 +209,8 @@ class Controller:
         """Make now what the first tick with hazards would have to wait for: that takes a second."""
         for solver in self._solvers.values():
             solver.expect_hazards()
+        if self._scout is None and cuts_turns(self.problem):
+            self._scout = Scout(self.problem, steered=True)
 
     def continue_from(self, other: Controller) -> None:
         """Take over what another controller remembers, for instance one with other weights."""
@@ -279,11 +296,8 @@ class Controller:
         if self._interception is None or shortened:
             task, (plan, status, words) = self._tracked(task)
         else:
-            tracked = None
-            if state.hazards:  # first of all: time may run out
-                task, tracked = self._tracked(task)
             task, (plan, status, words), catch = self._caught(
-                task, self._interception, ahead, passed or math.inf, tracked
+                task, self._interception, ahead, passed or math.inf
             )
         measured = self.problem, odometry, self.disturbance, self._velocity_source
         words = '; '.join(filter(None, (words, shortened, odd_speed(*measured))))
@@ -301,7 +315,7 @@ class Controller:
         That is all of it, or what the plan before keeps.
         """
         if not self._reserve or not task.state.hazards:
-            return task, _clear(task, _solved(task))
+            return task, self._clear(task, task, _solved(task))
         every = np.full(len(task.state.hazards), self._reserve)
         wary = replace(task, state=keeping(task.state, every))
         answer = _solved(wary)
@@ -309,7 +323,42 @@ class Controller:
             left = kept(task.problem, task.state, task.guess, self._reserve)
             wary = replace(task, state=keeping(task.state, left))
             answer = _solved(wary)
-        return wary, _clear(wary, answer)
+        return wary, self._clear(task, wary, answer)
+
+    def _clear(self, task: _Task, wary: _Task, answer: _Answer) -> _Answer:
+        """Return an answer whose plan is clear of hazards when its turns are cut, as far as any is.
+
+        Of other ways those that keep the reserve of the ``wary`` task come first.
+        """
+        plan, status, words = answer
+        hopeless = not task.state.hazards or status is Status.INFEASIBLE
+        if hopeless or (plan is not None and is_clear(*wary.known, plan)):
+            return answer
+        proof, guess = (UNPROVED, None) if plan is None else (plan.proof, task.guess)
+        instead = None
+        for each in (wary,) if wary is task else (wary, task):
+            if instead is None:
+                ways = filter(None, (plan, guess, self._scouted(each)))
+                instead = cheapest_clear(*each.known, ways)
+        if plan is None:
+            return (replace(instead, proof=proof), Status.FEASIBLE, words) if instead else answer
+        instead = instead or clear_instead(*wary.known, plan)
+        if instead is plan:
+            known = is_clear(*task.known, plan)
+            return answer if known else _with(answer, 'it turns into a hazard, as every way does')
+        instead = replace(instead, proof=proof)
+        less = 'a way that can be turned in time is flown instead of a cheaper one'
+        return instead, instead.status, '; '.join(filter(None, (words, less)))
+
+    def _scouted(self, task: _Task) -> Plan | None:
+        """Return a way among hazards that the vehicle can turn along, if one is found."""
+        traffic = traffic_of(task.problem, task.state)
+        if self._scout is None or traffic is None or task.problem != self.problem:
+            return None
+        headings = self._scout.way(task.state, task.goals, traffic)
+        if headings is None:
+            return None
+        return assemble(*task.known, headings, projection=self._projection, proof=UNPROVED)
 
     def _caught(
         self,
@@ -317,15 +366,14 @@ class Controller:
         interception: Interception,
         ahead: Callable[[Array], Array] | None,
         pause: float,
-        tracked: _Answer | None,
     ) -> tuple[_Task, _Answer, Catch]:
         """Return the task of the earliest catch and its answer; the given one's without any.
 
         It is looked for as if there were no hazards, which can only be sooner: its bound is one
-        among them, too. Where it leads through them, it is no catch.
+        among them, too. Where it leads through them, it is no catch. Among hazards it is looked for
+        in a few plans only: most of the time is for what has to keep clear of them.
 
         ``pause`` is the time from the last tick to this one, in steps; infinite at the first.
-        ``tracked`` is the given task's answer, if it is known.
         """
         free = replace(task, state=replace(task.state, hazards=()))
         now = self._last or 0.0
@@ -344,18 +392,24 @@ class Controller:
             return plan or status is Status.INFEASIBLE
 
         farthest = len(task.goals) if ahead is None else interception.farthest
-        late = task.out_of_time or (lambda: False)
+        most = CATCHES_AMONG if task.state.hazards else math.inf
+
+        def late() -> bool:
+            return len(tried) >= most or (task.out_of_time is not None and task.out_of_time())
+
         expected = max(0, math.ceil((self._catch - now) / task.problem.step - SNAP))
         known = ahead is not None, pause, expected
         hunt = Hunt(free.state, goals, solved, late, farthest, *known)
         plan, catch = interception.earliest(hunt)
         if plan is None:
-            return task, _with(tracked or _solved(task), self._unmet(catch)), catch
+            task, tracked = self._tracked(task)
+            return task, _with(tracked, self._unmet(catch)), catch
         chosen, answer = next(each for each in tried if each[1][0] is plan)
         chosen = replace(chosen, state=task.state)
         if task.state.hazards and not _is_free(chosen, plan):
             blocked = f'the catch at {catch.time:.4g} s leads through traffic'
-            return task, _with(tracked or _solved(task), blocked), replace(catch, time=math.nan)
+            task, tracked = self._tracked(task)
+            return task, _with(tracked, blocked), replace(catch, time=math.nan)
         self._catch = now + chosen.problem.step * chosen.problem.horizon
         self._pace, self._goals = chosen.problem.step, chosen.goals
         return chosen, answer, catch
@@ -597,19 +651,6 @@ def _is_free(task: _Task, plan: Plan) -> bool:
     """Return whether a plan that was made without hazards is clear of them, as it is flown."""
     known = task.problem, task.state, task.goals, plan
     return not violations(*known) and is_clear(*known)
-
-
-def _clear(task: _Task, answer: _Answer) -> _Answer:
-    """Return an answer whose plan is clear of hazards when its turns are cut, as far as one is."""
-    plan, _, words = answer
-    known = task.problem, task.state, task.goals
-    if plan is None or not task.state.hazards or is_clear(*known, plan):
-        return answer
-    instead = clear_instead(*known, plan, task.guess)
-    if instead is plan:
-        return _with(answer, 'it turns into a hazard, as every way does')
-    less = 'a way that can be turned in time is flown instead of a cheaper one'
-    return instead, instead.status, '; '.join(filter(None, (words, less)))
 
 
 def _solved(task: _Task) -> _Answer:

@@ -16,7 +16,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.cells import Cell
 
 MAX_HAZARDS = 64
-RESERVE_STEPS = 4  # by then all of a reserve counts
+RESERVE_STEPS = 4  # by then all of a reserve counts, and what was seen once is seen again
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,12 +105,15 @@ class Hazard(ByContent):
             moves evenly, and after the last as between the last two.
         reserve: by how much it counts as larger later on [m]: from not at all in the first step of
             a plan to all of it after ``RESERVE_STEPS``.
+        unsure: how much faster than its track says it may be [m/s]: in the first ``RESERVE_STEPS``
+            it counts as larger by what that comes to since the start of the plan.
     """
 
     body: Box | Ball
     times: Array
     shifts: Array
     reserve: float = 0.0
+    unsure: float = 0.0
 
     def __post_init__(self) -> None:
         count = np.size(self.times)
@@ -123,6 +126,7 @@ class Hazard(ByContent):
         if self.shifts[0].any():
             raise BadInput('obstacles.shifts', self.shifts[0].tolist(), 'zeros at the start')
         number(self.reserve, 'obstacles.reserve', 0.0)
+        number(self.unsure, 'obstacles.unsure', 0.0)
 
     @classmethod
     def drifting(cls, body: Box | Ball, velocity: Array) -> Hazard:
@@ -138,7 +142,11 @@ class Hazard(ByContent):
     def scaled(self, length: float, time: float) -> Hazard:
         """Return it in units in which lengths and times are so many times as large."""
         return Hazard(
-            self.body.scaled(length), self.times * time, self.shifts * length, self.reserve * length
+            self.body.scaled(length),
+            self.times * time,
+            self.shifts * length,
+            self.reserve * length,
+            self.unsure * length / time,
         )
 
     def moved(self, times: Array) -> Array:
@@ -151,10 +159,13 @@ class Hazard(ByContent):
         return self.times[1:-1]
 
 
-def reserves(hazards: Sequence[Hazard], horizon: int) -> Array:
-    """Return by how much hazards count as larger in each step, shape (J, N) [m]."""
-    shares = np.minimum(np.arange(horizon) / RESERVE_STEPS, 1.0)
-    return np.outer([each.reserve for each in hazards], shares)
+def reserves(hazards: Sequence[Hazard], horizon: int, step: float) -> Array:
+    """Return by how much hazards count as larger in each step [s], shape (J, N) [m]."""
+    begun = np.arange(horizon)
+    shares = np.minimum(begun / RESERVE_STEPS, 1.0)
+    strayed = np.where(begun < RESERVE_STEPS, step * begun, 0.0)
+    kept = np.outer([each.reserve for each in hazards], shares)
+    return kept + np.outer([each.unsure for each in hazards], strayed)
 
 
 def simultaneous(hazards: Sequence[Hazard]) -> list[list[int]]:

@@ -70,7 +70,7 @@ def traffic_of(problem: Problem, state: State) -> Traffic | None:
         shifts[at], strays[at] = moved_together(moving, ends), _strays(moving, ends)
     names = (*still, *(f'hazard {i}' for i in range(len(state.hazards))))
     kept = np.zeros_like(strays)
-    kept[count:] = reserves(state.hazards, problem.horizon)
+    kept[count:] = reserves(state.hazards, problem.horizon, problem.step)
     eased = inside(problem, state, bodies, shifts, strays + kept)
     return Traffic(names, bodies, shifts, strays, kept, eased)
 

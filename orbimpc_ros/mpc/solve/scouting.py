@@ -6,6 +6,8 @@ Mathematics: docs/mathematics.md, 4.12.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
@@ -27,6 +29,7 @@ from orbimpc_ros.mpc.problem.traffic import Traffic
 
 BEAM = 64
 SPEEDS = (1.0, 0.5)  # shares of the way from the least to the full one
+STEERED = (1.0, 2 / 3, 1 / 3, 0.01)  # speeds; who stands still has no heading to be turned
 TURNS = (0.0, -1.0, 1.0, -0.5, 0.5)  # of the widest
 WITHIN = 1.0 - 1e-6
 CELL = 0.25  # of a step's length, and of a step's change of speed
@@ -38,11 +41,16 @@ class Scout:
 
     Args:
         problem: what to solve.
+        steered: whether headings turn by no more than ``max_rate`` allows, however slow they are,
+            though the problem bounds chords; in the plane.
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, *, steered: bool = False) -> None:
         self._problem, n = problem, problem.dimension
-        self._kind, self._moves = _moves(problem)
+        self._widest = WITHIN * problem.chord if steered else np.inf
+        self._kind, self._moves = (
+            (TURNING, _turns(problem, STEERED)) if steered else _moves(problem)
+        )
         self._weights = position_weights(problem)
         if self.useful:  # the first call compiles, or loads what was compiled before
             start = State.at(np.zeros(n), np.eye(n))
@@ -84,7 +92,7 @@ class Scout:
         blown[:m] = np.outer(once.blow, state.disturbance)
         least = problem.floor.clearance(problem.dimension)
         known = transition, push, follow, blown
-        return Craft(*known, self._kind, self._moves, least, problem.inertial)
+        return Craft(*known, self._kind, self._moves, least, self._widest, problem.inertial)
 
     def _world(self, state: State, goals: Array, centres: Array, radii: Array) -> World:
         field, corner, spacing = self._field(state, goals, centres, radii)
@@ -135,8 +143,7 @@ def _moves(problem: Problem) -> tuple[int, Array]:
     if problem.turns_are_angles:
         if problem.dimension == 3:
             return TURNING, np.zeros((0, 2))
-        widest = WITHIN * problem.widest_turn
-        return TURNING, np.array([[turn * widest, speed] for speed in speeds for turn in TURNS])
+        return TURNING, _turns(problem, speeds)
     units = directions(problem.dimension)
     if problem.max_rate:
         changes = [share * WITHIN * problem.chord * units for share in (1.0, 0.5)]
@@ -144,3 +151,9 @@ def _moves(problem: Problem) -> tuple[int, Array]:
     every = [speed * units for speed in speeds]
     still = [] if least else [np.zeros((1, problem.dimension))]
     return ANYWHERE, np.vstack([*every, *still])
+
+
+def _turns(problem: Problem, speeds: Sequence[float]) -> Array:
+    """Return the angles of turns, and speeds, as rows, shape (A, 2)."""
+    widest = WITHIN * problem.widest_turn
+    return np.array([[turn * widest, speed] for speed in speeds for turn in TURNS])

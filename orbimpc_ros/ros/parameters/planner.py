@@ -97,6 +97,9 @@ PLANNER: tuple[Row, ...] = (
         live=True),
     Row('obstacle_speed_limit', 50.0, 'What jumps on the topic obstacles faster than this is taken '
         'for a new body at rest', 'm/s', TINY, FAR, live=True),
+    Row('obstacle_unseen_speed', 0.0, 'How fast what moves may be as long as it was seen but once: '
+        'it counts as larger by what that comes to in the first 4 steps of a plan',
+        'm/s', 0.0, FAR, live=True),
     Row('obstacle_reserve', 0.0, 'Kept away from what moves beyond what is demanded, as far as a '
         'plan is found that does: from nothing at the start of a plan to this much 4 steps later',
         'm', 0.0, FAR, live=True),
@@ -242,6 +245,7 @@ class PlannerSettings:
         gated: whether commands wait until the vehicle says that it takes them.
         halves: whether odometry comes as a pose and a twist.
         obstacle_speed_limit: of bodies seen; faster ones have jumped [m/s].
+        obstacle_unseen_speed: that bodies may have which were seen but once [m/s].
         obstacle_reserve: kept away from what moves, as far as it can be [m].
         avoid: topics of other vehicles' plans, as given.
         distance: how other vehicles are avoided.
@@ -281,6 +285,7 @@ class PlannerSettings:
     gated: bool
     halves: bool
     obstacle_speed_limit: float
+    obstacle_unseen_speed: float
     obstacle_reserve: float
     avoid: tuple[str, ...]
     distance: Distance
@@ -338,6 +343,7 @@ def planner_settings(values: Values) -> PlannerSettings:
         frames=replace(frames_of(values), velocity=values['velocity_frame']),
         tree=_tree(values),
         obstacle_speed_limit=values['obstacle_speed_limit'],
+        obstacle_unseen_speed=values['obstacle_unseen_speed'],
         obstacle_reserve=values['obstacle_reserve'],
         avoid=_avoided(values),
         distance=_distance(values, problem, period),

@@ -158,7 +158,9 @@ class Lookout:
     def hazards(self, at: float) -> list[Hazard]:
         """Return all that moves, or may, from a time [s] on."""
         self.bodies.expire(at)
-        return [*self.bodies.hazards(at), *self.courses.hazards(at, self.settings.distance)]
+        settings = self.settings
+        bodies = self.bodies.hazards(at, settings.obstacle_unseen_speed)
+        return [*bodies, *self.courses.hazards(at, settings.distance)]
 
     def troubles(self, at: float) -> list[str]:
         """Return which other vehicles are not heard at a time [s], in words."""

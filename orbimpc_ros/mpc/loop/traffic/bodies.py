@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -83,10 +83,15 @@ class Bodies:
         for name in over:
             del self._tracks[name]
 
-    def hazards(self, at: float) -> list[Hazard]:
-        """Return the bodies that are there at a time [s], and where they go from then on."""
+    def hazards(self, at: float, unseen: float = 0.0) -> list[Hazard]:
+        """Return the bodies that are there at a time [s], and where they go from then on.
+
+        Args:
+            at: the time [s].
+            unseen: how fast one may be that was seen but once [m/s].
+        """
         return [
-            _hazard(track, at)
+            _hazard(track, at, unseen)
             for track in self._tracks.values()
             if at - track[-1].time <= track[-1].lifetime
         ]
@@ -121,8 +126,8 @@ def _velocity(track: deque[Seen]) -> Array:
     return moved
 
 
-def _hazard(track: deque[Seen], at: float) -> Hazard:
+def _hazard(track: deque[Seen], at: float, unseen: float) -> Hazard:
     last = track[-1]
     place, velocity = centre(last.body), _velocity(track)
     times, places = last.time + np.array([0.0, 1.0]), np.array([place, place + velocity])
-    return along(last.body, times, places, at)
+    return replace(along(last.body, times, places, at), unsure=0.0 if len(track) > 1 else unseen)

@@ -13,8 +13,9 @@ Mathematics: docs/mathematics.md, 7.12.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -40,14 +41,30 @@ def is_clear(problem: Problem, state: State, goals: Array, plan: Plan) -> bool:
         goals: g_1..g_N, shape (N, n) [m].
         plan: that passes its check.
     """
-    if not _cuts_turns(problem):
+    if not cuts_turns(problem):
         return True
     return _suffices(problem, _room(problem, state, goals, plan, SURE_STEPS))
 
 
-def clear_instead(
-    problem: Problem, state: State, goals: Array, plan: Plan, guess: Plan | None
-) -> Plan:
+def cheapest_clear(
+    problem: Problem, state: State, goals: Array, plans: Iterable[Plan]
+) -> Plan | None:
+    """Return the cheapest of some plans that pass their check and are clear; None if none is.
+
+    Args:
+        problem: gives the model and its limits.
+        state: from where, with the hazards.
+        goals: g_1..g_N, shape (N, n) [m].
+        plans: from this very state.
+    """
+    known = problem, state, goals
+    for each in sorted(plans, key=attrgetter('objective')):
+        if not violations(*known, each) and is_clear(*known, each):
+            return each
+    return None
+
+
+def clear_instead(problem: Problem, state: State, goals: Array, plan: Plan) -> Plan:
     """Return the cheapest way that is clear when steered instead of a plan that is not.
 
     Where none is, that way or plan whose first steps stay the farthest out of hazards.
@@ -57,19 +74,14 @@ def clear_instead(
         state: from where, with the hazards.
         goals: g_1..g_N, shape (N, n) [m].
         plan: to be replaced; its bound holds for what takes its place.
-        guess: a plan from this very state; None for none.
     """
-    known, rooms = (problem, state, goals), []
-    ways = _ways(*known, guess, plan.projection, plan.proof)
-    for each in sorted(ways, key=lambda way: way.objective):
-        if violations(*known, each):
-            continue
-        room = _room(*known, each, SURE_STEPS)
-        if _suffices(problem, room):
-            return each
-        rooms.append((room, each))
-    rooms.append((_room(*known, plan, SURE_STEPS), plan))
-    return max(rooms, key=lambda pair: pair[0])[1]
+    known = problem, state, goals
+    ways = [*_ways(*known, None, plan.projection, plan.proof)]
+    found = cheapest_clear(*known, ways)
+    if found is not None:
+        return found
+    sound = [each for each in ways if not violations(*known, each)]
+    return max([*sound, plan], key=lambda each: _room(*known, each, SURE_STEPS))
 
 
 def clearest(
@@ -131,13 +143,13 @@ def _room(problem: Problem, state: State, goals: Array, plan: Plan, steps: int) 
     """Return how far outside of hazards the first steps of a plan are when it is steered [m]."""
     steps = min(steps, plan.horizon)
     part, x = replace(problem, horizon=steps), coordinates(plan.rotations[1 : steps + 1])
-    if _cuts_turns(problem):
+    if cuts_turns(problem):
         x = _steered(problem, state, x)
     begun = assemble(part, state, goals[:steps], x, projection=plan.projection, proof=UNPROVED)
     return min(clearances(part, state, begun).values())
 
 
-def _cuts_turns(problem: Problem) -> bool:
+def cuts_turns(problem: Problem) -> bool:
     """Return whether commands may turn less than plans of a problem, in the plane."""
     planar = problem.dimension == 2 and problem.rotation_order == 1
     return planar and problem.max_rate > 0.0 and not problem.turns_are_angles
