@@ -250,6 +250,19 @@ def test_a_controller_stays_clear_of_what_it_is_told_moves():
     assert place[0] > 2.0
 
 
+@pytest.mark.parametrize(
+    ('velocity', 'told'), [([0.0, 0.0], 'the goal is inside of hazard 1'), ([-1.0, 0.0], '')]
+)
+def test_a_goal_inside_of_what_stays_there_is_told_of(velocity, told):
+    controller = Controller(Problem(horizon=3), gap_tolerance=0.05)
+    around = Hazard.drifting(Ball([4.0, 0.0], 1.0), velocity)
+    controller.hazards = (Hazard.drifting(Ball([0.0, 9.0], 1.0), [0.0, 0.0]), around)
+    odometry = Odometry(0.0, np.zeros(2), np.eye(2), np.zeros(2), np.zeros(1))
+    tick = controller.tick(odometry, np.tile([4.5, 0.0], (3, 1)))
+    assert tick.plan is not None
+    assert tick.reason == told
+
+
 # --- what plans keep beyond what is demanded
 
 

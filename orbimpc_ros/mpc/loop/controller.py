@@ -25,7 +25,7 @@ from orbimpc_ros.mpc.plan import Plan, later, shifted
 from orbimpc_ros.mpc.problem import Approach, Hazard, Problem, State
 from orbimpc_ros.mpc.problem.cones import told
 from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
-from orbimpc_ros.mpc.problem.reach import pulled_in
+from orbimpc_ros.mpc.problem.reach import held_goal, pulled_in
 from orbimpc_ros.mpc.solve.request import Enough
 from orbimpc_ros.mpc.solve.solver import Solver
 
@@ -41,8 +41,8 @@ class Tick(ByContent):
     Attributes:
         status: of the solve.
         reason: why, where it is not ``optimal``, and what was done about a goal too far away, a
-            plan outside of the cones of a descent, or a measured speed that the model does not
-            know; else empty.
+            plan outside of the cones of a descent, a measured speed that the model does not know,
+            or a goal inside of an obstacle; else empty.
         state: the state that the plan starts from; None if nothing was to be planned.
         plan: the checked plan behind the command, but for hazards where that follows the clearest
             way; None if the command is the safe one.
@@ -275,7 +275,7 @@ class Controller:
         goals, shortened = pulled_in(self.problem, state, copied)
         task = self._task(state, goals, knots, out_of_time)
         self._goals = goals
-        catch = None
+        held, catch = held_goal(task.problem, state, goals), None
         if self._interception is None or shortened:
             task, (plan, status, words) = self._tracked(task)
         else:
@@ -286,7 +286,7 @@ class Controller:
                 task, self._interception, ahead, passed or math.inf, tracked
             )
         measured = self.problem, odometry, self.disturbance, self._velocity_source
-        words = '; '.join(filter(None, (words, shortened, odd_speed(*measured))))
+        words = '; '.join(filter(None, (words, held, shortened, odd_speed(*measured))))
         reason = Reason(Cause.NONE, words)
         if plan is None:
             return self._finish(self._fall_back(task, status, reason))
