@@ -1,14 +1,15 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Crossings in lock-step: planners that hear each other's plans, and vehicles that obey them.
+"""Crossings in simulated time: planners that hear each other's plans, vehicles that obey them.
 
 A planner is whoever answers odometry: here the planner's own path from messages to messages without
-a node; in test/long/crossing.py the nodes, each a process of its own.
+a node; in test/long/crossing.py the nodes as well, each a process of its own. All plan at the same
+moments, one after the other, or each at a phase of its own.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -30,6 +31,9 @@ from orbimpc_ros.world.vehicle import measured
 
 class Crew(Protocol):
     """Who answers the odometry of a round, by namespace."""
+
+    def reset(self) -> None:
+        """Have every planner forget the crossing before."""
 
     def answers(self, asked: Mapping[str, tuple[Any, Any]], at: int) -> dict[str, dict[str, Any]]:
         """Return each planner's messages, given its odometry and goal, stamped ``at`` [ns]."""
@@ -68,54 +72,103 @@ def setup(count: int, seed: int, changes: Sequence[str] = ()):
 
 
 class Aboard:
-    """Planners without nodes; they answer one after the other, and hear each other at once."""
+    """Planners without nodes, which answer one after the other.
 
-    def __init__(self, values: Mapping[str, settings.Values]) -> None:
+    Args:
+        values: parameters by namespace.
+        clock: that deadlines are kept by [s]; None for no deadlines.
+        delay: from a plan's odometry to when the others hear of it [s].
+    """
+
+    def __init__(
+        self,
+        values: Mapping[str, settings.Values],
+        clock: Callable[[], float] | None = None,
+        delay: float = 0.0,
+    ) -> None:
         known = {name: planner_settings(each) for name, each in values.items()}
         self.avoided = {name: resolved(each, name) for name, each in known.items()}
         self.planners = {
-            name: OfflinePlanner(each, f'{name}/planner', self.avoided[name])
+            name: OfflinePlanner(each, f'{name}/planner', self.avoided[name], clock)
             for name, each in known.items()
         }
+        self._delay, self._told = round(delay * SECOND), 1.0 if clock is None else None
+        self._under_way: list[tuple[int, str, Any]] = []  # plans: when they are heard [ns], whose
+
+    def reset(self) -> None:
+        """Have every planner forget the crossing before."""
+        self._under_way.clear()
+        for each in self.planners.values():
+            each.forget()
 
     def answers(self, asked: Mapping[str, tuple[Any, Any]], at: int) -> dict[str, dict[str, Any]]:
         found, now = {}, RosTime(at)
         for name, (odometry, goal) in asked.items():
+            self._deliver(at)
             planner = self.planners[name]
             planner.hear('goal', goal, at / SECOND, now)
             planner.hear('odom', odometry, at / SECOND, now)
-            found[name] = planner.plan(at / SECOND, 0.0, 1.0)
+            found[name] = planner.plan(at / SECOND, 0.0, self._told)
             planner.went_out(at / SECOND)
-            for other, hears in self.planners.items():
-                if f'{name}/plan' in self.avoided[other] and 'plan' in found[name]:
-                    hears.hear(f'{name}/plan', found[name]['plan'], at / SECOND, now)
+            if 'plan' in found[name]:
+                self._under_way.append((at + self._delay, f'{name}/plan', found[name]['plan']))
         return found
 
+    def _deliver(self, at: int) -> None:
+        """Have all hear the plans that are there by a time [ns]."""
+        now = RosTime(at)
+        for due, topic, plan in self._under_way:
+            for name, hears in self.planners.items():
+                if due <= at and topic in self.avoided[name]:
+                    hears.hear(topic, plan, at / SECOND, now)
+        self._under_way = [each for each in self._under_way if each[0] > at]
 
-def fly(values: Mapping[str, settings.Values], crew: Crew, begin: float = 0.0) -> Outcome:
-    """Fly a crossing to its end.
+
+def phases(values: Mapping[str, settings.Values], seed: int) -> dict[str, float]:
+    """Return when in a step each vehicle plans, at random [s]."""
+    rng = np.random.default_rng([seed, len(values)])
+    return {name: rng.uniform(0.0, each['step']) for name, each in values.items()}
+
+
+def fly(
+    values: Mapping[str, settings.Values],
+    crew: Crew,
+    begin: float = 0.0,
+    phases: Mapping[str, float] | None = None,
+) -> Outcome:
+    """Fly a crossing until all have arrived, or their steps are used up.
 
     Args:
         values: parameters by namespace.
         crew: the planners.
         begin: time at the start [s].
+        phases: how long after it each vehicle starts [s]; by default all start together.
     """
+    phases = phases or dict.fromkeys(values, 0.0)
+    together = [[n for n in values if phases[n] == each] for each in sorted({*phases.values()})]
     sims = {name: sim_settings(settings.of_sim(each)) for name, each in values.items()}
-    flights = {name: departure(each.scenario, begin) for name, each in sims.items()}
+    flights = {n: departure(each.scenario, begin + phases[n]) for n, each in sims.items()}
     flown = {name: [flight] for name, flight in flights.items()}
     outcome = Outcome([])
     for _ in range(next(iter(sims.values())).scenario.max_ticks):
-        at = round(next(iter(flights.values())).vehicle.time * SECOND)
-        asked = {name: _shown(flight, sims[name], at) for name, flight in flights.items()}
-        for name, said in crew.answers(asked, at).items():
-            flights[name] = _after(flights[name], sims[name], said, at)
-            flown[name].append(flights[name])
-            _note(outcome, said['tick'])
+        for names in together:
+            at = round(flights[names[0]].vehicle.time * SECOND)
+            asked = {name: _shown(flights[name], sims[name], at) for name in names}
+            for name, said in crew.answers(asked, at).items():
+                flights[name] = _after(flights[name], sims[name], said, at)
+                flown[name].append(flights[name])
+                _note(outcome, said['tick'])
+        if all(map(_is_there, flights.values())):
+            break
     for each in flown.values():
         times = np.array([flight.vehicle.time for flight in each])
         outcome.tracks.append((times, np.array([flight.vehicle.position for flight in each])))
         outcome.distances.append(each[-1].distance)
     return outcome
+
+
+def _is_there(flight: Flight) -> bool:
+    return flight.distance <= flight.scenario.arrival_radius
 
 
 def _shown(flight: Flight, sim: SimSettings, at: int) -> tuple[Any, Any]:

@@ -1,12 +1,14 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """An infeasible problem names the constraint that makes it so."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from problems import floor, reference
 
 from orbimpc_ros.mpc.errors import Infeasible
-from orbimpc_ros.mpc.problem import Box, Problem, State
+from orbimpc_ros.mpc.problem import Box, Hazard, Problem, State
 from orbimpc_ros.mpc.solve.solver import Solver
 
 START = State.at([0.0, 0.0], np.eye(2))
@@ -31,6 +33,20 @@ def test_a_box_that_the_state_already_leads_into(order):
     start = State.at([0.0, 0.0], np.eye(2), velocity=[1.0, 0.0])
     message = blamed(problem, start, np.zeros((5, 2)))
     assert 'obstacle 1 holds s_1' in message
+
+
+@pytest.mark.parametrize('order', [1, 2])
+def test_a_box_around_the_vehicle_is_left_only_where_it_is_a_hazard(order):
+    around = Box([-0.7, -9.0], [9.0, 9.0])
+    free = Problem(translation_order=order, horizon=8)
+    walled = replace(free, obstacles=(around,))
+    start, goals = State.at([0.9, 0.0], np.eye(2)), np.zeros((8, 2))
+    message = blamed(walled, start, goals)
+    assert message.startswith('obstacle 0 holds s_1, ')
+    assert message.endswith('; a box has no way out for who begins inside, unless it is a hazard')
+    hazard = Hazard.drifting(around, np.zeros(2))
+    plan = Solver(free).solve(replace(start, hazards=(hazard,)), goals)
+    assert plan.positions[-1, 0] <= -0.7 + 1e-6
 
 
 def test_constraints_that_only_together_leave_no_way():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from orbimpc_ros.mpc.check import violations
+from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.separation import separation
@@ -254,6 +255,19 @@ def test_a_controller_stays_clear_of_what_it_is_told_moves():
     assert place[0] > 2.0
 
 
+@pytest.mark.parametrize(
+    ('velocity', 'told'), [([0.0, 0.0], 'the goal is inside of hazard 1'), ([-1.0, 0.0], '')]
+)
+def test_a_goal_inside_of_what_stays_there_is_told_of(velocity, told):
+    controller = Controller(Problem(horizon=3), gap_tolerance=0.05)
+    around = Hazard.drifting(Ball([4.0, 0.0], 1.0), velocity)
+    controller.hazards = (Hazard.drifting(Ball([0.0, 9.0], 1.0), [0.0, 0.0]), around)
+    odometry = Odometry(0.0, np.zeros(2), np.eye(2), np.zeros(2), np.zeros(1))
+    tick = controller.tick(odometry, np.tile([4.5, 0.0], (3, 1)))
+    assert tick.plan is not None
+    assert tick.reason == told
+
+
 # --- what plans keep beyond what is demanded
 
 
@@ -420,6 +434,18 @@ def test_who_is_bound_to_enter_a_margin_leaves_it_again(between):
     depth = disc.depth(np.vstack([middle, plan.positions[1:]]))
     assert depth[int(not between)] > 1e-3
     assert (depth[2:] <= 1e-6).all()
+
+
+def test_who_is_only_where_a_track_may_stray_gets_no_nearer_to_it():
+    """Its margin is eased, as if it were inside; to stay would be to be met within step 2."""
+    ball, bends = Ball([0.0, 0.0], 1.0), np.array([0.0, -0.2, 0.0, 0.2, 0.0, 0.0])
+    wavering = Hazard(ball, 0.5 * np.arange(6), np.column_stack([bends, 0.0 * bends]))
+    problem = Problem(horizon=3)
+    state = State.at([1.15, 0.0], np.zeros((2, 2)), attitude=np.eye(2), hazards=(wavering,))
+    for speed, met in ((0.0, True), (1.0, False)):
+        x, known = np.tile([speed, 0.0], (3, 1)), (problem, state, np.zeros((3, 2)))
+        plan = assemble(*known, x, projection='thrust_aligned', proof=UNPROVED)
+        assert (clearances(problem, state, plan)['hazard 0'] < 0.0) == met
 
 
 @pytest.mark.parametrize('order', [1, 2])

@@ -278,6 +278,45 @@ def test_who_shares_stamps_waits_for_those_of_lesser_names_alone():
         assert inbox.complete
 
 
+def apart_by(step):
+    """Return the inbox of a vehicle that plans so often, and avoids another."""
+    values = {row.name: row.default for row in PLANNER}
+    given = {'avoid': (OTHER,), 'avoid_radius': 1.0, 'step': step}
+    names = {name: name for name in NAMED} | {'plan': '/uav1/plan'}
+    return Inbox(planner_settings(values | given), names, (OTHER,))
+
+
+def test_who_has_measured_before_is_waited_for_until_its_plan_is_there():
+    inbox = apart_by(1.0)
+    inbox.take('goal', goal(0.5), 0.0)
+    for second in (1.0, 2.0):
+        inbox.take(OTHER, plan(second - 0.3), second)
+        inbox.take('odom', odometry(second), second)
+        assert inbox.complete
+    inbox.take('odom', odometry(3.0), 3.0)
+    assert not inbox.complete
+    inbox.take(OTHER, plan(2.7), 3.0)
+    assert inbox.complete
+
+
+@pytest.mark.parametrize(
+    ('step', 'heard'),
+    [
+        (1.0, (1.3, 2.3)),  # it measures later, and waits itself
+        (1.0, (1.0, 2.0)),  # at the same time, and is no leader
+        (1.0, (0.4, 1.4)),  # it is silent
+        (0.1, (2.7, 2.8)),  # there is no time to wait
+    ],
+)
+def test_who_measures_later_or_is_silent_is_not_waited_for(step, heard):
+    inbox = apart_by(step)
+    inbox.take('goal', goal(0.5), 0.0)
+    for second in heard:
+        inbox.take(OTHER, plan(second), second)
+    inbox.take('odom', odometry(3.0), 3.0)
+    assert inbox.complete
+
+
 def test_obstacles_of_the_odometrys_stamp_are_waited_for(inbox):
     inbox.take('goal', goal(0.5), 0.0)
     for second in (1.0, 2.0, 3.0):

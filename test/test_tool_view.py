@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from drawing import GOLDEN, INSTALL, Drawing, needs_rerun
 
+from orbimpc_ros.mpc.problem import Ball, Box, Hazard, Problem, State
+from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import cli, view
 from orbimpc_ros.tool.io.content import fields
 
@@ -99,6 +101,42 @@ def test_obstacles_are_drawn_where_they_are(drawn):
     halves = drawing.numbers('world/obstacles', 0, 'half_sizes')
     assert np.allclose((centers - halves)[:, :2], low)
     assert np.allclose((centers + halves)[:, :2], high)
+
+
+def test_what_moves_is_drawn_with_where_it_goes_until_it_is_gone(drawn):
+    pytest.importorskip('rclpy')
+    from orbimpc_ros.ros.markers import plan_markers
+    from orbimpc_ros.ros.messages import Frames, Stamp
+    from orbimpc_ros.tool.view.scene import Scene
+
+    problem = Problem(horizon=4, step=0.5)
+    state = State.at(np.zeros(2), np.eye(2))
+    plan = Solver(problem).solve(state, np.ones((4, 2)))
+    ball = Hazard.drifting(Ball(np.array([3.0, 1.0]), 0.5), np.array([-1.0, 0.5]))
+    bent = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, -1.0]])  # as another vehicle's plan is
+    box = Hazard(Box([4.0, 4.0], [5.0, 6.0]), np.array([0.0, 1.0, 2.0]), bent)
+    drawing = Drawing()
+    scene = Scene(drawing, drawn['retrieval'][1].values)
+    for second, hazards in enumerate(((ball, box), ())):
+        stamp = Stamp(second * 10**9, Frames('odom', 'base_link'))
+        scene.take('plan_markers', plan_markers(stamp, problem, plan, hazards))
+    assert [at for at, _ in drawing.drawn['world/hazards/ways']] == [
+        {'duration': t} for t in (0, 1)
+    ]
+
+    def numbers(name, field, which=0):
+        return drawing.numbers(f'world/hazards/{name}', which, field)
+
+    assert np.allclose(numbers('balls', 'centers'), [[3.0, 1.0, 0.0]])
+    assert np.allclose(numbers('balls', 'half_sizes')[0, :2], 0.5)
+    assert np.allclose(numbers('boxes', 'centers'), [[4.5, 5.0, 0.0]])
+    assert np.allclose(numbers('boxes', 'half_sizes')[0, :2], [0.5, 1.0])
+    first, second = numbers('ways', 'strips')[:, :, :2]
+    assert np.allclose(first, [[3.0 - t, 1.0 + 0.5 * t] for t in (0.0, 0.5, 1.0, 1.5, 2.0)])
+    assert np.allclose(second, [[4.5, 5.0], [5.0, 5.0], [5.5, 5.0], [5.5, 4.5], [5.5, 4.0]])
+    assert np.allclose(numbers('ends', 'positions')[:, :2], [first[-1], second[-1]])
+    gone = [('balls', 'centers'), ('boxes', 'centers'), ('ways', 'strips'), ('ends', 'positions')]
+    assert not any(len(numbers(*each, 1)) for each in gone)
 
 
 @pytest.mark.parametrize('first', ['goal', 'odom'])

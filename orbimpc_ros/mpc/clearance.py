@@ -39,7 +39,9 @@ def clearances(problem: Problem, state: State, plan: Plan) -> dict[str, float]:
     every = [*still, *state.hazards]
     found = np.empty(len(every))
     for group in simultaneous(every):
-        eased = traffic.eased[group] - traffic.kept[group]
+        # Who is only where a body is taken to stray is outside of it, and has to stay so.
+        inside = np.maximum(traffic.eased[group] - traffic.strays[group], 0.0)
+        eased = inside - traffic.kept[group]
         found[group] = _apart([every[j] for j in group], eased, problem, plan)
     return dict(zip(traffic.names, found.tolist(), strict=True))
 

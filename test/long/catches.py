@@ -2,11 +2,12 @@
 """Certified catches against the closed form of Dubins interception, as steps get shorter.
 
     python test/long/catches.py --count 200 --seed 1
+    python test/long/catches.py --count 200 --seed 1 --between --steps 0.05
 
 Constant airspeed, a limited turn rate, a constant wind, a goal that moves straight on, any heading
 at the end. At every length of the steps: by how much the earliest catch that is found is later
-than the closed form, at the end of a step and, with ``--between``, where it is known where the goal
-is in between; and how often the step before is proved to have none. Exit code 1 if a catch is
+than the closed form, at the end of a step, and how often the step before is proved to have none;
+or, with ``--between``, where it is known where the goal is in between. Exit code 1 if a catch is
 sooner than the closed form by more than a step.
 """
 
@@ -36,16 +37,15 @@ TRIES = 3  # steps after the closed form at which a catch is looked for
 class Row(NamedTuple):
     """What came of a chase: by how much the catch is later [s], whether the step before has none.
 
-    ``later`` is infinite without a catch, ``missed`` in radii of a catch; ``between`` is by how
-    much the catch between the ends of steps is later [s], nan where none is looked for.
+    ``later`` is infinite without a catch, ``missed`` in radii of a catch; nothing is told of the
+    step before where catches may be between the ends of steps.
     """
 
     step: float
     time: float
     later: float
-    missed: float
-    never: bool
-    between: float = math.nan
+    missed: float = math.nan
+    never: bool = False
 
 
 def row(chase: chases.Chase, step: float, between: bool) -> Row | None:
@@ -54,16 +54,16 @@ def row(chase: chases.Chase, step: float, between: bool) -> Row | None:
     end = math.ceil(exact / step - 1e-9)
     if end + TRIES > MOST:
         return None
-    finer = math.nan
     if between:
-        finer = chases.catch(chase, step, end + TRIES, between=True).time - exact
+        found = chases.catch(chase, step, end + TRIES, between=True).time
+        return Row(step, exact, math.inf if math.isnan(found) else found - exact)
     before = chases.tried(chase, step, end - 1, _deadline())
     if before.miss <= 1.0:
-        return Row(step, exact, (end - 1) * step - exact, before.miss, before.never, finer)
+        return Row(step, exact, (end - 1) * step - exact, before.miss, before.never)
     tries = range(end, end + TRIES)
     caught = next((k for k in tries if chases.tried(chase, step, k, _deadline()).miss <= 1.0), None)
     later = math.inf if caught is None else caught * step - exact
-    return Row(step, exact, later, before.miss, before.never, finer)
+    return Row(step, exact, later, before.miss, before.never)
 
 
 def _deadline():
@@ -71,34 +71,24 @@ def _deadline():
     return lambda: time.process_time() > until
 
 
-def told(name: str, rows: list[Row]) -> str:
+def told(name: str, rows: list[Row], between: bool) -> str:
     """A line on the rows of one length of the steps."""
     later = np.array([each.later for each in rows])
-    share = 100.0 * later / np.array([each.time for each in rows])
-    found = np.isfinite(later)
-    if not found.any():
-        return f'{name}: no catches'
-    return _told_between(rows) + (
-        f'{name}: {found.sum()} of {len(rows)} caught, later than the closed form by '
-        f'{np.median(later[found]):.3f} s in the median, {later[found].min():+.3f} to '
-        f'{later[found].max():+.3f} s; {np.median(share[found]):.2f} %, at most '
-        f'{share[found].max():.2f} %; the step before has none: proved in '
-        f'{sum(each.never for each in rows)}, missed in {sum(each.missed > 1.0 for each in rows)}'
-    )
-
-
-def _told_between(rows: list[Row]) -> str:
-    """A line on the catches between the ends of steps; empty without any."""
-    later = np.array([each.between for each in rows])
     share = 100.0 * np.abs(later) / np.array([each.time for each in rows])
     found = np.isfinite(later)
     if not found.any():
-        return ''
+        return f'{name}: no catches'
+    caught = (
+        f'{name}: {found.sum()} of {len(rows)} caught, later than the closed form by '
+        f'{np.median(later[found]):.3f} s in the median, {later[found].min():+.3f} to '
+        f'{later[found].max():+.3f} s; off by {np.median(share[found]):.2f} %, at most '
+        f'{share[found].max():.2f} %'
+    )
+    if between:
+        return caught
     return (
-        f'between the ends of steps {found.sum()} of {len(rows)}, later by '
-        f'{np.median(later[found]):+.4f} s in the median, {later[found].min():+.4f} to '
-        f'{later[found].max():+.4f} s; off by {np.median(share[found]):.2f} %, at most '
-        f'{share[found].max():.2f} %\n'
+        f'{caught}; the step before has none: proved in {sum(each.never for each in rows)}, '
+        f'missed in {sum(each.missed > 1.0 for each in rows)}'
     )
 
 
@@ -106,6 +96,7 @@ def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument('--count', type=int, default=200)
     parser.add_argument('--seed', type=int, default=1)
+    parser.add_argument('--steps', type=float, nargs='+', default=STEPS)
     parser.add_argument('--between', action='store_true')
     args = parser.parse_args()
     rng = np.random.default_rng(args.seed)
@@ -115,9 +106,9 @@ def main() -> int:
     }
     sooner = 0
     for name, chased in sets.items():
-        for step in STEPS:
+        for step in args.steps:
             rows = [each for chase in chased if (each := row(chase, step, args.between))]
-            print(told(f'{name}, {step:g} s', rows), flush=True)
+            print(told(f'{name}, {step:g} s', rows, args.between), flush=True)
             sooner += sum(each.later < -step for each in rows)
     return 1 if sooner else 0
 

@@ -1,10 +1,18 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Crossings in lock-step: each planner a process of its own, the vehicles and their clock in here.
+"""Crossings in simulated time: each planner a process of its own, the vehicles and the clock here.
 
     python test/long/crossing.py --runs 10 --vehicles 8 --first-seed 1000 --out FOLDER
+    python test/long/crossing.py --runs 100 --aboard
+    python test/long/crossing.py --runs 100 --aboard --phases --delay 0.1
 
-Prints a line for each run and one for all: how close any two vehicles ever came, how far from its
-goal the last one ended, what fell back, how long ticks took. One folder takes the logs.
+All plan at the same moments, one after the other, or with ``--phases`` each at a moment of its own,
+which is drawn. With ``--aboard`` the planners are in this process, too: the same path from messages
+to messages without DDS, deadlines kept by processor time, so that a busy machine changes little;
+plans of others are heard ``--delay`` after the odometry that they start from.
+
+Prints a line for each run and one for all: how close any two vehicles ever came, at any time, how
+far from its goal the last one ended, what fell back, how long ticks took. One folder takes the logs
+of processes. Exit code 1 if two ever came closer than asked for.
 """
 
 from __future__ import annotations
@@ -14,7 +22,8 @@ import json
 import sys
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -105,62 +114,80 @@ class Ashore:
                 raise TimeoutError(f'waited {PATIENCE:g} s for the planners')
 
 
-def main() -> None:
+def main() -> int:
     """Fly crossings and print what came of them."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__.split('\n')[0])
     parser.add_argument('--runs', type=int, default=10)
     parser.add_argument('--vehicles', type=int, default=8)
     parser.add_argument('--first-seed', type=int, default=1000)
+    parser.add_argument('--aboard', action='store_true')
+    parser.add_argument('--phases', action='store_true')
+    parser.add_argument('--delay', type=float, default=0.0)
     parser.add_argument('--out', type=Path, default=Path('crossings'))
     parser.add_argument('--set', action='append', default=[])
     args = parser.parse_args()
     args.set.insert(0, WAITING)
-    args.out.mkdir(parents=True, exist_ok=True)
-    domain = next(filter(claimed, range(1, 100)))
     values = crossings.setup(args.vehicles, args.first_seed, args.set)
-    parameters = args.out / 'parameters.yaml'
+    if args.aboard:
+        return fly(crossings.Aboard(values, time.thread_time, args.delay), args)
+    with ashore(values, args.out) as crew:
+        return fly(crew, args)
+
+
+@contextmanager
+def ashore(values: Mapping[str, settings.Values], out: Path) -> Iterator[Ashore]:
+    """Run a process for each planner, its log in a folder, and end them."""
+    out.mkdir(parents=True, exist_ok=True)
+    domain = next(filter(claimed, range(1, 100)))
+    parameters = out / 'parameters.yaml'
     parameters.write_text(settings.text(next(iter(values.values())) | {'use_sim_time': True}))
     planners = [
-        Process(
-            'orbimpc_ros.ros.planner',
-            parameters,
-            args.out / f'{name.strip("/")}.log',
-            domain,
-            name,
-        )
+        Process('orbimpc_ros.ros.planner', parameters, out / f'{name.strip("/")}.log', domain, name)
         for name in values
     ]
     try:
         with attached('crossing', domain=domain) as (node, executor):
-            fly(Ashore(node, executor, values), args)
+            crew = Ashore(node, executor, values)
+            crew.meet()
+            yield crew
     finally:
         for each in planners:
             each.stop()
 
 
-def fly(crew: Ashore, args: argparse.Namespace) -> None:
-    """Fly all runs, one after the other on the same planners."""
-    crew.meet()
-    begin, least, times = 0.0, [], []
+def fly(crew: crossings.Crew, args: argparse.Namespace) -> int:
+    """Fly all runs, one after the other by the same planners; 0 if all kept their distance."""
+    begin, least, late, times = 0.0, [], 0, []
     for seed in range(args.first_seed, args.first_seed + args.runs):
-        outcome = crossings.fly(crossings.setup(args.vehicles, seed, args.set), crew, begin)
-        begin = outcome.tracks[0][0][-1] + 0.5
+        values = crossings.setup(args.vehicles, seed, args.set)
+        phases = crossings.phases(values, seed) if args.phases else None
+        outcome = crossings.fly(values, crew, begin, phases)
+        begin = max(stamps[-1] for stamps, _ in outcome.tracks) + 0.5
         crew.reset()
         least.append(outcome.apart)
+        late += max(outcome.distances) > next(iter(values.values()))['arrival_radius']
         times += outcome.solve_times
         row = {
             'seed': seed,
             'apart': outcome.apart,
             'farthest': max(outcome.distances),
+            'ticks': len(outcome.statuses),
             'fallbacks': Counter(map(str, outcome.fallbacks)),
             'reasons': Counter(outcome.reasons).most_common(3),
             'statuses': Counter(map(str, outcome.statuses)),
             'p50_p99_ms': np.percentile(outcome.solve_times, (50, 99)).round(1).tolist(),
         }
         print(json.dumps(row), flush=True)
+    radius = next(iter(values.values()))['avoid_radius']
     p50, p99 = np.percentile(times, (50, 99))
-    print(f'{len(least)} runs, least {min(least):.4f} m; p50 {p50:.1f} ms, p99 {p99:.1f} ms')
+    closer = sum(each < radius for each in least)
+    print(
+        f'{len(least)} runs, {closer} closer than {radius:g} m, at least {min(least):.4f} m; '
+        f'{late} with a vehicle that did not arrive; '
+        f'p50 {p50:.1f} ms, p99 {p99:.1f} ms'
+    )
+    return int(min(least) < radius)
 
 
 if __name__ == '__main__':
-    main()
+    sys.exit(main())

@@ -31,7 +31,7 @@ from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble, later, shifted
 from orbimpc_ros.mpc.problem import Approach, Hazard, Problem, State
 from orbimpc_ros.mpc.problem.cones import told
 from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
-from orbimpc_ros.mpc.problem.reach import pulled_in
+from orbimpc_ros.mpc.problem.reach import held_goal, pulled_in
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.solve.request import Enough
 from orbimpc_ros.mpc.solve.scouting import Scout
@@ -50,8 +50,8 @@ class Tick(ByContent):
     Attributes:
         status: of the solve.
         reason: why, where it is not ``optimal``, and what was done about a goal too far away, a
-            plan outside of the cones of a descent, or a measured speed that the model does not
-            know; else empty.
+            plan outside of the cones of a descent, a measured speed that the model does not know,
+            or a goal inside of an obstacle; else empty.
         state: the state that the plan starts from; None if nothing was to be planned.
         plan: the checked plan behind the command, but for hazards where that follows the clearest
             way; None if the command is the safe one.
@@ -292,7 +292,7 @@ class Controller:
         goals, shortened = pulled_in(self.problem, state, copied)
         task = self._task(state, goals, knots, out_of_time)
         self._goals = goals
-        catch = None
+        held, catch = held_goal(task.problem, state, goals), None
         if self._interception is None or shortened:
             task, (plan, status, words) = self._tracked(task)
         else:
@@ -300,7 +300,7 @@ class Controller:
                 task, self._interception, ahead, passed or math.inf
             )
         measured = self.problem, odometry, self.disturbance, self._velocity_source
-        words = '; '.join(filter(None, (words, shortened, odd_speed(*measured))))
+        words = '; '.join(filter(None, (words, held, shortened, odd_speed(*measured))))
         reason = Reason(Cause.NONE, words)
         if plan is None:
             return self._finish(self._fall_back(task, status, reason))
@@ -401,18 +401,18 @@ class Controller:
         known = ahead is not None, pause, expected
         hunt = Hunt(free.state, goals, solved, late, farthest, *known)
         plan, catch = interception.earliest(hunt)
-        if plan is None:
-            task, tracked = self._tracked(task)
-            return task, _with(tracked, self._unmet(catch)), catch
-        chosen, answer = next(each for each in tried if each[1][0] is plan)
-        chosen = replace(chosen, state=task.state)
-        if task.state.hazards and not _is_free(chosen, plan):
-            blocked = f'the catch at {catch.time:.4g} s leads through traffic'
-            task, tracked = self._tracked(task)
-            return task, _with(tracked, blocked), replace(catch, time=math.nan)
-        self._catch = now + chosen.problem.step * chosen.problem.horizon
-        self._pace, self._goals = chosen.problem.step, chosen.goals
-        return chosen, answer, catch
+        words = self._unmet(catch) if plan is None else ''
+        if plan is not None:
+            chosen, answer = next(each for each in tried if each[1][0] is plan)
+            chosen = replace(chosen, state=task.state)
+            if not task.state.hazards or _is_free(chosen, plan):
+                self._catch = now + chosen.problem.step * chosen.problem.horizon
+                self._pace, self._goals = chosen.problem.step, chosen.goals
+                return chosen, answer, catch
+            words = f'the catch at {catch.time:.4g} s leads through traffic'
+            catch = replace(catch, time=math.nan)
+        task, tracked = self._tracked(task)
+        return task, _with(tracked, words), catch
 
     def _unmet(self, catch: Catch) -> str:
         """Return in words that no catch was found with a heading inside the cone of approach."""

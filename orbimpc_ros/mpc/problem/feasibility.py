@@ -12,7 +12,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.model import dynamics
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
 
 
 def reason(problem: Problem, state: State, goals: Array) -> str:
@@ -65,16 +65,29 @@ def _out_of_reach(problem: Problem, state: State, goals: Array) -> Iterator[str]
 
 
 def _boxed_in(problem: Problem, state: State) -> Iterator[str]:
-    """The state alone decides s_1, and s_2 too of an inertial vehicle."""
+    """The state alone decides s_1, and s_2 too of an inertial vehicle; a step leads so far only."""
     reach = problem.maps.reach
     decided = dynamics.drift(problem, state) + np.outer(reach[:, 0], state.rotation[:, 0])
-    known = problem.decided_steps
-    for i, box in enumerate(problem.obstacles):
-        inside = np.flatnonzero(box.depth(decided[:known]) > 0.0)
-        if inside.size:
-            yield f'obstacle {i} holds s_{inside[0] + 1}, which the state already decides'
+    known, free = problem.decided_steps, reach[:, 1:].sum(axis=1)
+    for i, body in enumerate(problem.obstacles):
+        deep = body.depth(decided)
+        held = np.flatnonzero(deep > free)
+        if not held.size:
+            continue
+        if held[0] < known:
+            why = 'which the state already decides'
+        else:
+            why = f'{deep[held[0]]:.4g} m inside, where plans reach {free[held[0]]:.4g} m'
+        yield f'obstacle {i} holds s_{held[0] + 1}, {why}{_way_out(body, state)}'
     for i, hazard in enumerate(state.hazards):
         moved = hazard.moved(problem.step * np.arange(1, known + 1))
         inside = np.flatnonzero(hazard.body.depth(decided[:known] - moved) > 0.0)
         if inside.size:
             yield f'hazard {i} holds s_{inside[0] + 1}, which the state already decides'
+
+
+def _way_out(body: Box | Ball, state: State) -> str:
+    """Return what would let a plan begin inside of a body, in words; empty if none does."""
+    if not isinstance(body, Box) or body.depth(state.position[None])[0] <= 0.0:
+        return ''
+    return '; a box has no way out for who begins inside, unless it is a hazard'

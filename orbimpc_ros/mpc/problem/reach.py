@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The reach of a horizon, and goals so far beyond it that only their direction counts.
+"""The reach of a horizon, and goals that no plan gets to: too far away, or inside of something.
 
 Mathematics: docs/mathematics.md, 7.5.
 """
@@ -59,3 +59,21 @@ def pulled_in(problem: Problem, state: State, goals: Array) -> tuple[Array, str]
     shares = np.minimum(1.0, largest / np.maximum(distances, largest))
     told = f'the goal is {farthest:.3g} m away: aimed {largest:.3g} m towards it'
     return sealed(state.position + shares[:, None] * away), told
+
+
+def held_goal(problem: Problem, state: State, goals: Array) -> str:
+    """Return what the goal is inside of throughout the horizon, in words; empty if of nothing.
+
+    Args:
+        problem: gives the obstacles.
+        state: gives the hazards.
+        goals: g_1..g_N, shape (N, n) [m].
+    """
+    times = problem.step * np.arange(1, len(goals) + 1)
+    still = {f'obstacle {i}': body.depth(goals) for i, body in enumerate(problem.obstacles)}
+    moving = {
+        f'hazard {i}': hazard.body.depth(goals - hazard.moved(times))
+        for i, hazard in enumerate(state.hazards)
+    }
+    held = [name for name, deep in (still | moving).items() if (deep > 0.0).all()]
+    return f'the goal is inside of {" and ".join(held)}' if held else ''

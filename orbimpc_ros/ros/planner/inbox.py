@@ -326,8 +326,12 @@ class Inbox:
 
     @property
     def complete(self) -> bool:
-        """Return whether nothing is missing, nor any companion of odometry yet to speak."""
-        return not self.missing and all(map(self._spoken, self.companions))
+        """Return whether nothing is missing, nor anyone yet to speak whom odometry waits for.
+
+        Those are its companions, and vehicles that have measured before.
+        """
+        due = any(self.lookout.is_due(topic, self._time) for topic in self.others)
+        return not self.missing and not due and all(map(self._spoken, self.companions))
 
     @property
     def missing(self) -> str:

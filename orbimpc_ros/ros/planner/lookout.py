@@ -13,12 +13,14 @@ from orbimpc_ros.mpc.loop.traffic.bodies import MOST, Bodies
 from orbimpc_ros.mpc.loop.traffic.courses import Courses
 from orbimpc_ros.mpc.problem import Hazard
 from orbimpc_ros.ros.clock import RosTime
-from orbimpc_ros.ros.messages import Stamp, read_course
+from orbimpc_ros.ros.messages import SECOND, Stamp, read_course
 from orbimpc_ros.ros.obstacles import Gone, Spotted, read_obstacles, stamp_of
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 
 OBSTACLES, PLAN = 'obstacles', 'plan'
 COMPARABLE = 60.0  # [s] stamps farther apart are of different clocks
+UNHURRIED = 0.2  # [s] a shorter period leaves no time to wait for others
+TIE = 0.02  # [s] who measures at such a distance measures at the same time
 NOT_SET = (
     'set header.stamp to the time of measurement (in code get_clock().now().to_msg(), with '
     'ros2 topic pub "header: auto")'
@@ -63,6 +65,7 @@ class Lookout:
         leaders: topics of the vehicles that plan before this one where stamps are shared. Planners
             that answer odometry of the same moment would each avoid what the others planned the
             moment before; by the names of their plans one comes after the other instead.
+        periods: from one plan to the next of each topic [ns].
     """
 
     settings: PlannerSettings
@@ -74,6 +77,7 @@ class Lookout:
     courses: Courses = field(init=False)
     stamps: dict[str, int] = field(default_factory=dict)
     leaders: tuple[str, ...] = field(init=False)
+    periods: dict[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.courses = Courses(self.others)
@@ -105,6 +109,9 @@ class Lookout:
         if stamp.nanoseconds < self.stamps.get(topic, 0):
             raise BadInput('reordered stamp', stamp.nanoseconds, 'stamps that do not decrease')
         self.courses.hear(topic, course)
+        last = self.stamps.get(topic, stamp.nanoseconds)
+        if last < stamp.nanoseconds:
+            self.periods[topic] = stamp.nanoseconds - last
         self.stamps[topic] = stamp.nanoseconds
 
     def _take_obstacles(self, message: Any, ros: RosTime, measured: RosTime) -> str:
@@ -155,6 +162,20 @@ class Lookout:
             lines.append(f'{name}: {_count(len(odd))}{odd[0]}')
         return '; '.join(lines)
 
+    def is_due(self, topic: str, measured: int) -> bool:
+        """Return whether a vehicle has measured before a stamp [ns], and its plan is on its way.
+
+        It is known by its period. Who plans without it may choose a way that crosses its new one.
+        At the same time it is the leaders who plan first.
+        """
+        period = self.periods.get(topic)
+        if period is None or self.settings.period < UNHURRIED:
+            return False
+        late = (measured - self.stamps[topic] - period) / SECOND
+        if late + period / SECOND > self.settings.distance.timeout:
+            return False  # it is silent
+        return late > (-TIE if topic in self.leaders else TIE)
+
     def hazards(self, at: float) -> list[Hazard]:
         """Return all that moves, or may, from a time [s] on."""
         self.bodies.expire(at)
@@ -171,6 +192,7 @@ class Lookout:
         self.bodies.clear()
         self.courses.clear()
         self.stamps.clear()
+        self.periods.clear()
 
 
 def _count(number: int) -> str:

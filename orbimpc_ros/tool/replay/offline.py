@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -33,22 +34,30 @@ def resolved(settings: PlannerSettings, namespace: str) -> tuple[str, ...]:
 class OfflinePlanner:
     """Takes in messages and answers, when asked, with what the planner would publish.
 
-    A solve has no deadline here: what it finds must not depend on the machine.
-
     Args:
         settings: of the planner.
         node: its name.
         avoided: topics of other vehicles' plans, by their full names.
+        clock: that deadlines are kept by [s]. By default a solve has none: what it finds must not
+            depend on the machine.
     """
 
     def __init__(
-        self, settings: PlannerSettings, node: str = '/planner', avoided: Sequence[str] = ()
+        self,
+        settings: PlannerSettings,
+        node: str = '/planner',
+        avoided: Sequence[str] = (),
+        clock: Callable[[], float] | None = None,
     ) -> None:
         self._settings, self._node = settings, node
-        timeless = replace(settings, deadline=math.inf)
+        deadline = math.inf if clock is None else settings.deadline
         self._inbox = Inbox(settings, others=tuple(avoided))
         # Simulated: what a tick takes is given, not measured.
-        self._ticker = Ticker(*prepared(timeless), simulated=True)
+        self._ticker = Ticker(
+            *prepared(replace(settings, deadline=deadline)),
+            simulated=True,
+            clock=clock or time.perf_counter,
+        )
         self._report: Report | None = None
 
     def hear(self, topic: str, message: Any, now: float, ros: RosTime) -> str:
@@ -78,19 +87,21 @@ class OfflinePlanner:
         """Return the decision behind the last answer; None before the first."""
         return None if self._report is None else self._report.tick
 
-    def plan(self, now: float, advanced: float, solve_time_ms: float) -> dict[str, Any]:
+    def plan(
+        self, now: float, advanced: float, solve_time_ms: float | None = None
+    ) -> dict[str, Any]:
         """Answer the latest odometry with a plan, or with what stands in for one.
 
         Args:
             now: on the steady clock [s].
             advanced: how far the measurement is advanced, to when the answer takes effect [s].
-            solve_time_ms: to report.
+            solve_time_ms: to report; by default what was measured.
         """
         known = self._inbox.odometry
         assert known is not None
         at = RosTime(known.stamp.nanoseconds + round(advanced * SECOND))
         report = self._ticker.planned(self._inbox, now, at)
-        if report.solve_time_ms:
+        if report.solve_time_ms and solve_time_ms is not None:
             report = replace(report, solve_time_ms=solve_time_ms)
         return self._messages(known.stamp, replace(report, binding=prices(report.tick)))
 

@@ -28,6 +28,7 @@ from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.tool.figures.palette import BLUE, GREEN, GREY, ORANGE, RED, SKY, rgb
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.content import attitude, fields, seconds
+from orbimpc_ros.tool.view.around import around
 from orbimpc_ros.tool.view.layout import THRUST, TICK, TIMELINE, WORLD, blueprint, eye
 
 WALL_CLOCK = 1e8  # [s]: later stamps are dates, earlier ones count from a simulation's start
@@ -87,6 +88,7 @@ class Scene:
             'goal': self._take_goal,
             'goal_path': self._take_forecast,
             'plan': self._take_plan,
+            'plan_markers': self._take_markers,
             'tick': self._take_tick,
             'captured': self._take_captured,
         }
@@ -123,8 +125,8 @@ class Scene:
         if topic not in self._takers:
             return
         with suppress(BadInput):
-            if hasattr(message, 'header'):
-                now = nanoseconds(message.header.stamp, 'header.stamp') / SECOND
+            for header in _headers(message):
+                now = nanoseconds(header.stamp, 'header.stamp') / SECOND
                 kind = 'timestamp' if now > WALL_CLOCK else 'duration'
                 self._to.set_time(TIMELINE, **{kind: now})
             self._takers[topic](message)
@@ -208,6 +210,10 @@ class Scene:
         self._pointing = seconds(message), self._frames.turned(np.array(own))[:, :, 0]
         self._draw_thrust()
 
+    def _take_markers(self, message: Any) -> None:
+        for name, shown in around(message, 0.03 * self._unit).items():
+            self._to.log(f'{WORLD}/hazards/{name}', shown)
+
     def _take_tick(self, message: Any) -> None:
         values = fields(message)
         self._shares = seconds(message), _numbers(values.get('speed_fraction'))
@@ -258,6 +264,12 @@ class Scene:
     def _chart(self, entity: str, value: Any) -> None:
         for number in _numbers([value]):
             self._to.log(entity, rr.Scalars([number]))
+
+
+def _headers(message: Any) -> list[Any]:
+    """Return the header that says when a message is of: that of its first marker, or none."""
+    stamped = getattr(message, 'markers', [message])[:1]
+    return [each.header for each in stamped if hasattr(each, 'header')]
 
 
 def _numbers(value: Any) -> Array:
