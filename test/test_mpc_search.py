@@ -134,6 +134,15 @@ def test_the_cells_of_a_round_floor_miss_none_of_it(n, depth):
 
 
 @pytest.mark.parametrize('n', [2, 3])
+def test_cells_are_cut_until_rounding_is_larger(n):
+    cell, cuts = round_cells(n, 0.6)[0], 0
+    while cell.parts():
+        cell, cuts = cell.parts()[-1], cuts + 1
+    assert 0.6 * (1.0 - 1e-12) < cell.offset <= 0.6
+    assert 15 < cuts < 30
+
+
+@pytest.mark.parametrize('n', [2, 3])
 @pytest.mark.parametrize('seed', range(3))
 @pytest.mark.parametrize('rate', [0.0, 2.5])
 def test_a_round_floor_is_bounded_by_its_polygons(n, seed, rate):

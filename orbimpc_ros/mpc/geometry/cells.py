@@ -18,6 +18,7 @@ from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.geometry.faces import normals
 
 TOUCH = 1e-4  # [rad]
+FINEST = 1e-6  # [rad] a patch this narrow allows less below its floor than rounding does
 QUARTERS = 4  # of a circle: arcs, or triangles about +z, to begin with
 
 
@@ -62,7 +63,12 @@ class Patch(Cell):
         return cls(sealed(centre), floor * float((corners @ centre).min()), corners, floor)
 
     def parts(self) -> tuple[Cell, ...]:
-        """Return the halves of an arc, or the four triangles between a triangle's midpoints."""
+        """Return the halves of an arc, or the four triangles between a triangle's midpoints.
+
+        There are none of what is as fine as can be.
+        """
+        if np.ptp(self.corners, axis=0).max() < FINEST:
+            return ()
         middles = self.corners + np.roll(self.corners, -1, axis=0)
         middles /= np.linalg.norm(middles, axis=1, keepdims=True)
         if len(self.corners) == 2:
