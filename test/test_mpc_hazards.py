@@ -448,6 +448,30 @@ def test_who_is_only_where_a_track_may_stray_gets_no_nearer_to_it():
         assert (clearances(problem, state, plan)['hazard 0'] < 0.0) == met
 
 
+def test_who_is_only_where_tracks_may_stray_is_not_let_into_a_body_by_another():
+    """Of two vehicles that close in, an escape from both would enter one of them in step 2."""
+    tracks = {
+        0.49429: ([1.34368, -0.37046], [-0.0695, -0.3015, -0.6685, -1.0935],
+                  [-0.4894, -0.9323, -1.2719, -1.5353]),
+        0.47865: ([0.38136, -2.45765], [-0.4739, -0.9734, -1.4616, -1.9477],
+                  [0.0675, 0.0883, 0.1964, 0.3135]),
+    }  # fmt: skip
+    hazards = tuple(
+        Hazard(
+            Ball(centre, 1.000005),
+            np.array([0.0, *(turn + 0.5 * np.arange(4))]),
+            np.array([[0.0, *x], [0.0, *y]]).T,
+        )
+        for turn, (centre, x, y) in tracks.items()
+    )
+    problem = Problem(horizon=4, step=0.5)
+    attitude = np.array([[-0.89408, 0.44788], [-0.44788, -0.89408]])
+    state = State.at([0.97377, -1.33901], attitude, hazards=hazards)
+    known, x = (problem, state, np.zeros((4, 2))), np.tile([-0.98, 0.199], (4, 1))
+    plan = assemble(*known, x, projection='thrust_aligned', proof=UNPROVED)
+    assert clearances(problem, state, plan)['hazard 0'] < -0.02
+
+
 @pytest.mark.parametrize('order', [1, 2])
 def test_among_hazards_plans_to_all_sides_stand_in(order):
     problem = Problem(horizon=6, step=0.5, forward=2.0, max_rate=1.0, rotation_order=order)

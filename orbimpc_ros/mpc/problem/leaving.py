@@ -32,20 +32,46 @@ SPARE = 1e-3  # of a step's length: what plans may be farther inside than the es
 
 
 def inside(
-    problem: Problem, state: State, bodies: Sequence[Box | Ball], shifts: Array, strays: Array
+    problem: Problem,
+    state: State,
+    bodies: Sequence[Box | Ball],
+    shifts: Array,
+    strays: Array,
+    kept: Array,
 ) -> Array:
     """Return how far inside of bodies each step of a plan may be, shape (J, N) [m].
+
+    Who is inside only of what a body counts as larger by has to stay outside of the body itself.
 
     Args:
         problem: gives the model and its limits.
         state: from where.
         bodies: when the plan starts.
         shifts: how far each has moved by the ends of steps, shape (J, N + 1, n) [m].
-        strays: by how much each counts as larger in each step, shape (J, N) [m].
+        strays: by how much each strays from even motion in each step, shape (J, N) [m].
+        kept: by how much each is kept away from as if it were larger, shape (J, N) [m].
     """
+    here, grown = state.position[None], strays + kept
+    depth = np.array([float(body.depth(here)[0]) for body in bodies])
+    eased = _eased(problem, state, bodies, shifts, grown, depth)
+    if eased.any():
+        met = depth > INSIDE * problem.length_unit
+        met |= _bound_to_enter(problem, state, bodies, shifts, -strays, depth)
+        eased[~met] = np.minimum(eased, grown)[~met]
+    return eased
+
+
+def _eased(
+    problem: Problem,
+    state: State,
+    bodies: Sequence[Box | Ball],
+    shifts: Array,
+    strays: Array,
+    depth: Array,
+) -> Array:
+    """Return how far inside of bodies as large as they count the escape is, shape (J, N) [m]."""
     allowed, unit = np.zeros(strays.shape), problem.length_unit
-    here = state.position[None]
-    depth = strays[:, 0] + np.array([float(body.depth(here)[0]) for body in bodies])
+    depth = depth + strays[:, 0]
     held = depth > INSIDE * unit
     held |= _bound_to_enter(problem, state, bodies, shifts, strays, depth)
     if not held.any():

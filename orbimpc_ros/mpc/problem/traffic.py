@@ -71,7 +71,7 @@ def traffic_of(problem: Problem, state: State) -> Traffic | None:
     names = (*still, *(f'hazard {i}' for i in range(len(state.hazards))))
     kept = np.zeros_like(strays)
     kept[count:] = reserves(state.hazards, problem.horizon, problem.step)
-    eased = inside(problem, state, bodies, shifts, strays + kept)
+    eased = inside(problem, state, bodies, shifts, strays, kept)
     return Traffic(names, bodies, shifts, strays, kept, eased)
 
 

@@ -22,7 +22,7 @@ SHIFT = 1e-15  # a step: of the largest curvature, what rounding may hide of ano
 GROWTH, HALVINGS = 16.0, 8  # of shifts that are tried for want of convexity
 
 
-class Terms(NamedTuple):
+class CostTerms(NamedTuple):
     """A problem, as far as its bounds depend on it.
 
     Attributes:
@@ -46,7 +46,7 @@ class Terms(NamedTuple):
     normals: Array
 
 
-def terms_of(problem: Problem) -> Terms:
+def terms_of(problem: Problem) -> CostTerms:
     """Return the terms of a problem."""
     once, w = step_of(problem.translation, problem.step, problem.forward), problem.weights
     double = 2.0 if problem.dimension == 2 else 1.0  # coordinates of R that are there twice
@@ -65,11 +65,11 @@ def terms_of(problem: Problem) -> Terms:
     turn = float(problem.step * problem.max_rate) if problem.floor.exists else 0.0
     floor = fraction, turn
     normals = np.column_stack([np.cos(corners), np.sin(corners)])
-    return Terms(_motion(once), weights, lengths, turning, order, floor, normals)
+    return CostTerms(_motion(once), weights, lengths, turning, order, floor, normals)
 
 
 def _motion(once: Step) -> tuple[float, ...]:
-    """Return what a step adds to positions and velocities: see :class:`Terms`."""
+    """Return what a step adds to positions and velocities: see :class:`CostTerms`."""
     none, moved = (0.0, 0.0), [0.0, 0.0]
     if len(once.transition) > 1:
         moved = [float(once.transition[0, 1]), float(once.transition[1, 1])]
@@ -78,7 +78,7 @@ def _motion(once: Step) -> tuple[float, ...]:
     return tuple(moved)
 
 
-def hessian_of(terms: Terms, rest: Array, stiffness: float = 0.0) -> Array:
+def hessian_of(terms: CostTerms, rest: Array, stiffness: float = 0.0) -> Array:
     """Return the Hessian over one coordinate of R_1 e1..R_N e1, from gradients, shape (N, N).
 
     Args:
