@@ -16,6 +16,7 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.loop import controller as loop
 from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.mpc.loop.traffic import clearest as clearest_of
 from orbimpc_ros.mpc.loop.traffic.clearest import clear_instead, is_clear
 from orbimpc_ros.mpc.loop.traffic.reserve import keeping, kept
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
@@ -367,6 +368,22 @@ def test_a_turn_that_is_cut_does_not_keep_clear():
     assert is_clear(BOAT, start, FAR, instead)
     assert violations(BOAT, start, FAR, instead) == []
     assert instead.lower_bound == plan.lower_bound
+
+
+def test_the_clearest_way_is_the_one_that_is_clear_the_longest(monkeypatch):
+    """Though it ends the deeper inside: until then there will be other plans."""
+    discs = Ball([2.0, 0.0], 0.9), Ball([0.0, 1.0], 0.2)
+    hazards = tuple(Hazard.drifting(each, [0.0, 0.0]) for each in discs)
+    problem, state = Problem(horizon=3), State.at([0, 0], 0.0 * np.eye(2), attitude=np.eye(2))
+    state, goals = replace(state, hazards=hazards), np.tile([3.0, 0.0], (3, 1))
+    late, soon = (
+        assemble(problem, state, goals, np.array(x), projection='thrust_aligned', proof=UNPROVED)
+        for x in ([[1.0, 0.0]] * 3, [[0.0, 1.0], [0.0, 1.0], [0.0, 0.0]])
+    )
+    monkeypatch.setattr(clearest_of, '_ways', lambda *_: iter([soon, late]))
+    plan, room = clearest_of.clearest(problem, state, goals, None, 'thrust_aligned')
+    assert plan is late
+    assert room < -0.8
 
 
 def test_the_clearest_way_is_flown_where_none_is_clear():

@@ -13,6 +13,7 @@ Mathematics: docs/mathematics.md, 7.12.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from operator import attrgetter
@@ -90,7 +91,8 @@ def clearest(
     """Return the way that stays out of hazards the most, and how far outside of them it is [m].
 
     Of ways that meet all else: the guess, straight ones and turns to all sides; None if none does.
-    Who begins inside can get no farther out than that: then where ways end decides.
+    The longest clear comes first, since what is met late can still be passed by a later plan. Who
+    begins inside can get no farther out than that: then where ways end decides.
 
     Args:
         problem: gives the model and its limits.
@@ -107,9 +109,22 @@ def clearest(
     ]
     if not found:
         return None, 0.0
+    if not any(_suffices(problem, room) for room, _ in found):
+        lasting = [_clear_steps(*known, each) for _, each in found]
+        found = [each for each, n in zip(found, lasting, strict=True) if n == max(lasting)]
     unit = SAME * problem.length_unit
     room, plan = max(found, key=lambda each: (round(each[0] / unit), _end(problem, state, each[1])))
     return plan, room
+
+
+def _clear_steps(problem: Problem, state: State, goals: Array, plan: Plan) -> int:
+    """Return how many of a plan's first steps are clear of hazards."""
+    steps = range(1, plan.horizon + 1)
+    return bisect_left(
+        steps,
+        True,
+        key=lambda n: not _suffices(problem, _room(problem, state, goals, plan, n)),
+    )
 
 
 def _suffices(problem: Problem, room: float) -> bool:
