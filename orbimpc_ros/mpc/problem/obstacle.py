@@ -164,8 +164,9 @@ def reserves(hazards: Sequence[Hazard], horizon: int, step: float) -> Array:
     begun = np.arange(horizon)
     shares = np.minimum(begun / RESERVE_STEPS, 1.0)
     strayed = np.where(begun < RESERVE_STEPS, step * begun, 0.0)
-    kept = np.outer([each.reserve for each in hazards], shares)
-    return kept + np.outer([each.unsure for each in hazards], strayed)
+    kept: Array = np.outer([each.reserve for each in hazards], shares)
+    kept += np.outer([each.unsure for each in hazards], strayed)
+    return kept
 
 
 def simultaneous(hazards: Sequence[Hazard]) -> list[list[int]]:
