@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +30,14 @@ from orbimpc_ros.mpc.problem.state import State
 DIRECTIONS = 16  # of the plane
 INSIDE = 1e-7  # in units of a step's length: who is deeper begins inside
 SPARE = 1e-3  # of a step's length: what plans may be farther inside than the escape
+
+
+class _Tracks(NamedTuple):
+    """Bodies when the plan starts, how far they move, and by how much they count as larger."""
+
+    bodies: Sequence[Box | Ball]
+    shifts: Array
+    grown: Array
 
 
 def inside(
@@ -53,33 +62,23 @@ def inside(
     """
     here, grown = state.position[None], strays + kept
     depth = np.array([float(body.depth(here)[0]) for body in bodies])
-    eased = _eased(problem, state, bodies, shifts, grown, depth)
+    eased = _eased(problem, state, _Tracks(bodies, shifts, grown), depth)
     if eased.any():
         met = depth > INSIDE * problem.length_unit
-        met |= _bound_to_enter(problem, state, bodies, shifts, -strays, depth)
+        met |= _bound_to_enter(problem, state, _Tracks(bodies, shifts, -strays), depth)
         eased[~met] = np.minimum(eased, grown)[~met]
     return eased
 
 
-def _eased(
-    problem: Problem,
-    state: State,
-    bodies: Sequence[Box | Ball],
-    shifts: Array,
-    strays: Array,
-    depth: Array,
-) -> Array:
+def _eased(problem: Problem, state: State, tracks: _Tracks, depth: Array) -> Array:
     """Return how far inside of bodies as large as they count the escape is, shape (J, N) [m]."""
-    allowed, unit = np.zeros(strays.shape), problem.length_unit
-    depth = depth + strays[:, 0]
+    allowed, unit = np.zeros(tracks.grown.shape), problem.length_unit
+    depth = depth + tracks.grown[:, 0]
     held = depth > INSIDE * unit
-    held |= _bound_to_enter(problem, state, bodies, shifts, strays, depth)
+    held |= _bound_to_enter(problem, state, tracks, depth)
     if not held.any():
         return allowed
-    escapes = [
-        _depths(problem, state, bodies, shifts, strays, way)
-        for way in directions(problem.dimension)
-    ]
+    escapes = [_depths(problem, state, tracks, way) for way in directions(problem.dimension)]
     best = min(escapes, key=lambda each: _price(each, held))
     if (best[held, -1] > 0.0).any():
         return allowed
@@ -87,15 +86,9 @@ def _eased(
     return allowed
 
 
-def _bound_to_enter(
-    problem: Problem,
-    state: State,
-    bodies: Sequence[Box | Ball],
-    shifts: Array,
-    strays: Array,
-    depth: Array,
-) -> np.ndarray:
+def _bound_to_enter(problem: Problem, state: State, tracks: _Tracks, depth: Array) -> np.ndarray:
     """Return which bodies no plan stays clear of, in the steps that the state decides, (J,)."""
+    bodies, shifts, grown = tracks
     found = np.zeros(len(bodies), dtype=bool)
     known, unit = problem.decided_steps, problem.length_unit
     if not known:
@@ -106,27 +99,20 @@ def _bound_to_enter(
     if len(near):
         some: list[Box | Ball] = [bodies[int(j)] for j in near]
         way = directions(problem.dimension)[0]  # any
-        depths = _depths(problem, state, some, shifts[near], strays[near], way)
+        depths = _depths(problem, state, _Tracks(some, shifts[near], grown[near]), way)
         found[near] = (depths[:, :known] > INSIDE * unit).any(axis=1)
     return found
 
 
-def _depths(
-    problem: Problem,
-    state: State,
-    bodies: Sequence[Box | Ball],
-    shifts: Array,
-    strays: Array,
-    way: Array,
-) -> Array:
+def _depths(problem: Problem, state: State, tracks: _Tracks, way: Array) -> Array:
     """Return how far inside an escape in a direction is in each step, shape (J, N); 0 outside."""
     flown = dynamics.translation_rollout(problem, state, escape(problem, state, way))
     points = controls(problem.translation.degree, problem.step, *flown)
     weights = np.linspace(0.0, 1.0, points.shape[1])[:, None]
-    begin, end = shifts[:, :-1, None], shifts[:, 1:, None]
+    begin, end = tracks.shifts[:, :-1, None], tracks.shifts[:, 1:, None]
     away = points - begin - weights * (end - begin)
-    outside = np.array([_outside(*each) for each in zip(bodies, away, strict=True)])
-    return np.maximum(strays - outside, 0.0)
+    outside = np.array([_outside(*each) for each in zip(tracks.bodies, away, strict=True)])
+    return np.maximum(tracks.grown - outside, 0.0)
 
 
 def escape(problem: Problem, state: State, way: Array) -> Array:
