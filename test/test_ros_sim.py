@@ -17,7 +17,8 @@ pytest.importorskip('rclpy')
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from disturbed import fly_disturbed
 from geometry_msgs.msg import PoseStamped, QuaternionStamped, TwistStamped
-from lifecycle_msgs.msg import TransitionEvent
+from lifecycle_msgs.msg import Transition, TransitionEvent
+from lifecycle_msgs.srv import ChangeState
 from nav_msgs.msg import Odometry, Path
 from rosgraph_msgs.msg import Clock
 
@@ -118,6 +119,21 @@ def test_the_vehicle_stops_when_its_planner_is_killed(launch, observer):
     odometry.clear()
     observer.until(lambda: stands(odometry), 'a vehicle that stands')
     assert odometry[-1].twist.twist.linear.x == 0.0
+
+
+def test_a_planner_that_dies_is_told_of_though_the_vehicle_was_stopped_before(launch, observer):
+    """Commands that cease, then signs of life that do: whoever watches hears of both."""
+    odometry = observer.listen(Odometry, 'odom')
+    diagnostics = observer.listen(DiagnosticArray, '/diagnostics')
+    planner = launch('planner', {'trigger': 'odom'})
+    launch('sim', WALL)
+    observer.until(lambda: moved(odometry), 'a vehicle that flies')
+    silence = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
+    assert observer.call(ChangeState, '/planner/change_state', silence).success
+    observer.until(lambda: complaints(diagnostics, 'no command for'), 'a first complaint')
+    diagnostics.clear()
+    planner.tell(signal.SIGKILL)
+    observer.until(lambda: complaints(diagnostics, 'no sign of life'), 'a second one')
 
 
 def test_a_planner_that_was_missed_in_vain_commands_again(launch, observer):

@@ -246,11 +246,12 @@ class RealTime:
 
     def look(self) -> None:
         """Stop when the command in force has ended."""
-        if self._arena.node.steady_now() >= self._until:
+        if not self._latched and self._arena.node.steady_now() >= self._until:
             self._stop(f'no command for {self._arena.settings.command_timeout:g} s')
 
     def _stop(self, reason: str) -> None:
-        if self._order is None or self._latched or self._arena.finished:
+        """Say why the vehicle is to be stopped, even where it already is for another reason."""
+        if self._order is None or self._arena.finished:
             return
         self._ends = self._until
         self._latched, self._until = True, min(self._until, self._arena.node.steady_now())
