@@ -20,6 +20,8 @@ from orbimpc_ros.mpc.solve import (
     arc_search,
     cell_tree,
     hull_riccati,
+    request,
+    sector_bnb,
     so3_multipliers,
 )
 from orbimpc_ros.mpc.solve.annulus_newton import AnnulusNewton
@@ -210,3 +212,45 @@ def test_a_solver_out_of_time_from_the_start_has_a_plan():
         start, targets = state(rng, problem), goals(rng, problem)
         plan = Solver(problem).solve(start, targets, out_of_time=lambda: True)
         assert plan.lower_bound <= plan.objective
+
+
+@pytest.mark.parametrize(
+    'problem',
+    [
+        Problem(horizon=20, floor=floor('polygon', 0.548, 6)),
+        Problem(horizon=40, floor=floor('circle', 0.548), max_rate=0.5),
+    ],
+)
+def test_what_would_take_long_to_count_is_not_counted_after_the_deadline(monkeypatch, problem):
+    solver, (start, targets), watch = Solver(problem), asked(problem, 5), Watch()
+    for module in (cell_tree, sector_bnb):
+        monkeypatch.setattr(module, 'search', watch.counted(module.search))
+    for allowed, counted in ((2000, False), (10**9, True)):
+        monkeypatch.setattr(request, 'AFTERWARDS', allowed)
+        watch.begin(10)
+        proof = solver.solve(start, targets, out_of_time=watch.out_of_time).proof
+        assert proof.lower_bound > 0.0
+        assert proof.checked is (proof.grounds is not None) is counted
+        if counted:  # or there was nothing to save
+            assert proof.grounds.bends.size > 2000
+
+
+def test_a_solver_does_not_count_what_its_method_was_just_in_time_to_tell(monkeypatch):
+    problem = Problem(horizon=20, floor=floor('polygon', 0.548, 6))
+    solver, (start, targets), calls = Solver(problem), asked(problem, 5), []
+
+    def out_of_time():  # once the method has told
+        calls.append(True)
+        return told
+
+    found, told = cell_tree.CellSearch.grounds.fget, False
+
+    def grounds(search):
+        nonlocal told
+        told = True
+        return found(search)
+
+    monkeypatch.setattr(cell_tree.CellSearch, 'grounds', property(grounds))
+    proof = solver.solve(start, targets, out_of_time=out_of_time).proof
+    assert (proof.checked, proof.grounds) == (False, None)
+    assert proof.lower_bound > 0.0

@@ -101,6 +101,11 @@ class CellSearch:
         return self._tree.best.copy()
 
     @property
+    def tangents(self) -> int:
+        """Return how many tangents the bound rests on, at most."""
+        return 1 + len(self._table.bounds) * self.nodes
+
+    @property
     def grounds(self) -> Grounds:
         """Return what the bound rests on."""
         splits, parts, points = grounds_of(self._quadratic, self._table, self._tree)

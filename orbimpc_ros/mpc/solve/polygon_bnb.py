@@ -13,7 +13,7 @@ from orbimpc_ros.mpc.geometry.cells import faces
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.kernels.linear import quadratic
 from orbimpc_ros.mpc.model.condensed import LONGEST, Condensed
-from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.cell_tree import CellSearch
 from orbimpc_ros.mpc.solve.general import General
 from orbimpc_ros.mpc.solve.request import Found, Guess, Request
@@ -45,7 +45,8 @@ class PolygonSearch:
         self._search.begin(np.zeros((problem.horizon, 2)), 0.0)
         self._search.run()
         self._search.dive()
-        self._found(np.zeros((problem.horizon, 2)), 0.0)
+        origin = np.zeros((problem.horizon, 2))
+        self._found(origin, 0.0, Request(State.at(np.zeros(2), np.eye(2)), origin))
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -76,9 +77,9 @@ class PolygonSearch:
                 break
         else:
             if search.complete and search.nodes < NODES:
-                return self._found(q, constant)
+                return self._found(q, constant, request)
             search.dive()
-        found = self._found(q, constant)
+        found = self._found(q, constant, request)
         # Who has a deadline is better off with this than with a search that is slower.
         if request.hurried:
             return found
@@ -86,9 +87,9 @@ class PolygonSearch:
         guess = Guess(found.x, found.cost)
         return self._general.solve(request._replace(guess=guess))
 
-    def _found(self, q: Array, constant: float) -> Found:
+    def _found(self, q: Array, constant: float, request: Request) -> Found:
         """Return the best of a search, with the bound that it has proved."""
-        x = self._search.best
-        cost = float(quadratic(self._condensed.hessian, q, x)) + constant
-        bound, grounds = self._search.bound + constant, self._search.grounds
-        return Found(x, cost, bound, self._search.nodes, grounds=grounds)
+        search = self._search
+        cost = float(quadratic(self._condensed.hessian, q, search.best)) + constant
+        grounds = search.grounds if request.leaves_time_for(search.tangents) else None
+        return Found(search.best, cost, search.bound + constant, search.nodes, grounds=grounds)

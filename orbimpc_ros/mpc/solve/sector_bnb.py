@@ -103,7 +103,9 @@ class SectorSearch:
         while search(*asked) == PAUSED and not request.late:
             if request.enough.met(self._found(constant)):
                 break
-        return replace(self._found(constant), grounds=self._grounds())
+        made = int(tree.counts[MADE])
+        told = self._splits_headings and request.leaves_time_for(made)
+        return replace(self._found(constant), grounds=self._grounds(made) if told else None)
 
     def _last(self, state: State) -> tuple[float, float]:
         """Return the direction of the last heading, and the angle it may be off by [rad]."""
@@ -119,11 +121,9 @@ class SectorSearch:
         bound = float(numbers[LEAST]) - self._excess + constant
         return Found(best, cost, bound, int(self._tree.counts[NODES]))
 
-    def _grounds(self) -> Grounds | None:
+    def _grounds(self, made: int) -> Grounds:
         """Return what the bound rests on, where only headings are split, within a turn limit."""
-        if not self._splits_headings:
-            return None
-        tree, made = self._tree, int(self._tree.counts[MADE])
+        tree = self._tree
         straight, origins = np.zeros((made, len(tree.x))), np.zeros(len(tree.x))
         splits, parts, angles = tree.splits[:made], tree.parts[:made], tree.angles[:made]
         return Grounds(

@@ -25,7 +25,7 @@ from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.grounds import Grounds, Tangent
 from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.solve.registry import method_among, method_for
-from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Method, Request
+from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Method, Request, countable
 from orbimpc_ros.mpc.solve.stand_ins import straight, turning
 
 SEARCH_SHARE = 0.01  # a search stops at this share of the gap that counts as proved
@@ -204,9 +204,12 @@ class Solver:
     def _proof(self, query: _Query, found: Found) -> Proof:
         """Return the proof of a bound in natural units; no term of the objective is negative.
 
-        Where the method says what the bound rests on, what that comes to is what is proved.
+        Where the method says what the bound rests on, what that comes to is what is proved, as
+        far as there is time to count it.
         """
         cost, grounds = self._units.cost, self._posed(found.grounds)
+        if grounds is not None and not countable(grounds.bends.size, query.out_of_time):
+            grounds = None
         bound = cost * float(found.lower_bound)
         known = bound if 0.0 < bound < np.inf else 0.0
         checked = known == 0.0
