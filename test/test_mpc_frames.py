@@ -55,3 +55,9 @@ def test_noise_and_wind_are_no_wrong_frame(given):
 def test_a_few_measurements_are_no_evidence():
     rng = np.random.default_rng(9)
     assert not told('body', 'world', flight(rng, 2, count=WINDOW))
+
+
+@pytest.mark.parametrize('given', ['body', 'world'])
+def test_a_vehicle_at_rest_gives_nothing_away(given):
+    still = [(0.1 * k, np.ones(2), exp(np.array([0.7])), np.zeros(2)) for k in range(60)]
+    assert not told(given, given, still)

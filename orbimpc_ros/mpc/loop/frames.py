@@ -51,7 +51,7 @@ class Witness:
         if len(self._errors) < WINDOW:
             return ''
         given, other, speed = np.sum(self._errors, axis=0)
-        if other > FITS_BETTER * given or given < TELLING * speed:
+        if other > FITS_BETTER * given or given <= TELLING * speed:  # equal: all are 0 at rest
             return ''
         frame = 'world' if self._given == 'body' else 'body'
         return f'velocities fit the way flown as those of the {frame} frame: see velocity_frame'
