@@ -231,8 +231,8 @@ def test_a_start_broken_off_is_cleared_away_and_says_why(tmp_path, breaks, code,
 @pytest.mark.parametrize(
     ('words', 'said'),
     [
-        (['--params-file', 'x.yaml'], '--ros-args --params-file x.yaml'),
-        (['--help'], 'not behind --ros-args'),
+        (['--params-file', 'x.yaml'], 'x.yaml is not behind --ros-args; allowed: --ros-args'),
+        (['--help'], 'allowed: --ros-args, then arguments of ROS, such as --params-file FILE'),
         (['--ros-args', '-p', 'step:=0.1', '--', 'boat.yaml'], 'boat.yaml'),
         (['--ros-args', '--params', 'x.yaml'], '--params x.yaml; allowed: .* --params-file FILE'),
     ],

@@ -288,11 +288,11 @@ def _started(words: Sequence[str]) -> Iterator[None]:
     with ExitStack() as stack:
         _require_files(words)
         _initialise(words, stack)
-        program, *plain = remove_ros_args(args=list(words))
+        _, *plain = remove_ros_args(args=list(words))
         if plain:
-            meant = f'{Path(program).name} --ros-args {shlex.join(plain)}'
             problem = f'{shlex.join(plain)} is not behind --ros-args'
-            raise BadInput.stating('command line', problem, f'did you mean {meant}')
+            hint = f'allowed: --ros-args, then {KNOWN_WORDS}'
+            raise BadInput.stating('command line', problem, hint)
         yield
 
 
