@@ -299,7 +299,7 @@ def test_a_problem_file_may_limit_the_change_of_speed():
 @pytest.mark.parametrize(
     ('more', 'told'),
     [
-        ({'max_acceleration': -1.0}, 'max_acceleration is -1.0; allowed: a number in [0, inf]'),
+        ({'max_acceleration': -1.0}, 'max_acceleration is -1.0; allowed: a number in [0, inf)'),
         (
             {'max_acceleration': 1.0, 'translation_order': 2},
             'max_acceleration is 1.0; allowed: 0 at translation_order 2',

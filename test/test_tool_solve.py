@@ -326,12 +326,21 @@ def test_output_that_the_disk_does_not_take_is_a_failure_in_one_line(tmp_path):
             "orbimpc: unknown case field 'horizn'; did you mean 'horizon'?\n",
         ),
         (case(step=...), 'orbimpc: case field step: missing; all of dimension, rotation_order,'),
+        (case(floor={'fraction': 0.5}), 'orbimpc: floor field shape: missing; shape is needed\n'),
     ],
 )
 def test_where_nothing_is_a_value_the_message_says_what_to_do(solve, problem, complaint):
     code, _, err = solve(problem)
     assert code == 2
     assert err.startswith(complaint)
+
+
+def test_what_is_no_case_is_told_the_fields_of_one_once_each(solve):
+    code, _, err = solve('hello')
+    assert code == 2
+    fields = err.partition('a mapping of ')[2].strip().split(', ')
+    assert 'weights' in fields
+    assert len(set(fields)) == len(fields)
 
 
 def test_a_file_that_is_not_there_is_named_with_the_reason(capsys):

@@ -53,7 +53,8 @@ def number(
     Raises:
         BadInput: not a number, not finite or out of range.
     """
-    allowed = f'a number in {"(" if above else "["}{low:g}, {high:g}]'
+    first = '(' if above or low == -np.inf else '['  # infinity is not allowed itself
+    allowed = f'a number in {first}{low:g}, {high:g}{")" if high == np.inf else "]"}'
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
         raise BadInput(culprit, value, allowed)
     try:

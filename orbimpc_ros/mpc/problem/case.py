@@ -19,7 +19,7 @@ from orbimpc_ros.mpc.problem.scaling import weighed
 MODEL = ('dimension', 'rotation_order', 'translation_order', 'horizon', 'step', 'forward')
 EXTRAS = ('terminal', 'max_rate', 'max_acceleration', 'no_corner_cutting', 'discretisation')
 CONES = ('tilt', 'glide_slope')
-PARTS = ('weights', 'floor', 'obstacles', 'approach')
+PARTS = ('floor', 'obstacles', 'approach')
 BODIES = 'boxes {min, max} and balls {centre, radius}'
 WEIGHTS = ('position', 'input', 'length', 'terminal', 'attitude')
 
@@ -166,9 +166,12 @@ def _fields(
             raise BadInput.unknown(f'{culprit} field', str(name), allowed)
     for name in needed:
         if name not in value:
-            needs = f'all of {", ".join(needed)} are needed'
-            raise BadInput.stating(f'{culprit} field {name}', 'missing', needs)
+            raise BadInput.stating(f'{culprit} field {name}', 'missing', _needs(tuple(needed)))
     return value
+
+
+def _needs(names: tuple[str, ...]) -> str:
+    return f'all of {", ".join(names)} are needed' if names[1:] else f'{names[0]} is needed'
 
 
 def _numbers(value: Any, culprit: str) -> Any:
