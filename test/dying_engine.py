@@ -6,7 +6,8 @@ import sys
 
 import numpy as np
 
-from orbimpc_ros.physics.engine import EngineFailure, Motion
+from orbimpc_ros.physics.engine import Motion
+from orbimpc_ros.physics.failure import EngineFailure
 from orbimpc_ros.ros.entry import sim
 from orbimpc_ros.world import engines
 

@@ -10,7 +10,8 @@ from dying_engine import FAILURES
 from scipy.integrate import trapezoid
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.physics.engine import EngineFailure, Start
+from orbimpc_ros.physics.engine import Start
+from orbimpc_ros.physics.failure import EngineFailure
 from orbimpc_ros.world import engines
 from orbimpc_ros.world.engines import EnginePlant
 from orbimpc_ros.world.faults import Faults, View

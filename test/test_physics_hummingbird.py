@@ -14,7 +14,7 @@ from orbimpc_ros.lab.study.vehicles.flights import row
 from orbimpc_ros.lab.study.vehicles.scenario import scenario_named
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.physics.engine import EngineFailure
+from orbimpc_ros.physics.failure import EngineFailure
 from orbimpc_ros.ros.sim.arena import outcome
 from orbimpc_ros.tool.demo.rendering import flown_again
 from orbimpc_ros.world.engines import EnginePlant

@@ -17,7 +17,7 @@ from orbimpc_ros.lab.onboard import Planner, tell
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.loop.odometry import Odometry
-from orbimpc_ros.physics.engine import EngineFailure
+from orbimpc_ros.physics.failure import EngineFailure
 from orbimpc_ros.ros.parameters import SIM, sim_settings
 from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.demo.arrivals import planned_at_start

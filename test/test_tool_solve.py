@@ -309,6 +309,15 @@ def test_an_interruption_at_any_time_is_one_line(capsys, monkeypatch):
     assert capsys.readouterr().err == 'orbimpc: interrupted\n'
 
 
+def test_the_tool_can_be_interrupted_before_it_has_imported_what_takes_long():
+    """Until its command is looked at, an interruption would end in a traceback."""
+    words = (
+        'import sys, orbimpc_ros.tool.cli; print({"numpy", "scipy", "rclpy"} & set(sys.modules))'
+    )
+    done = subprocess.run([sys.executable, '-c', words], capture_output=True, text=True, check=True)
+    assert done.stdout == 'set()\n'
+
+
 def test_output_that_the_disk_does_not_take_is_a_failure_in_one_line(tmp_path):
     (tmp_path / 'problem').write_text(json.dumps(case()))
     words = [sys.executable, '-m', 'orbimpc_ros.tool.cli', 'solve', str(tmp_path / 'problem')]

@@ -17,7 +17,8 @@ import math
 import jsbsim
 import numpy as np
 
-from orbimpc_ros.physics.engine import Array, EngineFailure, Motion, NoStart, Start
+from orbimpc_ros.physics.engine import Array, Motion, NoStart, Start
+from orbimpc_ros.physics.failure import EngineFailure
 
 FOOT = 0.3048  # [m]
 GRAVITY = 9.80665  # [m/s^2]

@@ -10,11 +10,9 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from orbimpc_ros.physics.failure import EngineFailure
+
 Array = NDArray[np.floating]
-
-
-class EngineFailure(Exception):
-    """An engine did what no vehicle can: it stopped, went back in time, or lost its numbers."""
 
 
 class NoStart(Exception):

@@ -25,7 +25,8 @@ from rotorpy.controllers.quadrotor_control import SE3Control
 from rotorpy.vehicles.hummingbird_params import quad_params
 from rotorpy.vehicles.multirotor import Multirotor
 
-from orbimpc_ros.physics.engine import Array, EngineFailure, Motion, NoStart, Start
+from orbimpc_ros.physics.engine import Array, Motion, NoStart, Start
+from orbimpc_ros.physics.failure import EngineFailure
 
 STEP = 0.002  # [s] of MuJoCo
 CONTROL = 2  # steps from one command to the rotors to the next

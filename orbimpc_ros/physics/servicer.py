@@ -32,7 +32,8 @@ from Basilisk.simulation import (
 from Basilisk.utilities import simIncludeRW, simIncludeThruster
 from Basilisk.utilities.RigidBodyKinematics import C2MRP, MRP2C, PRV2C
 
-from orbimpc_ros.physics.engine import Array, EngineFailure, Motion, Start
+from orbimpc_ros.physics.engine import Array, Motion, Start
+from orbimpc_ros.physics.failure import EngineFailure
 
 SECOND = 1_000_000_000  # [ns]
 STEP = 0.02  # [s] of the integration, by Runge and Kutta's fourth order

@@ -14,7 +14,7 @@ from typing import NamedTuple, NoReturn
 
 from orbimpc_ros import __version__
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError
-from orbimpc_ros.physics.engine import EngineFailure
+from orbimpc_ros.physics.failure import EngineFailure
 from orbimpc_ros.ros.entry import in_a_line
 from orbimpc_ros.tool.io.files import why
 

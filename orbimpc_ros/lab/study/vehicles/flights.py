@@ -18,7 +18,8 @@ from orbimpc_ros.lab.study.vehicles.scenario import Mission
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.loop.controller import Tick
 from orbimpc_ros.mpc.outcome import Fallback, Status
-from orbimpc_ros.physics.engine import EngineFailure, Guided
+from orbimpc_ros.physics.engine import Guided
+from orbimpc_ros.physics.failure import EngineFailure
 from orbimpc_ros.ros.parameters import sim_settings
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.world.airspeed import Airspeeds
