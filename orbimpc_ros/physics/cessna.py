@@ -26,7 +26,6 @@ RATE = 120.0  # [Hz] of JSBSim's own scripts for the aircraft
 READ = 6  # steps between two motions that are returned
 HEIGHT = 1000.0  # [ft] above the ground: up to there, turbulence is a tenth of the wind at 20 ft
 EAST, NORTH = 6378137.0 + HEIGHT * FOOT, 6335439.0 + HEIGHT * FOOT  # [m] WGS 84 at 0 N, 0 E
-STALL = 26.7  # [m/s] 51 KCAS, flaps up, by the manual of the 172P at 2,400 lb; here are 2,480 lb
 SPEEDS = (30.0, 34.0, 38.0, 42.0, 46.0, 50.0, 54.0, 58.0)  # [m/s] through the air
 THROTTLES = (0.5558, 0.5707, 0.6022, 0.6410, 0.6824, 0.7233, 0.7650, 0.8052)  # trimmed at them
 CORRECTION = 0.05  # of the throttle, for each m/s that the speed is off

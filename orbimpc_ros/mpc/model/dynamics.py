@@ -15,14 +15,13 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem, State
 
 
-def inputs_of(problem: Problem, state: State, rotations: Array) -> Array:
+def inputs_of(problem: Problem, rotations: Array) -> Array:
     """Return the inputs u_0..u_{N-1}, shape (N, n, n), that produce rotations R_0..R_N.
 
     At rotation order 2 the last input moves only W_N, which nothing sees: it is zero.
 
     Args:
         problem: gives the order and the step.
-        state: gives the initial rotation and its rate.
         rotations: R_0..R_N, shape (N + 1, n, n).
     """
     rates = (rotations[1:] - rotations[:-1]) / problem.step

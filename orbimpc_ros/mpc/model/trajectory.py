@@ -45,6 +45,6 @@ def trajectory_of(problem: Problem, state: State, goals: Array, x: Array) -> Tra
     """Return the trajectory with rotation coordinates x_1..x_N, shape (N, d)."""
     rotations = np.concatenate([state.rotation[None], matrix(x)])
     positions, velocities = dynamics.translation_rollout(problem, state, rotations[:, :, 0])
-    inputs = dynamics.inputs_of(problem, state, rotations)
+    inputs = dynamics.inputs_of(problem, rotations)
     cost = value(problem, state, goals, rotations, inputs, (positions, velocities))
     return Trajectory(positions, velocities, rotations, inputs, cost)

@@ -58,21 +58,21 @@ def animation(history: History, dark: bool = False) -> Iterator[Array]:
 
 def instants(history: History) -> Iterator[Instant]:
     """Yield what is seen from the start to the end; between odometry all moves straight."""
-    path, times = flown_path(history), history.times.copy()
+    path, ropes, times = flown_path(history), _ropes(history), history.times.copy()
     times[-1] = history.end
     steps = len(times) - 1
     per_step = int(np.clip(FRAMES // max(1, steps), 1, PER_STEP))
     for moment in np.linspace(0.0, steps, steps * per_step + 1):
         k = min(int(moment), steps - 1)
         share = moment - k
-        now, rope = (a[k] + share * (a[k + 1] - a[k]) for a in (path, _ropes(history, times)))
+        now, rope = (a[k] + share * (a[k + 1] - a[k]) for a in (path, ropes))
         time = times[k] + share * (times[k + 1] - times[k])
         way = np.concatenate([path[: k + 1], [now]])
         plan = _followed(history.plans, times[k])
         yield Instant(time - times[0], way, history.headings[k], rope, plan)
 
 
-def _ropes(history: History, times: Array) -> Array:
+def _ropes(history: History) -> Array:
     """Return where the rope is at the times of odometry, the last one where it was caught."""
     ropes = history.ropes.copy()
     if history.capture is not None:
