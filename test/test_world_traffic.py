@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.problem import Box, Problem
 from orbimpc_ros.world.contact import drifter, met
 from orbimpc_ros.world.fleet import LEAST_RING, crossing, separation
 from orbimpc_ros.world.flight import departure
 from orbimpc_ros.world.scenario import retrieval
+from orbimpc_ros.world.vehicle import launched
 
 
 @pytest.mark.parametrize('dimension', [2, 3])
@@ -27,6 +29,21 @@ def test_a_ball_is_met_exactly_where_looking_often_finds_it(dimension):
         least = np.linalg.norm(way - there, axis=1).min()
         if abs(least - radius) > 1e-3:
             assert met([ball], (begin, end), (start, stop)) == ({0} if least < radius else set())
+
+
+@pytest.mark.parametrize('order', [1, 2])
+def test_what_a_plan_may_lead_inside_is_no_touch(order):
+    """Past a ball that passes, and along a wall: by the tolerance of plans, and by more."""
+    model = replace(retrieval().model, translation_order=order, step=0.5, forward=4.0)
+    unit, speed = model.length_unit, np.array([4.0, 0.0]) if order == 2 else None
+    assert unit == pytest.approx(Problem(2, 1, order, step=0.5, forward=4.0).length_unit)
+    for depth, allowed in ((0.9e-6 * unit, True), (1.1e-6 * unit, False)):
+        ball = drifter(np.array([1.0, 0.3 - depth]), np.array([-1.0, 0.0]), 0.3)
+        wall = Box(np.array([0.5, -1.0]), np.array([1.5, depth]))
+        for bodies in ({'traffic': (ball,)}, {'obstacles': (wall,)}):
+            start = launched(model, np.zeros(2), np.eye(2), velocity=speed)
+            flight = departure(replace(retrieval(), model=model, start=start, **bodies))
+            assert (flight.after(1.0, np.zeros(1)).touched == frozenset()) is allowed
 
 
 def test_who_touches_traffic_has_not_caught_anything():

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.loop.forecast import Forecast, Sighting
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.problem import Problem
@@ -36,7 +37,7 @@ class Flight:
         headed: whether it was within the cone of approach then.
         trail: the vehicle on its way through the last step, at its end last.
         touched: numbers of the boxes, and on from there of the balls in the traffic, that it has
-            been in so far.
+            been in so far, farther than the tolerance of plans.
     """
 
     scenario: Scenario
@@ -169,8 +170,9 @@ class Flight:
 
     def _touched(self, now: Flight) -> frozenset[int]:
         boxes, way = self.scenario.obstacles, (self.vehicle.position, now.vehicle.position)
-        balls = met(self.scenario.traffic, way, (self.elapsed, now.elapsed))
-        return touched(boxes, *way) | {len(boxes) + number for number in balls}
+        grazed = TOLERANCE * self.scenario.model.length_unit  # as far as plans may lead inside
+        balls = met(self.scenario.traffic, way, (self.elapsed, now.elapsed), grazed)
+        return touched(boxes, *way, grazed) | {len(boxes) + number for number in balls}
 
 
 def departure(scenario: Scenario, time: float | None = None) -> Flight:

@@ -65,6 +65,11 @@ class Model:
         number(self.failsafe_rate, 'failsafe.rate', -fastest, fastest)
 
     @property
+    def length_unit(self) -> float:
+        """Return what a step moves it at most, as :attr:`Problem.length_unit` [m]."""
+        return self.step**self.translation_order * self.forward
+
+    @property
     def velocity_source(self) -> str:
         """Return whether odometry measures velocity over ``ground`` or through the ``air``."""
         return self.source
