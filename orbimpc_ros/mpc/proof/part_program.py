@@ -28,7 +28,8 @@ from orbimpc_ros.mpc.proof.complementary import Pair, factor, stepped
 from orbimpc_ros.mpc.proof.complementary import held as holding
 from orbimpc_ros.mpc.proof.spatial import quadratic, top, touching
 from orbimpc_ros.mpc.proof.stationary import arrival_of
-from orbimpc_ros.mpc.proof.verifier import Region, StatedProblem
+from orbimpc_ros.mpc.proof.verifier.regions import Region
+from orbimpc_ros.mpc.proof.verifier.stated import StatedProblem
 
 ACCURACY = 1e-10  # of solutions
 BEYOND_RIM = 1.0 + 1e-15  # so that what is on the rim of its cone is not outside by rounding
@@ -84,7 +85,7 @@ class PartProgram:
         self, problem: Problem, state: State, goals: Array, posed: StatedProblem, unit: float
     ) -> None:
         count, n = problem.horizon, problem.dimension
-        self._posed, self._unit = posed, unit
+        self._above, self._unit = posed.limits.slope, unit
         self._hessians, self._q = quadratic(problem, state, goals, posed.width)
         self._length, self._reach = length_weights(problem)[1:], problem.maps.reach[:, 1:]
         still = np.zeros((count + 1, n))
@@ -92,12 +93,12 @@ class PartProgram:
         self._free = dynamics.translation_rollout(problem, state, still)[0][1:]
         self._goals, self._arrival = goals, arrival_of(problem, state, goals)
         self._columns = np.arange(count * posed.width).reshape(count, -1)
-        owned = [(k, cone) for k, own in enumerate(posed.cones) for cone in own]
+        owned = [(k, cone) for k, own in enumerate(posed.limits.cones) for cone in own]
         self._owners = np.array([k for k, _ in owned], int)
         self._axes = np.array([cone.axis for _, cone in owned], float).reshape(-1, n)
         self._widths = np.array([cone.least for _, cone in owned], float)
-        slowest = np.array(posed.least, float)
-        self._slowest = np.where(self._length > 0.0, float(posed.floor), slowest)
+        slowest = np.array(posed.limits.least, float)
+        self._slowest = np.where(self._length > 0.0, float(posed.floor.slowest), slowest)
         # Over SO(3), where nothing else is asked of R_k e1, the orbitope holds it.
         self._directed = posed.width != 9 or bool(owned or self._length.any() or slowest.any())
         self._fixed = self._arriving(), self._pointing(), self._round(), self._turning()
@@ -150,18 +151,19 @@ class PartProgram:
             if self._directed:
                 disks[k * (n + 1) + 1 + np.arange(n), self._columns[k, :n]] = -1.0
         b = np.zeros((count, 3))
-        if self._posed.slides:
+        if self._above:
             above, scales = self._blank(3 * count), self._slope
             for j, i in enumerate((2, 0, 1)):
                 above[j::3, self._columns[:, i]] = -scales[i] * self._reach
                 b[:, j] = scales[i] * (self._free - self._goals)[:, i]
-            b[:, 0] += np.array(self._posed.strays, float) / self._unit
+            b[:, 0] += np.array(self._above.eased, float) / self._unit
         return np.vstack([disks, above]), np.append(np.zeros(len(disks)), b.ravel()[: len(above)])
 
     @property
     def _slope(self) -> Array:
         """Return what the cone above the goal scales x, y and z by."""
-        cosine, sine = map(float, self._posed.slope)
+        assert self._above is not None
+        cosine, sine = float(self._above.cosine), float(self._above.sine)
         return np.array([sine, sine, cosine])
 
     def _turning(self) -> Rows:
@@ -191,7 +193,7 @@ class PartProgram:
         groups = arriving, pointing, self._beside(region), cones, turning
         sizes = [len(b) for _, b in groups]
         count, n = self._free.shape
-        sloping = [3] * count if self._posed.slides else []
+        sloping = [3] * count if self._above else []
         dims = {'zero': sizes[0], 'nonneg': sizes[1] + sizes[2], 'soc': [n + 1] * count + sloping}
         data = {
             'P': sparse.csc_matrix(self._bent),
@@ -221,7 +223,7 @@ class PartProgram:
             tuple(each[3][:disks].reshape(count, n + 1) for each in (duals, slacks)),
         )
         slides: Array = np.zeros((count, n))
-        if self._posed.slides:
+        if self._above:
             slides = self._slides(*(each[3][disks:].reshape(count, 3) for each in (duals, slacks)))
         pairs = zip(*(_matrices(each[4]) for each in (duals, slacks)), strict=True)
         return Held(duals[0], shares, presses, slides, tuple(itertools.starmap(factor, pairs)))
@@ -301,7 +303,7 @@ class PartProgram:
 
     def _made(self, point: Array, held: Held, turned: Array) -> Leaf:
         pull, shares, presses, slides = held[:4]
-        sliding = slides if self._posed.slides else None
+        sliding = slides if self._above else None
         if point.shape[1] != 9:
             return Leaf(point, pull=pull, presses=presses, slides=sliding)
         tops = np.array([top(y) for y in turned])
