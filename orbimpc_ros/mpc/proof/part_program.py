@@ -27,7 +27,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.certificate import Leaf
 from orbimpc_ros.mpc.proof.complementary import Pair, factor, stepped
 from orbimpc_ros.mpc.proof.complementary import held as holding
-from orbimpc_ros.mpc.proof.spatial import quadratic, top, touching
+from orbimpc_ros.mpc.proof.spatial import quadratic, top, touching_freely
 from orbimpc_ros.mpc.proof.stationary import arrival_of
 from orbimpc_ros.mpc.proof.verifier.regions import Region
 from orbimpc_ros.mpc.proof.verifier.stated import StatedProblem
@@ -295,11 +295,10 @@ class PartProgram:
 
     def leaf(self, region: Region, answer: Answer) -> Leaf:
         """Return the best tangent for the multipliers of an answer, rounded to what is exact."""
-        held, size = answer.held, answer.x.size
+        held = answer.held
         turned = holding(held.factors) if held.factors else np.zeros_like(self._q)
         loaded = self._q + self._pushed(region, held) - turned - self._wide(held.shares)
-        asked = self._hessians, loaded, self._arrival
-        point, pull = touching(*asked, np.zeros(size), np.eye(size))
+        point, pull = touching_freely(self._hessians, loaded, self._arrival)
         return self._made(point, held._replace(pull=pull), turned)
 
     def polished(self, region: Region, answer: Answer) -> Answer:

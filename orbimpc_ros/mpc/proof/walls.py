@@ -71,8 +71,8 @@ class WallProof:
 
     def _proved(self, region: Region) -> Tree | None:
         answer = self._program.answer(region)
-        for leaf in self._tried(region, answer):
-            if self._worth(region, leaf) >= self._target:
+        for leaf, worth in self._tried(region, answer):
+            if worth >= self._target:
                 self._leaves += 1
                 return leaf if self._leaves <= self.most else None
         found = self._split(region, answer.x) if answer.feasible else None
@@ -88,20 +88,24 @@ class WallProof:
             parts.append(part)
         return Split(k + 1, tuple(parts), at, wall)
 
-    def _tried(self, region: Region, answer: Answer) -> Iterator[Leaf]:
+    def _tried(self, region: Region, answer: Answer) -> Iterator[tuple[Leaf, Fraction]]:
         """Yield tangents of a region, better ones as long as it is digits that they lack."""
         if not answer.feasible:
-            yield from (self._program.refutation(region, answer.held, size) for size in SIZES)
+            for size in SIZES:
+                yield self._weighed(region, self._program.refutation(region, answer.held, size))
             return
-        yield (leaf := self._program.leaf(region, answer))
+        leaf, worth = self._weighed(region, self._program.leaf(region, answer))
+        yield leaf, worth
         for _ in range(ROUNDS if answer.held.factors else 0):
-            if self._worth(region, leaf) < self._target * (1 - NEAR):
+            if worth < self._target * (1 - NEAR):
                 return
             answer = self._program.polished(region, answer)
-            yield (leaf := self._program.leaf(region, answer))
+            leaf, worth = self._weighed(region, self._program.leaf(region, answer))
+            yield leaf, worth
 
-    def _worth(self, region: Region, leaf: Leaf) -> Fraction:
-        return bound(self._posed, self._stated(leaf), region)
+    def _weighed(self, region: Region, leaf: Leaf) -> tuple[Leaf, Fraction]:
+        """Return a leaf with what it proves."""
+        return leaf, bound(self._posed, self._stated(leaf), region)
 
     def _split(self, region: Region, x: Array) -> Choice | None:
         """Return the wall and the step whose sides all promise most; None if none is missed."""

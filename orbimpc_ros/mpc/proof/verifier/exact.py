@@ -83,15 +83,18 @@ def lacking(matrix: list[Vector]) -> Fraction:
     """
     count = len(matrix)
     top = max(max(map(abs, row)) for row in matrix)
-    for shift in (*SHIFTS, Fraction(2 * count)) if top else ():
-        scale = (1 << 2 * BITS) / top
-        entries = [[math.floor(matrix[i][j] * scale) for j in range(i + 1)] for i in range(count)]
+    if not top:
+        return ZERO
+    scale = (1 << 2 * BITS) / top
+    entries = [[math.floor(matrix[i][j] * scale) for j in range(i + 1)] for i in range(count)]
+    for shift in (*SHIFTS, Fraction(2 * count)):
+        shifted = [row.copy() for row in entries]
         for k in range(count):
-            entries[k][k] += math.floor(shift * (1 << 2 * BITS))
-        largest = _factored(entries)
+            shifted[k][k] += math.floor(shift * (1 << 2 * BITS))
+        largest = _factored(shifted)
         if largest:
             return shift * top + count * (2 * largest + 2) / scale
-    return ZERO
+    raise AssertionError('the diagonal dominates')
 
 
 def _factored(rows: list[list[int]]) -> int:
