@@ -27,7 +27,7 @@ NARROWEST, MARGIN = 1e-7, 0.15  # [rad] of what is split; of it, to either end
 LEAST = 1e-9  # of a curvature
 Choice = tuple[float, int, int, float | None]  # a promise, a wall, a step, an angle
 NEAR, ROUNDS = Fraction(1, 10**5), 4  # of the target, from where on digits are refined; so often
-SIZES = tuple(10.0**i for i in range(9))  # of multipliers that say that nothing is feasible
+SIZES = 1e3, 1e5, 1e8, 1e1, 1.0  # of multipliers that say that nothing is feasible, in turn
 
 
 class WallProof:
