@@ -5,6 +5,8 @@ import ast
 import itertools
 import json
 import math
+import shutil
+import subprocess
 import sys
 from dataclasses import replace
 from fractions import Fraction
@@ -13,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from orbimpc_ros.mpc.check import turn_margin
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.model.cost import length_weights
@@ -21,6 +24,14 @@ from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Ball, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.proof import verifier
 from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Split, statement
+from orbimpc_ros.mpc.proof.verifier import least as closed
+from orbimpc_ros.mpc.proof.verifier import reading
+from orbimpc_ros.mpc.proof.verifier.bound import bound, slid, towed
+from orbimpc_ros.mpc.proof.verifier.cost import Added, cost
+from orbimpc_ros.mpc.proof.verifier.exact import TINY, direction, lacking
+from orbimpc_ros.mpc.proof.verifier.limits import Cone
+from orbimpc_ros.mpc.proof.verifier.regions import Sector
+from orbimpc_ros.mpc.proof.verifier.splits import root
 
 MODELS = [
     *itertools.product((2, 3), (1, 2), (1, 2), ('euler', 'exact')),
@@ -31,6 +42,13 @@ WEIGHTS = Weights(position=1.3, input=0.07, length=0.0, terminal=4.0, attitude=0
 
 def fractions(values):
     return [[Fraction(float(x)) for x in row] for row in values]
+
+
+def added(posed, pull=(), stiffness=0, push=None, towed=None):
+    """Return what is added to a cost: nothing, but for what is given."""
+    still = np.zeros((posed.horizon, posed.n))
+    forces = (fractions(still if each is None else each) for each in (push, towed))
+    return Added(list(pull), Fraction(stiffness), *forces)
 
 
 def rotation(n, rng):
@@ -61,7 +79,7 @@ def test_its_cost_is_the_objective(n, order, inertia, kind):
     x = rng.normal(size=(6, exact.width))
     if order == 2:
         x[0] = coordinates(state.rotation + problem.step * state.rotation_rate)
-    value, _ = exact.cost(fractions(x), [], Fraction(0))
+    value, _ = cost(exact, fractions(x), added(exact))
     assert float(value) == pytest.approx(trajectory_of(problem, state, goals, x).cost, rel=1e-12)
 
 
@@ -78,11 +96,11 @@ def test_its_gradient_is_exact(n, order, inertia, kind):
         [[a + sign * b for a, b in zip(u, v, strict=True)] for u, v in zip(x, d, strict=True)]
         for sign in (1, -1)
     )
-    stiff = Fraction(3, 2)
-    slopes = exact.cost(x, pull, stiff)[1]
+    more = added(exact, pull, Fraction(3, 2), *rng.normal(size=(2, 5, n)))
+    slopes = cost(exact, x, more)[1]
     along = sum(a * b for u, v in zip(slopes, d, strict=True) for a, b in zip(u, v, strict=True))
     # Of a quadratic, differences from both sides are exact.
-    assert exact.cost(ahead, pull, stiff)[0] - exact.cost(behind, pull, stiff)[0] == 2 * along
+    assert cost(exact, ahead, more)[0] - cost(exact, behind, more)[0] == 2 * along
 
 
 @pytest.mark.parametrize(('n', 'order', 'inertia', 'kind'), MODELS)
@@ -96,10 +114,10 @@ def test_what_pushes_positions_is_weighed_as_it_moves_them(n, order, inertia, ki
     headings = np.vstack([state.rotation[:, 0], x[:, :n]])
     positions, _ = translation_rollout(problem, state, headings)
     (value, slopes), (pushed, steeper) = (
-        exact.cost(fractions(x), [], Fraction(0), each) for each in (None, fractions(push))
+        cost(exact, fractions(x), added(exact, push=each)) for each in (None, push)
     )
-    added = np.sum(push * (positions[1:] - goals))
-    assert float(pushed - value) == pytest.approx(added, abs=1e-11)
+    weighed = np.sum(push * (positions[1:] - goals))
+    assert float(pushed - value) == pytest.approx(weighed, abs=1e-11)
     more = (np.array(steeper) - np.array(slopes)).astype(float)
     assert more[:, :n] == pytest.approx(problem.maps.reach[:, 1:].T @ push)
     assert not more[:, n:].any()
@@ -111,8 +129,8 @@ def test_least_within_a_cone_is_below_all_that_is_in_it(seed):
     n = 2 + seed % 2
     axis, slope, angle = rng.normal(size=n), rng.normal(size=n), rng.uniform(0.05, 1.5)
     width = np.cos(angle) * np.linalg.norm(axis)
-    cone = verifier.Cone(fractions([axis])[0], Fraction(float(width)))
-    least = float(verifier._least_towards(fractions([slope])[0], cone))
+    cone = Cone(fractions([axis])[0], Fraction(float(width)))
+    least = float(closed.least_towards(fractions([slope])[0], cone))
     ways = rng.normal(size=(200_000, n))
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     inside = ways[ways @ axis >= width]
@@ -129,8 +147,8 @@ def test_what_is_known_beside_a_disc_holds_of_all_lines_that_pass_it_there(seed)
     said = statement(replace(problem, obstacles=(Ball(centre, radius),)), state, np.zeros((3, 2)))
     exact = verifier.posed_by(said)
     low = rng.uniform(0.0, 5.0)
-    sector = verifier.Sector(Fraction(low), Fraction(low + rng.uniform(0.05, 1.2)))
-    rows = exact.walls[1].side(sector, 2)
+    sector = Sector(Fraction(low), Fraction(low + rng.uniform(0.05, 1.2)))
+    rows = exact.limits.walls[1].side(sector, 2)
     angles = rng.uniform(*map(float, sector), 50_000)
     normals = np.column_stack([np.cos(angles), np.sin(angles)])
     apart = radius * (1.0 + rng.exponential(0.1, 50_000))
@@ -155,7 +173,7 @@ def test_what_slides_along_the_glide_slope_is_nowhere_above_what_is_eased(seed):
     exact, way = verifier.posed_by(said), rng.uniform(0.0, 2.0 * np.pi)
     rim = np.array([np.cos(way), np.sin(way), -1.000001 / np.tan(angle)])
     slides = rng.uniform(0.0, 2.0, (2, 1)) * rim
-    _, paid = exact._pushed({'slides': slides.tolist()}, exact.root(None))
+    paid = sum(slid(exact, k, c) for k, c in enumerate(fractions(slides)))
     away = rng.uniform(-2.0, 2.0, (20_000, 2, 3))
     stray = np.sin(angle) * np.hypot(away[..., 0], away[..., 1]) - np.cos(angle) * away[..., 2]
     inside = away[(stray <= eased).all(axis=1)]
@@ -163,7 +181,77 @@ def test_what_slides_along_the_glide_slope_is_nowhere_above_what_is_eased(seed):
     assert (np.sum(inside * slides, axis=(1, 2)) + float(paid)).max() <= 1e-12
     slides[:, 2] *= 0.99999
     with pytest.raises(verifier.Refused, match='not along the glide slope'):
-        exact._pushed({'slides': slides.tolist()}, exact.root(None))
+        slid(exact, 0, fractions(slides)[0])
+
+
+def tied(n, order, seed):
+    """Return a problem with a turn limit, a state, goals, and rotations that the check calls legal.
+
+    Axes move about as far as they may in a step, or as near to it as the hull lets them.
+    """
+    rng = np.random.default_rng([n, order, seed, 13])
+    step, count = rng.uniform(0.1, 0.5), 4
+    problem = Problem(n, order, 1, count, step, 1.7, WEIGHTS, max_rate=rng.uniform(0.3, 4.0))
+    state = State.at(rng.normal(size=n), rotation(n, rng), wanted=rotation(n, rng))
+    walks = np.empty((400, count + 1, n, n))
+    walks[:, 0] = state.rotation
+    for walk in walks:
+        for k in range(count):
+            wanted = rotation(n, rng) * rng.uniform()
+            moved = np.linalg.norm((wanted - walk[k])[:, 0])
+            walk[k + 1] = walk[k] + min(1.0, problem.chord / moved) * (wanted - walk[k])
+        if order == 2:
+            walk[1] = walk[0] + step * state.rotation_rate
+            walk[2:] = walk[1] + np.minimum(1.0, 0.2 * problem.chord) * (walk[2:] - walk[1])
+    legal = [walk for walk in walks if turn_margin(problem, state, walk).min() > -1e-12]
+    assert len(legal) >= 100
+    return problem, state, rng.normal(size=(count, n)), np.array(legal), rng
+
+
+@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize(('n', 'order'), [(2, 1), (3, 1), (2, 2), (3, 2)])
+def test_what_tows_axes_adds_nothing_to_what_is_legal(n, order, seed):
+    problem, state, goals, legal, rng = tied(n, order, seed)
+    exact, axes = verifier.posed_by(statement(problem, state, goals)), legal[:, :, :, 0]
+    for tethers in (rng.normal(size=(4, n)), np.diff(axes[0], axis=0)):
+        forces, paid = towed(exact, fractions(tethers))
+        added = np.einsum('wki,ki->w', axes[:, 1:], np.array(forces, float)) + float(paid)
+        assert added.max() <= 1e-12
+        chords = np.einsum('wki,ki->w', np.diff(axes, axis=1), tethers)
+        sizes = problem.chord * np.linalg.norm(tethers, axis=1).sum()
+        assert added == pytest.approx(chords - sizes, abs=1e-12)
+
+
+@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize(('n', 'order'), [(2, 1), (3, 1), (2, 2), (3, 2)])
+def test_what_a_leaf_with_tethers_proves_is_below_the_cost_of_what_is_legal(n, order, seed):
+    problem, state, goals, legal, rng = tied(n, order, seed)
+    exact = verifier.posed_by(statement(problem, state, goals))
+    costs = [trajectory_of(problem, state, goals, coordinates(x[1:])).cost for x in legal]
+    best, found = legal[np.argmin(costs)], []
+    for scale in (0.0, 0.1, 1.0):
+        point = coordinates(best[1:])[:, : exact.width]
+        tethers = scale * rng.normal(size=(4, n))
+        leaf = {'point': point.tolist(), 'tethers': tethers.tolist()}
+        found.append(float(bound(exact, leaf, root(exact, None))))
+    assert max(found) <= min(costs)
+    assert len(set(found)) == 3
+
+
+@pytest.mark.parametrize(
+    'changes',
+    [
+        {'max_rate': 0.0},
+        {'max_rate': math.pi / 0.4},
+        {'max_rate': 1.0, 'floor': Floor('circle', fraction=0.5)},
+    ],
+)
+def test_tethers_are_refused_where_no_chord_is_a_limit(changes):
+    problem = replace(Problem(step=0.4, horizon=2), **changes)
+    exact, _, _ = posed(problem, np.random.default_rng(14))
+    assert towed(exact, fractions(np.zeros((2, 2))))[1] == 0
+    with pytest.raises(verifier.Refused, match='no turns are limited'):
+        towed(exact, fractions(np.ones((2, 2))))
 
 
 @pytest.mark.parametrize('kind', ['euler', 'exact', 'held'])
@@ -172,13 +260,13 @@ def test_lengths_are_priced_as_the_objective_does(kind):
         2, 1, 1 if kind != 'held' else 2, 4, 0.3, 1.7, Weights(length=0.8), discretisation=kind
     )
     exact, _, _ = posed(problem, np.random.default_rng(3))
-    assert [float(each) for each in exact.length] == pytest.approx(length_weights(problem))
+    assert [float(each) for each in exact.weights.length] == pytest.approx(length_weights(problem))
 
 
 @pytest.mark.parametrize('angle', [0.0, 1.0, -2.5, 3.14159, 376.2, -1e-9])
 def test_directions_are_bracketed(angle):
-    cosine, sine = verifier._direction(Fraction(angle))
-    assert abs(cosine * cosine + sine * sine - 1) < 4 * verifier.TINY
+    cosine, sine = direction(Fraction(angle))
+    assert abs(cosine * cosine + sine * sine - 1) < 4 * TINY
     assert (float(cosine), float(sine)) == pytest.approx(
         (math.cos(angle), math.sin(angle)), abs=1e-15
     )
@@ -190,7 +278,7 @@ def test_what_a_matrix_lacks_of_semidefinite_is_bracketed(seed):
     factor = rng.normal(size=(5, 5 - seed % 3))
     matrix = factor @ factor.T - (0.1 * np.eye(5) if seed > 2 else 0.0)
     matrix = 0.5 * (matrix + matrix.T) * 10.0 ** rng.uniform(-9, 9)
-    lack, least = float(verifier._lacking(fractions(matrix))), np.linalg.eigvalsh(matrix)[0]
+    lack, least = float(lacking(fractions(matrix))), np.linalg.eigvalsh(matrix)[0]
     size = np.abs(matrix).max()
     assert lack >= -least - 1e-14 * size
     assert lack <= 20.0 * max(0.0, -least) + 1e-12 * size
@@ -202,10 +290,10 @@ def test_least_over_a_sector_is_below_all_that_is_in_it(seed):
     low = rng.uniform(-9.0, 9.0)
     high = low + rng.choice([0.1, 1.0, 3.0, 4.0, 6.0, 7.0])
     slope, bend, floor = rng.normal(size=2), rng.normal(), 0.4
-    steepest = verifier._least_within(
-        [Fraction(float(s)) for s in slope], verifier.Sector(Fraction(low), Fraction(high))
+    steepest = closed.least_within(
+        [Fraction(float(s)) for s in slope], Sector(Fraction(low), Fraction(high))
     )
-    least = float(verifier._least_along(steepest, Fraction(bend), Fraction(floor)))
+    least = float(closed.least_along(steepest, Fraction(bend), Fraction(floor)))
     angles, speeds = np.meshgrid(np.linspace(low, high, 801), np.linspace(floor, 1.0, 201))
     z = speeds * (slope[0] * np.cos(angles) + slope[1] * np.sin(angles))
     found = (z - 0.5 * bend * speeds**2).min()
@@ -220,7 +308,7 @@ def test_least_beyond_a_face_is_below_all_that_is_beyond(seed):
     problem = Problem(floor=Floor('polygon', faces, 0.6))
     exact, _, _ = posed(problem, rng)
     slope = rng.normal(size=2)
-    least = float(exact._least_beyond([Fraction(float(s)) for s in slope], face))
+    least = float(closed.least_beyond(fractions([slope])[0], exact.floor, face))
     angle = 2.0 * np.pi * face / faces + np.linspace(-1.0, 1.0, 2001) * math.acos(0.6)
     rim = np.column_stack([np.cos(angle), np.sin(angle)])  # the least of a line is at an end
     assert least == pytest.approx((rim @ slope).min(), abs=1e-5)
@@ -236,8 +324,8 @@ def test_least_over_a_sector_of_a_polygon_is_that_of_its_points(seed):
     exact, _, _ = posed(problem, rng)
     low, slope = rng.uniform(-9.0, 9.0), rng.normal(size=2)
     high = low + rng.uniform(0.01, 3.1)
-    sector, given = verifier.Sector(Fraction(low), Fraction(high)), fractions([slope])[0]
-    least = float(exact._least_reached(given, sector, verifier._least_within(given, sector)))
+    sector, given = Sector(Fraction(low), Fraction(high)), fractions([slope])[0]
+    least = float(closed.least_reached(given, exact.floor, sector))
     angles = np.linspace(low, high, 2001)
     share = 2.0 * np.pi / faces
     reach = fraction / np.cos(angles - share * np.round(angles / share))
@@ -253,29 +341,57 @@ def test_least_over_the_orbitope_is_below_all_rotations(seed):
     sizes = np.linalg.svd(slope.reshape(3, 3).T, compute_uv=False)
     sign = -np.sign(np.linalg.det(slope.reshape(3, 3)))
     least = -(sizes[0] + sizes[1] + sign * sizes[2])
-    exact = verifier.StatedProblem._least_over_orbitope
+    exact = closed.least_over_orbitope
     given = [Fraction(float(s)) for s in slope]
     assert float(exact(given, Fraction(-least))) == pytest.approx(least, abs=1e-9)
     assert float(exact(given, Fraction(-least + 1.0))) <= least  # tops that are loose, or too low
     assert float(exact(given, Fraction(-least - 1.0))) <= least
 
 
+def test_what_a_leaf_proves_is_the_same_after_another_was_stiff():
+    problem = Problem(2, 1, 1, 4, 0.3, 1.7, WEIGHTS, terminal='constraint')
+    exact, _, _ = posed(problem, np.random.default_rng(12))
+    bent = {'point': np.full((4, 2), 0.3).tolist(), 'bends': [-2.0] * 4}
+    alone = bound(exact, bent, root(exact, None))
+    assert bound(exact, {**bent, 'stiffness': 1e3}, root(exact, None)) != alone
+    assert bound(exact, bent, root(exact, None)) == alone
+
+
 def test_it_imports_the_standard_library_alone():
-    tree = ast.parse(Path(verifier.__file__).read_text())
-    found = {
-        name.partition('.')[0]
-        for node in ast.walk(tree)
-        if isinstance(node, (ast.Import, ast.ImportFrom))
-        for name in (
-            [node.module] if isinstance(node, ast.ImportFrom) else [a.name for a in node.names]
-        )
-    }
-    assert found <= set(sys.stdlib_module_names)
+    folder = Path(verifier.__file__).parent
+    own = {path.stem for path in folder.glob('*.py')}
+    for path in folder.glob('*.py'):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.level:
+                assert node.level == 1
+                assert node.module is None or node.module in own
+            elif isinstance(node, (ast.Import, ast.ImportFrom)):
+                names = [node.module] if isinstance(node, ast.ImportFrom) else node.names
+                tops = {getattr(each, 'name', each).partition('.')[0] for each in names}
+                assert tops <= set(sys.stdlib_module_names)
+
+
+def worked_example():
+    page = (Path(__file__).parents[1] / 'docs' / 'proofs.md').read_text()
+    return json.loads(page.partition('```json\n')[2].partition('```')[0])
+
+
+@pytest.mark.parametrize(
+    ('bound', 'code', 'words'), [(2.1796, 0, 'holds'), (2.18, 1, 'NOT HOLD'), ('2', 2, 'refused')]
+)
+def test_its_folder_runs_alone(tmp_path, bound, code, words):
+    folder = Path(verifier.__file__).parent
+    shutil.copytree(folder, tmp_path / 'verifier', ignore=shutil.ignore_patterns('__pycache__'))
+    known = worked_example() | {'lower_bound': bound}
+    (tmp_path / 'proof.json').write_text(json.dumps(known))
+    command = [sys.executable, '-E', '-s', '-S', '-m', 'verifier', 'proof.json']
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == code
+    assert words in done.stdout + done.stderr
 
 
 def test_the_worked_example_of_the_docs_comes_to_what_it_says():
-    page = (Path(__file__).parents[1] / 'docs' / 'proofs.md').read_text()
-    known = json.loads(page.partition('```json\n')[2].partition('```')[0])
+    known = worked_example()
     assert verifier.verified(known).proved == pytest.approx(2.17965, abs=5e-6)
     known['tree'] = {
         'point': [[0.7102990878738831, 0.7038999969921365]] * 2,
@@ -374,6 +490,6 @@ def test_a_huge_file_is_refused_before_it_is_taken_apart(tmp_path, monkeypatch):
     file = tmp_path / 'huge.json'
     with file.open('wb') as made:
         made.truncate(1 << 30)  # sparse
-    monkeypatch.setattr(verifier, 'parsed', lambda text: pytest.fail('it was'))
+    monkeypatch.setattr(reading, 'parsed', lambda text: pytest.fail('it was'))
     with pytest.raises(verifier.Refused, match='larger than'):
         verifier.read(file)

@@ -36,6 +36,7 @@ class Leaf:
         shares: over SO(3), what of G is held by what R e1 alone is subject to, shape (N, n).
         presses: multipliers of what is known of positions in the part, in the order of the splits.
         slides: multipliers of the cone above the goal, shape (N, n).
+        tethers: multipliers of how far R e1 moves in a step, shape (N, n).
     """
 
     point: Array
@@ -46,6 +47,7 @@ class Leaf:
     shares: Array | None = None
     presses: Array | None = None
     slides: Array | None = None
+    tethers: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +222,7 @@ def _tree(tree: Tree) -> dict[str, Any]:
             found['wall'] = tree.wall
         return found if tree.at is None else {**found, 'at': tree.at}
     leaf: dict[str, Any] = {'point': tree.point.tolist()}
-    for name in ('bends', 'pull', 'tops', 'shares', 'presses', 'slides'):
+    for name in ('bends', 'pull', 'tops', 'shares', 'presses', 'slides', 'tethers'):
         value = getattr(tree, name)
         if value is not None and len(value):
             leaf[name] = value.tolist()

@@ -11,6 +11,7 @@ Mathematics: docs/proofs.md.
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from functools import cached_property
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -26,9 +27,10 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.certificate import Leaf
 from orbimpc_ros.mpc.proof.complementary import Pair, factor, stepped
 from orbimpc_ros.mpc.proof.complementary import held as holding
-from orbimpc_ros.mpc.proof.spatial import quadratic, top, touching
+from orbimpc_ros.mpc.proof.spatial import quadratic, top, touching_freely
 from orbimpc_ros.mpc.proof.stationary import arrival_of
-from orbimpc_ros.mpc.proof.verifier import Region, StatedProblem
+from orbimpc_ros.mpc.proof.verifier.regions import Region
+from orbimpc_ros.mpc.proof.verifier.stated import StatedProblem
 
 ACCURACY = 1e-10  # of solutions
 BEYOND_RIM = 1.0 + 1e-15  # so that what is on the rim of its cone is not outside by rounding
@@ -45,6 +47,7 @@ class Held(NamedTuple):
         shares: of the speeds and cones of each R_k e1: what they hold of its slope, shape (N, n).
         presses: of what is known of positions, shape (rows,).
         slides: of the cone above the goal, shape (N, n).
+        tethers: of how far R e1 moves in a step, shape (N, n).
         factors: over SO(3), F_k of the multipliers F_k F_k' of S(R_k) >= 0, shapes (4, r_k).
     """
 
@@ -52,6 +55,7 @@ class Held(NamedTuple):
     shares: Array
     presses: Array
     slides: Array
+    tethers: Array
     factors: tuple[Array, ...] = ()
 
 
@@ -84,7 +88,7 @@ class PartProgram:
         self, problem: Problem, state: State, goals: Array, posed: StatedProblem, unit: float
     ) -> None:
         count, n = problem.horizon, problem.dimension
-        self._posed, self._unit = posed, unit
+        self._above, self._tied, self._unit = posed.limits.slope, posed.limits.tether, unit
         self._hessians, self._q = quadratic(problem, state, goals, posed.width)
         self._length, self._reach = length_weights(problem)[1:], problem.maps.reach[:, 1:]
         still = np.zeros((count + 1, n))
@@ -92,12 +96,12 @@ class PartProgram:
         self._free = dynamics.translation_rollout(problem, state, still)[0][1:]
         self._goals, self._arrival = goals, arrival_of(problem, state, goals)
         self._columns = np.arange(count * posed.width).reshape(count, -1)
-        owned = [(k, cone) for k, own in enumerate(posed.cones) for cone in own]
+        owned = [(k, cone) for k, own in enumerate(posed.limits.cones) for cone in own]
         self._owners = np.array([k for k, _ in owned], int)
         self._axes = np.array([cone.axis for _, cone in owned], float).reshape(-1, n)
         self._widths = np.array([cone.least for _, cone in owned], float)
-        slowest = np.array(posed.least, float)
-        self._slowest = np.where(self._length > 0.0, float(posed.floor), slowest)
+        slowest = np.array(posed.limits.least, float)
+        self._slowest = np.where(self._length > 0.0, float(posed.floor.slowest), slowest)
         # Over SO(3), where nothing else is asked of R_k e1, the orbitope holds it.
         self._directed = posed.width != 9 or bool(owned or self._length.any() or slowest.any())
         self._fixed = self._arriving(), self._pointing(), self._round(), self._turning()
@@ -142,7 +146,7 @@ class PartProgram:
         return np.vstack([speeds, cones]), b
 
     def _round(self) -> Rows:
-        """Return (t_k, R_k e1), and (cos d_3 + eased, sin d_1, sin d_2) of the cone above goals."""
+        """Return (t_k, R_k e1), (cos d_3 + eased, sin d_1, sin d_2) above goals, and ties."""
         (count, n), first = self._free.shape, self._columns.size
         disks, above = self._blank(count * (n + 1)), self._blank(0)
         for k in range(count):
@@ -150,18 +154,35 @@ class PartProgram:
             if self._directed:
                 disks[k * (n + 1) + 1 + np.arange(n), self._columns[k, :n]] = -1.0
         b = np.zeros((count, 3))
-        if self._posed.slides:
+        if self._above:
             above, scales = self._blank(3 * count), self._slope
             for j, i in enumerate((2, 0, 1)):
                 above[j::3, self._columns[:, i]] = -scales[i] * self._reach
                 b[:, j] = scales[i] * (self._free - self._goals)[:, i]
-            b[:, 0] += np.array(self._posed.strays, float) / self._unit
-        return np.vstack([disks, above]), np.append(np.zeros(len(disks)), b.ravel()[: len(above)])
+            b[:, 0] += np.array(self._above.eased, float) / self._unit
+        ties, lengths = self._tying()
+        b = np.concatenate([np.zeros(len(disks)), b.ravel()[: len(above)], lengths])
+        return np.vstack([disks, above, ties]), b
+
+    def _tying(self) -> Rows:
+        """Return (c, R_{k+1} e1 - R_k e1), where turns are limited."""
+        if self._tied is None:
+            return self._blank(0), np.zeros(0)
+        count, n = self._free.shape
+        a, b = self._blank(count * (n + 1)), np.zeros((count, n + 1))
+        b[:, 0], b[0, 1:] = float(self._tied.length), -np.array(self._tied.begin, float)
+        for k in range(count):
+            rows = k * (n + 1) + 1 + np.arange(n)
+            a[rows, self._columns[k, :n]] = -1.0
+            if k:
+                a[rows, self._columns[k - 1, :n]] = 1.0
+        return a, b.ravel()
 
     @property
     def _slope(self) -> Array:
         """Return what the cone above the goal scales x, y and z by."""
-        cosine, sine = map(float, self._posed.slope)
+        assert self._above is not None
+        cosine, sine = float(self._above.cosine), float(self._above.sine)
         return np.array([sine, sine, cosine])
 
     def _turning(self) -> Rows:
@@ -191,8 +212,9 @@ class PartProgram:
         groups = arriving, pointing, self._beside(region), cones, turning
         sizes = [len(b) for _, b in groups]
         count, n = self._free.shape
-        sloping = [3] * count if self._posed.slides else []
-        dims = {'zero': sizes[0], 'nonneg': sizes[1] + sizes[2], 'soc': [n + 1] * count + sloping}
+        round_ones = [n + 1] * count + ([3] * count if self._above else [])
+        round_ones += [n + 1] * count if self._tied else []
+        dims = {'zero': sizes[0], 'nonneg': sizes[1] + sizes[2], 'soc': round_ones}
         data = {
             'P': sparse.csc_matrix(self._bent),
             'c': np.concatenate([self._q.ravel(), self._length]),
@@ -214,17 +236,24 @@ class PartProgram:
 
     def _held(self, duals: list[Array], slacks: list[Array]) -> Held:
         """Return multipliers without those of what holds with room to spare."""
-        (count, n), disks = self._free.shape, len(self._free) * (self._free.shape[1] + 1)
+        count, n = self._free.shape
+        disks, ties = count * (n + 1), (count * (n + 1) if self._tied else 0)
         presses = np.where(duals[2] > slacks[2], duals[2], 0.0)
         shares = self._shares(
             (duals[1], slacks[1]),
             tuple(each[3][:disks].reshape(count, n + 1) for each in (duals, slacks)),
         )
         slides: Array = np.zeros((count, n))
-        if self._posed.slides:
-            slides = self._slides(*(each[3][disks:].reshape(count, 3) for each in (duals, slacks)))
+        if self._above:
+            above = (each[3][disks : len(each[3]) - ties] for each in (duals, slacks))
+            slides = self._slides(*(each.reshape(count, 3) for each in above))
+        tethers: Array = np.zeros((count, n))
+        if self._tied:
+            tied = (each[3][len(each[3]) - ties :] for each in (duals, slacks))
+            tethers = _tethers(*(each.reshape(count, n + 1) for each in tied))
         pairs = zip(*(_matrices(each[4]) for each in (duals, slacks)), strict=True)
-        return Held(duals[0], shares, presses, slides, tuple(itertools.starmap(factor, pairs)))
+        factors = tuple(itertools.starmap(factor, pairs))
+        return Held(duals[0], shares, presses, slides, tethers, factors)
 
     def _shares(self, flat: tuple[Array, Array], disks: tuple[Array, ...]) -> Array:
         """Return what speeds and cones hold of the slope of each R_k e1, shape (N, n)."""
@@ -266,11 +295,10 @@ class PartProgram:
 
     def leaf(self, region: Region, answer: Answer) -> Leaf:
         """Return the best tangent for the multipliers of an answer, rounded to what is exact."""
-        held, size = answer.held, answer.x.size
+        held = answer.held
         turned = holding(held.factors) if held.factors else np.zeros_like(self._q)
         loaded = self._q + self._pushed(region, held) - turned - self._wide(held.shares)
-        asked = self._hessians, loaded, self._arrival
-        point, pull = touching(*asked, np.zeros(size), np.eye(size))
+        point, pull = touching_freely(self._hessians, loaded, self._arrival)
         return self._made(point, held._replace(pull=pull), turned)
 
     def polished(self, region: Region, answer: Answer) -> Answer:
@@ -294,25 +322,31 @@ class PartProgram:
 
     def refutation(self, region: Region, held: Held, size: float) -> Leaf:
         """Return a tangent that multipliers lift the more the larger they are."""
-        pull, shares, presses, slides = (size * np.asarray(each) for each in held[:4])
-        held = Held(pull, shares, presses, slides)
+        pull, shares, presses, slides, tethers = (size * np.asarray(each) for each in held[:5])
+        held = Held(pull, shares, presses, slides, tethers)
         slopes = self._q + self._pulled(held.pull) + self._pushed(region, held)
         return self._made(np.zeros_like(self._q), held, slopes - self._wide(held.shares))
 
     def _made(self, point: Array, held: Held, turned: Array) -> Leaf:
-        pull, shares, presses, slides = held[:4]
-        sliding = slides if self._posed.slides else None
+        made = Leaf(
+            point,
+            pull=held.pull,
+            presses=held.presses,
+            slides=held.slides if self._above else None,
+            tethers=held.tethers if self._tied else None,
+        )
         if point.shape[1] != 9:
-            return Leaf(point, pull=pull, presses=presses, slides=sliding)
-        tops = np.array([top(y) for y in turned])
-        return Leaf(point, None, pull, 0.0, tops, shares, presses, sliding)
+            return made
+        return replace(made, tops=np.array([top(y) for y in turned]), shares=held.shares)
 
     def _pushed(self, region: Region, held: Held) -> Array:
-        """Return what presses and slides add to slopes, shape (N, d)."""
+        """Return what presses, slides and tethers add to slopes, shape (N, d)."""
         force = held.slides.copy()
         for y, (k, normal, _) in zip(held.presses, region.rows, strict=True):
             force[k] -= y * np.array(normal, float)
-        return self._wide(self._reach.T @ force)
+        towed = held.tethers.copy()
+        towed[:-1] -= held.tethers[1:]
+        return self._wide(self._reach.T @ force + towed)
 
     def _pulled(self, pull: Array) -> Array:
         shares, left = self._arrival
@@ -323,6 +357,12 @@ class PartProgram:
         found = np.zeros(self._columns.shape)
         found[:, : axial.shape[1]] = axial
         return found
+
+
+def _tethers(duals: Array, slacks: Array) -> Array:
+    """Return multipliers of R_{k+1} e1 - R_k e1, shape (N, n), zero where it has room to spare."""
+    spare = slacks[:, 0] - np.linalg.norm(slacks[:, 1:], axis=1) > duals[:, 0]
+    return np.where(spare[:, None], 0.0, -duals[:, 1:])
 
 
 def _matrices(triangles: Array) -> Array:

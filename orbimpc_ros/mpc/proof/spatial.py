@@ -121,6 +121,28 @@ def _freedom(problem: Problem, state: State, x: Array) -> tuple[Array, Array]:
     return round(fraction) * along, basis
 
 
+def touching_freely(
+    hessians: list[Array], q: Array, arrives: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    """Return what :func:`touching` does where everything is free: axes by themselves, at once."""
+    arrival, left = arrives
+    n = left.shape[1]
+    axial, pull = _least(hessians[0], q[:, :n], arrival, left)
+    others = q[:, n:]
+    if others.size:
+        turned, _ = _least(hessians[-1], others, arrival[:0], np.zeros((0, others.shape[1])))
+        axial = np.column_stack([axial, turned])
+    return axial, pull.ravel()
+
+
+def _least(bent: Array, q: Array, rows: Array, left: Array) -> tuple[Array, Array]:
+    """Return where x'Bx/2 + q.x is least of each column with A x = b, and the multipliers."""
+    system = np.block([[bent, rows.T], [rows, np.zeros((len(rows), len(rows)))]])
+    found = np.linalg.lstsq(system, np.vstack([-q, left]), rcond=1e-15)[0]
+    moved, pull = np.split(found, [len(bent)])
+    return moved, pull
+
+
 def touching(
     hessians: list[Array], q: Array, arrives: tuple[Array, Array], base: Array, basis: Array
 ) -> tuple[Array, Array]:

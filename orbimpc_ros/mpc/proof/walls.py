@@ -16,14 +16,18 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.proof.certificate import Leaf, Split, Tree
 from orbimpc_ros.mpc.proof.part_program import Answer, PartProgram
-from orbimpc_ros.mpc.proof.verifier import BoxWall, DiscWall, Region, StatedProblem
+from orbimpc_ros.mpc.proof.verifier.bound import bound
+from orbimpc_ros.mpc.proof.verifier.regions import Region
+from orbimpc_ros.mpc.proof.verifier.splits import beside, root, side_of
+from orbimpc_ros.mpc.proof.verifier.stated import StatedProblem
+from orbimpc_ros.mpc.proof.verifier.walls import BoxWall, DiscWall
 
 SATISFIED = 1e-9  # of a step's length: a wall missed by less is not split
 NARROWEST, MARGIN = 1e-7, 0.15  # [rad] of what is split; of it, to either end
 LEAST = 1e-9  # of a curvature
 Choice = tuple[float, int, int, float | None]  # a promise, a wall, a step, an angle
 NEAR, ROUNDS = Fraction(1, 10**5), 4  # of the target, from where on digits are refined; so often
-SIZES = tuple(10.0**i for i in range(9))  # of multipliers that say that nothing is feasible
+SIZES = 1e3, 1e5, 1e8, 1e1, 1.0  # of multipliers that say that nothing is feasible, in turn
 
 
 class WallProof:
@@ -49,25 +53,26 @@ class WallProof:
         target: float,
     ) -> None:
         self._program, self._posed, self._stated = program, posed, stated
+        self._walls = list(enumerate(posed.limits.walls))
         self._target, self._spare, self._leaves = Fraction(target), SATISFIED * unit, 0
         n, steps = posed.n, range(posed.horizon)
         sides = range(2 * n)
         self._normals = np.vstack([-np.eye(n), np.eye(n)])
         # Of each wall, step and side: what it asks of s_{k+1}, and of s_k where it is one for both.
-        self._least = np.full((len(posed.walls), len(steps), len(sides), 2), -np.inf)
-        boxes = [(j, wall) for j, wall in enumerate(posed.walls) if isinstance(wall, BoxWall)]
+        self._least = np.full((len(self._walls), len(steps), len(sides), 2), -np.inf)
+        boxes = [(j, wall) for j, wall in self._walls if isinstance(wall, BoxWall)]
         for (j, box), k, i in itertools.product(boxes, steps, sides):
             for row in box.side(i, k):
                 self._least[j, k, i, k - row.k] = row.least
 
     def tree(self) -> Tree | None:
         """Return splits and leaves that prove the target; None where that takes too many."""
-        return self._proved(self._posed.root(None))
+        return self._proved(root(self._posed, None))
 
     def _proved(self, region: Region) -> Tree | None:
         answer = self._program.answer(region)
-        for leaf in self._tried(region, answer):
-            if self._worth(region, leaf) >= self._target:
+        for leaf, worth in self._tried(region, answer):
+            if worth >= self._target:
                 self._leaves += 1
                 return leaf if self._leaves <= self.most else None
         found = self._split(region, answer.x) if answer.feasible else None
@@ -75,7 +80,7 @@ class WallProof:
             return None
         _, wall, k, at = found
         parts = []
-        for each in self._posed.beside(region, k, wall, at):
+        for each in beside(self._posed, region, k, wall, at):
             assert each is not None
             part = self._proved(each)
             if part is None:
@@ -83,24 +88,28 @@ class WallProof:
             parts.append(part)
         return Split(k + 1, tuple(parts), at, wall)
 
-    def _tried(self, region: Region, answer: Answer) -> Iterator[Leaf]:
+    def _tried(self, region: Region, answer: Answer) -> Iterator[tuple[Leaf, Fraction]]:
         """Yield tangents of a region, better ones as long as it is digits that they lack."""
         if not answer.feasible:
-            yield from (self._program.refutation(region, answer.held, size) for size in SIZES)
+            for size in SIZES:
+                yield self._weighed(region, self._program.refutation(region, answer.held, size))
             return
-        yield (leaf := self._program.leaf(region, answer))
+        leaf, worth = self._weighed(region, self._program.leaf(region, answer))
+        yield leaf, worth
         for _ in range(ROUNDS if answer.held.factors else 0):
-            if self._worth(region, leaf) < self._target * (1 - NEAR):
+            if worth < self._target * (1 - NEAR):
                 return
             answer = self._program.polished(region, answer)
-            yield (leaf := self._program.leaf(region, answer))
+            leaf, worth = self._weighed(region, self._program.leaf(region, answer))
+            yield leaf, worth
 
-    def _worth(self, region: Region, leaf: Leaf) -> Fraction:
-        return self._posed.bound(self._stated(leaf), region)
+    def _weighed(self, region: Region, leaf: Leaf) -> tuple[Leaf, Fraction]:
+        """Return a leaf with what it proves."""
+        return leaf, bound(self._posed, self._stated(leaf), region)
 
     def _split(self, region: Region, x: Array) -> Choice | None:
         """Return the wall and the step whose sides all promise most; None if none is missed."""
-        if not self._posed.walls:
+        if not self._walls:
             return None
         positions = self._program.positions(x)
         found = [*self._through_boxes(positions), *self._through_discs(region, positions)]
@@ -108,12 +117,11 @@ class WallProof:
 
     def _through_discs(self, region: Region, positions: Array) -> Iterator[Choice]:
         """Yield the discs that are entered, with an angle to split the directions to there at."""
-        posed = self._posed
-        discs = [(j, wall) for j, wall in enumerate(posed.walls) if isinstance(wall, DiscWall)]
+        discs = [(j, wall) for j, wall in self._walls if isinstance(wall, DiscWall)]
         for (j, disc), k in itertools.product(discs, range(len(positions))):
             nearest, radius = self._nearest(disc, positions, k)
             short = radius - math.hypot(*nearest)
-            low, high = map(float, posed.side_of(region, k, j))
+            low, high = map(float, side_of(region, k, j))
             if short <= self._spare or high - low < NARROWEST:
                 continue
             middle, margin = 0.5 * (low + high), MARGIN * (high - low)
@@ -128,7 +136,7 @@ class WallProof:
         end = positions[k] - np.array(centre, float)
         if not disc.shared:
             return end, float(radius)
-        before = np.array(self._posed.position, float) if k == 0 else positions[k - 1]
+        before = np.array(self._posed.state.position, float) if k == 0 else positions[k - 1]
         begin = before - np.array(disc.place(k, k)[0], float)
         way = end - begin
         share = np.clip(-(begin @ way) / max(float(way @ way), LEAST * self._spare), 0.0, 1.0)

@@ -1,0 +1,76 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Whether a certificate proves its lower bound: in exact arithmetic, from the standard library.
+
+    python -m verifier CERTIFICATE.json
+
+Nothing else of the package is imported, so that this folder can be copied and read by itself, and
+nothing is rounded: numbers of the file are doubles, and what follows is computed with fractions.
+Square roots, sines and cosines are bracketed, and the side taken on which a bound gets worse.
+
+A bound rests on three facts. (1) The cost without lengths, f, is a sum of squares of affine
+functions: it is convex, and so is f_t(x) = f(x) + sum_k t_k |x_k|^2 / 2 where its matrix is
+positive semidefinite; any tangent of it is a lower bound. (2) What is left of the cost, lengths and
+-t_k |x_k|^2 / 2, and the tangent are sums over steps: their least value over the sets C_k that the
+x_k are in is a sum of least values, each known in closed form. (3) Splits are exhaustive: whatever
+a trajectory does, it is in one of the parts; a floor's faces, the directions below and above an
+angle, or the sides of a body. The bound of a split is the least of its parts'.
+
+What has to be believed: (1) is ``cost`` and ``bound``, (2) ``least``, (3) ``splits``, with what
+``walls`` says of their sides. ``exact`` has the brackets; ``reading``, ``stated``, ``limits`` and
+``regions`` say what a file means.
+
+Format and derivation: docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+from .bound import bound
+from .exact import rounded_down
+from .reading import Refused, fields, number, parsed, read
+from .splits import leaves, root
+from .stated import posed_by
+
+__all__ = ['FORMAT', 'RELATIVE', 'Refused', 'Verdict', 'parsed', 'posed_by', 'read', 'verified']
+
+FORMAT = 'orbimpc certificate 1'
+RELATIVE = Fraction(1, 10**9)  # by which a published bound may exceed what is proved
+
+
+class Verdict(NamedTuple):
+    """What a certificate comes to.
+
+    Attributes:
+        claimed: the bound that was published.
+        proved: the bound that holds, rounded down.
+        leaves: how many bounds it is the least of.
+        holds: whether what was published exceeds what holds by no more than 1e-9 of it.
+    """
+
+    claimed: float
+    proved: float
+    leaves: int
+    holds: bool
+
+
+def verified(document: Any) -> Verdict:
+    """Return what a certificate, as JSON has it, comes to.
+
+    Raises:
+        Refused: it is malformed, or not sound whatever the bound.
+    """
+    fields(document, 'certificate', ('format', 'problem', 'state', 'goals', 'lower_bound', 'tree'),
+           ('limits', 'origins'))  # fmt: skip
+    if document['format'] != FORMAT:
+        raise Refused(f'format is not {FORMAT!r}')
+    posed = posed_by(document)
+    claimed = number(document['lower_bound'], 'lower_bound')
+    whole = root(posed, document.get('origins'))
+    bounds = [bound(posed, leaf, part) for leaf, part in leaves(posed, document['tree'], whole)]
+    if not bounds:
+        raise Refused('the tree has no leaf')
+    proved = min(bounds)
+    holds = claimed <= 0 or proved >= claimed - RELATIVE * claimed  # no term of the cost is < 0
+    return Verdict(float(claimed), rounded_down(proved), len(bounds), holds)

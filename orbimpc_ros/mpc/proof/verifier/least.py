@@ -1,0 +1,108 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Least values of what is linear, in closed form: each at most what it stands for.
+
+Derivation: docs/proofs.md, the table.
+"""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+from .exact import (
+    NARROW,
+    ONE,
+    PI,
+    TINY,
+    ZERO,
+    Vector,
+    direction,
+    dot,
+    lacking,
+    root_above,
+    size_above,
+)  # fmt: skip
+from .limits import Cone, StatedFloor
+from .regions import Sector
+
+
+def least_along(slope: Fraction, bend: Fraction, slowest: Fraction) -> Fraction:
+    """Return the least slope s - bend s^2 / 2 over speeds s from the slowest to 1."""
+    ends = min(slope * s - bend * s * s / 2 for s in (slowest, ONE))
+    if bend < 0 and slowest * bend > slope > bend:  # convex, and least where it is level
+        return slope * slope / (2 * bend)
+    return ends
+
+
+def least_towards(slope: Vector, cone: Cone) -> Fraction:
+    """Return the least slope . u over unit vectors u within a cone."""
+    size, square = size_above(slope), dot(cone.axis, cone.axis)
+    along = dot(slope, cone.axis)
+    if -along >= cone.least * size - 4 * TINY * (1 + size):
+        return -size
+    across = root_above(max(ZERO, dot(slope, slope) - along * along / square))
+    aside = root_above(max(ZERO, 1 - cone.least * cone.least / square))
+    return max(-size, along * cone.least / square - across * aside)
+
+
+def least_within(slope: Vector, sector: Sector) -> Fraction:
+    """Return the least slope . (cos, sin) over the directions of a sector."""
+    size = size_above(slope)
+    width = sector.high - sector.low
+    if width >= 2 * PI - NARROW:
+        return -size
+    (ax, ay), (bx, by) = direction(sector.low), direction(sector.high)
+    off = 4 * TINY * (1 + size)
+    from_low = ay * slope[0] - ax * slope[1]  # how far -slope is to the left of the lower edge
+    to_high = bx * slope[1] - by * slope[0]
+    inside = from_low > -off and to_high > -off
+    if width > PI - NARROW:  # what is outside is narrower
+        inside = from_low > -off or to_high > -off
+    if inside:
+        return -size
+    return min(slope[0] * ax + slope[1] * ay, slope[0] * bx + slope[1] * by) - off
+
+
+def least_beyond(slope: Vector, floor: StatedFloor, face: int) -> Fraction:
+    """Return the least slope . x over the part of the disk beyond a face n . x >= slowest."""
+    x, y = direction(2 * PI * face / floor.faces)
+    inward, across = slope[0] * x + slope[1] * y, abs(slope[1] * x - slope[0] * y)
+    size, slowest = size_above(slope), floor.slowest
+    if -inward >= slowest * size - 4 * TINY * (1 + size):
+        return -size
+    corner = slowest * inward - root_above(1 - slowest * slowest) * across
+    return max(-size, corner - 4 * TINY * (1 + size))
+
+
+def least_reached(slope: Vector, floor: StatedFloor, sector: Sector) -> Fraction:
+    """Return the least slope . x over a sector, from a polygonal floor to the rim.
+
+    Given the least at the rim, what is left is the floor: straight between the ends and its
+    corners. Where these are downhill of the middle, the rim is lower.
+    """
+    rim = least_within(slope, sector)
+    if sector.high - sector.low >= PI - NARROW:
+        return least_along(rim, ZERO, floor.slowest)
+    share = 2 * PI / floor.faces
+    first, last = (each / share - Fraction(1, 2) for each in (sector.low, sector.high))
+    corners = range(math.ceil(first), math.floor(last) + 1)
+    best, off = rim, 4 * TINY * (1 + size_above(slope))
+    for angle in (sector.low, sector.high, *((i + Fraction(1, 2)) * share for i in corners)):
+        (x, y), nearest = direction(angle), round(angle / share)
+        nx, ny = direction(nearest * share)
+        along = slope[0] * x + slope[1] * y - off
+        if along > 0:
+            best = min(best, along * floor.slowest / (nx * x + ny * y + 4 * TINY))
+    return best
+
+
+def least_over_orbitope(slope: Vector, top: Fraction) -> Fraction:
+    """Return the least <G, R> over conv SO(3): -top, where top I + K(G) is semidefinite."""
+    g11, g21, g31, g12, g22, g32, g13, g23, g33 = slope
+    matrix = [
+        [top + g11 + g22 + g33, g32 - g23, g13 - g31, g21 - g12],
+        [g32 - g23, top + g11 - g22 - g33, g21 + g12, g13 + g31],
+        [g13 - g31, g21 + g12, top - g11 + g22 - g33, g32 + g23],
+        [g21 - g12, g13 + g31, g32 + g23, top - g11 - g22 + g33],
+    ]
+    return -top - lacking(matrix)

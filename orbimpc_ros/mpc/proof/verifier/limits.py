@@ -1,0 +1,87 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""What thrust axes and positions are subject to, but for walls: floors, cones, the glide slope."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+from .exact import NARROW, PI, TINY, ZERO, Vector, direction
+from .reading import Refused, fields, items, vector, weight, whole, word
+
+
+class StatedFloor(NamedTuple):
+    """The least speed as a share of the fastest, of a disk or of a polygon with so many faces."""
+
+    exists: bool
+    slowest: Fraction
+    faces: int
+
+
+class Cone(NamedTuple):
+    """Where axes point: u . axis is at least so much of each unit vector u along them."""
+
+    axis: Vector
+    least: Fraction
+
+
+class Tether(NamedTuple):
+    """How far an axis moves in a step at most, and where the one before the first step is."""
+
+    begin: Vector
+    length: Fraction
+
+
+class GlideSlope(NamedTuple):
+    """The cone above the goal: its angle's cosine and sine, and by how much steps are eased."""
+
+    cosine: Fraction
+    sine: Fraction
+    eased: Vector
+
+
+def floor(stated: Any) -> StatedFloor:
+    """Return a floor as it is stated."""
+    fields(stated, 'floor', ('shape',), ('faces', 'fraction'))
+    shape = word(stated['shape'], 'floor.shape', ('none', 'polygon', 'circle'))
+    slowest = ZERO if shape == 'none' else weight(stated.get('fraction'), 'floor.fraction')
+    faces = whole(stated.get('faces'), 'floor.faces', 3, 64) if shape == 'polygon' else 0
+    return StatedFloor(shape != 'none', slowest, faces)
+
+
+def cones(stated: Any, n: int, slowest: Fraction, horizon: int) -> tuple[list[list[Cone]], Vector]:
+    """Return the cones that each step's axis is in, and its least speed."""
+    found: list[list[Cone]] = [[] for _ in range(horizon)]
+    least = [slowest] * horizon
+    for each in items(stated, 'cones'):
+        fields(each, 'a cone', ('axis', 'angle', 'least', 'steps'))
+        angle = weight(each['angle'], 'angle')
+        cone = Cone(vector(each['axis'], 'axis', n), direction(angle)[0] - TINY)
+        if angle > PI / 2 or not any(cone.axis):
+            raise Refused('a cone is none, or wider than half of space')
+        for step in items(each['steps'], 'steps'):
+            k = whole(step, 'steps', 1, horizon) - 1
+            found[k].append(cone)
+            least[k] = max(least[k], weight(each['least'], 'least'))
+    if max(least) > 1:
+        raise Refused('a least speed is above 1')
+    return found, least
+
+
+def tether(turn: Fraction, limit: StatedFloor, begin: Vector) -> Tether | None:
+    """Return how far turns move axes where they are limited as chords (3.6a): without a floor."""
+    if not turn or limit.exists or turn > PI - NARROW:
+        return None
+    return Tether(begin, 2 * (direction(turn / 2)[1] + TINY))
+
+
+def glide_slope(stated: Any, horizon: int) -> GlideSlope:
+    """Return the cone above the goal."""
+    fields(stated, 'glide_slope', ('angle', 'eased'))
+    angle = weight(stated['angle'], 'angle')
+    if not 0 < angle < PI / 2:
+        raise Refused('the angle of glide_slope is none')
+    eased = vector(stated['eased'], 'eased', horizon)
+    if min(eased) < 0:
+        raise Refused('eased is negative')
+    return GlideSlope(*direction(angle), eased)

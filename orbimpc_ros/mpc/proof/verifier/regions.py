@@ -1,0 +1,36 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""What is known of trajectories in a part of a split."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import NamedTuple
+
+from .exact import Vector
+
+
+class Sector(NamedTuple):
+    """Directions from ``low`` to ``high`` [rad]."""
+
+    low: Fraction
+    high: Fraction
+
+
+class Side(NamedTuple):
+    """What is known of a position: normal . s_{k+1} is at least so much."""
+
+    k: int
+    normal: Vector
+    least: Fraction
+
+
+class Region(NamedTuple):
+    """What is known in a part of a split: a face or a sector of each step, None if neither.
+
+    And of positions, beside the bodies that tell the parts apart.
+    """
+
+    faces: tuple[int | None, ...]
+    sectors: tuple[Sector | None, ...]
+    rows: tuple[Side, ...] = ()
+    passed: tuple[tuple[int, int, Sector], ...] = ()  # discs, at which step, and on which side

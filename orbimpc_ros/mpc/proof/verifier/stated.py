@@ -1,0 +1,237 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""The problem that a certificate states, with its state and goals, in exact numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+from .exact import ONE, ZERO, Vector, size_above
+from .limits import (
+    Cone,
+    GlideSlope,
+    StatedFloor,
+    Tether,
+    cones,
+    floor,
+    glide_slope,
+    tether,
+)  # fmt: skip
+from .reading import Refused, fields, items, rows, vector, weight, whole, word
+from .walls import BoxWall, DiscWall, Lead, wall
+
+MOST_STEPS = 500
+WEIGHTS = ('position', 'input', 'length', 'terminal', 'attitude', 'arrival')
+STATE = ('position', 'rotation', 'velocity', 'rotation_rate', 'attitude', 'coasted',
+         'disturbance', 'wanted')  # fmt: skip
+PROBLEM = ('dimension', 'rotation_order', 'translation_order', 'discretisation', 'horizon', 'step',
+           'forward', 'weights', 'terminal', 'floor', 'max_rate')  # fmt: skip
+
+
+class StatedModel(NamedTuple):
+    """How a step moves along each axis.
+
+    s -> s + h p + push z_k + follow z_{k+1} + blow w, and of its velocity, which stays 0 at
+    translation order 1, p -> p + add z_k + after z_{k+1} + gust w.
+
+    Attributes:
+        step: h [s].
+        inertial: whether it is of translation order 2.
+        flown: how far each z_0..z_N is flown along.
+    """
+
+    step: Fraction
+    inertial: bool
+    flown: Vector
+    push: Fraction
+    add: Fraction
+    follow: Fraction
+    after: Fraction
+    blow: Fraction
+    gust: Fraction
+
+    @property
+    def is_straight(self) -> bool:
+        """Whether motion within a step is along a line."""
+        return not (self.follow or self.after) and self.blow == (0 if self.inertial else self.step)
+
+
+class StatedWeights(NamedTuple):
+    """Of |s_k - g_k|^2, shape (N,); of inputs; of the last attitude; of p_N; of |z_0|..|z_N|."""
+
+    position: Vector
+    input: Fraction
+    attitude: Fraction
+    braking: Fraction
+    length: Vector
+
+
+class StatedState(NamedTuple):
+    """Where plans start: rotations are as many of their columns' numbers as the cost sees."""
+
+    position: Vector
+    velocity: Vector
+    disturbance: Vector
+    first: Vector  # R_0
+    second: Vector  # R_0 + h dR_0, at rotation order 2
+    ahead: Vector  # the attitude
+    coasted: Vector | None
+    wanted: Vector
+
+
+class StatedLimits(NamedTuple):
+    """Of each step its cones and its least speed; tethers; the cone above the goal; walls."""
+
+    cones: list[list[Cone]]
+    least: Vector
+    tether: Tether | None
+    slope: GlideSlope | None
+    walls: list[BoxWall | DiscWall]
+
+
+@dataclass(frozen=True, eq=False)
+class StatedProblem:
+    """A problem with its state and goals.
+
+    Attributes:
+        n: dimension.
+        order: of rotations.
+        horizon: N.
+        width: how many numbers a rotation is: its thrust axis alone where the cost sees no more.
+        arrives: whether trajectories have to end at the goal.
+        turn: angle that directions that are split turn by in a step at most [rad]; 0 for any.
+    """
+
+    n: int
+    order: int
+    horizon: int
+    width: int
+    model: StatedModel
+    weights: StatedWeights
+    arrives: bool
+    floor: StatedFloor
+    state: StatedState
+    goals: list[Vector]
+    limits: StatedLimits
+    turn: Fraction
+
+
+def posed_by(document: dict[str, Any]) -> StatedProblem:
+    """Return the problem that a certificate is of.
+
+    Raises:
+        Refused: it is malformed, or of a kind that the format has no proofs for.
+    """
+    problem = document['problem']
+    fields(problem, 'problem', PROBLEM)
+    n = whole(problem['dimension'], 'dimension', 2, 3)
+    order = whole(problem['rotation_order'], 'rotation_order', 1, 2)
+    horizon = whole(problem['horizon'], 'horizon', 1, MOST_STEPS)
+    model = _model(problem, horizon)
+    weights = _weights(problem['weights'], n, model)
+    width = 2 if n == 2 else 3 if order == 1 and not (weights.input or weights.attitude) else 9
+    state = _state(document['state'], n, width, model.step)
+    if weights.attitude and document['state']['wanted'] is None:
+        raise Refused('state.wanted is missing')
+    made = floor(problem['floor'])
+    if made.slowest > 1 or (made.exists and order == 2) or (made.faces and n == 3):
+        raise Refused('the floor is beyond this format')
+    turn = model.step * weight(problem['max_rate'], 'max_rate')
+    arrives = word(problem['terminal'], 'terminal', ('penalty', 'constraint')) == 'constraint'
+    goals = rows(document['goals'], 'goals', horizon, n)
+    tied = tether(turn, made, state.first[:n])
+    limits = _limits(document.get('limits', {}), made, tied, model, state, horizon)
+    turn = turn if n == 2 and made.slowest else ZERO
+    return StatedProblem(
+        n, order, horizon, width, model, weights, arrives, made, state, goals, limits, turn
+    )
+
+
+def _model(problem: dict[str, Any], horizon: int) -> StatedModel:
+    order = whole(problem['translation_order'], 'translation_order', 1, 2)
+    kind = word(problem['discretisation'], 'discretisation', ('euler', 'exact', 'held'))
+    h = weight(problem['step'], 'step')
+    z = weight(problem['forward'], 'forward')
+    models = {
+        (1, 'euler'): (h * z, ZERO, ZERO, ZERO, h, ZERO),
+        (1, 'exact'): (h * z / 2, ZERO, h * z / 2, ZERO, h, ZERO),
+        (2, 'euler'): (ZERO, h * z, ZERO, ZERO, ZERO, h),
+        (2, 'exact'): (h * h * z / 3, h * z / 2, h * h * z / 6, h * z / 2, h * h / 2, h),
+        (2, 'held'): (ZERO, ZERO, h * h * z / 2, h * z, h * h / 2, h),
+    }
+    if not (h and z) or (order, kind) not in models:
+        raise Refused('step, forward or discretisation is none that there is')
+    late = {'euler': ZERO, 'exact': Fraction(1, 2), 'held': ONE}[kind]
+    shares = [1 - late, *[ONE] * (horizon - 1), late]
+    return StatedModel(h, order == 2, [h * z * share for share in shares], *models[order, kind])
+
+
+def _weights(stated: Any, n: int, model: StatedModel) -> StatedWeights:
+    fields(stated, 'weights', WEIGHTS)
+    q, r, length, last, attitude, arrival = (weight(stated[name], name) for name in WEIGHTS)
+    double = 2 if n == 2 else 1  # coordinates of R that are there twice
+    position = [q] * (len(model.flown) - 2) + [q + last + arrival]
+    braking = arrival * model.step * model.step if model.inertial else ZERO
+    lengths = [length * each for each in model.flown]
+    return StatedWeights(position, double * r, double * attitude, braking, lengths)
+
+
+def _state(stated: Any, n: int, width: int, step: Fraction) -> StatedState:
+    fields(stated, 'state', STATE)
+
+    def rotation(name: str) -> Vector:
+        """Return a matrix column by column, as far as it is seen."""
+        matrix = rows(stated[name], f'state.{name}', n, n)
+        return [row[i] for i in range(n) for row in matrix][:width]
+
+    def place(name: str) -> Vector:
+        return vector(stated[name], f'state.{name}', n)
+
+    first, rate = rotation('rotation'), rotation('rotation_rate')
+    return StatedState(
+        position=place('position'),
+        velocity=place('velocity'),
+        disturbance=place('disturbance'),
+        first=first,
+        second=[x + step * y for x, y in zip(first, rate, strict=True)],
+        ahead=rotation('attitude'),
+        coasted=None if stated['coasted'] is None else rotation('coasted'),
+        wanted=[ZERO] * width if stated['wanted'] is None else rotation('wanted'),
+    )
+
+
+def _limits(
+    stated: Any,
+    made: StatedFloor,
+    tied: Tether | None,
+    model: StatedModel,
+    state: StatedState,
+    horizon: int,
+) -> StatedLimits:
+    fields(stated, 'limits', (), ('cones', 'glide_slope', 'walls'))
+    n = len(state.position)
+    sloping = 'glide_slope' in stated and n == 3
+    leads = _leads(model, state, horizon)
+    return StatedLimits(
+        *cones(stated.get('cones', []), n, made.slowest, horizon),
+        tied,
+        glide_slope(stated['glide_slope'], horizon) if sloping else None,
+        [wall(each, n, horizon, leads) for each in items(stated.get('walls', []), 'walls')],
+    )
+
+
+def _leads(model: StatedModel, state: StatedState, horizon: int) -> list[Lead]:
+    """Return where each step leads; nothing where steps are no lines."""
+    if not model.is_straight:
+        return []
+    known, far = [model.blow * w for w in state.disturbance], model.push
+    fastest = max(ONE, size_above(state.first[: len(known)]))
+    found = []
+    for k in range(horizon):
+        if model.inertial:
+            both = zip(state.velocity, state.disturbance, strict=True)
+            known = [model.step * (p + k * model.gust * w) for p, w in both]
+            far = model.push + model.step * k * model.add
+        found.append(Lead(known, fastest * far))
+    return found
