@@ -28,7 +28,7 @@ from .reading import Refused, fields, rows, vector, weight
 from .regions import Region
 from .stated import StatedProblem
 
-LEAF = ('bends', 'pull', 'stiffness', 'tops', 'shares', 'presses', 'slides')
+LEAF = ('bends', 'pull', 'stiffness', 'tops', 'shares', 'presses', 'slides', 'meets')
 
 
 class StatedLeaf(NamedTuple):
@@ -42,6 +42,7 @@ class StatedLeaf(NamedTuple):
     shares: list[Vector]
     presses: Vector
     slides: list[Vector]
+    meets: Vector
 
 
 def bound(posed: StatedProblem, stated: Any, region: Region) -> Fraction:
@@ -75,6 +76,7 @@ def _leaf(posed: StatedProblem, stated: Any, region: Region) -> StatedLeaf:
         vectors('shares'),
         numbers('presses', len(region.rows)),
         vectors('slides'),
+        numbers('meets', 0 if posed.radius is None else n),
     )
 
 
@@ -83,7 +85,8 @@ def _pushed(
 ) -> tuple[list[Vector], Fraction]:
     """Return forces F, shape (N, n), and an a such that a + sum_k F_k . (s_k - g_k) <= 0.
 
-    A row n . s >= b that is pressed by y >= 0 adds y (b - n . s).
+    A row n . s >= b that is pressed by y >= 0 adds y (b - n . s). What meets the goal within a
+    radius has c . (s_N - g_N) <= radius |c|.
     """
     push, paid = [], ZERO
     for k, c in enumerate(leaf.slides):
@@ -94,6 +97,9 @@ def _pushed(
             raise Refused('presses are negative')
         push[k] = less(push[k], [y * x for x in normal])
         paid += y * (least - dot(normal, posed.goals[k]))
+    if posed.radius is not None:
+        push[-1] = [x + y for x, y in zip(push[-1], leaf.meets, strict=True)]
+        paid -= posed.radius * size_above(leaf.meets)
     return push, paid
 
 
@@ -157,7 +163,8 @@ def _least(posed: StatedProblem, region: Region, k: int, slope: Vector, bend: Fr
     steepest = max([steepest, *(least_towards(slope, cone) for cone in posed.limits.cones[k])])
     # Where cones end, it is flat. What is linear is least around that.
     slowest = posed.floor.slowest if bend or length else posed.limits.least[k]
-    return least_along(steepest + length, bend, slowest)  # which a polygon is beyond, too
+    fastest = posed.limits.most[k]
+    return least_along(steepest + length, bend, slowest, fastest)  # a polygon is beyond, too
 
 
 def _least_decided(posed: StatedProblem, slope: Vector, bend: Fraction) -> Fraction:
