@@ -11,6 +11,7 @@ Mathematics: docs/proofs.md.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -98,11 +99,11 @@ class RefutationProgram:
         (count, n), self._arrivals = motion.free.shape, len(motion.arrival[0])
         self._z = np.arange(count * n).reshape(count, n)
         self._t, self._v = count * n + np.arange(count), count * (n + 1)
+        self._owned = [(k, cone) for k, own in enumerate(posed.limits.cones) for cone in own]
         self._fixed = self._decided(), self._paced(), self._round()
         self._soc = [n + 1] * count + [n + 1] * self._arrivals
-        self._soc += [n + 1] * (posed.radius is not None) + [3] * (
-            count if posed.limits.slope else 0
-        )
+        self._soc += [n + 1] * (posed.radius is not None)
+        self._soc += [3] * (count if posed.limits.slope else 0)
 
     @property
     def nothing(self) -> Leaf:
@@ -141,10 +142,10 @@ class RefutationProgram:
     def _paced(self) -> Rows:
         """Return bounds of speeds, the cones that axes are in, and that v is no less than -1."""
         posed, count = self._posed, len(self._t)
-        owned = [(k, cone) for k, cones in enumerate(posed.limits.cones) for cone in cones]
-        speeds, cones, least = self._blank(2 * count), self._blank(len(owned)), self._blank(1)
+        speeds, cones = self._blank(2 * count), self._blank(len(self._owned))
+        least = self._blank(1)
         speeds[:, self._t] = np.vstack([np.eye(count), -np.eye(count)])
-        for row, (k, cone) in zip(cones, owned, strict=True):
+        for row, (k, cone) in zip(cones, self._owned, strict=True):
             row[self._z[k]], row[self._t[k]] = -np.array(cone.axis, float), float(cone.least)
         least[0, self._v] = -1.0
         limits = posed.limits
@@ -152,7 +153,7 @@ class RefutationProgram:
         if posed.order == 2:
             slowest[0] = 0.0
             fastest[0] = 1.0
-        b = np.concatenate([fastest, -slowest, np.zeros(len(owned)), np.ones(1)])
+        b = np.concatenate([fastest, -slowest, np.zeros(len(cones)), np.ones(1)])
         return np.vstack([speeds, cones, least]), b
 
     def _round(self) -> Rows:
@@ -206,11 +207,7 @@ class RefutationProgram:
 
     def _headed(self, region: Region) -> Rows:
         """Return that directions are within their sectors, as far as these are cones."""
-        narrow = [
-            (k, sector)
-            for k, sector in enumerate(region.sectors)
-            if sector is not None and sector.high - sector.low < NARROW
-        ]
+        narrow = _narrow(region)
         a = self._blank(len(narrow))
         for row, (k, sector) in zip(a, narrow, strict=True):
             middle, half = middle_of(sector), 0.5 * float(sector.high - sector.low)
@@ -236,11 +233,23 @@ class RefutationProgram:
             'dims': dims,
         }
         found: Any = run(solver_for(data, ACCURACY), None)
-        x, z = np.asarray(found.x), np.asarray(found.z)
-        begin, held = sizes[0], sum(sizes[:4]) + self._z.size + len(self._t)
-        presses, rest = z[begin : begin + sizes[1]], z[held:]
-        missed = float(x[self._v])
-        return Missed(x[self._z], self._leaf(presses, rest), not missed > MISSED)
+        x, z = np.nan_to_num(found.x), np.nan_to_num(found.z)
+        nowhere = 'PrimalInfeasible' in str(
+            found.status
+        )  # its multipliers are a ray, of any length
+        ends = np.cumsum([*sizes[:4], self._z.size + len(self._t)])
+        _, presses, _, leaning, _, rest = np.split(z / (np.abs(z).max() if nowhere else 1.0), ends)
+        leaf = replace(self._leaf(presses, rest), shares=self._shares(region, leaning))
+        return Missed(x[self._z], leaf, not (nowhere or float(x[self._v]) > MISSED))
+
+    def _shares(self, region: Region, leaning: Array) -> Array | None:
+        """Return what the last cone of each step holds, beside others and its sector."""
+        shares, seen = np.zeros(self._z.shape), {k for k, _ in _narrow(region)}
+        for (k, cone), held in zip(self._owned, leaning[2 * len(self._t) :], strict=False):
+            if k in seen:
+                shares[k] = held * np.array(cone.axis, float)
+            seen.add(k)
+        return shares if shares.any() else None
 
     def _leaf(self, presses: Array, rest: Array) -> Leaf:
         """Return multipliers as certificates have them, of those of the program."""
@@ -258,6 +267,15 @@ class RefutationProgram:
             np.zeros((count, self._posed.width)), None, pull.ravel(),
             presses=presses, slides=slides, meets=meets,
         )  # fmt: skip
+
+
+def _narrow(region: Region) -> list[tuple[int, Sector]]:
+    """Return the sectors that are cones, each with its step."""
+    return [
+        (k, sector)
+        for k, sector in enumerate(region.sectors)
+        if sector is not None and sector.high - sector.low < NARROW
+    ]
 
 
 def _slides(duals: Array, slope: GlideSlope) -> Array:

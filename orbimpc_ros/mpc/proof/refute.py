@@ -128,8 +128,10 @@ class RefutationProof:
 
     def _beside(self, region: Region, answer: Missed) -> Tree | None:
         """Return what refutes a region, split beside the wall that its best trajectory enters."""
+        if not answer.feasible:
+            return None
         found = self._walls.best(region, self._program.positions(answer.x))
-        if found is None or not answer.feasible:
+        if found is None:
             return None
         _, wall, k, at = found
         return self._split(beside(self._posed, region, k, wall, at), k, at, wall)

@@ -147,6 +147,9 @@ def _of_step(
     if posed.width == 9:
         value += least_over_orbitope(less(tangent, leaf.shares[k]), leaf.tops[k])
         tangent = leaf.shares[k]
+    elif any(leaf.shares[k]):
+        value += _least_in_cones(posed, k, leaf.shares[k])
+        tangent = less(tangent, leaf.shares[k])
     return value + _least(posed, region, k, tangent, bend)
 
 
@@ -165,6 +168,15 @@ def _least(posed: StatedProblem, region: Region, k: int, slope: Vector, bend: Fr
     slowest = posed.floor.slowest if bend or length else posed.limits.least[k]
     fastest = posed.limits.most[k]
     return least_along(steepest + length, bend, slowest, fastest)  # a polygon is beyond, too
+
+
+def _least_in_cones(posed: StatedProblem, k: int, share: Vector) -> Fraction:
+    """Return the least share . z over what the cones of a step hold, whatever else does."""
+    limits = posed.limits
+    if not limits.cones[k]:
+        raise Refused('shares have no cone that holds them')
+    steepest = max(least_towards(share, cone) for cone in limits.cones[k])
+    return least_along(steepest, ZERO, limits.least[k], limits.most[k])
 
 
 def _least_decided(posed: StatedProblem, slope: Vector, bend: Fraction) -> Fraction:
