@@ -184,7 +184,7 @@ def _catch(number: int, each: ReplayedTick, args: argparse.Namespace) -> Iterato
         return
     row, count = TickVerdict(number, CATCH, claimed), excluded(claimed, catch.sought.problem.step)
     if catch.time < claimed * (1.0 - TOLERANCE):
-        words = f'{FAILS}: a trajectory catches it at {catch.time!r}'
+        words = f'{FAILS}: a plan catches it at {catch.time!r}'
         yield row._replace(outcome=FAILS, words=words)
     elif count:
         sought = catch.sought
