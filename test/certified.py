@@ -57,6 +57,20 @@ LIMITED: dict[str, dict[str, Any]] = {
         'floor': Floor('circle', fraction=0.1),
     },
 }
+# Turns and changes of speed, but for floors in the plane.
+TIED: dict[str, dict[str, Any]] = {
+    'turn rate': {'max_rate': 0.5},
+    'turn rate, inertia': {'translation_order': 2, 'max_rate': 0.5},
+    'turn rate, exact': {'discretisation': 'exact', 'max_rate': 0.3},
+    'turn rate, length': {'max_rate': 0.5, 'length': 0.3},
+    'turn rate, arrival': {'max_rate': 1.2, **ARRIVES},
+    'turn rate, boxes': {'max_rate': 1.0, 'bodies': 2},
+    'space, turn rate': {'dimension': 3, 'max_rate': 0.5},
+    'axes, turn rate': {'dimension': 3, 'max_rate': 0.5, 'input': 0.0},
+    'space, turn rate, inertia': {'dimension': 3, 'translation_order': 2, 'max_rate': 0.5},
+    'acceleration': {'max_acceleration': 0.2},
+    'space, acceleration': {'dimension': 3, 'max_acceleration': 0.2},
+}
 # Certificates of these take what a method leaves of its proof.
 LEFT: dict[str, dict[str, Any]] = {
     'polygon, turn rate': {'floor': Floor('polygon', 6, 0.6), 'max_rate': 0.7},
@@ -71,7 +85,7 @@ LEFT: dict[str, dict[str, Any]] = {
 
 def case(kind: str, rng: np.random.Generator, longest: int = 7) -> Case:
     """Return a problem of a kind with a state at full speed and goals within its reach."""
-    given = dict((KINDS | LIMITED | LEFT)[kind])
+    given = dict((KINDS | LIMITED | TIED | LEFT)[kind])
     bodies, hazards = given.pop('bodies', 0), given.pop('hazards', 0)
     discs = given.pop('discs', 0)
     weights = Weights(1.0, given.pop('input', 0.05), given.pop('length', 0.0), 10.0)
@@ -79,6 +93,8 @@ def case(kind: str, rng: np.random.Generator, longest: int = 7) -> Case:
     step, forward = 10.0 ** rng.uniform(-1, 0), 10.0 ** rng.uniform(-0.5, 1)
     if 'max_rate' in given:
         given['max_rate'] = given['max_rate'] / step
+    if 'max_acceleration' in given:
+        given['max_acceleration'] = given['max_acceleration'] * forward / step
     problem = Problem(horizon=horizon, step=step, forward=forward, weights=weights, **given)
     n, unit = problem.dimension, problem.length_unit
     attitude = problems.rotation(rng, n)

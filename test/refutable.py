@@ -37,7 +37,7 @@ def out_of_reach(rng: np.random.Generator) -> Case:
 
 def out_of_reach_above_a_floor(rng: np.random.Generator) -> Case:
     shape = ('circle', 'polygon')[int(rng.integers(2))]
-    floor = Floor(shape, 6, float(rng.uniform(0.3, 0.9)))
+    floor = Floor(shape, 6, float(rng.uniform(0.3, 0.85)))
     return _somewhere(rng, _arriving(rng, floor=floor), rng.uniform(1.0, 1.4))
 
 

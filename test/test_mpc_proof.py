@@ -43,6 +43,29 @@ def test_what_is_published_beside_walls_and_within_cones_holds(kind):
     assert verdict.proved <= plan.objective * (1.0 + 1e-7)
 
 
+@pytest.mark.parametrize('kind', certified.TIED)
+def test_what_is_published_where_turns_or_changes_of_speed_are_limited_holds(kind):
+    plan, made = certificate(kind, 0)
+    verdict = verified(parsed(made.text().encode()))
+    assert verdict.holds
+    assert verdict.proved <= plan.objective * (1.0 + 1e-7)
+
+
+@pytest.mark.parametrize('kind', ['turn rate', 'space, turn rate, inertia'])
+def test_a_proof_with_a_turn_limit_takes_the_limit(kind):
+    case = certified.case(kind, np.random.default_rng([1, *kind.encode()]))
+    aside = case.state.position - 0.5 * (case.goals[0] - case.state.position)
+    goals = np.tile(aside + case.problem.length_unit, (case.problem.horizon, 1))
+    plan = Solver(case.problem).solve(case.state, goals)
+    made = certificate_of(case.problem, case.state, goals, plan.rotations[1:], plan.lower_bound)
+    free = Solver(replace(case.problem, max_rate=0.0)).solve(case.state, goals)
+    assert verified(made.document()).proved > 1.001 * free.objective
+    for factor, outcome in ((1.1, 'does not hold'), (0.0, 'no turns are limited')):
+        known = made.document()
+        known['problem']['max_rate'] *= factor
+        assert outcome in judged(json.dumps(known))
+
+
 def judged(text):
     try:
         return 'holds' if verified(parsed(text.encode())).holds else 'does not hold'
@@ -152,8 +175,9 @@ def test_a_search_that_is_too_long_has_no_certificate(monkeypatch):
     ('changes', 'word'),
     [
         ({'dimension': 3, 'obstacles': (Ball(np.ones(3), 0.5),)}, 'balls in space'),
-        ({'max_acceleration': 0.1}, 'max_acceleration'),
-        ({'max_rate': 0.1}, 'max_rate without a floor'),
+        ({'max_acceleration': 0.1, 'floor': Floor('circle')}, 'max_acceleration with a floor'),
+        ({'dimension': 3, 'max_rate': 0.1, 'floor': Floor('circle')}, 'max_rate in space with'),
+        ({'rotation_order': 2, 'max_rate': 0.1}, 'turn limits at rotation_order 2'),
         ({'rotation_order': 2, 'floor': Floor('circle')}, 'rotation_order 2'),
         ({'dimension': 3, 'tilt': 0.3, 'translation_order': 2, 'rotation_order': 2}, 'cones'),
     ],

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from orbimpc_ros.mpc.check import turn_margin
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.model.cost import length_weights
@@ -25,7 +26,7 @@ from orbimpc_ros.mpc.proof import verifier
 from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Split, statement
 from orbimpc_ros.mpc.proof.verifier import least as closed
 from orbimpc_ros.mpc.proof.verifier import reading
-from orbimpc_ros.mpc.proof.verifier.bound import bound, slid
+from orbimpc_ros.mpc.proof.verifier.bound import bound, slid, towed
 from orbimpc_ros.mpc.proof.verifier.cost import Added, cost
 from orbimpc_ros.mpc.proof.verifier.exact import TINY, direction, lacking
 from orbimpc_ros.mpc.proof.verifier.limits import Cone
@@ -43,10 +44,11 @@ def fractions(values):
     return [[Fraction(float(x)) for x in row] for row in values]
 
 
-def added(posed, pull=(), stiffness=0, push=None):
+def added(posed, pull=(), stiffness=0, push=None, towed=None):
     """Return what is added to a cost: nothing, but for what is given."""
     still = np.zeros((posed.horizon, posed.n))
-    return Added(list(pull), Fraction(stiffness), fractions(still if push is None else push))
+    forces = (fractions(still if each is None else each) for each in (push, towed))
+    return Added(list(pull), Fraction(stiffness), *forces)
 
 
 def rotation(n, rng):
@@ -94,7 +96,7 @@ def test_its_gradient_is_exact(n, order, inertia, kind):
         [[a + sign * b for a, b in zip(u, v, strict=True)] for u, v in zip(x, d, strict=True)]
         for sign in (1, -1)
     )
-    more = added(exact, pull, Fraction(3, 2), rng.normal(size=(5, n)))
+    more = added(exact, pull, Fraction(3, 2), *rng.normal(size=(2, 5, n)))
     slopes = cost(exact, x, more)[1]
     along = sum(a * b for u, v in zip(slopes, d, strict=True) for a, b in zip(u, v, strict=True))
     # Of a quadratic, differences from both sides are exact.
@@ -180,6 +182,76 @@ def test_what_slides_along_the_glide_slope_is_nowhere_above_what_is_eased(seed):
     slides[:, 2] *= 0.99999
     with pytest.raises(verifier.Refused, match='not along the glide slope'):
         slid(exact, 0, fractions(slides)[0])
+
+
+def tied(n, order, seed):
+    """Return a problem with a turn limit, a state, goals, and rotations that the check calls legal.
+
+    Axes move about as far as they may in a step, or as near to it as the hull lets them.
+    """
+    rng = np.random.default_rng([n, order, seed, 13])
+    step, count = rng.uniform(0.1, 0.5), 4
+    problem = Problem(n, order, 1, count, step, 1.7, WEIGHTS, max_rate=rng.uniform(0.3, 4.0))
+    state = State.at(rng.normal(size=n), rotation(n, rng), wanted=rotation(n, rng))
+    walks = np.empty((400, count + 1, n, n))
+    walks[:, 0] = state.rotation
+    for walk in walks:
+        for k in range(count):
+            wanted = rotation(n, rng) * rng.uniform()
+            moved = np.linalg.norm((wanted - walk[k])[:, 0])
+            walk[k + 1] = walk[k] + min(1.0, problem.chord / moved) * (wanted - walk[k])
+        if order == 2:
+            walk[1] = walk[0] + step * state.rotation_rate
+            walk[2:] = walk[1] + np.minimum(1.0, 0.2 * problem.chord) * (walk[2:] - walk[1])
+    legal = [walk for walk in walks if turn_margin(problem, state, walk).min() > -1e-12]
+    assert len(legal) >= 100
+    return problem, state, rng.normal(size=(count, n)), np.array(legal), rng
+
+
+@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize(('n', 'order'), [(2, 1), (3, 1), (2, 2), (3, 2)])
+def test_what_tows_axes_adds_nothing_to_what_is_legal(n, order, seed):
+    problem, state, goals, legal, rng = tied(n, order, seed)
+    exact, axes = verifier.posed_by(statement(problem, state, goals)), legal[:, :, :, 0]
+    for tethers in (rng.normal(size=(4, n)), np.diff(axes[0], axis=0)):
+        forces, paid = towed(exact, fractions(tethers))
+        added = np.einsum('wki,ki->w', axes[:, 1:], np.array(forces, float)) + float(paid)
+        assert added.max() <= 1e-12
+        chords = np.einsum('wki,ki->w', np.diff(axes, axis=1), tethers)
+        sizes = problem.chord * np.linalg.norm(tethers, axis=1).sum()
+        assert added == pytest.approx(chords - sizes, abs=1e-12)
+
+
+@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize(('n', 'order'), [(2, 1), (3, 1), (2, 2), (3, 2)])
+def test_what_a_leaf_with_tethers_proves_is_below_the_cost_of_what_is_legal(n, order, seed):
+    problem, state, goals, legal, rng = tied(n, order, seed)
+    exact = verifier.posed_by(statement(problem, state, goals))
+    costs = [trajectory_of(problem, state, goals, coordinates(x[1:])).cost for x in legal]
+    best, found = legal[np.argmin(costs)], []
+    for scale in (0.0, 0.1, 1.0):
+        point = coordinates(best[1:])[:, : exact.width]
+        tethers = scale * rng.normal(size=(4, n))
+        leaf = {'point': point.tolist(), 'tethers': tethers.tolist()}
+        found.append(float(bound(exact, leaf, root(exact, None))))
+    assert max(found) <= min(costs)
+    assert len(set(found)) == 3
+
+
+@pytest.mark.parametrize(
+    'changes',
+    [
+        {'max_rate': 0.0},
+        {'max_rate': math.pi / 0.4},
+        {'max_rate': 1.0, 'floor': Floor('circle', fraction=0.5)},
+    ],
+)
+def test_tethers_are_refused_where_no_chord_is_a_limit(changes):
+    problem = replace(Problem(step=0.4, horizon=2), **changes)
+    exact, _, _ = posed(problem, np.random.default_rng(14))
+    assert towed(exact, fractions(np.zeros((2, 2))))[1] == 0
+    with pytest.raises(verifier.Refused, match='no turns are limited'):
+        towed(exact, fractions(np.ones((2, 2))))
 
 
 @pytest.mark.parametrize('kind', ['euler', 'exact', 'held'])

@@ -259,16 +259,60 @@ def test_least_speed_along_a_slope_is_below_all_that_are_allowed(seed):
     assert least <= values.min() + 1e-15
 
 
-def test_a_part_that_the_program_refutes_is_refuted_exactly():
-    """What is missed in the program is what the leaf proves, in steps, up to its accuracy."""
+EXACT = {
+    'disks': {},
+    'chords': {'max_rate': 0.8},
+    'speeds': {'max_acceleration': 0.1},
+    'sectors': {'floor': Floor('circle', fraction=0.8), 'max_rate': 0.3},
+    'cones': {'approach': Approach(0.2, (0.8, 0.6)), 'floor': Floor('circle', fraction=1.0),
+              'max_rate': 0.3},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize('kind', EXACT)
+def test_what_the_program_says_is_missed_is_what_its_multipliers_prove(kind):
+    problem = Problem(horizon=4, step=0.5, forward=0.6, **EXACT[kind])
+    state = State.at(np.zeros(2), 0.8 * np.eye(2), attitude=np.eye(2))
+    sought = Sought(problem, state, np.tile([1.3, 0.9], (4, 1)), 0.1)
+    posed = refuted_by(stated(sought).document(), 4)
+    program = RefutationProgram(Motion.of(problem, state, sought.goals), posed)
+    answer = program.answer(root(posed, None))
+    assert not answer.feasible
+    miss = np.linalg.norm(program.positions(answer.x)[-1] - sought.goals[-1]) - 0.1
+    proved = float(bound(posed, plain(answer.leaf), root(posed, None)))
+    assert proved == pytest.approx(miss, rel=1e-4)
+
+
+def test_a_goal_beyond_the_farthest_is_missed_by_what_it_is_beyond():
     state = State.at(np.zeros(2), np.eye(2))
     sought = Sought(Problem(horizon=3), state, np.tile([4.0, 1.0], (3, 1)), RADIUS)
     posed = refuted_by(stated(sought).document(), 3)
-    program = RefutationProgram(Motion.of(*[sought.problem, state, sought.goals]), posed)
-    answer = program.answer(root(posed, None))
-    assert not answer.feasible
+    program = RefutationProgram(Motion.of(sought.problem, state, sought.goals), posed)
+    leaf = plain(program.answer(root(posed, None)).leaf)
     away = np.hypot(3.0, 1.0) - 2.0 - RADIUS  # R_0 decides the first step
-    assert float(bound(posed, plain(answer.leaf), root(posed, None))) == pytest.approx(away)
+    assert float(bound(posed, leaf, root(posed, None))) == pytest.approx(away)
+
+
+def test_shares_without_a_cone_are_refused():
+    state = State.at(np.zeros(2), np.eye(2))
+    sought = Sought(Problem(horizon=2), state, np.zeros((2, 2)), RADIUS)
+    posed = refuted_by(stated(sought).document(), 2)
+    leaf = {'point': [[0.0, 0.0]] * 2, 'shares': [[1.0, 0.0], [0.0, 0.0]]}
+    with pytest.raises(Refused, match='no cone'):
+        bound(posed, leaf, root(posed, None))
+
+
+@pytest.mark.parametrize('seed', range(10))
+def test_no_shares_refute_a_heading_that_is_in_its_cone_and_its_sector(seed):
+    rng = np.random.default_rng([seed, 12])
+    angle = rng.uniform(-0.5, 0.5)
+    cone = Approach(0.3, (float(np.cos(angle)), float(np.sin(angle))))
+    problem = Problem(horizon=1, approach=cone, **refutable.WING)
+    sought = Sought(problem, State.at(np.zeros(2), np.eye(2)), np.zeros((1, 2)))
+    posed = refuted_by(stated(sought).document(), 1)
+    for _ in range(50):
+        leaf = {'point': [[0.0, 0.0]], 'shares': [rng.normal(size=2).tolist()]}
+        assert bound(posed, leaf, root(posed, None)) <= 0
 
 
 # --- mutants

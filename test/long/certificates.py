@@ -67,7 +67,8 @@ def main() -> int:
     parser.add_argument('--longest', type=int, default=20, help='horizon')
     parser.add_argument('--mutants', type=int, default=500)
     args = parser.parse_args()
-    kinds, rows, known = list(certified.KINDS | certified.LIMITED), defaultdict(list), []
+    kinds = list(certified.KINDS | certified.LIMITED | certified.TIED)
+    rows, known = defaultdict(list), []
     for index in range(args.count):
         kind = kinds[index % len(kinds)]
         outcome, found = examined(kind, args.seed, index, args.longest)

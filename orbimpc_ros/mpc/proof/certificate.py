@@ -38,6 +38,7 @@ class Leaf:
         shares: over SO(3), what of G is held by what R e1 alone is subject to, shape (N, n).
         presses: multipliers of what is known of positions in the part, in the order of the splits.
         slides: multipliers of the cone above the goal, shape (N, n).
+        tethers: multipliers of how far R e1 moves in a step, shape (N, n).
         meets: of a refutation, multiplier of that s_N is within a radius of g_N, shape (n,).
     """
 
@@ -49,6 +50,7 @@ class Leaf:
     shares: Array | None = None
     presses: Array | None = None
     slides: Array | None = None
+    tethers: Array | None = None
     meets: Array | None = None
 
 
@@ -279,7 +281,8 @@ def plain(tree: Tree) -> dict[str, Any]:
             found['wall'] = tree.wall
         return found if tree.at is None else {**found, 'at': tree.at}
     leaf: dict[str, Any] = {'point': tree.point.tolist()}
-    for name in ('bends', 'pull', 'tops', 'shares', 'presses', 'slides', 'meets'):
+    names = 'bends', 'pull', 'tops', 'shares', 'presses', 'slides', 'tethers', 'meets'
+    for name in names:
         value = getattr(tree, name)
         if value is not None and len(value):
             leaf[name] = value.tolist()

@@ -11,6 +11,7 @@ Mathematics: docs/proofs.md.
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from functools import cached_property
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -46,6 +47,7 @@ class Held(NamedTuple):
         shares: of the speeds and cones of each R_k e1: what they hold of its slope, shape (N, n).
         presses: of what is known of positions, shape (rows,).
         slides: of the cone above the goal, shape (N, n).
+        tethers: of how far R e1 moves in a step, shape (N, n).
         factors: over SO(3), F_k of the multipliers F_k F_k' of S(R_k) >= 0, shapes (4, r_k).
     """
 
@@ -53,6 +55,7 @@ class Held(NamedTuple):
     shares: Array
     presses: Array
     slides: Array
+    tethers: Array
     factors: tuple[Array, ...] = ()
 
 
@@ -85,7 +88,7 @@ class PartProgram:
         self, problem: Problem, state: State, goals: Array, posed: StatedProblem, unit: float
     ) -> None:
         count, n = problem.horizon, problem.dimension
-        self._above, self._unit = posed.limits.slope, unit
+        self._above, self._tied, self._unit = posed.limits.slope, posed.limits.tether, unit
         self._hessians, self._q = quadratic(problem, state, goals, posed.width)
         self._length, self._reach = length_weights(problem)[1:], problem.maps.reach[:, 1:]
         still = np.zeros((count + 1, n))
@@ -143,7 +146,7 @@ class PartProgram:
         return np.vstack([speeds, cones]), b
 
     def _round(self) -> Rows:
-        """Return (t_k, R_k e1), and (cos d_3 + eased, sin d_1, sin d_2) of the cone above goals."""
+        """Return (t_k, R_k e1), (cos d_3 + eased, sin d_1, sin d_2) above goals, and ties."""
         (count, n), first = self._free.shape, self._columns.size
         disks, above = self._blank(count * (n + 1)), self._blank(0)
         for k in range(count):
@@ -157,7 +160,23 @@ class PartProgram:
                 above[j::3, self._columns[:, i]] = -scales[i] * self._reach
                 b[:, j] = scales[i] * (self._free - self._goals)[:, i]
             b[:, 0] += np.array(self._above.eased, float) / self._unit
-        return np.vstack([disks, above]), np.append(np.zeros(len(disks)), b.ravel()[: len(above)])
+        ties, lengths = self._tying()
+        b = np.concatenate([np.zeros(len(disks)), b.ravel()[: len(above)], lengths])
+        return np.vstack([disks, above, ties]), b
+
+    def _tying(self) -> Rows:
+        """Return (c, R_{k+1} e1 - R_k e1), where turns are limited."""
+        if self._tied is None:
+            return self._blank(0), np.zeros(0)
+        count, n = self._free.shape
+        a, b = self._blank(count * (n + 1)), np.zeros((count, n + 1))
+        b[:, 0], b[0, 1:] = float(self._tied.length), -np.array(self._tied.begin, float)
+        for k in range(count):
+            rows = k * (n + 1) + 1 + np.arange(n)
+            a[rows, self._columns[k, :n]] = -1.0
+            if k:
+                a[rows, self._columns[k - 1, :n]] = 1.0
+        return a, b.ravel()
 
     @property
     def _slope(self) -> Array:
@@ -193,8 +212,9 @@ class PartProgram:
         groups = arriving, pointing, self._beside(region), cones, turning
         sizes = [len(b) for _, b in groups]
         count, n = self._free.shape
-        sloping = [3] * count if self._above else []
-        dims = {'zero': sizes[0], 'nonneg': sizes[1] + sizes[2], 'soc': [n + 1] * count + sloping}
+        round_ones = [n + 1] * count + ([3] * count if self._above else [])
+        round_ones += [n + 1] * count if self._tied else []
+        dims = {'zero': sizes[0], 'nonneg': sizes[1] + sizes[2], 'soc': round_ones}
         data = {
             'P': sparse.csc_matrix(self._bent),
             'c': np.concatenate([self._q.ravel(), self._length]),
@@ -216,7 +236,8 @@ class PartProgram:
 
     def _held(self, duals: list[Array], slacks: list[Array]) -> Held:
         """Return multipliers without those of what holds with room to spare."""
-        (count, n), disks = self._free.shape, len(self._free) * (self._free.shape[1] + 1)
+        count, n = self._free.shape
+        disks, ties = count * (n + 1), (count * (n + 1) if self._tied else 0)
         presses = np.where(duals[2] > slacks[2], duals[2], 0.0)
         shares = self._shares(
             (duals[1], slacks[1]),
@@ -224,9 +245,15 @@ class PartProgram:
         )
         slides: Array = np.zeros((count, n))
         if self._above:
-            slides = self._slides(*(each[3][disks:].reshape(count, 3) for each in (duals, slacks)))
+            above = (each[3][disks : len(each[3]) - ties] for each in (duals, slacks))
+            slides = self._slides(*(each.reshape(count, 3) for each in above))
+        tethers: Array = np.zeros((count, n))
+        if self._tied:
+            tied = (each[3][len(each[3]) - ties :] for each in (duals, slacks))
+            tethers = _tethers(*(each.reshape(count, n + 1) for each in tied))
         pairs = zip(*(_matrices(each[4]) for each in (duals, slacks)), strict=True)
-        return Held(duals[0], shares, presses, slides, tuple(itertools.starmap(factor, pairs)))
+        factors = tuple(itertools.starmap(factor, pairs))
+        return Held(duals[0], shares, presses, slides, tethers, factors)
 
     def _shares(self, flat: tuple[Array, Array], disks: tuple[Array, ...]) -> Array:
         """Return what speeds and cones hold of the slope of each R_k e1, shape (N, n)."""
@@ -296,25 +323,31 @@ class PartProgram:
 
     def refutation(self, region: Region, held: Held, size: float) -> Leaf:
         """Return a tangent that multipliers lift the more the larger they are."""
-        pull, shares, presses, slides = (size * np.asarray(each) for each in held[:4])
-        held = Held(pull, shares, presses, slides)
+        pull, shares, presses, slides, tethers = (size * np.asarray(each) for each in held[:5])
+        held = Held(pull, shares, presses, slides, tethers)
         slopes = self._q + self._pulled(held.pull) + self._pushed(region, held)
         return self._made(np.zeros_like(self._q), held, slopes - self._wide(held.shares))
 
     def _made(self, point: Array, held: Held, turned: Array) -> Leaf:
-        pull, shares, presses, slides = held[:4]
-        sliding = slides if self._above else None
+        made = Leaf(
+            point,
+            pull=held.pull,
+            presses=held.presses,
+            slides=held.slides if self._above else None,
+            tethers=held.tethers if self._tied else None,
+        )
         if point.shape[1] != 9:
-            return Leaf(point, pull=pull, presses=presses, slides=sliding)
-        tops = np.array([top(y) for y in turned])
-        return Leaf(point, None, pull, 0.0, tops, shares, presses, sliding)
+            return made
+        return replace(made, tops=np.array([top(y) for y in turned]), shares=held.shares)
 
     def _pushed(self, region: Region, held: Held) -> Array:
-        """Return what presses and slides add to slopes, shape (N, d)."""
+        """Return what presses, slides and tethers add to slopes, shape (N, d)."""
         force = held.slides.copy()
         for y, (k, normal, _) in zip(held.presses, region.rows, strict=True):
             force[k] -= y * np.array(normal, float)
-        return self._wide(self._reach.T @ force)
+        towed = held.tethers.copy()
+        towed[:-1] -= held.tethers[1:]
+        return self._wide(self._reach.T @ force + towed)
 
     def _pulled(self, pull: Array) -> Array:
         shares, left = self._arrival
@@ -325,6 +358,12 @@ class PartProgram:
         found = np.zeros(self._columns.shape)
         found[:, : axial.shape[1]] = axial
         return found
+
+
+def _tethers(duals: Array, slacks: Array) -> Array:
+    """Return multipliers of R_{k+1} e1 - R_k e1, shape (N, n), zero where it has room to spare."""
+    spare = slacks[:, 0] - np.linalg.norm(slacks[:, 1:], axis=1) > duals[:, 0]
+    return np.where(spare[:, None], 0.0, -duals[:, 1:])
 
 
 def _matrices(triangles: Array) -> Array:

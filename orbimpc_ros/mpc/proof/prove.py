@@ -56,12 +56,14 @@ def certificate_of(
         Unproved: problems of this kind have no certificates yet, or none was found.
     """
     _require(problem, state)
+    limited = _is_limited(problem, state)
+    problem = replace(problem, max_acceleration=0.0)  # a bound without it is one with it
     units = Units.of(problem)
     x = coordinates(rotations)[:, : _width(problem)]
     bound = _posed(bound)
     certificate = Certificate(problem, state, goals, bound, Leaf(x))
     target = _enough(bound)
-    if _is_limited(problem, state):
+    if limited:
         return _beside_walls(certificate, units, target)
     scaled = units.problem, units.state(state), units.lengths(goals)
     if _width(problem) == 9:
@@ -152,18 +154,17 @@ def _require(problem: Problem, state: State) -> None:
         Unproved: saying why.
     """
     limited, bodies = _is_limited(problem, state), [each.body for each in state.hazards]
+    second = problem.rotation_order == 2
+    paced = problem.max_acceleration and _is_parted(problem)
     limits = {
-        'obstacles and cones at rotation_order 2': limited and problem.rotation_order == 2,
-        'obstacles and cones with a turn limit': limited and problem.max_rate,
-        'max_acceleration': problem.max_acceleration,
-        'max_rate without a floor': problem.max_rate and not problem.floor.exists,
-        'max_rate with an arrival': problem.max_rate and problem.terminal == 'constraint',
-        'floors at rotation_order 2': problem.floor.exists and problem.rotation_order == 2,
+        'obstacles, cones, turn limits at rotation_order 2': limited and second,
+        'max_acceleration with a floor in the plane': paced,
+        'floors at rotation_order 2': problem.floor.exists and second,
         f'floor.shape {problem.floor.shape}': problem.floor.shape not in (
             'none', 'circle', 'polygon'),
     }  # fmt: skip
     if problem.dimension == 3:
-        limits['max_rate in space'] = problem.max_rate
+        limits['max_rate in space with a floor'] = problem.max_rate and problem.floor.exists
         limits['a polygon in space'] = problem.floor.shape == 'polygon'
         limits['balls in space'] = any(
             isinstance(each, Ball) for each in (*problem.obstacles, *bodies)
@@ -173,11 +174,18 @@ def _require(problem: Problem, state: State) -> None:
             raise Unproved(f'no certificate: there is none yet for {name}')
 
 
+def _is_parted(problem: Problem) -> bool:
+    """Return whether there is a floor whose directions can be split."""
+    return problem.dimension == 2 and problem.floor.exists and problem.terminal == 'penalty'
+
+
 def _is_limited(problem: Problem, state: State) -> bool:
-    """Return whether there are walls or cones, or limits of thrust over SO(3)."""
+    """Return whether there are walls, cones, limits of thrust over SO(3), or tethers."""
     directed = problem.has_cones or problem.approach.exists
+    tied = (problem.max_rate or problem.max_acceleration) and not _is_parted(problem)
     thrust = problem.floor.exists or problem.weights.length
-    return bool(directed or problem.obstacles or state.hazards or (_width(problem) == 9 and thrust))
+    turning = _width(problem) == 9 and thrust
+    return bool(directed or problem.obstacles or state.hazards or turning or tied)
 
 
 def _proved(certificate: Certificate) -> float:
@@ -233,4 +241,5 @@ def _in_users_units(tree: Tree, units: Units) -> Tree:
         shares=None if tree.shares is None else units.cost * tree.shares,
         presses=None if tree.presses is None else force * tree.presses,
         slides=None if tree.slides is None else force * tree.slides,
+        tethers=None if tree.tethers is None else units.cost * tree.tethers,
     )

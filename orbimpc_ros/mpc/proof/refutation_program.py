@@ -23,7 +23,7 @@ from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.certificate import Leaf
 from orbimpc_ros.mpc.proof.stationary import arrival_of
-from orbimpc_ros.mpc.proof.verifier.limits import GlideSlope
+from orbimpc_ros.mpc.proof.verifier.limits import GlideSlope, Tether
 from orbimpc_ros.mpc.proof.verifier.regions import Region, Sector
 from orbimpc_ros.mpc.proof.verifier.stated import StatedProblem
 
@@ -101,7 +101,8 @@ class RefutationProgram:
         self._t, self._v = count * n + np.arange(count), count * (n + 1)
         self._owned = [(k, cone) for k, own in enumerate(posed.limits.cones) for cone in own]
         self._fixed = self._decided(), self._paced(), self._round()
-        self._soc = [n + 1] * count + [n + 1] * self._arrivals
+        self._tied = count if posed.limits.tether else 0
+        self._soc = [n + 1] * (count + self._tied + self._arrivals)
         self._soc += [n + 1] * (posed.radius is not None)
         self._soc += [3] * (count if posed.limits.slope else 0)
 
@@ -164,6 +165,8 @@ class RefutationProgram:
             disks[k * (n + 1), self._t[k]] = -1.0
             disks[k * (n + 1) + 1 + np.arange(n), self._z[k]] = -1.0
         groups: list[Rows] = [(disks, np.zeros(len(disks)))]
+        if tether := posed.limits.tether:
+            groups += [self._tethered(k, tether) for k in range(count)]
         scales = 1.0 / motion.unit, motion.step / motion.unit
         for shares, left, scale in zip(*motion.arrival, scales, strict=False):
             groups.append(self._within(scale * shares, -scale * left, 0.0))
@@ -174,6 +177,15 @@ class RefutationProgram:
         if slope := posed.limits.slope:
             groups += [self._above(k, off[k], slope) for k in range(count)]
         return np.vstack([a for a, _ in groups]), np.concatenate([b for _, b in groups])
+
+    def _tethered(self, k: int, tether: Tether) -> Rows:
+        """Return (c, R_{k+1} e1 - R_k e1) of a step."""
+        n = self._posed.n
+        a = self._blank(n + 1)
+        a[1:, self._z[k]] = -np.eye(n)
+        if k:
+            a[1:, self._z[k - 1]] = np.eye(n)
+        return a, np.append(float(tether.length), [0.0 if k else -float(x) for x in tether.begin])
 
     def _within(self, shares: Array, off: Array, radius: float) -> Rows:
         """Return that off, and what headings add to it, is no longer than a radius and v."""
@@ -237,9 +249,16 @@ class RefutationProgram:
         nowhere = 'PrimalInfeasible' in str(
             found.status
         )  # its multipliers are a ray, of any length
-        ends = np.cumsum([*sizes[:4], self._z.size + len(self._t)])
-        _, presses, _, leaning, _, rest = np.split(z / (np.abs(z).max() if nowhere else 1.0), ends)
-        leaf = replace(self._leaf(presses, rest), shares=self._shares(region, leaning))
+        each = self._posed.n + 1
+        ends = np.cumsum([*sizes[:4], each * len(self._z), each * self._tied])
+        parts = np.split(z / (np.abs(z).max() if nowhere else 1.0), ends)
+        _, presses, _, leaning, _, tied, rest = parts
+        # What is missed is counted in steps: multipliers of what is none have their length.
+        unit = self._motion.unit
+        tethers = -unit * tied.reshape(-1, each)[:, 1:] if self._tied else None
+        leaf = replace(
+            self._leaf(presses, rest), shares=self._shares(region, unit * leaning), tethers=tethers
+        )
         return Missed(x[self._z], leaf, not (nowhere or float(x[self._v]) > MISSED))
 
     def _shares(self, region: Region, leaning: Array) -> Array | None:

@@ -65,7 +65,8 @@ def statable(problem: Problem) -> Problem:
     known = floor.shape in (('circle', 'polygon') if planar else ('circle',))
     if not known or problem.rotation_order == 2:
         floor = Floor()
-    rate = problem.max_rate if planar and floor.exists else 0.0
+    rated = problem.rotation_order == 1 and (planar or not problem.floor.exists)
+    rate = problem.max_rate if rated and floor.exists == problem.floor.exists else 0.0
     pace = problem.max_acceleration if problem.rotation_order == 1 else 0.0
     bodies = tuple(each for each in problem.obstacles if planar or not isinstance(each, Ball))
     return replace(problem, floor=floor, max_rate=rate, max_acceleration=pace, obstacles=bodies)

@@ -28,7 +28,7 @@ from .reading import Refused, fields, rows, vector, weight
 from .regions import Region
 from .stated import StatedProblem
 
-LEAF = ('bends', 'pull', 'stiffness', 'tops', 'shares', 'presses', 'slides', 'meets')
+LEAF = ('bends', 'pull', 'stiffness', 'tops', 'shares', 'presses', 'slides', 'tethers', 'meets')
 
 
 class StatedLeaf(NamedTuple):
@@ -42,6 +42,7 @@ class StatedLeaf(NamedTuple):
     shares: list[Vector]
     presses: Vector
     slides: list[Vector]
+    tethers: list[Vector]
     meets: Vector
 
 
@@ -49,8 +50,9 @@ def bound(posed: StatedProblem, stated: Any, region: Region) -> Fraction:
     """Return the bound that a leaf proves: a tangent's least value over a region."""
     leaf = _leaf(posed, stated, region)
     push, paid = _pushed(posed, leaf, region)
-    value, slopes = cost(posed, leaf.point, Added(leaf.pull, leaf.stiffness, push))
-    value += paid + posed.weights.length[0] * size_below(posed.state.first[: posed.n])
+    forces, held = towed(posed, leaf.tethers)
+    value, slopes = cost(posed, leaf.point, Added(leaf.pull, leaf.stiffness, push, forces))
+    value += paid + held + posed.weights.length[0] * size_below(posed.state.first[: posed.n])
     value -= _unbent(posed, leaf)
     return value + sum(_of_step(posed, leaf, region, k, g) for k, g in enumerate(slopes))
 
@@ -76,6 +78,7 @@ def _leaf(posed: StatedProblem, stated: Any, region: Region) -> StatedLeaf:
         vectors('shares'),
         numbers('presses', len(region.rows)),
         vectors('slides'),
+        vectors('tethers'),
         numbers('meets', 0 if posed.radius is None else n),
     )
 
@@ -115,6 +118,21 @@ def slid(posed: StatedProblem, k: int, c: Vector) -> Fraction:
     if aside > (c[2] * (slope.sine - TINY)) ** 2:
         raise Refused('slides are not along the glide slope')
     return c[2] * slope.eased[k] / (slope.cosine - TINY)
+
+
+def towed(posed: StatedProblem, tethers: list[Vector]) -> tuple[list[Vector], Fraction]:
+    """Return forces F, shape (N, n), and an a such that a + sum_k F_k . z_k <= 0.
+
+    Where |z_{k+1} - z_k| <= c, a tether y adds y . (z_{k+1} - z_k) - c |y|.
+    """
+    tied = posed.limits.tether
+    if not any(map(any, tethers)):
+        return tethers, ZERO
+    if tied is None:
+        raise Refused('tethers where no turns are limited')
+    held = -dot(tethers[0], tied.begin) - tied.length * sum(map(size_above, tethers), ZERO)
+    later = [*tethers[1:], [ZERO] * posed.n]
+    return [less(y, z) for y, z in zip(tethers, later, strict=True)], held
 
 
 def _unbent(posed: StatedProblem, leaf: StatedLeaf) -> Fraction:

@@ -16,12 +16,13 @@ class Added(NamedTuple):
 
     Where a trajectory has to arrive, c = (s_N - g_N, p_N) vanishes, and pull . c and
     stiffness |c|^2 / 2 can be added. So is sum_k push_k . (s_k - g_k), shape (N, n), with what is
-    known of positions.
+    known of positions; and sum_k towed_k . z_k, with what is known of axes that follow each other.
     """
 
     pull: Vector
     stiffness: Fraction
     push: list[Vector]
+    towed: list[Vector]
 
 
 def cost(posed: StatedProblem, x: list[Vector], added: Added) -> tuple[Fraction, list[Vector]]:
@@ -40,13 +41,15 @@ def _flight(posed: StatedProblem, i: int, z: Vector, added: Added) -> tuple[Frac
     missed, p = _missed(posed, i, z)
     braking, pushed = posed.weights.braking, [each[i] for each in added.push]
     weighed = [weight * off for weight, off in zip(posed.weights.position, missed, strict=True)]
-    value = dot(weighed, missed) + dot(pushed, missed) + braking * p * p
+    towed = [each[i] for each in added.towed]
+    value = dot(weighed, missed) + dot(pushed, missed) + dot(towed, z[1:]) + braking * p * p
     forces = [ZERO, 2 * braking * p]  # what s_N and p_N weigh
     for j, (pull, off) in enumerate(zip(added.pull[i :: posed.n], (missed[-1], p), strict=False)):
         value += pull * off + added.stiffness * off * off / 2
         forces[j] += pull + added.stiffness * off
     on_s = [2 * each + force for each, force in zip(weighed, pushed, strict=True)]
-    return value, _backwards(posed, on_s, forces)
+    first, *slopes = _backwards(posed, on_s, forces)
+    return value, [first, *(each + force for each, force in zip(slopes, towed, strict=True))]
 
 
 def _missed(posed: StatedProblem, i: int, z: Vector) -> tuple[Vector, Fraction]:
@@ -104,7 +107,8 @@ def hessian(posed: StatedProblem, stiffness: Fraction) -> list[Vector]:
     """Return the Hessian of the cost in z_1..z_N along one axis, shape (N, N): differences."""
     zero = [[ZERO] * posed.width for _ in range(posed.horizon)]
     pull = [ZERO] * posed.n * (1 + posed.model.inertial)
-    added = Added(pull, stiffness, [[ZERO] * posed.n] * posed.horizon)
+    still = [[ZERO] * posed.n] * posed.horizon
+    added = Added(pull, stiffness, still, still)
     resting = cost(posed, zero, added)[1]
     found = []
     for k in range(posed.horizon):

@@ -6,13 +6,14 @@ from __future__ import annotations
 from fractions import Fraction
 from typing import Any, NamedTuple
 
-from .exact import PI, TINY, ZERO, Vector, direction
+from .exact import NARROW, PI, TINY, ZERO, Vector, direction
 from .reading import Refused, fields, items, rows, vector, weight, whole, word
 
 
 class StatedFloor(NamedTuple):
     """The least speed as a share of the fastest, of a disk or of a polygon with so many faces."""
 
+    exists: bool
     slowest: Fraction
     faces: int
 
@@ -22,6 +23,13 @@ class Cone(NamedTuple):
 
     axis: Vector
     least: Fraction
+
+
+class Tether(NamedTuple):
+    """How far an axis moves in a step at most, and where the one before the first step is."""
+
+    begin: Vector
+    length: Fraction
 
 
 class GlideSlope(NamedTuple):
@@ -38,7 +46,7 @@ def floor(stated: Any) -> StatedFloor:
     shape = word(stated['shape'], 'floor.shape', ('none', 'polygon', 'circle'))
     slowest = ZERO if shape == 'none' else weight(stated.get('fraction'), 'floor.fraction')
     faces = whole(stated.get('faces'), 'floor.faces', 3, 64) if shape == 'polygon' else 0
-    return StatedFloor(slowest, faces)
+    return StatedFloor(shape != 'none', slowest, faces)
 
 
 def cones(stated: Any, n: int, slowest: Fraction, horizon: int) -> tuple[list[list[Cone]], Vector]:
@@ -66,6 +74,13 @@ def speeds(stated: Any, horizon: int) -> tuple[Vector, Vector]:
     if any(not 0 <= least <= most <= 1 for least, most in both):
         raise Refused('speeds are not from a least to a most one within 0 and 1')
     return [least for least, _ in both], [most for _, most in both]
+
+
+def tether(turn: Fraction, limit: StatedFloor, begin: Vector) -> Tether | None:
+    """Return how far turns move axes where they are limited as chords (3.6a): without a floor."""
+    if not turn or limit.exists or turn > PI - NARROW:
+        return None
+    return Tether(begin, 2 * (direction(turn / 2)[1] + TINY))
 
 
 def glide_slope(stated: Any, horizon: int) -> GlideSlope:

@@ -8,7 +8,17 @@ from fractions import Fraction
 from typing import Any, NamedTuple
 
 from .exact import ONE, ZERO, Vector, size_above
-from .limits import Cone, GlideSlope, StatedFloor, cones, floor, glide_slope, speeds
+from .limits import (
+    Cone,
+    GlideSlope,
+    StatedFloor,
+    Tether,
+    cones,
+    floor,
+    glide_slope,
+    speeds,
+    tether,
+)  # fmt: skip
 from .reading import Refused, fields, items, rows, vector, weight, whole, word
 from .walls import BoxWall, DiscWall, Lead, wall
 
@@ -72,11 +82,12 @@ class StatedState(NamedTuple):
 
 
 class StatedLimits(NamedTuple):
-    """Of each step its cones, its least and most speed; the cone above the goal; walls."""
+    """Of each step its cones, its least and most speed; tethers; the cone above the goal; walls."""
 
     cones: list[list[Cone]]
     least: Vector
     most: Vector
+    tether: Tether | None
     slope: GlideSlope | None
     walls: list[BoxWall | DiscWall]
 
@@ -91,7 +102,7 @@ class StatedProblem:
         horizon: N.
         width: how many numbers a rotation is: its thrust axis alone where the cost sees no more.
         arrives: whether trajectories have to end at the goal.
-        turn: angle that directions turn by in a step at most [rad]; 0 for any.
+        turn: angle that directions that are split turn by in a step at most [rad]; 0 for any.
         radius: within which s_N is of g_N [m]; None where it may be anywhere.
     """
 
@@ -131,14 +142,14 @@ def posed_by(
     if weights.attitude and document['state']['wanted'] is None:
         raise Refused('state.wanted is missing')
     made = floor(problem['floor'])
-    if made.slowest > 1 or (made.slowest and order == 2) or (made.faces and n == 3):
+    if made.slowest > 1 or (made.exists and order == 2) or (made.faces and n == 3):
         raise Refused('the floor is beyond this format')
     turn = model.step * weight(problem['max_rate'], 'max_rate')
-    if turn and not (n == 2 and order == 1 and made.slowest):
-        raise Refused('max_rate is beyond this format, but in the plane with a floor')
     arrives = word(problem['terminal'], 'terminal', ('penalty', 'constraint')) == 'constraint'
     goals = rows(document['goals'], 'goals', horizon, n)
-    limits = _limits(document.get('limits', {}), made, model, state, horizon)
+    tied = tether(turn, made, state.first[:n])
+    limits = _limits(document.get('limits', {}), made, tied, model, state, horizon)
+    turn = turn if n == 2 and made.slowest else ZERO
     return StatedProblem(
         n, order, horizon, width, model, weights, arrives, made, state, goals, limits, turn, radius
     )
@@ -198,7 +209,12 @@ def _state(stated: Any, n: int, width: int, step: Fraction) -> StatedState:
 
 
 def _limits(
-    stated: Any, made: StatedFloor, model: StatedModel, state: StatedState, horizon: int
+    stated: Any,
+    made: StatedFloor,
+    tied: Tether | None,
+    model: StatedModel,
+    state: StatedState,
+    horizon: int,
 ) -> StatedLimits:
     fields(stated, 'limits', (), ('cones', 'glide_slope', 'walls', 'speeds'))
     n = len(state.position)
@@ -210,6 +226,7 @@ def _limits(
         directed,
         [max(both) for both in zip(slowest, least, strict=True)],
         most,
+        tied,
         glide_slope(stated['glide_slope'], horizon) if sloping else None,
         [wall(each, n, horizon, leads) for each in items(stated.get('walls', []), 'walls')],
     )
