@@ -106,10 +106,9 @@ def _is_of(known: Any, case: Case) -> bool:
     """Return whether a certificate is of a problem, a state and goals."""
     made = statement(*case)
     if 'refuted' in known:
-        refuted = known['refuted']
-        made = stated(Sought(*case, radius=refuted.get('radius', 0.0))).document()
-        for said in (refuted, made['refuted']):
-            said.pop('trees')
+        known = {**known, 'refuted': {**known['refuted'], 'trees': []}}
+        made = stated(Sought(*case, radius=known['refuted'].get('radius', 0.0))).document()
+        made.pop('origins', None)  # which are the certificate's choice
     unlimited: dict[str, Any] = {'limits': {}}
     return {name: (unlimited | known).get(name) for name in unlimited | made} == unlimited | made
 
