@@ -151,6 +151,14 @@ def test_a_catch_is_refuted_by_its_last_heading_alone():
     assert judged(made.text()) == 'holds'
 
 
+def test_a_cone_that_turns_lead_past_is_refuted_by_directions_of_the_last_step():
+    """Its sector is so wide that no line is between it and the cone; it moves nothing itself."""
+    cone = Approach(0.2, (-1.0, 0.0))
+    problem = replace(WING, horizon=4, approach=cone)
+    sought = Sought(problem, State.at(np.zeros(2), np.eye(2)), np.zeros((4, 2)))
+    assert judged(refutation_of(sought).text()) == 'holds'
+
+
 @pytest.mark.parametrize(('bound', 'count'), [(0.3, 2), (0.1, 0), (0.0, 0), (0.25, 2), (1.3, 12)])
 def test_ends_before_a_time_are_counted_but_for_rounding(bound, count):
     assert excluded(bound, 0.1) == count

@@ -117,9 +117,13 @@ class RefutationProgram:
         return np.asarray(np.sum(self._motion.reach**2, axis=1))
 
     @property
-    def reach(self) -> Array:
-        """Return what each R_k e1 adds to s_N, as far as that counts, shape (N,) [m]."""
-        return self._motion.reach[-1]
+    def worth(self) -> Array:
+        """Return what it counts for to know where each R_k e1 leads, shape (N,) [m].
+
+        That is what it adds to s_N; a cone has a say in where it does, be it nowhere.
+        """
+        coned = [bool(cones) for cones in self._posed.limits.cones]
+        return self._motion.reach[-1] + self._motion.unit * np.array(coned)
 
     def positions(self, x: Array) -> Array:
         """Return s_1..s_N, shape (N, n) [m]."""
