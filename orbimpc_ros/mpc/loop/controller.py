@@ -339,21 +339,29 @@ class Controller:
         hopeless = not task.state.hazards or status is Status.INFEASIBLE
         if hopeless or (plan is not None and is_clear(*wary.known, plan)):
             return answer
-        proof, guess = (UNPROVED, None) if plan is None else (plan.proof, task.guess)
-        instead = None
-        for each in (wary,) if wary is task else (wary, task):
-            if instead is None:
-                ways = filter(None, (plan, guess, self._scouted(each)))
-                instead = cheapest_clear(*each.known, ways)
+        instead = self._clear_way(task, wary, plan)
         if plan is None:
-            return (replace(instead, proof=proof), Status.FEASIBLE, words) if instead else answer
+            return (replace(instead, proof=UNPROVED), Status.FEASIBLE, words) if instead else answer
         instead = instead or clear_instead(*wary.known, plan)
         if instead is plan:
             known = is_clear(*task.known, plan)
             return answer if known else _with(answer, 'it turns into a hazard, as every way does')
-        instead = replace(instead, proof=proof)
+        instead = replace(instead, proof=plan.proof)
         less = 'a way that can be turned in time is flown instead of a cheaper one'
         return instead, instead.status, '; '.join(filter(None, (words, less)))
+
+    def _clear_way(self, task: _Task, wary: _Task, plan: Plan | None) -> Plan | None:
+        """Return the cheapest clear way of the plan, the one before, and the one that is scouted.
+
+        With the reserve first, then without.
+        """
+        guess = None if plan is None else task.guess
+        for each in (wary,) if wary is task else (wary, task):
+            ways = filter(None, (plan, guess, self._scouted(each)))
+            found = cheapest_clear(*each.known, ways)
+            if found is not None:
+                return found
+        return None
 
     def _scouted(self, task: _Task) -> Plan | None:
         """Return a way among hazards that the vehicle can turn along, if one is found."""

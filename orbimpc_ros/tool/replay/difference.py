@@ -20,7 +20,6 @@ from orbimpc_ros.tool.replay.resolving import ReplayedTick
 # flat there: it agrees better than the command that reaches it.
 SPEED, RATE, ANGLE = 1e-4, 1e-3, 1e-3  # of full speed or thrust; [rad/s]; [rad]
 OBJECTIVE, ROUNDING = 1e-6, 1e-7  # relative, and near zero
-UNPROVED = 0.01  # of a gap: where a search is stopped, rounding decides which nodes came last
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,8 @@ class Tolerances:
         body_rate: at full thrust [rad/s].
         rotation: at full thrust [rad].
         objective: relative.
-        gap: absolute; what counts as proved. One that is left open may differ by 1 % as well.
+        gap: absolute; what counts as proved. Two that are both left open are not compared: where a
+            search ends before its proof does, rounding decides which nodes came last.
         step: for which a body rate is commanded [s].
         order: of the rotation, 1 or 2: so many steps of the plan decide the command.
     """
@@ -65,14 +65,17 @@ class Tolerances:
     def of(self, quantity: str, *answers: Published) -> float:
         """Return what a quantity of some answers may differ by; words by nothing."""
         allowed = getattr(self, quantity, 0.0)
-        if quantity == 'gap':
-            left = [each.gap for each in answers if each.gap is not None]
-            return allowed + UNPROVED * max([0.0, *filter(math.isfinite, left)])
+        if quantity == 'gap' and all(_is_open(each.gap, self.gap) for each in answers):
+            return math.inf
         if quantity not in TURNS:
             return allowed
         shares = [share for each in answers for share in each.speed_fraction[1 : self.order + 1]]
         least = min([1.0, *shares])
         return allowed / least if least > 0.0 else math.inf
+
+
+def _is_open(gap: float | None, proved: float) -> bool:
+    return gap is not None and proved < gap < math.inf
 
 
 UNITS = {'speed': 'm/s', 'force': 'N', 'body_rate': 'rad/s', 'rotation': 'rad'}
