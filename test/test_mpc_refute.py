@@ -151,12 +151,16 @@ def test_a_catch_is_refuted_by_its_last_heading_alone():
     assert judged(made.text()) == 'holds'
 
 
-def test_a_cone_that_turns_lead_past_is_refuted_by_directions_of_the_last_step():
-    """Its sector is so wide that no line is between it and the cone; it moves nothing itself."""
-    cone = Approach(0.2, (-1.0, 0.0))
-    problem = replace(WING, horizon=4, approach=cone)
-    sought = Sought(problem, State.at(np.zeros(2), np.eye(2)), np.zeros((4, 2)))
-    assert judged(refutation_of(sought).text()) == 'holds'
+@pytest.mark.parametrize('horizon', [1, 2, 3, 4])
+def test_a_cone_that_no_turn_meets_is_refuted_however_near_it_is(horizon):
+    farthest = horizon * refutable.WING['max_rate']
+    state = State.at(np.zeros(2), 0.8 * np.eye(2), attitude=np.eye(2))
+    for gap in (0.02, 0.3):
+        angle = farthest + 0.3 + gap
+        cone = Approach(0.3, (float(np.cos(angle)), float(np.sin(angle))))
+        problem = Problem(horizon=horizon, approach=cone, **refutable.WING)
+        sought = Sought(problem, state, np.zeros((horizon, 2)))
+        assert judged(refutation_of(sought).text()) == 'holds'
 
 
 @pytest.mark.parametrize(('bound', 'count'), [(0.3, 2), (0.1, 0), (0.0, 0), (0.25, 2), (1.3, 12)])

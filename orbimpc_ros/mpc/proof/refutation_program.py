@@ -117,13 +117,9 @@ class RefutationProgram:
         return np.asarray(np.sum(self._motion.reach**2, axis=1))
 
     @property
-    def worth(self) -> Array:
-        """Return what it counts for to know where each R_k e1 leads, shape (N,) [m].
-
-        That is what it adds to s_N; a cone has a say in where it does, be it nowhere.
-        """
-        coned = [bool(cones) for cones in self._posed.limits.cones]
-        return self._motion.reach[-1] + self._motion.unit * np.array(coned)
+    def reach(self) -> Array:
+        """Return what each R_k e1 adds to s_N, as far as that counts, shape (N,) [m]."""
+        return self._motion.reach[-1]
 
     def positions(self, x: Array) -> Array:
         """Return s_1..s_N, shape (N, n) [m]."""
@@ -256,21 +252,28 @@ class RefutationProgram:
         each = self._posed.n + 1
         ends = np.cumsum([*sizes[:4], each * len(self._z), each * self._tied])
         parts = np.split(z / (np.abs(z).max() if nowhere else 1.0), ends)
-        _, presses, _, leaning, _, tied, rest = parts
+        _, presses, _, leaning, disks, tied, rest = parts
         # What is missed is counted in steps: multipliers of what is none have their length.
         unit = self._motion.unit
         tethers = -unit * tied.reshape(-1, each)[:, 1:] if self._tied else None
         leaf = replace(
-            self._leaf(presses, rest), shares=self._shares(region, unit * leaning), tethers=tethers
+            self._leaf(presses, rest),
+            shares=self._shares(region, unit * leaning, disks.reshape(-1, each)),
+            tethers=tethers,
         )
         return Missed(x[self._z], leaf, not (nowhere or float(x[self._v]) > MISSED))
 
-    def _shares(self, region: Region, leaning: Array) -> Array | None:
-        """Return what the last cone of each step holds, beside others and its sector."""
+    def _shares(self, region: Region, leaning: Array, disks: Array) -> Array | None:
+        """Return what the last cone of each step holds, beside others and its sector.
+
+        Both ask for u . axis >= least |z|. So that neither counts on a speed that the other does
+        not, a cone takes as much of the multiplier of |z| <= t as has its own t cancelled.
+        """
         shares, seen = np.zeros(self._z.shape), {k for k, _ in _narrow(region)}
         for (k, cone), held in zip(self._owned, leaning[2 * len(self._t) :], strict=False):
             if k in seen:
-                shares[k] = held * np.array(cone.axis, float)
+                pull = disks[k, 1:] / disks[k, 0] if disks[k, 0] > 0.0 else np.zeros(self._posed.n)
+                shares[k] = held * (np.array(cone.axis, float) + float(cone.least) * pull)
             seen.add(k)
         return shares if shares.any() else None
 

@@ -151,7 +151,7 @@ class RefutationProof:
         """Return by how much more the hull of a sector holds than its ends, as R_k e1 leads [m]."""
         width = 0.0 if sector is None else float(sector.high - sector.low)
         deep = 1.0 - math.cos(min(0.5 * width, math.pi))
-        return float(self._program.worth[k] * deep) if width > NARROWEST else 0.0
+        return float(self._program.reach[k] * deep) if width > NARROWEST else 0.0
 
     def _split(
         self, regions: list[Region | None], k: int, at: float | None, wall: int | None = None
