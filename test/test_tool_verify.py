@@ -151,7 +151,8 @@ def test_a_certificate_without_the_problems_walls_is_refused(run, tmp_path):
 def test_ticks_among_walls_hold(run):
     code, out, _ = run('verify', HERE / 'golden' / 'obstacles')
     assert code == 0
-    assert '28 holds, 2 nothing claimed' in out
+    assert '30 holds' in out
+    assert out.count('inf') == 2 * 2  # claimed and proved of the two that nothing satisfied
 
 
 def test_a_tick_within_cones_holds(run):
@@ -167,3 +168,98 @@ def test_ticks_of_a_bag_hold(run, tmp_path):
     assert '20 holds, 1 nothing claimed' in out
     assert len(list((tmp_path / 'made').iterdir())) == 20
     assert run('verify', tmp_path / 'made' / 'tick_00003.json')[0] == 0
+
+
+FAR = {**CASES['uav_square_0'], 'terminal': 'constraint', 'goal': [60.0, 0.0]}
+
+
+@pytest.fixture
+def unsatisfied(tmp_path, run):
+    """Return a problem's file, and that of the certificate that nothing satisfies it."""
+    problem, made = tmp_path / 'problem.json', tmp_path / 'certificate.json'
+    problem.write_text(json.dumps(FAR))
+    code, out, error = run('solve', problem, '--certificate', made)
+    assert code == 3
+    assert out == ''
+    assert 'beyond what' in error
+    return problem, made
+
+
+def test_what_nothing_satisfies_is_refuted_in_a_file(run, unsatisfied):
+    problem, made = unsatisfied
+    code, out, _ = run('verify', made, '--problem', problem)
+    assert code == 0
+    assert '1 holds' in out
+    assert out.count('inf') == 2
+
+
+def test_a_refutation_of_another_problem_is_refused(run, unsatisfied):
+    problem, made = unsatisfied
+    problem.write_text(json.dumps({**FAR, 'goal': [61.0, 0.0]}))
+    code, _, error = run('verify', made, '--problem', problem)
+    assert code == 2
+    assert 'not of' in error
+
+
+def test_a_refutation_that_does_not_refute_fails(run, unsatisfied):
+    _, made = unsatisfied
+    known = json.loads(made.read_text())
+    known['refuted']['trees'][0]['pull'] = [0.0, 0.0]
+    made.write_text(json.dumps(known))
+    code, out, _ = run('verify', made)
+    assert code == 1
+    assert '1 DOES NOT HOLD' in out
+
+
+def test_what_is_not_refuted_says_so_and_leaves_no_file(run, tmp_path, monkeypatch):
+    problem, made = tmp_path / 'problem.json', tmp_path / 'none.json'
+    problem.write_text(json.dumps(FAR))
+    monkeypatch.setattr('orbimpc_ros.mpc.proof.refute.RefutationProof.most', 0)
+    code, _, error = run('solve', problem, '--certificate', made)
+    assert code == 3
+    assert 'beyond what' in error
+    assert 'no certificate' in error
+    assert not made.exists()
+
+
+WING = HERE / 'golden' / 'fixed_wing'
+
+
+def test_before_which_time_nothing_catches_is_proved(run, tmp_path):
+    code, out, _ = run('verify', WING, '--tick', 9, '--out', tmp_path)
+    assert code == 0
+    assert '2 holds' in out
+    code, out, _ = run('verify', tmp_path / 'tick_00009_catch.json')
+    assert code == 0
+    assert out.split()[4:8] == ['catch', '2.5', '2.5', '4']
+
+
+def claiming(monkeypatch, name, value):
+    monkeypatch.setitem(recording.READERS, name, lambda _: value)
+
+
+def test_a_time_before_which_a_plan_catches_fails(run, monkeypatch):
+    claiming(monkeypatch, 'catch_bound', 3.5)
+    code, out, _ = run('verify', WING, '--tick', 9)
+    assert code == 1
+    assert 'DOES NOT HOLD: a plan catches it at' in out
+
+
+def test_a_time_without_a_proof_is_no_failure(run, monkeypatch):
+    monkeypatch.setattr('orbimpc_ros.mpc.proof.refute.RefutationProof.most', 0)
+    code, out, _ = run('verify', WING, '--tick', 9)
+    assert code == 0
+    assert 'no refutation of a catch at step 1 was found' in out
+    assert '1 holds, 1 no certificate' in out
+
+
+def test_a_time_that_excludes_no_step_has_no_row(run, monkeypatch):
+    claiming(monkeypatch, 'catch_bound', 0.5)
+    assert 'catch' not in run('verify', WING, '--tick', 9)[1]
+
+
+def test_a_tick_that_was_infeasible_and_has_a_plan_fails(run, monkeypatch):
+    claiming(monkeypatch, 'status', 'infeasible')
+    code, out, _ = run('verify', HERE / 'golden' / 'disturbed', '--tick', 3)
+    assert code == 1
+    assert 'DOES NOT HOLD: it is optimal now' in out

@@ -11,9 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from orbimpc_ros.mpc.command import command_of
+from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem.case import Case, case_of
-from orbimpc_ros.mpc.proof.prove import certificate_for
+from orbimpc_ros.mpc.problem.sought import Sought
+from orbimpc_ros.mpc.proof.prove import Unproved, certificate_for
+from orbimpc_ros.mpc.proof.refute import refutation_of
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool.io import document
 from orbimpc_ros.tool.io.files import write_whole
@@ -41,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--certificate',
         metavar='FILE',
-        help='write what proves the lower bound, for `orbimpc verify` (see docs/proofs.md)',
+        help='write what proves the lower bound, or that nothing is feasible, for `orbimpc verify`',
     )
 
 
@@ -60,13 +63,33 @@ def run(args: argparse.Namespace) -> int:
         solver.expect_hazards()
     begin = time.perf_counter()
     end = begin + args.time_limit
-    plan = solver.solve(case.state, case.goals, None, lambda: time.perf_counter() > end)
+    try:
+        plan = solver.solve(case.state, case.goals, None, lambda: time.perf_counter() > end)
+    except Infeasible as error:
+        if args.certificate:
+            _refute(case, args.certificate, error)
+        raise
     elapsed = time.perf_counter() - begin
     print(json.dumps(answer(case, plan, 1e3 * elapsed), indent=1, allow_nan=False))
     if args.certificate:
-        text = certificate_for(*case, plan, plan.lower_bound).text()
-        write_whole(Path(args.certificate), lambda file: file.write_text(text + '\n'))
+        _write(args.certificate, certificate_for(*case, plan, plan.lower_bound).text())
     return 0
+
+
+def _refute(case: Case, path: str, why: Infeasible) -> None:
+    """Write what proves that nothing is feasible.
+
+    Raises:
+        Infeasible: there is no certificate of it.
+    """
+    try:
+        _write(path, refutation_of(Sought(*case)).text())
+    except Unproved as error:
+        raise Infeasible(f'{why}; {error}') from None
+
+
+def _write(path: str, text: str) -> None:
+    write_whole(Path(path), lambda file: file.write_text(text + '\n'))
 
 
 def answer(case: Case, plan: Plan, solve_time_ms: float) -> dict[str, Any]:

@@ -2,29 +2,37 @@
 """``orbimpc verify``: lower bounds proved again, in exact arithmetic.
 
 A file's certificate is verified as it is. A bag's ticks are solved again, for the problem that each
-of them was about; that the bound which was published then holds is certified now.
+of them was about; that the bound which was published then holds is certified now. So are the claims
+that nothing is feasible, and that nothing catches the goal before a time.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.loop.interception import excluded
+from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem.case import Case, case_of
+from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof import verifier
-from orbimpc_ros.mpc.proof.certificate import Certificate, statement
+from orbimpc_ros.mpc.proof.certificate import Certificate, Refutation, statement
 from orbimpc_ros.mpc.proof.prove import Unproved, certificate_for
+from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of, stated
 from orbimpc_ros.tool.io import bag, document
 from orbimpc_ros.tool.io.files import write_whole
 
 if TYPE_CHECKING:
+    from orbimpc_ros.mpc.loop.controller import Tick
     from orbimpc_ros.tool.replay.resolving import ReplayedTick
 
+COST, CATCH = 'cost', 'catch'
 HOLDS, FAILS, NOTHING, NONE = 'holds', 'DOES NOT HOLD', 'nothing claimed', 'no certificate'
 
 
@@ -33,6 +41,7 @@ class TickVerdict(NamedTuple):
 
     Attributes:
         tick: its number, None of a file.
+        of: what is bounded: a cost, which is infinite where nothing is feasible, or a time [s].
         claimed: the bound that was published; None if none was.
         proved: the bound that holds; None without a certificate.
         leaves: of the certificate.
@@ -41,6 +50,7 @@ class TickVerdict(NamedTuple):
     """
 
     tick: int | None
+    of: str
     claimed: float | None = None
     proved: float | None = None
     leaves: int = 0
@@ -50,7 +60,7 @@ class TickVerdict(NamedTuple):
     def __str__(self) -> str:
         name = '' if self.tick is None else f'{self.tick:>6}  '
         claimed, proved = (f'{_shown(each):<24}' for each in (self.claimed, self.proved))
-        return f'{name}{claimed}{proved}{self.leaves:>6}  {self.words or self.outcome}'
+        return f'{name}{self.of:<7}{claimed}{proved}{self.leaves:>6}  {self.words or self.outcome}'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,7 +78,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Verify, print a row for each bound, and return 1 if one of them does not hold."""
     path = Path(args.path)
-    print(f'{"" if path.suffix == ".json" else "  tick  "}{"claimed":<24}{"proved":<24}leaves')
+    first = '' if path.suffix == '.json' else '  tick  '
+    print(f'{first}{"of":<7}{"claimed":<24}{"proved":<24}leaves')
     found = []
     for row in [_file(path, args)] if path.suffix == '.json' else _bag(path, args):
         found.append(row)
@@ -93,15 +104,21 @@ def _file(path: Path, args: argparse.Namespace) -> TickVerdict:
 
 def _is_of(known: Any, case: Case) -> bool:
     """Return whether a certificate is of a problem, a state and goals."""
+    made = statement(*case)
+    if 'refuted' in known:
+        known = {**known, 'refuted': {**known['refuted'], 'trees': []}}
+        made = stated(Sought(*case, radius=known['refuted'].get('radius', 0.0))).document()
+        made.pop('origins', None)  # which are the certificate's choice
     unlimited: dict[str, Any] = {'limits': {}}
-    stated = unlimited | statement(*case)
-    return {name: (unlimited | known).get(name) for name in stated} == stated
+    return {name: (unlimited | known).get(name) for name in unlimited | made} == unlimited | made
 
 
 def _verified(tick: int | None, known: Any) -> TickVerdict:
     verdict = verifier.verified(known)
+    catch = 'radius' in known.get('refuted', ())
     outcome = HOLDS if verdict.holds else FAILS
-    return TickVerdict(tick, verdict.claimed, verdict.proved, verdict.leaves, outcome)
+    of = CATCH if catch else COST
+    return TickVerdict(tick, of, verdict.claimed, verdict.proved, verdict.leaves, outcome)
 
 
 def _bag(path: Path, args: argparse.Namespace) -> Iterator[TickVerdict]:
@@ -111,6 +128,7 @@ def _bag(path: Path, args: argparse.Namespace) -> Iterator[TickVerdict]:
     for number, each in enumerate(ticks_of(path, args.params, args.namespace)):
         if args.tick in (None, number):
             yield _tick(number, each, recorded, args)
+            yield from _catch(number, each, args)
 
 
 def _recorded(path: Path, namespace: str) -> dict[float, Any]:
@@ -131,32 +149,64 @@ def _tick(
     number: int, each: ReplayedTick, recorded: dict[float, Any], args: argparse.Namespace
 ) -> TickVerdict:
     """Certify what was published on a tick, of the problem that its inputs pose."""
-    claimed, tick = each.recorded.answer.lower_bound, each.tick
-    if claimed is None or claimed <= 0.0 or tick.plan is None or not tick.plan.lower_bound > 0.0:
-        return TickVerdict(number, claimed)
+    if each.recorded.answer.status == Status.INFEASIBLE:
+        return _infeasible(number, each.tick, args)
+    claimed, tick, plan = each.recorded.answer.lower_bound, each.tick, each.tick.plan
+    if claimed is None or claimed <= 0.0 or plan is None or not plan.lower_bound > 0.0:
+        return TickVerdict(number, COST, claimed)
     assert tick.problem is not None
     assert tick.state is not None
     assert tick.goals is not None
-    posed, cost = Case(tick.problem, tick.state, tick.goals), tick.plan.objective
-    if claimed > cost + TOLERANCE * (cost + tick.plan.proof.cost_unit):
+    posed, cost = Case(tick.problem, tick.state, tick.goals), plan.objective
+    if claimed > cost + TOLERANCE * (cost + plan.proof.cost_unit):
         words = f'{FAILS}: a trajectory costs {cost!r}'
-        return TickVerdict(number, claimed, outcome=FAILS, words=words)
+        return TickVerdict(number, COST, claimed, outcome=FAILS, words=words)
     known = recorded.get(claimed)
     if known is not None and _is_of(known, posed):
         return _verified(number, known)
+    row = TickVerdict(number, COST, claimed)
+    return _certified(row, args, lambda: certificate_for(*posed, plan, claimed))
+
+
+def _infeasible(number: int, tick: Tick, args: argparse.Namespace) -> TickVerdict:
+    """Certify that nothing was feasible on a tick, of the problem that its inputs pose."""
+    row, sought = TickVerdict(number, COST, math.inf), tick.infeasible
+    if sought is None:
+        return row._replace(outcome=FAILS, words=f'{FAILS}: it is {tick.status} now')
+    return _certified(row, args, lambda: refutation_of(sought))
+
+
+def _catch(number: int, each: ReplayedTick, args: argparse.Namespace) -> Iterator[TickVerdict]:
+    """Certify before which time no trajectory catches the goal, where a tick says so."""
+    claimed, catch = each.recorded.answer.catch_bound, each.tick.catch
+    if claimed is None or catch is None or not math.isfinite(claimed):
+        return
+    row, count = TickVerdict(number, CATCH, claimed), excluded(claimed, catch.sought.problem.step)
+    if catch.time < claimed * (1.0 - TOLERANCE):
+        words = f'{FAILS}: a plan catches it at {catch.time!r}'
+        yield row._replace(outcome=FAILS, words=words)
+    elif count:
+        sought = catch.sought
+        yield _certified(row, args, lambda: catches_refuted(sought, count))
+
+
+def _certified(
+    row: TickVerdict, args: argparse.Namespace, make: Callable[[], Certificate | Refutation]
+) -> TickVerdict:
+    """Return what becomes of a claim whose certificate is made now."""
     try:
-        made = certificate_for(*posed, tick.plan, claimed)
+        made = make()
     except Unproved as error:
-        return TickVerdict(number, claimed, outcome=NONE, words=str(error))
+        return row._replace(outcome=NONE, words=str(error))
     if args.out:
-        _write(Path(args.out), number, made)
-    return _verified(number, verifier.parsed(made.text().encode()))
+        _write(Path(args.out), row, made)
+    return _verified(row.tick, verifier.parsed(made.text().encode()))
 
 
-def _write(folder: Path, number: int, made: Certificate) -> None:
+def _write(folder: Path, row: TickVerdict, made: Certificate | Refutation) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    text = made.text() + '\n'
-    write_whole(folder / f'tick_{number:05d}.json', lambda file: file.write_text(text))
+    text, name = made.text() + '\n', f'tick_{row.tick:05d}{"_catch" * (row.of == CATCH)}.json'
+    write_whole(folder / name, lambda file: file.write_text(text))
 
 
 def _shown(value: float | None) -> str:

@@ -32,6 +32,7 @@ from orbimpc_ros.mpc.problem import Approach, Hazard, Problem, State
 from orbimpc_ros.mpc.problem.cones import told
 from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
 from orbimpc_ros.mpc.problem.reach import held_goal, pulled_in
+from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.solve.request import Enough
 from orbimpc_ros.mpc.solve.scouting import Scout
@@ -61,6 +62,7 @@ class Tick(ByContent):
         goals: g_1..g_N that it was made for, shape (N, n) [m].
         cause: what kept the tick from being planned on fresh inputs, if anything did.
         catch: how soon the goal can be caught; None where none is looked for.
+        infeasible: in what no trajectory is feasible, where that is the status.
     """
 
     status: Status
@@ -73,6 +75,7 @@ class Tick(ByContent):
     goals: Array | None = None
     cause: Cause = Cause.NONE
     catch: Catch | None = None
+    infeasible: Sought | None = None
 
 
 @dataclass(frozen=True)
@@ -303,7 +306,9 @@ class Controller:
         words = '; '.join(filter(None, (words, held, shortened, odd_speed(*measured))))
         reason = Reason(Cause.NONE, words)
         if plan is None:
-            return self._finish(self._fall_back(task, status, reason))
+            nothing = Sought(*task.known) if status is Status.INFEASIBLE else None
+            instead = self._fall_back(task, status, reason)
+            return self._finish(replace(instead, infeasible=nothing))
         self._fallbacks, self._planned, self._since = 0, plan.horizon, 0.0
         self._arriving, self._aim = True, goals[-1]
         tick = self._following(task, plan, status, reason)

@@ -58,6 +58,7 @@ from orbimpc_ros.mpc.loop.defect import defect
 from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State, Weights
+from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.solve.request import Enough
 
 AIM = 0.95  # of the radius, within which the plan of a catch ends
@@ -83,10 +84,17 @@ class Catch:
         bound: no trajectory of the problem's own steps catches it at the end of one before this
             time [s]; that of the first step past the horizon if none catches it at all. Where a
             catch between two ends is sooner, its time.
+        sought: what both are about.
     """
 
     time: float
     bound: float
+    sought: Sought
+
+
+def excluded(bound: float, step: float) -> int:
+    """Return how many steps [s] end before a time [s], but for rounding."""
+    return max(0, math.ceil(bound / step - TINY) - 1)
 
 
 def catching(problem: Problem, radius: float, end: float) -> Problem:
@@ -204,17 +212,19 @@ class Interception:
         kept = self._kept(hunt)  # first of all: time may run out
         best, bound = self._in_view(hunt)
         near = self._radius < best.miss <= GRAZE * self._radius
+        sought = Sought(self._tracked, hunt.state, hunt.goals(self._horizon), self._radius)
         if near and 0 < hunt.expected <= self._horizon:
-            return best.plan, Catch(math.nan, self._step * bound)
+            return best.plan, Catch(math.nan, self._step * bound, sought)
         if best.miss > self._radius:  # not even nearly
             best = self._sooner(hunt, kept) if kept.plan else self._beyond(hunt)
         if best.plan is None:
-            return None, Catch(math.nan, self._step * bound)
+            return None, Catch(math.nan, self._step * bound, sought)
         if best.end == int(best.end) and self._is_well(best):
             best = self._within(hunt, best)
         if self._centred and self._is_well(best):
             best = self._through_the_middle(hunt, best)
-        return best.plan, Catch(self._step * best.end, self._step * min(bound, best.end))
+        catch = Catch(self._step * best.end, self._step * min(bound, best.end), sought)
+        return best.plan, catch
 
     def _in_view(self, hunt: Hunt) -> tuple[_Attempt, int]:
         """Return the first catch in the horizon, or the nearest miss, and the bound in steps."""

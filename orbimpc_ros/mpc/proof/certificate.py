@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,10 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.model.cost import length_weights
 from orbimpc_ros.mpc.plan import Proof
-from orbimpc_ros.mpc.problem import Box, Floor, Problem, State
+from orbimpc_ros.mpc.problem import Approach, Box, Floor, Problem, State
 from orbimpc_ros.mpc.problem.cones import relief
+from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
+from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.grounds import LEAF, Grounds, Tangent
 from orbimpc_ros.mpc.proof.verifier import FORMAT
@@ -37,6 +39,7 @@ class Leaf:
         presses: multipliers of what is known of positions in the part, in the order of the splits.
         slides: multipliers of the cone above the goal, shape (N, n).
         tethers: multipliers of how far R e1 moves in a step, shape (N, n).
+        meets: of a refutation, multiplier of that s_N is within a radius of g_N, shape (n,).
     """
 
     point: Array
@@ -48,6 +51,7 @@ class Leaf:
     presses: Array | None = None
     slides: Array | None = None
     tethers: Array | None = None
+    meets: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,13 +101,67 @@ class Certificate:
             'format': FORMAT,
             **statement(self.problem, self.state, self.goals),
             'lower_bound': self.lower_bound,
-            'tree': _tree(self.tree),
+            'tree': plain(self.tree),
         }
         return made if self.origins is None else {**made, 'origins': self.origins.tolist()}
 
     def text(self) -> str:
         """Return the certificate as JSON on one line."""
-        return json.dumps(self.document(), allow_nan=False, separators=(',', ':'))
+        return _line(self.document())
+
+
+@dataclass(frozen=True, eq=False)
+class Refutation:
+    """What proves that no trajectory of a problem is feasible, or that none catches its goal.
+
+    Attributes:
+        sought: in what, with those limits only that certificates can state.
+        trees: one; of catches one for each step from the first on at whose end there is none.
+        origins: from where directions are counted, shape (N,) [rad]; None where none are split.
+    """
+
+    sought: Sought
+    trees: tuple[Tree, ...]
+    origins: Array | None = None
+
+    def document(self) -> dict[str, Any]:
+        """Return the refutation as the plain values of its format."""
+        problem, state, goals = self.sought.problem, self.sought.state, self.sought.goals
+        refuted: dict[str, Any] = {'trees': [plain(each) for each in self.trees]}
+        if self.sought.radius:
+            refuted |= {'radius': self.sought.radius, **_last_cone(problem, state)}
+            problem = replace(problem, approach=Approach())
+        made = {'format': FORMAT, **statement(problem, state, goals), 'refuted': refuted}
+        if problem.max_acceleration:
+            made['limits'] = made.get('limits', {}) | {'speeds': _speeds(problem, state)}
+        return made if self.origins is None else {**made, 'origins': self.origins.tolist()}
+
+    def text(self) -> str:
+        """Return the refutation as JSON on one line."""
+        return _line(self.document())
+
+
+def _last_cone(problem: Problem, state: State) -> dict[str, Any]:
+    """Return the cone that the last heading of a catch is in, where there is one."""
+    if not problem.approach.exists:
+        return {}
+    axis = problem.approach.axis(state).tolist()
+    cone = {'axis': axis, 'angle': problem.approach.cone, 'least': problem.least_heading}
+    return {'cone': cone}
+
+
+def _speeds(problem: Problem, state: State) -> list[list[float]]:
+    """Return the least and the most |R_k e1|, k = 1..N, to which changes of speed lead."""
+    entry = entry_speed(problem, state)
+    ends = (
+        [moved_towards(problem, entry, wanted, k) for wanted in (0.0, 1.0)]
+        for k in range(1, problem.horizon + 1)
+    )
+    return list(ends)
+
+
+def _line(document: dict[str, Any]) -> str:
+    return json.dumps(document, allow_nan=False, separators=(',', ':'))
 
 
 def kept(problem: Problem, state: State, goals: Array, proof: Proof) -> Certificate | None:
@@ -215,14 +273,16 @@ def _state(state: State) -> dict[str, Any]:
     return known
 
 
-def _tree(tree: Tree) -> dict[str, Any]:
+def plain(tree: Tree) -> dict[str, Any]:
+    """Return a tree as the plain values of its format."""
     if isinstance(tree, Split):
-        found = {'split': tree.step, 'parts': [_tree(part) for part in tree.parts]}
+        found = {'split': tree.step, 'parts': [plain(part) for part in tree.parts]}
         if tree.wall is not None:
             found['wall'] = tree.wall
         return found if tree.at is None else {**found, 'at': tree.at}
     leaf: dict[str, Any] = {'point': tree.point.tolist()}
-    for name in ('bends', 'pull', 'tops', 'shares', 'presses', 'slides', 'tethers'):
+    names = 'bends', 'pull', 'tops', 'shares', 'presses', 'slides', 'tethers', 'meets'
+    for name in names:
         value = getattr(tree, name)
         if value is not None and len(value):
             leaf[name] = value.tolist()

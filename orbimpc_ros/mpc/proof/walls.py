@@ -53,17 +53,8 @@ class WallProof:
         target: float,
     ) -> None:
         self._program, self._posed, self._stated = program, posed, stated
-        self._walls = list(enumerate(posed.limits.walls))
-        self._target, self._spare, self._leaves = Fraction(target), SATISFIED * unit, 0
-        n, steps = posed.n, range(posed.horizon)
-        sides = range(2 * n)
-        self._normals = np.vstack([-np.eye(n), np.eye(n)])
-        # Of each wall, step and side: what it asks of s_{k+1}, and of s_k where it is one for both.
-        self._least = np.full((len(self._walls), len(steps), len(sides), 2), -np.inf)
-        boxes = [(j, wall) for j, wall in self._walls if isinstance(wall, BoxWall)]
-        for (j, box), k, i in itertools.product(boxes, steps, sides):
-            for row in box.side(i, k):
-                self._least[j, k, i, k - row.k] = row.least
+        self._splits = WallSplits(posed, program.curvatures, unit)
+        self._target, self._leaves = Fraction(target), 0
 
     def tree(self) -> Tree | None:
         """Return splits and leaves that prove the target; None where that takes too many."""
@@ -75,7 +66,8 @@ class WallProof:
             if worth >= self._target:
                 self._leaves += 1
                 return leaf if self._leaves <= self.most else None
-        found = self._split(region, answer.x) if answer.feasible else None
+        positions = self._program.positions(answer.x)
+        found = self._splits.best(region, positions) if answer.feasible else None
         if found is None:
             return None
         _, wall, k, at = found
@@ -107,11 +99,33 @@ class WallProof:
         """Return a leaf with what it proves."""
         return leaf, bound(self._posed, self._stated(leaf), region)
 
-    def _split(self, region: Region, x: Array) -> Choice | None:
+
+class WallSplits:
+    """Chooses walls by whose sides to split what enters them.
+
+    Args:
+        posed: the problem.
+        curvatures: by how much positions give way to what presses them, shape (N,).
+        unit: of lengths [m].
+    """
+
+    def __init__(self, posed: StatedProblem, curvatures: Array, unit: float) -> None:
+        self._posed, self._curvatures, self._spare = posed, curvatures, SATISFIED * unit
+        self._walls = list(enumerate(posed.limits.walls))
+        n, steps = posed.n, range(posed.horizon)
+        sides = range(2 * n)
+        self._normals = np.vstack([-np.eye(n), np.eye(n)])
+        # Of each wall, step and side: what it asks of s_{k+1}, and of s_k where it is one for both.
+        self._least = np.full((len(self._walls), len(steps), len(sides), 2), -np.inf)
+        boxes = [(j, wall) for j, wall in self._walls if isinstance(wall, BoxWall)]
+        for (j, box), k, i in itertools.product(boxes, steps, sides):
+            for row in box.side(i, k):
+                self._least[j, k, i, k - row.k] = row.least
+
+    def best(self, region: Region, positions: Array) -> Choice | None:
         """Return the wall and the step whose sides all promise most; None if none is missed."""
         if not self._walls:
             return None
-        positions = self._program.positions(x)
         found = [*self._through_boxes(positions), *self._through_discs(region, positions)]
         return max(found, key=lambda each: each[0], default=None)
 
@@ -128,7 +142,7 @@ class WallProof:
             angle = math.atan2(nearest[1], nearest[0])
             angle += 2.0 * math.pi * round((middle - angle) / (2.0 * math.pi))
             at = min(high - margin, max(low + margin, angle))
-            yield short**2 / max(self._program.curvatures[k], LEAST), j, k, at
+            yield short**2 / max(self._curvatures[k], LEAST), j, k, at
 
     def _nearest(self, disc: DiscWall, positions: Array, k: int) -> tuple[Array, float]:
         """Return the point of step k that is nearest to a disc, from its centre, and its radius."""
@@ -147,7 +161,7 @@ class WallProof:
         along = positions @ self._normals.T
         both = np.stack([along, np.vstack([along[:1], along[:-1]])], axis=-1)
         short = np.maximum(self._least - both, 0.0)
-        curvature = self._program.curvatures
+        curvature = self._curvatures
         both_curved = np.stack([curvature, np.append(curvature[:1], curvature[:-1])], axis=-1)
         with np.errstate(divide='ignore', invalid='ignore'):
             gains = np.where(short > 0.0, short**2 / both_curved[:, None, :], 0.0).max(axis=-1)

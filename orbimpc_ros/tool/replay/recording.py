@@ -65,6 +65,7 @@ class Published:
         speed_fraction: share of full speed or thrust along the plan, shape (N + 1,); empty without.
         objective: of the plan; NaN without one.
         gap: of the plan; NaN without one.
+        catch_bound: before which nothing catches the goal; NaN where none is looked for [s].
         goal_stamps: of the goals that it was planned for, by topic [ns].
         goal_counts: goals that had been taken in by then, by topic.
         traffic_stamps: of what had been heard last of obstacles and other vehicles, by topic [ns].
@@ -84,6 +85,7 @@ class Published:
     objective: float | None = None
     lower_bound: float | None = None
     gap: float | None = None
+    catch_bound: float | None = None
     goal_stamps: Mapping[str, int] = field(default_factory=dict)
     goal_counts: Mapping[str, int] = field(default_factory=dict)
     traffic_stamps: Mapping[str, int] = field(default_factory=dict)
@@ -141,9 +143,10 @@ def _integers(value: Any) -> Mapping[str, int]:
     return value if good else {}
 
 
+NUMBERS = 'objective', 'lower_bound', 'gap', 'catch_bound'
 READERS: dict[str, Callable[[Any], Any]] = {
     **dict.fromkeys(('status', 'reason', 'fallback'), str),
-    **dict.fromkeys(('objective', 'lower_bound', 'gap', 'advanced', 'solve_time_ms'), _number),
+    **dict.fromkeys((*NUMBERS, 'advanced', 'solve_time_ms'), _number),
     **dict.fromkeys(('goal_stamps', 'goal_counts', 'traffic_stamps'), _integers),
     'cause': _cause,
     'speed_fraction': _numbers,

@@ -15,6 +15,9 @@ x_k are in is a sum of least values, each known in closed form. (3) Splits are e
 a trajectory does, it is in one of the parts; a floor's faces, the directions below and above an
 angle, or the sides of a body. The bound of a split is the least of its parts'.
 
+Where nothing is feasible, or nothing catches a goal, a bound above zero of what costs nothing says
+so (``refuted``).
+
 What has to be believed: (1) is ``cost`` and ``bound``, (2) ``least``, (3) ``splits``, with what
 ``walls`` says of their sides. ``exact`` has the brackets; ``reading``, ``stated``, ``limits`` and
 ``regions`` say what a file means.
@@ -24,16 +27,21 @@ Format and derivation: docs/proofs.md.
 
 from __future__ import annotations
 
+import math
 from fractions import Fraction
 from typing import Any, NamedTuple
 
 from .bound import bound
 from .exact import rounded_down
 from .reading import Refused, fields, number, parsed, read
+from .refuted import refuted, refuted_by
 from .splits import leaves, root
 from .stated import posed_by
 
-__all__ = ['FORMAT', 'RELATIVE', 'Refused', 'Verdict', 'parsed', 'posed_by', 'read', 'verified']
+__all__ = [
+    'FORMAT', 'RELATIVE', 'Refused', 'Verdict',
+    'parsed', 'posed_by', 'read', 'refuted_by', 'verified',
+]  # fmt: skip
 
 FORMAT = 'orbimpc certificate 1'
 RELATIVE = Fraction(1, 10**9)  # by which a published bound may exceed what is proved
@@ -43,10 +51,12 @@ class Verdict(NamedTuple):
     """What a certificate comes to.
 
     Attributes:
-        claimed: the bound that was published.
+        claimed: the bound that was published; of refutations infinity, where nothing is feasible,
+            or else the end of the first step that may have a catch [s].
         proved: the bound that holds, rounded down.
         leaves: how many bounds it is the least of.
-        holds: whether what was published exceeds what holds by no more than 1e-9 of it.
+        holds: whether what was published exceeds what holds by no more than 1e-9 of it; of
+            refutations, whether each does refute.
     """
 
     claimed: float
@@ -61,10 +71,25 @@ def verified(document: Any) -> Verdict:
     Raises:
         Refused: it is malformed, or not sound whatever the bound.
     """
-    fields(document, 'certificate', ('format', 'problem', 'state', 'goals', 'lower_bound', 'tree'),
+    refutes = isinstance(document, dict) and 'refuted' in document
+    claim = ('refuted',) if refutes else ('lower_bound', 'tree')
+    fields(document, 'certificate', ('format', 'problem', 'state', 'goals', *claim),
            ('limits', 'origins'))  # fmt: skip
     if document['format'] != FORMAT:
         raise Refused(f'format is not {FORMAT!r}')
+    return _refuting(document) if refutes else _bounding(document)
+
+
+def _refuting(document: dict[str, Any]) -> Verdict:
+    found = refuted(document)
+    holds = found.whole == found.trees
+    if found.step is None:
+        return Verdict(math.inf, math.inf if holds else 0.0, found.leaves, holds)
+    claimed, proved = ((k + 1) * found.step for k in (found.trees, found.whole))
+    return Verdict(rounded_down(claimed), rounded_down(proved), found.leaves, holds)
+
+
+def _bounding(document: dict[str, Any]) -> Verdict:
     posed = posed_by(document)
     claimed = number(document['lower_bound'], 'lower_bound')
     whole = root(posed, document.get('origins'))

@@ -28,8 +28,7 @@ from .reading import Refused, fields, rows, vector, weight
 from .regions import Region
 from .stated import StatedProblem
 
-LEAF = ('bends', 'pull', 'stiffness', 'tops', 'shares', 'presses', 'slides',
-        'tethers')  # fmt: skip
+LEAF = ('bends', 'pull', 'stiffness', 'tops', 'shares', 'presses', 'slides', 'tethers', 'meets')
 
 
 class StatedLeaf(NamedTuple):
@@ -44,6 +43,7 @@ class StatedLeaf(NamedTuple):
     presses: Vector
     slides: list[Vector]
     tethers: list[Vector]
+    meets: Vector
 
 
 def bound(posed: StatedProblem, stated: Any, region: Region) -> Fraction:
@@ -79,6 +79,7 @@ def _leaf(posed: StatedProblem, stated: Any, region: Region) -> StatedLeaf:
         numbers('presses', len(region.rows)),
         vectors('slides'),
         vectors('tethers'),
+        numbers('meets', 0 if posed.radius is None else n),
     )
 
 
@@ -87,7 +88,8 @@ def _pushed(
 ) -> tuple[list[Vector], Fraction]:
     """Return forces F, shape (N, n), and an a such that a + sum_k F_k . (s_k - g_k) <= 0.
 
-    A row n . s >= b that is pressed by y >= 0 adds y (b - n . s).
+    A row n . s >= b that is pressed by y >= 0 adds y (b - n . s). What meets the goal within a
+    radius has c . (s_N - g_N) <= radius |c|.
     """
     push, paid = [], ZERO
     for k, c in enumerate(leaf.slides):
@@ -98,6 +100,9 @@ def _pushed(
             raise Refused('presses are negative')
         push[k] = less(push[k], [y * x for x in normal])
         paid += y * (least - dot(normal, posed.goals[k]))
+    if posed.radius is not None:
+        push[-1] = [x + y for x, y in zip(push[-1], leaf.meets, strict=True)]
+        paid -= posed.radius * size_above(leaf.meets)
     return push, paid
 
 
@@ -160,6 +165,9 @@ def _of_step(
     if posed.width == 9:
         value += least_over_orbitope(less(tangent, leaf.shares[k]), leaf.tops[k])
         tangent = leaf.shares[k]
+    elif any(leaf.shares[k]):
+        value += _least_in_cones(posed, k, leaf.shares[k])
+        tangent = less(tangent, leaf.shares[k])
     return value + _least(posed, region, k, tangent, bend)
 
 
@@ -176,7 +184,17 @@ def _least(posed: StatedProblem, region: Region, k: int, slope: Vector, bend: Fr
     steepest = max([steepest, *(least_towards(slope, cone) for cone in posed.limits.cones[k])])
     # Where cones end, it is flat. What is linear is least around that.
     slowest = posed.floor.slowest if bend or length else posed.limits.least[k]
-    return least_along(steepest + length, bend, slowest)  # which a polygon is beyond, too
+    fastest = posed.limits.most[k]
+    return least_along(steepest + length, bend, slowest, fastest)  # a polygon is beyond, too
+
+
+def _least_in_cones(posed: StatedProblem, k: int, share: Vector) -> Fraction:
+    """Return the least share . z over what the cones of a step hold, whatever else does."""
+    limits = posed.limits
+    if not limits.cones[k]:
+        raise Refused('shares have no cone that holds them')
+    steepest = max(least_towards(share, cone) for cone in limits.cones[k])
+    return least_along(steepest, ZERO, limits.least[k], limits.most[k])
 
 
 def _least_decided(posed: StatedProblem, slope: Vector, bend: Fraction) -> Fraction:

@@ -26,10 +26,12 @@ from .limits import Cone, StatedFloor
 from .regions import Sector
 
 
-def least_along(slope: Fraction, bend: Fraction, slowest: Fraction) -> Fraction:
-    """Return the least slope s - bend s^2 / 2 over speeds s from the slowest to 1."""
-    ends = min(slope * s - bend * s * s / 2 for s in (slowest, ONE))
-    if bend < 0 and slowest * bend > slope > bend:  # convex, and least where it is level
+def least_along(
+    slope: Fraction, bend: Fraction, slowest: Fraction, fastest: Fraction = ONE
+) -> Fraction:
+    """Return the least slope s - bend s^2 / 2 over speeds s from the slowest to the fastest."""
+    ends = min(slope * s - bend * s * s / 2 for s in (slowest, fastest))
+    if bend < 0 and slowest * bend > slope > fastest * bend:  # convex, and least where it is level
         return slope * slope / (2 * bend)
     return ends
 

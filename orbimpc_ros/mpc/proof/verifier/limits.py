@@ -7,7 +7,7 @@ from fractions import Fraction
 from typing import Any, NamedTuple
 
 from .exact import NARROW, PI, TINY, ZERO, Vector, direction
-from .reading import Refused, fields, items, vector, weight, whole, word
+from .reading import Refused, fields, items, rows, vector, weight, whole, word
 
 
 class StatedFloor(NamedTuple):
@@ -66,6 +66,14 @@ def cones(stated: Any, n: int, slowest: Fraction, horizon: int) -> tuple[list[li
     if max(least) > 1:
         raise Refused('a least speed is above 1')
     return found, least
+
+
+def speeds(stated: Any, horizon: int) -> tuple[Vector, Vector]:
+    """Return the least and the most speed of each step, as changes of speed are limited."""
+    both = rows(stated, 'speeds', horizon, 2)
+    if any(not 0 <= least <= most <= 1 for least, most in both):
+        raise Refused('speeds are not from a least to a most one within 0 and 1')
+    return [least for least, _ in both], [most for _, most in both]
 
 
 def tether(turn: Fraction, limit: StatedFloor, begin: Vector) -> Tether | None:

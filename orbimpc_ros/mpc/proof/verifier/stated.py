@@ -16,6 +16,7 @@ from .limits import (
     cones,
     floor,
     glide_slope,
+    speeds,
     tether,
 )  # fmt: skip
 from .reading import Refused, fields, items, rows, vector, weight, whole, word
@@ -81,10 +82,11 @@ class StatedState(NamedTuple):
 
 
 class StatedLimits(NamedTuple):
-    """Of each step its cones and its least speed; tethers; the cone above the goal; walls."""
+    """Of each step its cones, its least and most speed; tethers; the cone above the goal; walls."""
 
     cones: list[list[Cone]]
     least: Vector
+    most: Vector
     tether: Tether | None
     slope: GlideSlope | None
     walls: list[BoxWall | DiscWall]
@@ -101,6 +103,7 @@ class StatedProblem:
         width: how many numbers a rotation is: its thrust axis alone where the cost sees no more.
         arrives: whether trajectories have to end at the goal.
         turn: angle that directions that are split turn by in a step at most [rad]; 0 for any.
+        radius: within which s_N is of g_N [m]; None where it may be anywhere.
     """
 
     n: int
@@ -115,10 +118,13 @@ class StatedProblem:
     goals: list[Vector]
     limits: StatedLimits
     turn: Fraction
+    radius: Fraction | None = None
 
 
-def posed_by(document: dict[str, Any]) -> StatedProblem:
-    """Return the problem that a certificate is of.
+def posed_by(
+    document: dict[str, Any], radius: Fraction | None = None, *, refutes: bool = False
+) -> StatedProblem:
+    """Return the problem that a certificate is of; what refutes sees thrust axes alone.
 
     Raises:
         Refused: it is malformed, or of a kind that the format has no proofs for.
@@ -130,7 +136,8 @@ def posed_by(document: dict[str, Any]) -> StatedProblem:
     horizon = whole(problem['horizon'], 'horizon', 1, MOST_STEPS)
     model = _model(problem, horizon)
     weights = _weights(problem['weights'], n, model)
-    width = 2 if n == 2 else 3 if order == 1 and not (weights.input or weights.attitude) else 9
+    seen = weights.input or weights.attitude or not (refutes or order == 1)
+    width = 2 if n == 2 else 9 if seen else 3
     state = _state(document['state'], n, width, model.step)
     if weights.attitude and document['state']['wanted'] is None:
         raise Refused('state.wanted is missing')
@@ -144,7 +151,7 @@ def posed_by(document: dict[str, Any]) -> StatedProblem:
     limits = _limits(document.get('limits', {}), made, tied, model, state, horizon)
     turn = turn if n == 2 and made.slowest else ZERO
     return StatedProblem(
-        n, order, horizon, width, model, weights, arrives, made, state, goals, limits, turn
+        n, order, horizon, width, model, weights, arrives, made, state, goals, limits, turn, radius
     )
 
 
@@ -209,12 +216,16 @@ def _limits(
     state: StatedState,
     horizon: int,
 ) -> StatedLimits:
-    fields(stated, 'limits', (), ('cones', 'glide_slope', 'walls'))
+    fields(stated, 'limits', (), ('cones', 'glide_slope', 'walls', 'speeds'))
     n = len(state.position)
     sloping = 'glide_slope' in stated and n == 3
     leads = _leads(model, state, horizon)
+    directed, slowest = cones(stated.get('cones', []), n, made.slowest, horizon)
+    least, most = speeds(stated.get('speeds', [[0.0, 1.0]] * horizon), horizon)
     return StatedLimits(
-        *cones(stated.get('cones', []), n, made.slowest, horizon),
+        directed,
+        [max(both) for both in zip(slowest, least, strict=True)],
+        most,
         tied,
         glide_slope(stated['glide_slope'], horizon) if sloping else None,
         [wall(each, n, horizon, leads) for each in items(stated.get('walls', []), 'walls')],

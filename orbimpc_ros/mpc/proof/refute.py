@@ -1,0 +1,165 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""From the claim that nothing is feasible, or catches a goal, to its certificate.
+
+Nothing of a method is used: all trajectories are split, depth first, by the sides of bodies and by
+directions, until what is asked of each part is missed. Nothing of this has to be believed: see
+:mod:`orbimpc_ros.mpc.proof.verifier`.
+
+Mathematics: docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+
+from orbimpc_ros.mpc.problem import Ball, Floor, Problem
+from orbimpc_ros.mpc.problem.sought import Sought
+from orbimpc_ros.mpc.proof.certificate import Refutation, Split, Tree, plain
+from orbimpc_ros.mpc.proof.prove import Unproved
+from orbimpc_ros.mpc.proof.refutation_program import Missed, Motion, RefutationProgram, middle_of
+from orbimpc_ros.mpc.proof.verifier import Refused, refuted_by
+from orbimpc_ros.mpc.proof.verifier.bound import bound
+from orbimpc_ros.mpc.proof.verifier.regions import Region, Sector
+from orbimpc_ros.mpc.proof.verifier.splits import beside, halves, root
+from orbimpc_ros.mpc.proof.verifier.stated import StatedProblem
+from orbimpc_ros.mpc.proof.walls import WallSplits
+
+NARROWEST = 1e-6  # [rad] of a sector that is split
+
+
+def refutation_of(sought: Sought) -> Refutation:
+    """Return what proves that nothing is feasible.
+
+    Raises:
+        Unproved: none was found.
+    """
+    made = stated(sought)
+    return replace(made, trees=(_refuting(made, sought.problem.horizon),))
+
+
+def catches_refuted(sought: Sought, count: int) -> Refutation:
+    """Return what proves that the goal is not caught at the ends of the first steps.
+
+    Raises:
+        Unproved: for one of them none was found.
+    """
+    made = stated(sought)
+    return replace(made, trees=tuple(_refuting(made, k) for k in range(1, count + 1)))
+
+
+def stated(sought: Sought) -> Refutation:
+    """Return a refutation without its trees, of as much of a problem as certificates can state."""
+    problem = statable(sought.problem)
+    split = problem.dimension == 2 and problem.floor.exists and not problem.max_rate
+    origins = np.zeros(problem.horizon) if split else None
+    return Refutation(replace(sought, problem=problem), (), origins)
+
+
+def statable(problem: Problem) -> Problem:
+    """Return a problem with those limits only that certificates can state: it allows no less."""
+    floor, planar = problem.floor, problem.dimension == 2
+    known = floor.shape in (('circle', 'polygon') if planar else ('circle',))
+    if not known or problem.rotation_order == 2:
+        floor = Floor()
+    rated = problem.rotation_order == 1 and (planar or not problem.floor.exists)
+    rate = problem.max_rate if rated and floor.exists == problem.floor.exists else 0.0
+    pace = problem.max_acceleration if problem.rotation_order == 1 else 0.0
+    bodies = tuple(each for each in problem.obstacles if planar or not isinstance(each, Ball))
+    return replace(problem, floor=floor, max_rate=rate, max_acceleration=pace, obstacles=bodies)
+
+
+def _refuting(made: Refutation, k: int) -> Tree:
+    """Return the tree that refutes a catch at step k; or all that there is, of a problem of k.
+
+    Raises:
+        Unproved: none was found.
+    """
+    sought = made.sought
+    try:
+        posed = refuted_by(made.document(), k)
+    except Refused as error:
+        raise Unproved(f'no certificate: {error}') from None
+    motion = Motion.of(sought.problem, sought.state, sought.goals)
+    if sought.radius:
+        motion = motion.begun(k)
+    origins = None if made.origins is None else made.origins[:k].tolist()
+    proof = RefutationProof(RefutationProgram(motion, posed), posed, motion.unit, origins)
+    tree = proof.tree()
+    if tree is None:
+        what = f'of a catch at step {k}' if sought.radius else 'of all that there is'
+        raise Unproved(f'no certificate: no refutation {what} was found')
+    return tree
+
+
+class RefutationProof:
+    """Depth first over sides of bodies and directions, until each part misses what is asked of it.
+
+    Args:
+        program: of parts.
+        posed: the problem, which says what a leaf proves.
+        unit: of lengths [m].
+        origins: from where directions are counted; None where an attitude says so.
+    """
+
+    most = 2000  # leaves
+
+    def __init__(
+        self, program: RefutationProgram, posed: StatedProblem, unit: float, origins: list | None
+    ) -> None:
+        self._program, self._posed = program, posed
+        self._walls = WallSplits(posed, program.curvatures, unit)
+        self._origins, self._leaves = origins, 0
+
+    def tree(self) -> Tree | None:
+        """Return splits and leaves that refute all; None where that takes too many."""
+        return self._refuted(root(self._posed, self._origins))
+
+    def _refuted(self, region: Region | None) -> Tree | None:
+        if region is None:
+            return self._program.nothing
+        answer = self._program.answer(region)
+        if not answer.feasible and bound(self._posed, plain(answer.leaf), region) > 0:
+            self._leaves += 1
+            return answer.leaf if self._leaves <= self.most else None
+        return self._beside(region, answer) or self._turned(region)
+
+    def _beside(self, region: Region, answer: Missed) -> Tree | None:
+        """Return what refutes a region, split beside the wall that its best trajectory enters."""
+        if not answer.feasible:
+            return None
+        found = self._walls.best(region, self._program.positions(answer.x))
+        if found is None:
+            return None
+        _, wall, k, at = found
+        return self._split(beside(self._posed, region, k, wall, at), k, at, wall)
+
+    def _turned(self, region: Region) -> Tree | None:
+        """Return what refutes a region, split where directions say the least."""
+        gains = [self._gain(k, sector) for k, sector in enumerate(region.sectors)]
+        k = int(np.argmax(gains))
+        sector = region.sectors[k]
+        if sector is None or not gains[k]:
+            return None
+        at = middle_of(sector)
+        return self._split(halves(self._posed, region, k, Fraction(at)), k, at)
+
+    def _gain(self, k: int, sector: Sector | None) -> float:
+        """Return by how much more the hull of a sector holds than its ends, as R_k e1 leads [m]."""
+        width = 0.0 if sector is None else float(sector.high - sector.low)
+        deep = 1.0 - math.cos(min(0.5 * width, math.pi))
+        return float(self._program.reach[k] * deep) if width > NARROWEST else 0.0
+
+    def _split(
+        self, regions: list[Region | None], k: int, at: float | None, wall: int | None = None
+    ) -> Tree | None:
+        parts: list[Tree] = []
+        for each in regions:
+            part = self._refuted(each)
+            if part is None:
+                return None
+            parts.append(part)
+        return Split(k + 1, tuple(parts), at, wall)
