@@ -17,6 +17,7 @@ import argparse
 import math
 import sys
 import time
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -92,6 +93,14 @@ def told(name: str, rows: list[Row], between: bool) -> str:
     )
 
 
+def shown(rows: Iterable[Row | None]) -> Iterator[Row]:
+    """Print each row as it is found, for the last one may take hours."""
+    for number, each in enumerate(rows):
+        if each is not None:
+            print(f'  {number}: {each.time:.3f} s, later by {each.later:+.4f} s', flush=True)
+            yield each
+
+
 def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument('--count', type=int, default=200)
@@ -107,7 +116,7 @@ def main() -> int:
     sooner = 0
     for name, chased in sets.items():
         for step in args.steps:
-            rows = [each for chase in chased if (each := row(chase, step, args.between))]
+            rows = list(shown(row(chase, step, args.between) for chase in chased))
             print(told(f'{name}, {step:g} s', rows, args.between), flush=True)
             sooner += sum(each.later < -step for each in rows)
     return 1 if sooner else 0
