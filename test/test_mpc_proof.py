@@ -9,6 +9,7 @@ import certified
 import numpy as np
 import pytest
 
+from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Ball, Box, Floor, Problem, State
 from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
 from orbimpc_ros.mpc.proof.verifier import Refused, parsed, verified
@@ -33,6 +34,16 @@ def test_what_is_published_holds(kind, seed):
     assert verdict.claimed == max(0.0, plan.lower_bound)
     # What is proved is no more than what was found, but for what plans may miss constraints by.
     assert verdict.proved <= plan.objective * (1.0 + 1e-7)
+
+
+def test_a_plan_that_is_a_little_off_is_as_good_to_prove_a_bound_from():
+    """Over SO(3) a plan's own tangents lack the square of what it is off by."""
+    kind, rng = 'space, arrival', np.random.default_rng(5)
+    case = certified.case(kind, np.random.default_rng([1, *kind.encode()]))
+    plan = Solver(case.problem, patient=True).solve(case.state, case.goals)
+    turned = [r @ exp(1e-3 * rng.normal(size=3)) for r in plan.rotations[1:]]
+    made = certificate_of(*case, np.array(turned), plan.lower_bound)
+    assert verified(parsed(made.text().encode())).holds
 
 
 @pytest.mark.parametrize('kind', certified.LIMITED)
