@@ -46,17 +46,12 @@ def test_a_plan_that_is_a_little_off_is_as_good_to_prove_a_bound_from():
     assert verified(parsed(made.text().encode())).holds
 
 
-@pytest.mark.parametrize('kind', certified.LIMITED)
-def test_what_is_published_beside_walls_and_within_cones_holds(kind):
-    plan, made = certificate(kind, 1)
-    verdict = verified(parsed(made.text().encode()))
-    assert verdict.holds
-    assert verdict.proved <= plan.objective * (1.0 + 1e-7)
-
-
-@pytest.mark.parametrize('kind', certified.TIED)
-def test_what_is_published_where_turns_or_changes_of_speed_are_limited_holds(kind):
-    plan, made = certificate(kind, 0)
+@pytest.mark.parametrize(
+    ('kind', 'seed'),
+    [*((kind, 1) for kind in certified.LIMITED), *((kind, 0) for kind in certified.TIED)],
+)
+def test_what_is_published_beside_walls_within_cones_and_under_turn_limits_holds(kind, seed):
+    plan, made = certificate(kind, seed)
     verdict = verified(parsed(made.text().encode()))
     assert verdict.holds
     assert verdict.proved <= plan.objective * (1.0 + 1e-7)

@@ -14,7 +14,7 @@ import pytest
 import refutable
 from problems import rotation
 
-from orbimpc_ros.mpc.loop.interception import excluded
+from orbimpc_ros.mpc.loop.interception import steps_before
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State
 from orbimpc_ros.mpc.problem.sought import Sought
@@ -165,7 +165,7 @@ def test_a_cone_that_no_turn_meets_is_refuted_however_near_it_is(horizon):
 
 @pytest.mark.parametrize(('bound', 'count'), [(0.3, 2), (0.1, 0), (0.0, 0), (0.25, 2), (1.3, 12)])
 def test_ends_before_a_time_are_counted_but_for_rounding(bound, count):
-    assert excluded(bound, 0.1) == count
+    assert steps_before(bound, 0.1) == count
 
 
 def test_speeds_that_change_slowly_refute_a_catch():

@@ -107,13 +107,24 @@ def test_no_fault_brings_lock_step_to_a_standstill(launch, domain, faults):
     assert 'captured' in flown_through(launch, DISTURBED | faults, domain)
 
 
-def test_the_vehicle_stops_when_its_planner_is_killed(launch, observer):
-    """Within the step: signs of life stop long before the next command is due."""
-    odometry = observer.listen(Odometry, 'odom')
-    diagnostics = observer.listen(DiagnosticArray, '/diagnostics')
-    planner = launch('planner', {'trigger': 'odom'})
-    launch('sim', WALL)
+@pytest.fixture
+def heard(observer):
+    """Return the odometry and the diagnostics that are heard."""
+    return observer.listen(Odometry, 'odom'), observer.listen(DiagnosticArray, '/diagnostics')
+
+
+def in_flight(launch, observer, odometry, **parameters):
+    """Return a planner and a simulator in real time, whose vehicle flies."""
+    planner = launch('planner', {'trigger': 'odom'} | parameters)
+    sim = launch('sim', WALL | parameters)
     observer.until(lambda: moved(odometry), 'a vehicle that flies')
+    return planner, sim
+
+
+def test_the_vehicle_stops_when_its_planner_is_killed(launch, observer, heard):
+    """Within the step: signs of life stop long before the next command is due."""
+    odometry, diagnostics = heard
+    planner, _ = in_flight(launch, observer, odometry)
     planner.tell(signal.SIGKILL)
     observer.until(lambda: complaints(diagnostics, 'no sign of life'), 'a complaint')
     odometry.clear()
@@ -121,13 +132,10 @@ def test_the_vehicle_stops_when_its_planner_is_killed(launch, observer):
     assert odometry[-1].twist.twist.linear.x == 0.0
 
 
-def test_a_planner_that_dies_is_told_of_though_the_vehicle_was_stopped_before(launch, observer):
+def test_a_planner_that_dies_is_told_of_though_the_vehicle_stood_already(launch, observer, heard):
     """Commands that cease, then signs of life that do: whoever watches hears of both."""
-    odometry = observer.listen(Odometry, 'odom')
-    diagnostics = observer.listen(DiagnosticArray, '/diagnostics')
-    planner = launch('planner', {'trigger': 'odom'})
-    launch('sim', WALL)
-    observer.until(lambda: moved(odometry), 'a vehicle that flies')
+    odometry, diagnostics = heard
+    planner, _ = in_flight(launch, observer, odometry)
     silence = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
     assert observer.call(ChangeState, '/planner/change_state', silence).success
     observer.until(lambda: complaints(diagnostics, 'no command for'), 'a first complaint')
@@ -136,13 +144,10 @@ def test_a_planner_that_dies_is_told_of_though_the_vehicle_was_stopped_before(la
     observer.until(lambda: complaints(diagnostics, 'no sign of life'), 'a second one')
 
 
-def test_a_planner_that_was_missed_in_vain_commands_again(launch, observer):
+def test_a_planner_that_was_missed_in_vain_commands_again(launch, observer, heard):
     """As on a machine that is too busy to run it for a moment."""
-    odometry = observer.listen(Odometry, 'odom')
-    diagnostics = observer.listen(DiagnosticArray, '/diagnostics')
-    planner = launch('planner', {'trigger': 'odom', 'step': 3.0})
-    sim = launch('sim', WALL | {'step': 3.0})
-    observer.until(lambda: moved(odometry), 'a vehicle that flies')
+    odometry, diagnostics = heard
+    planner, sim = in_flight(launch, observer, odometry, step=3.0)
     planner.tell(signal.SIGSTOP)
     observer.until(lambda: complaints(diagnostics, 'no sign of life'), 'a complaint')
     planner.tell(signal.SIGCONT)
@@ -151,10 +156,9 @@ def test_a_planner_that_was_missed_in_vain_commands_again(launch, observer):
 
 
 @pytest.fixture
-def commanded(launch, observer):
+def commanded(launch, observer, heard):
     """Return what commands a simulator, its odometry and its diagnostics."""
-    odometry = observer.listen(Odometry, 'odom')
-    diagnostics = observer.listen(DiagnosticArray, '/diagnostics')
+    odometry, diagnostics = heard
     publisher = observer.node.create_publisher(TwistStamped, 'cmd_vel', qos())
     launch('sim', {**WALL, 'step': 0.1})
     observer.until(lambda: publisher.get_subscription_count() > 0, 'the simulator')
@@ -204,9 +208,8 @@ def test_impossible_faults_end_the_simulator_with_one_line(launch):
     assert 'faults.occlusion_length' in sim.output
 
 
-def test_a_vehicle_with_a_failsafe_is_not_stopped(launch, observer):
-    odometry = observer.listen(Odometry, 'odom')
-    diagnostics = observer.listen(DiagnosticArray, '/diagnostics')
+def test_a_vehicle_with_a_failsafe_is_not_stopped(launch, observer, heard):
+    odometry, diagnostics = heard
     publisher = observer.node.create_publisher(TwistStamped, 'cmd_vel', qos())
     kept = {'failsafe.fraction': 0.7, 'failsafe.rate': 1.0}
     launch('sim', {**WALL, 'step': 0.1, **kept})

@@ -34,12 +34,17 @@ def run(capsys):
     return ran
 
 
+def solve(run, folder, stated):
+    """Return a problem's file, that of its certificate, and what the command answers."""
+    problem, made = folder / 'problem.json', folder / 'certificate.json'
+    problem.write_text(json.dumps(stated))
+    return problem, made, run('solve', problem, '--certificate', made)
+
+
 @pytest.fixture
 def solved(tmp_path, run):
     """Return a problem's file, and that of the certificate of its plan."""
-    problem, made = tmp_path / 'problem.json', tmp_path / 'certificate.json'
-    problem.write_text(json.dumps(CASES['uav_square_0']))
-    code, out, _ = run('solve', problem, '--certificate', made)
+    problem, made, (code, out, _) = solve(run, tmp_path, CASES['uav_square_0'])
     assert code == 0
     assert json.loads(made.read_text())['lower_bound'] == json.loads(out)['lower_bound']
     return problem, made
@@ -176,9 +181,7 @@ FAR = {**CASES['uav_square_0'], 'terminal': 'constraint', 'goal': [60.0, 0.0]}
 @pytest.fixture
 def unsatisfied(tmp_path, run):
     """Return a problem's file, and that of the certificate that nothing satisfies it."""
-    problem, made = tmp_path / 'problem.json', tmp_path / 'certificate.json'
-    problem.write_text(json.dumps(FAR))
-    code, out, error = run('solve', problem, '--certificate', made)
+    problem, made, (code, out, error) = solve(run, tmp_path, FAR)
     assert code == 3
     assert out == ''
     assert 'beyond what' in error

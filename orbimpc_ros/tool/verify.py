@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.loop.interception import excluded
+from orbimpc_ros.mpc.loop.interception import steps_before
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.problem.sought import Sought
@@ -181,7 +181,8 @@ def _catch(number: int, each: ReplayedTick, args: argparse.Namespace) -> Iterato
     claimed, catch = each.recorded.answer.catch_bound, each.tick.catch
     if claimed is None or catch is None or not math.isfinite(claimed):
         return
-    row, count = TickVerdict(number, CATCH, claimed), excluded(claimed, catch.sought.problem.step)
+    row = TickVerdict(number, CATCH, claimed)
+    count = steps_before(claimed, catch.sought.problem.step)
     if catch.time < claimed * (1.0 - TOLERANCE):
         words = f'{FAILS}: a plan catches it at {catch.time!r}'
         yield row._replace(outcome=FAILS, words=words)

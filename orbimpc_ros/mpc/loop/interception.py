@@ -92,7 +92,7 @@ class Catch:
     sought: Sought
 
 
-def excluded(bound: float, step: float) -> int:
+def steps_before(bound: float, step: float) -> int:
     """Return how many steps [s] end before a time [s], but for rounding."""
     return max(0, math.ceil(bound / step - TINY) - 1)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -73,6 +74,18 @@ class Split:
 
 
 Tree = Leaf | Split
+
+
+def split_into(
+    parts: Iterable[Tree | None], step: int, at: float | None = None, wall: int | None = None
+) -> Split | None:
+    """Return a split into parts; None as soon as one of them has no proof."""
+    proved: list[Tree] = []
+    for part in parts:
+        if part is None:
+            return None
+        proved.append(part)
+    return Split(step, tuple(proved), at, wall)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,8 @@ Mathematics: docs/mathematics.md, 4.3, and docs/proofs.md.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
@@ -14,7 +16,7 @@ from orbimpc_ros.mpc.kernels.active_set import Quadratic, begin_cells, search, t
 from orbimpc_ros.mpc.kernels.best_first import BOUND, STALLS
 from orbimpc_ros.mpc.model.condensed import Condensed, regular
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.certificate import Leaf, Split, Tree
+from orbimpc_ros.mpc.proof.certificate import Leaf, Tree, split_into
 
 SATISFIED = 1e-9  # a floor missed by less is not split
 
@@ -54,15 +56,14 @@ class FaceProof:
         k = self._branching(x, choice)
         if k < 0:
             return None
-        parts = []
+        return split_into(self._beyond_faces(choice, k), k + 1)
+
+    def _beyond_faces(self, choice: np.ndarray, k: int) -> Iterator[Tree | None]:
+        """Yield what proves the part beyond each face."""
         for face in range(len(self._table.bounds)):
             chosen = choice.copy()
             chosen[k] = face
-            part = self._proved(chosen)
-            if part is None:
-                return None
-            parts.append(part)
-        return Split(k + 1, tuple(parts))
+            yield self._proved(chosen)
 
     def _relaxed(self, choice: np.ndarray) -> tuple[Array, float]:
         """Return the minimiser of the Lagrangian where faces are chosen, and the bound there."""

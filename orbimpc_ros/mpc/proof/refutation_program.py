@@ -246,9 +246,7 @@ class RefutationProgram:
         }
         found: Any = run(solver_for(data, ACCURACY), None)
         x, z = np.nan_to_num(found.x), np.nan_to_num(found.z)
-        nowhere = 'PrimalInfeasible' in str(
-            found.status
-        )  # its multipliers are a ray, of any length
+        nowhere = 'PrimalInfeasible' in str(found.status)  # multipliers are a ray, of any length
         each = self._posed.n + 1
         ends = np.cumsum([*sizes[:4], each * len(self._z), each * self._tied])
         parts = np.split(z / (np.abs(z).max() if nowhere else 1.0), ends)

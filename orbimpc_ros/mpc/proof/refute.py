@@ -11,6 +11,7 @@ Mathematics: docs/proofs.md.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
 
@@ -18,7 +19,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.problem import Ball, Floor, Problem
 from orbimpc_ros.mpc.problem.sought import Sought
-from orbimpc_ros.mpc.proof.certificate import Refutation, Split, Tree, plain
+from orbimpc_ros.mpc.proof.certificate import Refutation, Tree, plain, split_into
 from orbimpc_ros.mpc.proof.prove import Unproved
 from orbimpc_ros.mpc.proof.refutation_program import Missed, Motion, RefutationProgram, middle_of
 from orbimpc_ros.mpc.proof.verifier import Refused, refuted_by
@@ -154,12 +155,6 @@ class RefutationProof:
         return float(self._program.reach[k] * deep) if width > NARROWEST else 0.0
 
     def _split(
-        self, regions: list[Region | None], k: int, at: float | None, wall: int | None = None
+        self, regions: Sequence[Region | None], k: int, at: float | None, wall: int | None = None
     ) -> Tree | None:
-        parts: list[Tree] = []
-        for each in regions:
-            part = self._refuted(each)
-            if part is None:
-                return None
-            parts.append(part)
-        return Split(k + 1, tuple(parts), at, wall)
+        return split_into(map(self._refuted, regions), k + 1, at, wall)

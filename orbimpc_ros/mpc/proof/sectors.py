@@ -7,6 +7,7 @@ Mathematics: docs/mathematics.md, 4.6 and 4.10, and docs/proofs.md.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from orbimpc_ros.mpc.kernels.dual import BOUND, ascent, climb
 from orbimpc_ros.mpc.model.condensed import Condensed, regular
 from orbimpc_ros.mpc.model.cost import length_weights
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.certificate import Leaf, Split, Tree
+from orbimpc_ros.mpc.proof.certificate import Leaf, Tree, split_into
 from orbimpc_ros.mpc.solve.arc_search import cuts
 
 WIDEST = 1.3  # [rad] of a part, of a sector that is too wide for cuts
@@ -109,19 +110,17 @@ class SectorProof:
         """Return the tree of a region split at angles, one after another; it may be empty."""
         if not corners:
             return self._proved(low, high)
-        parts: list[Tree] = []
+        return split_into(self._cut(k, corners, low, high), k + 1, corners[0])
+
+    def _cut(self, k: int, corners: list[float], low: Array, high: Array) -> Iterator[Tree | None]:
+        """Yield what proves the parts below and above the first of some angles."""
         for begin, end, rest in (
             (low[k], corners[0], []),
             (corners[0], high[k], corners[1:]),
         ):
             region = self._narrowed(k, begin, end, low, high)
-            part: Tree | None = Leaf(np.zeros(self._q.shape))  # of nothing
-            if region is not None:
-                part = self._split(k, rest, *region)
-            if part is None:
-                return None
-            parts.append(part)
-        return Split(k + 1, tuple(parts), corners[0])
+            nothing = Leaf(np.zeros(self._q.shape))
+            yield nothing if region is None else self._split(k, rest, *region)
 
     def _narrowed(
         self, k: int, begin: float, end: float, low: Array, high: Array

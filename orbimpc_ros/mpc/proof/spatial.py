@@ -136,9 +136,9 @@ def touching_freely(
 
 
 def _least(bent: Array, q: Array, rows: Array, left: Array) -> tuple[Array, Array]:
-    """Return where x'Bx/2 + q.x is least of each column with A x = b, and the multipliers."""
+    """Return where x'Bx/2 + q.x is least with A x = b, of each column, and the multipliers."""
     system = np.block([[bent, rows.T], [rows, np.zeros((len(rows), len(rows)))]])
-    found = np.linalg.lstsq(system, np.vstack([-q, left]), rcond=1e-15)[0]
+    found = np.linalg.lstsq(system, np.concatenate([-q, left]), rcond=1e-15)[0]
     moved, pull = np.split(found, [len(bent)])
     return moved, pull
 
@@ -153,10 +153,6 @@ def touching(
     arrival, left = arrives
     rows = np.kron(arrival, np.eye(width)[: left.shape[1]])
     missed = left.ravel() - rows @ base
-    rows = rows @ basis
-    free = basis.T @ bent @ basis
-    system = np.block([[free, rows.T], [rows, np.zeros((len(rows), len(rows)))]])
-    right = np.concatenate([-basis.T @ (bent @ base + q.ravel()), missed])
-    found = np.linalg.lstsq(system, right, rcond=1e-15)[0]
-    moved, pull = np.split(found, [free.shape[0]])
+    rows, free = rows @ basis, basis.T @ bent @ basis
+    moved, pull = _least(free, basis.T @ (bent @ base + q.ravel()), rows, missed)
     return (base + basis @ moved).reshape(q.shape), pull

@@ -14,7 +14,7 @@ from fractions import Fraction
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.proof.certificate import Leaf, Split, Tree
+from orbimpc_ros.mpc.proof.certificate import Leaf, Tree, split_into
 from orbimpc_ros.mpc.proof.part_program import Answer, PartProgram
 from orbimpc_ros.mpc.proof.verifier.bound import bound
 from orbimpc_ros.mpc.proof.verifier.regions import Region
@@ -66,19 +66,14 @@ class WallProof:
             if worth >= self._target:
                 self._leaves += 1
                 return leaf if self._leaves <= self.most else None
-        positions = self._program.positions(answer.x)
-        found = self._splits.best(region, positions) if answer.feasible else None
+        if not answer.feasible:
+            return None
+        found = self._splits.best(region, self._program.positions(answer.x))
         if found is None:
             return None
         _, wall, k, at = found
-        parts = []
-        for each in beside(self._posed, region, k, wall, at):
-            assert each is not None
-            part = self._proved(each)
-            if part is None:
-                return None
-            parts.append(part)
-        return Split(k + 1, tuple(parts), at, wall)
+        parts = beside(self._posed, region, k, wall, at)
+        return split_into(map(self._proved, parts), k + 1, at, wall)
 
     def _tried(self, region: Region, answer: Answer) -> Iterator[tuple[Leaf, Fraction]]:
         """Yield tangents of a region, better ones as long as it is digits that they lack."""

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -34,6 +34,7 @@ def leaves(posed: StatedProblem, tree: Any, root: Region) -> Iterator[tuple[Any,
 def _parts(posed: StatedProblem, node: dict[str, Any], region: Region) -> list[tuple[Any, Region]]:
     fields(node, 'a split', ('split', 'parts'), ('at', 'wall'))
     k = whole(node['split'], 'split', 1, posed.horizon) - 1
+    regions: Sequence[Region | None]
     if 'wall' in node:
         regions = beside(posed, region, k, node['wall'], node.get('at'))
     elif 'at' in node:
@@ -111,7 +112,7 @@ def beyond(posed: StatedProblem, region: Region, k: int) -> list[Region | None]:
     return [region._replace(faces=(*before, i, *after)) for i in range(posed.floor.faces)]
 
 
-def beside(posed: StatedProblem, region: Region, k: int, wall: Any, at: Any) -> list[Region | None]:
+def beside(posed: StatedProblem, region: Region, k: int, wall: Any, at: Any) -> list[Region]:
     """Return what is known on each side of a wall that s_{k+1} can be on."""
     j = whole(wall, 'wall', 0, len(posed.limits.walls) - 1)
     body = posed.limits.walls[j]
