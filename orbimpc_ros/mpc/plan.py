@@ -16,7 +16,7 @@ from orbimpc_ros.mpc.geometry.rotations import project_all
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.grounds import Grounds, Tangent
+from orbimpc_ros.mpc.proof.grounds import Left
 
 TINY = 1e-12  # a size that has no direction
 ROUNDING = 1e-14  # of the cost unit: at the goal the cost vanishes, its rounding does not
@@ -44,7 +44,7 @@ class Proof:
     cost_unit: float
     reason: str = ''
     checked: bool = False
-    grounds: Grounds | Tangent | None = field(default=None, compare=False, repr=False)
+    grounds: Left | None = field(default=None, compare=False, repr=False)
 
 
 UNPROVED = Proof(-np.inf, 0, 0.0, 0.0)

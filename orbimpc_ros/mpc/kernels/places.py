@@ -77,6 +77,7 @@ class ActiveSet(NamedTuple):
 
     Attributes:
         at: place of each row, shape (S,).
+        rows: which of the half-spaces asked for it is; -1 - b of a tangent to ball b, shape (S,).
         normals: shape (S, n).
         offsets: shape (S,).
         u: multipliers, >= 0, shape (S,).
@@ -86,6 +87,7 @@ class ActiveSet(NamedTuple):
     """
 
     at: np.ndarray
+    rows: np.ndarray
     normals: Array
     offsets: Array
     u: Array
@@ -98,6 +100,7 @@ def active_set(steps: int, places: int, dimension: int) -> ActiveSet:
     """Return room for as many rows as can be independent, and two more."""
     size = steps * dimension + 2
     return ActiveSet(
+        np.zeros(size, np.int64),
         np.zeros(size, np.int64),
         np.zeros((size, dimension)),
         np.zeros(size),
@@ -123,12 +126,12 @@ def _set_values(gram, free, held, count):
 
 @compiled
 def _most_violated(known, asked, values, row):
-    """Set the normal of the row that it costs most to satisfy; return place and offset.
+    """Set the normal of the row that it costs most to satisfy; return what else is known of it.
 
     Returns:
-        The place, -1 if nothing is violated; the offset.
+        The place, -1 if nothing is violated; which row it is; the offset.
     """
-    worst, place, offset = 0.0, -1, 0.0
+    worst, place, which, offset = 0.0, -1, 0, 0.0
     n = values.shape[1]
     for m in range(len(asked.places)):
         p, short = asked.places[m], asked.offsets[m]
@@ -136,7 +139,7 @@ def _most_violated(known, asked, values, row):
             short -= asked.normals[m, c] * values[p, c]
         if short > OUTSIDE and short * short > worst * known.gram[p, p]:
             worst = short * short / max(known.gram[p, p], 1e-300)
-            place, offset = p, asked.offsets[m]
+            place, which, offset = p, m, asked.offsets[m]
             row[:] = asked.normals[m]
     for b in range(len(known.balls)):
         p, square = known.balls[b], 0.0
@@ -145,18 +148,19 @@ def _most_violated(known, asked, values, row):
         short = np.sqrt(square) - asked.radii[b]
         if short > OUTSIDE and short * short > worst * known.gram[p, p]:
             worst = short * short / max(known.gram[p, p], 1e-300)
-            place, offset = p, -asked.radii[b]
+            place, which, offset = p, -1 - b, -asked.radii[b]
             for c in range(n):
                 row[c] = (asked.centres[b, c] - values[p, c]) / np.sqrt(square)
                 offset += row[c] * asked.centres[b, c]
-    return place, offset
+    return place, which, offset
 
 
 @compiled
 def _drop(held, i, count):
     """Take a row out of the active set; return whether those that are left are independent."""
     for j in range(i, count - 1):
-        held.at[j], held.offsets[j], held.u[j] = held.at[j + 1], held.offsets[j + 1], held.u[j + 1]
+        held.at[j], held.rows[j] = held.at[j + 1], held.rows[j + 1]
+        held.offsets[j], held.u[j] = held.offsets[j + 1], held.u[j + 1]
         held.normals[j] = held.normals[j + 1]
         for k in range(i):
             held.gram[j, k] = held.gram[j + 1, k]
@@ -166,19 +170,18 @@ def _drop(held, i, count):
 
 
 @compiled
-def _append(held, count, place, row, offset, own, inner):
+def _append(held, count, new, row, own, inner):
     """Put a row at the end of the active set; return whether it is independent of the others.
 
     Args:
         held: the active set.
         count: of its rows.
-        place: of the row.
+        new: place of the row, which it is, its offset.
         row: its normal.
-        offset: of it.
         own: its curvature a . H^-1 a.
         inner: a . H^-1 a_i of the others.
     """
-    held.at[count], held.offsets[count] = place, offset
+    held.at[count], held.rows[count], held.offsets[count] = new
     held.normals[count], held.gram[count, count] = row, own
     for i in range(count):
         held.gram[count, i] = inner[i]
@@ -186,16 +189,15 @@ def _append(held, count, place, row, offset, own, inner):
 
 
 @compiled
-def _add(known, held, count, place, row, offset, r, inner):
+def _add(known, held, count, new, row, r, inner):
     """Add a violated row to the active set, dropping those in its way.
 
     Args:
         known: the quadratic.
         held: the active set.
         count: of its rows.
-        place: of the new row.
+        new: place of the row, which it is, its offset.
         row: its normal.
-        offset: of it.
         r: set to what the other multipliers lose with its own, shape (S,).
         inner: room to work in, shape (S,).
 
@@ -203,8 +205,8 @@ def _add(known, held, count, place, row, offset, r, inner):
         ``ADDED``; ``BLOCKED`` where none can make way for it; ``BROKEN`` where rounding ends the
         solve. The new count.
     """
+    place, _, gap = new
     own, multiplier, size = known.gram[place, place], 0.0, len(held.u)
-    gap = offset
     for c in range(len(row)):
         gap -= row[c] * held.values[place, c]
     for _ in range(4 * size):
@@ -227,7 +229,7 @@ def _add(known, held, count, place, row, offset, r, inner):
             held.u[i] = max(0.0, held.u[i] - move * r[i])
         gap -= move * max(0.0, curvature)
         if whole <= limit:
-            if count == size or not _append(held, count, place, row, offset, own, inner):
+            if count == size or not _append(held, count, new, row, own, inner):
                 return BROKEN, 0
             held.u[count] = multiplier
             return ADDED, count + 1
@@ -238,12 +240,13 @@ def _add(known, held, count, place, row, offset, r, inner):
 
 
 @compiled
-def _refutes(known, held, count, place, row, offset, r):
+def _refutes(known, held, count, new, row, r):
     """Return whether no |z_k| <= 1 satisfies a new row and those that cannot make way for it.
 
     Their multipliers y are one for the new row and -r for the others; then y . b exceeds what
-    sum_i y_i a_i . z can be.
+    sum_i y_i a_i . z can be. Where it does, they take the place of the active set's.
     """
+    place, which, offset = new
     total, magnitude, reached = offset, abs(offset), 0.0
     for i in range(count):
         total += max(0.0, -r[i]) * held.offsets[i]
@@ -255,7 +258,13 @@ def _refutes(known, held, count, place, row, offset, r):
             for i in range(count):
                 pull[c] += max(0.0, -r[i]) * known.maps[held.at[i], k] * held.normals[i, c]
         reached += np.sqrt((pull * pull).sum())
-    return total > reached + ROUNDING * len(held.u) * (magnitude + reached)
+    if not total > reached + ROUNDING * len(held.u) * (magnitude + reached):
+        return False
+    for i in range(count):
+        held.u[i] = max(0.0, -r[i])
+    held.at[count], held.rows[count], held.offsets[count] = place, which, offset
+    held.normals[count], held.u[count] = row, 1.0
+    return True
 
 
 @compiled
@@ -294,26 +303,28 @@ def minimise(known, asked, held, count, work):
         work: multiplications to do at most, though no less than one row takes.
 
     Returns:
-        What became of it, a lower bound, and the count of rows.
+        What became of it, a lower bound, and the count of rows, whose multipliers are what proves
+        it; where nothing is feasible, what proves that.
     """
     row, size = np.zeros(asked.q.shape[1]), len(held.u)
     r, inner = np.empty(size), np.empty(size)
     each = float((len(asked.places) + len(known.balls) + count * len(asked.free)) * len(row))
     _set_values(known.gram, asked.free, held, count)
     for _ in range(ITERATIONS):
-        place, offset = _most_violated(known, asked, held.values, row)
-        if place < 0:
+        new = _most_violated(known, asked, held.values, row)
+        if new[0] < 0:
             return SOLVED, _bound(known, asked.q, held, count), count
         if work <= 0.0:
             return INTERRUPTED, _bound(known, asked.q, held, count), count
-        became, count = _add(known, held, count, place, row, offset, r, inner)
+        became, count = _add(known, held, count, new, row, r, inner)
         if became == BROKEN:
             return STALLED, -np.inf, 0
         if became == BLOCKED:
             _set_values(known.gram, asked.free, held, count)
             bound = _bound(known, asked.q, held, count)
-            refuted = _refutes(known, held, count, place, row, offset, r)
-            return (REFUTED if refuted else STALLED), bound, count
+            if _refutes(known, held, count, new, row, r):
+                return REFUTED, bound, count + 1
+            return STALLED, bound, count
         work -= each + count * (2.0 * count + len(asked.free) * len(row))
         _set_values(known.gram, asked.free, held, count)
     return STALLED, _bound(known, asked.q, held, count), count

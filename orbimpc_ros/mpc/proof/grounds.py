@@ -39,6 +39,53 @@ class Grounds(NamedTuple):
     bends: Array
     origins: Array
 
+    @property
+    def headings(self) -> int:
+        """Return how many headings all tangents have."""
+        return self.bends.size
+
+
+class Choices(NamedTuple):
+    """A tree of choices in arrays: beyond which faces headings are, on which sides bodies.
+
+    Node 0 stands for all trajectories. A node that is not split is a leaf, and has a tangent to
+    the cost with what holds there added, by multipliers, or multipliers that prove it empty. They
+    are in natural units. Which choices there are, and what their sides ask for, is for whoever
+    counts the bound again to say (:mod:`orbimpc_ros.mpc.proof.sides`).
+
+    Attributes:
+        splits: the choice that a node is split by, ``LEAF`` of leaves, shape (T,).
+        parts: the first of a node's parts, which the others follow, shape (T,).
+        counts: how many parts there are; sides that nothing reaches have none, shape (T,).
+        levels: how often the quarter of a circle was halved that a node is of, shape (T,).
+        sides: which it is then, from the x axis on, or which side or face, shape (T,).
+        points: where the tangents of the leaves touch, shape (L, N, n).
+        empty: which of the leaves nothing is in, shape (L,).
+        ends: where the multipliers of each leaf end, shape (L,).
+        holders: nodes whose side a row belongs to; 0 for what always holds, shape (E,).
+        rows: which of its rows, shape (E,).
+        presses: their multipliers, >= 0, shape (E,).
+        tethers: multipliers of how far R e1 moves in a step, shape (L, K, n).
+    """
+
+    splits: np.ndarray
+    parts: np.ndarray
+    counts: np.ndarray
+    levels: np.ndarray
+    sides: np.ndarray
+    points: Array
+    empty: np.ndarray
+    ends: np.ndarray
+    holders: np.ndarray
+    rows: np.ndarray
+    presses: Array
+    tethers: Array
+
+    @property
+    def headings(self) -> int:
+        """Return how many headings all tangents have."""
+        return self.points.shape[0] * self.points.shape[1]
+
 
 class Tangent(NamedTuple):
     """A tangent to the cost that needs no split, over SO(3) or with what pulls at its end.
@@ -62,6 +109,13 @@ class Tangent(NamedTuple):
     tops: Array
     ways: Array
 
+    @property
+    def headings(self) -> int:
+        """Return how many headings it has."""
+        return self.bends.size
+
+
+Left = Choices | Grounds | Tangent  # by a method, of what its bound rests on
 
 UNSPLIT = np.array([LEAF])
 NO_PARTS, NO_ANGLES = np.zeros(1, np.int64), np.zeros(1)

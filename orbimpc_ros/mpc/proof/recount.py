@@ -13,6 +13,7 @@ Mathematics: docs/proofs.md.
 from __future__ import annotations
 
 import math
+from functools import cached_property
 
 import numpy as np
 
@@ -20,7 +21,9 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.kernels import compiled, inlined
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.grounds import Grounds, Tangent, tangent
+from orbimpc_ros.mpc.proof.choices import choices_bound
+from orbimpc_ros.mpc.proof.grounds import Choices, Left, Tangent, tangent
+from orbimpc_ros.mpc.proof.sides import Sides
 from orbimpc_ros.mpc.proof.slopes import (
     ROUNDING,
     hessian_of,
@@ -69,7 +72,7 @@ class Recount:
         self,
         state: State,
         goals: Array,
-        grounds: Grounds | Tangent,
+        grounds: Left,
         unit: float,
         enough: float = np.inf,
     ) -> float:
@@ -83,6 +86,8 @@ class Recount:
             enough: a bound beyond which nothing has to be counted.
         """
         start = self._begun(state)
+        if isinstance(grounds, Choices):
+            return self._of_choices(state, start, goals - state.position, grounds, unit)
         known = self._terms, self._hessian, start, goals - state.position
         if isinstance(grounds, Tangent):
             return self._of_tangent(known, grounds, state.coasted is not None)
@@ -112,6 +117,29 @@ class Recount:
     def _seen(self, rotation: Array) -> Array:
         """Return the coordinates of a rotation, as far as the cost sees them."""
         return coordinates(rotation) if self._width == 9 else rotation[:, 0]
+
+    @cached_property
+    def _sides(self) -> Sides:
+        return Sides(self._problem, self._terms)
+
+    def _of_choices(
+        self, state: State, start: Array, goals: Array, tree: Choices, unit: float
+    ) -> float:
+        """Return what a tree of choices proves; its multipliers are in natural units."""
+        count, n = goals.shape
+        always, known = self._sides.always(state), self._sides.alternatives(state)
+        leaves, nodes, rows = len(tree.points), len(tree.splits), len(tree.presses)
+        fits = tree.points.shape == (leaves, count, self._width) and self._width == n
+        fits &= tree.tethers.shape == (leaves, max(0, count - always.begin), n)
+        fits &= all(len(each) == nodes for each in tree[:5])
+        fits &= all(len(each) == rows for each in tree[8:11])
+        fits &= len(tree.empty) == len(tree.ends) == leaves
+        fits &= bool((np.diff(tree.ends, prepend=0) >= 0).all()) and tree.ends[-1] == rows
+        fits &= bool(((tree.holders >= 0) & (tree.holders < nodes)).all())
+        if not fits or self._pulled or self._terms.order == 2 or self._terms.lengths.any():
+            return -np.inf
+        places = self._sides.places(state)
+        return float(choices_bound(self._terms, start, goals, places, known, always, tree, unit))
 
     def _of_tangent(self, known: tuple, leaf: Tangent, coasting: bool) -> float:
         """Return what a tangent proves; its numbers are in the problem's own units."""

@@ -43,7 +43,7 @@ from orbimpc_ros.mpc.model.condensed import LONGEST, Condensed
 from orbimpc_ros.mpc.model.cost import first_length, length_weights
 from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Floor, Problem, State
-from orbimpc_ros.mpc.proof.grounds import Grounds, Tangent, tangent
+from orbimpc_ros.mpc.proof.grounds import Grounds, Left, tangent
 from orbimpc_ros.mpc.solve.arc_search import ArcSearch
 from orbimpc_ros.mpc.solve.general import General
 from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
@@ -289,9 +289,7 @@ def _long_hull(problem: Problem, tolerance: float) -> HullRiccati | None:
     )
 
 
-def _raised(
-    found: Found, bound: float, nodes: int = 0, grounds: Grounds | Tangent | None = None
-) -> Found:
+def _raised(found: Found, bound: float, nodes: int = 0, grounds: Left | None = None) -> Found:
     """Return what was found with a bound that may be better, after so many more nodes."""
     nodes += found.nodes
     if bound > found.lower_bound:

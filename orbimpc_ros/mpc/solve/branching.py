@@ -15,6 +15,7 @@ Mathematics: docs/mathematics.md, 4.9 and 5.4.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,7 +27,25 @@ from orbimpc_ros.mpc.solve.disjunction import Disjunction
 from orbimpc_ros.mpc.solve.posed import Choice, Missed, Posed
 
 WORST_CONDITION = 1e12
-Children = list[tuple[Choice, float]]  # with their bounds
+Gains = tuple[Array, np.ndarray, Array]
+
+
+class Branch(NamedTuple):
+    """A node's parts.
+
+    Attributes:
+        split: the choice that they differ in.
+        cells: what each of them chooses.
+        bounds: no trajectory of each costs less, shape (cells,).
+        rows: which row of each of them raises its bound, shape (cells,).
+        steps: by what multiplier of it, shape (cells,).
+    """
+
+    split: int
+    cells: Sequence[Cell]
+    bounds: Array
+    rows: np.ndarray
+    steps: Array
 
 
 class Branching:
@@ -43,8 +62,8 @@ class Branching:
 
     def children(
         self, choice: Choice, missed: Missed, bound: float, dual_value: float
-    ) -> Children | None:
-        """Return a child per cell of the choice that raises the bound the most; None if none can.
+    ) -> Branch | None:
+        """Return a part per cell of the choice that raises the bound the most; None if none can.
 
         Args:
             choice: of the node.
@@ -60,19 +79,18 @@ class Branching:
             if cell is not None and not cell.parts():
                 continue
             options[j] = self._posed.cells(j, cell)
-            if not options[j]:
-                return []  # none of them can be reached
+            if not options[j]:  # none of them can be reached
+                return unraised(j, (), bound)
         if not options:  # a chosen face is missed: the solve was not accurate enough
             return None
-        gains = {j: self._gain(j, cells, missed[j][1]) for j, cells in options.items()}
+        gains = {j: self._gains(j, cells, missed[j][1]) for j, cells in options.items()}
         promises = {j: (self._promise(j, gains[j], missed[j][0]), missed[j][0]) for j in options}
         chosen = max(options, key=promises.__getitem__)
-        return [
-            (_with(choice, chosen, cell), max(bound, dual_value + float(gain)))
-            for cell, gain in zip(options[chosen], gains[chosen], strict=True)
-        ]
+        gained, rows, steps = gains[chosen]
+        bounds = np.maximum(bound, dual_value + gained)
+        return Branch(chosen, options[chosen], bounds, rows, steps)
 
-    def _in_order(self, choice: Choice, bound: float) -> Children | None:
+    def _in_order(self, choice: Choice, bound: float) -> Branch | None:
         """Branch on the first open step, on faces not before that of the step before it.
 
         Where steps are exchangeable, every trajectory has the cost of one whose faces are sorted;
@@ -85,9 +103,9 @@ class Branching:
         before = choice[j - 1] if j else None
         least = 0 if before is None else cells.index(before)
         last = j == len(choice) - 1
-        return [(_with(choice, j, cell), bound) for cell in (cells[:1] if last else cells[least:])]
+        return unraised(j, cells[:1] if last else cells[least:], bound)
 
-    def _promise(self, j: int, gains: Array, by: float) -> float:
+    def _promise(self, j: int, gains: Gains, by: float) -> float:
         """Return by how much the children of a choice missed by ``by`` may raise the bound.
 
         Of the parts of a round floor's patch the nearer one often holds already, and tells
@@ -95,16 +113,22 @@ class Branching:
         """
         if self._posed.alternatives[j].radius:
             return float(by * by / (2.0 * self._curvature[j].min()))
-        return float(gains.min())
+        return float(gains[0].min())
 
-    def _gain(self, j: int, cells: Sequence[Cell], values: Array) -> Array:
-        """Return by how much each cell raises the bound at least, shape (cells,)."""
+    def _gains(self, j: int, cells: Sequence[Cell], values: Array) -> Gains:
+        """Return by how much each cell raises the bound at least, by which row, how far along."""
         short = np.maximum(self._posed.alternatives[j].shortfall(cells, values), 0.0)
-        return np.asarray((short**2 / (2.0 * self._curvature[j])).max(axis=1))
+        steps = short / self._curvature[j]
+        gains = 0.5 * short * steps
+        rows = gains.argmax(axis=1)
+        each = np.arange(len(rows)), rows
+        return gains[each], rows, steps[each]
 
 
-def _with(choice: Choice, j: int, cell: Cell) -> Choice:
-    return (*choice[:j], cell, *choice[j + 1 :])
+def unraised(j: int, cells: Sequence[Cell], bound: float) -> Branch:
+    """Return parts that are known no better than what they are parts of."""
+    count = len(cells)
+    return Branch(j, cells, np.full(count, bound), np.zeros(count, int), np.zeros(count))
 
 
 def steps_are_exchangeable(problem: Problem) -> bool:

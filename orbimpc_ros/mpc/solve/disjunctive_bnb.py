@@ -24,12 +24,16 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.traffic import Traffic, traffic_of
+from orbimpc_ros.mpc.proof.grounds import Choices
 from orbimpc_ros.mpc.solve.branching import (
+    Branch,
     Branching,
     inverse_curvatures,
     inverse_hessian,
     steps_are_exchangeable,
+    unraised,
 )
+from orbimpc_ros.mpc.solve.choice_tree import ChoiceTree
 from orbimpc_ros.mpc.solve.disjunction import Slot, disjunctions_of
 from orbimpc_ros.mpc.solve.dives import Dives
 from orbimpc_ros.mpc.solve.hull_tangent import HullTangent
@@ -103,8 +107,16 @@ class DisjunctiveSearch:
         if passages is not None:
             curvature += passages.curvatures(self._inverse)
         branching = Branching(posed, curvature, self._exchangeable)
-        run = _Run(posed, branching, self.tolerance)
+        run = _Run(posed, branching, self.tolerance, self._tree(posed))
         return run.run(() if traffic is None else self._ways(request, traffic))
+
+    def _tree(self, posed: Posed) -> ChoiceTree | None:
+        """Return what notes the grounds of a search; None where they could not be counted."""
+        told = isinstance(self.program, PlaceProgram) and not self._exchangeable
+        if not (told and ChoiceTree.tells(self.problem, posed.request.state)):
+            return None
+        assert isinstance(self.program, PlaceProgram)
+        return ChoiceTree(posed, self.program, self._inverse)
 
     def _relaxed(self, request: Request) -> Found:
         """Return the optimum of the one relaxation that is all of the problem."""
@@ -119,8 +131,16 @@ class DisjunctiveSearch:
         if not accurate(self.problem, goals, trajectory):
             return Found(None, np.inf, relaxed.bound, 1)
         if self._tangent is None:
-            return found
+            return replace(found, grounds=self._root(request)) if found.grounds is None else found
         return replace(found, grounds=self._tangent.at(request, relaxed.x, relaxed.bound))
+
+    def _root(self, request: Request) -> Choices | None:
+        """Return what the bound of a relaxation rests on where nothing is left to choose."""
+        tree = self._tree(Posed(self.problem, self.program, (), self.turns, request))
+        if tree is None:
+            return None
+        tree.solved(0)
+        return tree.grounds()
 
     def _ways(self, request: Request, traffic: Traffic) -> Iterator[Array]:
         """Yield headings R_1 e1..R_N e1, shape (N, n), of ways to start from: guessed, scouted."""
@@ -149,13 +169,16 @@ class _Node:
     bound: float
     order: int  # later nodes first among equals: deeper ones
     choice: Choice = field(compare=False)
+    number: int = field(compare=False, default=0)  # in the tree
 
 
 class _Run:
     """One search: the open nodes, the best trajectory, the least bound given up."""
 
-    def __init__(self, posed: Posed, branching: Branching, tolerance: float) -> None:
-        self._posed, self._branching = posed, branching
+    def __init__(
+        self, posed: Posed, branching: Branching, tolerance: float, tree: ChoiceTree | None
+    ) -> None:
+        self._posed, self._branching, self._tree = posed, branching, tree
         self._best = Incumbent(posed, tolerance)
         self._dives = Dives(posed, self._best)
         self._guided = posed.passages is not None  # trajectories come from ways, not yet from dives
@@ -182,7 +205,13 @@ class _Run:
         lower = min([self._closed, best.cost, *(node.bound for node in self._open)])
         if lower == np.inf:
             raise Infeasible('no trajectory satisfies the constraints: every branch is infeasible')
-        return Found(best.x, best.cost, lower, posed.solved)
+        return Found(best.x, best.cost, lower, posed.solved, grounds=self._grounds())
+
+    def _grounds(self) -> Choices | None:
+        request = self._posed.request
+        if self._tree is None or not request.leaves_time_for(self._tree.leaves):
+            return None
+        return self._tree.grounds()
 
     @property
     def _limit(self) -> float:
@@ -202,10 +231,12 @@ class _Run:
         except Infeasible:
             if posed.solved == 1:
                 raise
+            self._note(node, empty=True)
             return
         bound = max(node.bound, relaxed.bound)
+        self._note(node, better=relaxed.bound >= node.bound)
         if relaxed.x is None:  # neither refuted nor solved
-            self._give_up(choice, bound)
+            self._give_up(node, bound)
             return
         trajectory = posed.flown(relaxed.x)
         missed = posed.missed(trajectory)
@@ -217,32 +248,43 @@ class _Run:
             return
         if (self._best.x is None and not self._guided) or self._is_nearly_round(missed):
             self._dives.dive(choice, trajectory, missed)
-        children = self._branching.children(choice, missed, bound, relaxed.dual_value)
-        if children is None:
+        branch = self._branching.children(choice, missed, bound, relaxed.dual_value)
+        if branch is None:
             self._close(bound)
             return
-        for child, raised in children:
-            self._push(child, raised)
+        self._part(node, branch)
 
-    def _give_up(self, choice: Choice, bound: float) -> None:
-        """Close a node that was not solved, unless it is the root, whose children may be."""
+    def _note(self, node: _Node, *, better: bool = True, empty: bool = False) -> None:
+        if self._tree is not None:
+            self._tree.solved(node.number, better=better, empty=empty)
+
+    def _give_up(self, node: _Node, bound: float) -> None:
+        """Close a node that was not solved, unless it is the root, whose parts may be."""
         if self._posed.solved > 1 or self._posed.late:
             self._close(bound)
             return
-        for cell in self._posed.cells(0, None):
-            self._push((cell, *choice[1:]), bound)
+        self._part(node, unraised(0, self._posed.cells(0, None), bound))
+
+    def _part(self, node: _Node, branch: Branch) -> None:
+        """Put the parts of a node among those that are open."""
+        before, after = node.choice[: branch.split], node.choice[branch.split + 1 :]
+        numbers = range(len(branch.cells))
+        if self._tree is not None:
+            numbers = self._tree.split(node.number, branch)
+        for number, cell, bound in zip(numbers, branch.cells, branch.bounds.tolist(), strict=True):
+            self._push((*before, cell, *after), bound, number)
 
     def _is_nearly_round(self, missed: Missed) -> bool:
         """Return whether all that is missed are round floors, and those by little."""
         every = self._posed.alternatives
         return all(every[j].radius and by < NEAR for j, (by, _) in missed.items())
 
-    def _push(self, choice: Choice, bound: float) -> None:
+    def _push(self, choice: Choice, bound: float, number: int) -> None:
         if bound >= self._best.cutoff:
             self._close(bound)
             return
         self._made += 1
-        heapq.heappush(self._open, _Node(bound, -self._made, choice))
+        heapq.heappush(self._open, _Node(bound, -self._made, choice, number))
 
     def _close(self, bound: float) -> None:
         """Note that a node is not searched any further."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,16 +43,38 @@ SLICE = 1e6  # multiplications between two looks at the time: about a millisecon
 WORST_CONDITION = 1e7  # beyond it, rounding ends too many solves
 
 
+class Multipliers(NamedTuple):
+    """What holds the solution of a relaxation, or proves that there is none.
+
+    Attributes:
+        point: where the Lagrangian is least, R_1 e1..R_N e1, shape (N, n).
+        rows: of the half-spaces asked for, then of the edges of a cone; -1 - b of a tangent to
+            ball b; the first N balls hold R_1 e1..R_N e1, the others their chords, shape (S,).
+        normals: of rows and tangents, shape (S, n).
+        sizes: of the multipliers, >= 0, shape (S,).
+    """
+
+    point: Array
+    rows: np.ndarray
+    normals: Array
+    sizes: Array
+
+
 class PlaceProgram:
     """The convex program of a problem, solved for any rows on places.
 
     Args:
         problem: what to solve.
         slots: what half-spaces may be put on from solve to solve.
+
+    Attributes:
+        multipliers: of the last relaxation; None where the general program had to solve it.
+        chords: how many steps a chord bounds.
     """
 
     def __init__(self, problem: Problem, slots: Sequence[Slot] = ()) -> None:
         self.problem, self._slots = problem, tuple(slots)
+        self.multipliers: Multipliers | None = None
         steps, n = problem.horizon, problem.dimension
         self._condensed = Condensed(problem)
         hessian = self._condensed.hessian
@@ -62,7 +85,7 @@ class PlaceProgram:
         controls = control_maps(problem)[:, :, 1:]
         reach = problem.maps.reach[:, 1:]
         maps = np.concatenate([np.eye(steps), reach, turned, controls.reshape(-1, steps)])
-        self._points, self._chords = 2 * steps + len(turned), len(turned)
+        self._points, self.chords = 2 * steps + len(turned), len(turned)
         balls = np.concatenate([np.arange(steps), 2 * steps + np.arange(len(turned))])
         gram = maps @ self._inverse @ maps.T
         self._known = Places(hessian, maps, 0.5 * (gram + gram.T), balls)
@@ -122,6 +145,7 @@ class PlaceProgram:
             bound = max(bound, value + self._constant)
             if status != INTERRUPTED or request.late:
                 break
+        self.multipliers = self._multipliers(count)
         if status == REFUTED:
             raise Infeasible('no trajectory satisfies the constraints')
         if status != SOLVED:
@@ -134,11 +158,17 @@ class PlaceProgram:
         """Leave what rounding has ended to the general program, unless there is a deadline."""
         if request.hurried:
             return Relaxation(None, bound)
+        self.multipliers = None
         if self._general is None:
             from orbimpc_ros.mpc.solve.program import Program  # brings CVXPY, half of a start-up
 
             self._general = Program(self.problem, self._slots)
         return self._general.relax(request, halfspaces, chords)
+
+    def _multipliers(self, count: int) -> Multipliers:
+        held, steps = self._held, self.problem.horizon
+        rows, normals, sizes = held.rows[:count], held.normals[:count], held.u[:count]
+        return Multipliers(held.values[:steps].copy(), rows.copy(), normals.copy(), sizes.copy())
 
     def _coordinates(self, state: State) -> Array:
         """Return the rotation coordinates of the last solution, shape (N, d)."""

@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.grounds import Grounds, Tangent
+from orbimpc_ros.mpc.proof.grounds import Left
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class Found:
     lower_bound: float
     nodes: int
     reason: str = ''
-    grounds: Grounds | Tangent | None = None
+    grounds: Left | None = None
 
     @property
     def gap(self) -> float:

@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.plan import Plan, Proof, assemble
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.feasibility import reason
 from orbimpc_ros.mpc.problem.units import Units
-from orbimpc_ros.mpc.proof.grounds import Grounds, Tangent
+from orbimpc_ros.mpc.proof.grounds import Left, Tangent
 from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.solve.registry import method_among, method_for
 from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Method, Request, countable
@@ -208,7 +208,7 @@ class Solver:
         far as there is time to count it.
         """
         cost, grounds = self._units.cost, self._posed(found.grounds)
-        if grounds is not None and not countable(grounds.bends.size, query.out_of_time):
+        if grounds is not None and not countable(grounds.headings, query.out_of_time):
             grounds = None
         bound = cost * float(found.lower_bound)
         known = bound if 0.0 < bound < np.inf else 0.0
@@ -219,8 +219,8 @@ class Solver:
         known *= 1.0 - OUTWARD
         return Proof(known, found.nodes, self._tolerance, cost, found.reason, checked, grounds)
 
-    def _posed(self, grounds: Grounds | Tangent | None) -> Grounds | Tangent | None:
-        """Return grounds as those of the problem as it was posed, but for bends beside splits."""
+    def _posed(self, grounds: Left | None) -> Left | None:
+        """Return grounds as those of the problem as it was posed, but for what is beside splits."""
         if not isinstance(grounds, Tangent):
             return grounds
         units = self._units

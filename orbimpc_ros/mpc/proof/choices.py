@@ -1,0 +1,235 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""The bound of a tree of choices: that nothing is left out, and what the tangents of leaves prove.
+
+A leaf adds y (b - a . x) to the cost for each row a . x >= b that holds there, with multipliers
+y >= 0, and tau . (z_{k+1} - z_k) - c |tau| for turns of c at most. A tangent of that is least
+where headings go down its slopes. A leaf is empty where the rows alone come to more than nothing.
+
+Mathematics: docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orbimpc_ros.mpc.kernels import compiled
+from orbimpc_ros.mpc.proof.sides import ARCS, FACES, SIDES
+from orbimpc_ros.mpc.proof.slopes import ROUNDING, set_slopes
+
+QUARTERS = 4  # of a circle, that arcs begin with
+DEEPEST = 40  # halvings of them
+SURE = 1e-12  # by so much more than can be reached is surely out of reach
+
+
+@compiled
+def _sides_of(known, j, faces):
+    """Return how many sides a choice has to begin with."""
+    kind = known.kinds[j]
+    if kind == ARCS:
+        return QUARTERS
+    return faces if kind == FACES else known.extents.shape[1]
+
+
+@compiled
+def _set_row(known, j, at, i, faces, normal):
+    """Set the normal of a row of a side; return its offset.
+
+    Args:
+        known: the choices.
+        j: which of them.
+        at: how often its quarters were halved, and which side.
+        i: which row.
+        faces: of a polygonal floor.
+        normal: to be set, shape (n,).
+    """
+    kind, (level, side), n = known.kinds[j], at, len(normal)
+    if kind == SIDES:
+        normal[:] = 0.0
+        normal[side % n] = 1.0 if side >= n else -1.0
+        offset = known.extents[j, side]
+    else:
+        width = 2.0 * np.pi / faces
+        middle = width * side
+        if kind == ARCS:
+            width = 0.5 * np.pi / 2.0**level
+            middle = width * (side + 0.5)
+        normal[0], normal[1] = np.cos(middle), np.sin(middle)
+        offset = known.sizes[j]
+        if kind == ARCS:
+            offset = offset * np.cos(0.5 * width) - known.spreads[j] * np.sin(0.5 * width)
+    for c in range(n):
+        offset += normal[c] * known.centres[j, i, c]
+    return offset
+
+
+@compiled
+def _out_of_reach(places, known, j, at, faces, normal):
+    """Return whether no headings get beyond one of the rows of a side."""
+    for i in range(known.counts[j]):
+        place = known.places[j] + i
+        left = size = _set_row(known, j, at, i, faces, normal)
+        size = abs(size)
+        for c in range(len(normal)):
+            left -= normal[c] * places.free[place, c]
+            size += abs(places.free[place, c]) + abs(known.centres[j, i, c])
+        reach = np.abs(places.maps[place]).sum()
+        if left > reach + SURE * (1.0 + size + reach):
+            return True
+    return False
+
+
+@compiled
+def _holder(made, parents, t, j):
+    """Return the last node on the way to t, itself included, that is a side of a choice; or -1."""
+    while t > 0:
+        if made[t] == j:
+            return t
+        t = parents[t]
+    return -1
+
+
+@compiled
+def _complete(places, known, tree, nodes, t, faces, normal):
+    """Note the parts of a node; return whether they are all that can be reached of it."""
+    made, parents = nodes
+    j, first, count = tree.splits[t], tree.parts[t], tree.counts[t]
+    if j >= len(known.kinds) or first <= t or count < 0 or first + count > len(made):
+        return False
+    holder, level, begin = _holder(made, parents, t, j), 0, 0
+    sides = _sides_of(known, j, faces)
+    if holder >= 0:
+        if known.kinds[j] != ARCS or tree.levels[holder] >= DEEPEST:
+            return False
+        level, begin, sides = tree.levels[holder] + 1, 2 * tree.sides[holder], 2
+    part = first
+    for side in range(begin, begin + sides):
+        if part < first + count and tree.sides[part] == side and tree.levels[part] == level:
+            if parents[part] >= 0:
+                return False
+            made[part], parents[part] = j, t
+            part += 1
+        elif not _out_of_reach(places, known, j, (level, side), faces, normal):
+            return False
+    return part == first + count
+
+
+@compiled
+def _press(places, row, y, normal, offset, forces):
+    """Add what a multiplier of a row does to forces; return its worth, and what may cancel."""
+    worth, size = y * offset, y * abs(offset)
+    for c in range(len(normal)):
+        pull = y * normal[c]
+        worth -= pull * places.free[row, c]
+        size += abs(pull * places.free[row, c])
+        for k in range(len(forces)):
+            forces[k, c] += pull * places.maps[row, k]
+    return worth, size
+
+
+@compiled
+def _tie(always, tethers, unit, forces):
+    """Add what multipliers of turns do to forces; return their worth, and what may cancel."""
+    worth, size = 0.0, 0.0
+    for i in range(len(tethers)):
+        k, square = always.begin + i, 0.0
+        for c in range(forces.shape[1]):
+            pull = unit * tethers[i, c]
+            square += pull * pull
+            forces[k, c] -= pull
+            if k > 0:
+                forces[k - 1, c] += pull
+            else:
+                worth -= pull * always.first[c]
+        worth -= always.chord * np.sqrt(square)
+        size += 2.0 * np.sqrt(square)
+    return worth, size
+
+
+@compiled
+def _held(places, known, always, tree, nodes, leaf, unit, faces, forces):
+    """Set the forces of a leaf's multipliers; return their worth, and what may cancel.
+
+    The worth is NaN where they are none, or hold elsewhere.
+    """
+    (made, parents), (t, number), normal = nodes, leaf, np.empty(forces.shape[1])
+    forces[:] = 0.0
+    worth, size = _tie(always, tree.tethers[number], unit, forces)
+    for e in range(tree.ends[number - 1] if number > 0 else 0, tree.ends[number]):
+        y, holder, i, at = unit * tree.presses[e], tree.holders[e], tree.rows[e], t
+        while at > holder:
+            at = parents[at]
+        if not (y >= 0.0 and at == holder and i >= 0):
+            return np.nan, size
+        if holder == 0:
+            if i >= len(always.places):
+                return np.nan, size
+            place, offset = always.places[i], always.offsets[i]
+            normal[:] = always.normals[i]
+        else:
+            j = made[holder]
+            if i >= known.counts[j]:
+                return np.nan, size
+            side = tree.levels[holder], tree.sides[holder]
+            place, offset = known.places[j] + i, _set_row(known, j, side, i, faces, normal)
+        more, cancelled = _press(places, place, y, normal, offset, forces)
+        worth, size = worth + more, size + cancelled
+    return worth, size
+
+
+@compiled
+def _leaf_bound(terms, start, goals, point, forces, held, slopes):
+    """Return what a leaf's tangent proves."""
+    (worth, cancelled), arrival, rest = held, np.zeros(0), 0.0
+    value, size = set_slopes(terms, start, goals, (arrival, 0.0), point, slopes)
+    for k in range(len(point)):
+        square = 0.0
+        for c in range(point.shape[1]):
+            along = slopes[k, c] * point[k, c]
+            value -= along
+            size += abs(along)
+            square += (slopes[k, c] - forces[k, c]) ** 2
+        rest += np.sqrt(square)
+    return value + worth - rest - ROUNDING * len(point) * (size + cancelled + rest)
+
+
+@compiled
+def choices_bound(terms, start, goals, places, known, always, tree, unit):
+    """Return the least bound of all leaves; -inf where they are not all there is.
+
+    Args:
+        terms: the problem; lengths have no weight in it.
+        start: p_0, the disturbance, R_0 e1 and R_g e1, shape (5, n).
+        goals: g_1..g_N less s_0, shape (N, n).
+        places: where headings lead.
+        known: the choices.
+        always: what holds of all trajectories.
+        tree: of the choices that were made.
+        unit: of the multipliers, in that of the cost.
+    """
+    count, faces, number, least = len(tree.splits), max(1, len(terms.normals)), -1, np.inf
+    nodes = np.full(count, -1), np.full(count, -1)
+    slopes, forces, normal = np.empty(goals.shape), np.empty(goals.shape), np.empty(goals.shape[1])
+    for t in range(count):
+        if t > 0 and nodes[1][t] < 0:
+            return -np.inf
+        if tree.splits[t] >= 0:
+            if not _complete(places, known, tree, nodes, t, faces, normal):
+                return -np.inf
+            continue
+        number += 1
+        if number >= len(tree.points):
+            return -np.inf
+        leaf = t, number
+        held = _held(places, known, always, tree, nodes, leaf, unit, faces, forces)
+        if tree.empty[number]:
+            reach = 0.0
+            for k in range(len(forces)):
+                reach += np.sqrt((forces[k] ** 2).sum())
+            if not held[0] > reach + ROUNDING * len(forces) * (held[1] + reach):
+                return -np.inf
+            continue
+        value = _leaf_bound(terms, start, goals, tree.points[number], forces, held, slopes)
+        if not value > -np.inf:  # or no number
+            return -np.inf
+        least = min(least, value)
+    return least

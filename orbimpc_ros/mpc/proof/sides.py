@@ -1,0 +1,232 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""The choices of a problem, stated anew: faces of a floor, sides of boxes, directions from discs.
+
+Places are linear in the headings: R_k e1 themselves, the ends of steps, the control points of the
+motion within steps. What is known of a part of all trajectories are half-spaces of places, one or
+more for each choice that was made. Neither the maps nor the tables of the methods are used.
+
+Mathematics: docs/mathematics.md, 3.5 to 3.8, and docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.model.motion import controls
+from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
+from orbimpc_ros.mpc.problem.traffic import traffic_of
+from orbimpc_ros.mpc.proof.slopes import CostTerms
+
+FACES, ARCS, SIDES = range(3)  # what kinds of sides a choice has
+
+
+class Alternatives(NamedTuple):
+    """All choices, in the order in which problems state them: floors, boxes, bodies; in arrays.
+
+    Attributes:
+        kinds: ``FACES`` of a polygonal floor, ``ARCS`` of a circle, ``SIDES`` of a box, shape (C,).
+        places: the first place that each is about; the others follow, shape (C,).
+        counts: how many places, shape (C,).
+        centres: what places are relative to, shape (C, m, n).
+        sizes: of a polygonal floor the distance of its faces, of a circle its radius, shape (C,).
+        spreads: how far apart the places of a step get at most, 0 of a single one, shape (C,).
+        extents: of boxes, how far out each side is, lower ones first, shape (C, 2 n).
+    """
+
+    kinds: np.ndarray
+    places: np.ndarray
+    counts: np.ndarray
+    centres: Array
+    sizes: Array
+    spreads: Array
+    extents: Array
+
+
+class Always(NamedTuple):
+    """What holds of all trajectories: half-spaces of places, and turns.
+
+    Attributes:
+        places: shape (R,).
+        normals: shape (R, n).
+        offsets: shape (R,).
+        chord: how far R e1 moves in a step at most.
+        begin: the first of the steps 0..N-1 of which that is so; N where turns are not limited.
+        first: R_0 e1, shape (n,).
+    """
+
+    places: np.ndarray
+    normals: Array
+    offsets: Array
+    chord: float
+    begin: int
+    first: Array
+
+
+class Places(NamedTuple):
+    """Where headings lead, lengths in units of what a step moves a vehicle at most.
+
+    Attributes:
+        maps: what R_1 e1..R_N e1 add to each place, shape (P, N).
+        free: where it is without them, shape (P, n).
+    """
+
+    maps: Array
+    free: Array
+
+
+class Sides:
+    """The choices of a problem for any state.
+
+    Args:
+        problem: what was solved.
+        terms: of its cost.
+    """
+
+    def __init__(self, problem: Problem, terms: CostTerms) -> None:
+        self._problem, self._terms = problem, terms
+        count = problem.horizon
+        none, units = np.zeros(count + 3), np.eye(count + 3)
+        led = self._led(units[: count + 1], none, units[count + 1], units[count + 2])
+        self._maps, self._known = np.ascontiguousarray(led[:, 1 : count + 1]), led[:, [0, -2, -1]]
+
+    def places(self, state: State) -> Places:
+        """Return where headings lead from a state, less s_0."""
+        known = np.array([state.rotation[:, 0], state.velocity, state.disturbance])
+        return Places(self._maps, self._known @ known)
+
+    def _led(self, z: Array, origin: Array, velocity: Array, disturbance: Array) -> Array:
+        """Return where headings z_0..z_N, shape (N + 1, c), lead, shape (P, c)."""
+        drift, keep, push, add, follow, after, blow, gust = self._terms.motion
+        problem = self._problem
+        s, p = [origin], [velocity]
+        for before, ahead in itertools.pairwise(z):
+            s.append(s[-1] + drift * p[-1] + push * before + follow * ahead + blow * disturbance)
+            p.append(keep * p[-1] + add * before + after * ahead + gust * disturbance)
+        velocities = np.array(p) if problem.inertial else problem.forward * z + disturbance
+        degree, ends = problem.translation.degree, np.array(s)
+        within = controls(degree, problem.step, ends, velocities)
+        led = np.concatenate([ends[1:], within.reshape(-1, z.shape[1])]) / problem.length_unit
+        return np.concatenate([z[1:], led])
+
+    # --- what always holds
+
+    def always(self, state: State) -> Always:
+        """Return what turn limits ask for, at rotation order 1."""
+        problem, count = self._problem, self._problem.horizon
+        ahead, first, none = state.attitude[:, 0], state.rotation[:, 0], np.zeros(0)
+        if not problem.turns_are_angles:
+            limited = problem.max_rate > 0.0
+            chord = 2.0 * math.sin(0.5 * min(math.pi, problem.step * problem.max_rate))
+            rows = none.astype(np.int64), np.zeros((0, len(first))), none
+            return Always(*rows, chord, 0 if limited else count, first)
+        turn, least = min(math.pi, problem.step * problem.max_rate), problem.floor.fraction
+        uneven = math.sqrt(1.0 + least * least - 2.0 * least * math.cos(turn))
+        cone = problem.first_turn_is_a_cone
+        # Headings are no farther from the present one than turns add up to.
+        steps = np.arange(2 if cone else 1, 1 + min(count, math.ceil(math.pi / turn) - 1))
+        share = np.cos(turn * steps)
+        offsets = np.minimum(share, least * share)
+        places, normals = steps - 1, np.tile(ahead, (len(steps), 1))
+        if cone:
+            (x, y), s, c = ahead, math.sin(turn), math.cos(turn)
+            edges = [[s * x - c * y, s * y + c * x], [s * x + c * y, s * y - c * x]]
+            places, offsets = np.append(places, [0, 0]), np.append(offsets, [0.0, 0.0])
+            normals = np.concatenate([normals, edges])
+        chord = max(2.0 * math.sin(0.5 * turn), uneven)
+        return Always(places, normals, offsets, chord, 1, first)
+
+    # --- choices
+
+    def alternatives(self, state: State) -> Alternatives:
+        """Return the choices of trajectories from a state, in natural units."""
+        parts = [self._floors, self._boxes(state.position), *self._bodies(state)]
+        return Alternatives(*map(np.concatenate, zip(*parts, strict=True)))
+
+    @property
+    def _most(self) -> int:
+        return self._problem.translation.degree + 1
+
+    def _none(self, count: int) -> Alternatives:
+        """Return choices that are not stated yet."""
+        n, (kinds, places, counts) = self._problem.dimension, np.zeros((3, count), np.int64)
+        centres, (sizes, spreads) = np.zeros((count, self._most, n)), np.zeros((2, count))
+        extents = np.zeros((count, 2 * n))
+        return Alternatives(kinds, places, counts, centres, sizes, spreads, extents)
+
+    @cached_property
+    def _floors(self) -> Alternatives:
+        floor, count = self._problem.floor, self._problem.horizon
+        made = self._none(count if floor.exists else 0)
+        made.kinds[:] = FACES if floor.shape == 'polygon' else ARCS
+        made.places[:], made.counts[:] = np.arange(len(made.places)), 1
+        made.sizes[:] = floor.fraction if floor.exists else 0.0
+        return made
+
+    def _boxes(self, origin: Array) -> Alternatives:
+        """Return the sides that ends of steps are on; of both ends, if corners are not cut."""
+        problem, count = self._problem, self._problem.horizon
+        shared = int(problem.no_corner_cutting and count > 1)
+        groups = count - shared
+        made = self._none(len(problem.boxes) * groups)
+        made.kinds[:], made.counts[:] = SIDES, 1 + shared
+        for j, box in enumerate(problem.boxes):
+            own = slice(j * groups, (j + 1) * groups)
+            made.places[own] = count + np.arange(groups)
+            made.extents[own] = _extents(box, origin) / problem.length_unit
+        return made
+
+    def _bodies(self, state: State) -> list[Alternatives]:
+        """Return what is round or moves: of each step all of it, then its end."""
+        traffic = traffic_of(self._problem, state)
+        if traffic is None:
+            return []
+        count, m, unit = self._problem.horizon, self._most, self._problem.length_unit
+        made = self._none(2 * count * len(traffic.bodies))
+        places = 2 * count + m * np.arange(count)[:, None] + [0, m - 1]
+        made.places[:] = np.tile(places.ravel(), len(traffic.bodies))
+        made.counts[0::2], made.counts[1::2] = m, 1
+        share = np.linspace(0.0, 1.0, m)[:, None]
+        begin, end = traffic.shifts[:, :-1, None], traffic.shifts[:, 1:, None]
+        middles = np.array([_middle(each, state.position) for each in traffic.bodies])
+        centres = (begin + share * (end - begin) + middles[:, None, None]) / unit
+        made.centres[0::2] = centres.reshape(-1, m, centres.shape[-1])
+        made.centres[1::2, 0] = made.centres[0::2, -1]
+        made.spreads[0::2] = self._spreads(state, centres).ravel()
+        for j, (body, grown) in enumerate(zip(traffic.bodies, traffic.grown, strict=True)):
+            own, more = slice(2 * j * count, 2 * (j + 1) * count), np.repeat(grown, 2)
+            if isinstance(body, Ball):
+                made.kinds[own] = ARCS
+                made.sizes[own] = np.maximum(0.0, body.radius + more) / unit
+            else:
+                extents = _extents(body, state.position) + more[:, None]
+                made.kinds[own], made.extents[own] = SIDES, extents / unit
+        return [made]
+
+    def _spreads(self, state: State, centres: Array) -> Array:
+        """Return how far apart places of a step get at most, relative to bodies, shape (J, N)."""
+        count = self._problem.horizon
+        free = self.places(state).free[2 * count :].reshape(count, self._most, -1) - centres
+        apart = np.linalg.norm(free[:, :, :, None] - free[:, :, None], axis=-1)
+        return np.asarray((self._parted + apart).max(axis=(-1, -2)))
+
+    @cached_property
+    def _parted(self) -> Array:
+        """Return how far apart headings get the places of a step, shape (N, m, m)."""
+        maps = self._maps[2 * self._problem.horizon :].reshape(-1, self._most, self._maps.shape[1])
+        return np.asarray(np.abs(maps[:, :, None] - maps[:, None]).sum(axis=-1))
+
+
+def _extents(box: Box, origin: Array) -> Array:
+    """Return how far out the sides of a box are, lower ones first, shape (2 n,) [m]."""
+    return np.concatenate([origin - box.minimum, box.maximum - origin])
+
+
+def _middle(body: Ball | Box, origin: Array) -> Array:
+    """Return what the sides of a body are relative to [m]: a ball's centre, or s_0."""
+    return body.centre - origin if isinstance(body, Ball) else np.zeros(len(origin))

@@ -1,0 +1,208 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""What the bound of a search over choices rests on, noted while it goes on.
+
+A node that was solved has the multipliers of its relaxation. One that was not has those of the node
+that it is a part of, and one step along the row of its own that raises the bound the most
+(:mod:`orbimpc_ros.mpc.solve.branching`).
+
+Mathematics: docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.cells import Cell, Patch
+from orbimpc_ros.mpc.problem import Ball, Problem, State
+from orbimpc_ros.mpc.proof.grounds import LEAF, Choices
+from orbimpc_ros.mpc.solve.branching import Branch
+from orbimpc_ros.mpc.solve.passages import Passage
+from orbimpc_ros.mpc.solve.place_program import Multipliers, PlaceProgram
+from orbimpc_ros.mpc.solve.posed import Posed
+
+Press = tuple[int, int, float]  # the node that holds a row, which of its rows, its multiplier
+
+
+class _Leaf(NamedTuple):
+    """A tangent in the making: where it touches, and what holds."""
+
+    point: Array
+    presses: tuple[Press, ...]
+    tethers: Array
+    empty: bool = False
+
+
+class ChoiceTree:
+    """The nodes of one search.
+
+    Args:
+        posed: what is searched.
+        program: its relaxation.
+        inverse: H^-1, shape (N, N).
+    """
+
+    def __init__(self, posed: Posed, program: PlaceProgram, inverse: Array) -> None:
+        self._posed, self._program, self._inverse = posed, program, inverse
+        turns = posed.turns
+        self._always = len(turns.slots) if turns else 0
+        self._edges = 2 * posed.problem.first_turn_is_a_cone
+        self._splits, self._parts, self._counts = [LEAF], [0], [0]
+        self._cells: list[tuple[int, Cell] | None] = [None]
+        self._holders: list[dict[int, int]] = [{}]  # by choice that is made: at which node
+        self._raised: list[tuple[int, int, float] | None] = [None]
+        self._solved: dict[int, _Leaf | None] = {}
+        self._worse: set[int] = set()
+
+    @property
+    def leaves(self) -> int:
+        """Return how many nodes are not split."""
+        return len(self._splits) - sum(1 for split in self._splits if split != LEAF)
+
+    @staticmethod
+    def tells(problem: Problem, state: State) -> bool:
+        """Return whether a tree of the choices of a problem can be counted again."""
+        if problem.dimension == 2:
+            return True
+        round_ones = [*problem.obstacles, *(each.body for each in state.hazards)]
+        balls = any(isinstance(each, Ball) for each in round_ones)
+        return not (problem.floor.exists or balls)
+
+    def solved(self, t: int, *, better: bool = True, empty: bool = False) -> None:
+        """Note what the last relaxation, which was that of a node, rests on.
+
+        Args:
+            t: number of the node.
+            better: whether its bound is no less than what was known of the node.
+            empty: whether it proved that nothing is in the node.
+        """
+        found = self._program.multipliers
+        self._solved[t] = None if found is None else self._leaf(t, found, empty)
+        if not better:
+            self._worse.add(t)
+
+    def split(self, t: int, branch: Branch) -> range:
+        """Note the parts of a node that was solved, and return their numbers."""
+        first, count = len(self._splits), len(branch.cells)
+        self._splits[t], self._parts[t], self._counts[t] = branch.split, first, count
+        self._splits += [LEAF] * count
+        self._parts += [0] * count
+        self._counts += [0] * count
+        self._cells += [(branch.split, cell) for cell in branch.cells]
+        numbers = range(first, first + count)
+        self._holders += [{**self._holders[t], branch.split: i} for i in numbers]
+        steps = zip(branch.rows.tolist(), branch.steps.tolist(), strict=True)
+        self._raised += [(t, row, step) for row, step in steps]
+        return numbers
+
+    def grounds(self) -> Choices | None:
+        """Return all that the bound rests on; None where something is not known."""
+        leaves = [self._made(t) for t, split in enumerate(self._splits) if split == LEAF]
+        known = [leaf for leaf in leaves if leaf is not None]
+        if len(known) < len(leaves):
+            return None
+        presses = [each for leaf in known for each in leaf.presses]
+        holders, rows, sizes = zip(*presses, strict=True) if presses else ((), (), ())
+        levels, sides = self._sides()
+        return Choices(
+            np.array(self._splits),
+            np.array(self._parts),
+            np.array(self._counts),
+            levels,
+            sides,
+            np.array([leaf.point for leaf in known]),
+            np.array([leaf.empty for leaf in known]),
+            np.cumsum([len(leaf.presses) for leaf in known]),
+            np.array(holders, np.int64),
+            np.array(rows, np.int64),
+            np.array(sizes, float),
+            np.array([leaf.tethers for leaf in known]),
+        )
+
+    # --- leaves
+
+    def _leaf(self, t: int, found: Multipliers, empty: bool) -> _Leaf:
+        steps = len(found.point)
+        rows, sizes = found.rows.tolist(), found.sizes.tolist()
+        asked = self._asked(t) if any(row >= 0 for row in rows) else []
+        presses = [(*asked[row], size) for row, size in zip(rows, sizes, strict=True) if row >= 0]
+        tethers = np.zeros((self._program.chords, found.point.shape[1]))
+        for row, normal, size in zip(rows, found.normals, sizes, strict=True):
+            if -1 - row >= steps:
+                tethers[-1 - row - steps] -= size * normal
+        return _Leaf(found.point, tuple(presses), tethers, empty)
+
+    def _asked(self, t: int) -> list[tuple[int, int]]:
+        """Return, of each half-space of a node's relaxation, who holds it, and which it is."""
+        posed, asked = self._posed, []
+        holders = sorted(self._holders[t].items())
+        for j, holder in holders:
+            if j < posed.fixed:
+                asked += [(holder, i) for i in range(len(posed.disjunctions[j].steps))]
+        asked += [(0, i) for i in range(self._always)]
+        for j, holder in holders:
+            passage = posed.alternatives[j]
+            if isinstance(passage, Passage):
+                asked += [(holder, int(i)) for i in np.flatnonzero(passage.moved)]
+        return asked + [(0, self._always + i) for i in range(self._edges)]
+
+    def _made(self, t: int) -> _Leaf | None:
+        """Return what is best known of a leaf."""
+        own = self._solved.get(t)
+        if own is not None and t not in self._worse:
+            return own
+        raised = self._raised[t]
+        if raised is None:
+            return own
+        before, row, step = raised
+        known = self._solved[before]
+        if known is None:
+            return None
+        if step == 0.0:
+            return known
+        chosen = self._cells[t]
+        assert chosen is not None
+        j, cell = chosen
+        moved = step * np.outer(self._inverse @ self._row(j, row), cell.normal)
+        presses = *known.presses, (t, row, step)
+        return _Leaf(known.point + moved, presses, known.tethers)
+
+    def _row(self, j: int, row: int) -> Array:
+        """Return what R_1 e1..R_N e1 add to what a row of a choice is about, shape (N,)."""
+        posed, choice = self._posed, self._posed.alternatives[j]
+        if isinstance(choice, Passage):
+            return choice.rows[row]
+        step = choice.steps[row]
+        if choice.on == 'position':
+            return posed.problem.maps.reach[step - 1, 1:]
+        return np.eye(posed.problem.horizon)[step - 1]
+
+    # --- sides
+
+    def _sides(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return levels and sides of all nodes, shape (T,) each."""
+        count = len(self._cells)
+        levels, sides = np.zeros(count, np.int64), np.zeros(count, np.int64)
+        for t, chosen in enumerate(self._cells):
+            if chosen is None:
+                continue
+            j, cell = chosen
+            if isinstance(cell, Patch):
+                levels[t], sides[t] = _arc(cell)
+            else:
+                cells = self._posed.alternatives[j].cells
+                sides[t] = next(i for i, each in enumerate(cells) if each is cell)
+        return levels, sides
+
+
+def _arc(patch: Patch) -> tuple[int, int]:
+    """Return how often a quarter of a circle was halved, and which part it is."""
+    (ax, ay), (bx, by) = patch.corners
+    width = math.atan2(ax * by - ay * bx, ax * bx + ay * by)
+    level = round(math.log2(0.5 * math.pi / width))
+    parts = 4 << level
+    middle = math.atan2(patch.normal[1], patch.normal[0]) % (2.0 * math.pi)
+    return level, int(middle / (2.0 * math.pi) * parts) % parts

@@ -1,0 +1,307 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Bounds of searches over choices counted again: as good as said, and never too high."""
+
+import itertools
+from dataclasses import replace
+
+import certified
+import numpy as np
+import pytest
+
+from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.geometry.separation import separation
+from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.model.motion import control_maps, controls
+from orbimpc_ros.mpc.problem import Ball, Floor, Hazard, Problem, State
+from orbimpc_ros.mpc.proof.choices import QUARTERS, _out_of_reach, _set_row
+from orbimpc_ros.mpc.proof.grounds import LEAF, Choices
+from orbimpc_ros.mpc.proof.recount import Recount
+from orbimpc_ros.mpc.proof.sides import ARCS, SIDES, Sides
+from orbimpc_ros.mpc.proof.slopes import terms_of
+from orbimpc_ros.mpc.solve.request import Request
+from orbimpc_ros.mpc.solve.solver import OUTWARD, Solver
+
+pytestmark = pytest.mark.skipif(not COMPILED, reason='the search that leaves trees needs numba')
+BESIDE = (
+    'boxes',
+    'boxes, shared faces',
+    'boxes, inertia',
+    'boxes that move',
+    'discs',
+    'discs that move',
+)
+TURNING = ('turn rate', 'turn rate, exact', 'turn rate, inertia', 'turn rate, boxes')
+FLOORS = {
+    'circle': Floor('circle', fraction=0.6),
+    'polygon': Floor('polygon', faces=5, fraction=0.6),
+}
+
+
+def solved(kind, seed, **changes):
+    """Return the first of a seed's problems that has a plan, with it."""
+    rng = np.random.default_rng([seed, *kind.encode()])
+    while True:
+        case = certified.case(kind, rng, longest=6)
+        case = case._replace(problem=replace(case.problem, **changes))
+        try:
+            return case, Solver(case.problem).solve(case.state, case.goals)
+        except Infeasible:  # a body where the state already leads
+            continue
+
+
+def said(case):
+    """Return the bound that the method gives of itself."""
+    solver = Solver(case.problem)
+    units, method = solver._units, solver._method_for(case.state)
+    found = method.solve(Request(units.state(case.state), units.lengths(case.goals)))
+    return units.cost * found.lower_bound
+
+
+def counted(case, plan, **changes):
+    """Return what the grounds of a plan's bound prove, with some of them changed."""
+    grounds = plan.proof.grounds._replace(**changes)
+    recount = Recount(case.problem)
+    return recount.bound(case.state, case.goals, grounds, plan.proof.cost_unit)
+
+
+@pytest.mark.parametrize(('kind', 'seed'), itertools.product((*BESIDE, *TURNING), range(2)))
+def test_what_a_search_proves_is_proved_by_its_tree(kind, seed):
+    case, plan = solved(kind, seed)
+    assert isinstance(plan.proof.grounds, Choices)
+    assert plan.proof.checked
+    again = counted(case, plan)
+    assert (1.0 - 1e-9) * said(case) <= again <= plan.objective * (1.0 + 1e-7)
+
+
+@pytest.mark.parametrize(('floor', 'rate', 'seed'), itertools.product(FLOORS, (0.0, 1.0), (1, 2)))
+def test_floors_beside_boxes_are_choices_too(floor, rate, seed):
+    step = solved('boxes', seed)[0].problem.step
+    case, plan = solved('boxes', seed, floor=FLOORS[floor], max_rate=rate / step)
+    assert plan.proof.checked
+    again = counted(case, plan)
+    assert (1.0 - 1e-9) * said(case) <= again <= plan.objective * (1.0 + 1e-7)
+
+
+@pytest.fixture(scope='module')
+def branched():
+    """Return a problem whose tree has splits by boxes and by directions from discs."""
+    case, plan = solved('discs that move', 2)
+    assert len(plan.proof.grounds.splits) > 40
+    assert plan.proof.grounds.levels.max() > 2
+    return case, plan
+
+
+def changed(array, place, value):
+    array = array.copy()
+    array[place] = value
+    return array
+
+
+def test_no_grounds_prove_more_than_there_is(branched):
+    """Whatever the numbers are: multipliers, tangents, splits, who holds what."""
+    case, plan = branched
+    grounds, rng = plan.proof.grounds, np.random.default_rng(5)
+    before = counted(case, plan)
+    for _ in range(300):
+        name = Choices._fields[rng.integers(len(Choices._fields))]
+        array = getattr(grounds, name)
+        if not array.size:
+            continue
+        place = tuple(rng.integers(size) for size in array.shape)
+        old = array[place]
+        value = not old if array.dtype == bool else old + rng.integers(-3, 4)
+        if array.dtype.kind == 'f':
+            value = old * rng.uniform(0.0, 3.0) + 0.1 * rng.normal()
+        assert counted(case, plan, **{name: changed(array, place, value)}) <= before * (1.0 + 1e-9)
+
+
+def spoilt(grounds):
+    """Yield trees that leave something out, or hold what does not hold."""
+    split = int(np.flatnonzero(grounds.splits != LEAF)[-1])
+    yield {'counts': changed(grounds.counts, split, grounds.counts[split] - 1)}
+    yield {'counts': changed(grounds.counts, split, 10**6)}
+    yield {'counts': changed(grounds.counts, split, -1)}
+    yield {'parts': changed(grounds.parts, split, split)}
+    yield {'parts': changed(grounds.parts, split, grounds.parts[0])}
+    yield {'splits': changed(grounds.splits, 0, 10**6)}
+    first = int(grounds.parts[split])
+    yield {'sides': changed(grounds.sides, first, grounds.sides[first] + 1)}
+    yield {'levels': changed(grounds.levels, first, 0)}
+    yield {'presses': changed(grounds.presses, 0, -1.0)}
+    yield {'presses': changed(grounds.presses, 0, np.nan)}
+    yield {'rows': changed(grounds.rows, 0, 100)}
+    yield {'rows': changed(grounds.rows, 0, -1)}
+    yield {'holders': changed(grounds.holders, 0, 0)}  # nothing always holds here
+    last = len(grounds.splits) - 1
+    yield {'holders': changed(grounds.holders, 0, last)}
+    yield {'holders': changed(grounds.holders, 0, last + 1)}
+    yield {'holders': changed(grounds.holders, 0, -1)}
+    yield {'points': changed(grounds.points, (0, 0, 0), np.nan)}
+    yield {'points': grounds.points[:-1]}
+    yield {'points': grounds.points[:, :-1]}
+    yield {'tethers': grounds.tethers[:-1]}
+    yield {'ends': grounds.ends[:-1]}
+    yield {'ends': grounds.ends[::-1].copy()}
+    yield {'ends': changed(grounds.ends, -1, grounds.ends[-1] - 1)}
+    yield {'empty': np.ones_like(grounds.empty)}
+    yield {'levels': grounds.levels[:-1]}
+    yield {'presses': grounds.presses[:-1]}
+
+
+def test_trees_that_leave_something_out_prove_nothing(branched):
+    case, plan = branched
+    for i, changes in enumerate(spoilt(plan.proof.grounds)):
+        assert counted(case, plan, **changes) == -np.inf, (i, list(changes))
+
+
+def test_a_box_is_not_split_by_sides_twice():
+    case, plan = solved('boxes', 2)
+    grounds = plan.proof.grounds
+    again = Choices(
+        np.array([grounds.splits[0]] * 2 + [LEAF] * 7),
+        np.array([1, 5] + [0] * 7),
+        np.array([4, 4] + [0] * 7),
+        np.zeros(9, np.int64),
+        np.array([0, 0, 1, 2, 3, 0, 1, 2, 3]),
+        np.zeros((7, *grounds.points.shape[1:])),
+        np.zeros(7, bool),
+        np.zeros(7, np.int64),
+        *np.zeros((2, 0), np.int64),
+        np.zeros(0),
+        np.zeros((7, 0, 2)),
+    )
+    assert counted(case, plan, **again._asdict()) == -np.inf
+
+
+@pytest.mark.parametrize(
+    'changes',
+    [{'terminal': 'constraint'}, {'rotation_order': 2, 'translation_order': 2}],
+)
+def test_problems_that_trees_say_nothing_of_have_nothing_proved(changes):
+    case, plan = solved('boxes', 2)
+    other = replace(case.problem, **changes)
+    again = Recount(other).bound(case.state, case.goals, plan.proof.grounds, 1.0)
+    assert again == -np.inf
+
+
+def test_tethers_of_turns_hold_what_a_turn_limit_does():
+    case, plan = solved('turn rate', 0)
+    grounds = plan.proof.grounds
+    assert np.abs(grounds.tethers).max() > 1e-3
+    before = counted(case, plan)
+    assert counted(case, plan, tethers=0.0 * grounds.tethers) < (1.0 - 1e-3) * before
+    assert counted(case, plan, tethers=2.0 * grounds.tethers) < before
+    wider = replace(case.problem, max_rate=1.1 * case.problem.max_rate)
+    again = Recount(wider).bound(case.state, case.goals, grounds, plan.proof.cost_unit)
+    assert again < (1.0 - 1e-3) * before
+
+
+def test_a_bound_beyond_its_tree_is_lowered_to_what_it_proves(monkeypatch):
+    case, plan = solved('boxes', 2)
+    solver = Solver(case.problem)
+    method = solver._method
+    told = method.solve
+
+    def boasting(request):
+        found = told(request)
+        return replace(found, lower_bound=1.0001 * found.lower_bound)
+
+    monkeypatch.setattr(method, 'solve', boasting)
+    again = solver.solve(case.state, case.goals)
+    assert again.proof.checked
+    assert again.lower_bound == pytest.approx(plan.lower_bound, rel=1e-9 + OUTWARD)
+
+
+# --- the choices themselves
+
+
+@pytest.mark.parametrize(('kind', 'seed'), itertools.product(BESIDE, range(2)))
+def test_places_are_where_headings_lead(kind, seed):
+    case, plan = solved(kind, seed)
+    problem, state = case.problem, case.state
+    places = Sides(problem, terms_of(problem)).places(state)
+    z = plan.rotations[1:, :, 0]
+    led = problem.length_unit * (places.free + places.maps @ z)[problem.horizon :]
+    within = controls(problem.translation.degree, problem.step, plan.positions, plan.velocities)
+    expected = np.concatenate([plan.positions[1:], within.reshape(-1, 2)]) - state.position
+    np.testing.assert_allclose(led, expected, atol=1e-9 * problem.length_unit)
+    assert len(led) == problem.horizon + control_maps(problem)[:, :, 0].size
+
+
+def rows_of(known, j, at, places, z, faces):
+    """Return by how much headings clear the rows of a side."""
+    normal, margins = np.zeros(2), []
+    for i in range(known.counts[j]):
+        offset = _set_row(known, j, at, i, faces, normal)
+        place = known.places[j] + i
+        margins.append(normal @ (places.free[place] + places.maps[place] @ z) - offset)
+    return np.array(margins)
+
+
+@pytest.mark.parametrize(('kind', 'seed'), itertools.product(BESIDE, range(2)))
+def test_whatever_keeps_clear_is_on_some_side_of_every_choice(kind, seed):
+    case, plan = solved(kind, seed)
+    sides, z = Sides(case.problem, terms_of(case.problem)), plan.rotations[1:, :, 0]
+    known, places, normal = sides.alternatives(case.state), sides.places(case.state), np.zeros(2)
+    assert len(known.kinds) > 0
+    for j, level in itertools.product(range(len(known.kinds)), (0, 1, 5)):
+        count = 4 if known.kinds[j] == SIDES else QUARTERS << level
+        each = [rows_of(known, j, (level, side), places, z, 1).min() for side in range(count)]
+        assert max(each) > -2e-6
+        out = [_out_of_reach(places, known, j, (level, side), 1, normal) for side in range(count)]
+        assert not out[int(np.argmax(each))]
+
+
+def test_a_direction_that_is_within_no_arc_of_a_disc_is_inside():
+    """Of all arcs together, what is beyond none of their chords is within the disc."""
+    problem = Problem(horizon=1, obstacles=(Ball((0.0, 2.0), 0.7),))
+    sides, state = Sides(problem, terms_of(problem)), State.at(np.zeros(2), np.eye(2))
+    known, places = sides.alternatives(state), sides.places(state)
+    (whole, end), rng = range(2), np.random.default_rng(3)
+    assert (known.kinds == ARCS).all()
+    for angle in rng.uniform(0.0, 2.0 * np.pi, 40):
+        for away in (0.99, 1.01):
+            at = np.array([0.0, 2.0]) + 0.7 * away * np.array([np.cos(angle), np.sin(angle)])
+            free = places.free.copy()
+            free[1:] = at / problem.length_unit
+            moved = places._replace(free=free, maps=0.0 * places.maps)
+            for j in (whole, end):
+                still = known._replace(spreads=0.0 * known.spreads)
+                margins = [
+                    rows_of(still, j, (6, side), moved, np.zeros((1, 2)), 1).min()
+                    for side in range(QUARTERS << 6)
+                ]
+                assert (max(margins) >= 0.0) == (away > 1.0)
+
+
+def test_a_step_beyond_a_disc_is_beyond_a_row_that_allows_for_its_length():
+    """The rows of a whole step: a side that holds the direction of its nearest point."""
+    hazard = Hazard.drifting(Ball((0.5, 0.9), 0.4), np.array([0.1, -0.2]))
+    problem = Problem(horizon=3, discretisation='exact', translation_order=2)
+    state = State.at(np.zeros(2), np.eye(2), velocity=np.array([0.3, 0.2]), hazards=(hazard,))
+    sides, rng = Sides(problem, terms_of(problem)), np.random.default_rng(8)
+    known, places = sides.alternatives(state), sides.places(state)
+    clear = 0
+    for _ in range(200):
+        z = rng.normal(size=(3, 2))
+        z /= np.maximum(1.0, np.linalg.norm(z, axis=1))[:, None]
+        for j in range(0, len(known.kinds), 2):
+            at = known.places[j] + np.arange(known.counts[j])
+            points = places.free[at] + places.maps[at] @ z - known.centres[j]
+            _, apart = separation(points[None])
+            if apart[0] < known.sizes[j]:
+                continue
+            clear += 1
+            for level in (0, 3):
+                every = range(QUARTERS << level)
+                margins = [rows_of(known, j, (level, side), places, z, 1).min() for side in every]
+                assert max(margins) >= -1e-12
+    assert clear > 50
+
+
+def test_nothing_that_is_empty_is_taken_for_so_without_a_proof(branched):
+    case, plan = branched
+    grounds = plan.proof.grounds
+    full = int(np.flatnonzero(~grounds.empty)[0])
+    empty = changed(grounds.empty, full, True)
+    assert counted(case, plan, empty=empty) == -np.inf
