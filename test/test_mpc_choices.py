@@ -13,6 +13,7 @@ from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.motion import control_maps, controls
 from orbimpc_ros.mpc.problem import Ball, Floor, Hazard, Problem, State
+from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.proof.choices import QUARTERS, _out_of_reach, _set_row
 from orbimpc_ros.mpc.proof.grounds import LEAF, Choices
 from orbimpc_ros.mpc.proof.recount import Recount
@@ -64,13 +65,34 @@ def counted(case, plan, **changes):
     return recount.bound(case.state, case.goals, grounds, plan.proof.cost_unit)
 
 
-@pytest.mark.parametrize(('kind', 'seed'), itertools.product((*BESIDE, *TURNING), range(2)))
+@pytest.mark.parametrize(
+    ('kind', 'seed'), itertools.product((*BESIDE, *TURNING, 'axes, boxes'), range(2))
+)
 def test_what_a_search_proves_is_proved_by_its_tree(kind, seed):
     case, plan = solved(kind, seed)
     assert isinstance(plan.proof.grounds, Choices)
     assert plan.proof.checked
     again = counted(case, plan)
     assert (1.0 - 1e-9) * said(case) <= again <= plan.objective * (1.0 + 1e-7)
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_boxes_that_move_in_space_are_choices_over_rotations(seed):
+    case, _ = solved('space, boxes', seed)
+    problem, rng = case.problem, np.random.default_rng(seed)
+    ways = 0.05 * problem.length_unit / problem.step * rng.normal(size=(2, 3))
+    hazards = tuple(itertools.starmap(Hazard.drifting, zip(problem.obstacles, ways, strict=True)))
+    case = Case(replace(problem, obstacles=()), replace(case.state, hazards=hazards), case.goals)
+    plan = Solver(case.problem).solve(case.state, case.goals)
+    assert plan.proof.checked
+    assert plan.proof.grounds.points.shape[1:] == (problem.horizon, 9)
+    again = counted(case, plan)
+    assert (1.0 - 1e-9) * said(case) <= again <= plan.objective * (1.0 + 1e-7)
+    points = changed(plan.proof.grounds.points, (0, 0, 4), np.nan)
+    assert counted(case, plan, points=points) == -np.inf
+    for size in (0.5, 2.0):
+        presses = size * plan.proof.grounds.presses
+        assert counted(case, plan, presses=presses) <= again * (1.0 + 1e-9)
 
 
 @pytest.mark.parametrize(('floor', 'rate', 'seed'), itertools.product(FLOORS, (0.0, 1.0), (1, 2)))

@@ -15,6 +15,7 @@ import numpy as np
 from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.proof.sides import ARCS, FACES, SIDES
 from orbimpc_ros.mpc.proof.slopes import ROUNDING, set_slopes
+from orbimpc_ros.mpc.proof.tangents import least_over_orbitope, top_of
 
 QUARTERS = 4  # of a circle, that arcs begin with
 DEEPEST = 40  # halvings of them
@@ -187,8 +188,15 @@ def _leaf_bound(terms, start, goals, point, forces, held, slopes):
             along = slopes[k, c] * point[k, c]
             value -= along
             size += abs(along)
-            square += (slopes[k, c] - forces[k, c]) ** 2
-        rest += np.sqrt(square)
+            if c < forces.shape[1]:
+                slopes[k, c] -= forces[k, c]
+            square += slopes[k, c] ** 2
+        if not square < np.inf:  # or no number
+            return -np.inf
+        if point.shape[1] == 9:
+            rest -= least_over_orbitope(slopes[k], top_of(slopes[k]))
+        else:
+            rest += np.sqrt(square)
     return value + worth - rest - ROUNDING * len(point) * (size + cancelled + rest)
 
 
@@ -208,7 +216,8 @@ def choices_bound(terms, start, goals, places, known, always, tree, unit):
     """
     count, faces, number, least = len(tree.splits), max(1, len(terms.normals)), -1, np.inf
     nodes = np.full(count, -1), np.full(count, -1)
-    slopes, forces, normal = np.empty(goals.shape), np.empty(goals.shape), np.empty(goals.shape[1])
+    slopes, forces = np.empty(tree.points.shape[1:]), np.empty(goals.shape)
+    normal = np.empty(goals.shape[1])
     for t in range(count):
         if t > 0 and nodes[1][t] < 0:
             return -np.inf

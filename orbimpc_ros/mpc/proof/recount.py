@@ -129,13 +129,14 @@ class Recount:
         count, n = goals.shape
         always, known = self._sides.always(state), self._sides.alternatives(state)
         leaves, nodes, rows = len(tree.points), len(tree.splits), len(tree.presses)
-        fits = tree.points.shape == (leaves, count, self._width) and self._width == n
+        fits = tree.points.shape == (leaves, count, self._width)
         fits &= tree.tethers.shape == (leaves, max(0, count - always.begin), n)
         fits &= all(len(each) == nodes for each in tree[:5])
         fits &= all(len(each) == rows for each in tree[8:11])
         fits &= len(tree.empty) == len(tree.ends) == leaves
         fits &= bool((np.diff(tree.ends, prepend=0) >= 0).all()) and tree.ends[-1] == rows
         fits &= bool(((tree.holders >= 0) & (tree.holders < nodes)).all())
+        fits &= n == 2 or not self._problem.floor.exists
         if not fits or self._pulled or self._terms.order == 2 or self._terms.lengths.any():
             return -np.inf
         places = self._sides.places(state)

@@ -38,7 +38,7 @@ def tangents_bound(terms, hessian, start, goals, leaf, coasting):
             least = _least_decided(slopes[0], start[4], terms.lengths[1], n, coasting)
         elif point.shape[1] == 9:
             _lean(slopes[k], leaf.ways[k], terms.lengths[k + 1])
-            least = _least_over_orbitope(slopes[k], leaf.tops[k])
+            least = least_over_orbitope(slopes[k], leaf.tops[k])
         else:
             least = least_along(terms.lengths[k + 1] - _size(slopes[k], n), bend, terms.floor[0])
         value += 0.5 * bend * square - along + least
@@ -81,8 +81,20 @@ def _lean(slope, way, length):
 
 
 @compiled
-def _least_over_orbitope(slope, top):
+def least_over_orbitope(slope, top):
     """Return the least <G, R> over conv SO(3): -top, where top I + K(G) is semidefinite."""
+    return -top - lack(_turned(slope, top), np.zeros(4), 0.0)
+
+
+@compiled
+def top_of(slope):
+    """Return a top for which top I + K(G) is all but semidefinite: no less is any use."""
+    return -np.linalg.eigvalsh(_turned(slope, 0.0))[0]
+
+
+@compiled
+def _turned(slope, top):
+    """Return top I + K(G), shape (4, 4)."""
     matrix = np.empty((4, 4))
     for i in range(4):
         matrix[i, i] = top
@@ -93,4 +105,4 @@ def _least_over_orbitope(slope, top):
         upper, lower = slope[3 * j + i], slope[3 * i + j]  # x_ij and x_ji
         matrix[0, c + 1] = matrix[c + 1, 0] = lower - upper
         matrix[i + 1, j + 1] = matrix[j + 1, i + 1] = lower + upper
-    return -top - lack(matrix, np.zeros(4), 0.0)
+    return matrix

@@ -17,12 +17,14 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.cells import Cell, Patch
+from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Ball, Problem, State
 from orbimpc_ros.mpc.proof.grounds import LEAF, Choices
 from orbimpc_ros.mpc.solve.branching import Branch
 from orbimpc_ros.mpc.solve.passages import Passage
-from orbimpc_ros.mpc.solve.place_program import Multipliers, PlaceProgram
+from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.posed import Posed
+from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxed
 
 Press = tuple[int, int, float]  # the node that holds a row, which of its rows, its multiplier
 
@@ -45,7 +47,7 @@ class ChoiceTree:
         inverse: H^-1, shape (N, N).
     """
 
-    def __init__(self, posed: Posed, program: PlaceProgram, inverse: Array) -> None:
+    def __init__(self, posed: Posed, program: Relaxed, inverse: Array) -> None:
         self._posed, self._program, self._inverse = posed, program, inverse
         turns = posed.turns
         self._always = len(turns.slots) if turns else 0
@@ -63,13 +65,20 @@ class ChoiceTree:
         return len(self._splits) - sum(1 for split in self._splits if split != LEAF)
 
     @staticmethod
-    def tells(problem: Problem, state: State) -> bool:
-        """Return whether a tree of the choices of a problem can be counted again."""
-        if problem.dimension == 2:
-            return True
-        round_ones = [*problem.obstacles, *(each.body for each in state.hazards)]
-        balls = any(isinstance(each, Ball) for each in round_ones)
-        return not (problem.floor.exists or balls)
+    def tells(problem: Problem, state: State, program: Relaxed) -> bool:
+        """Return whether multipliers of a program's half-spaces are all that its bounds rest on."""
+        plane = problem.dimension == 2
+        bodies = [*problem.obstacles, *(each.body for each in state.hazards)]
+        if problem.floor.exists or any(isinstance(each, Ball) for each in bodies):
+            return plane and isinstance(program, PlaceProgram)
+        return isinstance(program, PlaceProgram) or (
+            COMPILED
+            and problem.rotation_order == 1
+            and problem.terminal == 'penalty'
+            and problem.weights.length == problem.max_rate == 0.0
+            and not problem.has_cones
+            and not problem.approach.exists
+        )
 
     def solved(self, t: int, *, better: bool = True, empty: bool = False) -> None:
         """Note what the last relaxation, which was that of a node, rests on.
@@ -125,11 +134,11 @@ class ChoiceTree:
     # --- leaves
 
     def _leaf(self, t: int, found: Multipliers, empty: bool) -> _Leaf:
-        steps = len(found.point)
+        steps, n = len(found.point), self._posed.problem.dimension
         rows, sizes = found.rows.tolist(), found.sizes.tolist()
         asked = self._asked(t) if any(row >= 0 for row in rows) else []
         presses = [(*asked[row], size) for row, size in zip(rows, sizes, strict=True) if row >= 0]
-        tethers = np.zeros((self._program.chords, found.point.shape[1]))
+        tethers = np.zeros((self._program.chords, n))
         for row, normal, size in zip(rows, found.normals, sizes, strict=True):
             if -1 - row >= steps:
                 tethers[-1 - row - steps] -= size * normal
@@ -166,9 +175,11 @@ class ChoiceTree:
         chosen = self._cells[t]
         assert chosen is not None
         j, cell = chosen
-        moved = step * np.outer(self._inverse @ self._row(j, row), cell.normal)
-        presses = *known.presses, (t, row, step)
-        return _Leaf(known.point + moved, presses, known.tethers)
+        point = known.point.copy()
+        point[:, : len(cell.normal)] += step * np.outer(
+            self._inverse @ self._row(j, row), cell.normal
+        )
+        return _Leaf(point, (*known.presses, (t, row, step)), known.tethers)
 
     def _row(self, j: int, row: int) -> Array:
         """Return what R_1 e1..R_N e1 add to what a row of a choice is about, shape (N,)."""

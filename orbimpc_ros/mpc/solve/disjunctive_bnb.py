@@ -112,10 +112,9 @@ class DisjunctiveSearch:
 
     def _tree(self, posed: Posed) -> ChoiceTree | None:
         """Return what notes the grounds of a search; None where they could not be counted."""
-        told = isinstance(self.program, PlaceProgram) and not self._exchangeable
-        if not (told and ChoiceTree.tells(self.problem, posed.request.state)):
+        told = ChoiceTree.tells(self.problem, posed.request.state, self.program)
+        if self._exchangeable or not told:
             return None
-        assert isinstance(self.program, PlaceProgram)
         return ChoiceTree(posed, self.program, self._inverse)
 
     def _relaxed(self, request: Request) -> Found:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -36,28 +35,17 @@ from orbimpc_ros.mpc.model.condensed import Condensed, suits_dense_code
 from orbimpc_ros.mpc.model.motion import control_maps
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.disjunction import Slot
-from orbimpc_ros.mpc.solve.relaxation import Halfspace, Point, Relaxation, Relaxed
+from orbimpc_ros.mpc.solve.relaxation import (
+    Halfspace,
+    Multipliers,
+    Point,
+    Relaxation,
+    Relaxed,
+)
 from orbimpc_ros.mpc.solve.request import Request
 
 SLICE = 1e6  # multiplications between two looks at the time: about a millisecond
 WORST_CONDITION = 1e7  # beyond it, rounding ends too many solves
-
-
-class Multipliers(NamedTuple):
-    """What holds the solution of a relaxation, or proves that there is none.
-
-    Attributes:
-        point: where the Lagrangian is least, R_1 e1..R_N e1, shape (N, n).
-        rows: of the half-spaces asked for, then of the edges of a cone; -1 - b of a tangent to
-            ball b; the first N balls hold R_1 e1..R_N e1, the others their chords, shape (S,).
-        normals: of rows and tangents, shape (S, n).
-        sizes: of the multipliers, >= 0, shape (S,).
-    """
-
-    point: Array
-    rows: np.ndarray
-    normals: Array
-    sizes: Array
 
 
 class PlaceProgram:
@@ -68,8 +56,8 @@ class PlaceProgram:
         slots: what half-spaces may be put on from solve to solve.
 
     Attributes:
-        multipliers: of the last relaxation; None where the general program had to solve it.
-        chords: how many steps a chord bounds.
+        multipliers: see :class:`orbimpc_ros.mpc.solve.relaxation.Relaxed`.
+        chords: see there.
     """
 
     def __init__(self, problem: Problem, slots: Sequence[Slot] = ()) -> None:
@@ -158,12 +146,15 @@ class PlaceProgram:
         """Leave what rounding has ended to the general program, unless there is a deadline."""
         if request.hurried:
             return Relaxation(None, bound)
-        self.multipliers = None
         if self._general is None:
             from orbimpc_ros.mpc.solve.program import Program  # brings CVXPY, half of a start-up
 
             self._general = Program(self.problem, self._slots)
-        return self._general.relax(request, halfspaces, chords)
+        try:
+            return self._general.relax(request, halfspaces, chords)
+        finally:  # it tells of half-spaces alone
+            limited = self.problem.max_rate > 0.0
+            self.multipliers = None if limited else self._general.multipliers
 
     def _multipliers(self, count: int) -> Multipliers:
         held, steps = self._held, self.problem.horizon

@@ -33,7 +33,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.conic import SOLVED, Certifier, extended, run, solver_for
 from orbimpc_ros.mpc.solve.direct_statement import DirectStatement
 from orbimpc_ros.mpc.solve.disjunction import Slot
-from orbimpc_ros.mpc.solve.relaxation import Halfspace, Point, Relaxation
+from orbimpc_ros.mpc.solve.relaxation import Halfspace, Multipliers, Point, Relaxation
 from orbimpc_ros.mpc.solve.request import Request
 
 SMALL = 1e-2  # a cost below this is solved once more, scaled up
@@ -54,7 +54,13 @@ class Program:
         slots: what half-spaces may be put on from solve to solve.
         coasting: whether states come with a ``coasted`` rotation (for rotation order 2).
         tolerance: Clarabel's, on feasibility and on the gap.
+
+    Attributes:
+        multipliers: of half-spaces, see :class:`orbimpc_ros.mpc.solve.relaxation.Relaxed`.
+        chords: none that it tells of.
     """
+
+    chords = 0
 
     def __init__(
         self,
@@ -74,6 +80,8 @@ class Program:
         self._scale = 1.0
         self._solver: Any = None
         self._request: Request | None = None
+        self.multipliers: Multipliers | None = None
+        self._asked: list[int] = []  # the rows of the half-spaces in force
         self._compile()
 
     def _bind(self, request: Request) -> None:
@@ -127,10 +135,13 @@ class Program:
             rows = slice(len(self._rows) - self._statement.chords, None)
             b[self._rows[rows]] = self._b_0[self._rows[rows]] + self._signs[rows] * chords
         cuts: list[Cut] = []
+        self._asked, end = [], self._data['dims'].zero + self._data['dims'].nonneg
         for slot, normal, offset in halfspaces:
             if isinstance(slot, Point):
+                self._asked.append(end + len(cuts))
                 cuts.append((slot.row, normal, offset))
                 continue
+            self._asked.append(self._slots[slot][0])
             row, entries = self._slots[slot]
             put = self._statement.slots[slot]
             if put.on == 'position':  # the variable is the displacement
@@ -146,7 +157,10 @@ class Program:
         if relaxed.x is None:
             if cuts:
                 return relaxed
+            before = self.multipliers
             anew = self._solve_anew(a, b, self._scale, out_of_time)
+            if relaxed.bound > anew.bound:
+                self.multipliers = before
             return Relaxation(anew.x, max(relaxed.bound, anew.bound), anew.bound)
         if relaxed.bound < SMALL * self._scale:
             return self._bound_anew(relaxed, a, b, out_of_time, cuts)
@@ -174,7 +188,10 @@ class Program:
         Near the goal the cost all but vanishes, and a gap that is small against one is not small
         against the cost. Solved once more with the cost scaled up, it is.
         """
+        before = self.multipliers
         scaled = self._solve_anew(a, b, max(relaxed.bound, TINY), out_of_time, cuts)
+        if relaxed.bound > scaled.bound:
+            self.multipliers = before
         best = min((relaxed, scaled), key=self._cost)
         return Relaxation(best.x, max(relaxed.bound, scaled.bound), best.bound)
 
@@ -231,7 +248,9 @@ class Program:
             Infeasible: its multipliers prove that nothing is feasible.
         """
         if answer is None:
+            self.multipliers = None
             return Relaxation(None, -np.inf)
+        self.multipliers = self._multipliers(answer, scale)
         status, certifier = str(answer.status), certifier or self._certifier
         if 'PrimalInfeasible' in status:
             if certifier.refutes(answer, a, b, self._largest):
@@ -244,6 +263,14 @@ class Program:
         assert self._request is not None
         x = np.asarray(answer.x)[self._columns]
         return Relaxation(self._statement.coordinates(x, self._request.state), bound)
+
+    def _multipliers(self, answer: Any, scale: float) -> Multipliers:
+        sizes = scale * np.maximum(np.asarray(answer.z)[self._asked], 0.0)
+        rows = np.flatnonzero(sizes)
+        normals = np.zeros(
+            (len(rows), self.problem.dimension)
+        )  # of tangents, of which there are none
+        return Multipliers(np.asarray(answer.x)[self._columns], rows, normals, sizes[rows])
 
     def _limits_of(self, speed: float, spin: float) -> Array:
         """Return the most that each column's variable can be, of a state's speed and spin."""

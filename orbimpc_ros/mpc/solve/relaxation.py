@@ -10,6 +10,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
+import numpy as np
+
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.proof.grounds import Tangent
 from orbimpc_ros.mpc.solve.request import Request
@@ -53,8 +55,33 @@ class Relaxation:
         return self.bound if self.own is None else self.own
 
 
+class Multipliers(NamedTuple):
+    """What holds the solution of a relaxation, or proves that there is none.
+
+    Attributes:
+        point: where the Lagrangian is least: all that the cost sees of R_1..R_N, shape (N, d).
+        rows: of the half-spaces asked for, then of the edges of a cone; -1 - b of a tangent to
+            ball b; the first N balls hold R_1 e1..R_N e1, the others their chords, shape (S,).
+        normals: of rows and tangents, shape (S, n).
+        sizes: of the multipliers, >= 0, shape (S,).
+    """
+
+    point: Array
+    rows: np.ndarray
+    normals: Array
+    sizes: Array
+
+
 class Relaxed(Protocol):
-    """A convex program of a problem, to be solved with half-spaces in some of its slots."""
+    """A convex program of a problem, to be solved with half-spaces in some of its slots.
+
+    Attributes:
+        multipliers: of the last relaxation, as far as they are known; None where they are not.
+        chords: how many steps a chord bounds whose multipliers are among them.
+    """
+
+    multipliers: Multipliers | None
+    chords: int
 
     def relax(
         self,

@@ -34,7 +34,13 @@ from orbimpc_ros.mpc.model.cost import (
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.grounds import Tangent
 from orbimpc_ros.mpc.solve.disjunction import Slot
-from orbimpc_ros.mpc.solve.relaxation import Halfspace, Point, Relaxation, Relaxed
+from orbimpc_ros.mpc.solve.relaxation import (
+    Halfspace,
+    Multipliers,
+    Point,
+    Relaxation,
+    Relaxed,
+)
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.unconstrained import other_axes, thrust_axis
 
@@ -60,6 +66,9 @@ class SO3Multipliers:
         slots: what half-spaces may be put on: headings only.
         coasting: whether states come with a ``coasted`` rotation (for rotation order 2).
     """
+
+    multipliers: Multipliers | None = None  # what it tells are grounds
+    chords = 0
 
     def __init__(self, problem: Problem, slots: Sequence[Slot] = (), *, coasting: bool = False):
         self.problem, self._slots = problem, tuple(slots)
