@@ -18,7 +18,7 @@ from orbimpc_ros.mpc.geometry.rotations import carried, exp, turned_onto
 from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.plan import UNPROVED, assemble, shifted
-from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import case_of
 from orbimpc_ros.mpc.problem.cones import climb, relief, told
 from orbimpc_ros.mpc.problem.feasibility import constraints_in_force
@@ -140,6 +140,17 @@ def test_plans_keep_both_cones_at_every_step(floor, weight, max_rate):
     assert slopes(plan).min() >= 0.6 - 1e-5
     assert without.lower_bound <= plan.objective
     assert told(problem, PAD, plan) == ''
+
+
+def test_plans_keep_the_tilt_beside_a_box():
+    """The search for vehicles among boxes knows no cones: it leaves them to the general one."""
+    box = Box(np.array([1.0, -1.0, -5.0]), np.array([2.0, 1.0, 5.0]))
+    weights = Weights(position=1.0, input=0.05, terminal=10.0)
+    problem = lander(glide_slope=0.0, weights=weights, obstacles=(box,))
+    plan = Solver(problem).solve(falling(np.zeros(3)), on([4.0, 0.2, 0.0]))
+    assert plan.gap <= 1e-4
+    assert tilts(plan).max() <= 0.2 + 1e-6
+    assert (box.clearances(plan.positions[1:]).max(axis=1) > -1e-5).all()
 
 
 def test_a_vehicle_with_body_rates_keeps_them_from_the_first_step_that_it_can():

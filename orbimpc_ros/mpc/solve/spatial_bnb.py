@@ -89,7 +89,7 @@ class SpatialSearch:
             and problem.weights.length == problem.max_rate == problem.arrival_weight == 0.0
             and problem.horizon >= 2 * problem.translation_order
             and suits_dense_code(problem)
-            and not problem.approach.exists
+            and not (problem.approach.exists or problem.has_cones)
         )
 
     def solve(self, request: Request) -> Found:
