@@ -12,10 +12,10 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.motion import control_maps, controls
-from orbimpc_ros.mpc.problem import Ball, Floor, Hazard, Problem, State
+from orbimpc_ros.mpc.problem import Ball, Box, Floor, Hazard, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.proof.choices import QUARTERS, _out_of_reach, _set_row
-from orbimpc_ros.mpc.proof.grounds import LEAF, Choices
+from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds
 from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.proof.sides import ARCS, SIDES, Sides
 from orbimpc_ros.mpc.proof.slopes import terms_of
@@ -32,6 +32,7 @@ BESIDE = (
     'discs that move',
 )
 TURNING = ('turn rate', 'turn rate, exact', 'turn rate, inertia', 'turn rate, boxes')
+SPATIAL = ('axes, boxes', 'space, boxes')
 FLOORS = {
     'circle': Floor('circle', fraction=0.6),
     'polygon': Floor('polygon', faces=5, fraction=0.6),
@@ -66,14 +67,44 @@ def counted(case, plan, **changes):
 
 
 @pytest.mark.parametrize(
-    ('kind', 'seed'), itertools.product((*BESIDE, *TURNING, 'axes, boxes'), range(2))
+    ('kind', 'seed'), itertools.product((*BESIDE, *TURNING, *SPATIAL), range(2))
 )
 def test_what_a_search_proves_is_proved_by_its_tree(kind, seed):
     case, plan = solved(kind, seed)
-    assert isinstance(plan.proof.grounds, Choices)
+    assert isinstance(plan.proof.grounds, ChoiceGrounds)
     assert plan.proof.checked
     again = counted(case, plan)
     assert (1.0 - 1e-9) * said(case) <= again <= plan.objective * (1.0 + 1e-7)
+
+
+def test_a_search_among_boxes_in_space_tells_of_its_nodes():
+    """Solved, raised by a step along a row, and refuted ones; sides out of reach are left out."""
+    walls = tuple(
+        Box((x, y - 1.5, -1.5), (x + 0.3, y + 1.5, 1.5)) for x, y in ((1.0, -0.4), (1.8, 0.9))
+    )
+    problem = Problem(
+        dimension=3,
+        horizon=8,
+        step=0.3,
+        translation_order=2,
+        discretisation='exact',
+        forward=3.0,
+        weights=Weights(1.0, 0.05, 0.0, 10.0),
+        obstacles=walls,
+        no_corner_cutting=True,
+    )
+    state = State.at(np.zeros(3), np.eye(3), velocity=np.array([0.3, 0.0, 0.0]))
+    case = Case(problem, state, np.tile([3.0, 0.3, 0.0], (8, 1)))
+    plan = Solver(problem).solve(*case[1:])
+    grounds = plan.proof.grounds
+    assert plan.proof.checked
+    assert grounds.empty.sum() > 5
+    assert (grounds.counts[grounds.splits != LEAF] < 6).any()
+    again = counted(case, plan)
+    assert (1.0 - 1e-9) * said(case) <= again <= plan.objective * (1.0 + 1e-7)
+    for i, changes in enumerate(spoilt(grounds)):
+        if 'levels' not in changes:
+            assert counted(case, plan, **changes) == -np.inf, (i, list(changes))
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -125,7 +156,7 @@ def test_no_grounds_prove_more_than_there_is(branched):
     grounds, rng = plan.proof.grounds, np.random.default_rng(5)
     before = counted(case, plan)
     for _ in range(300):
-        name = Choices._fields[rng.integers(len(Choices._fields))]
+        name = ChoiceGrounds._fields[rng.integers(len(ChoiceGrounds._fields))]
         array = getattr(grounds, name)
         if not array.size:
             continue
@@ -158,13 +189,14 @@ def spoilt(grounds):
     yield {'holders': changed(grounds.holders, 0, last)}
     yield {'holders': changed(grounds.holders, 0, last + 1)}
     yield {'holders': changed(grounds.holders, 0, -1)}
-    yield {'points': changed(grounds.points, (0, 0, 0), np.nan)}
+    full = int(np.flatnonzero(~grounds.empty)[0])
+    yield {'points': changed(grounds.points, (full, 0, 0), np.nan)}
     yield {'points': grounds.points[:-1]}
     yield {'points': grounds.points[:, :-1]}
     yield {'tethers': grounds.tethers[:-1]}
     yield {'ends': grounds.ends[:-1]}
     yield {'ends': grounds.ends[::-1].copy()}
-    yield {'ends': changed(grounds.ends, -1, grounds.ends[-1] - 1)}
+    yield {'ends': changed(grounds.ends, -1, grounds.ends[-1] + 5)}
     yield {'empty': np.ones_like(grounds.empty)}
     yield {'levels': grounds.levels[:-1]}
     yield {'presses': grounds.presses[:-1]}
@@ -179,7 +211,7 @@ def test_trees_that_leave_something_out_prove_nothing(branched):
 def test_a_box_is_not_split_by_sides_twice():
     case, plan = solved('boxes', 2)
     grounds = plan.proof.grounds
-    again = Choices(
+    again = ChoiceGrounds(
         np.array([grounds.splits[0]] * 2 + [LEAF] * 7),
         np.array([1, 5] + [0] * 7),
         np.array([4, 4] + [0] * 7),

@@ -190,6 +190,7 @@ def _begin(terms, start, held, force, x, work):
 def _note(work, lowest, forces, held):
     """Note what the greatest bound so far rests on."""
     work.lowest[:], work.forces[:], work.pushes[:] = lowest, forces, held.lengths
+    work.rows[:], work.sides[: len(held.sides)] = held.rows, held.sides
     for k in range(len(lowest)):
         work.tops[k] = 0.0
         for i in range(4):
@@ -262,6 +263,7 @@ def minimise(terms, start, held, limits, work, progress, budget):
             return cost, SETTLED
         if len(new.sides) and refuted(terms, new.sides):
             numbers[BEST] = np.inf
+            work.rows[:], work.sides[: len(new.sides)] = 0.0, new.sides
         if numbers[BEST] >= enough:
             return cost, PROVED
         if counts[STEPS] >= LIMIT:

@@ -88,6 +88,11 @@ class SideTree(NamedTuple):
         held: those of the choices' rows, shape (S, G, 2).
         choice: the half-space of each group at a node, -1 for none, shape (K, G).
         parent: whose multipliers a node begins with, shape (K,).
+        made: which node each solve was of, shape (S,).
+        split: the group that it was branched on, -1 for none, shape (S,).
+        bounds: what each solve has proved, shape (S,).
+        lowest: where the Lagrangian is least by what proves that, shape (S, N, 9).
+        pressed: multipliers of the choices' rows by which it is, shape (S, G, 2).
         keys: bounds of the open nodes, a heap, shape (K,).
         heap: their numbers, shape (K,).
         x: the solution of the last node, shape (N, 9).
@@ -102,6 +107,11 @@ class SideTree(NamedTuple):
     held: Array
     choice: np.ndarray
     parent: np.ndarray
+    made: np.ndarray
+    split: np.ndarray
+    bounds: Array
+    lowest: Array
+    pressed: Array
     keys: Array
     heap: np.ndarray
     x: Array
@@ -127,6 +137,11 @@ def tree(steps: int, groups: int, nodes: int, most: int) -> SideTree:
         held,
         np.empty((made, groups), np.int32),
         np.empty(made, np.int64),
+        np.zeros(nodes + 1, np.int64),
+        np.empty(nodes + 1, np.int64),
+        np.empty(nodes + 1),
+        np.empty((nodes + 1, steps, 9)),
+        np.empty((nodes + 1, groups, 2)),
         np.empty(made),
         np.empty(made, np.int64),
         np.zeros((steps, 9)),
@@ -223,18 +238,18 @@ def _pick_up(steps, choices, choice, stored, held):
 
 
 @compiled
-def _put_down(steps, choices, choice, held, stored):
-    """Store the multipliers of a node by group and place."""
+def _put_down(steps, choices, choice, rows, sides, stored):
+    """Store the multipliers of a node's rows, on headings and positions, by group and place."""
     at = 0
     for g in range(len(choice)):
         for i in range(2):
             stored[g, i] = 0.0
             place = choices.places[g, i]
             if _rows_on_positions(steps, choices, choice, g, i):
-                stored[g, i] = held.sides[at]
+                stored[g, i] = sides[at]
                 at += 1
             elif choice[g] >= 0 and 0 <= place < steps:
-                stored[g, i] = held.rows[place]
+                stored[g, i] = rows[place]
 
 
 @compiled
@@ -254,7 +269,10 @@ def _relax(space, choices, choice, tree, kept, limits, work, budget):
     progress = Iterate(tree.x, np.zeros((n, 9)), numbers, np.zeros(2, np.int64))
     value, status = minimise(terms, space.start, held, limits, work, progress, budget)
     tree.orbitopes[own] = held.orbitopes
-    _put_down(n, choices, choice, held, tree.held[own])
+    _put_down(n, choices, choice, held.rows, held.sides, tree.held[own])
+    if numbers[BEST] > tree.bounds[own]:
+        tree.bounds[own], tree.lowest[own] = numbers[BEST], work.lowest
+        _put_down(n, choices, choice, work.rows, work.sides, tree.pressed[own])
     return status, value, numbers[BEST]
 
 
@@ -348,6 +366,7 @@ def _branch(space, choices, guide, tree, node, g, places, bound, cutoff, settled
     Where the node is not settled, its point shows where to branch, and not what that gains.
     """
     counts, numbers, first = tree.counts, tree.numbers, choices.first[g]
+    tree.split[counts[NODES]] = g
     bounds = np.empty(choices.sizes[g])
     for i in range(len(bounds)):
         gain = _gain(space, choices, g, first + i, places)
@@ -386,6 +405,8 @@ def _take(tree):
         counts[PLUNGING] = numbers[VALUE] == np.inf or counts[NODES] % EVERY == EVERY - 1
     counts[NEXT], numbers[PENDING] = -1, np.inf
     counts[NODES] += 1
+    tree.made[counts[NODES]], tree.split[counts[NODES]] = node, -1
+    tree.bounds[counts[NODES]] = -np.inf
     return node, key
 
 

@@ -91,6 +91,8 @@ class Scratch(NamedTuple):
         forces: what the multipliers of that exert, shape (n, 9).
         pushes: those of the lengths, shape (n, 3).
         tops: the traces of those of the orbitopes, shape (n,).
+        rows: those of the rows on headings, shape (n,).
+        sides: those of the rows on positions; or, where nothing is feasible, what proves it.
     """
 
     bases: Array
@@ -107,6 +109,8 @@ class Scratch(NamedTuple):
     forces: Array
     pushes: Array
     tops: Array
+    rows: Array
+    sides: Array
 
 
 @compiled
@@ -143,6 +147,8 @@ def scratch(n: int, m: int = 0) -> Scratch:
         np.empty((n, 9)),
         np.empty((n, 3)),
         np.empty(n),
+        np.empty(n),
+        np.empty(m),
     )
 
 

@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.problem.cones import relief
 from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.problem.traffic import traffic_of
-from orbimpc_ros.mpc.proof.grounds import LEAF, Choices, Grounds, Tangent
+from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds, Grounds, Tangent
 from orbimpc_ros.mpc.proof.verifier import FORMAT
 
 
@@ -187,7 +187,7 @@ def kept(problem: Problem, state: State, goals: Array, proof: Proof) -> Certific
         proof: of the plan.
     """
     grounds = proof.grounds
-    if grounds is None or not proof.checked or isinstance(grounds, Choices):
+    if grounds is None or not proof.checked or isinstance(grounds, ChoiceGrounds):
         return None
     if isinstance(grounds, Tangent):
         tops = grounds.tops if grounds.point.shape[1] == 9 else None

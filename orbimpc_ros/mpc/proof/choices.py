@@ -155,9 +155,12 @@ def _held(places, known, always, tree, nodes, leaf, unit, faces, forces):
     (made, parents), (t, number), normal = nodes, leaf, np.empty(forces.shape[1])
     forces[:] = 0.0
     worth, size = _tie(always, tree.tethers[number], unit, forces)
-    for e in range(tree.ends[number - 1] if number > 0 else 0, tree.ends[number]):
+    begin, end = tree.ends[number - 1] if number > 0 else 0, tree.ends[number]
+    if not 0 <= begin <= end <= len(tree.presses):
+        return np.nan, size
+    for e in range(begin, end):
         y, holder, i, at = unit * tree.presses[e], tree.holders[e], tree.rows[e], t
-        while at > holder:
+        while at > holder and at > 0:
             at = parents[at]
         if not (y >= 0.0 and at == holder and i >= 0):
             return np.nan, size

@@ -45,7 +45,7 @@ class Grounds(NamedTuple):
         return self.bends.size
 
 
-class Choices(NamedTuple):
+class ChoiceGrounds(NamedTuple):
     """A tree of choices in arrays: beyond which faces headings are, on which sides bodies.
 
     Node 0 stands for all trajectories. A node that is not split is a leaf, and has a tangent to
@@ -115,7 +115,7 @@ class Tangent(NamedTuple):
         return self.bends.size
 
 
-Left = Choices | Grounds | Tangent  # by a method, of what its bound rests on
+Left = ChoiceGrounds | Grounds | Tangent  # by a method, of what its bound rests on
 
 UNSPLIT = np.array([LEAF])
 NO_PARTS, NO_ANGLES = np.zeros(1, np.int64), np.zeros(1)

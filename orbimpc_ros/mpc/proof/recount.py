@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.kernels import compiled, inlined
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.choices import choices_bound
-from orbimpc_ros.mpc.proof.grounds import Choices, Left, Tangent, tangent
+from orbimpc_ros.mpc.proof.grounds import ChoiceGrounds, Left, Tangent, tangent
 from orbimpc_ros.mpc.proof.sides import Sides
 from orbimpc_ros.mpc.proof.slopes import (
     ROUNDING,
@@ -86,7 +86,7 @@ class Recount:
             enough: a bound beyond which nothing has to be counted.
         """
         start = self._begun(state)
-        if isinstance(grounds, Choices):
+        if isinstance(grounds, ChoiceGrounds):
             return self._of_choices(state, start, goals - state.position, grounds, unit)
         known = self._terms, self._hessian, start, goals - state.position
         if isinstance(grounds, Tangent):
@@ -123,19 +123,17 @@ class Recount:
         return Sides(self._problem, self._terms)
 
     def _of_choices(
-        self, state: State, start: Array, goals: Array, tree: Choices, unit: float
+        self, state: State, start: Array, goals: Array, tree: ChoiceGrounds, unit: float
     ) -> float:
         """Return what a tree of choices proves; its multipliers are in natural units."""
         count, n = goals.shape
         always, known = self._sides.always(state), self._sides.alternatives(state)
         leaves, nodes, rows = len(tree.points), len(tree.splits), len(tree.presses)
-        fits = tree.points.shape == (leaves, count, self._width)
+        fits = tree.points.shape == (leaves, count, self._width) and nodes > 0
         fits &= tree.tethers.shape == (leaves, max(0, count - always.begin), n)
         fits &= all(len(each) == nodes for each in tree[:5])
         fits &= all(len(each) == rows for each in tree[8:11])
         fits &= len(tree.empty) == len(tree.ends) == leaves
-        fits &= bool((np.diff(tree.ends, prepend=0) >= 0).all()) and tree.ends[-1] == rows
-        fits &= bool(((tree.holders >= 0) & (tree.holders < nodes)).all())
         fits &= n == 2 or not self._problem.floor.exists
         if not fits or self._pulled or self._terms.order == 2 or self._terms.lengths.any():
             return -np.inf

@@ -145,7 +145,17 @@ class Sides:
 
     def alternatives(self, state: State) -> Alternatives:
         """Return the choices of trajectories from a state, in natural units."""
-        parts = [self._floors, self._boxes(state.position), *self._bodies(state)]
+        origin = state.position / self._problem.length_unit
+        moved = self._standing.extents + np.concatenate([origin, -origin])
+        standing, moving = self._standing._replace(extents=moved), self._bodies(state)
+        if moving is None:
+            return standing
+        return Alternatives(*map(np.concatenate, zip(standing, moving, strict=True)))
+
+    @cached_property
+    def _standing(self) -> Alternatives:
+        """Return what needs no state; extents of boxes are counted from the origin."""
+        parts = self._floors(), self._boxes()
         return Alternatives(*map(np.concatenate, zip(*parts, strict=True)))
 
     @property
@@ -159,7 +169,6 @@ class Sides:
         extents = np.zeros((count, 2 * n))
         return Alternatives(kinds, places, counts, centres, sizes, spreads, extents)
 
-    @cached_property
     def _floors(self) -> Alternatives:
         floor, count = self._problem.floor, self._problem.horizon
         made = self._none(count if floor.exists else 0)
@@ -168,7 +177,7 @@ class Sides:
         made.sizes[:] = floor.fraction if floor.exists else 0.0
         return made
 
-    def _boxes(self, origin: Array) -> Alternatives:
+    def _boxes(self) -> Alternatives:
         """Return the sides that ends of steps are on; of both ends, if corners are not cut."""
         problem, count = self._problem, self._problem.horizon
         shared = int(problem.no_corner_cutting and count > 1)
@@ -178,14 +187,14 @@ class Sides:
         for j, box in enumerate(problem.boxes):
             own = slice(j * groups, (j + 1) * groups)
             made.places[own] = count + np.arange(groups)
-            made.extents[own] = _extents(box, origin) / problem.length_unit
+            made.extents[own] = _extents(box, np.zeros(box.dimension)) / problem.length_unit
         return made
 
-    def _bodies(self, state: State) -> list[Alternatives]:
-        """Return what is round or moves: of each step all of it, then its end."""
+    def _bodies(self, state: State) -> Alternatives | None:
+        """Return what is round or moves, if anything: of each step all of it, then its end."""
         traffic = traffic_of(self._problem, state)
         if traffic is None:
-            return []
+            return None
         count, m, unit = self._problem.horizon, self._most, self._problem.length_unit
         made = self._none(2 * count * len(traffic.bodies))
         places = 2 * count + m * np.arange(count)[:, None] + [0, m - 1]
@@ -206,7 +215,7 @@ class Sides:
             else:
                 extents = _extents(body, state.position) + more[:, None]
                 made.kinds[own], made.extents[own] = SIDES, extents / unit
-        return [made]
+        return made
 
     def _spreads(self, state: State, centres: Array) -> Array:
         """Return how far apart places of a step get at most, relative to bodies, shape (J, N)."""

@@ -11,6 +11,7 @@ Mathematics: docs/proofs.md.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.cells import Cell, Patch
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Ball, Problem, State
-from orbimpc_ros.mpc.proof.grounds import LEAF, Choices
+from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds
 from orbimpc_ros.mpc.solve.branching import Branch
 from orbimpc_ros.mpc.solve.passages import Passage
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
@@ -29,8 +30,15 @@ from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxed
 Press = tuple[int, int, float]  # the node that holds a row, which of its rows, its multiplier
 
 
-class _Leaf(NamedTuple):
-    """A tangent in the making: where it touches, and what holds."""
+class TreeLeaf(NamedTuple):
+    """A tangent in the making.
+
+    Attributes:
+        point: where it touches, shape (N, d).
+        presses: what holds there.
+        tethers: see :class:`orbimpc_ros.mpc.proof.grounds.ChoiceGrounds`.
+        empty: whether what holds proves that nothing is there.
+    """
 
     point: Array
     presses: tuple[Press, ...]
@@ -56,7 +64,7 @@ class ChoiceTree:
         self._cells: list[tuple[int, Cell] | None] = [None]
         self._holders: list[dict[int, int]] = [{}]  # by choice that is made: at which node
         self._raised: list[tuple[int, int, float] | None] = [None]
-        self._solved: dict[int, _Leaf | None] = {}
+        self._solved: dict[int, TreeLeaf | None] = {}
         self._worse: set[int] = set()
 
     @property
@@ -107,33 +115,17 @@ class ChoiceTree:
         self._raised += [(t, row, step) for row, step in steps]
         return numbers
 
-    def grounds(self) -> Choices | None:
+    def grounds(self) -> ChoiceGrounds | None:
         """Return all that the bound rests on; None where something is not known."""
         leaves = [self._made(t) for t, split in enumerate(self._splits) if split == LEAF]
         known = [leaf for leaf in leaves if leaf is not None]
         if len(known) < len(leaves):
             return None
-        presses = [each for leaf in known for each in leaf.presses]
-        holders, rows, sizes = zip(*presses, strict=True) if presses else ((), (), ())
-        levels, sides = self._sides()
-        return Choices(
-            np.array(self._splits),
-            np.array(self._parts),
-            np.array(self._counts),
-            levels,
-            sides,
-            np.array([leaf.point for leaf in known]),
-            np.array([leaf.empty for leaf in known]),
-            np.cumsum([len(leaf.presses) for leaf in known]),
-            np.array(holders, np.int64),
-            np.array(rows, np.int64),
-            np.array(sizes, float),
-            np.array([leaf.tethers for leaf in known]),
-        )
+        return gathered(self._splits, self._parts, self._counts, self._sides(), known)
 
     # --- leaves
 
-    def _leaf(self, t: int, found: Multipliers, empty: bool) -> _Leaf:
+    def _leaf(self, t: int, found: Multipliers, empty: bool) -> TreeLeaf:
         steps, n = len(found.point), self._posed.problem.dimension
         rows, sizes = found.rows.tolist(), found.sizes.tolist()
         asked = self._asked(t) if any(row >= 0 for row in rows) else []
@@ -142,7 +134,7 @@ class ChoiceTree:
         for row, normal, size in zip(rows, found.normals, sizes, strict=True):
             if -1 - row >= steps:
                 tethers[-1 - row - steps] -= size * normal
-        return _Leaf(found.point, tuple(presses), tethers, empty)
+        return TreeLeaf(found.point, tuple(presses), tethers, empty)
 
     def _asked(self, t: int) -> list[tuple[int, int]]:
         """Return, of each half-space of a node's relaxation, who holds it, and which it is."""
@@ -158,7 +150,7 @@ class ChoiceTree:
                 asked += [(holder, int(i)) for i in np.flatnonzero(passage.moved)]
         return asked + [(0, self._always + i) for i in range(self._edges)]
 
-    def _made(self, t: int) -> _Leaf | None:
+    def _made(self, t: int) -> TreeLeaf | None:
         """Return what is best known of a leaf."""
         own = self._solved.get(t)
         if own is not None and t not in self._worse:
@@ -179,7 +171,7 @@ class ChoiceTree:
         point[:, : len(cell.normal)] += step * np.outer(
             self._inverse @ self._row(j, row), cell.normal
         )
-        return _Leaf(point, (*known.presses, (t, row, step)), known.tethers)
+        return TreeLeaf(point, (*known.presses, (t, row, step)), known.tethers)
 
     def _row(self, j: int, row: int) -> Array:
         """Return what R_1 e1..R_N e1 add to what a row of a choice is about, shape (N,)."""
@@ -193,10 +185,9 @@ class ChoiceTree:
 
     # --- sides
 
-    def _sides(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return levels and sides of all nodes, shape (T,) each."""
-        count = len(self._cells)
-        levels, sides = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    def _sides(self) -> np.ndarray:
+        """Return levels and sides of all nodes, shape (2, T)."""
+        levels, sides = places = np.zeros((2, len(self._cells)), np.int64)
         for t, chosen in enumerate(self._cells):
             if chosen is None:
                 continue
@@ -206,7 +197,42 @@ class ChoiceTree:
             else:
                 cells = self._posed.alternatives[j].cells
                 sides[t] = next(i for i, each in enumerate(cells) if each is cell)
-        return levels, sides
+        return places
+
+
+def gathered(
+    splits: Sequence[int],
+    parts: Sequence[int],
+    counts: Sequence[int],
+    sides: np.ndarray,
+    leaves: Sequence[TreeLeaf],
+) -> ChoiceGrounds:
+    """Return the grounds that nodes and leaves are.
+
+    Args:
+        splits: of each node, as in :class:`orbimpc_ros.mpc.proof.grounds.ChoiceGrounds`.
+        parts: see there.
+        counts: see there.
+        sides: levels and sides, shape (2, T).
+        leaves: of the nodes that are not split, in their order.
+    """
+    presses = [each for leaf in leaves for each in leaf.presses]
+    holders, rows, sizes = zip(*presses, strict=True) if presses else ((), (), ())
+    levels, at = sides
+    return ChoiceGrounds(
+        np.array(splits),
+        np.array(parts),
+        np.array(counts),
+        levels,
+        at,
+        np.array([leaf.point for leaf in leaves]),
+        np.array([leaf.empty for leaf in leaves]),
+        np.cumsum([len(leaf.presses) for leaf in leaves]),
+        np.array(holders, np.int64),
+        np.array(rows, np.int64),
+        np.array(sizes, float),
+        np.array([leaf.tethers for leaf in leaves]),
+    )
 
 
 def _arc(patch: Patch) -> tuple[int, int]:

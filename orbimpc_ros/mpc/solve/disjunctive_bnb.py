@@ -24,7 +24,7 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.traffic import Traffic, traffic_of
-from orbimpc_ros.mpc.proof.grounds import Choices
+from orbimpc_ros.mpc.proof.grounds import ChoiceGrounds
 from orbimpc_ros.mpc.solve.branching import (
     Branch,
     Branching,
@@ -49,6 +49,7 @@ from orbimpc_ros.mpc.solve.turns import Turns
 
 NEAR = 0.05  # a round floor missed by less is worth a dive
 MAX_NODES = 20_000
+TELLING = 5  # times as long it takes to tell of a tangent as to count it
 HALFWAY = (
     50.0  # times the tolerance, for descents and traffic: half of the gap that counts as proved
 )
@@ -133,7 +134,7 @@ class DisjunctiveSearch:
             return replace(found, grounds=self._root(request)) if found.grounds is None else found
         return replace(found, grounds=self._tangent.at(request, relaxed.x, relaxed.bound))
 
-    def _root(self, request: Request) -> Choices | None:
+    def _root(self, request: Request) -> ChoiceGrounds | None:
         """Return what the bound of a relaxation rests on where nothing is left to choose."""
         tree = self._tree(Posed(self.problem, self.program, (), self.turns, request))
         if tree is None:
@@ -206,9 +207,9 @@ class _Run:
             raise Infeasible('no trajectory satisfies the constraints: every branch is infeasible')
         return Found(best.x, best.cost, lower, posed.solved, grounds=self._grounds())
 
-    def _grounds(self) -> Choices | None:
+    def _grounds(self) -> ChoiceGrounds | None:
         request = self._posed.request
-        if self._tree is None or not request.leaves_time_for(self._tree.leaves):
+        if self._tree is None or not request.leaves_time_for(TELLING * self._tree.leaves):
             return None
         return self._tree.grounds()
 

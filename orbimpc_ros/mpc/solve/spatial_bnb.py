@@ -6,6 +6,8 @@ Mathematics: docs/mathematics.md, 4.11.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
@@ -16,6 +18,7 @@ from orbimpc_ros.mpc.kernels.annulus import SLICE
 from orbimpc_ros.mpc.kernels.half_spaces import (
     DONE,
     LEAST,
+    MADE,
     NODES,
     STALLS,
     VALUE,
@@ -38,11 +41,13 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.disjunction import Disjunction, disjunctions_of
 from orbimpc_ros.mpc.solve.general import General
 from orbimpc_ros.mpc.solve.request import Found, Request
+from orbimpc_ros.mpc.solve.side_tree import SideGrounds
 from orbimpc_ros.mpc.solve.so3_multipliers import CANCELLED, ROUNDING, USUAL
 from orbimpc_ros.mpc.solve.unconstrained import other_axes, thrust_axis
 
 MOST = 6400  # nodes of a search
 BUDGET = 100.0 * SLICE  # multiplications of a node
+TELLING = 6  # times as long it takes to tell of a tangent as to count it
 FARTHEST = 12.0  # |R - R'|_F^2 of any two rotations
 UNGUIDED = np.empty((0, 3))
 
@@ -106,7 +111,13 @@ class SpatialSearch:
         settled = done and not self._tree.counts[STALLS]
         if not settled and not request.hurried:
             return self._general.solve(request._replace(guess=None))
-        return self._found(settled)
+        found = self._found(settled)
+        # What faces in space ask for is not stated anew.
+        flat = self._problem.floor.shape == 'none'
+        if not flat or not request.leaves_time_for(TELLING * int(self._tree.counts[MADE])):
+            return found
+        grounds = SideGrounds(self._space, self._choices, self._tree).grounds()
+        return replace(found, grounds=grounds)
 
     def _begin(self, request: Request) -> None:
         """Begin a search: work out what depends on state and goals alone."""

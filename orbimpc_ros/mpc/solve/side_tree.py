@@ -1,0 +1,133 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""What the bound of a search among boxes in space rests on, read off its tree.
+
+A node that was solved has its own multipliers. One that was not has those of the node that it is a
+part of, and one step along the row of its own that raises the bound the most.
+
+Mathematics: docs/mathematics.md, 4.11, and docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.kernels.half_spaces import MADE, NODES, PRECISION, Choices, SideTree, Space
+from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds
+from orbimpc_ros.mpc.solve.choice_tree import Press, TreeLeaf, gathered
+
+Row = tuple[int, int, Array, float]  # which of a side's, its place, normal and offset
+
+
+class SideGrounds:
+    """Reads the grounds of one search.
+
+    Args:
+        space: the quadratic that was searched.
+        choices: that were to be made.
+        tree: of the search.
+    """
+
+    def __init__(self, space: Space, choices: Choices, tree: SideTree) -> None:
+        self._space, self._choices, self._tree = space, choices, tree
+        self._solves = int(tree.counts[NODES])
+        self._splits, self._parts, self._counts, self._sides = [LEAF], [0], [0], [0]
+        self._holders: list[dict[int, int]] = [{}]  # by group: at which node it was chosen
+        self._leaves: dict[int, TreeLeaf] = {}
+
+    def grounds(self) -> ChoiceGrounds:
+        """Return all that the bound rests on."""
+        made, nodes = self._children(), {0: 0}
+        for solve in range(1, self._solves + 1):
+            t = nodes[int(self._tree.made[solve])]
+            self._leaves[t] = own = self._own(solve, t)
+            group = int(self._tree.split[solve])
+            if group >= 0:
+                self._part(t, group, own, made.get(solve, {}), nodes)
+        count = len(self._splits)
+        leaves = [self._leaves[t] for t in range(count) if self._splits[t] == LEAF]
+        sides = np.array([[0] * count, self._sides], np.int64)
+        return gathered(self._splits, self._parts, self._counts, sides, leaves)
+
+    def _children(self) -> dict[int, dict[int, int]]:
+        """Return the nodes that were made, by the solve they are a part of, and by their side."""
+        tree, choices, made = self._tree, self._choices, int(self._tree.counts[MADE])
+        found: dict[int, dict[int, int]] = {}
+        for node in range(1, made):
+            solve = int(tree.parent[node])
+            group = int(tree.split[solve])
+            side = int(tree.choice[node, group] - choices.first[group])
+            found.setdefault(solve, {})[side] = node
+        return found
+
+    def _own(self, solve: int, t: int) -> TreeLeaf:
+        """Return what a solve proves of a node."""
+        tree, presses = self._tree, []
+        empty = bool(tree.bounds[solve] == np.inf)
+        for group, holder in self._holders[t].items():
+            for i, size in enumerate(tree.pressed[solve, group].tolist()):
+                if size > 0.0:
+                    presses.append((holder, i, size))
+        return TreeLeaf(tree.lowest[solve].copy(), tuple(presses), np.zeros((0, 3)), empty)
+
+    def _part(
+        self, t: int, group: int, own: TreeLeaf, made: dict[int, int], nodes: dict[int, int]
+    ) -> None:
+        """Add the parts of a node, but for those that nothing reaches."""
+        reached = [
+            side
+            for side in range(int(self._choices.sizes[group]))
+            if side in made or not self._is_out_of_reach(group, side)
+        ]
+        self._splits[t], self._parts[t] = group, len(self._splits)
+        self._counts[t] = len(reached)
+        for side in reached:
+            number = len(self._splits)
+            for values, value in (
+                (self._splits, LEAF),
+                (self._parts, 0),
+                (self._counts, 0),
+                (self._sides, side),
+            ):
+                values.append(value)
+            self._holders.append({**self._holders[t], group: number})
+            self._leaves[number] = self._raised(number, group, side, own)
+            if side in made:
+                nodes[made[side]] = number
+
+    def _rows(self, group: int, side: int) -> list[Row]:
+        choices = self._choices
+        cell = int(choices.first[group]) + side
+        normal, offset = choices.normals[cell], float(choices.offsets[cell])
+        places = [(i, int(place)) for i, place in enumerate(choices.places[group]) if place >= 0]
+        return [(i, place, normal, offset) for i, place in places]
+
+    def _is_out_of_reach(self, group: int, side: int) -> bool:
+        space, count = self._space, len(self._space.start)
+        return any(
+            offset - space.farthest[place - count] - normal @ space.coasting[place - count]
+            > PRECISION
+            for _, place, normal, offset in self._rows(group, side)
+            if place >= count
+        )
+
+    def _raised(self, number: int, group: int, side: int, own: TreeLeaf) -> TreeLeaf:
+        """Return what is proved of a part by what is of the whole, and a step along a row."""
+        space, count, best = self._space, len(self._space.start), (0.0, -1, -1, 0.0)
+        for i, place, normal, offset in self._rows(group, side):
+            curvature, at = float(space.inverse[0, place, place]), own.point[:, :3]
+            if place < count:
+                short = offset - float(normal @ at[place])
+            else:
+                moved = space.coasting[place - count] + space.reach[place - count] @ at
+                short = offset - float(normal @ moved)
+            if short > 0.0 and curvature > 0.0:
+                best = max(best, (0.5 * short * short / curvature, i, place, short / curvature))
+        _, row, place, step = best
+        if not step:
+            return own
+        point = own.point.copy()
+        normal = self._rows(group, side)[0][2]
+        point[:, :3] += step * np.outer(space.inverse[0, :count, place], normal)
+        press: Press = (number, row, step)
+        return own._replace(point=point, presses=(*own.presses, press))
