@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.motion import control_maps, controls
 from orbimpc_ros.mpc.problem import Ball, Box, Floor, Hazard, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
-from orbimpc_ros.mpc.proof.choices import QUARTERS, _out_of_reach, _set_row
+from orbimpc_ros.mpc.proof.choices import QUARTERS, _out_of_reach, _set_row, choices_bound
 from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds
 from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.proof.sides import ARCS, SIDES, Sides
@@ -33,6 +33,7 @@ BESIDE = (
 )
 TURNING = ('turn rate', 'turn rate, exact', 'turn rate, inertia', 'turn rate, boxes')
 SPATIAL = ('axes, boxes', 'space, boxes')
+FACELESS = np.zeros((0, 2))
 FLOORS = {
     'circle': Floor('circle', fraction=0.6),
     'polygon': Floor('polygon', faces=5, fraction=0.6),
@@ -133,6 +134,17 @@ def test_floors_beside_boxes_are_choices_too(floor, rate, seed):
     assert plan.proof.checked
     again = counted(case, plan)
     assert (1.0 - 1e-9) * said(case) <= again <= plan.objective * (1.0 + 1e-7)
+
+
+def test_trees_of_all_kinds_are_counted_by_the_same_machine_code():
+    for kind in ('boxes', 'turn rate, boxes', 'space, boxes'):
+        case, plan = solved(kind, 0)
+        counted(case, plan)
+    cube = replace(case.problem, obstacles=(), floor=Floor('polygon', faces=6, fraction=0.4))
+    plan = Solver(cube).solve(case.state, case.goals)
+    assert plan.proof.checked
+    assert counted(case._replace(problem=cube), plan) <= plan.objective * (1.0 + 1e-7)
+    assert len(choices_bound.signatures) == 1  # else a tick would wait for it
 
 
 @pytest.fixture(scope='module')
@@ -300,9 +312,14 @@ def test_whatever_keeps_clear_is_on_some_side_of_every_choice(kind, seed):
     assert len(known.kinds) > 0
     for j, level in itertools.product(range(len(known.kinds)), (0, 1, 5)):
         count = 4 if known.kinds[j] == SIDES else QUARTERS << level
-        each = [rows_of(known, j, (level, side), places, z, 1).min() for side in range(count)]
+        each = [
+            rows_of(known, j, (level, side), places, z, FACELESS).min() for side in range(count)
+        ]
         assert max(each) > -2e-6
-        out = [_out_of_reach(places, known, j, (level, side), 1, normal) for side in range(count)]
+        out = [
+            _out_of_reach(places, known, j, (level, side), FACELESS, normal)
+            for side in range(count)
+        ]
         assert not out[int(np.argmax(each))]
 
 
@@ -322,7 +339,7 @@ def test_a_direction_that_is_within_no_arc_of_a_disc_is_inside():
             for j in (whole, end):
                 still = known._replace(spreads=0.0 * known.spreads)
                 margins = [
-                    rows_of(still, j, (6, side), moved, np.zeros((1, 2)), 1).min()
+                    rows_of(still, j, (6, side), moved, np.zeros((1, 2)), FACELESS).min()
                     for side in range(QUARTERS << 6)
                 ]
                 assert (max(margins) >= 0.0) == (away > 1.0)
@@ -348,7 +365,9 @@ def test_a_step_beyond_a_disc_is_beyond_a_row_that_allows_for_its_length():
             clear += 1
             for level in (0, 3):
                 every = range(QUARTERS << level)
-                margins = [rows_of(known, j, (level, side), places, z, 1).min() for side in every]
+                margins = [
+                    rows_of(known, j, (level, side), places, z, FACELESS).min() for side in every
+                ]
                 assert max(margins) >= -1e-12
     assert clear > 50
 

@@ -26,7 +26,7 @@ def round_floors() -> None:
 
 def the_rest() -> None:
     """Compile all else."""
-    Recount(Problem())
+    Recount(Problem()).expect_choices()
     HullRiccati(Problem(), 1e-6)
     PolygonSearch(Problem(floor=Floor('polygon')), 1e-6)
     SO3Multipliers(Problem(dimension=3))

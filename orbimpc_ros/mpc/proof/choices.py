@@ -28,7 +28,7 @@ def _sides_of(known, j, faces):
     kind = known.kinds[j]
     if kind == ARCS:
         return QUARTERS
-    return faces if kind == FACES else known.extents.shape[1]
+    return len(faces) if kind == FACES else known.extents.shape[1]
 
 
 @compiled
@@ -40,7 +40,7 @@ def _set_row(known, j, at, i, faces, normal):
         j: which of them.
         at: how often its quarters were halved, and which side.
         i: which row.
-        faces: of a polygonal floor.
+        faces: normals of those of a polygonal floor, shape (F, n).
         normal: to be set, shape (n,).
     """
     kind, (level, side), n = known.kinds[j], at, len(normal)
@@ -48,16 +48,14 @@ def _set_row(known, j, at, i, faces, normal):
         normal[:] = 0.0
         normal[side % n] = 1.0 if side >= n else -1.0
         offset = known.extents[j, side]
-    else:
-        width = 2.0 * np.pi / faces
-        middle = width * side
-        if kind == ARCS:
-            width = 0.5 * np.pi / 2.0**level
-            middle = width * (side + 0.5)
-        normal[0], normal[1] = np.cos(middle), np.sin(middle)
+    elif kind == FACES:
+        normal[:] = faces[side]
         offset = known.sizes[j]
-        if kind == ARCS:
-            offset = offset * np.cos(0.5 * width) - known.spreads[j] * np.sin(0.5 * width)
+    else:
+        width = 0.5 * np.pi / 2.0**level
+        middle = width * (side + 0.5)
+        normal[0], normal[1] = np.cos(middle), np.sin(middle)
+        offset = known.sizes[j] * np.cos(0.5 * width) - known.spreads[j] * np.sin(0.5 * width)
     for c in range(n):
         offset += normal[c] * known.centres[j, i, c]
     return offset
@@ -204,7 +202,7 @@ def _leaf_bound(terms, start, goals, point, forces, held, slopes):
 
 
 @compiled
-def choices_bound(terms, start, goals, places, known, always, tree, unit):
+def choices_bound(terms, start, goals, places, stated, tree, unit):
     """Return the least bound of all leaves; -inf where they are not all there is.
 
     Args:
@@ -212,12 +210,11 @@ def choices_bound(terms, start, goals, places, known, always, tree, unit):
         start: p_0, the disturbance, R_0 e1 and R_g e1, shape (5, n).
         goals: g_1..g_N less s_0, shape (N, n).
         places: where headings lead.
-        known: the choices.
-        always: what holds of all trajectories.
+        stated: the choices, the normals of a floor's faces, and what holds of all trajectories.
         tree: of the choices that were made.
         unit: of the multipliers, in that of the cost.
     """
-    count, faces, number, least = len(tree.splits), max(1, len(terms.normals)), -1, np.inf
+    (known, faces, always), count, number, least = stated, len(tree.splits), -1, np.inf
     nodes = np.full(count, -1), np.full(count, -1)
     slopes, forces = np.empty(tree.points.shape[1:]), np.empty(goals.shape)
     normal = np.empty(goals.shape[1])

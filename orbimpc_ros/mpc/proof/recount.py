@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.kernels import compiled, inlined
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.choices import choices_bound
-from orbimpc_ros.mpc.proof.grounds import ChoiceGrounds, Left, Tangent, tangent
+from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds, Left, Tangent, tangent
 from orbimpc_ros.mpc.proof.sides import Sides
 from orbimpc_ros.mpc.proof.slopes import (
     ROUNDING,
@@ -60,6 +60,19 @@ class Recount:
         pull = np.zeros(self._pulled)
         for grounds in (tangent(x, bends), Tangent(x, bends, pull, 0.0, bends, rest)):
             self.bound(here, rest, grounds, 1.0)  # compiles
+        if problem.obstacles or problem.max_rate or (n == 3 and problem.floor.exists):
+            self.expect_choices()
+
+    def expect_choices(self) -> None:
+        """Compile now, or load, what the first tree of choices would have to wait for."""
+        problem = self._problem
+        known, point = np.zeros(1, np.int64), np.zeros((1, problem.horizon, self._width))
+        here = State.at(np.zeros(problem.dimension), np.eye(problem.dimension))
+        chords = max(0, problem.horizon - self._sides.always(here).begin)
+        tethers, none = np.zeros((1, chords, problem.dimension)), np.zeros(0, np.int64)
+        leaf = known + LEAF, known, known, known, known, point, known > 0, known
+        tree = ChoiceGrounds(*leaf, none, none, np.zeros(0), tethers)
+        self.bound(here, point[0, :, : problem.dimension], tree, 1.0)
 
     @staticmethod
     def reads(problem: Problem) -> bool:
@@ -134,11 +147,11 @@ class Recount:
         fits &= all(len(each) == nodes for each in tree[:5])
         fits &= all(len(each) == rows for each in tree[8:11])
         fits &= len(tree.empty) == len(tree.ends) == leaves
-        fits &= n == 2 or not self._problem.floor.exists
+        fits &= n == 2 or self._problem.floor.shape != 'circle'
         if not fits or self._pulled or self._terms.order == 2 or self._terms.lengths.any():
             return -np.inf
-        places = self._sides.places(state)
-        return float(choices_bound(self._terms, start, goals, places, known, always, tree, unit))
+        places, stated = self._sides.places(state), (known, self._sides.faces, always)
+        return float(choices_bound(self._terms, start, goals, places, stated, tree, unit))
 
     def _of_tangent(self, known: tuple, leaf: Tangent, coasting: bool) -> float:
         """Return what a tangent proves; its numbers are in the problem's own units."""

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.model.motion import controls
 from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
 from orbimpc_ros.mpc.problem.traffic import traffic_of
@@ -119,7 +120,7 @@ class Sides:
     def always(self, state: State) -> Always:
         """Return what turn limits ask for, at rotation order 1."""
         problem, count = self._problem, self._problem.horizon
-        ahead, first, none = state.attitude[:, 0], state.rotation[:, 0], np.zeros(0)
+        ahead, first, none = state.attitude[:, 0], state.rotation[:, 0].copy(), np.zeros(0)
         if not problem.turns_are_angles:
             limited = problem.max_rate > 0.0
             chord = 2.0 * math.sin(0.5 * min(math.pi, problem.step * problem.max_rate))
@@ -132,16 +133,22 @@ class Sides:
         steps = np.arange(2 if cone else 1, 1 + min(count, math.ceil(math.pi / turn) - 1))
         share = np.cos(turn * steps)
         offsets = np.minimum(share, least * share)
-        places, normals = steps - 1, np.tile(ahead, (len(steps), 1))
+        places, outward = steps - 1, np.tile(ahead, (len(steps), 1))
         if cone:
             (x, y), s, c = ahead, math.sin(turn), math.cos(turn)
             edges = [[s * x - c * y, s * y + c * x], [s * x + c * y, s * y - c * x]]
             places, offsets = np.append(places, [0, 0]), np.append(offsets, [0.0, 0.0])
-            normals = np.concatenate([normals, edges])
+            outward = np.concatenate([outward, edges])
         chord = max(2.0 * math.sin(0.5 * turn), uneven)
-        return Always(places, normals, offsets, chord, 1, first)
+        return Always(places, outward, offsets, chord, 1, first)
 
     # --- choices
+
+    @cached_property
+    def faces(self) -> Array:
+        """Return the normals of a polygonal floor's faces, shape (F, n)."""
+        floor, n = self._problem.floor, self._problem.dimension
+        return np.array(normals(n, floor.faces) if floor.shape == 'polygon' else np.zeros((0, n)))
 
     def alternatives(self, state: State) -> Alternatives:
         """Return the choices of trajectories from a state, in natural units."""

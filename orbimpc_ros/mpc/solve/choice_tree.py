@@ -77,10 +77,12 @@ class ChoiceTree:
         """Return whether multipliers of a program's half-spaces are all that its bounds rest on."""
         plane = problem.dimension == 2
         bodies = [*problem.obstacles, *(each.body for each in state.hazards)]
-        if problem.floor.exists or any(isinstance(each, Ball) for each in bodies):
-            return plane and isinstance(program, PlaceProgram)
+        if any(isinstance(each, Ball) for each in bodies) and not plane:
+            return False
+        faces = problem.floor.shape == 'polygon' and not plane
         return isinstance(program, PlaceProgram) or (
             COMPILED
+            and (faces or not problem.floor.exists)
             and problem.rotation_order == 1
             and problem.terminal == 'penalty'
             and problem.weights.length == problem.max_rate == 0.0

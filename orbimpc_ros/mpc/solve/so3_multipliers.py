@@ -65,13 +65,17 @@ class SO3Multipliers:
         problem: what to solve.
         slots: what half-spaces may be put on: headings only.
         coasting: whether states come with a ``coasted`` rotation (for rotation order 2).
+
+    Attributes:
+        multipliers: at rotation order 1, see :class:`orbimpc_ros.mpc.solve.relaxation.Relaxed`.
+        chords: none.
     """
 
-    multipliers: Multipliers | None = None  # what it tells are grounds
     chords = 0
 
     def __init__(self, problem: Problem, slots: Sequence[Slot] = (), *, coasting: bool = False):
         self.problem, self._slots = problem, tuple(slots)
+        self.multipliers: Multipliers | None = None
         self._given = problem.rotation_order - 1  # at order 2, R_1 is not free
         self._coasting = coasting and bool(self._given)
         condensed = self._condensed = Condensed(problem)
@@ -204,7 +208,8 @@ class SO3Multipliers:
         bound = -np.inf
         for _ in range(2):
             progress, status = self._minimise(terms, request)
-            bound = max(bound, float(progress.numbers[BEST]))
+            if progress.numbers[BEST] > bound:
+                bound, self.multipliers = float(progress.numbers[BEST]), self._told(imposed)
             if status == SETTLED:
                 grounds = None if imposed else self._grounds(request)
                 proved = self._proved(bound)
@@ -220,7 +225,10 @@ class SO3Multipliers:
     def _leave(self, request: Request, imposed: list[Halfspace]) -> Relaxation:
         """Leave a solve to the general program."""
         general = self._general or self._build_general()
-        return general.relax(request, imposed)
+        try:
+            return general.relax(request, imposed)
+        finally:
+            self.multipliers = general.multipliers
 
     def _minimise(self, terms: Terms, request: Request) -> tuple[Iterate, int]:
         first, largest = (self._scale * sigma for sigma in SIGMA)
@@ -236,6 +244,17 @@ class SO3Multipliers:
     def _proved(self, bound: float) -> float:
         """Return a bound above the unconstrained optimum as one on the cost, safe from rounding."""
         return self._least + bound - CANCELLED / ROUNDING * self._rounding
+
+    def _told(self, imposed: Sequence[Halfspace]) -> Multipliers | None:
+        """Return what the last solve's bound rests on beside the orbitopes."""
+        if self._given:
+            return None
+        steps = [
+            self._slots[each[0]].step - 1 for each in imposed if not isinstance(each[0], Point)
+        ]
+        sizes = self._work.rows[steps]
+        rows = np.flatnonzero(sizes)
+        return Multipliers(self._work.lowest.copy(), rows, np.zeros((len(rows), 3)), sizes[rows])
 
     def _grounds(self, request: Request) -> Tangent:
         """Return what the last solve's bound rests on: its Lagrangian's tangent where it is least.

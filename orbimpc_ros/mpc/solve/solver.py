@@ -177,6 +177,8 @@ class Solver:
             self._among = method_among(
                 self._units.problem, SEARCH_SHARE * self._tolerance, coasting=self._coasting
             )
+            if self._recount is not None:
+                self._recount.expect_choices()
 
     def _method_for(self, state: State) -> Method:
         """Return the method for a state: where something moves, the general one."""

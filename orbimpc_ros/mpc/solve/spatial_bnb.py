@@ -112,9 +112,7 @@ class SpatialSearch:
         if not settled and not request.hurried:
             return self._general.solve(request._replace(guess=None))
         found = self._found(settled)
-        # What faces in space ask for is not stated anew.
-        flat = self._problem.floor.shape == 'none'
-        if not flat or not request.leaves_time_for(TELLING * int(self._tree.counts[MADE])):
+        if not request.leaves_time_for(TELLING * int(self._tree.counts[MADE])):
             return found
         grounds = SideGrounds(self._space, self._choices, self._tree).grounds()
         return replace(found, grounds=grounds)
