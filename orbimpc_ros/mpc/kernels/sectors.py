@@ -91,9 +91,10 @@ class Sectors(NamedTuple):
         slow: least speeds of a node, shape (M, N).
         fast: greatest, shape (M, N).
         parent: whose active set a node begins with, shape (M,).
-        splits: the step by whose heading a node was split, -1 where it was not, shape (M,).
-        parts: the first of its two children, which have the headings below and above, shape (M,).
-        angles: that heading [rad], shape (M,).
+        splits: the step k by whose heading a node was split, N + k by whose speed, -1 where it was
+            not, shape (M,).
+        parts: the first of its two children, which have what is below and above, shape (M,).
+        angles: that heading [rad], or speed, shape (M,).
         points: the minimiser of the Lagrangian that a node's bound is of, shape (M, N, 2).
         keys: bounds of the open nodes, a heap, shape (M,).
         heap: their numbers, shape (M,).
@@ -706,11 +707,13 @@ def _branch(quad, ring, tree, node, own, cutoff):
     if cut[0] < 0:
         close(numbers, bound)
         return
-    tree.splits[node], tree.parts[node], tree.angles[node] = cut[0], counts[MADE], cut[1]
+    tree.splits[node] = cut[0] + len(tree.x) if cut[2] else cut[0]
+    tree.parts[node], tree.angles[node] = counts[MADE], cut[1]
     for side in range(2):
         made = counts[MADE]
         tree.splits[made], tree.points[made] = -1, tree.x
         if not _set_child(ring, tree, node, cut, side):
+            counts[MADE] += 1  # it is a leaf of nothing
             continue
         _set_node(ring, tree, made)
         step, offset = _most_violated(tree.x, tree.chords, tree.edges, tree.fast[made], tree.row)

@@ -221,13 +221,17 @@ class Solver:
 
     def _posed(self, grounds: Grounds | Tangent | None) -> Grounds | Tangent | None:
         """Return grounds as those of the problem as it was posed, but for bends beside splits."""
-        if not isinstance(grounds, Tangent):
+        if grounds is None or not (isinstance(grounds, Tangent) or len(grounds.pulls)):
             return grounds
         units = self._units
+        stiff = units.cost / units.length**2
+        if not isinstance(grounds, Tangent):
+            pulls = units.pulls(grounds.pulls)
+            return grounds._replace(pulls=pulls, stiffness=stiff * grounds.stiffness)
         return grounds._replace(
             bends=units.cost * grounds.bends,
             pull=units.pulls(grounds.pull),
-            stiffness=grounds.stiffness * units.cost / units.length**2,
+            stiffness=stiff * grounds.stiffness,
             tops=units.cost * grounds.tops,
         )
 
