@@ -198,6 +198,31 @@ def _reached(normals, least, angle):
 
 
 @compiled
+def _within_reach(low, high, fast, normals, least):
+    """Return the ends of a sector where a polygonal floor is beyond no speed that there is.
+
+    The floor is nearest along its normals, and beyond the most speed about its corners, or
+    everywhere: then the upper end is below the lower one.
+    """
+    if len(normals) == 0:
+        return low, high
+    if fast < least - EMPTY:
+        return low, low - 1.0
+    share = 2.0 * np.pi / len(normals)
+    aside = np.arccos((least - EMPTY) / max(least, fast))
+    if aside < 0.5 * share:
+        nearest = share * np.round(low / share)
+        if low > nearest + aside:
+            nearest += share
+        low = max(low, nearest - aside)
+        nearest = share * np.round(high / share)
+        if high < nearest - aside:
+            nearest -= share
+        high = min(high, nearest + aside)
+    return low, high
+
+
+@compiled
 def _least_within(gx, gy, low, high, normals, least, fast):
     """Return the least g . z over directions from low to high, from the floor to the most speed.
 
@@ -208,7 +233,7 @@ def _least_within(gx, gy, low, high, normals, least, fast):
     before_high = gy * np.cos(high) - gx * np.sin(high)
     between = after_low >= 0.0 and before_high >= 0.0
     if high - low >= HALF:  # what is outside is narrower
-        between = after_low >= 0.0 or before_high >= 0.0
+        between = after_low >= 0.0 or before_high >= 0.0 or high - low >= ALL
     if between:
         return -np.sqrt(gx * gx + gy * gy) * fast
     best = np.inf
@@ -280,7 +305,10 @@ def _held(lengths, normals, floor, steep, bends, unit, region, bound, enough):
             continue
         gx, gy, bend, length = slopes[k, 0], slopes[k, 1], unit * bends[k], lengths[k + 1]
         if face < 0:
-            ends = low[k], high[k], slow[k], fast[k]
+            first, last = low[k], high[k]
+            if fast[k] < 1.0:
+                first, last = _within_reach(first, last, fast[k], normals, floor)
+            ends = first, max(first, last), slow[k], fast[k]
             least = _least_between(gx, gy, length, bend, normals, floor, *ends)
         elif bend == 0.0 and length == 0.0:
             nx, ny = normals[face, 0], normals[face, 1]
@@ -305,20 +333,6 @@ def _narrowed(low, high, k, turn):
         low[j], high[j] = max(low[j], low[j + 1] - turn), min(high[j], high[j + 1] + turn)
         left &= low[j] <= high[j] + EMPTY
     return left
-
-
-@compiled
-def _is_reached(low, high, fast, normals, least):
-    """Return whether a polygonal floor leaves each step any speed along some of its directions."""
-    if len(normals) == 0:
-        return True
-    share = 2.0 * np.pi / len(normals)
-    for k in range(len(low)):
-        nearest = share * np.round(0.5 * (low[k] + high[k]) / share)
-        nearest = min(high[k], max(low[k], nearest))
-        if _reached(normals, least, nearest) > fast[k] + EMPTY:
-            return False
-    return True
 
 
 @compiled
@@ -355,9 +369,10 @@ def _parted(t, terms, grounds, regions, reached):
         ends[part, k] = angle
         if widest > 0.0:
             reached[part] = _narrowed(lows[part], highs[part], k, widest)
-        if change < np.inf and reached[part]:
-            within = low[part], high[part], fast[part]
-            reached[part] = _is_reached(*within, terms.normals, least)
+        for j in range(count if change < np.inf else 0):
+            within = low[part, j], high[part, j], fast[part, j]
+            begin, end = _within_reach(*within, terms.normals, least)
+            reached[part] &= begin <= end + EMPTY
     return True
 
 
