@@ -9,7 +9,8 @@ around. Its own multipliers nearly always prove it global (:mod:`orbimpc_ros.mpc
 or the best multipliers do (:mod:`orbimpc_ros.mpc.kernels.dual`). What those leave open, typically a
 goal about to pass the vehicle, so that two ways round cost nearly the same, is settled in the plane
 by branch and bound: the floor is cut into arcs, and beyond the chord of an arc the problem is
-convex. In space the general search does.
+convex. With an arrival that takes many more arcs; what they leave open, and all of it in space, the
+general search settles.
 
 Mathematics: docs/mathematics.md, 4.4 to 4.6.
 """
@@ -52,7 +53,7 @@ from orbimpc_ros.mpc.solve.request import Found, Guess, Request
 
 FURTHER_STARTS = 30
 SETTLED = 90.0  # tolerances at which starts from all around, and searches, may stop
-NODES = 6400  # of the search over arcs
+NODES, ARRIVING = 6400, 600  # of the search over arcs; with an arrival, before the general one
 YOUNG, EVERY = 4, 4  # a local search starts from each of its first nodes, from then on from some
 BRANCHES = 8000  # polls of the general search, where nobody waits for it
 OUT_OF_REACH = 1e-9  # share of the way to an arrival
@@ -104,7 +105,8 @@ class AnnulusNewton:
         self._no_cuts = no_cuts(problem.dimension)
         self._arcs: ArcSearch | None = None
         if problem.dimension == 2:
-            self._arcs = ArcSearch(self._annulus, SETTLED * tolerance, NODES)
+            most = ARRIVING if self._arrives else NODES
+            self._arcs = ArcSearch(self._annulus, SETTLED * tolerance, most)
         self._stages = [self._from_hull, self._from_dual]
         if self._arrives or self._arcs is None:
             self._stages.append(self._from_around)
@@ -160,7 +162,7 @@ class AnnulusNewton:
         found = self._headings(tick)
         if found.x is not None and self._problem.dimension == 3:
             found = replace(found, x=coordinates(carried(request.state.attitude, found.x)))
-        searched = self._arcs is not None and found.x is not None
+        searched = self._arcs is not None and not self._arrives
         # To set the general search up takes longer than those with a deadline can wait.
         if self.settles(found) or searched or request.hurried:
             return found
