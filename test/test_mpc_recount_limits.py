@@ -221,6 +221,22 @@ def test_what_ranges_of_speeds_prove_is_what_the_search_said(seed):
 
 
 @needs_machine_code
+def test_what_a_child_gains_is_gained_on_the_dual_value_of_its_parents_minimiser():
+    problem = Problem(
+        horizon=3,
+        weights=Weights(0.04154, 3.025, 0.0, 0.4154),
+        floor=Floor('polygon', 4, 0.6665),
+        max_rate=1.5,
+        max_acceleration=0.02,
+    )
+    start = State.at(np.zeros(2), -0.8107 * np.eye(2), disturbance=np.array([0.00168, 0.04536]))
+    goals = np.tile([0.2002, 0.5281], (3, 1))
+    bound, cost, known = told(problem, start, goals)
+    again = Recount(problem).bound(start, goals, *known, bound)
+    assert bound * (1.0 - 1e-9) <= again <= cost * (1.0 + 1e-9)
+
+
+@needs_machine_code
 def test_no_split_by_speeds_proves_more_than_there_is():
     asked, _, cost, (grounds, unit) = slowing()
     rng, recount = np.random.default_rng(8), Recount(asked[0])
