@@ -111,19 +111,29 @@ def test_what_a_stiff_arrival_lacks_is_seen_beside_it(seed, short):
     assert -low - 1e-14 <= e <= max(0.0, -1.1 * low) + 1e-12
 
 
-def searched(seed, nodes=40):
-    """Return a problem in natural units, and a search over arcs for where it has to arrive."""
+def begun(seed):
+    """Return a problem in natural units with a state and goals, its method, and a tick of it."""
     problem, start, goals = an_arrival(seed)
     units = Units.of(problem)
     circle = AnnulusNewton(units.problem, 1e-6)
     asked = units.state(start), units.lengths(goals)
-    tick = circle._tick(Request(*asked))
+    return (units.problem, *asked), circle, circle._tick(Request(*asked))
+
+
+def test_arcs_are_not_searched_without_a_cost_to_undercut():
+    _, circle, tick = begun(3)
+    assert circle._by_arcs(tick, NOTHING) is NOTHING
+
+
+def searched(seed, nodes=40):
+    """Return a problem in natural units, and a search over arcs for where it has to arrive."""
+    asked, circle, tick = begun(seed)
     best = circle._from_around(tick, circle._from_hull(tick, NOTHING))
     search = ArcSearch(circle._annulus, 1e-12, nodes)
     search.begin(tick.q, tick.left, tick.constant, best.cost - tick.constant)
     while not search.run():
         pass
-    return (units.problem, *asked), best.cost, search.bound + tick.constant, search.grounds()
+    return asked, best.cost, search.bound + tick.constant, search.grounds()
 
 
 @pytest.mark.parametrize('seed', range(7))
@@ -261,6 +271,20 @@ def test_a_wider_change_of_speed_proves_less_and_none_proves_nothing():
     again = Recount(wider).bound(*asked, *known)
     assert again <= told(wider, *asked)[1] < 0.99 * bound
     assert Recount(replace(problem, max_acceleration=0.0)).bound(*asked, *known) == -np.inf
+
+
+@needs_machine_code
+def test_turns_by_up_to_half_a_circle_leave_all_directions():
+    problem = Problem(horizon=4, floor=Floor('circle', fraction=0.6), max_rate=np.pi)
+    asked = problem, State.at(np.zeros(2), np.eye(2)), np.tile([-0.3, 0.4], (4, 1))
+    bound, cost, known = told(*asked)
+    assert (known[0].splits >= 0).any()
+    assert bound * (1.0 - 1e-9) <= Recount(problem).bound(*asked[1:], *known)
+    free = replace(problem, max_rate=0.0)
+    assert cost == pytest.approx(told(free, *asked[1:])[1], rel=1e-3)
+    plan = Solver(problem).solve(*asked[1:])
+    assert plan.proof.checked
+    assert kept(*asked, plan.proof) is None  # the format counts directions from the attitude then
 
 
 @needs_machine_code

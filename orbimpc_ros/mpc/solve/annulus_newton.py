@@ -131,7 +131,7 @@ class AnnulusNewton:
         self._grounds(tick, q, -q[:, 0], left)
         self._from_dual(tick, self._from_hull(tick, NOTHING))
         if self._arcs is not None:
-            self._by_arcs(tick, NOTHING)
+            self._by_arcs(tick, replace(NOTHING, x=q))
 
     @staticmethod
     def solves(problem: Problem) -> bool:
