@@ -74,6 +74,19 @@ TIED: dict[str, dict[str, Any]] = {
 # Certificates of these take what a method leaves of its proof.
 LEFT: dict[str, dict[str, Any]] = {
     'polygon, turn rate': {'floor': Floor('polygon', 6, 0.6), 'max_rate': 0.7},
+    'circle, arrival': {'floor': Floor('circle', fraction=0.6), **ARRIVES},
+    'circle, length, arrival': {'floor': Floor('circle', fraction=0.6), 'length': 0.3, **ARRIVES},
+    'circle, arrival, acceleration': {
+        'floor': Floor('circle', fraction=0.6),
+        'max_acceleration': 0.2,
+        **ARRIVES,
+    },
+    'shell, arrival': {
+        'dimension': 3,
+        'floor': Floor('circle', fraction=0.6),
+        'input': 0.0,
+        **ARRIVES,
+    },
     'space, coasting, length': {
         'dimension': 3,
         'rotation_order': 2,

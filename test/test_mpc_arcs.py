@@ -11,9 +11,10 @@ from problems import floor, goals, state, weights
 from orbimpc_ros.mpc.kernels.dual import BOUND, ascent, climb
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.annulus_newton import NOTHING, AnnulusNewton
-from orbimpc_ros.mpc.solve.arc_search import NO_ARRIVAL, cuts
+from orbimpc_ros.mpc.solve.arc_search import cuts
 from orbimpc_ros.mpc.solve.request import Request
 
+NO_ARRIVAL = np.zeros(0)
 FLOORS = [0.01, 0.3, 2.0 / 3.0, 1.0]
 
 

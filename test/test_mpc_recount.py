@@ -24,7 +24,10 @@ needs_machine_code = pytest.mark.skipif(
 )
 COUNTED = ('hull', 'polygon', 'circle', 'circle, constant speed', 'circle, length', 'shell')
 TURNING = ('circle, turn rate', 'polygon, turn rate')
-FLAT = ('hull, length', 'hull, arrival', 'hull, inertia, arrival', 'hull, coasting')
+FLAT = (
+    *('hull, length', 'hull, arrival', 'hull, inertia, arrival', 'hull, coasting'),
+    *('circle, arrival', 'circle, length, arrival', 'shell, arrival'),
+)
 SPATIAL = ('space', 'space, coasting', 'space, arrival', 'space, coasting, length')
 
 

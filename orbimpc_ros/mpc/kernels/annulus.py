@@ -67,6 +67,8 @@ class Progress(NamedTuple):
         z: the headings it is at, shape (N, n).
         side: the bound that each heading sits on, floor -1, rim 1, neither 0, shape (N,).
         best: the headings of least cost, shape (N, n).
+        proved: the headings whose multipliers prove the bound, shape (N, n).
+        held: the bounds that these sit on, shape (N,).
         counts: the start it came from, Newton steps since, starts tried, whether z is on the
             annulus, shape (4,).
         numbers: cost of ``best``, inf if there is none; greatest lower bound; damping, shape (3,).
@@ -75,6 +77,8 @@ class Progress(NamedTuple):
     z: Array
     side: np.ndarray
     best: Array
+    proved: Array
+    held: np.ndarray
     counts: np.ndarray
     numbers: Array
 
@@ -88,8 +92,8 @@ def begun(steps: int, dimension: int) -> Progress:
     """
     shape = (steps, dimension)
     numbers = np.array([np.inf, -np.inf, 0.0])
-    side, counts = np.zeros(steps, np.int64), np.zeros(4, np.int64)
-    return Progress(np.zeros(shape), side, np.zeros(shape), counts, numbers)
+    side, held, counts = np.zeros(steps, np.int64), np.zeros(steps, np.int64), np.zeros(4, np.int64)
+    return Progress(np.zeros(shape), side, np.zeros(shape), np.zeros(shape), held, counts, numbers)
 
 
 @compiled
@@ -581,41 +585,44 @@ def _bound(annulus, q, left, z, side, mu, nu, known):
 
 
 @compiled
-def bends_at(annulus, q, z, side):
-    """Return theta, shape (N,), of the bound at a stationary point of a problem without an arrival.
+def multipliers_at(annulus, q, left, z, side):
+    """Return theta, shape (N,), and nu, shape of ``left``, of the bound at a stationary point.
 
     Args:
         annulus: what is minimised over.
         q: linear terms, shape (N, n).
+        left: b, shape (n,), or (0,) without an arrival.
         z: headings, shape (N, n).
         side: the bounds they sit on, shape (N,).
     """
     gradient, mu, theta = np.empty_like(z), np.empty(len(z)), np.empty(len(z))
+    nu = np.zeros(len(left))
     _set_gradient(annulus, q, z, gradient)
-    _set_multipliers(annulus, z, side, gradient, np.zeros(0), mu)
+    if len(left) > 0:
+        _set_pull(annulus, z, side, gradient, nu)
+    _set_multipliers(annulus, z, side, gradient, nu, mu)
     for k in range(len(z)):
         theta[k], _ = _curvature(annulus.length[k], annulus.floor, side[k], mu[k], _size(z, k))
-    return theta
+    return theta, nu
 
 
 @compiled
-def _descend(annulus, q, left, z, side, counts, numbers, longest, work):
+def _descend(annulus, q, left, progress, longest, work):
     """Take z towards a stationary point, on from where it is.
 
     Args:
         annulus: what to minimise over.
         q: linear terms, shape (N, n).
         left: b, shape (n,), or (0,) without an arrival.
-        z: headings, shape (N, n), updated in place.
-        side: the bounds they sit on, shape (N,), updated in place.
-        counts: of Progress; its steps become ``ITERATIONS`` when there is nothing more to do.
-        numbers: of Progress; its damping and its bound are updated in place.
+        progress: updated in place, but for its best; its steps become ``ITERATIONS`` when there is
+            nothing more to do.
         longest: Euclidean norm of a step.
         work: multiplications to do at most.
 
     Returns:
         By how much z misses the arrival, the work left.
     """
+    z, side, counts, numbers = progress.z, progress.side, progress.counts, progress.numbers
     n_steps, met = len(z), len(left)
     mu, nu, missed = np.zeros(n_steps), np.zeros(met), np.empty(met)
     gradient, move = np.empty_like(z), np.empty_like(z)
@@ -651,7 +658,9 @@ def _descend(annulus, q, left, z, side, counts, numbers, longest, work):
         elif share == 0.0:
             numbers[DAMPING] = max(64.0 * numbers[DAMPING], 1e-6 * scale)
             stuck = numbers[DAMPING] > 1e3 * scale
-    numbers[BOUND] = _bound(annulus, q, left, z, side, mu, nu, numbers[BOUND])
+    bound = _bound(annulus, q, left, z, side, mu, nu, numbers[BOUND])
+    if bound > numbers[BOUND]:
+        numbers[BOUND], progress.proved[:], progress.held[:] = bound, z, side
     return off, work
 
 
@@ -687,7 +696,7 @@ def relax(annulus, q, left, progress, work):
         Whether it has ended.
     """
     counts, numbers = progress.counts, progress.numbers
-    off, work = _descend(annulus, q, left, progress.z, progress.side, counts, numbers, np.inf, work)
+    off, work = _descend(annulus, q, left, progress, np.inf, work)
     progress.best[:] = progress.z
     if off <= 1e-9 * (1.0 + np.abs(annulus.arrival).max()):
         numbers[COST] = cost_of(annulus, q, progress.z)
@@ -719,7 +728,7 @@ def improve(annulus, q, left, constant, starts, more, tolerance, progress, work)
         if counts[PLACED] == 0:
             _begin(z, side, starts, counts[START], annulus.floor)
             counts[PLACED], counts[STEPS], numbers[DAMPING] = 1, 0, 0.0
-        off, work = _descend(annulus, q, left, z, side, counts, numbers, longest, work)
+        off, work = _descend(annulus, q, left, progress, longest, work)
         cost = cost_of(annulus, q, z)
         if off <= near and cost < numbers[COST]:
             numbers[COST] = cost

@@ -194,16 +194,31 @@ def _set_ascent(annulus, cuts, theta, weights, mu, inverse, z, system, step):
 
 
 @compiled
-def _bound(annulus, q, left, theta, z, known):
-    """Return the bound that multipliers prove at the Lagrangian's minimiser, or one known."""
-    nu, shares = np.zeros(len(left)), np.ones(len(theta))
+def pull_at(annulus, q, left, theta, z):
+    """Return the multipliers of an arrival that a Lagrangian's minimiser has, shape of ``left``.
+
+    Args:
+        annulus: what is minimised over.
+        q: linear terms, shape (N, n).
+        left: b, shape (n,), or (0,) without an arrival.
+        theta: multipliers of the moduli, shape (N,).
+        z: the minimiser, shape (N, n).
+    """
+    nu = np.zeros(len(left))
     if len(left) > 0:
         force, square = q.copy(), (annulus.arrival**2).sum()
         add_product(annulus.hessian, z, 1.0, force)
         for k in range(len(theta)):
             for c in range(len(nu)):
                 nu[c] -= annulus.arrival[k] * (force[k, c] + theta[k] * z[k, c]) / square
-    return bound_at(annulus, q, left, z, theta, shares, nu, known)
+    return nu
+
+
+@compiled
+def _bound(annulus, q, left, theta, z, known):
+    """Return the bound that multipliers prove at the Lagrangian's minimiser, or one known."""
+    nu = pull_at(annulus, q, left, theta, z)
+    return bound_at(annulus, q, left, z, theta, np.ones(len(theta)), nu, known)
 
 
 class Ascent(NamedTuple):

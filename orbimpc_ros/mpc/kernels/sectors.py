@@ -91,9 +91,10 @@ class Sectors(NamedTuple):
         slow: least speeds of a node, shape (M, N).
         fast: greatest, shape (M, N).
         parent: whose active set a node begins with, shape (M,).
-        splits: the step by whose heading a node was split, -1 where it was not, shape (M,).
-        parts: the first of its two children, which have the headings below and above, shape (M,).
-        angles: that heading [rad], shape (M,).
+        splits: the step k by whose heading a node was split, N + k by whose speed, -1 where it was
+            not, shape (M,).
+        parts: the first of its two children, which have what is below and above, shape (M,).
+        angles: that heading [rad], or speed, shape (M,).
         points: the minimiser of the Lagrangian that a node's bound is of, shape (M, N, 2).
         keys: bounds of the open nodes, a heap, shape (M,).
         heap: their numbers, shape (M,).
@@ -699,25 +700,33 @@ def _cut_of(quad, ring, tree, node):
 
 
 @compiled
-def _branch(quad, ring, tree, node, own, cutoff):
-    """Open the two children of a node, or note that it has none."""
+def _branch(quad, ring, tree, node, own, cutoff, dual):
+    """Open the two children of a node, or note that it has none.
+
+    What a child's own row gains it gains on the dual value of the node's minimiser, which may be
+    less than the node's bound: ranges of speeds can exchange a row that the bound is of.
+    """
     counts, numbers = tree.counts, tree.numbers
     bound, cut = numbers[BOUND], _cut_of(quad, ring, tree, node)
     if cut[0] < 0:
         close(numbers, bound)
         return
-    tree.splits[node], tree.parts[node], tree.angles[node] = cut[0], counts[MADE], cut[1]
+    tree.splits[node] = cut[0] + len(tree.x) if cut[2] else cut[0]
+    tree.parts[node], tree.angles[node] = counts[MADE], cut[1]
     for side in range(2):
         made = counts[MADE]
-        tree.splits[made], tree.points[made] = -1, tree.x
+        tree.splits[made], tree.points[made] = -1, tree.points[node]
         if not _set_child(ring, tree, node, cut, side):
+            counts[MADE] += 1  # it is a leaf of nothing
             continue
         _set_node(ring, tree, made)
         step, offset = _most_violated(tree.x, tree.chords, tree.edges, tree.fast[made], tree.row)
         key = bound
         if step >= 0:
-            known = tree.active[own], step, tree.row, offset
-            key += SURE * _gain(quad, tree, own, *known, tree.points[made])
+            known, tree.z[:] = (tree.active[own], step, tree.row, offset), tree.x
+            raised = dual + SURE * _gain(quad, tree, own, *known, tree.z)
+            if raised > key:
+                key, tree.points[made] = raised, tree.z
         if key >= cutoff:
             close(numbers, key)
             counts[MADE] += 1  # it is a leaf
@@ -834,8 +843,8 @@ def _search(quad, ring, constant, tolerance, tree, room, work):
             work -= offer(quad, ring, constant, tree, tree.x, low, high, share)
         else:  # what arithmetic cannot settle, its parts may
             counts[ACTIVE] = tree.active[own] = 0
-            tree.x[:] = tree.points[node]
-        _branch(quad, ring, tree, node, own, cutoff)
+            tree.x[:], bound = tree.points[node], numbers[BOUND]
+        _branch(quad, ring, tree, node, own, cutoff, bound)
 
 
 @compiled

@@ -75,10 +75,13 @@ class Units:
         return values if self.length == 1.0 else values / self.length
 
     def pulls(self, values: Array) -> Array:
-        """Return multipliers of s_N - g_N, and of p_N, as those of the problem as it was posed."""
+        """Return multipliers of s_N - g_N, and of p_N, as those of the problem as it was posed.
+
+        Shape (..., m).
+        """
         force = self.cost / self.length
         both: Array = np.repeat([force, force * self.time], self.problem.dimension)
-        return both[: len(values)] * values
+        return both[: values.shape[-1]] * values
 
 
 def _in_units(problem: Problem, length: float, time: float) -> Problem:

@@ -23,6 +23,7 @@ from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds, Grounds, Tangent
+from orbimpc_ros.mpc.proof.slopes import HALF
 from orbimpc_ros.mpc.proof.verifier import FORMAT
 
 
@@ -178,7 +179,7 @@ def _line(document: dict[str, Any]) -> str:
 
 
 def kept(problem: Problem, state: State, goals: Array, proof: Proof) -> Certificate | None:
-    """Return the certificate that a method's grounds are; None where it left none.
+    """Return the certificate that a method's grounds are; None where it left none that has a form.
 
     Args:
         problem: what was solved.
@@ -196,10 +197,19 @@ def kept(problem: Problem, state: State, goals: Array, proof: Proof) -> Certific
             shares = -length_weights(problem)[1:, None] * grounds.ways
         leaf = Leaf(grounds.point, grounds.bends, grounds.pull, grounds.stiffness, tops, shares)
         return Certificate(problem, state, goals, proof.lower_bound, leaf)
-    tree = _tree_of(grounds, proof.cost_unit, problem.floor)
     by_angles = bool(((grounds.splits != LEAF) & ~np.isnan(grounds.angles)).any())
+    if _is_beyond_format(problem, by_angles):
+        return None
+    tree = _tree_of(grounds, proof.cost_unit, problem.floor)
     origins = grounds.origins if by_angles and not problem.max_rate else None
     return Certificate(problem, state, goals, proof.lower_bound, tree, origins)
+
+
+def _is_beyond_format(problem: Problem, by_angles: bool) -> bool:
+    """Return whether splits can be by speeds, or by directions that a turn limit leaves free."""
+    parted = problem.floor.exists and problem.dimension == 2
+    wide = problem.max_rate > 0.0 and problem.widest_turn >= HALF
+    return parted and (problem.max_acceleration > 0.0 or (by_angles and wide))
 
 
 def _tree_of(grounds: Grounds, unit: float, floor: Floor) -> Tree:
@@ -207,7 +217,8 @@ def _tree_of(grounds: Grounds, unit: float, floor: Floor) -> Tree:
     made: dict[int, Tree] = {}
     for t in reversed(range(len(grounds.splits))):
         if grounds.splits[t] == LEAF:
-            made[t] = Leaf(grounds.points[t], unit * grounds.bends[t])
+            pulled = (grounds.pulls[t], float(grounds.stiffness[t])) if len(grounds.pulls) else ()
+            made[t] = Leaf(grounds.points[t], unit * grounds.bends[t], *pulled)
             continue
         first, angle = int(grounds.parts[t]), float(grounds.angles[t])
         at = None if math.isnan(angle) else angle

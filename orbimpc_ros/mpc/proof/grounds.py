@@ -13,6 +13,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 
 LEAF = -1  # in the place of the step that a node is split by
+NO_PULLS, NO_STIFFNESS = np.zeros((0, 0)), np.zeros(0)
 
 
 class Grounds(NamedTuple):
@@ -22,14 +23,17 @@ class Grounds(NamedTuple):
     the cost.
 
     Attributes:
-        splits: the step, 0..N-1, that a node is split by, ``LEAF`` of leaves, shape (T,).
+        splits: the step k, 0..N-1, by whose heading a node is split, N + k by whose speed, ``LEAF``
+            of leaves, shape (T,).
         parts: the first of a node's parts, which the others follow, shape (T,).
-        angles: that part the directions of that step [rad]; NaN where the faces of the floor do,
-            shape (T,).
+        angles: that part the directions of that step [rad], or its speeds; NaN where the faces of
+            the floor do, shape (T,).
         points: where the tangents touch, shape (T, N, d): R_k e1, all of it that the cost sees.
         bends: what is added to the curvature of each step, in natural units, shape (T, N).
         origins: from where directions are counted, once around, where no turn limit says how far
             they are from the attitude's, shape (N,) [rad].
+        pulls: multipliers of s_N - g_N, and then of p_N, where plans have to arrive, shape (T, m).
+        stiffness: weight on half the square of these, shape (T,).
     """
 
     splits: np.ndarray
@@ -38,6 +42,8 @@ class Grounds(NamedTuple):
     points: Array
     bends: Array
     origins: Array
+    pulls: Array = NO_PULLS
+    stiffness: Array = NO_STIFFNESS
 
     @property
     def headings(self) -> int:

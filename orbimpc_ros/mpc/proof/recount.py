@@ -21,13 +21,15 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.kernels import compiled, inlined
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem.pace import entry_speed
 from orbimpc_ros.mpc.proof.choices import choices_bound
-from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds, Left, Tangent, tangent
+from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds, Grounds, Left, Tangent, tangent
 from orbimpc_ros.mpc.proof.sides import Sides
 from orbimpc_ros.mpc.proof.slopes import (
+    HALF,
     ROUNDING,
     hessian_of,
-    lack,
+    lack_arriving,
     least_along,
     set_slopes,
     terms_of,
@@ -35,7 +37,7 @@ from orbimpc_ros.mpc.proof.slopes import (
 from orbimpc_ros.mpc.proof.tangents import tangents_bound
 
 ALL = 2.0 * np.pi - 1e-9  # [rad], a sector that leaves nothing out
-HALF = np.pi - 1e-9
+FLAT = 1e-12  # of the largest curvature, where there is none
 EMPTY = 1e-12  # [rad] that the ends of a sector may pass each other by, for rounding
 
 
@@ -53,8 +55,10 @@ class Recount:
         self._width = _width(problem)
         self._start = np.zeros((5, self._width))
         x, rest = np.zeros((count, self._width)), np.zeros((count, n))
-        self._hessian = hessian_of(self._terms, rest)
-        self._stiffness = hessian_of(self._terms, rest, 1.0) - self._hessian
+        hessian = hessian_of(self._terms, rest)
+        ends, basis = np.linalg.eigh(hessian_of(self._terms, rest, 1.0) - hessian)
+        moved = ends[::-1] > FLAT * ends[-1]  # directions that lead elsewhere at the end
+        self._curvature = hessian, basis[:, ::-1].copy(), ends[::-1][moved].copy()
         here, bends = State.at(np.zeros(n), np.eye(n)), np.zeros(count)
         self._pulled = n * (1 + problem.inertial) * (problem.terminal == 'constraint')
         pull = np.zeros(self._pulled)
@@ -101,14 +105,24 @@ class Recount:
         start = self._begun(state)
         if isinstance(grounds, ChoiceGrounds):
             return self._of_choices(state, start, goals - state.position, grounds, unit)
-        known = self._terms, self._hessian, start, goals - state.position
+        known = self._terms, self._curvature, start, goals - state.position
         if isinstance(grounds, Tangent):
             return self._of_tangent(known, grounds, state.coasted is not None)
         if self._width == 9 or self._problem.rotation_order == 2:
             return -np.inf  # of which nothing is split
+        if not self._pulls(grounds):
+            return -np.inf
         ahead = state.attitude
-        heading = math.atan2(ahead[1, 0], ahead[0, 0])
-        return float(recounted(*known, heading, grounds, unit, enough))
+        begun = math.atan2(ahead[1, 0], ahead[0, 0]), entry_speed(self._problem, state)
+        return float(recounted(*known, begun, grounds, unit, enough))
+
+    def _pulls(self, grounds: Grounds) -> bool:
+        """Return whether what pulls at the end of each leaf fits the problem, or nothing does."""
+        nodes, pulls, stiffness = len(grounds.splits), grounds.pulls, grounds.stiffness
+        if not pulls.size:
+            return not len(pulls)
+        fits = (pulls.shape, stiffness.shape) == ((nodes, self._pulled), (nodes,))
+        return fits and bool((stiffness >= 0.0).all())
 
     def _begun(self, state: State) -> Array:
         """Return what a state says: p_0, the disturbance, R_0, R_g, and what decides R_1."""
@@ -155,16 +169,14 @@ class Recount:
 
     def _of_tangent(self, known: tuple, leaf: Tangent, coasting: bool) -> float:
         """Return what a tangent proves; its numbers are in the problem's own units."""
-        terms, hessian, start, goals = known
+        terms, curvature, start, goals = known
         count = len(goals)
         sizes = (*leaf.point.shape, len(leaf.bends), len(leaf.tops), len(leaf.pull))
         fits = sizes == (count, self._width, count, count, self._pulled)
         fits &= leaf.ways.shape == goals.shape
         if not fits or leaf.stiffness < 0.0 or (leaf.stiffness and not self._pulled):
             return -np.inf
-        if leaf.stiffness:
-            hessian = hessian + leaf.stiffness * self._stiffness
-        return float(tangents_bound(terms, hessian, start, goals, leaf, coasting))
+        return float(tangents_bound(terms, curvature, start, goals, leaf, coasting))
 
 
 def _width(problem: Problem) -> int:
@@ -226,8 +238,33 @@ def _reached(normals, least, angle):
 
 
 @compiled
-def _least_within(gx, gy, low, high, normals, least):
-    """Return the least g . z over directions from low to high and speeds from the floor to 1.
+def _within_reach(low, high, fast, normals, least):
+    """Return the ends of a sector where a polygonal floor is beyond no speed that there is.
+
+    The floor is nearest along its normals, and beyond the most speed about its corners, or
+    everywhere: then the upper end is below the lower one.
+    """
+    if len(normals) == 0:
+        return low, high
+    if fast < least - EMPTY:
+        return low, low - 1.0
+    share = 2.0 * np.pi / len(normals)
+    aside = np.arccos((least - EMPTY) / max(least, fast))
+    if aside < 0.5 * share:
+        nearest = share * np.round(low / share)
+        if low > nearest + aside:
+            nearest += share
+        low = max(low, nearest - aside)
+        nearest = share * np.round(high / share)
+        if high < nearest - aside:
+            nearest -= share
+        high = min(high, nearest + aside)
+    return low, high
+
+
+@compiled
+def _least_within(gx, gy, low, high, normals, least, fast):
+    """Return the least g . z over directions from low to high, from the floor to the most speed.
 
     The floor's boundary is round, or straight between its corners: if g . z is not least on the
     rim, then at an end of the sector or at one of them.
@@ -236,13 +273,13 @@ def _least_within(gx, gy, low, high, normals, least):
     before_high = gy * np.cos(high) - gx * np.sin(high)
     between = after_low >= 0.0 and before_high >= 0.0
     if high - low >= HALF:  # what is outside is narrower
-        between = after_low >= 0.0 or before_high >= 0.0
+        between = after_low >= 0.0 or before_high >= 0.0 or high - low >= ALL
     if between:
-        return -np.sqrt(gx * gx + gy * gy)
+        return -np.sqrt(gx * gx + gy * gy) * fast
     best = np.inf
     for angle in (low, high):
         along = gx * np.cos(angle) + gy * np.sin(angle)
-        best = min(best, along, along * _reached(normals, least, angle))
+        best = min(best, along * fast, along * _reached(normals, least, angle))
     if len(normals) > 0:
         share = 2.0 * np.pi / len(normals)
         corner = share * (np.ceil(low / share - 0.5) + 0.5)
@@ -254,22 +291,26 @@ def _least_within(gx, gy, low, high, normals, least):
 
 
 @compiled
-def _least_between(gx, gy, length, bend, normals, least, low, high):
-    """Return the least g . z + l |z| - bend |z|^2 / 2 over directions from low to high."""
+def _least_between(gx, gy, length, bend, normals, least, low, high, slow, fast):
+    """Return the least g . z + l |z| - bend |z|^2 / 2 over a sector and the speeds of a step."""
     if bend == 0.0 and length == 0.0 and high - low < HALF:
-        return _least_within(gx, gy, low, high, normals, least)
-    rim = _least_within(gx, gy, low, high, normals[:0], 1.0)
+        best = _least_within(gx, gy, low, high, normals, least, fast)
+        if slow > least:
+            best = max(best, _least_within(gx, gy, low, high, normals[:0], slow, fast))
+        return best
+    rim = _least_within(gx, gy, low, high, normals[:0], 1.0, 1.0)
+    if bend == 0.0:
+        return min((length + rim) * slow, (length + rim) * fast)
     return least_along(length + rim, bend, least)
 
 
 @inlined
-def _tangents_least(lengths, floor, hessian, base, x, bends, unit, steep):
+def _tangents_least(lengths, floor, curvature, known, x, bends, unit, steep):
     """Set slopes and their sizes; return a tangent's least where headings go their own ways down.
 
     And the sum of what may cancel in it.
     """
-    slopes, sizes = steep
-    value, size = _set_slopes_from(base, hessian, x, slopes)
+    (slopes, sizes), (value, size, stiffness) = steep, known
     curved, reach = False, 0.0
     for k in range(len(x)):
         bend, square, along, steepness = unit * bends[k], 0.0, 0.0, 0.0
@@ -285,7 +326,7 @@ def _tangents_least(lengths, floor, hessian, base, x, bends, unit, steep):
         reach += 1.0 + square
         curved |= bend < 0.0
     if curved:
-        value -= lack(hessian, bends, unit) * reach
+        value -= lack_arriving(curvature, bends, unit, stiffness) * reach
     return value - ROUNDING * len(x) * size, size
 
 
@@ -296,15 +337,19 @@ def _held(lengths, normals, floor, steep, bends, unit, region, bound, enough):
     It is counted step by step, until the bound is enough.
     """
     (slopes, sizes), (value, size) = steep, bound
-    faces, low, high = region
+    faces, low, high, slow, fast = region
     aside = np.sqrt(1.0 - floor * floor)
     for k in range(len(bends)):
-        face, between = faces[k], high[k] - low[k] < ALL
+        face, between = faces[k], high[k] - low[k] < ALL or slow[k] > floor or fast[k] < 1.0
         if sizes[k] <= ROUNDING * size or not (face >= 0 or between):
             continue
         gx, gy, bend, length = slopes[k, 0], slopes[k, 1], unit * bends[k], lengths[k + 1]
         if face < 0:
-            least = _least_between(gx, gy, length, bend, normals, floor, low[k], high[k])
+            first, last = low[k], high[k]
+            if fast[k] < 1.0:
+                first, last = _within_reach(first, last, fast[k], normals, floor)
+            ends = first, max(first, last), slow[k], fast[k]
+            least = _least_between(gx, gy, length, bend, normals, floor, *ends)
         elif bend == 0.0 and length == 0.0:
             nx, ny = normals[face, 0], normals[face, 1]
             least = _least_beyond(gx, gy, sizes[k], nx, ny, floor, aside)
@@ -319,7 +364,7 @@ def _held(lengths, normals, floor, steep, bends, unit, region, bound, enough):
 
 @compiled
 def _narrowed(low, high, k, turn):
-    """Carry what is known of a direction to its neighbours; return whether any are left."""
+    """Carry what is known of a step's range to its neighbours; return whether any is left."""
     left = low[k] <= high[k] + EMPTY
     for j in range(k + 1, len(low)):
         low[j], high[j] = max(low[j], low[j - 1] - turn), min(high[j], high[j - 1] + turn)
@@ -334,63 +379,87 @@ def _narrowed(low, high, k, turn):
 def _parted(t, terms, grounds, regions, reached):
     """Hand the region of a split on to its parts; return whether they are all there is of it."""
     splits, parts, angles = grounds.splits, grounds.parts, grounds.angles
-    faces, low, high = regions
-    k, first, angle, turn = splits[t], parts[t], angles[t], terms.floor[1]
-    by_faces = np.isnan(angle)
+    (faces, low, high, slow, fast), (least, turn, change) = regions, terms.floor
+    k, first, angle = splits[t], parts[t], angles[t]
+    count, by_faces = faces.shape[1], np.isnan(angle)
+    by_speeds = k >= count
     made = len(terms.normals) if by_faces else 2
-    if made == 0 or first <= t or first + made > len(splits) or k >= faces.shape[1]:
+    if made == 0 or first <= t or first + made > len(splits):
         return False
+    if by_speeds and (by_faces or k >= 2 * count or change == np.inf):
+        return False
+    if by_speeds:
+        lows, highs, widest, k = slow, fast, change, k - count
+    else:
+        lows, highs, widest = low, high, turn
     if faces[t, k] >= 0 or reached[first : first + made].any():
         return False
-    if not (by_faces or low[t, k] <= angle <= high[t, k]):
+    if not (by_faces or lows[t, k] <= angle <= highs[t, k]):
         return False
     for i in range(made):
         part = first + i
         reached[part], faces[part] = True, faces[t]
-        if len(low) > 1:
-            low[part], high[part] = low[t], high[t]
+        for ends in (low, high, slow, fast):
+            if len(ends) > 1:
+                ends[part] = ends[t]
         if by_faces:
             faces[part, k] = i
             continue
-        ends = high if i == 0 else low
+        ends = highs if i == 0 else lows
         ends[part, k] = angle
-        if turn > 0.0:
-            reached[part] = _narrowed(low[part], high[part], k, turn)
+        if widest > 0.0:
+            reached[part] = _narrowed(lows[part], highs[part], k, widest)
+        for j in range(count if change < np.inf else 0):
+            within = low[part, j], high[part, j], fast[part, j]
+            begin, end = _within_reach(*within, terms.normals, least)
+            reached[part] &= begin <= end + EMPTY
     return True
 
 
 @compiled
-def _regions(grounds, heading, turn):
-    """Return what each cell knows, the root's set: faces, least and greatest directions."""
-    count, by_angles = len(grounds.origins), False
-    for t in range(len(grounds.splits)):
+def _regions(grounds, begun, floor):
+    """Return what each cell knows, the root's set: faces, directions from to, speeds from to."""
+    (heading, entry), (least, turn, change) = begun, floor
+    nodes, count, by_angles = len(grounds.splits), len(grounds.origins), False
+    for t in range(nodes):
         by_angles |= grounds.splits[t] >= 0 and not np.isnan(grounds.angles[t])
-    sectors = len(grounds.splits) if by_angles else 1  # else all have the root's
+    sectors = nodes if by_angles else 1  # else all have the root's
+    paced = sectors if change < np.inf else 1
     low, high = np.empty((sectors, count)), np.empty((sectors, count))
+    slow, fast = np.empty((paced, count)), np.empty((paced, count))
     for k in range(count):
+        low[0, k], high[0, k] = grounds.origins[k], grounds.origins[k] + 2.0 * np.pi
         if turn > 0.0:
             low[0, k], high[0, k] = heading - (k + 1) * turn, heading + (k + 1) * turn
-        else:
-            low[0, k], high[0, k] = grounds.origins[k], grounds.origins[k] + 2.0 * np.pi
-    return np.full((len(grounds.splits), count), -1), low, high
+        slow[0, k] = max(least, entry - (k + 1) * change)
+        fast[0, k] = min(1.0, entry + (k + 1) * change)
+    return np.full((nodes, count), -1), low, high, slow, fast
 
 
 @compiled
-def _least_of_leaves(terms, hessian, base, grounds, regions, reached, unit, enough):
+def _least_of_leaves(terms, curvature, posed, grounds, regions, reached, unit, enough):
     """Return the least bound of all leaves that are reached; -inf where one proves nothing."""
     splits, points, bends = grounds.splits, grounds.points, grounds.bends
-    faces, low, high = regions
+    (start, goals, base), (faces, low, high, slow, fast) = posed, regions
     lengths, normals, floor = terms.lengths, terms.normals, terms.floor[0]
-    steep, least = (np.empty(points[0].shape), np.empty(points.shape[1])), np.inf
+    least, slopes = np.inf, np.empty(points[0].shape)
+    steep = slopes, np.empty(points.shape[1])
     for t in range(len(splits)):
         if not reached[t] or splits[t] >= 0:
             continue
         wanted = min(enough, least)
-        bound = _tangents_least(lengths, floor, hessian, base, points[t], bends[t], unit, steep)
+        if len(grounds.pulls) > 0:
+            arrival = grounds.pulls[t], grounds.stiffness[t]
+            value, size = set_slopes(terms, start, goals, arrival, points[t], slopes)
+            known = value, size, arrival[1]
+        else:
+            value, size = _set_slopes_from(base, curvature[0], points[t], slopes)
+            known = value, size, 0.0
+        bound = _tangents_least(lengths, floor, curvature, known, points[t], bends[t], unit, steep)
         value = bound[0]
         if not value >= wanted:
-            own = min(t, len(low) - 1)
-            region = faces[t], low[own], high[own]
+            own, paced = min(t, len(low) - 1), min(t, len(slow) - 1)
+            region = faces[t], low[own], high[own], slow[paced], fast[paced]
             value = _held(lengths, normals, floor, steep, bends[t], unit, region, bound, wanted)
         if not value > -np.inf:  # or no number
             return -np.inf
@@ -399,21 +468,21 @@ def _least_of_leaves(terms, hessian, base, grounds, regions, reached, unit, enou
 
 
 @compiled
-def recounted(terms, hessian, start, goals, heading, grounds, unit, enough):
+def recounted(terms, curvature, start, goals, begun, grounds, unit, enough):
     """Return the least bound of all leaves; -inf where they are not all there is.
 
     Args:
         terms: the problem.
-        hessian: of its cost over one coordinate of the headings, shape (N, N).
+        curvature: of its cost over one coordinate of the headings: see :func:`lack_arriving`.
         start: p_0, the disturbance, R_0 e1 and R_g e1, shape (5, n).
         goals: g_1..g_N less s_0, shape (N, n).
-        heading: of the attitude [rad], for turn limits.
+        begun: the heading of the attitude [rad], for turn limits; the speed that changes begin at.
         grounds: splits and tangents.
         unit: of the bends, in that of the cost.
         enough: a bound beyond which nothing is counted.
     """
     splits, point = grounds.splits, grounds.points[0]
-    regions = _regions(grounds, heading, terms.floor[1])
+    regions = _regions(grounds, begun, terms.floor)
     reached, slopes, spent = np.zeros(len(splits), np.bool_), np.empty(goals.shape), 0.0
     reached[0] = True
     for t in range(len(splits)):
@@ -423,6 +492,6 @@ def recounted(terms, hessian, start, goals, heading, grounds, unit, enough):
         spent += start[2, c] * start[2, c]
     spent = terms.lengths[0] * np.sqrt(spent)
     value, size = set_slopes(terms, start, goals, (np.zeros(0), 0.0), point, slopes)
-    base = point, value, size, slopes, np.diag(hessian).max()
+    base = point, value, size, slopes, np.diag(curvature[0]).max()
     asked = grounds, regions, reached, unit, enough - spent
-    return spent + _least_of_leaves(terms, hessian, base, *asked)
+    return spent + _least_of_leaves(terms, curvature, (start, goals, base), *asked)

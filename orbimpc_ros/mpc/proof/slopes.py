@@ -19,6 +19,7 @@ from orbimpc_ros.mpc.problem import Problem
 
 ROUNDING = 1e-15  # a step: of the numbers that cancel in a bound
 SHIFT = 1e-15  # a step: of the largest curvature, what rounding may hide of another
+HALF = np.pi - 1e-9  # [rad], a turn from which on all directions are within reach
 GROWTH, HALVINGS = 16.0, 8  # of shifts that are tried for want of convexity
 
 
@@ -33,7 +34,8 @@ class CostTerms(NamedTuple):
         turning: weights on |R_{k+1} - R_k|^2, |R_N - R_g|^2 and |p_N|^2, of what is seen of R; at
             order 2 the first is on |R_{k+1} - 2 R_k + R_{k-1}|^2.
         order: of rotations.
-        floor: least speed; how far directions may turn in a step [rad], 0 for any.
+        floor: least speed; how far directions may turn in a step [rad], 0 for any; by how much
+            speeds may change, inf for any.
         normals: of a polygonal floor's faces, shape (F, 2).
     """
 
@@ -42,7 +44,7 @@ class CostTerms(NamedTuple):
     lengths: Array
     turning: tuple[float, float, float]
     order: int
-    floor: tuple[float, float]
+    floor: tuple[float, float, float]
     normals: Array
 
 
@@ -63,7 +65,9 @@ def terms_of(problem: Problem) -> CostTerms:
     corners = 2.0 * np.pi * np.arange(count) / max(count, 1)
     fraction = float(problem.floor.fraction) if problem.floor.exists else 0.0
     turn = float(problem.step * problem.max_rate) if problem.floor.exists else 0.0
-    floor = fraction, turn
+    parted = problem.floor.exists and problem.dimension == 2  # others have no ranges of speeds
+    change = float(problem.speed_change) if parted else np.inf
+    floor = fraction, turn if turn < HALF else 0.0, change
     normals = np.column_stack([np.cos(corners), np.sin(corners)])
     return CostTerms(_motion(once), weights, lengths, turning, order, floor, normals)
 
@@ -225,6 +229,44 @@ def lack(hessian, bends, unit):
             else:
                 least = middle
     return e + rounding
+
+
+@compiled
+def lack_arriving(curvature, bends, unit, stiffness):
+    """Return what :func:`lack` does, of a Hessian with a weight on where headings end.
+
+    That may be so large that nothing is seen beside it. So the directions that it has no say in
+    are looked at by themselves, once the others are eliminated.
+
+    Args:
+        curvature: the Hessian, shape (N, N); an orthogonal matrix that makes the Hessian of half
+            the square of where headings end diagonal, and its entries but for zeros, which come
+            first.
+        bends: shape (N,).
+        unit: of the bends.
+        stiffness: the weight.
+    """
+    hessian, basis, ends = curvature
+    if stiffness == 0.0:
+        return lack(hessian, bends, unit)
+    bent, count, first = hessian.copy(), len(bends), len(ends)
+    for k in range(count):
+        bent[k, k] += unit * bends[k]
+    turned = basis.T @ (bent @ basis)
+    top = np.abs(turned).max()
+    for i in range(first):
+        pivot = turned[i, i] + stiffness * ends[i]
+        if not pivot > 0.0:
+            return np.inf
+        for j in range(i + 1, count):
+            share = turned[j, i] / pivot
+            top = max(top, abs(share * turned[j, i]))
+            for m in range(i + 1, count):
+                turned[j, m] -= share * turned[i, m]
+    if first == count:
+        return 0.0
+    rest = turned[first:, first:].copy()
+    return lack(rest, np.zeros(count - first), 0.0) + SHIFT * count * top
 
 
 @compiled

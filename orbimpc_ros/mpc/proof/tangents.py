@@ -9,16 +9,16 @@ from __future__ import annotations
 import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.proof.slopes import ROUNDING, lack, least_along, set_slopes
+from orbimpc_ros.mpc.proof.slopes import ROUNDING, lack, lack_arriving, least_along, set_slopes
 
 
 @compiled
-def tangents_bound(terms, hessian, start, goals, leaf, coasting):
+def tangents_bound(terms, curvature, start, goals, leaf, coasting):
     """Return what a tangent proves; -inf where it proves nothing.
 
     Args:
         terms: the problem.
-        hessian: of its cost and the leaf's stiffness over one coordinate, shape (N, N).
+        curvature: of its cost over one coordinate: see :func:`lack_arriving`.
         start: p_0, the disturbance, R_0, R_g and, at order 2, what decides R_1, shape (5, d).
         goals: g_1..g_N less s_0, shape (N, n).
         leaf: the tangent.
@@ -48,7 +48,7 @@ def tangents_bound(terms, hessian, start, goals, leaf, coasting):
         if bend != 0.0 and (point.shape[1] == 9 or terms.order == 2):
             return -np.inf  # beyond what is known
     if curved:
-        value -= lack(hessian, bends, 1.0) * reach
+        value -= lack_arriving(curvature, bends, 1.0, leaf.stiffness) * reach
     value += terms.lengths[0] * _size(start[2], n)
     value -= ROUNDING * count * size
     return value if value > -np.inf else -np.inf  # or no number

@@ -9,7 +9,8 @@ around. Its own multipliers nearly always prove it global (:mod:`orbimpc_ros.mpc
 or the best multipliers do (:mod:`orbimpc_ros.mpc.kernels.dual`). What those leave open, typically a
 goal about to pass the vehicle, so that two ways round cost nearly the same, is settled in the plane
 by branch and bound: the floor is cut into arcs, and beyond the chord of an arc the problem is
-convex. With an arrival, and in space, the general search does.
+convex. With an arrival that takes many more arcs; what they leave open, and all of it in space, the
+general search settles.
 
 Mathematics: docs/mathematics.md, 4.4 to 4.6.
 """
@@ -33,17 +34,18 @@ from orbimpc_ros.mpc.kernels.annulus import (
     Annulus,
     Progress,
     begun,
-    bends_at,
     improve,
     improve_from_hull,
+    multipliers_at,
 )
 from orbimpc_ros.mpc.kernels.dual import BOUND as RAISED
-from orbimpc_ros.mpc.kernels.dual import ascent, climb, no_cuts
+from orbimpc_ros.mpc.kernels.dual import ascent, climb, no_cuts, pull_at
 from orbimpc_ros.mpc.model.condensed import LONGEST, Condensed
 from orbimpc_ros.mpc.model.cost import first_length, length_weights
 from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Floor, Problem, State
-from orbimpc_ros.mpc.proof.grounds import Grounds, Left, tangent
+from orbimpc_ros.mpc.proof.convexity import arriving
+from orbimpc_ros.mpc.proof.grounds import Grounds, Left, Tangent, tangent
 from orbimpc_ros.mpc.solve.arc_search import ArcSearch
 from orbimpc_ros.mpc.solve.general import General
 from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
@@ -51,7 +53,7 @@ from orbimpc_ros.mpc.solve.request import Found, Guess, Request
 
 FURTHER_STARTS = 30
 SETTLED = 90.0  # tolerances at which starts from all around, and searches, may stop
-NODES = 6400  # of the search over arcs
+NODES, ARRIVING = 6400, 600  # of the search over arcs; with an arrival, before the general one
 YOUNG, EVERY = 4, 4  # a local search starts from each of its first nodes, from then on from some
 BRANCHES = 8000  # polls of the general search, where nobody waits for it
 OUT_OF_REACH = 1e-9  # share of the way to an arrival
@@ -102,8 +104,14 @@ class AnnulusNewton:
         self._least_length = floor * float(length.sum())
         self._no_cuts = no_cuts(problem.dimension)
         self._arcs: ArcSearch | None = None
-        if problem.dimension == 2 and not self._arrives:
-            self._arcs = ArcSearch(self._annulus, SETTLED * tolerance, NODES)
+        if problem.dimension == 2:
+            most = ARRIVING if self._arrives else NODES
+            self._arcs = ArcSearch(self._annulus, SETTLED * tolerance, most)
+        self._stages = [self._from_hull, self._from_dual]
+        if self._arrives or self._arcs is None:
+            self._stages.append(self._from_around)
+        if self._arcs is not None:
+            self._stages.append(self._by_arcs)
         self._general = General(problem, SETTLED * tolerance)
         self._hull = _long_hull(problem, tolerance)
         self._compile()
@@ -117,9 +125,13 @@ class AnnulusNewton:
         left = np.zeros(q.shape[1] * self._arrives)
         request = Request(start, np.zeros(q.shape), out_of_time=lambda: True)
         tick = _Tick(request, q, 0.0, left)
+        progress = begun(*q.shape)
+        progress.proved[:] = q
+        self._stationary(self._annulus, tick, progress)
+        self._grounds(tick, q, -q[:, 0], left)
         self._from_dual(tick, self._from_hull(tick, NOTHING))
         if self._arcs is not None:
-            self._by_arcs(tick, NOTHING)
+            self._by_arcs(tick, replace(NOTHING, x=q))
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -150,8 +162,9 @@ class AnnulusNewton:
         found = self._headings(tick)
         if found.x is not None and self._problem.dimension == 3:
             found = replace(found, x=coordinates(carried(request.state.attitude, found.x)))
+        searched = self._arcs is not None and not self._arrives
         # To set the general search up takes longer than those with a deadline can wait.
-        if self.settles(found) or self._arcs is not None or request.hurried:
+        if self.settles(found) or searched or request.hurried:
             return found
         return self._by_branches(tick, found)
 
@@ -178,8 +191,7 @@ class AnnulusNewton:
             found = self._from(tick, found, start)
             if found.gap <= self._tolerance:
                 return found
-        last = self._from_around if self._arcs is None else self._by_arcs
-        for stage in (self._from_hull, self._from_dual, last):
+        for stage in self._stages:
             found = stage(tick, found)
             if self.settles(found) or tick.late:
                 break
@@ -206,14 +218,22 @@ class AnnulusNewton:
         ):
             if tick.late:
                 break
-        grounds = None if more else self._grounds(annulus, tick, progress)
+        grounds = None
+        if progress.numbers[BOUND] > found.lower_bound - tick.constant:
+            grounds = self._stationary(annulus, tick, progress)
         return _better(found, progress, tick.constant, grounds)
 
-    def _grounds(self, annulus: Annulus, tick: _Tick, progress: Progress) -> Grounds | None:
-        """Return what the bound of a stationary point rests on; with an arrival, not known."""
-        if self._arrives:
-            return None
-        return tangent(progress.z, bends_at(annulus, tick.q, progress.z, progress.side))
+    def _stationary(self, annulus: Annulus, tick: _Tick, progress: Progress) -> Grounds | Tangent:
+        """Return what the bound of a stationary point rests on."""
+        known = tick.q, tick.left, progress.proved, progress.held
+        return self._grounds(tick, progress.proved, *multipliers_at(annulus, *known))
+
+    def _grounds(self, tick: _Tick, z: Array, theta: Array, nu: Array) -> Grounds | Tangent:
+        """Return what the bound of multipliers rests on, of moduli and of an arrival."""
+        if not self._arrives:
+            return tangent(z, theta)
+        arrival = self._annulus.arrival, tick.left
+        return arriving(self._annulus.hessian, arrival, z, theta, nu)
 
     def _from_hull(self, tick: _Tick, found: Found) -> Found:
         """Start from the optimum over the disks without lengths, of which a floor's are certain."""
@@ -233,7 +253,9 @@ class AnnulusNewton:
         at = (self._annulus, tick, progress)
         if progress.numbers[BOUND] <= hull.numbers[BOUND] + self._least_length:
             at = (self._disks, tick, hull)
-        found = _better(found, progress, tick.constant, self._grounds(*at))
+        better = progress.numbers[BOUND] > found.lower_bound - tick.constant
+        grounds = self._stationary(*at) if better else None
+        found = _better(found, progress, tick.constant, grounds)
         # Where time ran out over the hull, that is still a start.
         return found if found.x is not None else self._from(tick, found, hull.best[None])
 
@@ -245,7 +267,8 @@ class AnnulusNewton:
         while not climb(self._annulus, *asked, enough - tick.constant, progress, float(SLICE)):
             if tick.late:
                 break
-        grounds = None if self._arrives else tangent(progress.z, progress.theta)
+        nu = pull_at(self._annulus, tick.q, tick.left, progress.theta, progress.z)
+        grounds = self._grounds(tick, progress.z, progress.theta, nu)
         found = _raised(found, float(progress.numbers[RAISED]) + tick.constant, grounds=grounds)
         return found if self.settles(found) else self._from(tick, found, progress.z[None])
 
@@ -256,7 +279,10 @@ class AnnulusNewton:
         """Return the better of what was found and where a search over arcs leads, with bound."""
         search, constant = self._arcs, tick.constant
         assert search is not None
-        search.begin(tick.q, constant, found.cost - constant, found.lower_bound - constant)
+        if found.x is None:  # without a cost to undercut, it would not end
+            return found
+        known = found.cost - constant, found.lower_bound - constant
+        search.begin(tick.q, tick.left, constant, *known)
         ended, before = False, 0
         while not (ended or self.settles(found)):
             ended = search.run(tick.request.out_of_time)
@@ -297,7 +323,9 @@ def _raised(found: Found, bound: float, nodes: int = 0, grounds: Left | None = N
     return replace(found, nodes=nodes)
 
 
-def _better(found: Found, progress: Progress, constant: float, grounds: Grounds | None) -> Found:
+def _better(
+    found: Found, progress: Progress, constant: float, grounds: Grounds | Tangent | None
+) -> Found:
     """Return the cheaper of what was found and what a local search came to, with its bound.
 
     Args:

@@ -26,6 +26,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels.annulus import SLICE, Annulus
 from orbimpc_ros.mpc.kernels.dual import BOUND, MU, Ascent, Cuts, ascent, climb
+from orbimpc_ros.mpc.proof.convexity import arriving
 from orbimpc_ros.mpc.proof.grounds import LEAF, Grounds
 
 PARTS = 5  # arcs that a whole circle is cut into
@@ -33,7 +34,6 @@ MARGIN = 0.15  # of an arc: no part is narrower
 NARROWEST = 1e-6  # [rad], an arc that is not cut
 SMOOTHED = 100.0  # times as much as its parent in the end, a node is to begin with
 INSIDE, LEAST = 2.0, 3.0  # of mu: what comes to theta, and a row's multiplier at least
-NO_ARRIVAL = np.zeros(0)
 
 
 class _Multipliers(NamedTuple):
@@ -76,11 +76,13 @@ class _Cut(NamedTuple):
 class _Tangent(NamedTuple):
     """What a node's bound is of: where its Lagrangian is least, and how that is bent.
 
-    Shapes (N, 2) and (N,).
+    Shapes (N, 2) and (N,); then what pulls at the arrival, shape (2,) or (0,), and how stiffly.
     """
 
     point: Array
     bends: Array
+    pull: Array
+    stiffness: float
 
 
 def cuts(low: Array, high: Array, floor: float) -> Cuts:
@@ -127,7 +129,7 @@ def _set_start(progress: Ascent, node: _Node, rows: Cuts) -> None:
 
 
 class ArcSearch:
-    """Branch and bound for the cost of an annulus in the plane, without an arrival.
+    """Branch and bound for the cost of an annulus in the plane.
 
     Args:
         annulus: what is minimised over.
@@ -144,22 +146,25 @@ class ArcSearch:
         self._annulus, self._tolerance, self._most = annulus, tolerance, most
         self._shift = 2.0 * annulus.length / (1.0 + annulus.floor)
 
-    def begin(self, q: Array, constant: float, known: float, bound: float = -np.inf) -> None:
+    def begin(
+        self, q: Array, left: Array, constant: float, known: float, bound: float = -np.inf
+    ) -> None:
         """Begin a search.
 
         Args:
             q: linear terms, shape (N, 2).
+            left: what an arrival asks of sum_k a_k z_k, shape (2,), or (0,) without one.
             constant: what costs lack; it only scales the tolerance.
             known: a cost, without it, that is to be undercut.
             bound: that is known, without it.
         """
         circle = np.zeros(len(q))
-        self._q, self._constant, self.value = q, constant, known
+        self._q, self._left, self._constant, self.value = q, left, constant, known
         self._open = [_Node(bound, 0, circle, circle, None)]
         self._current: tuple[_Node, Cuts, Ascent] | None = None
         self._closed, self._made = np.inf, 1
         self._cuts: list[_Cut] = []
-        self._tangents = {0: _Tangent(np.zeros_like(q), circle)}
+        self._tangents = {0: _Tangent(np.zeros_like(q), circle, 0.0 * left, 0.0)}
         self._origins: dict[int, float] = {}
         self.nodes, self.last = 0, np.zeros_like(q)
 
@@ -187,7 +192,7 @@ class ArcSearch:
         assert self._current is not None
         node, rows, progress = self._current
         while not climb(
-            self._annulus, self._q, NO_ARRIVAL, rows, self.cutoff, progress, float(SLICE)
+            self._annulus, self._q, self._left, rows, self.cutoff, progress, float(SLICE)
         ):
             if out_of_time is not None and out_of_time():
                 self._note(node, rows, progress)
@@ -213,8 +218,19 @@ class ArcSearch:
     def _note(self, node: _Node, rows: Cuts, progress: Ascent) -> None:
         """Note what a node's bound is of, where it is better than its parent's."""
         if progress.numbers[BOUND] > node.bound:
-            bends = progress.theta + _multipliers(progress, rows).held[0]
-            self._tangents[node.number] = _Tangent(progress.z, bends)
+            self._tangents[node.number] = self._tangent(rows, progress)
+
+    def _tangent(self, rows: Cuts, progress: Ascent) -> _Tangent:
+        """Return what a node's bound is of: the multipliers of arcs turn and bend the cost."""
+        z, bends = progress.z, progress.theta + _multipliers(progress, rows).held[0]
+        if not len(self._left):
+            return _Tangent(z, bends, self._left, 0.0)
+        a = self._annulus.arrival
+        forces = self._annulus.hessian @ z + self._q + bends[:, None] * z
+        np.subtract.at(forces, rows.steps, progress.weights[:, None] * rows.normals)
+        pull = -(a @ forces) / float(a @ a)
+        made = arriving(self._annulus.hessian, (a, self._left), z, bends, pull)
+        return _Tangent(made.point, made.bends, made.pull, made.stiffness)
 
     def grounds(self) -> Grounds:
         """Return what the bound rests on; a node of several parts is cut from them one by one."""
@@ -232,8 +248,9 @@ class ArcSearch:
         tangents, origins = [self._tangents[number] for number in whose], np.zeros(len(self._q))
         for k, origin in self._origins.items():
             origins[k] = origin
-        points, bends = (np.array(each) for each in zip(*tangents, strict=True))
-        return Grounds(np.array(splits), np.array(parts), np.array(angles), points, bends, origins)
+        points, bends, pulls, stiffness = (np.array(each) for each in zip(*tangents, strict=True))
+        tree = np.array(splits), np.array(parts), np.array(angles), points, bends, origins
+        return Grounds(*tree, pulls, stiffness) if len(self._left) else Grounds(*tree)
 
     def _branch(self, node: _Node, rows: Cuts, progress: Ascent) -> None:
         """Open the children of a node that is solved, unless it needs none."""

@@ -75,7 +75,7 @@ class PacedSpeeds:
             reason = 'no speeds along the way found change within max_acceleration'
             return replace(found, x=None, cost=np.inf, reason=reason)
         best = int(np.argmin(costs))
-        return Found(known[best], costs[best], found.lower_bound, found.nodes)
+        return replace(found, x=known[best], cost=costs[best], reason='')
 
     def _holds(self, state: State, x: Array) -> bool:
         sizes = np.linalg.norm(x[:, : self._problem.dimension], axis=1)

@@ -55,8 +55,6 @@ class SectorSearch:
         self._hessian, self._inverse, self._excess = regular(self._condensed.hessian)
         faces = problem.floor.faces if problem.floor.shape == 'polygon' else 0
         self._problem, self._approach = problem, problem.approach
-        limited = problem.max_acceleration or problem.approach.exists
-        self._splits_headings = not limited and problem.widest_turn < HALF
         self._floor = float(problem.floor.fraction), faces, problem.widest_turn
         self._most = min(MOST, ROOM // problem.horizon)
         self._tree = sectors(problem.horizon, self._most)
@@ -104,8 +102,9 @@ class SectorSearch:
             if request.enough.met(self._found(constant)):
                 break
         made = int(tree.counts[MADE])
-        told = self._splits_headings and request.leaves_time_for(made)
-        return replace(self._found(constant), grounds=self._grounds(made) if told else None)
+        told = not self._approach.exists and request.leaves_time_for(made)
+        grounds = self._grounds(made, first - math.pi) if told else None
+        return replace(self._found(constant), grounds=grounds)
 
     def _last(self, state: State) -> tuple[float, float]:
         """Return the direction of the last heading, and the angle it may be off by [rad]."""
@@ -121,10 +120,10 @@ class SectorSearch:
         bound = float(numbers[LEAST]) - self._excess + constant
         return Found(best, cost, bound, int(self._tree.counts[NODES]))
 
-    def _grounds(self, made: int) -> Grounds:
-        """Return what the bound rests on, where only headings are split, within a turn limit."""
+    def _grounds(self, made: int, origin: float) -> Grounds:
+        """Return what the bound rests on; without a turn limit directions begin at an origin."""
         tree = self._tree
-        straight, origins = np.zeros((made, len(tree.x))), np.zeros(len(tree.x))
+        straight, origins = np.zeros((made, len(tree.x))), np.full(len(tree.x), origin)
         splits, parts, angles = tree.splits[:made], tree.parts[:made], tree.angles[:made]
         return Grounds(
             splits.copy(), parts.copy(), angles.copy(), tree.points[:made].copy(), straight, origins

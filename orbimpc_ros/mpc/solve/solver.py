@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.plan import Plan, Proof, assemble
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.feasibility import reason
 from orbimpc_ros.mpc.problem.units import Units
-from orbimpc_ros.mpc.proof.grounds import Left, Tangent
+from orbimpc_ros.mpc.proof.grounds import Grounds, Left, Tangent
 from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.solve.registry import method_among, method_for
 from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Method, Request, countable
@@ -223,15 +223,19 @@ class Solver:
 
     def _posed(self, grounds: Left | None) -> Left | None:
         """Return grounds as those of the problem as it was posed, but for what is beside splits."""
-        if not isinstance(grounds, Tangent):
-            return grounds
         units = self._units
-        return grounds._replace(
-            bends=units.cost * grounds.bends,
-            pull=units.pulls(grounds.pull),
-            stiffness=grounds.stiffness * units.cost / units.length**2,
-            tops=units.cost * grounds.tops,
-        )
+        stiff = units.cost / units.length**2
+        if isinstance(grounds, Tangent):
+            return grounds._replace(
+                bends=units.cost * grounds.bends,
+                pull=units.pulls(grounds.pull),
+                stiffness=stiff * grounds.stiffness,
+                tops=units.cost * grounds.tops,
+            )
+        if isinstance(grounds, Grounds) and len(grounds.pulls):
+            pulls = units.pulls(grounds.pulls)
+            return grounds._replace(pulls=pulls, stiffness=stiff * grounds.stiffness)
+        return grounds
 
     def _instead(self, query: _Query, found: Found, failure: OrbimpcError) -> Plan:
         """Return the cheapest of the plans that can stand in for one that was not found."""

@@ -1,0 +1,80 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""What makes a tangent's cost convex for all headings, where it is for those that arrive.
+
+A tangent proves a bound if the cost with its bends is convex. Headings z with a z = b need that on
+the null space of a alone; a weight on |a z - b|^2, which costs them nothing, makes up for the rest.
+
+Mathematics: docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.kernels import compiled
+from orbimpc_ros.mpc.kernels.annulus import mirror, reflect
+from orbimpc_ros.mpc.kernels.linear import solve_spd
+from orbimpc_ros.mpc.proof.grounds import Tangent
+from orbimpc_ros.mpc.proof.slopes import lack
+
+LEAST = 1e-9  # of the largest curvature, on the null space: the weight grows as it falls
+SPARE = 2.0  # times the least weight that makes convex
+
+
+@compiled
+def stiffened(hessian, arrival, left, z, bends, pull):
+    """Set a tangent up that is convex for all headings; return how stiff its arrival is.
+
+    Turned so that a is the first axis, the matrix has a Schur complement there, which the weight
+    makes up for. Bends are raised where the rest is next to singular.
+
+    Args:
+        hessian: of the cost, shape (N, N).
+        arrival: a, shape (N,).
+        left: b, shape (n,).
+        z: where the tangent touches, shape (N, n), which is made to arrive.
+        bends: shape (N,), raised as it takes.
+        pull: multipliers of the arrival, shape (n,), less what stiffness pulls by itself.
+    """
+    (count, n), matrix, square = z.shape, hessian.copy(), (arrival**2).sum()
+    for c in range(n):
+        missed = (arrival * z[:, c]).sum() - left[c]
+        z[:, c] -= missed / square * arrival
+    for k in range(count):
+        matrix[k, k] += bends[k]
+    least, reflector = LEAST * np.abs(matrix).max(), np.empty(count)
+    reflect(arrival.copy().reshape((count, 1)), count, 0, reflector)
+    mirror(matrix, count, reflector)
+    mirror(matrix.T, count, reflector)
+    across, free = matrix[1:, 0].copy(), matrix[1:, 1:].copy()
+    raised = lack(free, np.full(count - 1, -least), 1.0) if count > 1 else 0.0
+    for k in range(count):
+        bends[k] += raised
+    for k in range(count - 1):
+        free[k, k] += raised
+    share = across.copy()
+    if not solve_spd(free, share, count - 1):
+        return 0.0
+    stiffness = max(0.0, SPARE * (across @ share) - matrix[0, 0] - raised) / square
+    for c in range(n):
+        pull[c] -= stiffness * ((arrival * z[:, c]).sum() - left[c])
+    return stiffness
+
+
+def arriving(
+    hessian: Array, arrival: tuple[Array, Array], z: Array, bends: Array, pull: Array
+) -> Tangent:
+    """Return the tangent of multipliers where headings have to arrive, in natural units.
+
+    Args:
+        hessian: of the cost, shape (N, N).
+        arrival: a, shape (N,), and b, shape (n,): headings arrive where a z = b.
+        z: where it touches, shape (N, n).
+        bends: multipliers of the moduli, shape (N,).
+        pull: multipliers of the arrival, shape (n,).
+    """
+    z, bends, pull, stiffness = z.copy(), bends.copy(), pull.copy(), 0.0
+    if bends.min() < 0.0:
+        stiffness = float(stiffened(hessian, *arrival, z, bends, pull))
+    return Tangent(z, bends, pull, stiffness, np.zeros(len(z)), np.zeros(z.shape))
