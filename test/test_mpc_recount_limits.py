@@ -355,6 +355,14 @@ def test_the_least_of_a_narrow_sector_is_where_it_is_least(seed):
     assert bound == pytest.approx(np.min(there), abs=3e-3)
 
 
+def test_the_least_of_a_sector_is_beyond_a_face_and_at_no_less_than_the_least_speed():
+    normals, low, high = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]), 0.0, 0.7
+    slope = np.array([np.cos(0.3), np.sin(0.3)])
+    bound = _least_between(*slope, 0.0, 0.0, normals, 0.6, low, high, 0.7, 1.0)
+    # At 0 the face is slower, and at 0.7 what is as slow as can be is not beyond it.
+    assert bound == pytest.approx(0.7 * np.cos(0.3), rel=1e-12)
+
+
 @pytest.mark.parametrize('seed', range(100))
 def test_what_is_left_of_a_sector_holds_all_that_a_range_of_speeds_reaches(seed):
     rng = np.random.default_rng(seed)
