@@ -342,6 +342,28 @@ def test_the_least_of_a_sector_and_a_range_of_speeds_is_below_all_there_is(seed)
 
 
 @pytest.mark.parametrize('seed', range(100))
+def test_the_least_of_a_narrow_sector_is_where_it_is_least(seed):
+    rng = np.random.default_rng(seed)
+    normals, least, low, _, slow, _ = a_sector(rng)
+    high, slope = low + rng.uniform(0.1, 3.0), rng.normal(size=2)
+    bound = _least_between(*slope, 0.0, 0.0, normals, least, low, high, slow, 1.0)
+    there = [
+        (slope @ [np.cos(angle), np.sin(angle)])
+        * np.array([max(slow, _reached(normals, least, angle)), 1.0])
+        for angle in np.linspace(low, high, 2001)
+    ]
+    assert bound == pytest.approx(np.min(there), abs=3e-3)
+
+
+def test_the_least_of_a_sector_is_beyond_a_face_and_at_no_less_than_the_least_speed():
+    normals, low, high = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]), 0.0, 0.7
+    slope = np.array([np.cos(0.3), np.sin(0.3)])
+    bound = _least_between(*slope, 0.0, 0.0, normals, 0.6, low, high, 0.7, 1.0)
+    # At 0 the face is slower, and at 0.7 what is as slow as can be is not beyond it.
+    assert bound == pytest.approx(0.7 * np.cos(0.3), rel=1e-12)
+
+
+@pytest.mark.parametrize('seed', range(100))
 def test_what_is_left_of_a_sector_holds_all_that_a_range_of_speeds_reaches(seed):
     rng = np.random.default_rng(seed)
     normals, least, low, high, slow, fast = a_sector(rng)

@@ -263,11 +263,11 @@ def _within_reach(low, high, fast, normals, least):
 
 
 @compiled
-def _least_within(gx, gy, low, high, normals, least, fast):
-    """Return the least g . z over directions from low to high, from the floor to the most speed.
+def _least_within(gx, gy, low, high, normals, least, slow, fast):
+    """Return the least g . z over directions from low to high and the speeds of a step.
 
-    The floor's boundary is round, or straight between its corners: if g . z is not least on the
-    rim, then at an end of the sector or at one of them.
+    What is slowest is round, or straight between a floor's corners: if g . z is not least on the
+    rim, then at an end of the sector, at one of them, or where the round part begins.
     """
     after_low = gx * np.sin(low) - gy * np.cos(low)  # of the way down, -g
     before_high = gy * np.cos(high) - gx * np.sin(high)
@@ -279,14 +279,20 @@ def _least_within(gx, gy, low, high, normals, least, fast):
     best = np.inf
     for angle in (low, high):
         along = gx * np.cos(angle) + gy * np.sin(angle)
-        best = min(best, along * fast, along * _reached(normals, least, angle))
+        best = min(best, along * fast, along * max(slow, _reached(normals, least, angle)))
     if len(normals) > 0:
         share = 2.0 * np.pi / len(normals)
         corner = share * (np.ceil(low / share - 0.5) + 0.5)
         while corner < high:
             along = gx * np.cos(corner) + gy * np.sin(corner)
-            best = min(best, along * _reached(normals, least, corner))
+            best = min(best, along * max(slow, _reached(normals, least, corner)))
             corner += share
+        aside = np.arccos(least / max(least, slow))  # of a normal, where both are as slow
+        for off in (-aside, aside):
+            angle = share * np.ceil((low - off) / share) + off
+            while angle < high and slow > least:
+                best = min(best, slow * (gx * np.cos(angle) + gy * np.sin(angle)))
+                angle += share
     return best
 
 
@@ -294,11 +300,8 @@ def _least_within(gx, gy, low, high, normals, least, fast):
 def _least_between(gx, gy, length, bend, normals, least, low, high, slow, fast):
     """Return the least g . z + l |z| - bend |z|^2 / 2 over a sector and the speeds of a step."""
     if bend == 0.0 and length == 0.0 and high - low < HALF:
-        best = _least_within(gx, gy, low, high, normals, least, fast)
-        if slow > least:
-            best = max(best, _least_within(gx, gy, low, high, normals[:0], slow, fast))
-        return best
-    rim = _least_within(gx, gy, low, high, normals[:0], 1.0, 1.0)
+        return _least_within(gx, gy, low, high, normals, least, slow, fast)
+    rim = _least_within(gx, gy, low, high, normals[:0], 1.0, 1.0, 1.0)
     if bend == 0.0:
         return min((length + rim) * slow, (length + rim) * fast)
     return least_along(length + rim, bend, least)
