@@ -70,6 +70,16 @@ def test_chases_at_random_end_at_the_time_of_the_closed_form():
 
 
 @needs_machine_code
+def test_searches_that_stop_at_a_catch_find_that_of_the_controller():
+    rng = np.random.default_rng(12)
+    for _ in range(4):
+        chase = chases.drawn(rng, 1.5, 5.5)
+        catch = chases.catch(chase, 0.2, 30, between=True)
+        soonest = chases.soonest(chase, 0.2, 30, lambda: None)
+        assert (soonest.time, soonest.bound) == (catch.time, catch.bound)
+
+
+@needs_machine_code
 @pytest.mark.parametrize(('number', 'step'), [(0, 0.1), (3, 0.4), (3, 0.2), (3, 0.1), (3, 0.05)])
 def test_as_steps_get_shorter_the_catch_comes_to_the_closed_form(number, step):
     known = REFERENCES[number]
