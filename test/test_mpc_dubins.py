@@ -6,7 +6,7 @@ import math
 import chases
 import numpy as np
 import pytest
-from dubins import earliest, earliest_headed
+from dubins import earliest, earliest_headed, earliest_within
 
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Approach
@@ -77,6 +77,8 @@ def test_searches_that_stop_at_a_catch_find_that_of_the_controller():
         catch = chases.catch(chase, 0.2, 30, between=True)
         soonest = chases.soonest(chase, 0.2, 30, lambda: None)
         assert (soonest.time, soonest.bound) == (catch.time, catch.bound)
+        within = earliest_within(chase, chases.radius(chase, 0.2))
+        assert within - 1e-3 <= soonest.time <= within + 0.1 * 0.2
 
 
 @needs_machine_code
