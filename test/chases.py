@@ -15,7 +15,7 @@ from problems import floor
 
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.interception import AIM, Interception, Target
+from orbimpc_ros.mpc.loop.interception import AIM, Hunt, Interception, Target
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.request import Enough
@@ -124,12 +124,45 @@ def catch(chase, step, horizon, approach=None, *, between=False):
 
 def tried(chase, step, end, out_of_time=None):
     """The attempt to catch a goal at the end of so many steps, and not at another."""
-    near = radius(chase, step)
+    near, target = radius(chase, step), Target(end)
     interception = Interception(problem(chase, step, end), near)
-    enough = Enough((AIM * near) ** 2, interception.enough(end).bound)
-    start = State.at(chase.position, exp(np.array([chase.heading])))
-    start, places = replace(start, disturbance=chase.wind), goals(chase, step, end)
-    solver = Solver(interception.problem(Target(end)), enough=enough)
-    plan = solver.solve(start, places, None, out_of_time)
+    places = goals(chase, step, end)
+    plan = _solver(interception, target, near).solve(_start(chase), places, None, out_of_time)
     miss = np.linalg.norm(plan.positions[-1] - places[-1])
-    return Attempt(float(miss / near), plan.lower_bound > enough.bound)
+    return Attempt(float(miss / near), plan.lower_bound > interception.enough(end).bound)
+
+
+def soonest(chase, step, horizon, deadline):
+    """The catch of :func:`catch`, between ends of steps, by searches that stop once they know.
+
+    A controller looks on for the best way to a catch, and keeps all its searches' trees: gigabytes.
+
+    Args:
+        chase: what is flown.
+        step: its length [s].
+        horizon: steps within which a catch is looked for.
+        deadline: returns what tells one search that its time is up; called for each of them.
+    """
+    near = radius(chase, step)
+    interception, start = Interception(problem(chase, step, horizon), near), _start(chase)
+
+    def places(end):
+        steps = interception.problem(Target(end))
+        return goals(chase, steps.step, steps.horizon)
+
+    def solved(target, places):
+        return _solver(interception, target, near).solve(start, places, None, deadline())
+
+    hunt = Hunt(start, places, solved, lambda: False, horizon, between=True)
+    return interception.earliest(hunt)[1]
+
+
+def _start(chase):
+    start = State.at(chase.position, exp(np.array([chase.heading])))
+    return replace(start, disturbance=chase.wind)
+
+
+def _solver(interception, target, near):
+    """The search for a catch at an end, which stops at the first, or once none is proved to be."""
+    enough = Enough((AIM * near) ** 2, interception.enough(target.end).bound)
+    return Solver(interception.problem(target), enough=enough)

@@ -12,13 +12,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 LEFT, RIGHT = 1.0, -1.0
 NAMES = {LEFT: 'L', RIGHT: 'R'}
 POINTS = 2001  # at which an equation is looked at for a change of sign
+RIM = 24  # points of the rim of what counts as caught: within 1 % of a radius of its nearest
 HALVINGS = 60
 TINY = 1e-9
 
@@ -61,6 +62,13 @@ def earliest(chase: Chase) -> tuple[float, str]:
     """The time of the earliest interception [s], and its word; inf and '' if there is none."""
     found = [*_straight_ends(chase), *_round_ends(chase)]
     return min(found, default=(math.inf, ''))
+
+
+def earliest_within(chase: Chase, radius: float) -> float:
+    """The earliest time at which the goal is within a radius [m], by points of its rim [s]."""
+    angles = np.linspace(0.0, 2.0 * math.pi, RIM, endpoint=False)
+    rim = chase.goal + radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return min(earliest(replace(chase, goal=each))[0] for each in rim)
 
 
 def earliest_headed(chase: Chase, heading: float) -> tuple[float, str]:

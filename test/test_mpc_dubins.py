@@ -6,7 +6,7 @@ import math
 import chases
 import numpy as np
 import pytest
-from dubins import earliest, earliest_headed
+from dubins import earliest, earliest_headed, earliest_within
 
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Approach
@@ -67,6 +67,18 @@ def test_chases_at_random_end_at_the_time_of_the_closed_form():
         time, catch = earliest(chase)[0], chases.catch(chase, 0.2, 30, between=True)
         assert time - 0.2 <= catch.bound <= catch.time
         assert catch.time == pytest.approx(time, rel=0.01)
+
+
+@needs_machine_code
+def test_searches_that_stop_at_a_catch_find_that_of_the_controller():
+    rng = np.random.default_rng(12)
+    for _ in range(4):
+        chase = chases.drawn(rng, 1.5, 5.5)
+        catch = chases.catch(chase, 0.2, 30, between=True)
+        soonest = chases.soonest(chase, 0.2, 30, lambda: None)
+        assert (soonest.time, soonest.bound) == (catch.time, catch.bound)
+        within = earliest_within(chase, chases.radius(chase, 0.2))
+        assert within - 1e-3 <= soonest.time <= within + 0.1 * 0.2
 
 
 @needs_machine_code
