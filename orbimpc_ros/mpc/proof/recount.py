@@ -149,6 +149,12 @@ class Recount:
     def _sides(self) -> Sides:
         return Sides(self._problem, self._terms)
 
+    @cached_property
+    def _knows_trees(self) -> bool:
+        """Return whether half-spaces and turns are all that the problem asks for."""
+        plain = not self._pulled and self._terms.order == 1 and not self._terms.lengths.any()
+        return plain and (self._problem.dimension == 2 or self._problem.floor.shape != 'circle')
+
     def _of_choices(
         self, state: State, start: Array, goals: Array, tree: ChoiceGrounds, unit: float
     ) -> float:
@@ -158,11 +164,8 @@ class Recount:
         leaves, nodes, rows = len(tree.points), len(tree.splits), len(tree.presses)
         fits = tree.points.shape == (leaves, count, self._width) and nodes > 0
         fits &= tree.tethers.shape == (leaves, max(0, count - always.begin), n)
-        fits &= all(len(each) == nodes for each in tree[:5])
-        fits &= all(len(each) == rows for each in tree[8:11])
-        fits &= len(tree.empty) == len(tree.ends) == leaves
-        fits &= n == 2 or self._problem.floor.shape != 'circle'
-        if not fits or self._pulled or self._terms.order == 2 or self._terms.lengths.any():
+        wanted = [*[nodes] * 5, *[leaves] * 3, *[rows] * 3, leaves]
+        if not (fits and self._knows_trees and list(map(len, tree)) == wanted):
             return -np.inf
         places, stated = self._sides.places(state), (known, self._sides.faces, always)
         return float(choices_bound(self._terms, start, goals, places, stated, tree, unit))

@@ -120,12 +120,9 @@ class Sides:
     def always(self, state: State) -> Always:
         """Return what turn limits ask for, at rotation order 1."""
         problem, count = self._problem, self._problem.horizon
-        ahead, first, none = state.attitude[:, 0], state.rotation[:, 0].copy(), np.zeros(0)
+        ahead, first = state.attitude[:, 0], state.rotation[:, 0].copy()
         if not problem.turns_are_angles:
-            limited = problem.max_rate > 0.0
-            chord = 2.0 * math.sin(0.5 * min(math.pi, problem.step * problem.max_rate))
-            rows = none.astype(np.int64), np.zeros((0, len(first))), none
-            return Always(*rows, chord, 0 if limited else count, first)
+            return self._chords._replace(first=first)
         turn, least = min(math.pi, problem.step * problem.max_rate), problem.floor.fraction
         uneven = math.sqrt(1.0 + least * least - 2.0 * least * math.cos(turn))
         cone = problem.first_turn_is_a_cone
@@ -141,6 +138,15 @@ class Sides:
             outward = np.concatenate([outward, edges])
         chord = max(2.0 * math.sin(0.5 * turn), uneven)
         return Always(places, outward, offsets, chord, 1, first)
+
+    @cached_property
+    def _chords(self) -> Always:
+        """Return what turn limits ask for without a floor, if there is one; R_0 is not known."""
+        problem, none = self._problem, np.zeros(0)
+        chord = 2.0 * math.sin(0.5 * min(math.pi, problem.step * problem.max_rate))
+        begin = 0 if problem.max_rate else problem.horizon
+        outward = np.zeros((0, problem.dimension))
+        return Always(none.astype(np.int64), outward, none, chord, begin, none)
 
     # --- choices
 

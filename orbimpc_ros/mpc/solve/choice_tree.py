@@ -170,20 +170,18 @@ class ChoiceTree:
         assert chosen is not None
         j, cell = chosen
         point = known.point.copy()
-        point[:, : len(cell.normal)] += step * np.outer(
-            self._inverse @ self._row(j, row), cell.normal
-        )
+        point[:, : len(cell.normal)] += (step * self._moved(j, row))[:, None] * cell.normal
         return TreeLeaf(point, (*known.presses, (t, row, step)), known.tethers)
 
-    def _row(self, j: int, row: int) -> Array:
-        """Return what R_1 e1..R_N e1 add to what a row of a choice is about, shape (N,)."""
-        posed, choice = self._posed, self._posed.alternatives[j]
+    def _moved(self, j: int, row: int) -> Array:
+        """Return H^-1 a of a row of a choice, shape (N,)."""
+        choice = self._posed.alternatives[j]
         if isinstance(choice, Passage):
-            return choice.rows[row]
+            return np.asarray(self._inverse @ choice.rows[row])
         step = choice.steps[row]
         if choice.on == 'position':
-            return posed.problem.maps.reach[step - 1, 1:]
-        return np.eye(posed.problem.horizon)[step - 1]
+            return np.asarray(self._inverse @ self._posed.problem.maps.reach[step - 1, 1:])
+        return self._inverse[:, step - 1]
 
     # --- sides
 
