@@ -45,11 +45,6 @@ class Grounds(NamedTuple):
     pulls: Array = NO_PULLS
     stiffness: Array = NO_STIFFNESS
 
-    @property
-    def headings(self) -> int:
-        """Return how many headings all tangents have."""
-        return self.bends.size
-
 
 class ChoiceGrounds(NamedTuple):
     """A tree of choices in arrays: beyond which faces headings are, on which sides bodies.
@@ -87,11 +82,6 @@ class ChoiceGrounds(NamedTuple):
     presses: Array
     tethers: Array
 
-    @property
-    def headings(self) -> int:
-        """Return how many headings all tangents have."""
-        return self.points.shape[0] * self.points.shape[1]
-
 
 class Tangent(NamedTuple):
     """A tangent to the cost that needs no split, over SO(3) or with what pulls at its end.
@@ -114,11 +104,6 @@ class Tangent(NamedTuple):
     stiffness: float
     tops: Array
     ways: Array
-
-    @property
-    def headings(self) -> int:
-        """Return how many headings it has."""
-        return self.bends.size
 
 
 Left = ChoiceGrounds | Grounds | Tangent  # by a method, of what its bound rests on

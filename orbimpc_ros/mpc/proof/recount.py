@@ -70,6 +70,8 @@ class Recount:
     def expect_choices(self) -> None:
         """Compile now, or load, what the first tree of choices would have to wait for."""
         problem = self._problem
+        if not self._knows_trees:
+            return
         known, point = np.zeros(1, np.int64), np.zeros((1, problem.horizon, self._width))
         here = State.at(np.zeros(problem.dimension), np.eye(problem.dimension))
         chords = max(0, problem.horizon - self._sides.always(here).begin)
@@ -112,8 +114,9 @@ class Recount:
             return -np.inf  # of which nothing is split
         if not self._pulls(grounds):
             return -np.inf
-        ahead = state.attitude
-        begun = math.atan2(ahead[1, 0], ahead[0, 0]), entry_speed(self._problem, state)
+        ahead, limited = state.attitude, self._problem.max_acceleration > 0.0
+        entry = entry_speed(self._problem, state) if limited else 0.0
+        begun = math.atan2(ahead[1, 0], ahead[0, 0]), entry
         return float(recounted(*known, begun, grounds, unit, enough))
 
     def _pulls(self, grounds: Grounds) -> bool:
@@ -152,20 +155,24 @@ class Recount:
     @cached_property
     def _knows_trees(self) -> bool:
         """Return whether half-spaces and turns are all that the problem asks for."""
-        plain = not self._pulled and self._terms.order == 1 and not self._terms.lengths.any()
-        return plain and (self._problem.dimension == 2 or self._problem.floor.shape != 'circle')
+        problem, terms = self._problem, self._terms
+        flat = problem.floor.shape != 'circle' and not problem.turns_are_angles
+        plain = terms.order == 1 and not (self._pulled or terms.lengths.any())
+        return plain and (problem.dimension == 2 or flat)
 
     def _of_choices(
         self, state: State, start: Array, goals: Array, tree: ChoiceGrounds, unit: float
     ) -> float:
         """Return what a tree of choices proves; its multipliers are in natural units."""
+        if not self._knows_trees:
+            return -np.inf
         count, n = goals.shape
         always, known = self._sides.always(state), self._sides.alternatives(state)
         leaves, nodes, rows = len(tree.points), len(tree.splits), len(tree.presses)
         fits = tree.points.shape == (leaves, count, self._width) and nodes > 0
         fits &= tree.tethers.shape == (leaves, max(0, count - always.begin), n)
         wanted = [*[nodes] * 5, *[leaves] * 3, *[rows] * 3, leaves]
-        if not (fits and self._knows_trees and list(map(len, tree)) == wanted):
+        if not (fits and list(map(len, tree)) == wanted):
             return -np.inf
         places, stated = self._sides.places(state), (known, self._sides.faces, always)
         return float(choices_bound(self._terms, start, goals, places, stated, tree, unit))

@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.plan import Plan, Proof, assemble
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.feasibility import reason
 from orbimpc_ros.mpc.problem.units import Units
-from orbimpc_ros.mpc.proof.grounds import Grounds, Left, Tangent
+from orbimpc_ros.mpc.proof.grounds import ChoiceGrounds, Grounds, Left, Tangent
 from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.solve.registry import method_among, method_for
 from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Method, Request, countable
@@ -210,7 +210,7 @@ class Solver:
         far as there is time to count it.
         """
         cost, grounds = self._units.cost, self._posed(found.grounds)
-        if grounds is not None and not countable(grounds.headings, query.out_of_time):
+        if grounds is not None and not countable(_headings(grounds), query.out_of_time):
             grounds = None
         bound = cost * float(found.lower_bound)
         known = bound if 0.0 < bound < np.inf else 0.0
@@ -282,3 +282,9 @@ class Solver:
 
 def _objective(plan: Plan) -> float:
     return plan.objective
+
+
+def _headings(grounds: Left) -> int:
+    """Return how many headings all tangents have."""
+    each = grounds.points[..., 0] if isinstance(grounds, ChoiceGrounds) else grounds.bends
+    return each.size
