@@ -78,6 +78,21 @@ def test_what_a_search_proves_is_proved_by_its_tree(kind, seed):
     assert (1.0 - 1e-9) * said(case) <= again <= plan.objective * (1.0 + 1e-7)
 
 
+@pytest.mark.parametrize('weight', [0.0, 0.05])
+def test_a_round_floor_beside_a_box_in_space_is_the_methods_word(weight):
+    """Its patches of the sphere are not stated anew: the bound stands, and says so."""
+    problem = Problem(
+        dimension=3,
+        floor=Floor('circle', fraction=0.6),
+        weights=Weights(1.0, weight, 0.0, 10.0),
+        obstacles=(Box((1.0, -1.0, -1.0), (2.0, 1.0, 1.0)),),
+        discretisation='exact',
+    )
+    plan = Solver(problem).solve(State.at(np.zeros(3), np.eye(3)), np.tile([4.0, 0.2, 0.0], (5, 1)))
+    assert plan.gap < 1e-3
+    assert not plan.proof.checked
+
+
 def test_a_search_among_boxes_in_space_tells_of_its_nodes():
     """Solved, raised by a step along a row, and refuted ones; sides out of reach are left out."""
     walls = tuple(

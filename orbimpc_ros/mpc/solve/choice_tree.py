@@ -75,14 +75,14 @@ class ChoiceTree:
     @staticmethod
     def tells(problem: Problem, state: State, program: Relaxed) -> bool:
         """Return whether multipliers of a program's half-spaces are all that its bounds rest on."""
-        plane = problem.dimension == 2
+        plane, floor = problem.dimension == 2, problem.floor
         bodies = [*problem.obstacles, *(each.body for each in state.hazards)]
-        if any(isinstance(each, Ball) for each in bodies) and not plane:
+        balls = any(isinstance(each, Ball) for each in bodies)
+        if not plane and (balls or floor.shape == 'circle'):  # patches of a sphere are not arcs
             return False
-        faces = problem.floor.shape == 'polygon' and not plane
         return isinstance(program, PlaceProgram) or (
             COMPILED
-            and (faces or not problem.floor.exists)
+            and not (plane and floor.exists)
             and problem.rotation_order == 1
             and problem.terminal == 'penalty'
             and problem.weights.length == problem.max_rate == 0.0
