@@ -235,23 +235,49 @@ def test_trees_that_leave_something_out_prove_nothing(branched):
         assert counted(case, plan, **changes) == -np.inf, (i, list(changes))
 
 
-def test_a_box_is_not_split_by_sides_twice():
-    case, plan = solved('boxes', 2)
-    grounds = plan.proof.grounds
-    again = ChoiceGrounds(
-        np.array([grounds.splits[0]] * 2 + [LEAF] * 7),
-        np.array([1, 5] + [0] * 7),
-        np.array([4, 4] + [0] * 7),
-        np.zeros(9, np.int64),
-        np.array([0, 0, 1, 2, 3, 0, 1, 2, 3]),
-        np.zeros((7, *grounds.points.shape[1:])),
-        np.zeros(7, bool),
-        np.zeros(7, np.int64),
+def tree_of(splits, parts, counts, sides, levels, horizon):
+    """Return a tree in the plane whose leaves hold nothing: tangents at rest."""
+    leaves = splits.count(LEAF)
+    return ChoiceGrounds(
+        np.array(splits),
+        np.array(parts),
+        np.array(counts),
+        np.array(levels),
+        np.array(sides),
+        np.zeros((leaves, horizon, 2)),
+        np.zeros(leaves, bool),
+        np.zeros(leaves, np.int64),
         *np.zeros((2, 0), np.int64),
         np.zeros(0),
-        np.zeros((7, 0, 2)),
+        np.zeros((leaves, 0, 2)),
     )
-    assert counted(case, plan, **again._asdict()) == -np.inf
+
+
+@pytest.mark.parametrize(
+    ('splits', 'parts', 'counts', 'sides', 'levels', 'whole'),
+    [
+        ([0, *[LEAF] * 4], [1, *[0] * 4], [4, *[0] * 4], [0, 0, 1, 2, 3], [0] * 5, True),
+        # A side of a box is no arc that could be halved.
+        ([0, 0, *[LEAF] * 5], [1, 5, *[0] * 5], [4, 2, *[0] * 5], [0, 0, 1, 2, 3, 0, 1],
+         [0, 0, 0, 0, 0, 1, 1], False),
+        # No node is a part of two others.
+        ([0, 1, 1, *[LEAF] * 6], [1, 5, 5, *[0] * 6], [4, 4, 4, *[0] * 6],
+         [0, 0, 1, 2, 3, 0, 1, 2, 3], [0] * 9, False),
+        # Nor is one of none.
+        ([0, *[LEAF] * 5], [1, *[0] * 5], [4, *[0] * 5], [0, 0, 1, 2, 3, 0], [0] * 6, False),
+    ],
+)  # fmt: skip
+def test_trees_part_what_there_is_once(splits, parts, counts, sides, levels, whole):
+    case, plan = solved('boxes', 2)
+    made = tree_of(splits, parts, counts, sides, levels, case.problem.horizon)
+    assert (counted(case, plan, **made._asdict()) > -np.inf) == whole
+
+
+def test_a_side_has_no_more_rows_than_its_choice_has_places():
+    case, plan = solved('boxes', 2)
+    rows = plan.proof.grounds.rows
+    assert (rows == 0).all()
+    assert counted(case, plan, rows=changed(rows, 0, 1)) == -np.inf
 
 
 @pytest.mark.parametrize(

@@ -89,7 +89,10 @@ def _holder(made, parents, t, j):
 
 @compiled
 def _complete(places, known, tree, nodes, t, faces, normal):
-    """Note the parts of a node; return whether they are all that can be reached of it."""
+    """Note the parts of a node; return whether they are all that can be reached of it.
+
+    Nodes that are counted among them beyond that stay parts of none.
+    """
     made, parents = nodes
     j, first, count = tree.splits[t], tree.parts[t], tree.counts[t]
     if j >= len(known.kinds) or first <= t or count < 0 or first + count > len(made):
@@ -109,7 +112,7 @@ def _complete(places, known, tree, nodes, t, faces, normal):
             part += 1
         elif not _out_of_reach(places, known, j, (level, side), faces, normal):
             return False
-    return part == first + count
+    return True
 
 
 @compiled
