@@ -287,8 +287,9 @@ def test_a_side_has_no_more_rows_than_its_choice_has_places():
 def test_problems_that_trees_say_nothing_of_have_nothing_proved(changes):
     case, plan = solved('boxes', 2)
     other = replace(case.problem, **changes)
-    again = Recount(other).bound(case.state, case.goals, plan.proof.grounds, 1.0)
-    assert again == -np.inf
+    recount, grounds = Recount(other), plan.proof.grounds
+    assert not recount.knows(grounds)
+    assert recount.bound(case.state, case.goals, grounds, 1.0) == -np.inf
 
 
 def test_tethers_of_turns_hold_what_a_turn_limit_does():

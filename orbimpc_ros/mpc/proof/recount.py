@@ -36,6 +36,7 @@ from orbimpc_ros.mpc.proof.slopes import (
 )
 from orbimpc_ros.mpc.proof.tangents import tangents_bound
 
+FLOORS = ('none', 'circle', 'polygon')  # that are known here
 ALL = 2.0 * np.pi - 1e-9  # [rad], a sector that leaves nothing out
 FLAT = 1e-12  # of the largest curvature, where there is none
 EMPTY = 1e-12  # [rad] that the ends of a sector may pass each other by, for rounding
@@ -83,7 +84,7 @@ class Recount:
     @staticmethod
     def reads(problem: Problem) -> bool:
         """Return whether bounds of a problem can be counted again."""
-        known = problem.floor.shape in ('none', 'circle', 'polygon')
+        known = problem.floor.shape in FLOORS
         flat = problem.dimension == 3 and problem.floor.shape == 'polygon'
         return _width(problem) == 9 or (known and not flat)
 
@@ -152,12 +153,17 @@ class Recount:
     def _sides(self) -> Sides:
         return Sides(self._problem, self._terms)
 
+    def knows(self, grounds: Left) -> bool:
+        """Return whether what grounds of this kind prove of the problem can be counted."""
+        return self._knows_trees or not isinstance(grounds, ChoiceGrounds)
+
     @cached_property
     def _knows_trees(self) -> bool:
-        """Return whether half-spaces and turns are all that the problem asks for."""
+        """Return whether half-spaces and turns, as known here, are all that is asked for."""
         problem, terms = self._problem, self._terms
         flat = problem.floor.shape != 'circle' and not problem.turns_are_angles
         plain = terms.order == 1 and not (self._pulled or terms.lengths.any())
+        plain &= problem.floor.shape in FLOORS
         return plain and (problem.dimension == 2 or flat)
 
     def _of_choices(

@@ -215,8 +215,9 @@ class Solver:
         bound = cost * float(found.lower_bound)
         known = bound if 0.0 < bound < np.inf else 0.0
         checked = known == 0.0
-        if known and grounds is not None and self._recount is not None:
-            again = self._recount.bound(query.state, query.goals, grounds, cost, known)
+        recount = self._recount
+        if known and grounds is not None and recount is not None and recount.knows(grounds):
+            again = recount.bound(query.state, query.goals, grounds, cost, known)
             known, checked = max(0.0, min(known, again)), True
         known *= 1.0 - OUTWARD
         return Proof(known, found.nodes, self._tolerance, cost, found.reason, checked, grounds)
