@@ -21,6 +21,8 @@ from orbimpc_ros.mpc.solve.arc_search import ArcSearch
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.solver import Solver
 
+ACCURATE = 1e-5  # share of a bound: searches over arcs tell multipliers of arrivals as found
+
 needs_machine_code = pytest.mark.skipif(
     not COMPILED, reason='the search that leaves grounds needs numba'
 )
@@ -140,7 +142,7 @@ def searched(seed, nodes=40):
 def test_arcs_know_arrivals(seed):
     asked, cost, bound, grounds = searched(seed)
     again = Recount(asked[0]).bound(*asked[1:], grounds, 1.0)
-    assert bound - 1e-6 * abs(bound) <= again <= cost * (1.0 + 1e-9)
+    assert bound - ACCURATE * abs(bound) <= again <= cost * (1.0 + 1e-9)
     proof = Solver(asked[0]).solve(*asked[1:]).proof
     left = replace(proof, grounds=grounds, cost_unit=1.0, checked=True, lower_bound=again)
     assert verified(parsed(kept(*asked, left).text().encode())).holds

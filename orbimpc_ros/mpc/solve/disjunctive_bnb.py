@@ -49,7 +49,7 @@ from orbimpc_ros.mpc.solve.turns import Turns
 
 NEAR = 0.05  # a round floor missed by less is worth a dive
 MAX_NODES = 20_000
-TELLING = 5  # times as long it takes to tell of a tangent as to count it
+TELLING = 20  # times as long it takes to tell of a tangent as to count it
 HALFWAY = (
     50.0  # times the tolerance, for descents and traffic: half of the gap that counts as proved
 )

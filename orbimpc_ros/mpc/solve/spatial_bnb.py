@@ -47,7 +47,7 @@ from orbimpc_ros.mpc.solve.unconstrained import other_axes, thrust_axis
 
 MOST = 6400  # nodes of a search
 BUDGET = 100.0 * SLICE  # multiplications of a node
-TELLING = 6  # times as long it takes to tell of a tangent as to count it
+TELLING = 20  # times as long it takes to tell of a tangent as to count it
 FARTHEST = 12.0  # |R - R'|_F^2 of any two rotations
 UNGUIDED = np.empty((0, 3))
 
