@@ -350,7 +350,8 @@ def rows_of(known, j, at, places, z, faces):
 def test_whatever_keeps_clear_is_on_some_side_of_every_choice(kind, seed):
     case, plan = solved(kind, seed)
     sides, z = Sides(case.problem, terms_of(case.problem)), plan.rotations[1:, :, 0]
-    known, places, normal = sides.alternatives(case.state), sides.places(case.state), np.zeros(2)
+    places, normal = sides.places(case.state), np.zeros(2)
+    known = sides.alternatives(case.state, places)
     assert len(known.kinds) > 0
     for j, level in itertools.product(range(len(known.kinds)), (0, 1, 5)):
         count = 4 if known.kinds[j] == SIDES else QUARTERS << level
@@ -369,7 +370,8 @@ def test_a_direction_that_is_within_no_arc_of_a_disc_is_inside():
     """Of all arcs together, what is beyond none of their chords is within the disc."""
     problem = Problem(horizon=1, obstacles=(Ball((0.0, 2.0), 0.7),))
     sides, state = Sides(problem, terms_of(problem)), State.at(np.zeros(2), np.eye(2))
-    known, places = sides.alternatives(state), sides.places(state)
+    places = sides.places(state)
+    known = sides.alternatives(state, places)
     (whole, end), rng = range(2), np.random.default_rng(3)
     assert (known.kinds == ARCS).all()
     for angle in rng.uniform(0.0, 2.0 * np.pi, 40):
@@ -393,7 +395,8 @@ def test_a_step_beyond_a_disc_is_beyond_a_row_that_allows_for_its_length():
     problem = Problem(horizon=3, discretisation='exact', translation_order=2)
     state = State.at(np.zeros(2), np.eye(2), velocity=np.array([0.3, 0.2]), hazards=(hazard,))
     sides, rng = Sides(problem, terms_of(problem)), np.random.default_rng(8)
-    known, places = sides.alternatives(state), sides.places(state)
+    places = sides.places(state)
+    known = sides.alternatives(state, places)
     clear = 0
     for _ in range(200):
         z = rng.normal(size=(3, 2))

@@ -65,7 +65,12 @@ class Recount:
         pull = np.zeros(self._pulled)
         for grounds in (tangent(x, bends), Tangent(x, bends, pull, 0.0, bends, rest)):
             self.bound(here, rest, grounds, 1.0)  # compiles
-        if problem.obstacles or problem.max_rate or (n == 3 and problem.floor.exists):
+        sectors = problem.turns_are_angles and problem.widest_turn < HALF  # are no choices
+        if (
+            problem.obstacles
+            or (problem.max_rate and not sectors)
+            or (n == 3 and problem.floor.exists)
+        ):
             self.expect_choices()
 
     def expect_choices(self) -> None:
@@ -173,14 +178,14 @@ class Recount:
         if not self._knows_trees:
             return -np.inf
         count, n = goals.shape
-        always, known = self._sides.always(state), self._sides.alternatives(state)
+        always, places = self._sides.always(state), self._sides.places(state)
         leaves, nodes, rows = len(tree.points), len(tree.splits), len(tree.presses)
         fits = tree.points.shape == (leaves, count, self._width) and nodes > 0
         fits &= tree.tethers.shape == (leaves, max(0, count - always.begin), n)
         wanted = [*[nodes] * 5, *[leaves] * 3, *[rows] * 3, leaves]
         if not (fits and list(map(len, tree)) == wanted):
             return -np.inf
-        places, stated = self._sides.places(state), (known, self._sides.faces, always)
+        stated = self._sides.alternatives(state, places), self._sides.faces, always
         return float(choices_bound(self._terms, start, goals, places, stated, tree, unit))
 
     def _of_tangent(self, known: tuple, leaf: Tangent, coasting: bool) -> float:

@@ -156,11 +156,11 @@ class Sides:
         floor, n = self._problem.floor, self._problem.dimension
         return np.array(normals(n, floor.faces) if floor.shape == 'polygon' else np.zeros((0, n)))
 
-    def alternatives(self, state: State) -> Alternatives:
+    def alternatives(self, state: State, places: Places) -> Alternatives:
         """Return the choices of trajectories from a state, in natural units."""
         origin = state.position / self._problem.length_unit
         moved = self._standing.extents + np.concatenate([origin, -origin])
-        standing, moving = self._standing._replace(extents=moved), self._bodies(state)
+        standing, moving = self._standing._replace(extents=moved), self._bodies(state, places)
         if moving is None:
             return standing
         return Alternatives(*map(np.concatenate, zip(standing, moving, strict=True)))
@@ -203,15 +203,15 @@ class Sides:
             made.extents[own] = _extents(box, np.zeros(box.dimension)) / problem.length_unit
         return made
 
-    def _bodies(self, state: State) -> Alternatives | None:
+    def _bodies(self, state: State, places: Places) -> Alternatives | None:
         """Return what is round or moves, if anything: of each step all of it, then its end."""
         traffic = traffic_of(self._problem, state)
         if traffic is None:
             return None
         count, m, unit = self._problem.horizon, self._most, self._problem.length_unit
         made = self._none(2 * count * len(traffic.bodies))
-        places = 2 * count + m * np.arange(count)[:, None] + [0, m - 1]
-        made.places[:] = np.tile(places.ravel(), len(traffic.bodies))
+        first = 2 * count + m * np.arange(count)[:, None] + [0, m - 1]
+        made.places[:] = np.tile(first.ravel(), len(traffic.bodies))
         made.counts[0::2], made.counts[1::2] = m, 1
         share = np.linspace(0.0, 1.0, m)[:, None]
         begin, end = traffic.shifts[:, :-1, None], traffic.shifts[:, 1:, None]
@@ -219,7 +219,7 @@ class Sides:
         centres = (begin + share * (end - begin) + middles[:, None, None]) / unit
         made.centres[0::2] = centres.reshape(-1, m, centres.shape[-1])
         made.centres[1::2, 0] = made.centres[0::2, -1]
-        made.spreads[0::2] = self._spreads(state, centres).ravel()
+        made.spreads[0::2] = self._spreads(places, centres).ravel()
         for j, (body, grown) in enumerate(zip(traffic.bodies, traffic.grown, strict=True)):
             own, more = slice(2 * j * count, 2 * (j + 1) * count), np.repeat(grown, 2)
             if isinstance(body, Ball):
@@ -230,10 +230,10 @@ class Sides:
                 made.kinds[own], made.extents[own] = SIDES, extents / unit
         return made
 
-    def _spreads(self, state: State, centres: Array) -> Array:
+    def _spreads(self, places: Places, centres: Array) -> Array:
         """Return how far apart places of a step get at most, relative to bodies, shape (J, N)."""
         count = self._problem.horizon
-        free = self.places(state).free[2 * count :].reshape(count, self._most, -1) - centres
+        free = places.free[2 * count :].reshape(count, self._most, -1) - centres
         apart = np.linalg.norm(free[:, :, :, None] - free[:, :, None], axis=-1)
         return np.asarray((self._parted + apart).max(axis=(-1, -2)))
 

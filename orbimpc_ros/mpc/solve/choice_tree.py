@@ -11,8 +11,6 @@ Mathematics: docs/proofs.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,30 +18,13 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.cells import Cell, Patch
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Ball, Problem, State
-from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds
+from orbimpc_ros.mpc.proof.grounds import ChoiceGrounds
 from orbimpc_ros.mpc.solve.branching import Branch
+from orbimpc_ros.mpc.solve.choice_nodes import ChoiceNodes, TreeLeaf
 from orbimpc_ros.mpc.solve.passages import Passage
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.posed import Posed
 from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxed
-
-Press = tuple[int, int, float]  # the node that holds a row, which of its rows, its multiplier
-
-
-class TreeLeaf(NamedTuple):
-    """A tangent in the making.
-
-    Attributes:
-        point: where it touches, shape (N, d).
-        presses: what holds there.
-        tethers: see :class:`orbimpc_ros.mpc.proof.grounds.ChoiceGrounds`.
-        empty: whether what holds proves that nothing is there.
-    """
-
-    point: Array
-    presses: tuple[Press, ...]
-    tethers: Array
-    empty: bool = False
 
 
 class ChoiceTree:
@@ -60,9 +41,8 @@ class ChoiceTree:
         turns = posed.turns
         self._always = len(turns.slots) if turns else 0
         self._edges = 2 * posed.problem.first_turn_is_a_cone
-        self._splits, self._parts, self._counts = [LEAF], [0], [0]
+        self._nodes = ChoiceNodes()
         self._cells: list[tuple[int, Cell] | None] = [None]
-        self._holders: list[dict[int, int]] = [{}]  # by choice that is made: at which node
         self._raised: list[tuple[int, int, float] | None] = [None]
         self._solved: dict[int, TreeLeaf | None] = {}
         self._worse: set[int] = set()
@@ -70,7 +50,7 @@ class ChoiceTree:
     @property
     def leaves(self) -> int:
         """Return how many nodes are not split."""
-        return len(self._splits) - sum(1 for split in self._splits if split != LEAF)
+        return len(self._nodes.leaves)
 
     @staticmethod
     def tells(problem: Problem, state: State, program: Relaxed) -> bool:
@@ -105,25 +85,18 @@ class ChoiceTree:
 
     def split(self, t: int, branch: Branch) -> range:
         """Note the parts of a node that was solved, and return their numbers."""
-        first, count = len(self._splits), len(branch.cells)
-        self._splits[t], self._parts[t], self._counts[t] = branch.split, first, count
-        self._splits += [LEAF] * count
-        self._parts += [0] * count
-        self._counts += [0] * count
         self._cells += [(branch.split, cell) for cell in branch.cells]
-        numbers = range(first, first + count)
-        self._holders += [{**self._holders[t], branch.split: i} for i in numbers]
         steps = zip(branch.rows.tolist(), branch.steps.tolist(), strict=True)
         self._raised += [(t, row, step) for row, step in steps]
-        return numbers
+        return self._nodes.part(t, branch.split, len(branch.cells))
 
     def grounds(self) -> ChoiceGrounds | None:
         """Return all that the bound rests on; None where something is not known."""
-        leaves = [self._made(t) for t, split in enumerate(self._splits) if split == LEAF]
+        leaves = [self._made(t) for t in self._nodes.leaves]
         known = [leaf for leaf in leaves if leaf is not None]
         if len(known) < len(leaves):
             return None
-        return gathered(self._splits, self._parts, self._counts, self._sides(), known)
+        return self._nodes.grounds(self._sides(), known)
 
     # --- leaves
 
@@ -141,7 +114,7 @@ class ChoiceTree:
     def _asked(self, t: int) -> list[tuple[int, int]]:
         """Return, of each half-space of a node's relaxation, who holds it, and which it is."""
         posed, asked = self._posed, []
-        holders = sorted(self._holders[t].items())
+        holders = sorted(self._nodes.holders[t].items())
         for j, holder in holders:
             if j < posed.fixed:
                 asked += [(holder, i) for i in range(len(posed.disjunctions[j].steps))]
@@ -169,9 +142,7 @@ class ChoiceTree:
         chosen = self._cells[t]
         assert chosen is not None
         j, cell = chosen
-        point = known.point.copy()
-        point[:, : len(cell.normal)] += (step * self._moved(j, row))[:, None] * cell.normal
-        return TreeLeaf(point, (*known.presses, (t, row, step)), known.tethers)
+        return known.raised((t, row, step), step * self._moved(j, row), cell.normal)
 
     def _moved(self, j: int, row: int) -> Array:
         """Return H^-1 a of a row of a choice, shape (N,)."""
@@ -198,41 +169,6 @@ class ChoiceTree:
                 cells = self._posed.alternatives[j].cells
                 sides[t] = next(i for i, each in enumerate(cells) if each is cell)
         return places
-
-
-def gathered(
-    splits: Sequence[int],
-    parts: Sequence[int],
-    counts: Sequence[int],
-    sides: np.ndarray,
-    leaves: Sequence[TreeLeaf],
-) -> ChoiceGrounds:
-    """Return the grounds that nodes and leaves are.
-
-    Args:
-        splits: of each node, as in :class:`orbimpc_ros.mpc.proof.grounds.ChoiceGrounds`.
-        parts: see there.
-        counts: see there.
-        sides: levels and sides, shape (2, T).
-        leaves: of the nodes that are not split, in their order.
-    """
-    presses = [each for leaf in leaves for each in leaf.presses]
-    holders, rows, sizes = zip(*presses, strict=True) if presses else ((), (), ())
-    levels, at = sides
-    return ChoiceGrounds(
-        np.array(splits),
-        np.array(parts),
-        np.array(counts),
-        levels,
-        at,
-        np.array([leaf.point for leaf in leaves]),
-        np.array([leaf.empty for leaf in leaves]),
-        np.cumsum([len(leaf.presses) for leaf in leaves]),
-        np.array(holders, np.int64),
-        np.array(rows, np.int64),
-        np.array(sizes, float),
-        np.array([leaf.tethers for leaf in leaves]),
-    )
 
 
 def _arc(patch: Patch) -> tuple[int, int]:

@@ -13,8 +13,8 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels.half_spaces import MADE, NODES, PRECISION, Choices, SideTree, Space
-from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds
-from orbimpc_ros.mpc.solve.choice_tree import Press, TreeLeaf, gathered
+from orbimpc_ros.mpc.proof.grounds import ChoiceGrounds
+from orbimpc_ros.mpc.solve.choice_nodes import ChoiceNodes, TreeLeaf
 
 Row = tuple[int, int, Array, float]  # which of a side's, its place, normal and offset
 
@@ -31,8 +31,7 @@ class SideGrounds:
     def __init__(self, space: Space, choices: Choices, tree: SideTree) -> None:
         self._space, self._choices, self._tree = space, choices, tree
         self._solves = int(tree.counts[NODES])
-        self._splits, self._parts, self._counts, self._sides = [LEAF], [0], [0], [0]
-        self._holders: list[dict[int, int]] = [{}]  # by group: at which node it was chosen
+        self._nodes, self._sides = ChoiceNodes(), [0]
         self._leaves: dict[int, TreeLeaf] = {}
 
     def grounds(self) -> ChoiceGrounds:
@@ -44,10 +43,9 @@ class SideGrounds:
             group = int(self._tree.split[solve])
             if group >= 0:
                 self._part(t, group, own, made.get(solve, {}), nodes)
-        count = len(self._splits)
-        leaves = [self._leaves[t] for t in range(count) if self._splits[t] == LEAF]
-        sides = np.array([[0] * count, self._sides], np.int64)
-        return gathered(self._splits, self._parts, self._counts, sides, leaves)
+        leaves = [self._leaves[t] for t in self._nodes.leaves]
+        sides = np.array([[0] * len(self._sides), self._sides], np.int64)
+        return self._nodes.grounds(sides, leaves)
 
     def _children(self) -> dict[int, dict[int, int]]:
         """Return the nodes that were made, by the solve they are a part of, and by their side."""
@@ -64,7 +62,7 @@ class SideGrounds:
         """Return what a solve proves of a node."""
         tree, presses = self._tree, []
         empty = bool(tree.bounds[solve] == np.inf)
-        for group, holder in self._holders[t].items():
+        for group, holder in self._nodes.holders[t].items():
             for i, size in enumerate(tree.pressed[solve, group].tolist()):
                 if size > 0.0:
                     presses.append((holder, i, size))
@@ -79,19 +77,10 @@ class SideGrounds:
             for side in range(int(self._choices.sizes[group]))
             if side in made or not self._is_out_of_reach(group, side)
         ]
-        self._splits[t], self._parts[t] = group, len(self._splits)
-        self._counts[t] = len(reached)
-        for side in reached:
-            number = len(self._splits)
-            for values, value in (
-                (self._splits, LEAF),
-                (self._parts, 0),
-                (self._counts, 0),
-                (self._sides, side),
-            ):
-                values.append(value)
-            self._holders.append({**self._holders[t], group: number})
-            self._leaves[number] = self._raised(number, group, side, own)
+        self._sides += reached
+        places = places_of(self._space, own.point[:, :3])
+        for number, side in zip(self._nodes.part(t, group, len(reached)), reached, strict=True):
+            self._leaves[number] = self._raised(number, group, side, own, places)
             if side in made:
                 nodes[made[side]] = number
 
@@ -111,23 +100,28 @@ class SideGrounds:
             if place >= count
         )
 
-    def _raised(self, number: int, group: int, side: int, own: TreeLeaf) -> TreeLeaf:
-        """Return what is proved of a part by what is of the whole, and a step along a row."""
-        space, count, best = self._space, len(self._space.start), (0.0, -1, -1, 0.0)
+    def _raised(self, number: int, group: int, side: int, own: TreeLeaf, places: Array) -> TreeLeaf:
+        """Return what is proved of a part by what is of the whole, and a step along a row.
+
+        Args:
+            number: of the part.
+            group: that it has chosen for.
+            side: that it has chosen.
+            own: what is proved of the whole.
+            places: where that is, shape (2N, 3).
+        """
+        inverse, best, known = self._space.inverse[0], 0.0, own
         for i, place, normal, offset in self._rows(group, side):
-            curvature, at = float(space.inverse[0, place, place]), own.point[:, :3]
-            if place < count:
-                short = offset - float(normal @ at[place])
-            else:
-                moved = space.coasting[place - count] + space.reach[place - count] @ at
-                short = offset - float(normal @ moved)
-            if short > 0.0 and curvature > 0.0:
-                best = max(best, (0.5 * short * short / curvature, i, place, short / curvature))
-        _, row, place, step = best
-        if not step:
-            return own
-        point = own.point.copy()
-        normal = self._rows(group, side)[0][2]
-        point[:, :3] += step * np.outer(space.inverse[0, :count, place], normal)
-        press: Press = (number, row, step)
-        return own._replace(point=point, presses=(*own.presses, press))
+            curvature, short = float(inverse[place, place]), offset - float(normal @ places[place])
+            if not (short > 0.0 and curvature > 0.0):
+                continue
+            step = short / curvature
+            if 0.5 * short * step > best:
+                best, moved = 0.5 * short * step, step * inverse[: len(own.point), place]
+                known = own.raised((number, i, step), moved, normal)
+        return known
+
+
+def places_of(space: Space, headings: Array) -> Array:
+    """Return headings R_1 e1..R_N e1, shape (N, 3), and where they lead: s_1..s_N, (2N, 3)."""
+    return np.vstack([headings, space.coasting + space.reach @ headings])

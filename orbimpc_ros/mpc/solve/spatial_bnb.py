@@ -41,7 +41,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.disjunction import Disjunction, disjunctions_of
 from orbimpc_ros.mpc.solve.general import General
 from orbimpc_ros.mpc.solve.request import Found, Request
-from orbimpc_ros.mpc.solve.side_tree import SideGrounds
+from orbimpc_ros.mpc.solve.side_tree import SideGrounds, places_of
 from orbimpc_ros.mpc.solve.so3_multipliers import CANCELLED, ROUNDING, USUAL
 from orbimpc_ros.mpc.solve.unconstrained import other_axes, thrust_axis
 
@@ -153,8 +153,7 @@ class SpatialSearch:
         """Return a guess's thrust axes and positions, shape (2N, 3), or (0, 3) without one."""
         if request.guess is None:
             return UNGUIDED
-        headings = request.guess.x[:, :3]
-        return np.vstack([headings, self._space.coasting + self._space.reach @ headings])
+        return places_of(self._space, request.guess.x[:, :3])
 
     @property
     def _nodes(self) -> int:

@@ -1,0 +1,101 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""The nodes of a tree of choices, as searches tell of them.
+
+What is made of them is :class:`orbimpc_ros.mpc.proof.grounds.ChoiceGrounds`.
+
+Mathematics: docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds
+
+Press = tuple[int, int, float]  # the node that holds a row, which of its rows, its multiplier
+
+
+class TreeLeaf(NamedTuple):
+    """A tangent in the making.
+
+    Attributes:
+        point: where it touches, shape (N, d).
+        presses: what holds there.
+        tethers: see :class:`orbimpc_ros.mpc.proof.grounds.ChoiceGrounds`.
+        empty: whether what holds proves that nothing is there.
+    """
+
+    point: Array
+    presses: tuple[Press, ...]
+    tethers: Array
+    empty: bool = False
+
+    def raised(self, press: Press, move: Array, normal: Array) -> TreeLeaf:
+        """Return a tangent a step on along a row, by a multiplier of it.
+
+        Args:
+            press: the row, and its multiplier.
+            move: by how much headings move along its normal, shape (N,).
+            normal: shape (n,).
+        """
+        point = self.point.copy()
+        point[:, : len(normal)] += move[:, None] * normal
+        return self._replace(point=point, presses=(*self.presses, press))
+
+
+class ChoiceNodes:
+    """What nodes are split by, and who holds what was chosen on the way to each.
+
+    Attributes:
+        splits: the choice that each node is split by, ``LEAF`` of leaves.
+        holders: by choice that is made, at which node it was.
+    """
+
+    def __init__(self) -> None:
+        self.splits, self._parts, self._counts = [LEAF], [0], [0]
+        self.holders: list[dict[int, int]] = [{}]
+
+    def part(self, t: int, choice: int, count: int) -> range:
+        """Split a node by a choice into so many parts, and return their numbers."""
+        first = len(self.splits)
+        self.splits[t], self._parts[t], self._counts[t] = choice, first, count
+        self.splits += [LEAF] * count
+        self._parts += [0] * count
+        self._counts += [0] * count
+        numbers = range(first, first + count)
+        self.holders += [{**self.holders[t], choice: number} for number in numbers]
+        return numbers
+
+    @property
+    def leaves(self) -> list[int]:
+        """Return the numbers of the nodes that are not split."""
+        return [t for t, split in enumerate(self.splits) if split == LEAF]
+
+    def grounds(self, sides: np.ndarray, leaves: Sequence[TreeLeaf]) -> ChoiceGrounds:
+        """Return the grounds that nodes and leaves are.
+
+        Args:
+            sides: levels and sides of the nodes, shape (2, T).
+            leaves: of the nodes that are not split, in their order.
+        """
+        presses = [each for leaf in leaves for each in leaf.presses]
+        holders, rows, sizes = zip(*presses, strict=True) if presses else ((), (), ())
+        levels, at = sides
+        return ChoiceGrounds(
+            np.array(self.splits),
+            np.array(self._parts),
+            np.array(self._counts),
+            levels,
+            at,
+            np.array([leaf.point for leaf in leaves]),
+            np.array([leaf.empty for leaf in leaves]),
+            np.cumsum([len(leaf.presses) for leaf in leaves]),
+            np.array(holders, np.int64),
+            np.array(rows, np.int64),
+            np.array(sizes, float),
+            np.array([leaf.tethers for leaf in leaves]),
+        )
