@@ -14,11 +14,13 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.motion import control_maps, controls
 from orbimpc_ros.mpc.problem import Ball, Box, Floor, Hazard, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
+from orbimpc_ros.mpc.proof.certificate import kept
 from orbimpc_ros.mpc.proof.choices import QUARTERS, _out_of_reach, _set_row, choices_bound
-from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds
+from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds, Grounds
 from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.proof.sides import ARCS, SIDES, Sides
 from orbimpc_ros.mpc.proof.slopes import terms_of
+from orbimpc_ros.mpc.proof.verifier import parsed, verified
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.solver import OUTWARD, Solver
 
@@ -72,10 +74,38 @@ def counted(case, plan, **changes):
 )
 def test_what_a_search_proves_is_proved_by_its_tree(kind, seed):
     case, plan = solved(kind, seed)
-    assert isinstance(plan.proof.grounds, ChoiceGrounds)
     assert plan.proof.checked
     again = counted(case, plan)
     assert (1.0 - 1e-9) * said(case) <= again <= plan.objective * (1.0 + 1e-7)
+
+
+@pytest.mark.parametrize(
+    ('n', 'aside', 'weights'),
+    [
+        (2, Box((3.0, 2.0), (4.0, 3.0)), Weights()),
+        (2, Ball((3.0, 3.0), 1.0), Weights()),
+        (3, Box((3.0, 2.0, 0.0), (4.0, 3.0, 1.0)), Weights(1.0, 0.0, 0.0, 10.0)),
+    ],
+)
+def test_where_nothing_had_to_be_chosen_a_tangent_is_left(n, aside, weights):
+    """It is counted faster than a tree, and is a certificate as it stands."""
+    problem = Problem(dimension=n, weights=weights, obstacles=(aside,))
+    case = Case(problem, State.at(np.zeros(n), np.eye(n)), np.tile(np.eye(n)[0] * 8.0, (5, 1)))
+    plan = Solver(problem).solve(*case[1:])
+    assert isinstance(plan.proof.grounds, Grounds)
+    assert plan.proof.checked
+    assert verified(parsed(kept(*case, plan.proof).text().encode())).holds
+
+
+@pytest.mark.parametrize('share', [0.5, 1.0, 2.0])
+def test_a_tree_is_counted_as_far_as_is_enough(share):
+    """Over SO(3), where a leaf's bound is first one by columns, which is lower."""
+    case, plan = solved('space, boxes', 1)
+    grounds, unit, recount = plan.proof.grounds, plan.proof.cost_unit, Recount(case.problem)
+    whole = recount.bound(case.state, case.goals, grounds, unit)
+    again = recount.bound(case.state, case.goals, grounds, unit, share * whole)
+    assert min(1.0, share) * whole * (1.0 - 1e-12) <= again <= whole * (1.0 + 1e-12)
+    assert (again < whole * (1.0 - 1e-6)) == (share < 1.0)
 
 
 @pytest.mark.parametrize('weight', [0.0, 0.05])
