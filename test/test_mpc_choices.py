@@ -453,3 +453,28 @@ def test_nothing_that_is_empty_is_taken_for_so_without_a_proof(branched):
     full = int(np.flatnonzero(~grounds.empty)[0])
     empty = changed(grounds.empty, full, True)
     assert counted(case, plan, empty=empty) == -np.inf
+
+
+@pytest.mark.parametrize('turn', [0.3, 0.9, 1.4, 2.5])
+@pytest.mark.parametrize('least', [0.3, 1.0])
+def test_what_always_holds_holds_of_all_that_turn_within_the_limit(turn, least):
+    """Of slow and of fast headings, and of those that turn as fast as they may."""
+    floor = Floor('circle', fraction=least)
+    problem = Problem(horizon=6, step=0.5, floor=floor, max_rate=2.0 * turn)
+    sides, rng = Sides(problem, terms_of(problem)), np.random.default_rng(6)
+    tightest = np.inf
+    for _ in range(300):
+        begin = rng.uniform(-np.pi, np.pi)
+        turns = turn * np.sign(rng.normal()) * np.clip(rng.normal(1.0, 0.5, 6), -1.0, 1.0)
+        angles, speeds = begin + np.cumsum(turns), rng.choice([least, 1.0], 6)
+        z = speeds[:, None] * np.transpose([np.cos(angles), np.sin(angles)])
+        c, s = np.cos(begin), np.sin(begin)
+        state = State.at(np.zeros(2), np.array([[c, -s], [s, c]]))
+        always, places = sides.always(state), sides.places(state)
+        led = places.free + places.maps @ z
+        slack = np.einsum('ij,ij->i', always.normals, led[always.places]) - always.offsets
+        assert slack.min(initial=1.0) >= -1e-12
+        chords = np.linalg.norm(np.diff(z, axis=0), axis=1)
+        assert chords.max() <= always.chord + 1e-12
+        tightest = min(tightest, slack.min(initial=1.0))
+    assert tightest < 1e-9 or turn > 0.5 * np.pi
