@@ -12,6 +12,7 @@ import pytest
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Ball, Box, Floor, Problem, State
 from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
+from orbimpc_ros.mpc.proof.sectors import SectorProof
 from orbimpc_ros.mpc.proof.verifier import Refused, parsed, verified
 from orbimpc_ros.mpc.solve.solver import Solver
 
@@ -202,3 +203,17 @@ def test_numbers_are_written_as_they_are():
     assert np.array_equal(known['goals'], made.goals)
     assert np.array_equal(known['tree']['point'], made.tree.point)
     assert known['lower_bound'] == made.lower_bound
+
+
+def test_a_bound_that_no_sector_proves_is_given_up_before_the_interpreter_does():
+    problem = Problem(horizon=16, floor=Floor('circle', fraction=0.6))
+    state, goals = State.at(np.zeros(2), np.eye(2)), np.tile([3.0, 1.0], (16, 1))
+    x = np.tile([0.6, 0.0], (16, 1))
+    assert SectorProof(problem, state, goals, x, np.inf).tree() is None
+
+
+def test_where_nothing_is_split_words_are_about_the_tangent():
+    case = certified.case('space, coasting', np.random.default_rng(4))
+    plan = Solver(case.problem, coasting=True).solve(case.state, case.goals)
+    with pytest.raises(Unproved, match='one tangent proves'):
+        certificate_of(*case, plan.rotations[1:], 1.1 * plan.objective)

@@ -76,7 +76,7 @@ def certificate_of(
         best = max(best, _proved(made))
         if best >= target:
             return made
-    if _width(problem) == 9:  # a plan that is not as accurate takes a program of its own
+    if _width(problem) == 9 and problem.rotation_order == 1:  # no accurate plan: its own program
         return _beside_walls(certificate, units, target)
     if not _splits(problem):
         raise Unproved(

@@ -23,6 +23,7 @@ from orbimpc_ros.mpc.solve.arc_search import cuts
 WIDEST = 1.3  # [rad] of a part, of a sector that is too wide for cuts
 MARGIN = 0.15  # of a sector: no part is narrower
 NARROWEST = 1e-7  # [rad], a sector that is not split
+DEEPEST = 150  # splits on the way to a leaf: what calls itself has its limits
 SATISFIED = 1e-9  # [rad], a turn that is wider by less
 TURN = math.nextafter(2.0 * math.pi, 7.0)
 NO_ARRIVAL = np.zeros(0)
@@ -67,9 +68,9 @@ class SectorProof:
 
     def tree(self) -> Tree | None:
         """Return splits and leaves that prove the target; None where that takes too many."""
-        return self._proved(*self._root)
+        return self._proved(*self._root, 0)
 
-    def _proved(self, low: Array, high: Array) -> Tree | None:
+    def _proved(self, low: Array, high: Array, depth: int) -> Tree | None:
         leaf, bound, missed = self._relaxed(low, high)
         if bound >= self._target:
             self._leaves += 1
@@ -77,9 +78,10 @@ class SectorProof:
         gains, angles = self._promises(leaf.point, missed, low, high)
         # Where nothing is missed, the tangent was not the best one: any split is a new try.
         k = int(np.argmax(gains if gains.any() else high - low))
-        if high[k] - low[k] < NARROWEST:
+        if high[k] - low[k] < NARROWEST or depth >= DEEPEST:
             return None
-        return self._split(k, self._corners(low[k], high[k], angles[k]), low, high)
+        corners = self._corners(low[k], high[k], angles[k])
+        return self._split(k, corners, low, high, depth)
 
     def _promises(self, z: Array, missed: Array, low: Array, high: Array) -> tuple[Array, Array]:
         """Return what splits of each step promise, and at which angles.
@@ -106,13 +108,17 @@ class SectorProof:
             before = angles[k]
         return gains, cuts_at
 
-    def _split(self, k: int, corners: list[float], low: Array, high: Array) -> Tree | None:
+    def _split(
+        self, k: int, corners: list[float], low: Array, high: Array, depth: int
+    ) -> Tree | None:
         """Return the tree of a region split at angles, one after another; it may be empty."""
         if not corners:
-            return self._proved(low, high)
-        return split_into(self._cut(k, corners, low, high), k + 1, corners[0])
+            return self._proved(low, high, depth)
+        return split_into(self._cut(k, corners, low, high, depth), k + 1, corners[0])
 
-    def _cut(self, k: int, corners: list[float], low: Array, high: Array) -> Iterator[Tree | None]:
+    def _cut(
+        self, k: int, corners: list[float], low: Array, high: Array, depth: int
+    ) -> Iterator[Tree | None]:
         """Yield what proves the parts below and above the first of some angles."""
         for begin, end, rest in (
             (low[k], corners[0], []),
@@ -120,7 +126,7 @@ class SectorProof:
         ):
             region = self._narrowed(k, begin, end, low, high)
             nothing = Leaf(np.zeros(self._q.shape))
-            yield nothing if region is None else self._split(k, rest, *region)
+            yield nothing if region is None else self._split(k, rest, *region, depth + 1)
 
     def _narrowed(
         self, k: int, begin: float, end: float, low: Array, high: Array
