@@ -142,8 +142,8 @@ def _check_ticks(heard):
     for message in heard['tick'][: len(heard['odom'])]:
         told = values(message)
         assert set(told) == {
-            'status', 'reason', 'objective', 'lower_bound', 'gap', 'bound_checked', 'nodes',
-            'solve_time_ms',
+            'status', 'reason', 'objective', 'lower_bound', 'gap', 'bound_checked',
+            'infeasible_checked', 'nodes', 'solve_time_ms',
             'speed_fraction', 'projection_distance', 'fallback', 'cause', 'binding', 'advanced',
             'goal_stamps', 'goal_counts', 'disturbance', 'innovation',
             'earliest_catch', 'catch_bound', 'obstacles', 'obstacles_left_out', 'clearance',

@@ -227,8 +227,8 @@ class RefutationProgram:
             row[self._t[k]] = math.cos(half)
         return a, np.zeros(len(narrow))
 
-    def answer(self, region: Region) -> Missed:
-        """Return what is missed in a region at least."""
+    def answer(self, region: Region) -> Missed | None:
+        """Return what is missed in a region at least; None where Clarabel panics."""
         from orbimpc_ros.mpc.solve.conic import run, solver_for  # takes Clarabel
 
         decided, paced, rounds = self._fixed
@@ -245,6 +245,8 @@ class RefutationProgram:
             'dims': dims,
         }
         found: Any = run(solver_for(data, ACCURACY), None)
+        if found is None:
+            return None
         x, z = np.nan_to_num(found.x), np.nan_to_num(found.z)
         nowhere = 'PrimalInfeasible' in str(found.status)  # multipliers are a ray, of any length
         each = self._posed.n + 1

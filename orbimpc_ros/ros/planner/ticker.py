@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 import time
 from collections import deque
@@ -19,6 +20,7 @@ from orbimpc_ros.mpc.loop.interception import FARTHEST
 from orbimpc_ros.mpc.loop.odometry import Odometry, along_the_air
 from orbimpc_ros.mpc.loop.traffic.nearest import nearest
 from orbimpc_ros.mpc.outcome import Reason
+from orbimpc_ros.mpc.proof.refute import WORD, refutation_of, refuted_in_time
 from orbimpc_ros.ros.clock import UNKNOWN, RosTime
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
@@ -117,6 +119,7 @@ class Ticker:
         self._settings, self._controller, self._simulated = settings, controller, simulated
         self._clock = clock
         self._estimator = _estimator(settings)
+        self._end = math.inf  # of the last tick's time [s]
         self.timing = Timing()
 
     def expect_hazards(self) -> None:
@@ -193,9 +196,22 @@ class Ticker:
         wanted: Array | None,
         begun: float,
     ) -> Tick:
-        ends, end = self._controller.ends(odometry.time), begun + self._settings.deadline
-        late = partial(_is_past, self._clock, end)
+        ends, self._end = self._controller.ends(odometry.time), begun + self._settings.deadline
+        late = partial(_is_past, self._clock, self._end)
         return self._controller.tick(odometry, targets(ends), late, targets, wanted)
+
+    def proved(self, report: Report) -> Report:
+        """Return the report on the last tick with a proof that nothing is feasible, if it says so.
+
+        It is looked for until the tick's deadline: after its command went out, which need not wait.
+        """
+        tick, sought = report.tick, report.tick.infeasible
+        if sought is None:
+            return report
+        made = refuted_in_time(partial(refutation_of, sought), self._clock, self._end)
+        if made is None:
+            tick = replace(tick, reason=f'{tick.reason}; {WORD}')
+        return replace(report, tick=tick, refutation=made)
 
     def _look_out(self, inbox: Inbox, odometry: Odometry) -> int:
         """Tell the controller what moves around the vehicle; return how much of it is left out."""
