@@ -146,8 +146,8 @@ def _check_ticks(heard):
             'infeasible_checked', 'nodes', 'solve_time_ms',
             'speed_fraction', 'projection_distance', 'fallback', 'cause', 'binding', 'advanced',
             'goal_stamps', 'goal_counts', 'disturbance', 'innovation',
-            'earliest_catch', 'catch_bound', 'obstacles', 'obstacles_left_out', 'clearance',
-            'traffic_stamps', 'margins',
+            'earliest_catch', 'catch_bound', 'catch_checked', 'obstacles', 'obstacles_left_out',
+            'clearance', 'traffic_stamps', 'margins',
         }  # fmt: skip
         assert told['status'] == 'optimal'
         assert json.loads(told['goal_stamps']) == {'goal': stamp(message)}

@@ -73,11 +73,12 @@ def test_malformed_messages_are_dropped_and_counted_and_the_loop_goes_on(flying)
 
 
 def test_that_nothing_is_feasible_is_published_with_its_proof(launch, observer):
-    asked = {'terminal': 'constraint', 'publish_certificate': 'true'}
+    slow = {'step': 2.0, 'horizon': 2}  # with a second for a tick, however busy the machine is
+    asked = slow | {'terminal': 'constraint', 'publish_certificate': 'true'}
     proofs = observer.listen(UInt8MultiArray, 'certificate')
     bench = Bench(launch, observer, QUICK | asked)
     observer.until_connected('certificate')
-    command = bench.fly(7.25)  # the goal is 5 m away, and half a metre is in reach
+    command = bench.fly(7.25)  # the goal is 5 m away, and 4 m are in reach
     assert not moving(command)
     bench.until(lambda: proofs and bench.ticks, 'the proof')
     verdict = verified(parsed(bytes(proofs[-1].data)))

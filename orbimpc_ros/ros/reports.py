@@ -78,6 +78,12 @@ class Report:
         return WARN if tick.fallback or tick.reason or tick.status is not Status.OPTIMAL else OK
 
     @property
+    def _catch_checked(self) -> bool:
+        """Return whether what is said of catches was counted again, or refuted."""
+        catch = self.tick.catch
+        return catch is not None and (catch.checked or self.refutation is not None)
+
+    @property
     def values(self) -> dict[str, object]:
         """Return the values on the topic ``tick``, by key.
 
@@ -104,6 +110,7 @@ class Report:
             'binding': self.binding,
             'advanced': self.advanced,
             **_catch(tick),
+            'catch_checked': self._catch_checked,
             'disturbance': () if self.disturbance is None else tuple(self.disturbance.tolist()),
             'innovation': math.nan if self.innovation is None else self.innovation,
             'goal_stamps': self.goal_stamps,

@@ -241,7 +241,7 @@ class PlannerSettings:
         velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
         sideslip: whether odometry measures how a wing slips, which is believed.
         dry_run: whether nothing is to be commanded.
-        publish_certificate: whether to publish what proves bounds.
+        publish_certificate: whether to publish what proves bounds, and refutes what ticks exclude.
         gated: whether commands wait until the vehicle says that it takes them.
         halves: whether odometry comes as a pose and a twist.
         obstacle_speed_limit: of bodies seen; faster ones have jumped [m/s].

@@ -330,7 +330,7 @@ class PlannerNode(Managed):
         self._stamp, self._report = stamp, report
         heard = self._outlet.heard
         self._tell(heard - CLAIMS)  # the vehicle did not wait for it
-        self._report = self._ticker.proved(report)
+        self._report = self._ticker.proved(report, catches='certificate' in heard)
         self._tell(heard & CLAIMS)
         self._console.note(self._report.tick)
         self._health.show_changes()
