@@ -1,6 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """`orbimpc verify` as a user meets it: certificates and bags in, a table and an exit code out."""
 
+import itertools
 import json
 from pathlib import Path
 
@@ -9,11 +10,15 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.proof.certificate import kept
 from orbimpc_ros.mpc.proof.refute import WORD
+from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.io.bag.writer import BagWriter
 from orbimpc_ros.tool.io.topics import Topic
 from orbimpc_ros.tool.replay import recording
+from orbimpc_ros.tool.replay.report import ticks_of
 from orbimpc_ros.tool.verify import Recorded, _recorded
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -324,6 +329,31 @@ def test_a_time_before_which_a_plan_catches_fails(run, monkeypatch):
     code, out, _ = run('verify', WING, '--tick', 9)
     assert code == 1
     assert 'DOES NOT HOLD: a plan catches it at' in out
+
+
+@pytest.mark.parametrize('flown', [3.0, float('nan')])
+def test_a_bound_on_another_catch_is_not_held_against_this_one(run, monkeypatch, flown):
+    claiming(monkeypatch, 'lower_bound', 1e3)
+    assert 'DOES NOT HOLD: a trajectory costs' in run('verify', WING, '--tick', 9)[1]
+    claiming(monkeypatch, 'earliest_catch', flown)
+    code, out, _ = run('verify', WING, '--tick', 9)
+    assert code == 0
+    assert 'it was about another catch, or none' in out
+    assert '1 no certificate, 1 holds' in out
+
+
+@pytest.mark.skipif(not COMPILED, reason='the method that leaves a certificate needs numba')
+def test_a_published_bound_on_what_is_flown_without_a_catch_is_gone_through(run, monkeypatch):
+    tick = next(itertools.islice(ticks_of(WING, None, ''), 9, None)).tick
+    posed = tick.catch.sought.problem, tick.state, tick.catch.sought.goals
+    plan = Solver(posed[0], coasting=True).solve(*posed[1:])
+    known = kept(*posed, plan.proof).document()
+    for changes, word in (({}, '2 holds'), ({'goals': posed[2][::-1].tolist()}, 'another catch')):
+        recorded = Recorded({plan.lower_bound: known | changes}, {})
+        monkeypatch.setattr('orbimpc_ros.tool.verify._recorded', lambda *_, r=recorded: r)
+        claiming(monkeypatch, 'lower_bound', plan.lower_bound)
+        claiming(monkeypatch, 'earliest_catch', float('nan'))
+        assert word in run('verify', WING, '--tick', 9)[1]
 
 
 def test_a_time_without_a_proof_is_no_failure(run, monkeypatch):

@@ -13,13 +13,17 @@ import json
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.loop.interception import steps_before
 from orbimpc_ros.mpc.outcome import Status
+from orbimpc_ros.mpc.problem import Approach
 from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof import verifier
@@ -181,13 +185,40 @@ def _tick(
     assert tick.state is not None
     assert tick.goals is not None
     posed, cost = Case(tick.problem, tick.state, tick.goals), plan.objective
+    known, row = recorded.bounds.get(claimed), TickVerdict(number, COST, claimed)
+    if not _is_about(each.recorded.answer.earliest_catch, tick):
+        return _of_the_tracked(row, known, tick)
     if claimed > cost + TOLERANCE * (cost + plan.proof.cost_unit):
         words = f'{FAILS}: a trajectory costs {cost!r}'
-        return TickVerdict(number, COST, claimed, outcome=FAILS, words=words)
-    known, row = recorded.bounds.get(claimed), TickVerdict(number, COST, claimed)
+        return row._replace(outcome=FAILS, words=words)
     if known is not None and _is_of(known, posed):
         return _as_published(row, known)
     return _certified(row, args, lambda: certificate_for(*posed, plan, claimed))
+
+
+def _is_about(earliest: float | None, tick: Tick) -> bool:
+    """Return whether a tick now flies the catch that it flew then, or none, as far as is known.
+
+    Each catch is a problem of its own, and a deadline can end the search for the earliest.
+    """
+    if earliest is None or tick.catch is None:
+        return True
+    return bool(np.isclose(tick.catch.time, earliest, equal_nan=True))
+
+
+def _of_the_tracked(row: TickVerdict, known: Any, tick: Tick) -> TickVerdict:
+    """Return what becomes of a bound that is not about the catch that is flown now.
+
+    What was published with it proves it, where that is of the problem that is flown without any.
+    """
+    assert tick.catch is not None
+    assert tick.state is not None
+    sought = tick.catch.sought
+    problem = replace(sought.problem, approach=Approach())
+    if known is not None and _is_of(known, Case(problem, tick.state, sought.goals)):
+        return _as_published(row, known)
+    words = 'no certificate: it was about another catch, or none, when its time was up'
+    return row._replace(outcome=NONE, words=words)
 
 
 def _infeasible(
