@@ -88,6 +88,23 @@ def test_that_nothing_is_feasible_is_published_with_its_proof(launch, observer):
     assert told(bench.ticks[-1])['infeasible_checked'] == 'true'
 
 
+def test_before_which_time_nothing_catches_is_published_with_its_proof(launch, observer):
+    asked = {'step': 2.0, 'objective': 'intercept', 'publish_certificate': 'true'}
+    proofs = observer.listen(UInt8MultiArray, 'certificate')
+    bench = Bench(launch, observer, QUICK | asked)
+    observer.until_connected('certificate')
+    bench.fly(7.25)
+
+    def refuted():
+        return [text for text in (bytes(each.data) for each in proofs) if b'"radius"' in text]
+
+    bench.until(lambda: refuted() and bench.ticks, 'the proof')
+    verdict = verified(parsed(refuted()[-1]))
+    assert verdict.holds
+    assert verdict.proved == float(told(bench.ticks[-1])['catch_bound']) > 2.0
+    assert told(bench.ticks[-1])['catch_checked'] == 'true'
+
+
 def test_outputs_carry_the_odometrys_stamp_and_frame(flying):
     command = flying.fly(7.25)
     assert (command.header.stamp.sec, command.header.stamp.nanosec) == (7, 250_000_000)

@@ -154,7 +154,7 @@ PLANNER: tuple[Row, ...] = (
     Row('dry_run', False, 'Whether to plan and report, and command nothing: there is no publisher '
         'of commands then'),
     Row('publish_certificate', False, 'Whether to publish on certificate what proves the bound of '
-        'a tick, where the method leaves that'),
+        'a tick, where the method leaves that, and refutes what it excludes, where there is time'),
     Row('odom_timeout', 0.0, 'Odometry older than this is stale; 0 for 0.2 s; at least 1.5 '
         'periods',
         's', 0.0, MAX_DURATION, live=True),
