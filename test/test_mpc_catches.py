@@ -127,13 +127,11 @@ def test_bounds_that_plans_and_distances_prove_are_counted_again(problem):
 @needs_counts
 def test_a_bound_that_rests_on_a_step_that_is_the_methods_word_is_its_word(monkeypatch):
     goals = np.tile([3.9, 0.0], (6, 1))
-    catch, _ = hunted(FREE, goals)
-    assert catch.checked
-    assert excluded(catch) == 3
+    behind = np.vstack([goals[:2], [[0.0, 1.0]], goals[3:]])  # where a wing does not turn to
+    assert [hunted(FREE, goals)[0].checked, hunted(WING, behind)[0].checked] == [True, True]
     monkeypatch.setattr('orbimpc_ros.mpc.solve.solver.Recount.knows', lambda *_: False)
     assert hunted(FREE, goals)[0].checked  # by distances alone
-    goals[0] = [1.0, RADIUS + 0.1]  # within reach of headings that R_0 leaves no choice of
-    word, _ = hunted(FREE, goals)
+    word, _ = hunted(WING, behind)
     assert excluded(word) == 3
     assert not word.checked
 

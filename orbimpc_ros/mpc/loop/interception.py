@@ -242,18 +242,15 @@ class Interception:
         bound, counted, best = 1, 1, MISSED
         goals = hunt.goals(self._horizon)
         too_far = self._too_far(hunt.state, goals, self._tracked)
-        known = hunt.state, goals, self._radius
-        surely = self._reach.misses(*known) if too_far.any() else too_far
+        surely = self._reach.misses(hunt.state, goals, self._radius)
         travel = self._travel(goals)
         for end in range(1, self._horizon + 1):
-            if too_far[end - 1]:
-                attempt = NEVER._replace(checked=bool(surely[end - 1]))
-            else:
-                attempt = self._tried(hunt, end, goals[:end])
+            attempt = NEVER if too_far[end - 1] else self._tried(hunt, end, goals[:end])
             if self._is_well(attempt):
                 return attempt, bound, counted
             bound += bound == end and attempt.never
-            counted += counted == end and attempt.never and attempt.checked
+            known = attempt.checked or bool(surely[end - 1])
+            counted += counted == end and attempt.never and known
             if attempt.miss <= self._radius + travel:
                 attempt = min(attempt, self._passing(hunt, end), key=_miss)
             best = min(best, attempt, key=_miss)

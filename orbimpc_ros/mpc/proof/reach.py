@@ -39,6 +39,7 @@ class Reach:
         places = self._sides.places(state)
         free, reach = places.free[self._ends], np.abs(places.maps[self._ends]).sum(axis=1)
         here, wanted, near = (each / self._unit for each in (state.position, goals, radius))
-        away = np.linalg.norm(wanted - here - free, axis=1)
-        sizes = np.abs(here).sum() + np.abs(wanted).sum(axis=1) + np.abs(free).sum(axis=1)
+        off = wanted - here - free
+        sizes = np.abs(here).sum() + (np.abs(wanted) + np.abs(free)).sum(axis=1)
+        away = np.sqrt(np.einsum('kc,kc->k', off, off))
         return np.asarray(away > near + reach + SURE * (1.0 + sizes + reach))
