@@ -385,6 +385,21 @@ def test_a_goal_beyond_the_farthest_is_missed_by_what_it_is_beyond():
     assert float(bound(posed, leaf, root(posed, None))) == pytest.approx(away)
 
 
+def test_a_goal_beyond_the_farthest_takes_no_program_and_one_on_the_rim_does(monkeypatch):
+    parts, answer = [], RefutationProgram.answer
+    monkeypatch.setattr(RefutationProgram, 'answer', lambda *a: parts.append(0) or answer(*a))
+    for problem in (WING, replace(WING, max_rate=0.0), Problem(horizon=6), Problem(3, horizon=6)):
+        n = problem.dimension
+        far = Sought(problem, State.at(np.zeros(n), np.eye(n)), 7.0 * np.eye(n)[[0] * 6], RADIUS)
+        assert judged(catches_refuted(far, 6).text()) == 'holds'
+        assert not parts
+    goals = np.tile([3.0 + RADIUS, 0.0], (6, 1))
+    rim = Sought(WING, State.at(np.zeros(2), np.eye(2)), goals, RADIUS)
+    with pytest.raises(Unproved, match='catch at step 3'):
+        catches_refuted(rim, 3)
+    assert parts
+
+
 def test_shares_without_a_cone_are_refused():
     state = State.at(np.zeros(2), np.eye(2))
     sought = Sought(Problem(horizon=2), state, np.zeros((2, 2)), RADIUS)

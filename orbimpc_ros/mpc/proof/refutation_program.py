@@ -112,6 +112,16 @@ class RefutationProgram:
         return Leaf(np.zeros((len(self._z), self._posed.width)))
 
     @property
+    def beyond(self) -> Leaf | None:
+        """Return what refutes a catch of a goal that no headings lead to; None if some may."""
+        motion, radius = self._motion, self._posed.radius
+        off = motion.free[-1] - motion.goals[-1]
+        away = float(np.linalg.norm(off))
+        if radius is None or away <= float(radius) + float(np.abs(motion.reach[-1]).sum()):
+            return None
+        return replace(self.nothing, meets=off / away)
+
+    @property
     def curvatures(self) -> Array:
         """Return by how much positions give way to what presses them, shape (N,)."""
         return np.asarray(np.sum(self._motion.reach**2, axis=1))

@@ -20,7 +20,7 @@ import numpy as np
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Ball, Floor, Problem
 from orbimpc_ros.mpc.problem.sought import Sought
-from orbimpc_ros.mpc.proof.certificate import Refutation, Tree, plain, split_into
+from orbimpc_ros.mpc.proof.certificate import Leaf, Refutation, Tree, plain, split_into
 from orbimpc_ros.mpc.proof.prove import Unproved
 from orbimpc_ros.mpc.proof.refutation_program import Missed, Motion, RefutationProgram, middle_of
 from orbimpc_ros.mpc.proof.verifier import Refused, parsed, refuted_by, verified
@@ -166,19 +166,35 @@ class RefutationProof:
         Raises:
             Unproved: it takes too long.
         """
-        return self._refuted(root(self._posed, self._origins))
+        everything, beyond = root(self._posed, self._origins), self._program.beyond
+        if beyond is None:
+            return self._refuted(everything)
+        self._poll()
+        held = self._refutes(beyond, everything)
+        return self._counted(beyond) if held else self._refuted(everything)
+
+    def _counted(self, leaf: Leaf) -> Leaf | None:
+        """Return a leaf, if it is not one too many."""
+        self._leaves += 1
+        return leaf if self._leaves <= self.most else None
+
+    def _poll(self) -> None:
+        if self._out_of_time():
+            raise Unproved('no certificate: no refutation was found in time')
+
+    def _refutes(self, leaf: Leaf, region: Region) -> bool:
+        """Return whether nothing is in a region, as whoever reads its leaf will find."""
+        return bound(self._posed, plain(leaf), region) > 0
 
     def _refuted(self, region: Region | None) -> Tree | None:
         if region is None:
             return self._program.nothing
-        if self._out_of_time():
-            raise Unproved('no certificate: no refutation was found in time')
+        self._poll()
         answer = self._program.answer(region)
         if answer is None:
             return None
-        if not answer.feasible and bound(self._posed, plain(answer.leaf), region) > 0:
-            self._leaves += 1
-            return answer.leaf if self._leaves <= self.most else None
+        if not answer.feasible and self._refutes(answer.leaf, region):
+            return self._counted(answer.leaf)
         return self._beside(region, answer) or self._turned(region)
 
     def _beside(self, region: Region, answer: Missed) -> Tree | None:
