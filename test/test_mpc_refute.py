@@ -72,6 +72,19 @@ def test_what_has_a_plan_is_not_refuted(kind):
         refutation_of(Sought(*case))
 
 
+def test_balls_in_space_are_left_out_of_what_is_refuted_and_nothing_else_is():
+    problem, goals = Problem(3, horizon=4, terminal='constraint'), np.tile([9.0, 0.0, 0.0], (4, 1))
+    bodies = Ball(np.full(3, 9.0), 1.0), Box(np.full(3, 8.0), np.full(3, 9.0))
+    moving = tuple(Hazard.drifting(each, np.eye(3)[2]) for each in bodies)
+    made = refutation_of(Sought(problem, State.at(np.zeros(3), np.eye(3), hazards=moving), goals))
+    assert judged(made.text()) == 'holds'
+    assert len(made.document()['limits']['walls']) == 1
+    around = (Hazard.drifting(Ball(np.zeros(3), 9.0), np.zeros(3)),)
+    held = State.at(np.zeros(3), np.eye(3), hazards=around)
+    with pytest.raises(Unproved, match='no refutation'):
+        refutation_of(Sought(replace(problem, terminal='penalty'), held, goals))
+
+
 # --- in time
 
 

@@ -93,10 +93,13 @@ def refuted_in_time(
 
 def stated(sought: Sought) -> Refutation:
     """Return a refutation without its trees, of as much of a problem as certificates can state."""
-    problem = statable(sought.problem)
-    split = problem.dimension == 2 and problem.floor.exists and not problem.max_rate
+    problem, state = statable(sought.problem), sought.state
+    planar = problem.dimension == 2
+    hazards = tuple(each for each in state.hazards if planar or not isinstance(each.body, Ball))
+    split = planar and problem.floor.exists and not problem.max_rate
     origins = np.zeros(problem.horizon) if split else None
-    return Refutation(replace(sought, problem=problem), (), origins)
+    posed = replace(sought, problem=problem, state=replace(state, hazards=hazards))
+    return Refutation(posed, (), origins)
 
 
 def statable(problem: Problem) -> Problem:
