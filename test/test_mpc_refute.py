@@ -2,8 +2,10 @@
 """Refutations: of what nothing satisfies there is one, and of what something does there is none."""
 
 import copy
+import functools
 import itertools
 import json
+import sys
 from contextlib import suppress
 from dataclasses import replace
 from fractions import Fraction
@@ -14,14 +16,20 @@ import pytest
 import refutable
 from problems import rotation
 
+from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.loop.interception import steps_before
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State
 from orbimpc_ros.mpc.problem.sought import Sought
-from orbimpc_ros.mpc.proof.certificate import plain, statement
+from orbimpc_ros.mpc.proof.certificate import Leaf, plain, statement
 from orbimpc_ros.mpc.proof.prove import Unproved
 from orbimpc_ros.mpc.proof.refutation_program import Motion, RefutationProgram
-from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of, stated
+from orbimpc_ros.mpc.proof.refute import (
+    catches_refuted,
+    refutation_of,
+    refuted_in_time,
+    stated,
+)
 from orbimpc_ros.mpc.proof.verifier import Refused, parsed, posed_by, refuted_by, verified
 from orbimpc_ros.mpc.proof.verifier.bound import bound
 from orbimpc_ros.mpc.proof.verifier.least import least_along
@@ -62,6 +70,91 @@ def test_what_has_a_plan_is_not_refuted(kind):
     case = certified.case(kind, np.random.default_rng([1, *kind.encode()]))
     with pytest.raises(Unproved, match='no refutation'):
         refutation_of(Sought(*case))
+
+
+def test_balls_in_space_are_left_out_of_what_is_refuted_and_nothing_else_is():
+    problem, goals = Problem(3, horizon=4, terminal='constraint'), np.tile([9.0, 0.0, 0.0], (4, 1))
+    bodies = Ball(np.full(3, 9.0), 1.0), Box(np.full(3, 8.0), np.full(3, 9.0))
+    moving = tuple(Hazard.drifting(each, np.eye(3)[2]) for each in bodies)
+    made = refutation_of(Sought(problem, State.at(np.zeros(3), np.eye(3), hazards=moving), goals))
+    assert judged(made.text()) == 'holds'
+    assert len(made.document()['limits']['walls']) == 1
+    around = (Hazard.drifting(Ball(np.zeros(3), 9.0), np.zeros(3)),)
+    held = State.at(np.zeros(3), np.eye(3), hazards=around)
+    with pytest.raises(Unproved, match='no refutation'):
+        refutation_of(Sought(replace(problem, terminal='penalty'), held, goals))
+
+
+# --- in time
+
+
+def sought_of(kind, seed=0):
+    return Sought(*refutable.KINDS[kind](np.random.default_rng([seed, *kind.encode()])))
+
+
+@pytest.mark.parametrize('kind', refutable.KINDS)
+def test_what_is_refuted_in_time_holds_and_is_what_it_is_without_a_deadline(kind):
+    for seed in range(3):
+        sought = sought_of(kind, seed)
+        made = refuted_in_time(functools.partial(refutation_of, sought), lambda: 0.0, np.inf)
+        try:
+            known = refutation_of(sought).text()
+        except Unproved:
+            assert made is None
+            continue
+        assert judged(known) == 'holds'
+        assert made.text() == known
+
+
+def test_a_refutation_polls_before_each_part_and_is_given_up_when_it_is_late(monkeypatch):
+    sought, parts, polls = sought_of('run over'), [], []
+    answer = RefutationProgram.answer
+    monkeypatch.setattr(RefutationProgram, 'answer', lambda *a: parts.append(0) or answer(*a))
+    refutation_of(sought, lambda: polls.append(len(parts)))
+    assert len(parts) > 1
+    assert polls == list(range(len(parts)))
+    for late in range(len(polls)):
+        count = itertools.count()
+        with pytest.raises(Unproved, match='in time'):
+            refutation_of(sought, lambda late=late, count=count: next(count) >= late)
+
+
+def test_catches_are_given_up_when_it_is_late_too():
+    state = State.at(np.zeros(2), np.eye(2))
+    sought = Sought(WING, state, np.tile([4.0, 1.0], (6, 1)), RADIUS)
+    assert judged(catches_refuted(sought, 3).text()) == 'holds'
+    polls = itertools.count()
+    with pytest.raises(Unproved, match='in time'):
+        catches_refuted(sought, 3, lambda: next(polls) >= 2)
+
+
+@pytest.mark.parametrize(('end', 'known'), [(11.0, True), (9.0, False)])
+def test_half_of_the_time_is_left_to_go_through_what_is_made(end, known):
+    make = functools.partial(refutation_of, sought_of('out of reach'))
+    times = iter([0.0, 5.0])  # when it begins, and before the only part
+    assert (refuted_in_time(make, lambda: next(times), end) is not None) == known
+
+
+@pytest.mark.parametrize('kind', ['out of reach', 'walled in', 'behind a wing'])
+def test_what_is_made_and_does_not_hold_is_no_refutation(kind):
+    made = refuted(kind)
+    nothing = Leaf(np.zeros((made.sought.problem.horizon, made.sought.problem.dimension)))
+    for trees in ((nothing,), 2 * made.trees, ()):
+        each = replace(made, trees=trees)
+        assert refuted_in_time(lambda _, each=each: each, lambda: 0.0, 1.0) is None
+    assert refuted_in_time(lambda _: made, lambda: 0.0, 1.0) is made
+
+
+def test_who_has_no_clarabel_or_one_that_panics_refutes_nothing(monkeypatch):
+    make = functools.partial(refutation_of, sought_of('out of reach'))
+    monkeypatch.setattr('orbimpc_ros.mpc.solve.conic.run', lambda *_: None)
+    with pytest.raises(Unproved, match='no refutation of all'):
+        make()
+    monkeypatch.delitem(sys.modules, 'orbimpc_ros.mpc.solve.conic')
+    monkeypatch.setitem(sys.modules, 'clarabel', None)
+    with pytest.raises(BadInput, match='not installed'):
+        make()
+    assert refuted_in_time(make, lambda: 0.0, 1.0) is None
 
 
 # --- catches
@@ -303,6 +396,21 @@ def test_a_goal_beyond_the_farthest_is_missed_by_what_it_is_beyond():
     leaf = plain(program.answer(root(posed, None)).leaf)
     away = np.hypot(3.0, 1.0) - 2.0 - RADIUS  # R_0 decides the first step
     assert float(bound(posed, leaf, root(posed, None))) == pytest.approx(away)
+
+
+def test_a_goal_beyond_the_farthest_takes_no_program_and_one_on_the_rim_does(monkeypatch):
+    parts, answer = [], RefutationProgram.answer
+    monkeypatch.setattr(RefutationProgram, 'answer', lambda *a: parts.append(0) or answer(*a))
+    for problem in (WING, replace(WING, max_rate=0.0), Problem(horizon=6), Problem(3, horizon=6)):
+        n = problem.dimension
+        far = Sought(problem, State.at(np.zeros(n), np.eye(n)), 7.0 * np.eye(n)[[0] * 6], RADIUS)
+        assert judged(catches_refuted(far, 6).text()) == 'holds'
+        assert not parts
+    goals = np.tile([3.0 + RADIUS, 0.0], (6, 1))
+    rim = Sought(WING, State.at(np.zeros(2), np.eye(2)), goals, RADIUS)
+    with pytest.raises(Unproved, match='catch at step 3'):
+        catches_refuted(rim, 3)
+    assert parts
 
 
 def test_shares_without_a_cone_are_refused():

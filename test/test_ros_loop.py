@@ -142,12 +142,12 @@ def _check_ticks(heard):
     for message in heard['tick'][: len(heard['odom'])]:
         told = values(message)
         assert set(told) == {
-            'status', 'reason', 'objective', 'lower_bound', 'gap', 'bound_checked', 'nodes',
-            'solve_time_ms',
+            'status', 'reason', 'objective', 'lower_bound', 'gap', 'bound_checked',
+            'infeasible_checked', 'nodes', 'solve_time_ms',
             'speed_fraction', 'projection_distance', 'fallback', 'cause', 'binding', 'advanced',
             'goal_stamps', 'goal_counts', 'disturbance', 'innovation',
-            'earliest_catch', 'catch_bound', 'obstacles', 'obstacles_left_out', 'clearance',
-            'traffic_stamps', 'margins',
+            'earliest_catch', 'catch_bound', 'catch_checked', 'obstacles', 'obstacles_left_out',
+            'clearance', 'traffic_stamps', 'margins',
         }  # fmt: skip
         assert told['status'] == 'optimal'
         assert json.loads(told['goal_stamps']) == {'goal': stamp(message)}

@@ -17,9 +17,10 @@ from nav_msgs.msg import Odometry, Path
 from planners import FRAMES, QUICK, Bench, goal, moving, odometry, told
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, UInt8MultiArray
 from std_srvs.srv import SetBool, Trigger
 
+from orbimpc_ros.mpc.proof.verifier import parsed, verified
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Stamp
 from orbimpc_ros.ros.process import qos
@@ -69,6 +70,39 @@ def test_malformed_messages_are_dropped_and_counted_and_the_loop_goes_on(flying)
     flying.goal.publish(bad)
     assert flying.counts('refused goal: header.frame_id') == 1
     assert moving(flying.fly(3.0))
+
+
+def test_that_nothing_is_feasible_is_published_with_its_proof(launch, observer):
+    slow = {'step': 2.0, 'horizon': 2}  # with a second for a tick, however busy the machine is
+    asked = slow | {'terminal': 'constraint', 'publish_certificate': 'true'}
+    proofs = observer.listen(UInt8MultiArray, 'certificate')
+    bench = Bench(launch, observer, QUICK | asked)
+    observer.until_connected('certificate')
+    command = bench.fly(7.25)  # the goal is 5 m away, and 4 m are in reach
+    assert not moving(command)
+    bench.until(lambda: proofs and bench.ticks, 'the proof')
+    verdict = verified(parsed(bytes(proofs[-1].data)))
+    assert verdict.holds
+    assert verdict.claimed == np.inf
+    assert told(bench.ticks[-1])['status'] == 'infeasible'
+    assert told(bench.ticks[-1])['infeasible_checked'] == 'true'
+
+
+def test_before_which_time_nothing_catches_is_published_with_its_proof(launch, observer):
+    asked = {'step': 2.0, 'objective': 'intercept', 'publish_certificate': 'true'}
+    proofs = observer.listen(UInt8MultiArray, 'certificate')
+    bench = Bench(launch, observer, QUICK | asked)
+    observer.until_connected('certificate')
+    bench.fly(7.25)
+
+    def refuted():
+        return [text for text in (bytes(each.data) for each in proofs) if b'"radius"' in text]
+
+    bench.until(lambda: refuted() and bench.ticks, 'the proof')
+    verdict = verified(parsed(refuted()[-1]))
+    assert verdict.holds
+    assert verdict.proved == float(told(bench.ticks[-1])['catch_bound']) > 2.0
+    assert told(bench.ticks[-1])['catch_checked'] == 'true'
 
 
 def test_outputs_carry_the_odometrys_stamp_and_frame(flying):

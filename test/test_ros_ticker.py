@@ -18,13 +18,14 @@ from orbimpc_ros.mpc.loop.safety import CIRCLE_STEPS, safe_command
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.mpc.problem.floor import largest_fraction
+from orbimpc_ros.mpc.proof.refute import WORD
 from orbimpc_ros.mpc.proof.verifier import parsed, verified
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.planner.inbox import Inbox
-from orbimpc_ros.ros.planner.outlet import report_messages
+from orbimpc_ros.ros.planner.outlet import refutation_messages, report_messages
 from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.world.vehicle import Model, launched
 
@@ -414,3 +415,76 @@ def test_a_certificate_on_the_wire_proves_the_bound_of_the_tick():
     verdict = verified(parsed(bytes(sent.data)))
     assert verdict.holds
     assert verdict.claimed == report.tick.plan.lower_bound > 0.0
+
+
+def still(**changes):
+    """Return a ticker for which no time passes."""
+    driven = Driven(publish_certificate=True, **changes)
+    driven.ticker._clock = lambda: 0.0
+    return driven
+
+
+def test_what_proves_that_nothing_is_feasible_is_on_the_wire():
+    driven = still(terminal='constraint')
+    report = driven.ticker.proved(driven.tick_again(1.0))
+    assert report.values['status'] == 'infeasible'
+    assert report.values['infeasible_checked'] is True
+    assert WORD not in report.tick.reason
+    (sent,) = refutation_messages(report).values()
+    verdict = verified(parsed(bytes(sent.data)))
+    assert verdict.holds
+    assert verdict.claimed == np.inf
+
+
+def test_without_time_for_a_proof_a_tick_says_whose_word_it_is():
+    driven = still(terminal='constraint')
+    answered = driven.tick_again(1.0)
+    end = driven.ticker._end
+    driven.ticker._clock = lambda: end
+    report = driven.ticker.proved(answered)
+    assert report.tick.status == answered.tick.status == 'infeasible'
+    assert report.tick.command == answered.tick.command
+    assert report.values['infeasible_checked'] is False
+    assert report.tick.reason == f'{answered.tick.reason}; {WORD}'
+    assert refutation_messages(report) == {}
+
+
+def test_a_plan_needs_no_such_proof():
+    driven = Driven()
+    report = driven.tick_again(1.0)
+    assert driven.ticker.proved(report) is report
+    assert report.values['infeasible_checked'] is False
+    assert driven.ticker.proved(driven.safe()).refutation is None
+
+
+CAUGHT = {'objective': 'intercept', 'capture_radius': 0.1}
+
+
+def test_before_which_time_nothing_catches_is_refuted_on_the_wire_on_demand():
+    driven = still(**CAUGHT)
+    answered = driven.tick_again(1.0)
+    assert answered.tick.catch.bound == pytest.approx(0.6)
+    assert driven.ticker.proved(answered) is answered
+    report = driven.ticker.proved(answered, catches=True)
+    (sent,) = refutation_messages(report).values()
+    verdict = verified(parsed(bytes(sent.data)))
+    assert verdict.holds
+    assert verdict.proved == pytest.approx(report.values['catch_bound'])
+    assert report.values['catch_checked'] is True
+    assert report.values['infeasible_checked'] is False
+
+
+def test_what_is_said_of_catches_is_counted_or_refuted_or_the_methods_word():
+    driven = still(**CAUGHT)
+    answered = driven.tick_again(1.0)
+    assert answered.values['catch_checked'] is True  # too far away
+    tick = replace(answered.tick, catch=replace(answered.tick.catch, checked=False))
+    word = replace(answered, tick=tick)
+    assert word.values['catch_checked'] is False
+    assert driven.ticker.proved(word, catches=True).values['catch_checked'] is True
+    end = driven.ticker._end
+    driven.ticker._clock = lambda: end
+    late = driven.ticker.proved(word, catches=True)
+    assert late.values['catch_checked'] is False
+    assert late.tick.reason == answered.tick.reason
+    assert Driven().tick_again(1.0).values['catch_checked'] is False

@@ -1,6 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """`orbimpc verify` as a user meets it: certificates and bags in, a table and an exit code out."""
 
+import itertools
 import json
 from pathlib import Path
 
@@ -9,11 +10,16 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.proof.certificate import kept
+from orbimpc_ros.mpc.proof.refute import WORD
+from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.io.bag.writer import BagWriter
 from orbimpc_ros.tool.io.topics import Topic
 from orbimpc_ros.tool.replay import recording
-from orbimpc_ros.tool.verify import _recorded
+from orbimpc_ros.tool.replay.report import ticks_of
+from orbimpc_ros.tool.verify import Recorded, _recorded
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = STORE.types
@@ -118,11 +124,11 @@ def bag_of(path, *texts):
 
 def test_certificates_are_taken_from_a_bag(tmp_path, solved):
     text = solved[1].read_text()
-    (known,) = _recorded(bag_of(tmp_path / 'run', text), '').items()
+    (known,) = _recorded(bag_of(tmp_path / 'run', text), '').bounds.items()
     assert known == (json.loads(text)['lower_bound'], json.loads(text))
 
 
-@pytest.mark.parametrize('text', ['', '[]', '{"lower_bound": "much"}'])
+@pytest.mark.parametrize('text', ['', '[]', '{"lower_bound": "much"}', '{"refuted": 1}'])
 def test_a_bag_with_what_is_no_certificate_is_bad_input(tmp_path, text):
     with pytest.raises(BadInput, match='certificate'):
         _recorded(bag_of(tmp_path / 'run', text), '')
@@ -133,11 +139,75 @@ def test_a_recorded_certificate_that_does_not_prove_its_bound_fails(run, tmp_pat
     assert run(*asked, '--out', tmp_path)[0] == 0
     known = json.loads((tmp_path / 'tick_00003.json').read_text())
     known['tree']['point'] = [[0.0, 0.0]] * len(known['tree']['point'])
-    recorded = {known['lower_bound']: known}
+    recorded = Recorded({known['lower_bound']: known}, {})
     monkeypatch.setattr('orbimpc_ros.tool.verify._recorded', lambda *_: recorded)
     code, out, _ = run(*asked)
     assert code == 1
     assert '1 DOES NOT HOLD' in out
+
+
+PUBLISHED = {
+    'infeasible': (('obstacles', 4), 'tick_00004.json'),
+    'catch': (('fixed_wing', 9), 'tick_00009_catch.json'),
+}
+
+
+@pytest.fixture(params=PUBLISHED)
+def published(request, run, tmp_path, monkeypatch):
+    """Return a tick's arguments, its refutation, and a function that has one in its bag."""
+    (bag, tick), name = PUBLISHED[request.param]
+    asked = 'verify', HERE / 'golden' / bag, '--tick', tick
+    assert run(*asked, '--out', tmp_path)[0] == 0
+    most = 'orbimpc_ros.mpc.proof.refute.RefutationProof.most'
+    monkeypatch.setattr(most, 0)  # from here on none is made
+
+    def keep(known):
+        flight = bag_of(tmp_path / f'run_{len(list(tmp_path.iterdir()))}', json.dumps(known))
+        recorded = _recorded(flight, '')
+        monkeypatch.setattr('orbimpc_ros.tool.verify._recorded', lambda *_: recorded)
+
+    return asked, json.loads((tmp_path / name).read_text()), keep
+
+
+def test_a_published_refutation_is_gone_through(run, published):
+    asked, known, keep = published
+    assert '1 no certificate' in run(*asked)[1]
+    keep(known)
+    code, out, _ = run(*asked)
+    assert code == 0
+    assert 'no certificate' not in out
+
+
+def test_a_published_refutation_that_does_not_refute_fails(run, published):
+    asked, known, keep = published
+    count = 1 if 'radius' in known['refuted'] else len(known['goals'])
+    known['refuted']['trees'][0] = {'point': [[0.0, 0.0]] * count}
+    keep(known)
+    code, out, _ = run(*asked)
+    assert code == 1
+    assert '1 DOES NOT HOLD' in out
+
+
+def test_a_published_refutation_that_is_none_fails_in_words(run, published):
+    asked, known, keep = published
+    known['refuted']['trees'][0] = {'point': []}
+    keep(known)
+    code, out, _ = run(*asked)
+    assert code == 1
+    assert 'DOES NOT HOLD: ' in out
+
+
+def test_a_published_refutation_of_anything_else_does_not_count(run, published):
+    asked, known, keep = published
+    for other in (
+        {**known, 'goals': [[9.0, 9.0]] * len(known['goals'])},
+        {**known, 'refuted': {**known['refuted'], 'trees': 2 * known['refuted']['trees']}},
+        {**known, 'refuted': {**known['refuted'], 'radius': 0.5}},
+    ):
+        keep(other)
+        code, out, _ = run(*asked)
+        assert code == 0
+        assert '1 no certificate' in out
 
 
 def test_a_certificate_without_the_problems_walls_is_refused(run, tmp_path):
@@ -221,8 +291,21 @@ def test_what_is_not_refuted_says_so_and_leaves_no_file(run, tmp_path, monkeypat
     code, _, error = run('solve', problem, '--certificate', made)
     assert code == 3
     assert 'beyond what' in error
+    assert WORD in error
     assert 'no certificate' in error
     assert not made.exists()
+    code, _, plainly = run('solve', problem)
+    assert (code, plainly) == (3, error)
+
+
+def test_that_nothing_satisfies_a_problem_is_said_with_nobodys_word_where_it_is_proved(
+    run, unsatisfied
+):
+    problem, _ = unsatisfied
+    code, _, error = run('solve', problem)
+    assert code == 3
+    assert error.count('\n') == 1
+    assert WORD not in error
 
 
 WING = HERE / 'golden' / 'fixed_wing'
@@ -246,6 +329,31 @@ def test_a_time_before_which_a_plan_catches_fails(run, monkeypatch):
     code, out, _ = run('verify', WING, '--tick', 9)
     assert code == 1
     assert 'DOES NOT HOLD: a plan catches it at' in out
+
+
+@pytest.mark.parametrize('flown', [3.0, float('nan')])
+def test_a_bound_on_another_catch_is_not_held_against_this_one(run, monkeypatch, flown):
+    claiming(monkeypatch, 'lower_bound', 1e3)
+    assert 'DOES NOT HOLD: a trajectory costs' in run('verify', WING, '--tick', 9)[1]
+    claiming(monkeypatch, 'earliest_catch', flown)
+    code, out, _ = run('verify', WING, '--tick', 9)
+    assert code == 0
+    assert 'it was about another catch, or none' in out
+    assert '1 no certificate, 1 holds' in out
+
+
+@pytest.mark.skipif(not COMPILED, reason='the method that leaves a certificate needs numba')
+def test_a_published_bound_on_what_is_flown_without_a_catch_is_gone_through(run, monkeypatch):
+    tick = next(itertools.islice(ticks_of(WING, None, ''), 9, None)).tick
+    posed = tick.catch.sought.problem, tick.state, tick.catch.sought.goals
+    plan = Solver(posed[0], coasting=True).solve(*posed[1:])
+    known = kept(*posed, plan.proof).document()
+    for changes, word in (({}, '2 holds'), ({'goals': posed[2][::-1].tolist()}, 'another catch')):
+        recorded = Recorded({plan.lower_bound: known | changes}, {})
+        monkeypatch.setattr('orbimpc_ros.tool.verify._recorded', lambda *_, r=recorded: r)
+        claiming(monkeypatch, 'lower_bound', plan.lower_bound)
+        claiming(monkeypatch, 'earliest_catch', float('nan'))
+        assert word in run('verify', WING, '--tick', 9)[1]
 
 
 def test_a_time_without_a_proof_is_no_failure(run, monkeypatch):

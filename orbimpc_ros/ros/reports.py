@@ -21,6 +21,7 @@ from orbimpc_ros.ros.messages import header
 if TYPE_CHECKING:  # the simulator reports without a solver, and starts sooner for it
     from orbimpc_ros.mpc.loop.controller import Tick
     from orbimpc_ros.mpc.plan import Plan
+    from orbimpc_ros.mpc.proof.certificate import Refutation
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 AFRESH = Reason(Cause.AFRESH, 'starting afresh')  # inputs and plan were forgotten
@@ -50,6 +51,8 @@ class Report:
         goal_model: how the forecast takes the goal to move; empty unless it chooses.
         left_out: moving obstacles within reach that were too many to plan with.
         traffic_stamps: of what was heard last of obstacles and of other vehicles, by topic [ns].
+        refutation: what proves that nothing is feasible, or is caught before a time, where the
+            tick says so; None where that is not proved.
     """
 
     tick: Tick
@@ -64,6 +67,7 @@ class Report:
     goal_model: str = ''
     left_out: int = 0
     traffic_stamps: Mapping[str, int] = field(default_factory=dict)
+    refutation: Refutation | None = None
 
     @property
     def level(self) -> bytes:
@@ -72,6 +76,12 @@ class Report:
         if tick.fallback is Fallback.SAFE_COMMAND:
             return ERROR
         return WARN if tick.fallback or tick.reason or tick.status is not Status.OPTIMAL else OK
+
+    @property
+    def _catch_checked(self) -> bool:
+        """Return whether what is said of catches was counted again, or refuted."""
+        catch = self.tick.catch
+        return catch is not None and (catch.checked or self.refutation is not None)
 
     @property
     def values(self) -> dict[str, object]:
@@ -90,6 +100,7 @@ class Report:
             'lower_bound': math.nan if plan is None else plan.lower_bound,
             'gap': math.nan if plan is None else plan.gap,
             'bound_checked': plan is not None and plan.proof.checked,
+            'infeasible_checked': tick.infeasible is not None and self.refutation is not None,
             'nodes': 0 if plan is None else plan.nodes,
             'solve_time_ms': self.solve_time_ms,
             'speed_fraction': fractions,
@@ -99,6 +110,7 @@ class Report:
             'binding': self.binding,
             'advanced': self.advanced,
             **_catch(tick),
+            'catch_checked': self._catch_checked,
             'disturbance': () if self.disturbance is None else tuple(self.disturbance.tolist()),
             'innovation': math.nan if self.innovation is None else self.innovation,
             'goal_stamps': self.goal_stamps,

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from orbimpc_ros.mpc.command import command_of
-from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.errors import BadInput, Infeasible
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof.prove import Unproved, certificate_for
-from orbimpc_ros.mpc.proof.refute import refutation_of
+from orbimpc_ros.mpc.proof.refute import WORD, OutOfTime, refutation_of
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool.io import document
 from orbimpc_ros.tool.io.files import write_whole
@@ -63,11 +63,14 @@ def run(args: argparse.Namespace) -> int:
         solver.expect_hazards()
     begin = time.perf_counter()
     end = begin + args.time_limit
+
+    def late() -> bool:
+        return time.perf_counter() > end
+
     try:
-        plan = solver.solve(case.state, case.goals, None, lambda: time.perf_counter() > end)
+        plan = solver.solve(case.state, case.goals, None, late)
     except Infeasible as error:
-        if args.certificate:
-            _refute(case, args.certificate, error)
+        _refute(case, args.certificate, error, late)
         raise
     elapsed = time.perf_counter() - begin
     print(json.dumps(answer(case, plan, 1e3 * elapsed), indent=1, allow_nan=False))
@@ -76,16 +79,18 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _refute(case: Case, path: str, why: Infeasible) -> None:
-    """Write what proves that nothing is feasible.
+def _refute(case: Case, path: str | None, why: Infeasible, late: OutOfTime) -> None:
+    """Prove that nothing is feasible, and write that down if there is a path to.
 
     Raises:
-        Infeasible: there is no certificate of it.
+        Infeasible: there is no proof of it, which is to be said then.
     """
     try:
-        _write(path, refutation_of(Sought(*case)).text())
-    except Unproved as error:
-        raise Infeasible(f'{why}; {error}') from None
+        made = refutation_of(Sought(*case), late)
+    except (Unproved, BadInput) as error:  # the latter without Clarabel
+        raise Infeasible(f'{why}; {WORD}; {error}') from None
+    if path:
+        _write(path, made.text())
 
 
 def _write(path: str, text: str) -> None:

@@ -9,16 +9,21 @@ that nothing is feasible, and that nothing catches the goal before a time.
 from __future__ import annotations
 
 import argparse
+import json
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.loop.interception import steps_before
 from orbimpc_ros.mpc.outcome import Status
+from orbimpc_ros.mpc.problem import Approach
 from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof import verifier
@@ -61,6 +66,18 @@ class TickVerdict(NamedTuple):
         name = '' if self.tick is None else f'{self.tick:>6}  '
         claimed, proved = (f'{_shown(each):<24}' for each in (self.claimed, self.proved))
         return f'{name}{self.of:<7}{claimed}{proved}{self.leaves:>6}  {self.words or self.outcome}'
+
+
+class Recorded(NamedTuple):
+    """The certificates that a planner published.
+
+    Attributes:
+        bounds: by the bounds that they claim.
+        refutations: by what they are of, as text: all that they state, and how many trees.
+    """
+
+    bounds: dict[float, Any]
+    refutations: dict[str, Any]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -128,29 +145,39 @@ def _bag(path: Path, args: argparse.Namespace) -> Iterator[TickVerdict]:
     for number, each in enumerate(ticks_of(path, args.params, args.namespace)):
         if args.tick in (None, number):
             yield _tick(number, each, recorded, args)
-            yield from _catch(number, each, args)
+            yield from _catch(number, each, recorded, args)
 
 
-def _recorded(path: Path, namespace: str) -> dict[float, Any]:
-    """Return the certificates that a planner published, by the bounds that they claim."""
-    found = {}
+def _recorded(path: Path, namespace: str) -> Recorded:
+    """Return the certificates that a planner published."""
+    found = Recorded({}, {})
     for each in bag.read(path, {'certificate'}):
         if each.topic != f'{namespace}/certificate':
             continue
         try:
             known = verifier.parsed(bytes(each.content.data))
-            found[float(known['lower_bound'])] = known
+            if 'refuted' in known:
+                found.refutations[_claim(known)] = known
+            else:
+                found.bounds[float(known['lower_bound'])] = known
         except (verifier.Refused, KeyError, TypeError, ValueError) as error:
             raise BadInput.stating(str(path), 'certificate refused', str(error)) from None
     return found
 
 
+def _claim(known: dict[str, Any], trees: int | None = None) -> str:
+    """Return what a refutation is of, as text; with another number of trees on demand."""
+    count = len(known['refuted']['trees']) if trees is None else trees
+    bare = {**known, 'refuted': {**known['refuted'], 'trees': count}, 'origins': None}
+    return json.dumps(bare, sort_keys=True)
+
+
 def _tick(
-    number: int, each: ReplayedTick, recorded: dict[float, Any], args: argparse.Namespace
+    number: int, each: ReplayedTick, recorded: Recorded, args: argparse.Namespace
 ) -> TickVerdict:
     """Certify what was published on a tick, of the problem that its inputs pose."""
     if each.recorded.answer.status == Status.INFEASIBLE:
-        return _infeasible(number, each.tick, args)
+        return _infeasible(number, each.tick, recorded, args)
     claimed, tick, plan = each.recorded.answer.lower_bound, each.tick, each.tick.plan
     if claimed is None or claimed <= 0.0 or plan is None or not plan.lower_bound > 0.0:
         return TickVerdict(number, COST, claimed)
@@ -158,37 +185,81 @@ def _tick(
     assert tick.state is not None
     assert tick.goals is not None
     posed, cost = Case(tick.problem, tick.state, tick.goals), plan.objective
+    known, row = recorded.bounds.get(claimed), TickVerdict(number, COST, claimed)
+    if not _is_about(each.recorded.answer.earliest_catch, tick):
+        return _of_the_tracked(row, known, tick)
     if claimed > cost + TOLERANCE * (cost + plan.proof.cost_unit):
         words = f'{FAILS}: a trajectory costs {cost!r}'
-        return TickVerdict(number, COST, claimed, outcome=FAILS, words=words)
-    known = recorded.get(claimed)
+        return row._replace(outcome=FAILS, words=words)
     if known is not None and _is_of(known, posed):
-        return _verified(number, known)
-    row = TickVerdict(number, COST, claimed)
+        return _as_published(row, known)
     return _certified(row, args, lambda: certificate_for(*posed, plan, claimed))
 
 
-def _infeasible(number: int, tick: Tick, args: argparse.Namespace) -> TickVerdict:
+def _is_about(earliest: float | None, tick: Tick) -> bool:
+    """Return whether a tick now flies the catch that it flew then, or none, as far as is known.
+
+    Each catch is a problem of its own, and a deadline can end the search for the earliest.
+    """
+    if earliest is None or tick.catch is None:
+        return True
+    return bool(np.isclose(tick.catch.time, earliest, equal_nan=True))
+
+
+def _of_the_tracked(row: TickVerdict, known: Any, tick: Tick) -> TickVerdict:
+    """Return what becomes of a bound that is not about the catch that is flown now.
+
+    What was published with it proves it, where that is of the problem that is flown without any.
+    """
+    assert tick.catch is not None
+    assert tick.state is not None
+    sought = tick.catch.sought
+    problem = replace(sought.problem, approach=Approach())
+    if known is not None and _is_of(known, Case(problem, tick.state, sought.goals)):
+        return _as_published(row, known)
+    words = 'no certificate: it was about another catch, or none, when its time was up'
+    return row._replace(outcome=NONE, words=words)
+
+
+def _infeasible(
+    number: int, tick: Tick, recorded: Recorded, args: argparse.Namespace
+) -> TickVerdict:
     """Certify that nothing was feasible on a tick, of the problem that its inputs pose."""
     row, sought = TickVerdict(number, COST, math.inf), tick.infeasible
     if sought is None:
         return row._replace(outcome=FAILS, words=f'{FAILS}: it is {tick.status} now')
+    known = recorded.refutations.get(_claim(stated(sought).document(), 1))
+    if known is not None:
+        return _as_published(row, known)
     return _certified(row, args, lambda: refutation_of(sought))
 
 
-def _catch(number: int, each: ReplayedTick, args: argparse.Namespace) -> Iterator[TickVerdict]:
+def _catch(
+    number: int, each: ReplayedTick, recorded: Recorded, args: argparse.Namespace
+) -> Iterator[TickVerdict]:
     """Certify before which time no trajectory catches the goal, where a tick says so."""
     claimed, catch = each.recorded.answer.catch_bound, each.tick.catch
     if claimed is None or catch is None or not math.isfinite(claimed):
         return
-    row = TickVerdict(number, CATCH, claimed)
-    count = steps_before(claimed, catch.sought.problem.step)
+    row, sought = TickVerdict(number, CATCH, claimed), catch.sought
+    count = steps_before(claimed, sought.problem.step)
     if catch.time < claimed * (1.0 - TOLERANCE):
         words = f'{FAILS}: a plan catches it at {catch.time!r}'
         yield row._replace(outcome=FAILS, words=words)
     elif count:
-        sought = catch.sought
-        yield _certified(row, args, lambda: catches_refuted(sought, count))
+        known = recorded.refutations.get(_claim(stated(sought).document(), count))
+        if known is not None:
+            yield _as_published(row, known)
+        else:
+            yield _certified(row, args, lambda: catches_refuted(sought, count))
+
+
+def _as_published(row: TickVerdict, known: Any) -> TickVerdict:
+    """Return what becomes of a claim whose certificate was published with it."""
+    try:
+        return _verified(row.tick, known)
+    except verifier.Refused as error:
+        return row._replace(outcome=FAILS, words=f'{FAILS}: {error}')
 
 
 def _certified(

@@ -59,6 +59,7 @@ from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State, Weights
 from orbimpc_ros.mpc.problem.sought import Sought
+from orbimpc_ros.mpc.proof.reach import Reach
 from orbimpc_ros.mpc.solve.request import Enough
 
 AIM = 0.95  # of the radius, within which the plan of a catch ends
@@ -85,11 +86,14 @@ class Catch:
             time [s]; that of the first step past the horizon if none catches it at all. Where a
             catch between two ends is sooner, its time.
         sought: what both are about.
+        checked: whether all that the bound rests on was counted again, by code that shares nothing
+            with the methods; else it is their word.
     """
 
     time: float
     bound: float
     sought: Sought
+    checked: bool
 
 
 def steps_before(bound: float, step: float) -> int:
@@ -176,6 +180,7 @@ class Interception:
         self._turns_within = problem.max_rate > 0.0 or problem.discretisation != 'euler'
         self._coned = problem.approach.exists
         self._aim = (NARROW if self._coned else AIM) * radius
+        self._reach = Reach(problem)
         self._problems: dict[Target, Problem] = {}
 
     def problem(self, target: Target) -> Problem:
@@ -210,40 +215,48 @@ class Interception:
         miss, without a time, if that is by little.
         """
         kept = self._kept(hunt)  # first of all: time may run out
-        best, bound = self._in_view(hunt)
+        best, bound, counted = self._in_view(hunt)
         near = self._radius < best.miss <= GRAZE * self._radius
         sought = Sought(self._tracked, hunt.state, hunt.goals(self._horizon), self._radius)
+        never = Catch(math.nan, self._step * bound, sought, bound <= counted)
         if near and 0 < hunt.expected <= self._horizon:
-            return best.plan, Catch(math.nan, self._step * bound, sought)
+            return best.plan, never
         if best.miss > self._radius:  # not even nearly
             best = self._sooner(hunt, kept) if kept.plan else self._beyond(hunt)
         if best.plan is None:
-            return None, Catch(math.nan, self._step * bound, sought)
+            return None, never
         if best.end == int(best.end) and self._is_well(best):
             best = self._within(hunt, best)
         if self._centred and self._is_well(best):
             best = self._through_the_middle(hunt, best)
-        catch = Catch(self._step * best.end, self._step * min(bound, best.end), sought)
+        first = min(bound, best.end)
+        catch = Catch(self._step * best.end, self._step * first, sought, first <= counted)
         return best.plan, catch
 
-    def _in_view(self, hunt: Hunt) -> tuple[_Attempt, int]:
-        """Return the first catch in the horizon, or the nearest miss, and the bound in steps."""
-        bound, excluded, best = 1, True, MISSED
+    def _in_view(self, hunt: Hunt) -> tuple[_Attempt, int, int]:
+        """Return the first catch in the horizon, or the nearest miss, and the bound in steps.
+
+        Then up to where that was counted again. Each end before the bound is proved to have no
+        catch by itself: that there is none at an end says nothing of those before it.
+        """
+        bound, counted, best = 1, 1, MISSED
         goals = hunt.goals(self._horizon)
         too_far = self._too_far(hunt.state, goals, self._tracked)
+        surely = self._reach.misses(hunt.state, goals, self._radius)
         travel = self._travel(goals)
         for end in range(1, self._horizon + 1):
             attempt = NEVER if too_far[end - 1] else self._tried(hunt, end, goals[:end])
             if self._is_well(attempt):
-                return attempt, bound
-            excluded = excluded and attempt.never
-            bound = end + 1 if excluded else bound
+                return attempt, bound, counted
+            bound += bound == end and attempt.never
+            known = attempt.checked or bool(surely[end - 1])
+            counted += counted == end and attempt.never and known
             if attempt.miss <= self._radius + travel:
                 attempt = min(attempt, self._passing(hunt, end), key=_miss)
             best = min(best, attempt, key=_miss)
             if self._is_well(best):
                 break
-        return best, bound
+        return best, bound, counted
 
     def _kept(self, hunt: Hunt) -> _Attempt:
         """Try to catch the goal past the horizon when it was to be caught so far."""
@@ -373,7 +386,8 @@ class Interception:
             return within
         wider = self._attempted(hunt, Target(end), goals, near)
         wider = wider._replace(miss=max(wider.miss, self._radius))
-        return min(within, wider, key=_miss)._replace(never=wider.never)
+        found = min(within, wider, key=_miss)
+        return found._replace(never=wider.never, checked=wider.checked)
 
     def _attempted(self, hunt: Hunt, target: Target, goals: Array, near: float) -> _Attempt:
         """Try to catch the goal at an end, less the defect of the plans towards it.
@@ -391,7 +405,7 @@ class Interception:
             miss = float(np.linalg.norm(end + astray - goals[-1]))
             if aims is goals:  # what is proved is about the goal itself
                 never = plan.lower_bound > self.enough(target.end).bound
-                found = _Attempt(plan, target.end, miss, never)
+                found = _Attempt(plan, target.end, miss, never, plan.proof.checked)
             elif miss < found.miss:
                 found = found._replace(plan=plan, miss=miss)
             left, change = aims[-1] - end, goals[-1] - astray - aims[-1]
@@ -435,13 +449,15 @@ def _first_turn(plan: Plan) -> float:
 class _Attempt(NamedTuple):
     """A plan that comes as close to the goal at an end as was found, and whether none catches it.
 
-    Without a plan, it misses by infinity, and the end is 0.
+    Without a plan, it misses by infinity, and the end is 0. That none does is ``checked`` where it
+    was counted again.
     """
 
     plan: Plan | None = None
     end: float = 0
     miss: float = math.inf
     never: bool = False
+    checked: bool = False
 
 
 MISSED = _Attempt()

@@ -112,6 +112,16 @@ class RefutationProgram:
         return Leaf(np.zeros((len(self._z), self._posed.width)))
 
     @property
+    def beyond(self) -> Leaf | None:
+        """Return what refutes a catch of a goal that no headings lead to; None if some may."""
+        motion, radius = self._motion, self._posed.radius
+        off = motion.free[-1] - motion.goals[-1]
+        away = float(np.linalg.norm(off))
+        if radius is None or away <= float(radius) + float(np.abs(motion.reach[-1]).sum()):
+            return None
+        return replace(self.nothing, meets=off / away)
+
+    @property
     def curvatures(self) -> Array:
         """Return by how much positions give way to what presses them, shape (N,)."""
         return np.asarray(np.sum(self._motion.reach**2, axis=1))
@@ -227,8 +237,8 @@ class RefutationProgram:
             row[self._t[k]] = math.cos(half)
         return a, np.zeros(len(narrow))
 
-    def answer(self, region: Region) -> Missed:
-        """Return what is missed in a region at least."""
+    def answer(self, region: Region) -> Missed | None:
+        """Return what is missed in a region at least; None where Clarabel panics."""
         from orbimpc_ros.mpc.solve.conic import run, solver_for  # takes Clarabel
 
         decided, paced, rounds = self._fixed
@@ -245,6 +255,8 @@ class RefutationProgram:
             'dims': dims,
         }
         found: Any = run(solver_for(data, ACCURACY), None)
+        if found is None:
+            return None
         x, z = np.nan_to_num(found.x), np.nan_to_num(found.z)
         nowhere = 'PrimalInfeasible' in str(found.status)  # multipliers are a ray, of any length
         each = self._posed.n + 1

@@ -11,18 +11,19 @@ Mathematics: docs/proofs.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 
+from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Ball, Floor, Problem
 from orbimpc_ros.mpc.problem.sought import Sought
-from orbimpc_ros.mpc.proof.certificate import Refutation, Tree, plain, split_into
+from orbimpc_ros.mpc.proof.certificate import Leaf, Refutation, Tree, plain, split_into
 from orbimpc_ros.mpc.proof.prove import Unproved
 from orbimpc_ros.mpc.proof.refutation_program import Missed, Motion, RefutationProgram, middle_of
-from orbimpc_ros.mpc.proof.verifier import Refused, refuted_by
+from orbimpc_ros.mpc.proof.verifier import Refused, parsed, refuted_by, verified
 from orbimpc_ros.mpc.proof.verifier.bound import bound
 from orbimpc_ros.mpc.proof.verifier.regions import Region, Sector
 from orbimpc_ros.mpc.proof.verifier.splits import beside, halves, root
@@ -30,34 +31,75 @@ from orbimpc_ros.mpc.proof.verifier.stated import StatedProblem
 from orbimpc_ros.mpc.proof.walls import WallSplits
 
 NARROWEST = 1e-6  # [rad] of a sector that is split
+WORD = 'not proved: the word of the method'
+OutOfTime = Callable[[], bool]
 
 
-def refutation_of(sought: Sought) -> Refutation:
+def patient() -> bool:
+    """Return that there is time left, always."""
+    return False
+
+
+def refutation_of(sought: Sought, out_of_time: OutOfTime = patient) -> Refutation:
     """Return what proves that nothing is feasible.
+
+    Args:
+        sought: in what.
+        out_of_time: polled before each part of all trajectories; True gives up.
 
     Raises:
         Unproved: none was found.
     """
     made = stated(sought)
-    return replace(made, trees=(_refuting(made, sought.problem.horizon),))
+    return replace(made, trees=(_refuting(made, sought.problem.horizon, out_of_time),))
 
 
-def catches_refuted(sought: Sought, count: int) -> Refutation:
+def catches_refuted(sought: Sought, count: int, out_of_time: OutOfTime = patient) -> Refutation:
     """Return what proves that the goal is not caught at the ends of the first steps.
+
+    Args:
+        sought: in what, with the radius of a catch.
+        count: of steps.
+        out_of_time: as for :func:`refutation_of`.
 
     Raises:
         Unproved: for one of them none was found.
     """
-    made = stated(sought)
-    return replace(made, trees=tuple(_refuting(made, k) for k in range(1, count + 1)))
+    made, steps = stated(sought), range(1, count + 1)
+    return replace(made, trees=tuple(_refuting(made, k, out_of_time) for k in steps))
+
+
+def refuted_in_time(
+    make: Callable[[OutOfTime], Refutation], clock: Callable[[], float], end: float
+) -> Refutation | None:
+    """Return a refutation that is made and holds, in exact arithmetic; None without one in time.
+
+    To go through one takes no longer than to make it, where each leaf is gone through, too: half of
+    the time is for either. Beyond that it takes what a single leaf does at most.
+
+    Args:
+        make: makes it, until it is out of time.
+        clock: of the end [s].
+        end: by when it is wanted [s]; infinite for whenever it is there.
+    """
+    now = clock()
+    half = now + 0.5 * (end - now)
+    try:
+        made = make(lambda: clock() >= half)
+        return made if verified(parsed(made.text().encode())).holds else None
+    except (Unproved, Refused, BadInput):  # the last without Clarabel
+        return None
 
 
 def stated(sought: Sought) -> Refutation:
     """Return a refutation without its trees, of as much of a problem as certificates can state."""
-    problem = statable(sought.problem)
-    split = problem.dimension == 2 and problem.floor.exists and not problem.max_rate
+    problem, state = statable(sought.problem), sought.state
+    planar = problem.dimension == 2
+    hazards = tuple(each for each in state.hazards if planar or not isinstance(each.body, Ball))
+    split = planar and problem.floor.exists and not problem.max_rate
     origins = np.zeros(problem.horizon) if split else None
-    return Refutation(replace(sought, problem=problem), (), origins)
+    posed = replace(sought, problem=problem, state=replace(state, hazards=hazards))
+    return Refutation(posed, (), origins)
 
 
 def statable(problem: Problem) -> Problem:
@@ -73,7 +115,7 @@ def statable(problem: Problem) -> Problem:
     return replace(problem, floor=floor, max_rate=rate, max_acceleration=pace, obstacles=bodies)
 
 
-def _refuting(made: Refutation, k: int) -> Tree:
+def _refuting(made: Refutation, k: int, out_of_time: OutOfTime) -> Tree:
     """Return the tree that refutes a catch at step k; or all that there is, of a problem of k.
 
     Raises:
@@ -88,8 +130,8 @@ def _refuting(made: Refutation, k: int) -> Tree:
     if sought.radius:
         motion = motion.begun(k)
     origins = None if made.origins is None else made.origins[:k].tolist()
-    proof = RefutationProof(RefutationProgram(motion, posed), posed, motion.unit, origins)
-    tree = proof.tree()
+    program = RefutationProgram(motion, posed)
+    tree = RefutationProof(program, posed, motion.unit, origins, out_of_time).tree()
     if tree is None:
         what = f'of a catch at step {k}' if sought.radius else 'of all that there is'
         raise Unproved(f'no certificate: no refutation {what} was found')
@@ -104,28 +146,58 @@ class RefutationProof:
         posed: the problem, which says what a leaf proves.
         unit: of lengths [m].
         origins: from where directions are counted; None where an attitude says so.
+        out_of_time: polled before each part.
     """
 
     most = 2000  # leaves
 
     def __init__(
-        self, program: RefutationProgram, posed: StatedProblem, unit: float, origins: list | None
+        self,
+        program: RefutationProgram,
+        posed: StatedProblem,
+        unit: float,
+        origins: list | None,
+        out_of_time: OutOfTime,
     ) -> None:
-        self._program, self._posed = program, posed
+        self._program, self._posed, self._out_of_time = program, posed, out_of_time
         self._walls = WallSplits(posed, program.curvatures, unit)
         self._origins, self._leaves = origins, 0
 
     def tree(self) -> Tree | None:
-        """Return splits and leaves that refute all; None where that takes too many."""
-        return self._refuted(root(self._posed, self._origins))
+        """Return splits and leaves that refute all; None where that takes too many.
+
+        Raises:
+            Unproved: it takes too long.
+        """
+        everything, beyond = root(self._posed, self._origins), self._program.beyond
+        if beyond is None:
+            return self._refuted(everything)
+        self._poll()
+        held = self._refutes(beyond, everything)
+        return self._counted(beyond) if held else self._refuted(everything)
+
+    def _counted(self, leaf: Leaf) -> Leaf | None:
+        """Return a leaf, if it is not one too many."""
+        self._leaves += 1
+        return leaf if self._leaves <= self.most else None
+
+    def _poll(self) -> None:
+        if self._out_of_time():
+            raise Unproved('no certificate: no refutation was found in time')
+
+    def _refutes(self, leaf: Leaf, region: Region) -> bool:
+        """Return whether nothing is in a region, as whoever reads its leaf will find."""
+        return bound(self._posed, plain(leaf), region) > 0
 
     def _refuted(self, region: Region | None) -> Tree | None:
         if region is None:
             return self._program.nothing
+        self._poll()
         answer = self._program.answer(region)
-        if not answer.feasible and bound(self._posed, plain(answer.leaf), region) > 0:
-            self._leaves += 1
-            return answer.leaf if self._leaves <= self.most else None
+        if answer is None:
+            return None
+        if not answer.feasible and self._refutes(answer.leaf, region):
+            return self._counted(answer.leaf)
         return self._beside(region, answer) or self._turned(region)
 
     def _beside(self, region: Region, answer: Missed) -> Tree | None:

@@ -154,7 +154,7 @@ PLANNER: tuple[Row, ...] = (
     Row('dry_run', False, 'Whether to plan and report, and command nothing: there is no publisher '
         'of commands then'),
     Row('publish_certificate', False, 'Whether to publish on certificate what proves the bound of '
-        'a tick, where the method leaves that'),
+        'a tick, where the method leaves that, and refutes what it excludes, where there is time'),
     Row('odom_timeout', 0.0, 'Odometry older than this is stale; 0 for 0.2 s; at least 1.5 '
         'periods',
         's', 0.0, MAX_DURATION, live=True),
@@ -241,7 +241,7 @@ class PlannerSettings:
         velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
         sideslip: whether odometry measures how a wing slips, which is believed.
         dry_run: whether nothing is to be commanded.
-        publish_certificate: whether to publish what proves bounds.
+        publish_certificate: whether to publish what proves bounds, and refutes what ticks exclude.
         gated: whether commands wait until the vehicle says that it takes them.
         halves: whether odometry comes as a pose and a twist.
         obstacle_speed_limit: of bodies seen; faster ones have jumped [m/s].

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import replace
 from typing import Any
 
@@ -36,7 +36,14 @@ from orbimpc_ros.ros.planner.inbox import NAMED, Inbox
 from orbimpc_ros.ros.planner.lookout import OBSTACLES, PLAN, others
 from orbimpc_ros.ros.planner.mode import ModeChanges
 from orbimpc_ros.ros.planner.neighbours import Neighbours
-from orbimpc_ros.ros.planner.outlet import Outlet, command_messages, outputs, report_messages
+from orbimpc_ros.ros.planner.outlet import (
+    CLAIMS,
+    Outlet,
+    command_messages,
+    outputs,
+    refutation_messages,
+    report_messages,
+)
 from orbimpc_ros.ros.planner.summary import doubts, summary
 from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.ros.process import qos, run
@@ -254,7 +261,7 @@ class PlannerNode(Managed):
             return
         self._outlet.repeat()
         if self._report is not None:
-            self._tell(self._stamp, self._report)  # also readers who were not there yet
+            self._tell(self._outlet.heard)  # also readers who were not there yet
 
     def _tick_or_wait(self) -> None:
         """Plan, once the goal of the odometry's own stamp is there too.
@@ -321,19 +328,24 @@ class PlannerNode(Managed):
         if self._outlet.engaged and not self._settings.dry_run:
             self._ticker.went_out(command, self._time.seconds)
         self._stamp, self._report = stamp, report
-        self._tell(stamp, report)  # the vehicle did not wait for it
-        self._console.note(report.tick)
+        heard = self._outlet.heard
+        self._tell(heard - CLAIMS)  # the vehicle did not wait for it
+        self._report = self._ticker.proved(report, catches='certificate' in heard)
+        self._tell(heard & CLAIMS)
+        self._console.note(self._report.tick)
         self._health.show_changes()
 
-    def _tell(self, stamp: Stamp, report: Report) -> None:
-        """Report on a tick to whoever listens."""
-        known, heard = self._inbox.odometry is not None, self._outlet.heard
+    def _tell(self, topics: Set[str]) -> None:
+        """Report on the last tick, on topics that somebody listens to."""
+        report, known = self._report, self._inbox.odometry is not None
+        assert report is not None
         name = self.get_fully_qualified_name()
-        if 'tick' in heard:
+        if 'tick' in topics:
             report = replace(report, binding=prices(report.tick))
-        self._outlet.add(
-            report_messages(self._settings, stamp, report, name, oriented=known, heard=heard)
-        )
+        told = self._settings, self._stamp, report, name
+        self._outlet.add(report_messages(*told, oriented=known, heard=topics))
+        if 'certificate' in topics:
+            self._outlet.add(refutation_messages(report))
 
     # --- watching
 

@@ -39,6 +39,7 @@ FORCES: dict[str, type] = {'cmd_thrust': WrenchStamped}
 PROOFS: dict[str, type] = {'certificate': UInt8MultiArray}
 SHARES: dict[str, type] = {'thrust': Vector3Stamped}
 TOPICS = frozenset(KINDS | COMMANDS | PROOFS)
+CLAIMS = frozenset({'tick', 'certificate'})  # which wait for proofs
 # Who is connected is watched instead: every event handler makes every wait of the node longer.
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 
@@ -118,6 +119,12 @@ def _certificate(tick: Tick) -> UInt8MultiArray | None:
         return None
     made = kept(tick.problem, tick.state, tick.goals, tick.plan.proof)
     return None if made is None else messages.bytes_message(made.text().encode())
+
+
+def refutation_messages(report: Report) -> dict[str, Any]:
+    """Return by topic what refutes that anything is feasible, or caught, where that is proved."""
+    made = report.refutation
+    return {} if made is None else {'certificate': messages.bytes_message(made.text().encode())}
 
 
 def _markers(problem: Problem, stamp: Stamp, tick: Tick) -> MarkerArray | None:

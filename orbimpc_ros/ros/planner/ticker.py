@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 import time
 from collections import deque
@@ -15,10 +16,18 @@ from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.loop.controller import Controller, Tick
 from orbimpc_ros.mpc.loop.delay import Interval, advanced
 from orbimpc_ros.mpc.loop.disturbance import Estimator
-from orbimpc_ros.mpc.loop.interception import FARTHEST
+from orbimpc_ros.mpc.loop.interception import FARTHEST, steps_before
 from orbimpc_ros.mpc.loop.odometry import Odometry, along_the_air
 from orbimpc_ros.mpc.loop.traffic.nearest import nearest
 from orbimpc_ros.mpc.outcome import Reason
+from orbimpc_ros.mpc.proof.certificate import Refutation
+from orbimpc_ros.mpc.proof.refute import (
+    WORD,
+    OutOfTime,
+    catches_refuted,
+    refutation_of,
+    refuted_in_time,
+)
 from orbimpc_ros.ros.clock import UNKNOWN, RosTime
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
@@ -117,6 +126,7 @@ class Ticker:
         self._settings, self._controller, self._simulated = settings, controller, simulated
         self._clock = clock
         self._estimator = _estimator(settings)
+        self._end = math.inf  # of the last tick's time [s]
         self.timing = Timing()
 
     def expect_hazards(self) -> None:
@@ -193,9 +203,34 @@ class Ticker:
         wanted: Array | None,
         begun: float,
     ) -> Tick:
-        ends, end = self._controller.ends(odometry.time), begun + self._settings.deadline
-        late = partial(_is_past, self._clock, end)
+        ends, self._end = self._controller.ends(odometry.time), begun + self._settings.deadline
+        late = partial(_is_past, self._clock, self._end)
         return self._controller.tick(odometry, targets(ends), late, targets, wanted)
+
+    def proved(self, report: Report, *, catches: bool = False) -> Report:
+        """Return the report on the last tick with what refutes that anything is feasible or caught.
+
+        As far as the tick says so. It is looked for until the tick's deadline: after its command
+        went out, which need not wait.
+
+        Args:
+            report: on that tick.
+            catches: whether what is said of catches is to be refuted, too.
+        """
+        tick, catch = report.tick, report.tick.catch
+        if tick.infeasible is not None:
+            made = self._refuted(partial(refutation_of, tick.infeasible))
+            if made is None:
+                tick = replace(tick, reason=f'{tick.reason}; {WORD}')
+            return replace(report, tick=tick, refutation=made)
+        if not catches or catch is None:
+            return report
+        count = steps_before(catch.bound, catch.sought.problem.step)
+        made = self._refuted(partial(catches_refuted, catch.sought, count)) if count else None
+        return replace(report, refutation=made)
+
+    def _refuted(self, make: Callable[[OutOfTime], Refutation]) -> Refutation | None:
+        return refuted_in_time(make, self._clock, self._end)
 
     def _look_out(self, inbox: Inbox, odometry: Odometry) -> int:
         """Tell the controller what moves around the vehicle; return how much of it is left out."""

@@ -65,6 +65,7 @@ class Published:
         speed_fraction: share of full speed or thrust along the plan, shape (N + 1,); empty without.
         objective: of the plan; NaN without one.
         gap: of the plan; NaN without one.
+        earliest_catch: when the plan catches the goal; NaN where it does not [s].
         catch_bound: before which nothing catches the goal; NaN where none is looked for [s].
         goal_stamps: of the goals that it was planned for, by topic [ns].
         goal_counts: goals that had been taken in by then, by topic.
@@ -85,6 +86,7 @@ class Published:
     objective: float | None = None
     lower_bound: float | None = None
     gap: float | None = None
+    earliest_catch: float | None = None
     catch_bound: float | None = None
     goal_stamps: Mapping[str, int] = field(default_factory=dict)
     goal_counts: Mapping[str, int] = field(default_factory=dict)
@@ -143,7 +145,7 @@ def _integers(value: Any) -> Mapping[str, int]:
     return value if good else {}
 
 
-NUMBERS = 'objective', 'lower_bound', 'gap', 'catch_bound'
+NUMBERS = 'objective', 'lower_bound', 'gap', 'earliest_catch', 'catch_bound'
 READERS: dict[str, Callable[[Any], Any]] = {
     **dict.fromkeys(('status', 'reason', 'fallback'), str),
     **dict.fromkeys((*NUMBERS, 'advanced', 'solve_time_ms'), _number),

@@ -1,0 +1,198 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Before which time nothing catches: each step by itself, and what of it was counted again."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from problems import ORDERS, rotation
+from problems import state as state_of
+
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.loop.interception import EFFORT, Interception, steps_before
+from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.mpc.model.trajectory import trajectory_of
+from orbimpc_ros.mpc.problem import Approach, Floor, Problem
+from orbimpc_ros.mpc.proof.reach import Reach
+from orbimpc_ros.mpc.proof.refute import catches_refuted
+from orbimpc_ros.mpc.proof.verifier import parsed, verified
+
+RADIUS = 0.4
+FREE = Problem(horizon=6)
+WING = Problem(horizon=6, max_rate=0.6, floor=Floor('circle', fraction=1.0))
+SLOWER = replace(WING, floor=Floor('circle', fraction=0.5))
+needs_counts = pytest.mark.skipif(not COMPILED, reason='bounds are counted again with numba')
+
+
+def measured(heading=0.0):
+    attitude = exp(np.array([heading]))
+    return Odometry(0.0, np.zeros(2), attitude, np.array([1.0, 0.0]), np.zeros(1))
+
+
+def jumping(rng):
+    """Return goals that are now near, now far, shape (6, 2): early ones are not the harder ones."""
+    far = rng.uniform(0.0, 1.6, 6) * np.arange(1, 7)
+    angles = rng.uniform(-1.5, 1.5, 6)
+    return far[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+def hunted(problem, goals, **given):
+    """Return the catch of a first tick from the origin along x at full speed, and its state."""
+    tick = Controller(problem, capture_radius=RADIUS, **given).tick(measured(), goals)
+    return tick.catch, tick.state
+
+
+def excluded(catch):
+    return steps_before(catch.bound, catch.sought.problem.step)
+
+
+# --- each step by itself
+
+
+@pytest.mark.parametrize('seed', range(60))
+def test_without_limits_what_is_excluded_is_what_is_out_of_reach(seed):
+    """R_0 decides the first step, and each heading after it moves a vehicle by a step."""
+    goals = jumping(np.random.default_rng([seed, 77]))
+    catch, _ = hunted(FREE, goals)
+    miss = np.linalg.norm(goals - [1.0, 0.0], axis=1) - np.arange(6)
+    count = excluded(catch)
+    assert np.all(miss[:count] > RADIUS)
+    if count < 6:  # the next is not surely out of reach
+        assert miss[count] <= np.sqrt(1.0 + EFFORT) * RADIUS + 1e-3
+
+
+def everywhere(problem, ways):
+    """Return s_1..s_6 of all flights at full speed whose turns are so many shares of the widest."""
+    turns = np.array(list(itertools.product(np.linspace(-1.0, 1.0, ways), repeat=5)))
+    angles = np.cumsum(problem.max_rate * turns, axis=1)
+    first = np.broadcast_to([[[1.0, 0.0]]], (len(turns), 1, 2))
+    moved = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return np.cumsum(np.concatenate([first, moved], axis=1), axis=1)
+
+
+@pytest.fixture(scope='module')
+def flights():
+    return everywhere(WING, 7)
+
+
+@needs_counts
+@pytest.mark.parametrize('seed', range(40))
+def test_no_flight_of_a_wing_catches_at_a_step_that_is_excluded(seed, flights):
+    goals = jumping(np.random.default_rng([seed, 78]))
+    catch, _ = hunted(WING, goals)
+    miss = np.linalg.norm(flights - goals, axis=-1).min(axis=0)
+    assert np.all(miss[: excluded(catch)] > RADIUS)
+
+
+@needs_counts
+@pytest.mark.parametrize(
+    'problem', [FREE, WING, replace(WING, floor=Floor('circle', fraction=0.5))]
+)
+@pytest.mark.parametrize('seed', range(8))
+def test_each_step_that_is_excluded_is_refuted_exactly(problem, seed):
+    catch, _ = hunted(problem, jumping(np.random.default_rng([seed, 79])))
+    count = excluded(catch)
+    if count:
+        made = catches_refuted(catch.sought, count)
+        verdict = verified(parsed(made.text().encode()))
+        assert verdict.holds
+        assert verdict.proved == (count + 1) * problem.step
+
+
+def test_a_goal_that_comes_near_and_leaves_again_is_not_excluded():
+    """Of every step from the first on, the one catch is kept, whatever the others say."""
+    for k in range(1, 7):
+        goals = np.full((6, 2), 50.0)
+        goals[k - 1] = [k, 0.0]
+        catch, _ = hunted(FREE, goals)
+        assert catch.time <= k
+        assert catch.bound <= catch.time
+
+
+# --- what of it was counted again
+
+
+@needs_counts
+@pytest.mark.parametrize('problem', [FREE, WING])
+def test_bounds_that_plans_and_distances_prove_are_counted_again(problem):
+    catches = [hunted(problem, jumping(np.random.default_rng([s, 80])))[0] for s in range(10)]
+    assert all(catch.checked for catch in catches)
+    assert sum(map(excluded, catches)) > 5
+
+
+@needs_counts
+def test_a_bound_that_rests_on_a_step_that_is_the_methods_word_is_its_word(monkeypatch):
+    goals = np.tile([3.9, 0.0], (6, 1))
+    behind = np.vstack([goals[:2], [[0.0, 1.0]], goals[3:]])  # where a wing does not turn to
+    assert [hunted(FREE, goals)[0].checked, hunted(WING, behind)[0].checked] == [True, True]
+    monkeypatch.setattr('orbimpc_ros.mpc.solve.solver.Recount.knows', lambda *_: False)
+    assert hunted(FREE, goals)[0].checked  # by distances alone
+    word, _ = hunted(WING, behind)
+    assert excluded(word) == 3
+    assert not word.checked
+
+
+def test_a_distance_that_is_wrong_is_not_counted(monkeypatch):
+    goals = np.tile([3.0, 0.0], (6, 1))
+    assert excluded(hunted(FREE, goals)[0]) == 2
+    everything = lambda *_: np.ones(6, bool)  # noqa: E731
+    monkeypatch.setattr(Interception, '_too_far', everything)
+    catch, _ = hunted(FREE, goals)
+    assert excluded(catch) == 6
+    assert not catch.checked
+
+
+@needs_counts
+def test_what_no_turn_leads_to_is_the_methods_word():
+    coned = Approach(0.2, (-1.0, 0.0))
+    catch, _ = hunted(WING, np.tile([1.0, 0.0], (6, 1)), approach=coned)
+    assert excluded(catch) > 1
+    assert not catch.checked
+
+
+def test_a_bound_that_excludes_no_step_needs_no_count():
+    catch, _ = hunted(FREE, np.tile([1.0, 0.0], (6, 1)))
+    assert excluded(catch) == 0
+    assert catch.checked
+
+
+# --- what headings do not lead to
+
+
+MOTIONS = [{**orders, 'discretisation': how} for orders in ORDERS for how in ('euler', 'exact')]
+
+
+@pytest.mark.parametrize('given', MOTIONS)
+def test_straight_flights_end_at_the_rim_of_what_headings_lead_to(given):
+    rng = np.random.default_rng([*map(ord, str(given))])
+    problem = Problem(horizon=5, step=0.6, forward=1.7, **given)
+    reach, n, radius = Reach(problem), problem.dimension, 0.3
+    start = replace(state_of(rng, problem), disturbance=0.2 * rng.normal(size=n))
+    way = rotation(rng, n)
+    ahead = trajectory_of(problem, start, np.zeros((5, n)), coordinates(np.tile(way, (5, 1, 1))))
+    back = trajectory_of(problem, start, np.zeros((5, n)), coordinates(np.tile(-way, (5, 1, 1))))
+    middle = 0.5 * (ahead.positions + back.positions)[1:]
+    rim = ahead.positions[1:] - middle
+    away = np.linalg.norm(rim, axis=1, keepdims=True)
+    outward = np.divide(rim, away, out=np.tile(way[:, 0], (5, 1)), where=away > 0.0)
+    for beyond, missed in ((-1e-9, False), (1e-9, True)):
+        goals = middle + (away + radius + beyond) * outward
+        assert reach.misses(start, goals, radius).tolist() == 5 * [missed]
+
+
+@pytest.mark.parametrize('given', MOTIONS)
+def test_what_the_maps_have_out_of_reach_is_so_when_it_is_rolled_out(given):
+    rng = np.random.default_rng([1, *map(ord, str(given))])
+    problem = Problem(horizon=5, step=0.6, forward=1.7, **given)
+    far = 0
+    for _ in range(20):
+        start = state_of(rng, problem)
+        goals = start.position + rng.uniform(0.0, 8.0) * rng.normal(size=(5, problem.dimension))
+        told = Interception(problem, RADIUS)._too_far(start, goals, problem)
+        far += told.sum()
+        assert np.all(Reach(problem).misses(start, goals, RADIUS)[told])
+    assert far > 10
