@@ -20,8 +20,9 @@ from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.model.cost import length_weights
 from orbimpc_ros.mpc.model.dynamics import translation_rollout
+from orbimpc_ros.mpc.model.motion import controls
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
-from orbimpc_ros.mpc.problem import Ball, Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Ball, Box, Floor, Hazard, Problem, State, Weights
 from orbimpc_ros.mpc.proof import verifier
 from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Split, statement
 from orbimpc_ros.mpc.proof.verifier import least as closed
@@ -30,6 +31,7 @@ from orbimpc_ros.mpc.proof.verifier.bound import bound, slid, towed
 from orbimpc_ros.mpc.proof.verifier.cost import Added, cost
 from orbimpc_ros.mpc.proof.verifier.exact import TINY, direction, lacking
 from orbimpc_ros.mpc.proof.verifier.limits import Cone
+from orbimpc_ros.mpc.proof.verifier.motion import places
 from orbimpc_ros.mpc.proof.verifier.regions import Sector
 from orbimpc_ros.mpc.proof.verifier.splits import root
 
@@ -138,29 +140,89 @@ def test_least_within_a_cone_is_below_all_that_is_in_it(seed):
     assert least >= (inside @ slope).min() - 0.05 * np.linalg.norm(slope)
 
 
-@pytest.mark.parametrize('seed', range(4))
-def test_what_is_known_beside_a_disc_holds_of_all_lines_that_pass_it_there(seed):
-    rng = np.random.default_rng([seed, 11])
-    problem = Problem(2, 1, 1, 3, 0.3, 1.7)
-    state = State.at(rng.normal(size=2), rotation(2, rng), disturbance=rng.normal(size=2))
-    centre, radius = rng.normal(size=2), rng.uniform(0.05, 0.4)
-    said = statement(replace(problem, obstacles=(Ball(centre, radius),)), state, np.zeros((3, 2)))
-    exact = verifier.posed_by(said)
-    low = rng.uniform(0.0, 5.0)
-    sector = Sector(Fraction(low), Fraction(low + rng.uniform(0.05, 1.2)))
-    rows = exact.limits.walls[1].side(sector, 2)
-    angles = rng.uniform(*map(float, sector), 50_000)
-    normals = np.column_stack([np.cos(angles), np.sin(angles)])
-    apart = radius * (1.0 + rng.exponential(0.1, 50_000))
-    ways = rng.normal(size=(50_000, 2))
-    ways *= (0.3 * 1.7 * rng.uniform(size=50_000) / np.linalg.norm(ways, axis=1))[:, None]
-    ways += 0.3 * state.disturbance
-    begin = centre + apart[:, None] * normals  # the nearest, from where it leads away
-    ends = np.stack([begin, begin + ways], axis=1)[np.sum(ways * normals, axis=1) >= 0.0]
-    assert [row.k for row in rows] == [1, 2]
-    for points in (ends, ends[:, ::-1]):
-        for point, row in zip(points.swapaxes(0, 1), rows, strict=True):
-            assert (point @ np.array(row.normal, float)).min() >= float(row.least) - 1e-12
+@pytest.mark.parametrize(('n', 'order', 'inertia', 'kind'), MODELS)
+def test_places_are_the_control_points_of_steps(n, order, inertia, kind):
+    rng = np.random.default_rng([n, order, inertia, 4])
+    problem = Problem(n, order, inertia, 4, 0.3, 1.7, WEIGHTS, discretisation=kind)
+    exact, state, _ = posed(problem, rng)
+    headings = np.vstack([state.rotation[:, 0], rng.normal(size=(4, n))])
+    flown = translation_rollout(problem, state, headings)
+    led = controls(problem.translation.degree, problem.step, *flown)
+    first = exact.state.first[:n]
+    for step, points in zip(places(exact.model, exact.state.begins, first, 4), led, strict=True):
+        for place, point in zip(step, points, strict=True):
+            free, reach = np.array(place.free, float), np.array(place.reach, float)
+            assert free + reach @ headings[1:] == pytest.approx(point, abs=1e-12)
+
+
+STEPS = list(itertools.product((1, 2), ('euler', 'exact')))
+
+
+def passing(body, inertia, kind, rng):
+    """Return the walls of a body that moves, what is on sides of step 2, and 4000 such steps.
+
+    Their control points, shape (4000, m, 2), and where the body is by then.
+    """
+    problem = Problem(2, 1, inertia, 3, 0.3, 1.7, discretisation=kind)
+    extra = {'velocity': rng.normal(size=2)} if inertia == 2 else {}
+    drift = Hazard.drifting(body, rng.normal(size=2))
+    known = {'disturbance': rng.normal(size=2), 'hazards': (drift,), **extra}
+    state = State.at(rng.normal(size=2), rotation(2, rng), **known)
+    exact = verifier.posed_by(statement(problem, state, np.zeros((3, 2))))
+    z = rng.normal(size=(4000, 3, 2))
+    z /= np.maximum(1.0, np.linalg.norm(z, axis=-1))[..., None]
+    points = []
+    for each in z:
+        flown = translation_rollout(problem, state, np.vstack([state.rotation[:, 0], each]))
+        points.append(controls(problem.translation.degree, problem.step, *flown)[1])
+    shares = np.linspace(0.3, 0.6, len(points[0]))[:, None]
+    return exact.limits.walls, np.array(points), shares * drift.shifts[1]
+
+
+@pytest.mark.parametrize(('inertia', 'kind'), STEPS)
+def test_what_is_known_beside_a_disc_holds_of_all_steps_that_pass_it_there(inertia, kind):
+    rng, tight = np.random.default_rng([inertia, len(kind), 11]), []
+    for _ in range(4):
+        centre, radius = 9.0 + rng.normal(size=2), rng.uniform(0.05, 0.4)
+        walls, points, moved = passing(Ball(centre, radius), inertia, kind, rng)
+        low = rng.uniform(0.0, 5.0)
+        sector = Sector(Fraction(low), Fraction(low + rng.uniform(0.05, 1.2)))
+        own = points - moved - centre
+        # To the disc, from wherever they are: the hull then touches it in the sector.
+        angles = rng.uniform(*map(float, sector), len(own))
+        normals = np.column_stack([np.cos(angles), np.sin(angles)])
+        nearest = np.einsum('emn,en->em', own, normals).argmin(axis=1)
+        aside = radius * normals - own[np.arange(len(own)), nearest]
+        for wall, told in zip(walls, (own[:, -1:], own), strict=True):
+            beside = told + (radius * normals - told[:, -1])[:, None]
+            if wall.of == 'step':
+                beside = own + aside[:, None]
+            rows = wall.side(sector, 1)
+            assert len(rows) == told.shape[1]
+            middles = centre + moved[-len(rows) :]
+            for row, of, middle in zip(rows, beside.swapaxes(0, 1), middles, strict=True):
+                normal, least = np.array(row.normal, float), float(row.least)
+                worst = ((of + middle) @ normal).min() - least
+                assert worst >= -1e-12
+                if wall.of == 'end':
+                    tight.append(worst < 0.01 * radius)
+    assert all(tight)
+
+
+@pytest.mark.parametrize(('inertia', 'kind'), STEPS)
+def test_what_is_known_beside_a_box_that_moves_is_that_all_of_a_step_is(inertia, kind):
+    rng = np.random.default_rng([inertia, len(kind), 12])
+    low = 9.0 + rng.normal(size=2)
+    (wall,), points, moved = passing(Box(low, low + 0.4), inertia, kind, rng)
+    for i, beyond in enumerate((low - points + moved, points - moved - low - 0.4)):
+        for axis in range(2):
+            rows = wall.side(2 * i + axis, 1)
+            assert len(rows) == points.shape[1]
+            margins = [
+                points[:, j] @ np.array(row.normal, float) - float(row.least)
+                for j, row in enumerate(rows)
+            ]
+            assert pytest.approx(beyond[..., axis], abs=1e-12) == np.array(margins).T
 
 
 @pytest.mark.parametrize('seed', range(4))

@@ -248,17 +248,15 @@ def _limits(problem: Problem, state: State, goals: Array) -> dict[str, Any]:
     if problem.approach.exists:
         axis, least = problem.approach.axis(state).tolist(), problem.least_heading
         cones.append(_cone(axis, problem.approach.cone, least, [problem.horizon]))
-    walls = [_wall(box, problem.no_corner_cutting) for box in problem.boxes]
+    walls = [_wall(box, 'ends' if problem.no_corner_cutting else 'end') for box in problem.boxes]
     traffic = traffic_of(problem, state)
     for body, shifts, grown in zip(*traffic[1:3], traffic.grown, strict=True) if traffic else ():
         moving = {'shifts': shifts.tolist(), 'grown': grown.tolist()}
         if isinstance(body, Box):
-            walls.append(_wall(body, True) | moving)
+            walls.append(_wall(body, 'step') | moving)
             continue
         disc = {'centre': body.centre.tolist(), 'radius': body.radius, **moving}
-        walls.append({**disc, 'shared': False})
-        if problem.translation.degree == 1:  # a line is outside as a whole
-            walls.append({**disc, 'shared': True})
+        walls += [{**disc, 'of': 'end'}, {**disc, 'of': 'step'}]  # an end alone is held closer
     return found | ({'cones': cones} if cones else {}) | ({'walls': walls} if walls else {})
 
 
@@ -266,8 +264,8 @@ def _cone(axis: list[float], angle: float, least: float, steps: list[int]) -> di
     return {'axis': axis, 'angle': angle, 'least': least, 'steps': steps}
 
 
-def _wall(box: Box, shared: bool) -> dict[str, Any]:
-    return {'min': box.minimum.tolist(), 'max': box.maximum.tolist(), 'shared': shared}
+def _wall(box: Box, of: str) -> dict[str, Any]:
+    return {'min': box.minimum.tolist(), 'max': box.maximum.tolist(), 'of': of}
 
 
 def _problem(problem: Problem) -> dict[str, Any]:

@@ -7,7 +7,8 @@ from fractions import Fraction
 from functools import lru_cache
 from typing import NamedTuple
 
-from .exact import ONE, ZERO, Vector, dot
+from .exact import ONE, ZERO, Vector, dot, less
+from .motion import rolled
 from .stated import StatedProblem
 
 
@@ -38,7 +39,8 @@ def cost(posed: StatedProblem, x: list[Vector], added: Added) -> tuple[Fraction,
 
 def _flight(posed: StatedProblem, i: int, z: Vector, added: Added) -> tuple[Fraction, Vector]:
     """Return the cost of positions along axis i, given z_0..z_N there, and its gradient."""
-    missed, p = _missed(posed, i, z)
+    positions, velocities = rolled(posed.model, posed.state.begins[i], z)
+    missed, p = less(positions[1:], [goal[i] for goal in posed.goals]), velocities[-1]
     braking, pushed = posed.weights.braking, [each[i] for each in added.push]
     weighed = [weight * off for weight, off in zip(posed.weights.position, missed, strict=True)]
     towed = [each[i] for each in added.towed]
@@ -50,21 +52,6 @@ def _flight(posed: StatedProblem, i: int, z: Vector, added: Added) -> tuple[Frac
     on_s = [2 * each + force for each, force in zip(weighed, pushed, strict=True)]
     first, *slopes = _backwards(posed, on_s, forces)
     return value, [first, *(each + force for each, force in zip(slopes, towed, strict=True))]
-
-
-def _missed(posed: StatedProblem, i: int, z: Vector) -> tuple[Vector, Fraction]:
-    """Return s_k - g_k along axis i, shape (N,), and the last velocity there."""
-    model, state = posed.model, posed.state
-    s, p = state.position[i], state.velocity[i] if model.inertial else ZERO
-    blown, hastened = model.blow * state.disturbance[i], model.gust * state.disturbance[i]
-    missed = []
-    for k in range(posed.horizon):
-        s += model.push * z[k] + model.follow * z[k + 1] + blown
-        if model.inertial:
-            s += model.step * p
-            p += model.add * z[k] + model.after * z[k + 1] + hastened
-        missed.append(s - posed.goals[k][i])
-    return missed, p
 
 
 def _backwards(posed: StatedProblem, forces: Vector, last: Vector) -> Vector:

@@ -25,6 +25,11 @@ def dot(x: Iterable[Fraction], y: Iterable[Fraction]) -> Fraction:
     return sum((a * b for a, b in zip(x, y, strict=True)), ZERO)
 
 
+def add(x: Vector, y: Vector) -> Vector:
+    """Return x + y."""
+    return [a + b for a, b in zip(x, y, strict=True)]
+
+
 def less(x: Vector, y: Vector) -> Vector:
     """Return x less y, which may be shorter."""
     return [*(a - b for a, b in zip(x, y, strict=False)), *x[len(y) :]]
