@@ -7,7 +7,6 @@ Format: docs/proofs.md. Numbers are written so that they are read back as they w
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,15 +14,12 @@ from typing import Any
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.model.cost import length_weights
-from orbimpc_ros.mpc.plan import Proof
-from orbimpc_ros.mpc.problem import Approach, Box, Floor, Problem, State
+from orbimpc_ros.mpc.problem import Approach, Box, Problem, State
 from orbimpc_ros.mpc.problem.cones import relief
 from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.problem.traffic import traffic_of
-from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds, Grounds, Tangent
-from orbimpc_ros.mpc.proof.slopes import HALF
+from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.verifier import FORMAT
 
 
@@ -178,55 +174,6 @@ def _line(document: dict[str, Any]) -> str:
     return json.dumps(document, allow_nan=False, separators=(',', ':'))
 
 
-def kept(problem: Problem, state: State, goals: Array, proof: Proof) -> Certificate | None:
-    """Return the certificate that a method's grounds are; None where it left none that has a form.
-
-    Args:
-        problem: what was solved.
-        state: where plans start.
-        goals: g_1..g_N, shape (N, n) [m].
-        proof: of the plan.
-    """
-    grounds = proof.grounds
-    if grounds is None or not proof.checked or isinstance(grounds, ChoiceGrounds):
-        return None
-    if isinstance(grounds, Tangent):
-        tops = grounds.tops if grounds.point.shape[1] == 9 else None
-        shares = None  # of a length, which is no less than along any way
-        if tops is not None and problem.weights.length:
-            shares = -length_weights(problem)[1:, None] * grounds.ways
-        leaf = Leaf(grounds.point, grounds.bends, grounds.pull, grounds.stiffness, tops, shares)
-        return Certificate(problem, state, goals, proof.lower_bound, leaf)
-    by_angles = bool(((grounds.splits != LEAF) & ~np.isnan(grounds.angles)).any())
-    if _is_beyond_format(problem, by_angles):
-        return None
-    tree = _tree_of(grounds, proof.cost_unit, problem.floor)
-    origins = grounds.origins if by_angles and not problem.max_rate else None
-    return Certificate(problem, state, goals, proof.lower_bound, tree, origins)
-
-
-def _is_beyond_format(problem: Problem, by_angles: bool) -> bool:
-    """Return whether splits can be by speeds, or by directions that a turn limit leaves free."""
-    parted = problem.floor.exists and problem.dimension == 2
-    wide = problem.max_rate > 0.0 and problem.widest_turn >= HALF
-    return parted and (problem.max_acceleration > 0.0 or (by_angles and wide))
-
-
-def _tree_of(grounds: Grounds, unit: float, floor: Floor) -> Tree:
-    """Return the tree that grounds are; parts come after what they are parts of."""
-    made: dict[int, Tree] = {}
-    for t in reversed(range(len(grounds.splits))):
-        if grounds.splits[t] == LEAF:
-            pulled = (grounds.pulls[t], float(grounds.stiffness[t])) if len(grounds.pulls) else ()
-            made[t] = Leaf(grounds.points[t], unit * grounds.bends[t], *pulled)
-            continue
-        first, angle = int(grounds.parts[t]), float(grounds.angles[t])
-        at = None if math.isnan(angle) else angle
-        parts = (made.pop(first + i) for i in range(floor.faces if at is None else 2))
-        made[t] = Split(int(grounds.splits[t]) + 1, tuple(parts), at)
-    return made[0]
-
-
 def statement(problem: Problem, state: State, goals: Array) -> dict[str, Any]:
     """Return what a certificate says of what was solved, as plain values."""
     made = {'problem': _problem(problem), 'state': _state(state), 'goals': goals.tolist()}
@@ -309,3 +256,24 @@ def plain(tree: Tree) -> dict[str, Any]:
         if value is not None and len(value):
             leaf[name] = value.tolist()
     return {**leaf, 'stiffness': tree.stiffness} if tree.stiffness else leaf
+
+
+def in_users_units(tree: Tree, units: Units) -> Tree:
+    """Return a tree for the problem as it was posed."""
+    if isinstance(tree, Split):
+        return replace(tree, parts=tuple(in_users_units(part, units) for part in tree.parts))
+    bends = None if tree.bends is None else units.cost * tree.bends
+    pull = None if tree.pull is None else units.pulls(tree.pull)
+    tops = None if tree.tops is None else units.cost * tree.tops
+    force = units.cost / units.length
+    return replace(
+        tree,
+        bends=bends,
+        tops=tops,
+        pull=pull,
+        stiffness=tree.stiffness * force / units.length,
+        shares=None if tree.shares is None else units.cost * tree.shares,
+        presses=None if tree.presses is None else force * tree.presses,
+        slides=None if tree.slides is None else force * tree.slides,
+        tethers=None if tree.tethers is None else units.cost * tree.tethers,
+    )
