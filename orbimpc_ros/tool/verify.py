@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -23,7 +23,7 @@ from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof import verifier
 from orbimpc_ros.mpc.proof.certificate import Certificate, Refutation, statement
-from orbimpc_ros.mpc.proof.prove import Unproved, certificate_for
+from orbimpc_ros.mpc.proof.prove import Unproved, certificates_for
 from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of, stated
 from orbimpc_ros.tool.io import bag, document
 from orbimpc_ros.tool.io.files import write_whole
@@ -165,7 +165,7 @@ def _tick(
     if known is not None and _is_of(known, posed):
         return _verified(number, known)
     row = TickVerdict(number, COST, claimed)
-    return _certified(row, args, lambda: certificate_for(*posed, plan, claimed))
+    return _certified(row, args, lambda: certificates_for(*posed, plan, claimed))
 
 
 def _infeasible(number: int, tick: Tick, args: argparse.Namespace) -> TickVerdict:
@@ -173,7 +173,7 @@ def _infeasible(number: int, tick: Tick, args: argparse.Namespace) -> TickVerdic
     row, sought = TickVerdict(number, COST, math.inf), tick.infeasible
     if sought is None:
         return row._replace(outcome=FAILS, words=f'{FAILS}: it is {tick.status} now')
-    return _certified(row, args, lambda: refutation_of(sought))
+    return _certified(row, args, lambda: [refutation_of(sought)])
 
 
 def _catch(number: int, each: ReplayedTick, args: argparse.Namespace) -> Iterator[TickVerdict]:
@@ -188,20 +188,26 @@ def _catch(number: int, each: ReplayedTick, args: argparse.Namespace) -> Iterato
         yield row._replace(outcome=FAILS, words=words)
     elif count:
         sought = catch.sought
-        yield _certified(row, args, lambda: catches_refuted(sought, count))
+        yield _certified(row, args, lambda: [catches_refuted(sought, count)])
 
 
 def _certified(
-    row: TickVerdict, args: argparse.Namespace, make: Callable[[], Certificate | Refutation]
+    row: TickVerdict,
+    args: argparse.Namespace,
+    make: Callable[[], Iterable[Certificate | Refutation]],
 ) -> TickVerdict:
-    """Return what becomes of a claim whose certificate is made now."""
+    """Return what becomes of a claim whose certificate is made now: the first that holds."""
+    made, found = None, row
     try:
-        made = make()
+        for made in make():
+            found = _verified(row.tick, verifier.parsed(made.text().encode()))
+            if found.outcome == HOLDS:
+                break
     except Unproved as error:
         return row._replace(outcome=NONE, words=str(error))
-    if args.out:
+    if args.out and made is not None:
         _write(Path(args.out), row, made)
-    return _verified(row.tick, verifier.parsed(made.text().encode()))
+    return found
 
 
 def _write(folder: Path, row: TickVerdict, made: Certificate | Refutation) -> None:

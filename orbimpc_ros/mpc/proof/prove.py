@@ -10,6 +10,7 @@ Mathematics: docs/proofs.md.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -108,10 +109,10 @@ def _beside_walls(certificate: Certificate, units: Units, target: float) -> Cert
     return replace(certificate, tree=in_users_units(tree, units))
 
 
-def certificate_for(
+def certificates_for(
     problem: Problem, state: State, goals: Array, plan: Plan, bound: float
-) -> Certificate:
-    """Return what proves a bound: what the plan's method left of it, or else a proof of its own.
+) -> Iterator[Certificate]:
+    """Yield what may prove a bound: what the plan's method left of it, then a proof of its own.
 
     Args:
         problem: what was solved.
@@ -127,9 +128,21 @@ def certificate_for(
     grounds = proof.grounds
     if isinstance(grounds, Tangent) or (grounds is not None and len(grounds.splits) <= FEW):
         made = kept(problem, state, goals, replace(proof, lower_bound=bound))
-        if made is not None and _proved(made) >= _enough(bound):
-            return made
-    return certificate_of(problem, state, goals, plan.rotations[1:], bound)
+        if made is not None:
+            yield made
+    yield certificate_of(problem, state, goals, plan.rotations[1:], bound)
+
+
+def certificate_for(
+    problem: Problem, state: State, goals: Array, plan: Plan, bound: float
+) -> Certificate:
+    """Return the first of :func:`certificates_for` that proves as much, or else the last."""
+    made = None
+    for made in certificates_for(problem, state, goals, plan, bound):
+        if _proved(made) >= _enough(bound):
+            break
+    assert made is not None
+    return made
 
 
 def _posed(bound: float) -> float:
