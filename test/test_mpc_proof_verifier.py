@@ -31,7 +31,7 @@ from orbimpc_ros.mpc.proof.verifier.bound import bound, slid, towed
 from orbimpc_ros.mpc.proof.verifier.cost import Added, cost
 from orbimpc_ros.mpc.proof.verifier.exact import TINY, direction, lacking
 from orbimpc_ros.mpc.proof.verifier.limits import Cone
-from orbimpc_ros.mpc.proof.verifier.motion import places
+from orbimpc_ros.mpc.proof.verifier.motion import steps
 from orbimpc_ros.mpc.proof.verifier.regions import Sector
 from orbimpc_ros.mpc.proof.verifier.splits import root
 
@@ -148,8 +148,8 @@ def test_places_are_the_control_points_of_steps(n, order, inertia, kind):
     headings = np.vstack([state.rotation[:, 0], rng.normal(size=(4, n))])
     flown = translation_rollout(problem, state, headings)
     led = controls(problem.translation.degree, problem.step, *flown)
-    first = exact.state.first[:n]
-    for step, points in zip(places(exact.model, exact.state.begins, first, 4), led, strict=True):
+    known = steps(exact.model, exact.positions, exact.velocities)
+    for step, points in zip(known, led, strict=True):
         for place, point in zip(step, points, strict=True):
             free, reach = np.array(place.free, float), np.array(place.reach, float)
             assert free + reach @ headings[1:] == pytest.approx(point, abs=1e-12)

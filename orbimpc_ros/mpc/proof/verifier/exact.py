@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from fractions import Fraction
 from functools import lru_cache
 from operator import mul
+from typing import NamedTuple
 
 BITS = 160  # after the point, of square roots and of what Cholesky's method works with
 TINY = Fraction(1, 1 << 120)  # by which sines, cosines and PI may be off, and more than they are
@@ -20,9 +21,28 @@ SHIFTS = (ZERO, *(Fraction(1, 1 << bits) for bits in range(60, -1, -4)))
 Vector = list[Fraction]
 
 
-def dot(x: Iterable[Fraction], y: Iterable[Fraction]) -> Fraction:
+class Whole(NamedTuple):
+    """Numbers over a common denominator: sums of whole numbers take a fraction of the time."""
+
+    numbers: list[int]
+    unit: int
+
+
+def whole(x: Sequence[Fraction]) -> Whole:
+    """Return numbers over their least common denominator."""
+    unit = math.lcm(*(each.denominator for each in x))
+    return Whole([each.numerator * (unit // each.denominator) for each in x], unit)
+
+
+def dot(x: Sequence[Fraction], y: Sequence[Fraction]) -> Fraction:
     """Return x . y."""
-    return sum((a * b for a, b in zip(x, y, strict=True)), ZERO)
+    return times([whole(x)], y)[0]
+
+
+def times(rows: Sequence[Whole], x: Sequence[Fraction]) -> Vector:
+    """Return row . x of each row."""
+    numbers, unit = whole(x)
+    return [Fraction(sum(map(mul, row.numbers, numbers)), row.unit * unit) for row in rows]
 
 
 def add(x: Vector, y: Vector) -> Vector:

@@ -7,7 +7,7 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-from .exact import ONE, ZERO, Vector
+from .exact import ONE, ZERO, Vector, add
 from .reading import Refused, weight, whole, word
 
 
@@ -72,8 +72,34 @@ def model(problem: dict[str, Any], horizon: int) -> StatedModel:
     return StatedModel(h, order == 2, z, degree, flown, *moved)
 
 
-def rolled(model: StatedModel, begin: Begin, z: Vector) -> tuple[Vector, Vector]:
-    """Return s_0..s_N and p_0..p_N along an axis, given s_0, p_0 and w, and z_0..z_N there."""
+def flown(
+    model: StatedModel, begins: list[Begin], first: Vector, horizon: int
+) -> tuple[list[Place], list[Place]]:
+    """Return positions s_0..s_N and velocities at those times.
+
+    What a z_j adds depends on how long ago it is alone, so that one of them says it of all.
+
+    Args:
+        model: of the motion.
+        begins: s_0, p_0 and w along each axis.
+        first: z_0.
+        horizon: N.
+    """
+    still = [ZERO] * horizon
+    free = [_rolled(model, begin, [z, *still]) for begin, z in zip(begins, first, strict=True)]
+    added = _rolled(model, (ZERO, ZERO, ZERO), [ZERO, ONE, *still[1:]])  # by z_1
+    positions, velocities = (
+        [
+            Place([axis[i][k] for axis in free], [*added[i][k:0:-1], *still[k:]])
+            for k in range(horizon + 1)
+        ]
+        for i in (0, 1)
+    )
+    return positions, velocities
+
+
+def _rolled(model: StatedModel, begin: Begin, z: Vector) -> tuple[Vector, Vector]:
+    """Return s_0..s_N and the velocities along an axis, given z_0..z_N there."""
     s, p, w = begin
     blown, hastened = model.blow * w, model.gust * w
     positions, velocities = [s], [p]
@@ -84,40 +110,20 @@ def rolled(model: StatedModel, begin: Begin, z: Vector) -> tuple[Vector, Vector]
             p += model.add * now + model.after * then + hastened
         positions.append(s)
         velocities.append(p)
-    return positions, velocities
+    return positions, velocities if model.inertial else [model.forward * each + w for each in z]
 
 
-def places(model: StatedModel, begins: list[Begin], first: Vector, horizon: int) -> list[Step]:
-    """Return the control points of each step, in whose hull it is (Bernstein).
-
-    Args:
-        model: of the motion.
-        begins: s_0, p_0 and w along each axis.
-        first: z_0.
-        horizon: N.
-    """
-    still = [ZERO] * horizon
-    free = [_controls(model, begin, [z, *still]) for begin, z in zip(begins, first, strict=True)]
-    units = ([ZERO] * (j + 1) + [ONE] + [ZERO] * (horizon - j - 1) for j in range(horizon))
-    reach = [_controls(model, (ZERO, ZERO, ZERO), unit) for unit in units]
-    return [
-        [
-            Place([axis[k][i] for axis in free], [each[k][i] for each in reach])
-            for i in range(model.degree + 1)
-        ]
-        for k in range(horizon)
-    ]
-
-
-def _controls(model: StatedModel, begin: Begin, z: Vector) -> list[Vector]:
-    """Return the control points of each step along an axis."""
-    s, v = rolled(model, begin, z)
-    if not model.inertial:
-        v = [model.forward * each + begin[2] for each in z]
+def steps(model: StatedModel, positions: list[Place], velocities: list[Place]) -> list[Step]:
+    """Return the control points of each step, in whose hull it is (Bernstein)."""
     lead = model.step / model.degree
     inner = [[], [1], [1, 2]][model.degree - 1]
     found = []
-    for k in range(len(z) - 1):
-        points = s[k], s[k] + lead * v[k], s[k + 1] - lead * v[k + 1], s[k + 1]
+    for begin, end in pairwise(zip(positions, velocities, strict=True)):
+        points = begin[0], _led(*begin, lead), _led(*end, -lead), end[0]
         found.append([points[i] for i in (0, *inner, 3)])
     return found
+
+
+def _led(place: Place, velocity: Place, time: Fraction) -> Place:
+    """Return where a velocity leads from a place in a time."""
+    return Place(*(add(x, [time * y for y in v]) for x, v in zip(place, velocity, strict=True)))

@@ -19,7 +19,7 @@ from .limits import (
     speeds,
     tether,
 )  # fmt: skip
-from .motion import Begin, StatedModel, model, places
+from .motion import Begin, Place, StatedModel, Step, flown, model, steps
 from .reading import Refused, fields, items, rows, vector, weight, whole, word
 from .walls import BoxWall, DiscWall, wall
 
@@ -79,6 +79,8 @@ class StatedProblem:
         order: of rotations.
         horizon: N.
         width: how many numbers a rotation is: its thrust axis alone where the cost sees no more.
+        positions: s_0..s_N.
+        velocities: at those times.
         arrives: whether trajectories have to end at the goal.
         turn: angle that directions that are split turn by in a step at most [rad]; 0 for any.
         radius: within which s_N is of g_N [m]; None where it may be anywhere.
@@ -89,6 +91,8 @@ class StatedProblem:
     horizon: int
     width: int
     model: StatedModel
+    positions: list[Place]
+    velocities: list[Place]
     weights: StatedWeights
     arrives: bool
     floor: StatedFloor
@@ -126,10 +130,26 @@ def posed_by(
     arrives = word(problem['terminal'], 'terminal', ('penalty', 'constraint')) == 'constraint'
     goals = rows(document['goals'], 'goals', horizon, n)
     tied = tether(turn, made, state.first[:n])
-    limits = _limits(document.get('limits', {}), made, tied, motion, state, horizon)
+    positions, velocities = flown(motion, state.begins, state.first[:n], horizon)
+    within = steps(motion, positions, velocities)
+    limits = _limits(document.get('limits', {}), made, tied, within, state, horizon)
     turn = turn if n == 2 and made.slowest else ZERO
     return StatedProblem(
-        n, order, horizon, width, motion, weights, arrives, made, state, goals, limits, turn, radius
+        n,
+        order,
+        horizon,
+        width,
+        motion,
+        positions,
+        velocities,
+        weights,
+        arrives,
+        made,
+        state,
+        goals,
+        limits,
+        turn,
+        radius,
     )
 
 
@@ -171,7 +191,7 @@ def _limits(
     stated: Any,
     made: StatedFloor,
     tied: Tether | None,
-    model: StatedModel,
+    within: list[Step],
     state: StatedState,
     horizon: int,
 ) -> StatedLimits:
@@ -179,7 +199,6 @@ def _limits(
     n = len(state.position)
     sloping = 'glide_slope' in stated and n == 3
     bodies = items(stated.get('walls', []), 'walls')
-    steps = places(model, state.begins, state.first[:n], horizon) if bodies else []
     decided = state.second if state.coasted is None else state.coasted
     fastest = max(ONE, size_above(decided[:n]))  # what a body rate decides may be longer
     directed, slowest = cones(stated.get('cones', []), n, made.slowest, horizon)
@@ -190,5 +209,5 @@ def _limits(
         most,
         tied,
         glide_slope(stated['glide_slope'], horizon) if sloping else None,
-        [wall(each, n, steps, fastest) for each in bodies],
+        [wall(each, n, within, fastest) for each in bodies],
     )
