@@ -185,7 +185,8 @@ def leaves(node: Document) -> Iterator[Document]:
 
 
 def _a_leaf(known: Document, rng: np.random.Generator) -> Document:
-    found = list(leaves(known['tree']))
+    """Return a leaf with a tangent."""
+    found = [leaf for leaf in leaves(known['tree']) if 'point' in leaf]
     return found[int(rng.integers(len(found)))]
 
 
@@ -209,6 +210,7 @@ def _near(known: Document, rng: np.random.Generator) -> str:
 def _moved(known: Document, rng: np.random.Generator) -> str:
     """Have a leaf's tangent touch far away, where it is steep."""
     for leaf in leaves(known['tree']):
+        leaf.setdefault('point', [[0.0] * len(known['goals'][0])] * len(known['goals']))
         leaf['point'] = [[x + 30.0 for x in row] for row in leaf['point']]
     return json.dumps(known)
 

@@ -29,11 +29,11 @@ from orbimpc_ros.mpc.proof.verifier import least as closed
 from orbimpc_ros.mpc.proof.verifier import reading
 from orbimpc_ros.mpc.proof.verifier.bound import bound, slid, towed
 from orbimpc_ros.mpc.proof.verifier.cost import Added, cost
-from orbimpc_ros.mpc.proof.verifier.exact import TINY, direction, lacking
+from orbimpc_ros.mpc.proof.verifier.exact import TINY, direction, dot, lacking
 from orbimpc_ros.mpc.proof.verifier.limits import Cone
 from orbimpc_ros.mpc.proof.verifier.motion import steps
 from orbimpc_ros.mpc.proof.verifier.regions import Sector
-from orbimpc_ros.mpc.proof.verifier.splits import root
+from orbimpc_ros.mpc.proof.verifier.splits import beside, root
 
 MODELS = [
     *itertools.product((2, 3), (1, 2), (1, 2), ('euler', 'exact')),
@@ -515,7 +515,7 @@ def test_a_sound_tree_is_taken():
         (('state', 'attitude'), None, 'attitude'),
         (('tree', 'parts', 0), ..., 'parts'),
         (('tree', 'parts'), [], 'parts'),
-        (('tree', 'parts', 0), {}, 'lacks point'),
+        (('tree', 'parts', 0), {'points': []}, "unknown 'points'"),
         (('tree', 'split'), 3, 'whole'),
         (('tree', 'split'), 0, 'whole'),
         (('tree', 'parts', 2, 'at'), -0.1, 'within'),
@@ -531,6 +531,25 @@ def test_what_is_malformed_is_refused_in_one_line(path, value, word):
     with pytest.raises(verifier.Refused, match=word) as caught:
         verifier.verified(changed(path, value))
     assert '\n' not in str(caught.value)
+
+
+def test_a_leaf_without_a_point_proves_what_it_would_if_nothing_cost_anything():
+    rng = np.random.default_rng(6)
+    box = Box(np.array([0.5, -2.0]), np.array([0.8, 2.0]))
+    problem = Problem(horizon=4, max_rate=0.5, obstacles=(box,), weights=WEIGHTS)
+    case = problem, State.at(np.zeros(2), np.eye(2), wanted=np.eye(2)), np.ones((4, 2))
+    priced = verifier.posed_by(statement(*case))
+    free = verifier.posed_by(statement(replace(problem, weights=Weights(0, 0, 0, 0)), *case[1:]))
+    aside = beside(priced, root(priced, None), 2, 0, None)[1]  # below it
+    for worth in (0.0, 1.0):
+        multipliers = {
+            'presses': [worth * rng.uniform(0.0, 3.0)],
+            'tethers': (worth * rng.normal(size=(4, 2))).tolist(),
+        }
+        proved = bound(priced, multipliers, aside)
+        assert proved == bound(free, {'point': np.zeros((4, 2)).tolist(), **multipliers}, aside)
+    assert -1e-30 < bound(priced, {}, aside) <= 0  # a root is taken of nothing
+    assert bound(priced, {'point': np.zeros((4, 2)).tolist()}, aside) < -1  # far from the best
 
 
 def test_a_face_is_not_split_again():
@@ -555,3 +574,23 @@ def test_a_huge_file_is_refused_before_it_is_taken_apart(tmp_path, monkeypatch):
     monkeypatch.setattr(reading, 'parsed', lambda text: pytest.fail('it was'))
     with pytest.raises(verifier.Refused, match='larger than'):
         verifier.read(file)
+
+
+def test_vectors_of_two_lengths_have_no_product():
+    with pytest.raises(ValueError, match='one length'):
+        dot([Fraction(1)], [Fraction(1), Fraction(2)])
+
+
+def test_a_leaf_without_a_point_knows_what_is_decided_at_rotation_order_2():
+    rng = np.random.default_rng(3)
+    problem = Problem(3, 2, 2, 3, 0.3, 1.7, WEIGHTS, terminal='constraint')
+    exact, state, goals = posed(problem, rng)
+    pull, missed = rng.normal(size=6), []
+    for _ in range(2000):
+        z = rng.normal(size=(4, 3))
+        z /= np.linalg.norm(z, axis=1)[:, None]
+        z[:2] = state.rotation[:, 0]  # what does not turn stays as it is
+        positions, velocities = translation_rollout(problem, state, z)
+        missed.append(np.concatenate([positions[-1] - goals[-1], velocities[-1]]) @ pull)
+    proved = float(bound(exact, {'pull': pull.tolist()}, root(exact, None)))
+    assert proved <= min(missed) <= proved + 0.05 * np.ptp(missed)

@@ -28,7 +28,7 @@ class Leaf:
     """A tangent of the cost, whose least value over the leaf's region is a bound.
 
     Attributes:
-        point: where it touches, shape (N, d).
+        point: where it touches, shape (N, d); None of multipliers that the cost adds nothing to.
         bends: what is added to the curvature of each step, shape (N,); zero where None.
         pull: multiplier of the arrival, shape (m,); (0,) without one.
         stiffness: weight on the square of what the arrival misses.
@@ -40,7 +40,7 @@ class Leaf:
         meets: of a refutation, multiplier of that s_N is within a radius of g_N, shape (n,).
     """
 
-    point: Array
+    point: Array | None = None
     bends: Array | None = None
     pull: Array | None = None
     stiffness: float = 0.0
@@ -249,8 +249,8 @@ def plain(tree: Tree) -> dict[str, Any]:
         if tree.wall is not None:
             found['wall'] = tree.wall
         return found if tree.at is None else {**found, 'at': tree.at}
-    leaf: dict[str, Any] = {'point': tree.point.tolist()}
-    names = 'bends', 'pull', 'tops', 'shares', 'presses', 'slides', 'tethers', 'meets'
+    leaf: dict[str, Any] = {}
+    names = 'point', 'bends', 'pull', 'tops', 'shares', 'presses', 'slides', 'tethers', 'meets'
     for name in names:
         value = getattr(tree, name)
         if value is not None and len(value):

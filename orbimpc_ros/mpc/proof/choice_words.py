@@ -221,12 +221,16 @@ class ChoiceWords:
         held = self._held(known, np.array(presses), tethers if self._tied else NONE)
         if grounds.empty[number]:
             return self._lifted(known, held)
-        point = grounds.points[number]
-        slopes = (
-            np.column_stack([h @ x for h, x in zip(self._hessians, point.T, strict=True)]) + self._q
-        )
-        slopes[:, : held.forces.shape[1]] += held.forces
-        return self._made(known, held, point, slopes)
+        point, wide = grounds.points[number], self._q.shape[1] == 9
+        tops = self._tops(point, held.forces) if wide else None
+        return replace(_pressing(known, held), point=point, tops=tops)
+
+    def _tops(self, point: Array, forces: Array) -> Array:
+        """Return the tops of what is left of the slopes over SO(3)."""
+        slopes = [h @ x for h, x in zip(self._hessians, point.T, strict=True)]
+        left = np.column_stack(slopes) + self._q
+        left[:, : forces.shape[1]] += forces
+        return np.array([top(each) for each in left])
 
     def _held(self, known: Sequence[Row], presses: Array, tethers: Array) -> Held:
         """Return multipliers with what they come to."""
@@ -257,18 +261,13 @@ class ChoiceWords:
         gap = _gap(held)
         if not gap > 0.0:
             return None
-        steepest = 2.0 * np.linalg.norm(self._q, axis=1).sum()  # of what rotations are
-        held = held.times(AMPLE * (self._bound + steepest) / gap)
-        point = np.zeros_like(self._q)
-        leaf = self._made(known, held, point, self._q)
-        return leaf if leaf.tops is None else replace(leaf, shares=held.forces)
+        return _pressing(known, held.times(AMPLE * self._bound / gap))
 
-    def _made(self, known: Sequence[Row], held: Held, point: Array, slopes: Array) -> Leaf:
-        """Return a leaf that touches at a point, given the slopes that rotations hold."""
-        presses = [y for y, row in zip(held.presses, known, strict=True) if row.said]
-        wide = point.shape[1] == 9
-        tops = np.array([top(each) for each in slopes]) if wide else None
-        return Leaf(point, presses=np.array(presses), tethers=held.tethers, tops=tops)
+
+def _pressing(known: Sequence[Row], held: Held) -> Leaf:
+    """Return multipliers as leaves have them."""
+    presses = [y for y, row in zip(held.presses, known, strict=True) if row.said]
+    return Leaf(presses=np.array(presses), tethers=held.tethers)
 
 
 def _gap(held: Held) -> float:

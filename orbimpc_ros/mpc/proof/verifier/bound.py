@@ -27,7 +27,7 @@ from .least import (
 )  # fmt: skip
 from .reading import Refused, fields, rows, vector, weight
 from .regions import Region, Side
-from .stated import StatedProblem
+from .stated import StatedProblem, costless
 
 LEAF = ('bends', 'pull', 'stiffness', 'tops', 'shares', 'presses', 'slides', 'tethers', 'meets')
 
@@ -48,7 +48,13 @@ class StatedLeaf(NamedTuple):
 
 
 def bound(posed: StatedProblem, stated: Any, region: Region) -> Fraction:
-    """Return the bound that a leaf proves: a tangent's least value over a region."""
+    """Return the bound that a leaf proves: a tangent's least value over a region.
+
+    Without a point the cost is as good as nothing, which it is not below: multipliers are left.
+    """
+    if isinstance(stated, dict) and 'point' not in stated:
+        posed = costless(posed)
+        stated = {**stated, 'point': [[0.0] * posed.n] * posed.horizon}
     leaf = _leaf(posed, stated, region)
     push, paid = _pushed(posed, leaf)
     forces, held = towed(posed, leaf.tethers)

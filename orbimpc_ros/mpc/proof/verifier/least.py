@@ -18,9 +18,10 @@ from .exact import (
     Vector,
     direction,
     dot,
-    lacking,
+    lacking_whole,
     root_above,
     size_above,
+    whole,
 )  # fmt: skip
 from .limits import Cone, StatedFloor
 from .regions import Sector
@@ -100,11 +101,11 @@ def least_reached(slope: Vector, floor: StatedFloor, sector: Sector) -> Fraction
 
 def least_over_orbitope(slope: Vector, top: Fraction) -> Fraction:
     """Return the least <G, R> over conv SO(3): -top, where top I + K(G) is semidefinite."""
-    g11, g21, g31, g12, g22, g32, g13, g23, g33 = slope
+    (most, g11, g21, g31, g12, g22, g32, g13, g23, g33), unit = whole([top, *slope])
     matrix = [
-        [top + g11 + g22 + g33, g32 - g23, g13 - g31, g21 - g12],
-        [g32 - g23, top + g11 - g22 - g33, g21 + g12, g13 + g31],
-        [g13 - g31, g21 + g12, top - g11 + g22 - g33, g32 + g23],
-        [g21 - g12, g13 + g31, g32 + g23, top - g11 - g22 + g33],
+        [most + g11 + g22 + g33, g32 - g23, g13 - g31, g21 - g12],
+        [g32 - g23, most + g11 - g22 - g33, g21 + g12, g13 + g31],
+        [g13 - g31, g21 + g12, most - g11 + g22 - g33, g32 + g23],
+        [g21 - g12, g13 + g31, g32 + g23, most - g11 - g22 + g33],
     ]
-    return -top - lacking(matrix)
+    return -top - lacking_whole(matrix, unit)

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 from .exact import ONE, ZERO, Vector, size_above
@@ -135,22 +136,9 @@ def posed_by(
     limits = _limits(document.get('limits', {}), made, tied, within, state, horizon)
     turn = turn if n == 2 and made.slowest else ZERO
     return StatedProblem(
-        n,
-        order,
-        horizon,
-        width,
-        motion,
-        positions,
-        velocities,
-        weights,
-        arrives,
-        made,
-        state,
-        goals,
-        limits,
-        turn,
-        radius,
-    )
+        n, order, horizon, width, motion, positions, velocities, weights, arrives, made, state,
+        goals, limits, turn, radius,
+    )  # fmt: skip
 
 
 def _weights(stated: Any, n: int, model: StatedModel) -> StatedWeights:
@@ -211,3 +199,14 @@ def _limits(
         glide_slope(stated['glide_slope'], horizon) if sloping else None,
         [wall(each, n, within, fastest) for each in bodies],
     )
+
+
+@lru_cache(maxsize=4)
+def costless(posed: StatedProblem) -> StatedProblem:
+    """Return a problem of which nothing costs anything: no term of a cost is below that."""
+    free = [ZERO] * posed.horizon
+    weights = StatedWeights(free, ZERO, ZERO, ZERO, [*free, ZERO])
+    state, n = posed.state, posed.n
+    first, second, coasted = state.first[:n], state.second[:n], state.coasted
+    state = state._replace(first=first, second=second, coasted=coasted and coasted[:n])
+    return replace(posed, width=n, weights=weights, state=state)
