@@ -38,7 +38,7 @@ def least_along(
 
 
 def least_towards(slope: Vector, cone: Cone) -> Fraction:
-    """Return the least slope . u over unit vectors u within a cone."""
+    """Return the least slope . u over unit vectors u within a cone, of any width."""
     size, square = size_above(slope), dot(cone.axis, cone.axis)
     along = dot(slope, cone.axis)
     if -along >= cone.least * size - 4 * TINY * (1 + size):
@@ -49,32 +49,24 @@ def least_towards(slope: Vector, cone: Cone) -> Fraction:
 
 
 def least_within(slope: Vector, sector: Sector) -> Fraction:
-    """Return the least slope . (cos, sin) over the directions of a sector."""
-    size = size_above(slope)
-    width = sector.high - sector.low
-    if width >= 2 * PI - NARROW:
-        return -size
-    (ax, ay), (bx, by) = direction(sector.low), direction(sector.high)
-    off = 4 * TINY * (1 + size)
-    from_low = ay * slope[0] - ax * slope[1]  # how far -slope is to the left of the lower edge
-    to_high = bx * slope[1] - by * slope[0]
-    inside = from_low > -off and to_high > -off
-    if width > PI - NARROW:  # what is outside is narrower
-        inside = from_low > -off or to_high > -off
-    if inside:
-        return -size
-    return min(slope[0] * ax + slope[1] * ay, slope[0] * bx + slope[1] * by) - off
+    """Return the least slope . (cos, sin) over the directions of a sector: a cone of the plane."""
+    half = (sector.high - sector.low) / 2
+    if half >= PI - NARROW:
+        return -size_above(slope)
+    return least_towards(slope, _cone(sector.low + half, direction(half)[0]))
 
 
 def least_beyond(slope: Vector, floor: StatedFloor, face: int) -> Fraction:
-    """Return the least slope . x over the part of the disk beyond a face n . x >= slowest."""
-    x, y = direction(2 * PI * face / floor.faces)
-    inward, across = slope[0] * x + slope[1] * y, abs(slope[1] * x - slope[0] * y)
-    size, slowest = size_above(slope), floor.slowest
-    if -inward >= slowest * size - 4 * TINY * (1 + size):
-        return -size
-    corner = slowest * inward - root_above(1 - slowest * slowest) * across
-    return max(-size, corner - 4 * TINY * (1 + size))
+    """Return the least slope . x over the part of the disk beyond a face n . x >= slowest.
+
+    Straight as it is, that is least on its rim, where it is a cone.
+    """
+    return least_towards(slope, _cone(2 * PI * face / floor.faces, floor.slowest))
+
+
+def _cone(angle: Fraction, least: Fraction) -> Cone:
+    """Return the unit vectors that are at least so far out in a direction, and hardly more."""
+    return Cone(list(direction(angle)), least - 4 * TINY)
 
 
 def least_reached(slope: Vector, floor: StatedFloor, sector: Sector) -> Fraction:
