@@ -30,7 +30,7 @@ from orbimpc_ros.mpc.proof.verifier import reading
 from orbimpc_ros.mpc.proof.verifier.bound import bound, slid, towed
 from orbimpc_ros.mpc.proof.verifier.cost import Added, cost
 from orbimpc_ros.mpc.proof.verifier.exact import TINY, direction, dot, lacking
-from orbimpc_ros.mpc.proof.verifier.limits import Cone
+from orbimpc_ros.mpc.proof.verifier.limits import cone
 from orbimpc_ros.mpc.proof.verifier.motion import steps
 from orbimpc_ros.mpc.proof.verifier.regions import Sector
 from orbimpc_ros.mpc.proof.verifier.splits import beside, root
@@ -129,10 +129,10 @@ def test_what_pushes_positions_is_weighed_as_it_moves_them(n, order, inertia, ki
 def test_least_within_a_cone_is_below_all_that_is_in_it(seed):
     rng = np.random.default_rng([seed, 9])
     n = 2 + seed % 2
-    axis, slope, angle = rng.normal(size=n), rng.normal(size=n), rng.uniform(0.05, 1.5)
+    axis, slope, angle = rng.normal(size=n), rng.normal(size=n), rng.uniform(0.05, 3.0)
     width = np.cos(angle) * np.linalg.norm(axis)
-    cone = Cone(fractions([axis])[0], Fraction(float(width)))
-    least = float(closed.least_towards(fractions([slope])[0], cone))
+    made = cone(fractions([axis])[0], Fraction(float(width)))
+    least = float(closed.least_towards(fractions([slope])[0], made))
     ways = rng.normal(size=(200_000, n))
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     inside = ways[ways @ axis >= width]

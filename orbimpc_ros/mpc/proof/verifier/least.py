@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
+from functools import lru_cache
 
 from .exact import (
     NARROW,
@@ -23,7 +24,7 @@ from .exact import (
     size_above,
     whole,
 )  # fmt: skip
-from .limits import Cone, StatedFloor
+from .limits import Cone, StatedFloor, cone
 from .regions import Sector
 
 
@@ -37,23 +38,27 @@ def least_along(
     return ends
 
 
-def least_towards(slope: Vector, cone: Cone) -> Fraction:
-    """Return the least slope . u over unit vectors u within a cone, of any width."""
-    size, square = size_above(slope), dot(cone.axis, cone.axis)
-    along = dot(slope, cone.axis)
-    if -along >= cone.least * size - 4 * TINY * (1 + size):
+def least_towards(slope: Vector, within: Cone) -> Fraction:
+    """Return the least slope . u over unit vectors u in a cone, of any width."""
+    squared, along = dot(slope, slope), dot(slope, within.axis)
+    size = root_above(squared)
+    if -along >= within.least * size - 4 * TINY * (1 + size):
         return -size
-    across = root_above(max(ZERO, dot(slope, slope) - along * along / square))
-    aside = root_above(max(ZERO, 1 - cone.least * cone.least / square))
-    return max(-size, along * cone.least / square - across * aside)
+    across = root_above(max(ZERO, squared - along * along / within.square))
+    return max(-size, along * within.least / within.square - across * within.aside)
 
 
 def least_within(slope: Vector, sector: Sector) -> Fraction:
     """Return the least slope . (cos, sin) over the directions of a sector: a cone of the plane."""
-    half = (sector.high - sector.low) / 2
-    if half >= PI - NARROW:
+    if sector.high - sector.low >= 2 * (PI - NARROW):
         return -size_above(slope)
-    return least_towards(slope, _cone(sector.low + half, direction(half)[0]))
+    return least_towards(slope, _around(sector))
+
+
+@lru_cache(maxsize=4096)
+def _around(sector: Sector) -> Cone:
+    half = (sector.high - sector.low) / 2
+    return _beyond(sector.low + half, direction(half)[0])
 
 
 def least_beyond(slope: Vector, floor: StatedFloor, face: int) -> Fraction:
@@ -61,12 +66,12 @@ def least_beyond(slope: Vector, floor: StatedFloor, face: int) -> Fraction:
 
     Straight as it is, that is least on its rim, where it is a cone.
     """
-    return least_towards(slope, _cone(2 * PI * face / floor.faces, floor.slowest))
+    return least_towards(slope, _beyond(2 * PI * face / floor.faces, floor.slowest))
 
 
-def _cone(angle: Fraction, least: Fraction) -> Cone:
+def _beyond(angle: Fraction, least: Fraction) -> Cone:
     """Return the unit vectors that are at least so far out in a direction, and hardly more."""
-    return Cone(list(direction(angle)), least - 4 * TINY)
+    return cone(list(direction(angle)), least - 4 * TINY)
 
 
 def least_reached(slope: Vector, floor: StatedFloor, sector: Sector) -> Fraction:
