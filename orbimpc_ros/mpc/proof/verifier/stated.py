@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
@@ -131,13 +132,16 @@ def posed_by(
     arrives = word(problem['terminal'], 'terminal', ('penalty', 'constraint')) == 'constraint'
     goals = rows(document['goals'], 'goals', horizon, n)
     tied = tether(turn, made, state.first[:n])
-    positions, velocities = flown(motion, state.begins, state.first[:n], horizon)
-    within = steps(motion, positions, velocities)
-    limits = _limits(document.get('limits', {}), made, tied, within, state, horizon)
+    led = flown(motion, state.begins, state.first[:n], horizon)
+
+    def within() -> list[Step]:
+        return steps(motion, *led)
+
+    limits = _limits(document.get('limits', {}), made, tied, state, horizon, within)
     turn = turn if n == 2 and made.slowest else ZERO
     return StatedProblem(
-        n, order, horizon, width, motion, positions, velocities, weights, arrives, made, state,
-        goals, limits, turn, radius,
+        n, order, horizon, width, motion, *led, weights, arrives, made, state, goals, limits,
+        turn, radius,
     )  # fmt: skip
 
 
@@ -179,14 +183,15 @@ def _limits(
     stated: Any,
     made: StatedFloor,
     tied: Tether | None,
-    within: list[Step],
     state: StatedState,
     horizon: int,
+    within: Callable[[], list[Step]],
 ) -> StatedLimits:
     fields(stated, 'limits', (), ('cones', 'glide_slope', 'walls', 'speeds'))
     n = len(state.position)
     sloping = 'glide_slope' in stated and n == 3
     bodies = items(stated.get('walls', []), 'walls')
+    places = within() if bodies else []
     decided = state.second if state.coasted is None else state.coasted
     fastest = max(ONE, size_above(decided[:n]))  # what a body rate decides may be longer
     directed, slowest = cones(stated.get('cones', []), n, made.slowest, horizon)
@@ -197,7 +202,7 @@ def _limits(
         most,
         tied,
         glide_slope(stated['glide_slope'], horizon) if sloping else None,
-        [wall(each, n, within, fastest) for each in bodies],
+        [wall(each, n, places, fastest) for each in bodies],
     )
 
 
