@@ -25,7 +25,7 @@ from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof import spatial
 from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Tree, in_users_units
 from orbimpc_ros.mpc.proof.faces import FaceProof
-from orbimpc_ros.mpc.proof.grounds import Tangent
+from orbimpc_ros.mpc.proof.grounds import Grounds
 from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.mpc.proof.part_program import PartProgram
 from orbimpc_ros.mpc.proof.sectors import SectorProof
@@ -34,7 +34,7 @@ from orbimpc_ros.mpc.proof.verifier import RELATIVE, Refused, posed_by, verified
 from orbimpc_ros.mpc.proof.walls import WallProof
 
 NEAR = (1e-6, 1e-4, 1e-3)  # of a plan's moduli to their bounds: methods differ in accuracy
-FEW = 500  # nodes of a search up to which its own tree is the certificate
+FEW = 500  # nodes of a search by faces or sectors up to which its own tree is the certificate
 SHARE = 0.5  # of what a bound may exceed what is proved
 
 
@@ -126,7 +126,8 @@ def certificates_for(
     """
     proof, bound = plan.proof, _posed(bound)
     grounds = proof.grounds
-    if isinstance(grounds, Tangent) or (grounds is not None and len(grounds.splits) <= FEW):
+    large = isinstance(grounds, Grounds) and len(grounds.splits) > FEW
+    if grounds is not None and not large:
         made = kept(problem, state, goals, replace(proof, lower_bound=bound))
         if made is not None:
             yield made

@@ -62,15 +62,15 @@ def cost(posed: StatedProblem, x: list[Vector], added: Added) -> tuple[Fraction,
     (turned, flown), value, slopes = _squares(posed), ZERO, []
     weights, unpushed = _stiff(posed, added.stiffness), [ZERO] * len(turned.weights)
     for i, along in enumerate(map(list, zip(*x, strict=True))):
-        slope = [ZERO] * posed.horizon
-        if turned.weights:
-            worth, slope = turned.pushed(i, along, turned.weights, unpushed)
-            value += worth
+        slope, parts = [ZERO] * posed.horizon, [(turned, turned.weights, unpushed)]
         if i < posed.n:
-            push, towed = _push(posed, added, i), [each[i] for each in added.towed]
-            worth, steeper = flown.pushed(i, along, weights, push)
-            value += worth + dot(towed, along)
-            slope = add(add(slope, steeper), towed)
+            slope = [each[i] for each in added.towed]
+            value += dot(slope, along)
+            parts.append((flown, weights, _push(posed, added, i)))
+        for squares, weighed, push in parts:
+            if any(weighed) or any(push):
+                worth, steeper = squares.pushed(i, along, weighed, push)
+                value, slope = value + worth, add(slope, steeper)
         slopes.append(slope)
     return value, list(map(list, zip(*slopes, strict=True)))
 
