@@ -9,6 +9,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf
 from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.io.bag.writer import BagWriter
 from orbimpc_ros.tool.io.topics import Topic
@@ -138,6 +139,20 @@ def test_a_recorded_certificate_that_does_not_prove_its_bound_fails(run, tmp_pat
     code, out, _ = run(*asked)
     assert code == 1
     assert '1 DOES NOT HOLD' in out
+
+
+@pytest.mark.parametrize('rows', [3, 5])
+def test_where_what_a_method_left_proves_less_a_proof_is_worked_out(run, monkeypatch, rows):
+    """Be it that it is weaker, or that it is refused."""
+
+    def poor(problem, state, goals, proof):
+        leaf = Leaf(np.zeros((rows, 2)))
+        return Certificate(problem, state, goals, proof.lower_bound, leaf)
+
+    monkeypatch.setattr('orbimpc_ros.mpc.proof.prove.kept', poor)
+    code, out, _ = run('verify', HERE / 'golden' / 'retrieval', '--tick', 3)
+    assert code == 0
+    assert '1 holds' in out
 
 
 def test_a_certificate_without_the_problems_walls_is_refused(run, tmp_path):

@@ -200,7 +200,10 @@ def _certified(
     made, found = None, row
     try:
         for made in make():
-            found = _verified(row.tick, verifier.parsed(made.text().encode()))
+            try:
+                found = _verified(row.tick, verifier.parsed(made.text().encode()))
+            except verifier.Refused as error:
+                found = row._replace(outcome=NONE, words=f'no certificate: refused: {error}')
             if found.outcome == HOLDS:
                 break
     except Unproved as error:
