@@ -12,7 +12,7 @@ from certified import solved
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
-from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds
+from orbimpc_ros.mpc.proof.grounds import LEAF
 from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.proof.verifier import Refused, parsed, verified
@@ -41,7 +41,6 @@ def judged(document):
 
 def held(case, plan):
     """Return the certificate of a plan's bound, once it holds."""
-    assert isinstance(plan.proof.grounds, ChoiceGrounds)
     assert plan.proof.checked
     made = kept(*case, plan.proof)
     verdict = verified(parsed(made.text().encode()))

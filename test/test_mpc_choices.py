@@ -14,10 +14,12 @@ from orbimpc_ros.mpc.model.motion import control_maps, controls
 from orbimpc_ros.mpc.problem import Ball, Box, Floor, Hazard, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.proof.choices import QUARTERS, _out_of_reach, choices_bound, set_row
-from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds
+from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds, Grounds
+from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.proof.sides import ARCS, SIDES, Sides
 from orbimpc_ros.mpc.proof.slopes import terms_of
+from orbimpc_ros.mpc.proof.verifier import parsed, verified
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.solver import OUTWARD, Solver
 
@@ -59,10 +61,38 @@ def counted(case, plan, **changes):
 )
 def test_what_a_search_proves_is_proved_by_its_tree(kind, seed):
     case, plan = solved(kind, seed)
-    assert isinstance(plan.proof.grounds, ChoiceGrounds)
     assert plan.proof.checked
     again = counted(case, plan)
     assert (1.0 - 1e-9) * said(case) <= again <= plan.objective * (1.0 + 1e-7)
+
+
+@pytest.mark.parametrize(
+    ('n', 'aside', 'weights'),
+    [
+        (2, Box((3.0, 2.0), (4.0, 3.0)), Weights()),
+        (2, Ball((3.0, 3.0), 1.0), Weights()),
+        (3, Box((3.0, 2.0, 0.0), (4.0, 3.0, 1.0)), Weights(1.0, 0.0, 0.0, 10.0)),
+    ],
+)
+def test_where_nothing_had_to_be_chosen_a_tangent_is_left(n, aside, weights):
+    """It is counted faster than a tree, and is a certificate as it stands."""
+    problem = Problem(dimension=n, weights=weights, obstacles=(aside,))
+    case = Case(problem, State.at(np.zeros(n), np.eye(n)), np.tile(np.eye(n)[0] * 8.0, (5, 1)))
+    plan = Solver(problem).solve(*case[1:])
+    assert isinstance(plan.proof.grounds, Grounds)
+    assert plan.proof.checked
+    assert verified(parsed(kept(*case, plan.proof).text().encode())).holds
+
+
+@pytest.mark.parametrize('share', [0.5, 1.0, 2.0])
+def test_a_tree_is_counted_as_far_as_is_enough(share):
+    """Over SO(3), where a leaf's bound is first one by columns, which is lower."""
+    case, plan = solved('space, boxes', 1)
+    grounds, unit, recount = plan.proof.grounds, plan.proof.cost_unit, Recount(case.problem)
+    whole = recount.bound(case.state, case.goals, grounds, unit)
+    again = recount.bound(case.state, case.goals, grounds, unit, share * whole)
+    assert min(1.0, share) * whole * (1.0 - 1e-12) <= again <= whole * (1.0 + 1e-12)
+    assert (again < whole * (1.0 - 1e-6)) == (share < 1.0)
 
 
 @pytest.mark.parametrize('weight', [0.0, 0.05])
@@ -410,3 +440,28 @@ def test_nothing_that_is_empty_is_taken_for_so_without_a_proof(branched):
     full = int(np.flatnonzero(~grounds.empty)[0])
     empty = changed(grounds.empty, full, True)
     assert counted(case, plan, empty=empty) == -np.inf
+
+
+@pytest.mark.parametrize('turn', [0.3, 0.9, 1.4, 2.5])
+@pytest.mark.parametrize('least', [0.3, 1.0])
+def test_what_always_holds_holds_of_all_that_turn_within_the_limit(turn, least):
+    """Of slow and of fast headings, and of those that turn as fast as they may."""
+    floor = Floor('circle', fraction=least)
+    problem = Problem(horizon=6, step=0.5, floor=floor, max_rate=2.0 * turn)
+    sides, rng = Sides(problem, terms_of(problem)), np.random.default_rng(6)
+    tightest = np.inf
+    for _ in range(300):
+        begin = rng.uniform(-np.pi, np.pi)
+        turns = turn * np.sign(rng.normal()) * np.clip(rng.normal(1.0, 0.5, 6), -1.0, 1.0)
+        angles, speeds = begin + np.cumsum(turns), rng.choice([least, 1.0], 6)
+        z = speeds[:, None] * np.transpose([np.cos(angles), np.sin(angles)])
+        c, s = np.cos(begin), np.sin(begin)
+        state = State.at(np.zeros(2), np.array([[c, -s], [s, c]]))
+        always, places = sides.always(state), sides.places(state)
+        led = places.free + places.maps @ z
+        slack = np.einsum('ij,ij->i', always.normals, led[always.places]) - always.offsets
+        assert slack.min(initial=1.0) >= -1e-12
+        chords = np.linalg.norm(np.diff(z, axis=0), axis=1)
+        assert chords.max() <= always.chord + 1e-12
+        tightest = min(tightest, slack.min(initial=1.0))
+    assert tightest < 1e-9 or turn > 0.5 * np.pi

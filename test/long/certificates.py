@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import certified
 
 from orbimpc_ros.mpc.errors import OrbimpcError
-from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
+from orbimpc_ros.mpc.proof.prove import Unproved, certificate_for
 from orbimpc_ros.mpc.proof.verifier import Refused, parsed, verified
 from orbimpc_ros.mpc.solve.solver import Solver
 
@@ -37,7 +37,7 @@ def examined(kind: str, seed: int, index: int, longest: int) -> tuple[str, dict]
         end = time.process_time() + PATIENCE
         plan = solver.solve(case.state, case.goals, None, lambda: time.process_time() > end)
         solved = time.process_time()
-        made = certificate_of(*case, plan.rotations[1:], plan.lower_bound)
+        made = certificate_for(*case, plan, plan.lower_bound)
     except Unproved as error:
         return ('unproved', {'words': str(error)})
     except OrbimpcError:
@@ -66,8 +66,10 @@ def main() -> int:
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--longest', type=int, default=20, help='horizon')
     parser.add_argument('--mutants', type=int, default=500)
+    every = list(certified.KINDS | certified.LIMITED | certified.TIED | certified.LEFT)
+    parser.add_argument('--kinds', nargs='+', choices=every, default=every, metavar='KIND')
     args = parser.parse_args()
-    kinds = list(certified.KINDS | certified.LIMITED | certified.TIED)
+    kinds = args.kinds
     rows, known = defaultdict(list), []
     for index in range(args.count):
         kind = kinds[index % len(kinds)]

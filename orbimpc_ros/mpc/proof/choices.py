@@ -182,8 +182,8 @@ def _held(places, known, always, tree, nodes, leaf, unit, faces, forces):
 
 
 @compiled
-def _leaf_bound(terms, start, goals, point, forces, held, slopes):
-    """Return what a leaf's tangent proves."""
+def _leaf_bound(terms, start, goals, point, forces, held, slopes, enough):
+    """Return what a leaf's tangent proves; over SO(3) as much of it as is enough, step by step."""
     (worth, cancelled), arrival, rest = held, np.zeros(0), 0.0
     value, size = set_slopes(terms, start, goals, (arrival, 0.0), point, slopes)
     for k in range(len(point)):
@@ -197,15 +197,27 @@ def _leaf_bound(terms, start, goals, point, forces, held, slopes):
             square += slopes[k, c] ** 2
         if not square < np.inf:  # or no number
             return -np.inf
-        if point.shape[1] == 9:
-            rest -= least_over_orbitope(slopes[k], top_of(slopes[k]))
-        else:
-            rest += np.sqrt(square)
-    return value + worth - rest - ROUNDING * len(point) * (size + cancelled + rest)
+        rest += _by_columns(slopes[k]) if point.shape[1] == 9 else np.sqrt(square)
+    slack = ROUNDING * len(point) * (size + cancelled + rest)
+    bound = value + worth - rest - slack
+    for k in range(len(point) if point.shape[1] == 9 else 0):
+        if bound >= enough:
+            break
+        bound += _by_columns(slopes[k]) + least_over_orbitope(slopes[k], top_of(slopes[k]))
+    return bound
 
 
 @compiled
-def choices_bound(terms, start, goals, places, stated, tree, unit):
+def _by_columns(slope):
+    """Return the most of -<G, R> over matrices R whose columns are no longer than 1."""
+    most = 0.0
+    for c in range(3):
+        most += np.sqrt(slope[3 * c] ** 2 + slope[3 * c + 1] ** 2 + slope[3 * c + 2] ** 2)
+    return most
+
+
+@compiled
+def choices_bound(terms, start, goals, places, stated, tree, unit, enough):
     """Return the least bound of all leaves; -inf where they are not all there is.
 
     Args:
@@ -216,6 +228,7 @@ def choices_bound(terms, start, goals, places, stated, tree, unit):
         stated: the choices, the normals of a floor's faces, and what holds of all trajectories.
         tree: of the choices that were made.
         unit: of the multipliers, in that of the cost.
+        enough: a bound beyond which nothing has to be counted.
     """
     (known, faces, always), count, number, least = stated, len(tree.splits), -1, np.inf
     nodes = np.full(count, -1), np.full(count, -1)
@@ -240,7 +253,8 @@ def choices_bound(terms, start, goals, places, stated, tree, unit):
             if not held[0] > reach + ROUNDING * len(forces) * (held[1] + reach):
                 return -np.inf
             continue
-        value = _leaf_bound(terms, start, goals, tree.points[number], forces, held, slopes)
+        told = tree.points[number], forces, held, slopes, min(enough, least)
+        value = _leaf_bound(terms, start, goals, *told)
         if not value > -np.inf:  # or no number
             return -np.inf
         least = min(least, value)

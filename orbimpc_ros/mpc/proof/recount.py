@@ -112,7 +112,8 @@ class Recount:
         """
         start = self._begun(state)
         if isinstance(grounds, ChoiceGrounds):
-            return self._of_choices(state, start, goals - state.position, grounds, unit)
+            away = goals - state.position
+            return self._of_choices(state, start, away, grounds, (unit, enough))
         known = self._terms, self._curvature, start, goals - state.position
         if isinstance(grounds, Tangent):
             return self._of_tangent(known, grounds, state.coasted is not None)
@@ -172,7 +173,7 @@ class Recount:
         return plain and (problem.dimension == 2 or flat)
 
     def _of_choices(
-        self, state: State, start: Array, goals: Array, tree: ChoiceGrounds, unit: float
+        self, state: State, start: Array, goals: Array, tree: ChoiceGrounds, asked: tuple
     ) -> float:
         """Return what a tree of choices proves; its multipliers are in natural units."""
         if not self._knows_trees:
@@ -185,8 +186,11 @@ class Recount:
         wanted = [*[nodes] * 5, *[leaves] * 3, *[rows] * 3, leaves]
         if not (fits and list(map(len, tree)) == wanted):
             return -np.inf
-        stated = self._sides.alternatives(state, places), self._sides.faces, always
-        return float(choices_bound(self._terms, start, goals, places, stated, tree, unit))
+        known = self._sides.standing  # of which a tree without splits has no use
+        if nodes > 1:
+            known = self._sides.alternatives(state, places)
+        stated = known, self._sides.faces, always
+        return float(choices_bound(self._terms, start, goals, places, stated, tree, *asked))
 
     def _of_tangent(self, known: tuple, leaf: Tangent, coasting: bool) -> float:
         """Return what a tangent proves; its numbers are in the problem's own units."""

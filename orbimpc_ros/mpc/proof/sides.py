@@ -159,14 +159,14 @@ class Sides:
     def alternatives(self, state: State, places: Places) -> Alternatives:
         """Return the choices of trajectories from a state, in natural units."""
         origin = state.position / self._problem.length_unit
-        moved = self._standing.extents + np.concatenate([origin, -origin])
-        standing, moving = self._standing._replace(extents=moved), self._bodies(state, places)
+        moved = self.standing.extents + np.concatenate([origin, -origin])
+        standing, moving = self.standing._replace(extents=moved), self._bodies(state, places)
         if moving is None:
             return standing
         return Alternatives(*map(np.concatenate, zip(standing, moving, strict=True)))
 
     @cached_property
-    def _standing(self) -> Alternatives:
+    def standing(self) -> Alternatives:
         """Return what needs no state; extents of boxes are counted from the origin."""
         parts = self._floors(), self._boxes()
         return Alternatives(*map(np.concatenate, zip(*parts, strict=True)))

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds
+from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds, Left, tangent
 
 Press = tuple[int, int, float]  # the node that holds a row, which of its rows, its multiplier
 
@@ -27,24 +27,31 @@ class TreeLeaf(NamedTuple):
         presses: what holds there.
         tethers: see :class:`orbimpc_ros.mpc.proof.grounds.ChoiceGrounds`.
         empty: whether what holds proves that nothing is there.
+        moves: by how much headings still move from that point, shape (N,), along a normal, (n,);
+            all leaves are moved at once.
     """
 
     point: Array
     presses: tuple[Press, ...]
     tethers: Array
     empty: bool = False
+    moves: tuple[Array, Array] | None = None
+
+    @property
+    def is_free(self) -> bool:
+        """Return whether it is a tangent to the cost alone, of headings alone."""
+        held = self.presses or self.empty or self.tethers.any()
+        return not held and self.point.shape[1] <= 3
 
     def raised(self, press: Press, move: Array, normal: Array) -> TreeLeaf:
-        """Return a tangent a step on along a row, by a multiplier of it.
+        """Return the tangent of a point that was solved, a step on along a row.
 
         Args:
             press: the row, and its multiplier.
-            move: by how much headings move along its normal, shape (N,).
-            normal: shape (n,).
+            move: see ``moves``.
+            normal: of the row, shape (n,).
         """
-        point = self.point.copy()
-        point[:, : len(normal)] += move[:, None] * normal
-        return self._replace(point=point, presses=(*self.presses, press))
+        return self._replace(presses=(*self.presses, press), moves=(move, normal))
 
 
 class ChoiceNodes:
@@ -75,13 +82,15 @@ class ChoiceNodes:
         """Return the numbers of the nodes that are not split."""
         return [t for t, split in enumerate(self.splits) if split == LEAF]
 
-    def grounds(self, sides: np.ndarray, leaves: Sequence[TreeLeaf]) -> ChoiceGrounds:
-        """Return the grounds that nodes and leaves are.
+    def grounds(self, sides: np.ndarray, leaves: Sequence[TreeLeaf]) -> Left:
+        """Return the grounds that nodes and leaves are; one that is free needs no tree.
 
         Args:
             sides: levels and sides of the nodes, shape (2, T).
             leaves: of the nodes that are not split, in their order.
         """
+        if len(leaves) == 1 and leaves[0].is_free:
+            return tangent(leaves[0].point, np.zeros(len(leaves[0].point)))
         presses = [each for leaf in leaves for each in leaf.presses]
         holders, rows, sizes = zip(*presses, strict=True) if presses else ((), (), ())
         levels, at = sides
@@ -91,7 +100,7 @@ class ChoiceNodes:
             np.array(self._counts),
             levels,
             at,
-            np.array([leaf.point for leaf in leaves]),
+            _moved(leaves),
             np.array([leaf.empty for leaf in leaves]),
             np.cumsum([len(leaf.presses) for leaf in leaves]),
             np.array(holders, np.int64),
@@ -99,3 +108,14 @@ class ChoiceNodes:
             np.array(sizes, float),
             np.array([leaf.tethers for leaf in leaves]),
         )
+
+
+def _moved(leaves: Sequence[TreeLeaf]) -> Array:
+    """Return where the tangents of leaves touch, shape (L, N, d)."""
+    points = np.array([leaf.point for leaf in leaves])
+    raised = [i for i, leaf in enumerate(leaves) if leaf.moves]
+    if raised:
+        moves, normals = zip(*(leaves[i].moves or () for i in raised), strict=True)
+        ahead = np.array(normals)
+        points[raised, :, : ahead.shape[1]] += np.array(moves)[:, :, None] * ahead[:, None]
+    return points

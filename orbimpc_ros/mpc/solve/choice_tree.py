@@ -18,7 +18,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.cells import Cell, Patch
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Ball, Problem, State
-from orbimpc_ros.mpc.proof.grounds import ChoiceGrounds
+from orbimpc_ros.mpc.proof.grounds import Left
 from orbimpc_ros.mpc.solve.branching import Branch
 from orbimpc_ros.mpc.solve.choice_nodes import ChoiceNodes, TreeLeaf
 from orbimpc_ros.mpc.solve.passages import Passage
@@ -90,7 +90,7 @@ class ChoiceTree:
         self._raised += [(t, row, step) for row, step in steps]
         return self._nodes.part(t, branch.split, len(branch.cells))
 
-    def grounds(self) -> ChoiceGrounds | None:
+    def grounds(self) -> Left | None:
         """Return all that the bound rests on; None where something is not known."""
         leaves = [self._made(t) for t in self._nodes.leaves]
         known = [leaf for leaf in leaves if leaf is not None]

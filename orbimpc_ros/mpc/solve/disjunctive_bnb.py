@@ -24,7 +24,7 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.traffic import Traffic, traffic_of
-from orbimpc_ros.mpc.proof.grounds import ChoiceGrounds
+from orbimpc_ros.mpc.proof.grounds import Left
 from orbimpc_ros.mpc.solve.branching import (
     Branch,
     Branching,
@@ -134,7 +134,7 @@ class DisjunctiveSearch:
             return replace(found, grounds=self._root(request)) if found.grounds is None else found
         return replace(found, grounds=self._tangent.at(request, relaxed.x, relaxed.bound))
 
-    def _root(self, request: Request) -> ChoiceGrounds | None:
+    def _root(self, request: Request) -> Left | None:
         """Return what the bound of a relaxation rests on where nothing is left to choose."""
         tree = self._tree(Posed(self.problem, self.program, (), self.turns, request))
         if tree is None:
@@ -207,7 +207,7 @@ class _Run:
             raise Infeasible('no trajectory satisfies the constraints: every branch is infeasible')
         return Found(best.x, best.cost, lower, posed.solved, grounds=self._grounds())
 
-    def _grounds(self) -> ChoiceGrounds | None:
+    def _grounds(self) -> Left | None:
         request = self._posed.request
         if self._tree is None or not request.leaves_time_for(TELLING * self._tree.leaves):
             return None

@@ -13,7 +13,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels.half_spaces import MADE, NODES, PRECISION, Choices, SideTree, Space
-from orbimpc_ros.mpc.proof.grounds import ChoiceGrounds
+from orbimpc_ros.mpc.proof.grounds import Left
 from orbimpc_ros.mpc.solve.choice_nodes import ChoiceNodes, TreeLeaf
 
 Row = tuple[int, int, Array, float]  # which of a side's, its place, normal and offset
@@ -34,7 +34,7 @@ class SideGrounds:
         self._nodes, self._sides = ChoiceNodes(), [0]
         self._leaves: dict[int, TreeLeaf] = {}
 
-    def grounds(self) -> ChoiceGrounds:
+    def grounds(self) -> Left:
         """Return all that the bound rests on."""
         made, nodes = self._children(), {0: 0}
         for solve in range(1, self._solves + 1):
