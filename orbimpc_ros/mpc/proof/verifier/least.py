@@ -66,7 +66,12 @@ def least_beyond(slope: Vector, floor: StatedFloor, face: int) -> Fraction:
 
     Straight as it is, that is least on its rim, where it is a cone.
     """
-    return least_towards(slope, _beyond(2 * PI * face / floor.faces, floor.slowest))
+    return least_towards(slope, _face(floor, face))
+
+
+@lru_cache(maxsize=64)
+def _face(floor: StatedFloor, face: int) -> Cone:
+    return _beyond(2 * PI * face / floor.faces, floor.slowest)
 
 
 def _beyond(angle: Fraction, least: Fraction) -> Cone:
