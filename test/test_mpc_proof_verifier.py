@@ -594,3 +594,37 @@ def test_a_leaf_without_a_point_knows_what_is_decided_at_rotation_order_2():
         missed.append(np.concatenate([positions[-1] - goals[-1], velocities[-1]]) @ pull)
     proved = float(bound(exact, {'pull': pull.tolist()}, root(exact, None)))
     assert proved <= min(missed) <= proved + 0.05 * np.ptp(missed)
+
+
+def test_both_ends_are_on_one_side_from_the_second_step_on():
+    """How the first step begins is the state's, which may be on another side."""
+    problem = Problem(horizon=2, obstacles=(Box((1.0, -1.0), (2.0, 1.0)),))
+    state, told = State.at(np.zeros(2), np.eye(2)), {}
+    for cut in (False, True):
+        known = statement(replace(problem, no_corner_cutting=cut), state, np.ones((2, 2)))
+        exact = verifier.posed_by(known)
+        (wall,) = exact.limits.walls
+        told[wall.of] = [[place for place, _ in wall.told(k)] for k in range(2)]
+        _, first, second = exact.positions
+        assert told[wall.of][0] == [first]
+        assert told[wall.of][1][-1] == second
+    assert list(map(len, told['end'])) == [1, 1]
+    assert list(map(len, told['ends'])) == [1, 2]
+
+
+def test_places_are_as_far_apart_as_what_a_body_rate_decides_leads():
+    ball = Ball((3.0, 0.0), 0.5)
+    problem = Problem(rotation_order=2, translation_order=1, discretisation='exact', horizon=2)
+    spreads = []
+    for rate in (0.0, 3.0):
+        turning = rate * np.array([[0.0, -1.0], [1.0, 0.0]])
+        state = State.at(np.zeros(2), np.eye(2), rotation_rate=turning)
+        known = statement(replace(problem, obstacles=(ball,)), state, np.ones((2, 2)))
+        exact = verifier.posed_by(known)
+        spreads.append(float(exact.limits.walls[1].spread(0)))
+        second = np.eye(2)[0] + problem.step * turning[:, 0]
+        z = np.vstack([np.eye(2)[0], second, second])
+        led = controls(2, problem.step, *translation_rollout(problem, state, z))[0]
+        apart = np.linalg.norm(led[:, None] - led[None], axis=-1).max()
+        assert spreads[-1] >= apart - 1e-12
+    assert spreads[1] > 1.5 * spreads[0]
