@@ -10,9 +10,10 @@ import pytest
 from certified import solved
 
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
+from orbimpc_ros.mpc.plan import Proof
+from orbimpc_ros.mpc.problem import Ball, Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
-from orbimpc_ros.mpc.proof.grounds import LEAF
+from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds
 from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.proof.verifier import Refused, parsed, verified
@@ -149,3 +150,22 @@ def test_what_there_are_no_words_for_has_no_certificate(kind, floor, turn):
     case, plan = solved(kind, 1, floor=floor, max_rate=turn / step)
     assert plan.proof.checked
     assert kept(*case, plan.proof) is None
+
+
+def test_a_disc_that_has_shrunk_to_nothing_asks_for_nothing():
+    """From its middle, where the state decides that the first step ends as well."""
+    problem = Problem(horizon=3, translation_order=2, obstacles=(Ball((0.0, 0.0), 0.5),))
+    case = Case(problem, State.at(np.zeros(2), np.eye(2)), np.ones((3, 2)))
+    none, leaves = np.zeros(0, np.int64), np.zeros(4, np.int64)
+    by_end_of_first_step = np.array([1, LEAF, LEAF, LEAF, LEAF])
+    nodes = np.array([1, 0, 0, 0, 0]), np.array([4, 0, 0, 0, 0]), np.zeros(5, np.int64)
+    grounds = ChoiceGrounds(
+        by_end_of_first_step, *nodes, np.array([0, 0, 1, 2, 3]), np.zeros((4, 3, 2)),
+        leaves > 0, leaves, none, none, np.zeros(0), np.zeros((4, 0, 2)),
+    )  # fmt: skip
+    proof = Proof(0.0, 1, 1e-4, 1.0, '', checked=True, grounds=grounds)
+    known = kept(*case, proof).document()
+    wall = known['limits']['walls'][0]
+    assert wall['radius'] + wall['grown'][0] < 0.0
+    assert known['tree']['parts'][0]['wall'] == 0
+    assert judged(known).leaves == 4
