@@ -628,3 +628,20 @@ def test_places_are_as_far_apart_as_what_a_body_rate_decides_leads():
         apart = np.linalg.norm(led[:, None] - led[None], axis=-1).max()
         assert spreads[-1] >= apart - 1e-12
     assert spreads[1] > 1.5 * spreads[0]
+
+
+@pytest.mark.parametrize('width', [6.2831853, 6.5, 8.0, 20.0])
+def test_a_sector_that_leaves_nothing_out_holds_nothing(width):
+    sector = Sector(Fraction(-width / 2), Fraction(width / 2))
+    for slope in ([1.0, 0.0], [1.0, 1e-8], [-3.0, 4.0]):
+        least = float(closed.least_within(fractions([slope])[0], sector))
+        assert least == pytest.approx(-math.hypot(*slope), rel=1e-12)
+        assert least <= -math.hypot(*slope)
+
+
+def test_balls_in_space_are_refused():
+    state = State.at(np.zeros(3), np.eye(3))
+    known = statement(Problem(3, horizon=2), state, np.ones((2, 3)))
+    ball = {'centre': [1.0, 0.0, 0.0], 'radius': 0.5, 'of': 'end'}
+    with pytest.raises(verifier.Refused, match='balls in space'):
+        verifier.posed_by({**known, 'limits': {'walls': [ball]}})
