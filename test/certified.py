@@ -13,8 +13,11 @@ from typing import Any
 import numpy as np
 import problems
 
+from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
+from orbimpc_ros.mpc.solve.solver import Solver
 
 ARRIVES = {'terminal': 'constraint'}
 KINDS: dict[str, dict[str, Any]] = {
@@ -133,6 +136,18 @@ def case(kind: str, rng: np.random.Generator, longest: int = 7) -> Case:
     return Case(problem, state, np.tile(target, (horizon, 1)))
 
 
+def solved(kind: str, seed: int, **changes: Any) -> tuple[Case, Plan]:
+    """Return the first of a seed's problems that has a plan, with it."""
+    rng = np.random.default_rng([seed, *kind.encode()])
+    while True:
+        found = case(kind, rng, longest=6)
+        found = found._replace(problem=replace(found.problem, **changes))
+        try:
+            return found, Solver(found.problem).solve(found.state, found.goals)
+        except Infeasible:  # a body where the state already leads
+            continue
+
+
 def _box(rng: np.random.Generator, begin: np.ndarray, end: np.ndarray) -> Box:
     """Return a box on the way, that neither end is in."""
     apart = np.linalg.norm(end - begin)
@@ -170,7 +185,8 @@ def leaves(node: Document) -> Iterator[Document]:
 
 
 def _a_leaf(known: Document, rng: np.random.Generator) -> Document:
-    found = list(leaves(known['tree']))
+    """Return a leaf with a tangent."""
+    found = [leaf for leaf in leaves(known['tree']) if 'point' in leaf]
     return found[int(rng.integers(len(found)))]
 
 
@@ -194,6 +210,7 @@ def _near(known: Document, rng: np.random.Generator) -> str:
 def _moved(known: Document, rng: np.random.Generator) -> str:
     """Have a leaf's tangent touch far away, where it is steep."""
     for leaf in leaves(known['tree']):
+        leaf.setdefault('point', [[0.0] * len(known['goals'][0])] * len(known['goals']))
         leaf['point'] = [[x + 30.0 for x in row] for row in leaf['point']]
     return json.dumps(known)
 

@@ -4,19 +4,18 @@
 import itertools
 from dataclasses import replace
 
-import certified
 import numpy as np
 import pytest
+from certified import solved
 
-from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.motion import control_maps, controls
 from orbimpc_ros.mpc.problem import Ball, Box, Floor, Hazard, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
-from orbimpc_ros.mpc.proof.certificate import kept
-from orbimpc_ros.mpc.proof.choices import QUARTERS, _out_of_reach, _set_row, choices_bound
+from orbimpc_ros.mpc.proof.choices import QUARTERS, _out_of_reach, choices_bound, set_row
 from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds, Grounds
+from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.proof.sides import ARCS, SIDES, Sides
 from orbimpc_ros.mpc.proof.slopes import terms_of
@@ -40,18 +39,6 @@ FLOORS = {
     'circle': Floor('circle', fraction=0.6),
     'polygon': Floor('polygon', faces=5, fraction=0.6),
 }
-
-
-def solved(kind, seed, **changes):
-    """Return the first of a seed's problems that has a plan, with it."""
-    rng = np.random.default_rng([seed, *kind.encode()])
-    while True:
-        case = certified.case(kind, rng, longest=6)
-        case = case._replace(problem=replace(case.problem, **changes))
-        try:
-            return case, Solver(case.problem).solve(case.state, case.goals)
-        except Infeasible:  # a body where the state already leads
-            continue
 
 
 def said(case):
@@ -370,7 +357,7 @@ def rows_of(known, j, at, places, z, faces):
     """Return by how much headings clear the rows of a side."""
     normal, margins = np.zeros(2), []
     for i in range(known.counts[j]):
-        offset = _set_row(known, j, at, i, faces, normal)
+        offset = set_row(known, j, at, i, faces, normal)
         place = known.places[j] + i
         margins.append(normal @ (places.free[place] + places.maps[place] @ z) - offset)
     return np.array(margins)

@@ -142,9 +142,10 @@ def test_a_proof_beside_a_box_takes_the_box(path, value, outcome):
     ('path', 'value', 'outcome'),
     [
         (('limits', 'walls', 0, 'radius'), 0.1, 'does not hold'),
-        (('limits', 'walls', 0, 'shared'), False, 'presses is not a list'),
+        (('limits', 'walls', 0, 'of'), 'end', 'presses is not a list'),
+        (('limits', 'walls', 0, 'of'), 'ends', 'beyond this format'),
         (('tree', 'at'), 7.0, 'not within the directions'),
-        (('problem', 'discretisation'), 'exact', 'no lines'),
+        (('problem', 'discretisation'), 'exact', 'presses is not a list'),
     ],
 )
 def test_a_proof_beside_a_disc_takes_the_disc(path, value, outcome):

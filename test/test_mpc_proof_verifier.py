@@ -20,18 +20,20 @@ from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.model.cost import length_weights
 from orbimpc_ros.mpc.model.dynamics import translation_rollout
+from orbimpc_ros.mpc.model.motion import controls
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
-from orbimpc_ros.mpc.problem import Ball, Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Ball, Box, Floor, Hazard, Problem, State, Weights
 from orbimpc_ros.mpc.proof import verifier
 from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Split, statement
 from orbimpc_ros.mpc.proof.verifier import least as closed
 from orbimpc_ros.mpc.proof.verifier import reading
 from orbimpc_ros.mpc.proof.verifier.bound import bound, slid, towed
 from orbimpc_ros.mpc.proof.verifier.cost import Added, cost
-from orbimpc_ros.mpc.proof.verifier.exact import TINY, direction, lacking
-from orbimpc_ros.mpc.proof.verifier.limits import Cone
+from orbimpc_ros.mpc.proof.verifier.exact import TINY, direction, dot, lacking
+from orbimpc_ros.mpc.proof.verifier.limits import cone
+from orbimpc_ros.mpc.proof.verifier.motion import steps
 from orbimpc_ros.mpc.proof.verifier.regions import Sector
-from orbimpc_ros.mpc.proof.verifier.splits import root
+from orbimpc_ros.mpc.proof.verifier.splits import beside, root
 
 MODELS = [
     *itertools.product((2, 3), (1, 2), (1, 2), ('euler', 'exact')),
@@ -127,10 +129,10 @@ def test_what_pushes_positions_is_weighed_as_it_moves_them(n, order, inertia, ki
 def test_least_within_a_cone_is_below_all_that_is_in_it(seed):
     rng = np.random.default_rng([seed, 9])
     n = 2 + seed % 2
-    axis, slope, angle = rng.normal(size=n), rng.normal(size=n), rng.uniform(0.05, 1.5)
+    axis, slope, angle = rng.normal(size=n), rng.normal(size=n), rng.uniform(0.05, 3.0)
     width = np.cos(angle) * np.linalg.norm(axis)
-    cone = Cone(fractions([axis])[0], Fraction(float(width)))
-    least = float(closed.least_towards(fractions([slope])[0], cone))
+    made = cone(fractions([axis])[0], Fraction(float(width)))
+    least = float(closed.least_towards(fractions([slope])[0], made))
     ways = rng.normal(size=(200_000, n))
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     inside = ways[ways @ axis >= width]
@@ -138,29 +140,89 @@ def test_least_within_a_cone_is_below_all_that_is_in_it(seed):
     assert least >= (inside @ slope).min() - 0.05 * np.linalg.norm(slope)
 
 
-@pytest.mark.parametrize('seed', range(4))
-def test_what_is_known_beside_a_disc_holds_of_all_lines_that_pass_it_there(seed):
-    rng = np.random.default_rng([seed, 11])
-    problem = Problem(2, 1, 1, 3, 0.3, 1.7)
-    state = State.at(rng.normal(size=2), rotation(2, rng), disturbance=rng.normal(size=2))
-    centre, radius = rng.normal(size=2), rng.uniform(0.05, 0.4)
-    said = statement(replace(problem, obstacles=(Ball(centre, radius),)), state, np.zeros((3, 2)))
-    exact = verifier.posed_by(said)
-    low = rng.uniform(0.0, 5.0)
-    sector = Sector(Fraction(low), Fraction(low + rng.uniform(0.05, 1.2)))
-    rows = exact.limits.walls[1].side(sector, 2)
-    angles = rng.uniform(*map(float, sector), 50_000)
-    normals = np.column_stack([np.cos(angles), np.sin(angles)])
-    apart = radius * (1.0 + rng.exponential(0.1, 50_000))
-    ways = rng.normal(size=(50_000, 2))
-    ways *= (0.3 * 1.7 * rng.uniform(size=50_000) / np.linalg.norm(ways, axis=1))[:, None]
-    ways += 0.3 * state.disturbance
-    begin = centre + apart[:, None] * normals  # the nearest, from where it leads away
-    ends = np.stack([begin, begin + ways], axis=1)[np.sum(ways * normals, axis=1) >= 0.0]
-    assert [row.k for row in rows] == [1, 2]
-    for points in (ends, ends[:, ::-1]):
-        for point, row in zip(points.swapaxes(0, 1), rows, strict=True):
-            assert (point @ np.array(row.normal, float)).min() >= float(row.least) - 1e-12
+@pytest.mark.parametrize(('n', 'order', 'inertia', 'kind'), MODELS)
+def test_places_are_the_control_points_of_steps(n, order, inertia, kind):
+    rng = np.random.default_rng([n, order, inertia, 4])
+    problem = Problem(n, order, inertia, 4, 0.3, 1.7, WEIGHTS, discretisation=kind)
+    exact, state, _ = posed(problem, rng)
+    headings = np.vstack([state.rotation[:, 0], rng.normal(size=(4, n))])
+    flown = translation_rollout(problem, state, headings)
+    led = controls(problem.translation.degree, problem.step, *flown)
+    known = steps(exact.model, exact.positions, exact.velocities)
+    for step, points in zip(known, led, strict=True):
+        for place, point in zip(step, points, strict=True):
+            free, reach = np.array(place.free, float), np.array(place.reach, float)
+            assert free + reach @ headings[1:] == pytest.approx(point, abs=1e-12)
+
+
+STEPS = list(itertools.product((1, 2), ('euler', 'exact')))
+
+
+def passing(body, inertia, kind, rng):
+    """Return the walls of a body that moves, what is on sides of step 2, and 4000 such steps.
+
+    Their control points, shape (4000, m, 2), and where the body is by then.
+    """
+    problem = Problem(2, 1, inertia, 3, 0.3, 1.7, discretisation=kind)
+    extra = {'velocity': rng.normal(size=2)} if inertia == 2 else {}
+    drift = Hazard.drifting(body, rng.normal(size=2))
+    known = {'disturbance': rng.normal(size=2), 'hazards': (drift,), **extra}
+    state = State.at(rng.normal(size=2), rotation(2, rng), **known)
+    exact = verifier.posed_by(statement(problem, state, np.zeros((3, 2))))
+    z = rng.normal(size=(4000, 3, 2))
+    z /= np.maximum(1.0, np.linalg.norm(z, axis=-1))[..., None]
+    points = []
+    for each in z:
+        flown = translation_rollout(problem, state, np.vstack([state.rotation[:, 0], each]))
+        points.append(controls(problem.translation.degree, problem.step, *flown)[1])
+    shares = np.linspace(0.3, 0.6, len(points[0]))[:, None]
+    return exact.limits.walls, np.array(points), shares * drift.shifts[1]
+
+
+@pytest.mark.parametrize(('inertia', 'kind'), STEPS)
+def test_what_is_known_beside_a_disc_holds_of_all_steps_that_pass_it_there(inertia, kind):
+    rng, tight = np.random.default_rng([inertia, len(kind), 11]), []
+    for _ in range(4):
+        centre, radius = 9.0 + rng.normal(size=2), rng.uniform(0.05, 0.4)
+        walls, points, moved = passing(Ball(centre, radius), inertia, kind, rng)
+        low = rng.uniform(0.0, 5.0)
+        sector = Sector(Fraction(low), Fraction(low + rng.uniform(0.05, 1.2)))
+        own = points - moved - centre
+        # To the disc, from wherever they are: the hull then touches it in the sector.
+        angles = rng.uniform(*map(float, sector), len(own))
+        normals = np.column_stack([np.cos(angles), np.sin(angles)])
+        nearest = np.einsum('emn,en->em', own, normals).argmin(axis=1)
+        aside = radius * normals - own[np.arange(len(own)), nearest]
+        for wall, told in zip(walls, (own[:, -1:], own), strict=True):
+            beside = told + (radius * normals - told[:, -1])[:, None]
+            if wall.of == 'step':
+                beside = own + aside[:, None]
+            rows = wall.side(sector, 1)
+            assert len(rows) == told.shape[1]
+            middles = centre + moved[-len(rows) :]
+            for row, of, middle in zip(rows, beside.swapaxes(0, 1), middles, strict=True):
+                normal, least = np.array(row.normal, float), float(row.least)
+                worst = ((of + middle) @ normal).min() - least
+                assert worst >= -1e-12
+                if wall.of == 'end':
+                    tight.append(worst < 0.01 * radius)
+    assert all(tight)
+
+
+@pytest.mark.parametrize(('inertia', 'kind'), STEPS)
+def test_what_is_known_beside_a_box_that_moves_is_that_all_of_a_step_is(inertia, kind):
+    rng = np.random.default_rng([inertia, len(kind), 12])
+    low = 9.0 + rng.normal(size=2)
+    (wall,), points, moved = passing(Box(low, low + 0.4), inertia, kind, rng)
+    for i, beyond in enumerate((low - points + moved, points - moved - low - 0.4)):
+        for axis in range(2):
+            rows = wall.side(2 * i + axis, 1)
+            assert len(rows) == points.shape[1]
+            margins = [
+                points[:, j] @ np.array(row.normal, float) - float(row.least)
+                for j, row in enumerate(rows)
+            ]
+            assert pytest.approx(beyond[..., axis], abs=1e-12) == np.array(margins).T
 
 
 @pytest.mark.parametrize('seed', range(4))
@@ -453,7 +515,7 @@ def test_a_sound_tree_is_taken():
         (('state', 'attitude'), None, 'attitude'),
         (('tree', 'parts', 0), ..., 'parts'),
         (('tree', 'parts'), [], 'parts'),
-        (('tree', 'parts', 0), {}, 'lacks point'),
+        (('tree', 'parts', 0), {'points': []}, "unknown 'points'"),
         (('tree', 'split'), 3, 'whole'),
         (('tree', 'split'), 0, 'whole'),
         (('tree', 'parts', 2, 'at'), -0.1, 'within'),
@@ -469,6 +531,25 @@ def test_what_is_malformed_is_refused_in_one_line(path, value, word):
     with pytest.raises(verifier.Refused, match=word) as caught:
         verifier.verified(changed(path, value))
     assert '\n' not in str(caught.value)
+
+
+def test_a_leaf_without_a_point_proves_what_it_would_if_nothing_cost_anything():
+    rng = np.random.default_rng(6)
+    box = Box(np.array([0.5, -2.0]), np.array([0.8, 2.0]))
+    problem = Problem(horizon=4, max_rate=0.5, obstacles=(box,), weights=WEIGHTS)
+    case = problem, State.at(np.zeros(2), np.eye(2), wanted=np.eye(2)), np.ones((4, 2))
+    priced = verifier.posed_by(statement(*case))
+    free = verifier.posed_by(statement(replace(problem, weights=Weights(0, 0, 0, 0)), *case[1:]))
+    aside = beside(priced, root(priced, None), 2, 0, None)[1]  # below it
+    for worth in (0.0, 1.0):
+        multipliers = {
+            'presses': [worth * rng.uniform(0.0, 3.0)],
+            'tethers': (worth * rng.normal(size=(4, 2))).tolist(),
+        }
+        proved = bound(priced, multipliers, aside)
+        assert proved == bound(free, {'point': np.zeros((4, 2)).tolist(), **multipliers}, aside)
+    assert -1e-30 < bound(priced, {}, aside) <= 0  # a root is taken of nothing
+    assert bound(priced, {'point': np.zeros((4, 2)).tolist()}, aside) < -1  # far from the best
 
 
 def test_a_face_is_not_split_again():
@@ -493,3 +574,74 @@ def test_a_huge_file_is_refused_before_it_is_taken_apart(tmp_path, monkeypatch):
     monkeypatch.setattr(reading, 'parsed', lambda text: pytest.fail('it was'))
     with pytest.raises(verifier.Refused, match='larger than'):
         verifier.read(file)
+
+
+def test_vectors_of_two_lengths_have_no_product():
+    with pytest.raises(ValueError, match='one length'):
+        dot([Fraction(1)], [Fraction(1), Fraction(2)])
+
+
+def test_a_leaf_without_a_point_knows_what_is_decided_at_rotation_order_2():
+    rng = np.random.default_rng(3)
+    problem = Problem(3, 2, 2, 3, 0.3, 1.7, WEIGHTS, terminal='constraint')
+    exact, state, goals = posed(problem, rng)
+    pull, missed = rng.normal(size=6), []
+    for _ in range(2000):
+        z = rng.normal(size=(4, 3))
+        z /= np.linalg.norm(z, axis=1)[:, None]
+        z[:2] = state.rotation[:, 0]  # what does not turn stays as it is
+        positions, velocities = translation_rollout(problem, state, z)
+        missed.append(np.concatenate([positions[-1] - goals[-1], velocities[-1]]) @ pull)
+    proved = float(bound(exact, {'pull': pull.tolist()}, root(exact, None)))
+    assert proved <= min(missed) <= proved + 0.05 * np.ptp(missed)
+
+
+def test_both_ends_are_on_one_side_from_the_second_step_on():
+    """How the first step begins is the state's, which may be on another side."""
+    problem = Problem(horizon=2, obstacles=(Box((1.0, -1.0), (2.0, 1.0)),))
+    state, told = State.at(np.zeros(2), np.eye(2)), {}
+    for cut in (False, True):
+        known = statement(replace(problem, no_corner_cutting=cut), state, np.ones((2, 2)))
+        exact = verifier.posed_by(known)
+        (wall,) = exact.limits.walls
+        told[wall.of] = [[place for place, _ in wall.told(k)] for k in range(2)]
+        _, first, second = exact.positions
+        assert told[wall.of][0] == [first]
+        assert told[wall.of][1][-1] == second
+    assert list(map(len, told['end'])) == [1, 1]
+    assert list(map(len, told['ends'])) == [1, 2]
+
+
+def test_places_are_as_far_apart_as_what_a_body_rate_decides_leads():
+    ball = Ball((3.0, 0.0), 0.5)
+    problem = Problem(rotation_order=2, translation_order=1, discretisation='exact', horizon=2)
+    spreads = []
+    for rate in (0.0, 3.0):
+        turning = rate * np.array([[0.0, -1.0], [1.0, 0.0]])
+        state = State.at(np.zeros(2), np.eye(2), rotation_rate=turning)
+        known = statement(replace(problem, obstacles=(ball,)), state, np.ones((2, 2)))
+        exact = verifier.posed_by(known)
+        spreads.append(float(exact.limits.walls[1].spread(0)))
+        second = np.eye(2)[0] + problem.step * turning[:, 0]
+        z = np.vstack([np.eye(2)[0], second, second])
+        led = controls(2, problem.step, *translation_rollout(problem, state, z))[0]
+        apart = np.linalg.norm(led[:, None] - led[None], axis=-1).max()
+        assert spreads[-1] >= apart - 1e-12
+    assert spreads[1] > 1.5 * spreads[0]
+
+
+@pytest.mark.parametrize('width', [6.2831853, 6.5, 8.0, 20.0])
+def test_a_sector_that_leaves_nothing_out_holds_nothing(width):
+    sector = Sector(Fraction(-width / 2), Fraction(width / 2))
+    for slope in ([1.0, 0.0], [1.0, 1e-8], [-3.0, 4.0]):
+        least = float(closed.least_within(fractions([slope])[0], sector))
+        assert least == pytest.approx(-math.hypot(*slope), rel=1e-12)
+        assert least <= -math.hypot(*slope)
+
+
+def test_balls_in_space_are_refused():
+    state = State.at(np.zeros(3), np.eye(3))
+    known = statement(Problem(3, horizon=2), state, np.ones((2, 3)))
+    ball = {'centre': [1.0, 0.0, 0.0], 'radius': 0.5, 'of': 'end'}
+    with pytest.raises(verifier.Refused, match='balls in space'):
+        verifier.posed_by({**known, 'limits': {'walls': [ball]}})

@@ -11,8 +11,8 @@ import pytest
 
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
-from orbimpc_ros.mpc.proof.certificate import kept
 from orbimpc_ros.mpc.proof.grounds import Tangent, tangent
+from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.proof.tangents import tangents_bound
 from orbimpc_ros.mpc.proof.verifier import parsed, verified

@@ -11,8 +11,8 @@ import pytest
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.units import Units
-from orbimpc_ros.mpc.proof.certificate import kept
 from orbimpc_ros.mpc.proof.convexity import arriving
+from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.mpc.proof.recount import ALL, Recount, _least_between, _reached, _within_reach
 from orbimpc_ros.mpc.proof.slopes import lack_arriving
 from orbimpc_ros.mpc.proof.verifier import parsed, verified

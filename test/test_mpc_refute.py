@@ -380,10 +380,11 @@ def test_what_the_program_says_is_missed_is_what_its_multipliers_prove(kind):
     state = State.at(np.zeros(2), 0.8 * np.eye(2), attitude=np.eye(2))
     sought = Sought(problem, state, np.tile([1.3, 0.9], (4, 1)), 0.1)
     posed = refuted_by(stated(sought).document(), 4)
-    program = RefutationProgram(Motion.of(problem, state, sought.goals), posed)
-    answer = program.answer(root(posed, None))
+    motion = Motion.of(problem, state, sought.goals)
+    answer = RefutationProgram(motion, posed).answer(root(posed, None))
     assert not answer.feasible
-    miss = np.linalg.norm(program.positions(answer.x)[-1] - sought.goals[-1]) - 0.1
+    end = motion.free[-1] + motion.reach[-1] @ answer.x
+    miss = np.linalg.norm(end - sought.goals[-1]) - 0.1
     proved = float(bound(posed, plain(answer.leaf), root(posed, None)))
     assert proved == pytest.approx(miss, rel=1e-4)
 
@@ -559,7 +560,7 @@ def test_junk_anywhere_is_refused_in_words(seed):
     known = of_catches()
     known['limits'] = {
         'cones': [{'axis': [1.0, 0.0], 'angle': 1.5, 'least': 0.0, 'steps': [1, 2]}],
-        'walls': [{'centre': [9.0, 9.0], 'radius': 0.1, 'shared': False, 'grown': [0.0] * 6,
+        'walls': [{'centre': [9.0, 9.0], 'radius': 0.1, 'of': 'end', 'grown': [0.0] * 6,
                    'shifts': [[0.0, 0.0]] * 7}],
         'speeds': [[0.0, 1.0]] * 6,
     }  # fmt: skip

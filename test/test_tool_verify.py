@@ -11,7 +11,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.proof.certificate import kept
+from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf
+from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.mpc.proof.refute import WORD
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import cli
@@ -208,6 +209,20 @@ def test_a_published_refutation_of_anything_else_does_not_count(run, published):
         code, out, _ = run(*asked)
         assert code == 0
         assert '1 no certificate' in out
+
+
+@pytest.mark.parametrize('rows', [3, 5])
+def test_where_what_a_method_left_proves_less_a_proof_is_worked_out(run, monkeypatch, rows):
+    """Be it that it is weaker, or that it is refused."""
+
+    def poor(problem, state, goals, proof):
+        leaf = Leaf(np.zeros((rows, 2)))
+        return Certificate(problem, state, goals, proof.lower_bound, leaf)
+
+    monkeypatch.setattr('orbimpc_ros.mpc.proof.prove.kept', poor)
+    code, out, _ = run('verify', HERE / 'golden' / 'retrieval', '--tick', 3)
+    assert code == 0
+    assert '1 holds' in out
 
 
 def test_a_certificate_without_the_problems_walls_is_refused(run, tmp_path):

@@ -12,7 +12,7 @@ import argparse
 import json
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -28,7 +28,7 @@ from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof import verifier
 from orbimpc_ros.mpc.proof.certificate import Certificate, Refutation, statement
-from orbimpc_ros.mpc.proof.prove import Unproved, certificate_for
+from orbimpc_ros.mpc.proof.prove import Unproved, certificates_for
 from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of, stated
 from orbimpc_ros.tool.io import bag, document
 from orbimpc_ros.tool.io.files import write_whole
@@ -193,7 +193,7 @@ def _tick(
         return row._replace(outcome=FAILS, words=words)
     if known is not None and _is_of(known, posed):
         return _as_published(row, known)
-    return _certified(row, args, lambda: certificate_for(*posed, plan, claimed))
+    return _certified(row, args, lambda: certificates_for(*posed, plan, claimed))
 
 
 def _is_about(earliest: float | None, tick: Tick) -> bool:
@@ -231,7 +231,7 @@ def _infeasible(
     known = recorded.refutations.get(_claim(stated(sought).document(), 1))
     if known is not None:
         return _as_published(row, known)
-    return _certified(row, args, lambda: refutation_of(sought))
+    return _certified(row, args, lambda: [refutation_of(sought)])
 
 
 def _catch(
@@ -251,7 +251,7 @@ def _catch(
         if known is not None:
             yield _as_published(row, known)
         else:
-            yield _certified(row, args, lambda: catches_refuted(sought, count))
+            yield _certified(row, args, lambda: [catches_refuted(sought, count)])
 
 
 def _as_published(row: TickVerdict, known: Any) -> TickVerdict:
@@ -263,16 +263,25 @@ def _as_published(row: TickVerdict, known: Any) -> TickVerdict:
 
 
 def _certified(
-    row: TickVerdict, args: argparse.Namespace, make: Callable[[], Certificate | Refutation]
+    row: TickVerdict,
+    args: argparse.Namespace,
+    make: Callable[[], Iterable[Certificate | Refutation]],
 ) -> TickVerdict:
-    """Return what becomes of a claim whose certificate is made now."""
+    """Return what becomes of a claim whose certificate is made now: the first that holds."""
+    made, found = None, row
     try:
-        made = make()
+        for made in make():
+            try:
+                found = _verified(row.tick, verifier.parsed(made.text().encode()))
+            except verifier.Refused as error:
+                found = row._replace(outcome=NONE, words=f'no certificate: refused: {error}')
+            if found.outcome == HOLDS:
+                break
     except Unproved as error:
         return row._replace(outcome=NONE, words=str(error))
-    if args.out:
+    if args.out and made is not None:
         _write(Path(args.out), row, made)
-    return _verified(row.tick, verifier.parsed(made.text().encode()))
+    return found
 
 
 def _write(folder: Path, row: TickVerdict, made: Certificate | Refutation) -> None:

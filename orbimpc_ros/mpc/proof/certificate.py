@@ -7,7 +7,6 @@ Format: docs/proofs.md. Numbers are written so that they are read back as they w
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,15 +14,12 @@ from typing import Any
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.model.cost import length_weights
-from orbimpc_ros.mpc.plan import Proof
-from orbimpc_ros.mpc.problem import Approach, Box, Floor, Problem, State
+from orbimpc_ros.mpc.problem import Approach, Box, Problem, State
 from orbimpc_ros.mpc.problem.cones import relief
 from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.problem.traffic import traffic_of
-from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds, Grounds, Tangent
-from orbimpc_ros.mpc.proof.slopes import HALF
+from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.verifier import FORMAT
 
 
@@ -32,7 +28,7 @@ class Leaf:
     """A tangent of the cost, whose least value over the leaf's region is a bound.
 
     Attributes:
-        point: where it touches, shape (N, d).
+        point: where it touches, shape (N, d); None of multipliers that the cost adds nothing to.
         bends: what is added to the curvature of each step, shape (N,); zero where None.
         pull: multiplier of the arrival, shape (m,); (0,) without one.
         stiffness: weight on the square of what the arrival misses.
@@ -44,7 +40,7 @@ class Leaf:
         meets: of a refutation, multiplier of that s_N is within a radius of g_N, shape (n,).
     """
 
-    point: Array
+    point: Array | None = None
     bends: Array | None = None
     pull: Array | None = None
     stiffness: float = 0.0
@@ -178,55 +174,6 @@ def _line(document: dict[str, Any]) -> str:
     return json.dumps(document, allow_nan=False, separators=(',', ':'))
 
 
-def kept(problem: Problem, state: State, goals: Array, proof: Proof) -> Certificate | None:
-    """Return the certificate that a method's grounds are; None where it left none that has a form.
-
-    Args:
-        problem: what was solved.
-        state: where plans start.
-        goals: g_1..g_N, shape (N, n) [m].
-        proof: of the plan.
-    """
-    grounds = proof.grounds
-    if grounds is None or not proof.checked or isinstance(grounds, ChoiceGrounds):
-        return None
-    if isinstance(grounds, Tangent):
-        tops = grounds.tops if grounds.point.shape[1] == 9 else None
-        shares = None  # of a length, which is no less than along any way
-        if tops is not None and problem.weights.length:
-            shares = -length_weights(problem)[1:, None] * grounds.ways
-        leaf = Leaf(grounds.point, grounds.bends, grounds.pull, grounds.stiffness, tops, shares)
-        return Certificate(problem, state, goals, proof.lower_bound, leaf)
-    by_angles = bool(((grounds.splits != LEAF) & ~np.isnan(grounds.angles)).any())
-    if _is_beyond_format(problem, by_angles):
-        return None
-    tree = _tree_of(grounds, proof.cost_unit, problem.floor)
-    origins = grounds.origins if by_angles and not problem.max_rate else None
-    return Certificate(problem, state, goals, proof.lower_bound, tree, origins)
-
-
-def _is_beyond_format(problem: Problem, by_angles: bool) -> bool:
-    """Return whether splits can be by speeds, or by directions that a turn limit leaves free."""
-    parted = problem.floor.exists and problem.dimension == 2
-    wide = problem.max_rate > 0.0 and problem.widest_turn >= HALF
-    return parted and (problem.max_acceleration > 0.0 or (by_angles and wide))
-
-
-def _tree_of(grounds: Grounds, unit: float, floor: Floor) -> Tree:
-    """Return the tree that grounds are; parts come after what they are parts of."""
-    made: dict[int, Tree] = {}
-    for t in reversed(range(len(grounds.splits))):
-        if grounds.splits[t] == LEAF:
-            pulled = (grounds.pulls[t], float(grounds.stiffness[t])) if len(grounds.pulls) else ()
-            made[t] = Leaf(grounds.points[t], unit * grounds.bends[t], *pulled)
-            continue
-        first, angle = int(grounds.parts[t]), float(grounds.angles[t])
-        at = None if math.isnan(angle) else angle
-        parts = (made.pop(first + i) for i in range(floor.faces if at is None else 2))
-        made[t] = Split(int(grounds.splits[t]) + 1, tuple(parts), at)
-    return made[0]
-
-
 def statement(problem: Problem, state: State, goals: Array) -> dict[str, Any]:
     """Return what a certificate says of what was solved, as plain values."""
     made = {'problem': _problem(problem), 'state': _state(state), 'goals': goals.tolist()}
@@ -248,17 +195,15 @@ def _limits(problem: Problem, state: State, goals: Array) -> dict[str, Any]:
     if problem.approach.exists:
         axis, least = problem.approach.axis(state).tolist(), problem.least_heading
         cones.append(_cone(axis, problem.approach.cone, least, [problem.horizon]))
-    walls = [_wall(box, problem.no_corner_cutting) for box in problem.boxes]
+    walls = [_wall(box, 'ends' if problem.no_corner_cutting else 'end') for box in problem.boxes]
     traffic = traffic_of(problem, state)
     for body, shifts, grown in zip(*traffic[1:3], traffic.grown, strict=True) if traffic else ():
         moving = {'shifts': shifts.tolist(), 'grown': grown.tolist()}
         if isinstance(body, Box):
-            walls.append(_wall(body, True) | moving)
+            walls.append(_wall(body, 'step') | moving)
             continue
         disc = {'centre': body.centre.tolist(), 'radius': body.radius, **moving}
-        walls.append({**disc, 'shared': False})
-        if problem.translation.degree == 1:  # a line is outside as a whole
-            walls.append({**disc, 'shared': True})
+        walls += [{**disc, 'of': 'end'}, {**disc, 'of': 'step'}]  # an end alone is held closer
     return found | ({'cones': cones} if cones else {}) | ({'walls': walls} if walls else {})
 
 
@@ -266,8 +211,8 @@ def _cone(axis: list[float], angle: float, least: float, steps: list[int]) -> di
     return {'axis': axis, 'angle': angle, 'least': least, 'steps': steps}
 
 
-def _wall(box: Box, shared: bool) -> dict[str, Any]:
-    return {'min': box.minimum.tolist(), 'max': box.maximum.tolist(), 'shared': shared}
+def _wall(box: Box, of: str) -> dict[str, Any]:
+    return {'min': box.minimum.tolist(), 'max': box.maximum.tolist(), 'of': of}
 
 
 def _problem(problem: Problem) -> dict[str, Any]:
@@ -304,10 +249,31 @@ def plain(tree: Tree) -> dict[str, Any]:
         if tree.wall is not None:
             found['wall'] = tree.wall
         return found if tree.at is None else {**found, 'at': tree.at}
-    leaf: dict[str, Any] = {'point': tree.point.tolist()}
-    names = 'bends', 'pull', 'tops', 'shares', 'presses', 'slides', 'tethers', 'meets'
+    leaf: dict[str, Any] = {}
+    names = 'point', 'bends', 'pull', 'tops', 'shares', 'presses', 'slides', 'tethers', 'meets'
     for name in names:
         value = getattr(tree, name)
         if value is not None and len(value):
             leaf[name] = value.tolist()
     return {**leaf, 'stiffness': tree.stiffness} if tree.stiffness else leaf
+
+
+def in_users_units(tree: Tree, units: Units) -> Tree:
+    """Return a tree for the problem as it was posed."""
+    if isinstance(tree, Split):
+        return replace(tree, parts=tuple(in_users_units(part, units) for part in tree.parts))
+    bends = None if tree.bends is None else units.cost * tree.bends
+    pull = None if tree.pull is None else units.pulls(tree.pull)
+    tops = None if tree.tops is None else units.cost * tree.tops
+    force = units.cost / units.length
+    return replace(
+        tree,
+        bends=bends,
+        tops=tops,
+        pull=pull,
+        stiffness=tree.stiffness * force / units.length,
+        shares=None if tree.shares is None else units.cost * tree.shares,
+        presses=None if tree.presses is None else force * tree.presses,
+        slides=None if tree.slides is None else force * tree.slides,
+        tethers=None if tree.tethers is None else units.cost * tree.tethers,
+    )

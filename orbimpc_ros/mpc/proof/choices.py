@@ -32,7 +32,7 @@ def _sides_of(known, j, faces):
 
 
 @compiled
-def _set_row(known, j, at, i, faces, normal):
+def set_row(known, j, at, i, faces, normal):
     """Set the normal of a row of a side; return its offset.
 
     Args:
@@ -66,7 +66,7 @@ def _out_of_reach(places, known, j, at, faces, normal):
     """Return whether no headings get beyond one of the rows of a side."""
     for i in range(known.counts[j]):
         place = known.places[j] + i
-        left = size = _set_row(known, j, at, i, faces, normal)
+        left = size = set_row(known, j, at, i, faces, normal)
         size = abs(size)
         for c in range(len(normal)):
             left -= normal[c] * places.free[place, c]
@@ -175,7 +175,7 @@ def _held(places, known, always, tree, nodes, leaf, unit, faces, forces):
             if i >= known.counts[j]:
                 return np.nan, size
             side = tree.levels[holder], tree.sides[holder]
-            place, offset = known.places[j] + i, _set_row(known, j, side, i, faces, normal)
+            place, offset = known.places[j] + i, set_row(known, j, side, i, faces, normal)
         more, cancelled = _press(places, place, y, normal, offset, forces)
         worth, size = worth + more, size + cancelled
     return worth, size

@@ -111,9 +111,9 @@ class PartProgram:
         """Return by how much positions give way to what presses them, shape (N,)."""
         return np.einsum('ki,ij,kj->k', self._reach, np.linalg.pinv(self._hessians[0]), self._reach)
 
-    def positions(self, x: Array) -> Array:
-        """Return s_1..s_N, shape (N, n), of rotation coordinates, in the user's units."""
-        return self._unit * (self._free + self._reach @ x[:, : self._free.shape[1]])
+    def axes(self, x: Array) -> Array:
+        """Return R_1 e1..R_N e1, shape (N, n), of rotation coordinates."""
+        return x[:, : self._free.shape[1]]
 
     # --- the program
 
@@ -198,10 +198,10 @@ class PartProgram:
 
     def _beside(self, region: Region) -> Rows:
         a, b = self._blank(len(region.rows)), np.empty(len(region.rows))
-        for line, (i, (k, normal, least)) in zip(a, enumerate(region.rows), strict=True):
-            towards = np.array(normal, float)
-            line[self._columns[:, : len(towards)]] = -np.outer(self._reach[k], towards)
-            b[i] = towards @ self._free[k] - float(least) / self._unit
+        for line, (i, (place, normal, least)) in zip(a, enumerate(region.rows), strict=True):
+            towards, reach = np.array(normal, float), np.array(place.reach, float) / self._unit
+            line[self._columns[:, : len(towards)]] = -np.outer(reach, towards)
+            b[i] = (towards @ np.array(place.free, float) - float(least)) / self._unit
         return a, b
 
     def answer(self, region: Region) -> Answer:
@@ -341,12 +341,12 @@ class PartProgram:
 
     def _pushed(self, region: Region, held: Held) -> Array:
         """Return what presses, slides and tethers add to slopes, shape (N, d)."""
-        force = held.slides.copy()
-        for y, (k, normal, _) in zip(held.presses, region.rows, strict=True):
-            force[k] -= y * np.array(normal, float)
         towed = held.tethers.copy()
         towed[:-1] -= held.tethers[1:]
-        return self._wide(self._reach.T @ force + towed)
+        for y, (place, normal, _) in zip(held.presses, region.rows, strict=True):
+            reach = np.array(place.reach, float) / self._unit
+            towed -= y * np.outer(reach, np.array(normal, float))
+        return self._wide(self._reach.T @ held.slides + towed)
 
     def _pulled(self, pull: Array) -> Array:
         shares, left = self._arrival

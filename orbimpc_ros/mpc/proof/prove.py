@@ -10,6 +10,7 @@ Mathematics: docs/proofs.md.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -22,9 +23,10 @@ from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Ball, Problem, State
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof import spatial
-from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Split, Tree, kept
+from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Tree, in_users_units
 from orbimpc_ros.mpc.proof.faces import FaceProof
-from orbimpc_ros.mpc.proof.grounds import Tangent
+from orbimpc_ros.mpc.proof.grounds import Grounds
+from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.mpc.proof.part_program import PartProgram
 from orbimpc_ros.mpc.proof.sectors import SectorProof
 from orbimpc_ros.mpc.proof.stationary import Stationary, setting
@@ -32,7 +34,7 @@ from orbimpc_ros.mpc.proof.verifier import RELATIVE, Refused, posed_by, verified
 from orbimpc_ros.mpc.proof.walls import WallProof
 
 NEAR = (1e-6, 1e-4, 1e-3)  # of a plan's moduli to their bounds: methods differ in accuracy
-FEW = 500  # nodes of a search up to which its own tree is the certificate
+FEW = 500  # nodes of a search by faces or sectors up to which its own tree is the certificate
 SHARE = 0.5  # of what a bound may exceed what is proved
 
 
@@ -72,7 +74,7 @@ def certificate_of(
         tangents = (Stationary(setting(*scaled), x, near).settled() for near in NEAR)
     best = 0.0
     for leaf in tangents:
-        made = replace(certificate, tree=_in_users_units(leaf, units))
+        made = replace(certificate, tree=in_users_units(leaf, units))
         best = max(best, _proved(made))
         if best >= target:
             return made
@@ -83,7 +85,7 @@ def certificate_of(
             f'no certificate: one tangent proves {best!r}, and there is nothing to split'
         )
     tree, origins = _split(scaled, x, target / units.cost)
-    return replace(certificate, tree=_in_users_units(tree, units), origins=origins)
+    return replace(certificate, tree=in_users_units(tree, units), origins=origins)
 
 
 def _beside_walls(certificate: Certificate, units: Units, target: float) -> Certificate:
@@ -96,7 +98,7 @@ def _beside_walls(certificate: Certificate, units: Units, target: float) -> Cert
     scaled = units.problem, units.state(certificate.state), units.lengths(certificate.goals)
 
     def stated(leaf: Leaf) -> dict[str, Any]:
-        made = replace(certificate, tree=_in_users_units(leaf, units)).document()['tree']
+        made = replace(certificate, tree=in_users_units(leaf, units)).document()['tree']
         return dict(made)
 
     program = PartProgram(*scaled, posed, units.length)
@@ -104,13 +106,13 @@ def _beside_walls(certificate: Certificate, units: Units, target: float) -> Cert
     tree = proof.tree()
     if tree is None:
         raise Unproved(f'no certificate: not within {proof.most} leaves, or as accurate')
-    return replace(certificate, tree=_in_users_units(tree, units))
+    return replace(certificate, tree=in_users_units(tree, units))
 
 
-def certificate_for(
+def certificates_for(
     problem: Problem, state: State, goals: Array, plan: Plan, bound: float
-) -> Certificate:
-    """Return what proves a bound: what the plan's method left of it, or else a proof of its own.
+) -> Iterator[Certificate]:
+    """Yield what may prove a bound: what the plan's method left of it, then a proof of its own.
 
     Args:
         problem: what was solved.
@@ -124,11 +126,24 @@ def certificate_for(
     """
     proof, bound = plan.proof, _posed(bound)
     grounds = proof.grounds
-    if isinstance(grounds, Tangent) or (grounds is not None and len(grounds.splits) <= FEW):
+    large = isinstance(grounds, Grounds) and len(grounds.splits) > FEW
+    if grounds is not None and not large:
         made = kept(problem, state, goals, replace(proof, lower_bound=bound))
-        if made is not None and _proved(made) >= _enough(bound):
-            return made
-    return certificate_of(problem, state, goals, plan.rotations[1:], bound)
+        if made is not None:
+            yield made
+    yield certificate_of(problem, state, goals, plan.rotations[1:], bound)
+
+
+def certificate_for(
+    problem: Problem, state: State, goals: Array, plan: Plan, bound: float
+) -> Certificate:
+    """Return the first of :func:`certificates_for` that proves as much, or else the last."""
+    made = None
+    for made in certificates_for(problem, state, goals, plan, bound):
+        if _proved(made) >= _enough(bound):
+            break
+    assert made is not None
+    return made
 
 
 def _posed(bound: float) -> float:
@@ -224,24 +239,3 @@ def _split(
     if tree is None:
         raise Unproved(f'no certificate: not within {proof.most} leaves, or as accurate')
     return tree, proof.origins
-
-
-def _in_users_units(tree: Tree, units: Units) -> Tree:
-    """Return a tree for the problem as it was posed."""
-    if isinstance(tree, Split):
-        return replace(tree, parts=tuple(_in_users_units(part, units) for part in tree.parts))
-    bends = None if tree.bends is None else units.cost * tree.bends
-    pull = None if tree.pull is None else units.pulls(tree.pull)
-    tops = None if tree.tops is None else units.cost * tree.tops
-    force = units.cost / units.length
-    return replace(
-        tree,
-        bends=bends,
-        tops=tops,
-        pull=pull,
-        stiffness=tree.stiffness * force / units.length,
-        shares=None if tree.shares is None else units.cost * tree.shares,
-        presses=None if tree.presses is None else force * tree.presses,
-        slides=None if tree.slides is None else force * tree.slides,
-        tethers=None if tree.tethers is None else units.cost * tree.tethers,
-    )

@@ -131,10 +131,6 @@ class RefutationProgram:
         """Return what each R_k e1 adds to s_N, as far as that counts, shape (N,) [m]."""
         return self._motion.reach[-1]
 
-    def positions(self, x: Array) -> Array:
-        """Return s_1..s_N, shape (N, n) [m]."""
-        return self._motion.free + self._motion.reach @ x
-
     def _blank(self, rows: int) -> Array:
         return np.zeros((rows, self._v + 1))
 
@@ -220,11 +216,11 @@ class RefutationProgram:
     def _beside(self, region: Region) -> Rows:
         """Return that rows of positions are missed by no more than v."""
         motion, a, b = self._motion, self._blank(len(region.rows)), np.empty(len(region.rows))
-        for i, (k, normal, least) in enumerate(region.rows):
-            towards = np.array(normal, float)
-            a[i, self._z] = -np.outer(motion.reach[k], towards) / motion.unit
+        for i, (place, normal, least) in enumerate(region.rows):
+            towards, reach = np.array(normal, float), np.array(place.reach, float)
+            a[i, self._z] = -np.outer(reach, towards) / motion.unit
             a[i, self._v] = -1.0
-            b[i] = (towards @ motion.free[k] - float(least)) / motion.unit
+            b[i] = (towards @ np.array(place.free, float) - float(least)) / motion.unit
         return a, b
 
     def _headed(self, region: Region) -> Rows:

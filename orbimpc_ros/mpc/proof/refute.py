@@ -204,7 +204,7 @@ class RefutationProof:
         """Return what refutes a region, split beside the wall that its best trajectory enters."""
         if not answer.feasible:
             return None
-        found = self._walls.best(region, self._program.positions(answer.x))
+        found = self._walls.best(region, answer.x)
         if found is None:
             return None
         _, wall, k, at = found

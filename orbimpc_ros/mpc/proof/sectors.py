@@ -75,6 +75,7 @@ class SectorProof:
         if bound >= self._target:
             self._leaves += 1
             return leaf if self._leaves <= self.most else None
+        assert leaf.point is not None
         gains, angles = self._promises(leaf.point, missed, low, high)
         # Where nothing is missed, the tangent was not the best one: any split is a new try.
         k = int(np.argmax(gains if gains.any() else high - low))

@@ -14,9 +14,11 @@ from fractions import Fraction
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.proof.certificate import Leaf, Tree, split_into
 from orbimpc_ros.mpc.proof.part_program import Answer, PartProgram
 from orbimpc_ros.mpc.proof.verifier.bound import bound
+from orbimpc_ros.mpc.proof.verifier.motion import Place
 from orbimpc_ros.mpc.proof.verifier.regions import Region
 from orbimpc_ros.mpc.proof.verifier.splits import beside, root, side_of
 from orbimpc_ros.mpc.proof.verifier.stated import StatedProblem
@@ -68,7 +70,7 @@ class WallProof:
                 return leaf if self._leaves <= self.most else None
         if not answer.feasible:
             return None
-        found = self._splits.best(region, self._program.positions(answer.x))
+        found = self._splits.best(region, self._program.axes(answer.x))
         if found is None:
             return None
         _, wall, k, at = found
@@ -105,63 +107,87 @@ class WallSplits:
     """
 
     def __init__(self, posed: StatedProblem, curvatures: Array, unit: float) -> None:
-        self._posed, self._curvatures, self._spare = posed, curvatures, SATISFIED * unit
-        self._walls = list(enumerate(posed.limits.walls))
-        n, steps = posed.n, range(posed.horizon)
-        sides = range(2 * n)
-        self._normals = np.vstack([-np.eye(n), np.eye(n)])
-        # Of each wall, step and side: what it asks of s_{k+1}, and of s_k where it is one for both.
-        self._least = np.full((len(self._walls), len(steps), len(sides), 2), -np.inf)
-        boxes = [(j, wall) for j, wall in self._walls if isinstance(wall, BoxWall)]
-        for (j, box), k, i in itertools.product(boxes, steps, sides):
-            for row in box.side(i, k):
-                self._least[j, k, i, k - row.k] = row.least
+        self._curvatures, self._spare = np.maximum(curvatures, LEAST), SATISFIED * unit
+        beside = list(itertools.product(enumerate(posed.limits.walls), range(posed.horizon)))
+        boxes = [(j, wall, k) for (j, wall), k in beside if isinstance(wall, BoxWall)]
+        discs = [(j, wall, k) for (j, wall), k in beside if isinstance(wall, DiscWall)]
+        self._boxes, self._discs = ([(j, k) for j, _, k in each] for each in (boxes, discs))
+        self._by_boxes, self._by_discs = (
+            _Told([[place for place, _ in wall.told(k)] for _, wall, k in each])
+            for each in (boxes, discs)
+        )
+        self._normals = np.vstack([-np.eye(posed.n), np.eye(posed.n)])
+        sides = range(2 * posed.n)
+        self._least = np.array(
+            [
+                [self._by_boxes.even([row.least for row in box.side(i, k)]) for i in sides]
+                for _, box, k in boxes
+            ],
+            float,
+        )
+        self._middles = np.array(
+            [self._by_discs.even([middle for _, middle in disc.told(k)]) for _, disc, k in discs],
+            float,
+        )
+        self._radii = np.array([disc.radius(k) for _, disc, k in discs], float)
 
-    def best(self, region: Region, positions: Array) -> Choice | None:
-        """Return the wall and the step whose sides all promise most; None if none is missed."""
-        if not self._walls:
-            return None
-        found = [*self._through_boxes(positions), *self._through_discs(region, positions)]
+    def best(self, region: Region, x: Array) -> Choice | None:
+        """Return the wall and the step whose sides all promise most; None if none is missed.
+
+        Args:
+            region: to be split.
+            x: R_1 e1..R_N e1 that may enter walls, shape (N, n).
+        """
+        found = [*self._through_boxes(x), *self._through_discs(region, x)]
         return max(found, key=lambda each: each[0], default=None)
 
-    def _through_discs(self, region: Region, positions: Array) -> Iterator[Choice]:
+    def _through_discs(self, region: Region, x: Array) -> Iterator[Choice]:
         """Yield the discs that are entered, with an angle to split the directions to there at."""
-        discs = [(j, wall) for j, wall in self._walls if isinstance(wall, DiscWall)]
-        for (j, disc), k in itertools.product(discs, range(len(positions))):
-            nearest, radius = self._nearest(disc, positions, k)
-            short = radius - math.hypot(*nearest)
+        if not self._discs:
+            return
+        normals, away = separation(self._by_discs.places(x) - self._middles)
+        short = self._radii - away
+        for i in np.flatnonzero(short > self._spare).tolist():
+            j, k = self._discs[i]
             low, high = map(float, side_of(region, k, j))
-            if short <= self._spare or high - low < NARROWEST:
+            if high - low < NARROWEST:
                 continue
             middle, margin = 0.5 * (low + high), MARGIN * (high - low)
-            angle = math.atan2(nearest[1], nearest[0])
+            angle = math.atan2(normals[i, 1], normals[i, 0])
             angle += 2.0 * math.pi * round((middle - angle) / (2.0 * math.pi))
             at = min(high - margin, max(low + margin, angle))
-            yield short**2 / max(self._curvatures[k], LEAST), j, k, at
+            yield float(short[i] ** 2 / self._curvatures[k]), j, k, at
 
-    def _nearest(self, disc: DiscWall, positions: Array, k: int) -> tuple[Array, float]:
-        """Return the point of step k that is nearest to a disc, from its centre, and its radius."""
-        centre, radius = disc.place(k + 1, k)
-        end = positions[k] - np.array(centre, float)
-        if not disc.shared:
-            return end, float(radius)
-        before = np.array(self._posed.state.position, float) if k == 0 else positions[k - 1]
-        begin = before - np.array(disc.place(k, k)[0], float)
-        way = end - begin
-        share = np.clip(-(begin @ way) / max(float(way @ way), LEAST * self._spare), 0.0, 1.0)
-        return begin + share * way, float(radius)
-
-    def _through_boxes(self, positions: Array) -> Iterator[Choice]:
+    def _through_boxes(self, x: Array) -> Iterator[Choice]:
         """Yield the box that is entered whose sides all promise most."""
-        along = positions @ self._normals.T
-        both = np.stack([along, np.vstack([along[:1], along[:-1]])], axis=-1)
-        short = np.maximum(self._least - both, 0.0)
-        curvature = self._curvatures
-        both_curved = np.stack([curvature, np.append(curvature[:1], curvature[:-1])], axis=-1)
-        with np.errstate(divide='ignore', invalid='ignore'):
-            gains = np.where(short > 0.0, short**2 / both_curved[:, None, :], 0.0).max(axis=-1)
-        missed = short.max(axis=-1).min(axis=-1) > self._spare
-        promises = np.where(missed, gains.min(axis=-1), -1.0)
-        wall, k = np.unravel_index(int(np.argmax(promises)), promises.shape)
-        if missed[wall, k]:
-            yield float(promises[wall, k]), int(wall), int(k), None
+        if not self._boxes:
+            return
+        along = np.einsum('in,emn->eim', self._normals, self._by_boxes.places(x))
+        short = np.maximum(self._least - along, 0.0).max(axis=-1).min(axis=-1)
+        steps = np.array([k for _, k in self._boxes])
+        promises = np.where(short > self._spare, short**2 / self._curvatures[steps], -1.0)
+        best = int(np.argmax(promises))
+        if promises[best] > 0.0:
+            yield float(promises[best]), *self._boxes[best], None
+
+
+class _Told:
+    """Places beside walls, as many of each: the last ones more than once.
+
+    Args:
+        told: of each wall and step.
+    """
+
+    def __init__(self, told: list[list[Place]]) -> None:
+        self._most = max(map(len, told), default=0)
+        every = [self.even(each) for each in told]
+        self._free = np.array([[place.free for place in each] for each in every], float)
+        self._reach = np.array([[place.reach for place in each] for each in every], float)
+
+    def even(self, values: list) -> list:
+        """Return as many values as there are most places, the last one again."""
+        return [*values, *values[-1:] * (self._most - len(values))]
+
+    def places(self, x: Array) -> Array:
+        """Return where axes lead, shape (E, m, n) [m]."""
+        return np.asarray(self._free + self._reach @ x)

@@ -20,7 +20,7 @@ from visualization_msgs.msg import MarkerArray
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.loop.controller import Tick
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.certificate import kept
+from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.markers import plan_markers
 from orbimpc_ros.ros.messages import Stamp

@@ -11,6 +11,7 @@ Derivation: docs/proofs.md.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -25,8 +26,8 @@ from .least import (
     least_within,
 )  # fmt: skip
 from .reading import Refused, fields, rows, vector, weight
-from .regions import Region
-from .stated import StatedProblem
+from .regions import Region, Side
+from .stated import StatedProblem, costless
 
 LEAF = ('bends', 'pull', 'stiffness', 'tops', 'shares', 'presses', 'slides', 'tethers', 'meets')
 
@@ -47,12 +48,21 @@ class StatedLeaf(NamedTuple):
 
 
 def bound(posed: StatedProblem, stated: Any, region: Region) -> Fraction:
-    """Return the bound that a leaf proves: a tangent's least value over a region."""
+    """Return the bound that a leaf proves: a tangent's least value over a region.
+
+    Without a point the cost is as good as nothing, which it is not below: multipliers are left.
+    """
+    if isinstance(stated, dict) and 'point' not in stated:
+        posed = costless(posed)
+        stated = {**stated, 'point': [[0.0] * posed.n] * posed.horizon}
     leaf = _leaf(posed, stated, region)
-    push, paid = _pushed(posed, leaf, region)
+    push, paid = _pushed(posed, leaf)
     forces, held = towed(posed, leaf.tethers)
+    forces, borne = pressed(forces, leaf.presses, region.rows)
     value, slopes = cost(posed, leaf.point, Added(leaf.pull, leaf.stiffness, push, forces))
-    value += paid + held + posed.weights.length[0] * size_below(posed.state.first[: posed.n])
+    value += (
+        paid + held + borne + posed.weights.length[0] * size_below(posed.state.first[: posed.n])
+    )
     value -= _unbent(posed, leaf)
     return value + sum(_of_step(posed, leaf, region, k, g) for k, g in enumerate(slopes))
 
@@ -83,27 +93,36 @@ def _leaf(posed: StatedProblem, stated: Any, region: Region) -> StatedLeaf:
     )
 
 
-def _pushed(
-    posed: StatedProblem, leaf: StatedLeaf, region: Region
-) -> tuple[list[Vector], Fraction]:
+def _pushed(posed: StatedProblem, leaf: StatedLeaf) -> tuple[list[Vector], Fraction]:
     """Return forces F, shape (N, n), and an a such that a + sum_k F_k . (s_k - g_k) <= 0.
 
-    A row n . s >= b that is pressed by y >= 0 adds y (b - n . s). What meets the goal within a
-    radius has c . (s_N - g_N) <= radius |c|.
+    What meets the goal within a radius has c . (s_N - g_N) <= radius |c|.
     """
-    push, paid = [], ZERO
-    for k, c in enumerate(leaf.slides):
-        push.append(c)
-        paid += slid(posed, k, c) if any(c) else ZERO
-    for y, (k, normal, least) in zip(leaf.presses, region.rows, strict=True):
-        if y < 0:
-            raise Refused('presses are negative')
-        push[k] = less(push[k], [y * x for x in normal])
-        paid += y * (least - dot(normal, posed.goals[k]))
+    push = leaf.slides.copy()
+    paid = sum((slid(posed, k, c) for k, c in enumerate(push) if any(c)), ZERO)
     if posed.radius is not None:
         push[-1] = [x + y for x, y in zip(push[-1], leaf.meets, strict=True)]
         paid -= posed.radius * size_above(leaf.meets)
     return push, paid
+
+
+def pressed(
+    forces: list[Vector], presses: Vector, sides: Sequence[Side]
+) -> tuple[list[Vector], Fraction]:
+    """Return forces F, shape (N, n), added to some, and an a such that a + sum_k F_k . z_k <= 0.
+
+    A row n . v >= b that is pressed by y >= 0 adds y (b - n . v), v = free + sum_k reach_k z_k.
+    """
+    borne = ZERO
+    for y, (place, normal, least) in zip(presses, sides, strict=True):
+        if y < 0:
+            raise Refused('presses are negative')
+        if y:
+            borne += y * (least - dot(normal, place.free))
+            push = [y * x for x in normal]
+            pairs = zip(forces, place.reach, strict=True)
+            forces = [less(own, [r * x for x in push]) if r else own for own, r in pairs]
+    return forces, borne
 
 
 def slid(posed: StatedProblem, k: int, c: Vector) -> Fraction:

@@ -7,7 +7,8 @@ from fractions import Fraction
 from functools import lru_cache
 from typing import NamedTuple
 
-from .exact import ONE, ZERO, Vector, dot
+from .exact import ONE, ZERO, Vector, Whole, add, dot, less, times, whole
+from .motion import Place
 from .stated import StatedProblem
 
 
@@ -25,95 +26,101 @@ class Added(NamedTuple):
     towed: list[Vector]
 
 
+class Squares(NamedTuple):
+    """Squares of y = free + sum_k reach_k x_k, of each coordinate of rotations alike.
+
+    Attributes:
+        weights: of each square.
+        free: of each coordinate, that of all squares.
+        rows: reach, of each square.
+        columns: reach, of each x_k.
+    """
+
+    weights: Vector
+    free: list[Vector]
+    rows: list[Whole]
+    columns: list[Whole]
+
+    @classmethod
+    def of(cls, weights: Vector, places: list[Place]) -> Squares:
+        """Return the squares of places."""
+        free = map(list, zip(*(place.free for place in places), strict=True))
+        columns = zip(*(place.reach for place in places), strict=True)
+        rows = [whole(place.reach) for place in places]
+        return cls(weights, list(free), rows, [whole(each) for each in columns])
+
+    def pushed(self, i: int, x: Vector, weights: Vector, push: Vector) -> tuple[Fraction, Vector]:
+        """Return sum weight y^2 + push y, of a coordinate, and its gradient in x."""
+        y = add(self.free[i], times(self.rows, x))
+        weighed = [weight * each for weight, each in zip(weights, y, strict=True)]
+        pushed = add(weighed, push)
+        return dot(pushed, y), times(self.columns, add(weighed, pushed))
+
+
 def cost(posed: StatedProblem, x: list[Vector], added: Added) -> tuple[Fraction, list[Vector]]:
     """Return the cost but for lengths at x_1..x_N, shape (N, d), and its gradient."""
-    value, slopes = _turning(posed, [posed.state.first, *x])
-    for i in range(posed.n):
-        flown, on_axis = _flight(posed, i, [posed.state.first[i], *(z[i] for z in x)], added)
-        value += flown
-        for slope, more in zip(slopes, on_axis, strict=True):
-            slope[i] += more
-    return value, slopes[1:]
+    (turned, flown), value, slopes = _squares(posed), ZERO, []
+    weights, unpushed = _stiff(posed, added.stiffness), [ZERO] * len(turned.weights)
+    for i, along in enumerate(map(list, zip(*x, strict=True))):
+        slope, parts = [ZERO] * posed.horizon, [(turned, turned.weights, unpushed)]
+        if i < posed.n:
+            slope = [each[i] for each in added.towed]
+            value += dot(slope, along)
+            parts.append((flown, weights, _push(posed, added, i)))
+        for squares, weighed, push in parts:
+            if any(weighed) or any(push):
+                worth, steeper = squares.pushed(i, along, weighed, push)
+                value, slope = value + worth, add(slope, steeper)
+        slopes.append(slope)
+    return value, list(map(list, zip(*slopes, strict=True)))
 
 
-def _flight(posed: StatedProblem, i: int, z: Vector, added: Added) -> tuple[Fraction, Vector]:
-    """Return the cost of positions along axis i, given z_0..z_N there, and its gradient."""
-    missed, p = _missed(posed, i, z)
-    braking, pushed = posed.weights.braking, [each[i] for each in added.push]
-    weighed = [weight * off for weight, off in zip(posed.weights.position, missed, strict=True)]
-    towed = [each[i] for each in added.towed]
-    value = dot(weighed, missed) + dot(pushed, missed) + dot(towed, z[1:]) + braking * p * p
-    forces = [ZERO, 2 * braking * p]  # what s_N and p_N weigh
-    for j, (pull, off) in enumerate(zip(added.pull[i :: posed.n], (missed[-1], p), strict=False)):
-        value += pull * off + added.stiffness * off * off / 2
-        forces[j] += pull + added.stiffness * off
-    on_s = [2 * each + force for each, force in zip(weighed, pushed, strict=True)]
-    first, *slopes = _backwards(posed, on_s, forces)
-    return value, [first, *(each + force for each, force in zip(slopes, towed, strict=True))]
+def _push(posed: StatedProblem, added: Added, i: int) -> Vector:
+    """Return what pushes s_1..s_N and p_N along axis i."""
+    last = posed.horizon - 1
+    found = [*(each[i] for each in added.push), *[ZERO] * posed.model.inertial]
+    for j, pull in enumerate(added.pull[i :: posed.n]):
+        found[last + j] += pull
+    return found
 
 
-def _missed(posed: StatedProblem, i: int, z: Vector) -> tuple[Vector, Fraction]:
-    """Return s_k - g_k along axis i, shape (N,), and the last velocity there."""
-    model, state = posed.model, posed.state
-    s, p = state.position[i], state.velocity[i] if model.inertial else ZERO
-    blown, hastened = model.blow * state.disturbance[i], model.gust * state.disturbance[i]
-    missed = []
-    for k in range(posed.horizon):
-        s += model.push * z[k] + model.follow * z[k + 1] + blown
-        if model.inertial:
-            s += model.step * p
-            p += model.add * z[k] + model.after * z[k + 1] + hastened
-        missed.append(s - posed.goals[k][i])
-    return missed, p
+def _stiff(posed: StatedProblem, stiffness: Fraction) -> Vector:
+    """Return the weights on what is flown, more of them on s_N and p_N."""
+    weights, last = _squares(posed)[1].weights, posed.horizon - 1
+    return [*weights[:last], *(weight + stiffness / 2 for weight in weights[last:])]
 
 
-def _backwards(posed: StatedProblem, forces: Vector, last: Vector) -> Vector:
-    """Return the gradient in z_0..z_N of what weighs s_1..s_N, and s_N and p_N once more."""
-    model, slopes = posed.model, [ZERO] * (posed.horizon + 1)
-    on_s, on_p = last
-    for k in range(posed.horizon, 0, -1):
-        on_s += forces[k - 1]
-        slopes[k] += model.follow * on_s
-        slopes[k - 1] += model.push * on_s
-        if model.inertial:
-            slopes[k] += model.after * on_p
-            slopes[k - 1] += model.add * on_p
-            on_p += model.step * on_s
-    return slopes
-
-
-def _turning(posed: StatedProblem, rotations: list[Vector]) -> tuple[Fraction, list[Vector]]:
-    """Return the cost of inputs and of the last attitude, with its gradient."""
-    value, weights = ZERO, posed.weights
-    slopes = [[ZERO] * posed.width for _ in rotations]
-    stencil = (-1, 1) if posed.order == 1 else (1, -2, 1)
-    weight = weights.input / posed.model.step ** (2 * posed.order)
-    for k in range(len(rotations) - posed.order if weight else 0):
-        for i in range(posed.width):
-            change = sum((c * rotations[k + j][i] for j, c in enumerate(stencil)), ZERO)
-            force = weight * change
-            value += force * change
-            for j, c in enumerate(stencil):
-                slopes[k + j][i] += 2 * c * force
-    for i in range(posed.width) if weights.attitude else ():
-        off = rotations[-1][i] - posed.state.wanted[i]
-        value += weights.attitude * off * off
-        slopes[-1][i] += 2 * weights.attitude * off
-    return value, slopes
+@lru_cache(maxsize=4)
+def _squares(posed: StatedProblem) -> tuple[Squares, Squares]:
+    """Return what turns cost, of all coordinates; and s_k - g_k and p_N, of the axes of space."""
+    order, still = posed.order, [ZERO] * posed.horizon
+    stencil = [-ONE, ONE] if order == 1 else [ONE, -2 * ONE, ONE]
+    turned, worth = [], posed.weights.input / posed.model.step ** (2 * order)
+    for k in range(posed.horizon + 1 - order if worth else 0):
+        first, *reach = *still[:k], *stencil, *still[: posed.horizon - order - k]
+        turned.append(Place([first * each for each in posed.state.first], reach))
+    weights = [worth] * len(turned)
+    if posed.weights.attitude:
+        turned.append(Place([-each for each in posed.state.wanted], [*still[1:], ONE]))
+        weights.append(posed.weights.attitude)
+    ends = zip(posed.positions[1:], posed.goals, strict=True)
+    flown = [Place(less(place.free, goal), place.reach) for place, goal in ends]
+    last = posed.velocities[-1:] if posed.model.inertial else []
+    braking = [posed.weights.braking] * len(last)
+    return Squares.of(weights, turned), Squares.of(
+        [*posed.weights.position, *braking], [*flown, *last]
+    )
 
 
 @lru_cache(maxsize=4)
 def hessian(posed: StatedProblem, stiffness: Fraction) -> list[Vector]:
-    """Return the Hessian of the cost in z_1..z_N along one axis, shape (N, N): differences."""
-    zero = [[ZERO] * posed.width for _ in range(posed.horizon)]
-    pull = [ZERO] * posed.n * (1 + posed.model.inertial)
-    still = [[ZERO] * posed.n] * posed.horizon
-    added = Added(pull, stiffness, still, still)
-    resting = cost(posed, zero, added)[1]
-    found = []
-    for k in range(posed.horizon):
-        zero[k][0] = ONE
-        moved = cost(posed, zero, added)[1]
-        zero[k][0] = ZERO
-        found.append([a[0] - b[0] for a, b in zip(moved, resting, strict=True)])
+    """Return the Hessian of the cost in z_1..z_N along one axis, shape (N, N)."""
+    found = [[ZERO] * posed.horizon for _ in range(posed.horizon)]
+    turned, flown = _squares(posed)
+    for squares, weights in ((turned, turned.weights), (flown, _stiff(posed, stiffness))):
+        for k, (numbers, unit) in enumerate(squares.columns):
+            bent = [
+                2 * weight * Fraction(y, unit) for weight, y in zip(weights, numbers, strict=True)
+            ]
+            found[k] = add(found[k], times(squares.columns, bent))
     return found

@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from fractions import Fraction
 from functools import lru_cache
 from operator import mul
+from typing import NamedTuple
 
 BITS = 160  # after the point, of square roots and of what Cholesky's method works with
 TINY = Fraction(1, 1 << 120)  # by which sines, cosines and PI may be off, and more than they are
@@ -15,14 +16,40 @@ PI = Fraction(3141592653589793238462643383279502884197169399375105820974944, 10*
 TURN = Fraction(math.nextafter(2.0 * math.pi, 7.0))  # a double beyond 2 pi
 NARROW = Fraction(1, 10**9)  # [rad] by which what is treated as below half a turn, or a turn, is
 ZERO, ONE = Fraction(0), Fraction(1)
-SHIFTS = (ZERO, *(Fraction(1, 1 << bits) for bits in range(60, -1, -4)))
+SHIFTS = (0, *(1 << (2 * BITS - bits) for bits in range(60, -1, -4)))  # of 1 << 2 BITS
 
 Vector = list[Fraction]
 
 
-def dot(x: Iterable[Fraction], y: Iterable[Fraction]) -> Fraction:
+class Whole(NamedTuple):
+    """Numbers over a common denominator: sums of whole numbers take a fraction of the time."""
+
+    numbers: list[int]
+    unit: int
+
+
+def whole(x: Sequence[Fraction]) -> Whole:
+    """Return numbers over their least common denominator."""
+    unit = math.lcm(*(each.denominator for each in x))
+    return Whole([each.numerator * (unit // each.denominator) for each in x], unit)
+
+
+def dot(x: Sequence[Fraction], y: Sequence[Fraction]) -> Fraction:
     """Return x . y."""
-    return sum((a * b for a, b in zip(x, y, strict=True)), ZERO)
+    return times([whole(x)], y)[0]
+
+
+def times(rows: Sequence[Whole], x: Sequence[Fraction]) -> Vector:
+    """Return row . x of each row."""
+    numbers, unit = whole(x)
+    if any(len(row.numbers) != len(numbers) for row in rows):
+        raise ValueError('vectors are not of one length')
+    return [Fraction(sum(map(mul, row.numbers, numbers)), row.unit * unit) for row in rows]
+
+
+def add(x: Vector, y: Vector) -> Vector:
+    """Return x + y."""
+    return [a + b for a, b in zip(x, y, strict=True)]
 
 
 def less(x: Vector, y: Vector) -> Vector:
@@ -75,25 +102,29 @@ def direction(angle: Fraction) -> tuple[Fraction, Fraction]:
 
 
 def lacking(matrix: list[Vector]) -> Fraction:
-    """Return an e >= 0 such that matrix + e I is positive semidefinite.
+    """Return an e >= 0 such that matrix + e I is positive semidefinite."""
+    numbers, unit = whole([each for row in matrix for each in row])
+    count = len(matrix)
+    return lacking_whole([numbers[count * i : count * (i + 1)] for i in range(count)], unit)
+
+
+def lacking_whole(matrix: list[list[int]], unit: int) -> Fraction:
+    """Return an e >= 0 such that matrix / unit + e I is positive semidefinite.
 
     Cholesky's method on whole numbers, each division rounded down. What it factors differs from
     the matrix by at most 2 max(L) + 2 in each entry, in its unit. It succeeds at the latest where
     the diagonal dominates.
     """
     count = len(matrix)
-    top = max(max(map(abs, row)) for row in matrix)
+    top = max(abs(each) for row in matrix for each in row)
     if not top:
         return ZERO
-    scale = (1 << 2 * BITS) / top
-    entries = [[math.floor(matrix[i][j] * scale) for j in range(i + 1)] for i in range(count)]
-    for shift in (*SHIFTS, Fraction(2 * count)):
-        shifted = [row.copy() for row in entries]
-        for k in range(count):
-            shifted[k][k] += math.floor(shift * (1 << 2 * BITS))
+    entries = [[(row[j] << 2 * BITS) // top for j in range(i + 1)] for i, row in enumerate(matrix)]
+    for shift in (*SHIFTS, 2 * count << 2 * BITS):
+        shifted = [[*row[:-1], row[-1] + shift] for row in entries]
         largest = _factored(shifted)
         if largest:
-            return shift * top + count * (2 * largest + 2) / scale
+            return Fraction(top * (shift + count * (2 * largest + 2)), unit << 2 * BITS)
     raise AssertionError('the diagonal dominates')
 
 

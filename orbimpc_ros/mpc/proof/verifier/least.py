@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
+from functools import lru_cache
 
 from .exact import (
     NARROW,
@@ -18,11 +19,12 @@ from .exact import (
     Vector,
     direction,
     dot,
-    lacking,
+    lacking_whole,
     root_above,
     size_above,
+    whole,
 )  # fmt: skip
-from .limits import Cone, StatedFloor
+from .limits import Cone, StatedFloor, cone
 from .regions import Sector
 
 
@@ -36,44 +38,45 @@ def least_along(
     return ends
 
 
-def least_towards(slope: Vector, cone: Cone) -> Fraction:
-    """Return the least slope . u over unit vectors u within a cone."""
-    size, square = size_above(slope), dot(cone.axis, cone.axis)
-    along = dot(slope, cone.axis)
-    if -along >= cone.least * size - 4 * TINY * (1 + size):
+def least_towards(slope: Vector, within: Cone) -> Fraction:
+    """Return the least slope . u over unit vectors u in a cone, of any width."""
+    squared, along = dot(slope, slope), dot(slope, within.axis)
+    size = root_above(squared)
+    if -along >= within.least * size - 4 * TINY * (1 + size):
         return -size
-    across = root_above(max(ZERO, dot(slope, slope) - along * along / square))
-    aside = root_above(max(ZERO, 1 - cone.least * cone.least / square))
-    return max(-size, along * cone.least / square - across * aside)
+    across = root_above(max(ZERO, squared - along * along / within.square))
+    return max(-size, along * within.least / within.square - across * within.aside)
 
 
 def least_within(slope: Vector, sector: Sector) -> Fraction:
-    """Return the least slope . (cos, sin) over the directions of a sector."""
-    size = size_above(slope)
-    width = sector.high - sector.low
-    if width >= 2 * PI - NARROW:
-        return -size
-    (ax, ay), (bx, by) = direction(sector.low), direction(sector.high)
-    off = 4 * TINY * (1 + size)
-    from_low = ay * slope[0] - ax * slope[1]  # how far -slope is to the left of the lower edge
-    to_high = bx * slope[1] - by * slope[0]
-    inside = from_low > -off and to_high > -off
-    if width > PI - NARROW:  # what is outside is narrower
-        inside = from_low > -off or to_high > -off
-    if inside:
-        return -size
-    return min(slope[0] * ax + slope[1] * ay, slope[0] * bx + slope[1] * by) - off
+    """Return the least slope . (cos, sin) over the directions of a sector: a cone of the plane."""
+    if sector.high - sector.low >= 2 * (PI - NARROW):
+        return -size_above(slope)
+    return least_towards(slope, _around(sector))
+
+
+@lru_cache(maxsize=4096)
+def _around(sector: Sector) -> Cone:
+    half = (sector.high - sector.low) / 2
+    return _beyond(sector.low + half, direction(half)[0])
 
 
 def least_beyond(slope: Vector, floor: StatedFloor, face: int) -> Fraction:
-    """Return the least slope . x over the part of the disk beyond a face n . x >= slowest."""
-    x, y = direction(2 * PI * face / floor.faces)
-    inward, across = slope[0] * x + slope[1] * y, abs(slope[1] * x - slope[0] * y)
-    size, slowest = size_above(slope), floor.slowest
-    if -inward >= slowest * size - 4 * TINY * (1 + size):
-        return -size
-    corner = slowest * inward - root_above(1 - slowest * slowest) * across
-    return max(-size, corner - 4 * TINY * (1 + size))
+    """Return the least slope . x over the part of the disk beyond a face n . x >= slowest.
+
+    Straight as it is, that is least on its rim, where it is a cone.
+    """
+    return least_towards(slope, _face(floor, face))
+
+
+@lru_cache(maxsize=64)
+def _face(floor: StatedFloor, face: int) -> Cone:
+    return _beyond(2 * PI * face / floor.faces, floor.slowest)
+
+
+def _beyond(angle: Fraction, least: Fraction) -> Cone:
+    """Return the unit vectors that are at least so far out in a direction, and hardly more."""
+    return cone(list(direction(angle)), least - 4 * TINY)
 
 
 def least_reached(slope: Vector, floor: StatedFloor, sector: Sector) -> Fraction:
@@ -100,11 +103,11 @@ def least_reached(slope: Vector, floor: StatedFloor, sector: Sector) -> Fraction
 
 def least_over_orbitope(slope: Vector, top: Fraction) -> Fraction:
     """Return the least <G, R> over conv SO(3): -top, where top I + K(G) is semidefinite."""
-    g11, g21, g31, g12, g22, g32, g13, g23, g33 = slope
+    (most, g11, g21, g31, g12, g22, g32, g13, g23, g33), unit = whole([top, *slope])
     matrix = [
-        [top + g11 + g22 + g33, g32 - g23, g13 - g31, g21 - g12],
-        [g32 - g23, top + g11 - g22 - g33, g21 + g12, g13 + g31],
-        [g13 - g31, g21 + g12, top - g11 + g22 - g33, g32 + g23],
-        [g21 - g12, g13 + g31, g32 + g23, top - g11 - g22 + g33],
+        [most + g11 + g22 + g33, g32 - g23, g13 - g31, g21 - g12],
+        [g32 - g23, most + g11 - g22 - g33, g21 + g12, g13 + g31],
+        [g13 - g31, g21 + g12, most - g11 + g22 - g33, g32 + g23],
+        [g21 - g12, g13 + g31, g32 + g23, most - g11 - g22 + g33],
     ]
-    return -top - lacking(matrix)
+    return -top - lacking_whole(matrix, unit)

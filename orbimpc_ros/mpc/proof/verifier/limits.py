@@ -6,7 +6,7 @@ from __future__ import annotations
 from fractions import Fraction
 from typing import Any, NamedTuple
 
-from .exact import NARROW, PI, TINY, ZERO, Vector, direction
+from .exact import NARROW, PI, TINY, ZERO, Vector, direction, dot, root_above
 from .reading import Refused, fields, items, rows, vector, weight, whole, word
 
 
@@ -19,10 +19,25 @@ class StatedFloor(NamedTuple):
 
 
 class Cone(NamedTuple):
-    """Where axes point: u . axis is at least so much of each unit vector u along them."""
+    """Where axes point: u . axis is at least so much of each unit vector u along them.
+
+    Attributes:
+        axis: of any length.
+        least: at most the cosine of the cone's angle, times that length.
+        square: of that length.
+        aside: at least the sine of the angle that this is.
+    """
 
     axis: Vector
     least: Fraction
+    square: Fraction
+    aside: Fraction
+
+
+def cone(axis: Vector, least: Fraction) -> Cone:
+    """Return the cone of u . axis >= least."""
+    square = dot(axis, axis)
+    return Cone(axis, least, square, root_above(max(ZERO, 1 - least * least / square)))
 
 
 class Tether(NamedTuple):
@@ -56,12 +71,13 @@ def cones(stated: Any, n: int, slowest: Fraction, horizon: int) -> tuple[list[li
     for each in items(stated, 'cones'):
         fields(each, 'a cone', ('axis', 'angle', 'least', 'steps'))
         angle = weight(each['angle'], 'angle')
-        cone = Cone(vector(each['axis'], 'axis', n), direction(angle)[0] - TINY)
-        if angle > PI / 2 or not any(cone.axis):
+        axis = vector(each['axis'], 'axis', n)
+        if angle > PI / 2 or not any(axis):
             raise Refused('a cone is none, or wider than half of space')
+        made = cone(axis, direction(angle)[0] - TINY)
         for step in items(each['steps'], 'steps'):
             k = whole(step, 'steps', 1, horizon) - 1
-            found[k].append(cone)
+            found[k].append(made)
             least[k] = max(least[k], weight(each['least'], 'least'))
     if max(least) > 1:
         raise Refused('a least speed is above 1')

@@ -18,7 +18,7 @@ from .reading import Refused, fields, items, weight, whole
 from .splits import leaves, root
 from .stated import MOST_STEPS, WEIGHTS, StatedProblem, posed_by
 
-WALL = ('min', 'max', 'centre', 'radius', 'shared', 'shifts', 'grown')
+WALL = ('min', 'max', 'centre', 'radius', 'of', 'shifts', 'grown')
 
 
 class Refuted(NamedTuple):

@@ -7,6 +7,7 @@ from fractions import Fraction
 from typing import NamedTuple
 
 from .exact import Vector
+from .motion import Place
 
 
 class Sector(NamedTuple):
@@ -17,9 +18,9 @@ class Sector(NamedTuple):
 
 
 class Side(NamedTuple):
-    """What is known of a position: normal . s_{k+1} is at least so much."""
+    """What is known of where a vehicle is: normal . place is at least so much."""
 
-    k: int
+    place: Place
     normal: Vector
     least: Fraction
 

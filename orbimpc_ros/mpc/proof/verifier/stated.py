@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 from .exact import ONE, ZERO, Vector, size_above
@@ -19,8 +21,9 @@ from .limits import (
     speeds,
     tether,
 )  # fmt: skip
+from .motion import Begin, Place, StatedModel, Step, flown, model, steps
 from .reading import Refused, fields, items, rows, vector, weight, whole, word
-from .walls import BoxWall, DiscWall, Lead, wall
+from .walls import BoxWall, DiscWall, wall
 
 MOST_STEPS = 500
 WEIGHTS = ('position', 'input', 'length', 'terminal', 'attitude', 'arrival')
@@ -28,34 +31,6 @@ STATE = ('position', 'rotation', 'velocity', 'rotation_rate', 'attitude', 'coast
          'disturbance', 'wanted')  # fmt: skip
 PROBLEM = ('dimension', 'rotation_order', 'translation_order', 'discretisation', 'horizon', 'step',
            'forward', 'weights', 'terminal', 'floor', 'max_rate')  # fmt: skip
-
-
-class StatedModel(NamedTuple):
-    """How a step moves along each axis.
-
-    s -> s + h p + push z_k + follow z_{k+1} + blow w, and of its velocity, which stays 0 at
-    translation order 1, p -> p + add z_k + after z_{k+1} + gust w.
-
-    Attributes:
-        step: h [s].
-        inertial: whether it is of translation order 2.
-        flown: how far each z_0..z_N is flown along.
-    """
-
-    step: Fraction
-    inertial: bool
-    flown: Vector
-    push: Fraction
-    add: Fraction
-    follow: Fraction
-    after: Fraction
-    blow: Fraction
-    gust: Fraction
-
-    @property
-    def is_straight(self) -> bool:
-        """Whether motion within a step is along a line."""
-        return not (self.follow or self.after) and self.blow == (0 if self.inertial else self.step)
 
 
 class StatedWeights(NamedTuple):
@@ -80,6 +55,11 @@ class StatedState(NamedTuple):
     coasted: Vector | None
     wanted: Vector
 
+    @property
+    def begins(self) -> list[Begin]:
+        """Return s_0, p_0 and w along each axis."""
+        return list(zip(self.position, self.velocity, self.disturbance, strict=True))
+
 
 class StatedLimits(NamedTuple):
     """Of each step its cones, its least and most speed; tethers; the cone above the goal; walls."""
@@ -101,6 +81,8 @@ class StatedProblem:
         order: of rotations.
         horizon: N.
         width: how many numbers a rotation is: its thrust axis alone where the cost sees no more.
+        positions: s_0..s_N.
+        velocities: at those times.
         arrives: whether trajectories have to end at the goal.
         turn: angle that directions that are split turn by in a step at most [rad]; 0 for any.
         radius: within which s_N is of g_N [m]; None where it may be anywhere.
@@ -111,6 +93,8 @@ class StatedProblem:
     horizon: int
     width: int
     model: StatedModel
+    positions: list[Place]
+    velocities: list[Place]
     weights: StatedWeights
     arrives: bool
     floor: StatedFloor
@@ -134,44 +118,31 @@ def posed_by(
     n = whole(problem['dimension'], 'dimension', 2, 3)
     order = whole(problem['rotation_order'], 'rotation_order', 1, 2)
     horizon = whole(problem['horizon'], 'horizon', 1, MOST_STEPS)
-    model = _model(problem, horizon)
-    weights = _weights(problem['weights'], n, model)
+    motion = model(problem, horizon)
+    weights = _weights(problem['weights'], n, motion)
     seen = weights.input or weights.attitude or not (refutes or order == 1)
     width = 2 if n == 2 else 9 if seen else 3
-    state = _state(document['state'], n, width, model.step)
+    state = _state(document['state'], n, width, motion.step)
     if weights.attitude and document['state']['wanted'] is None:
         raise Refused('state.wanted is missing')
     made = floor(problem['floor'])
     if made.slowest > 1 or (made.exists and order == 2) or (made.faces and n == 3):
         raise Refused('the floor is beyond this format')
-    turn = model.step * weight(problem['max_rate'], 'max_rate')
+    turn = motion.step * weight(problem['max_rate'], 'max_rate')
     arrives = word(problem['terminal'], 'terminal', ('penalty', 'constraint')) == 'constraint'
     goals = rows(document['goals'], 'goals', horizon, n)
     tied = tether(turn, made, state.first[:n])
-    limits = _limits(document.get('limits', {}), made, tied, model, state, horizon)
+    led = flown(motion, state.begins, state.first[:n], horizon)
+
+    def within() -> list[Step]:
+        return steps(motion, *led)
+
+    limits = _limits(document.get('limits', {}), made, tied, state, horizon, within)
     turn = turn if n == 2 and made.slowest else ZERO
     return StatedProblem(
-        n, order, horizon, width, model, weights, arrives, made, state, goals, limits, turn, radius
-    )
-
-
-def _model(problem: dict[str, Any], horizon: int) -> StatedModel:
-    order = whole(problem['translation_order'], 'translation_order', 1, 2)
-    kind = word(problem['discretisation'], 'discretisation', ('euler', 'exact', 'held'))
-    h = weight(problem['step'], 'step')
-    z = weight(problem['forward'], 'forward')
-    models = {
-        (1, 'euler'): (h * z, ZERO, ZERO, ZERO, h, ZERO),
-        (1, 'exact'): (h * z / 2, ZERO, h * z / 2, ZERO, h, ZERO),
-        (2, 'euler'): (ZERO, h * z, ZERO, ZERO, ZERO, h),
-        (2, 'exact'): (h * h * z / 3, h * z / 2, h * h * z / 6, h * z / 2, h * h / 2, h),
-        (2, 'held'): (ZERO, ZERO, h * h * z / 2, h * z, h * h / 2, h),
-    }
-    if not (h and z) or (order, kind) not in models:
-        raise Refused('step, forward or discretisation is none that there is')
-    late = {'euler': ZERO, 'exact': Fraction(1, 2), 'held': ONE}[kind]
-    shares = [1 - late, *[ONE] * (horizon - 1), late]
-    return StatedModel(h, order == 2, [h * z * share for share in shares], *models[order, kind])
+        n, order, horizon, width, motion, *led, weights, arrives, made, state, goals, limits,
+        turn, radius,
+    )  # fmt: skip
 
 
 def _weights(stated: Any, n: int, model: StatedModel) -> StatedWeights:
@@ -212,14 +183,17 @@ def _limits(
     stated: Any,
     made: StatedFloor,
     tied: Tether | None,
-    model: StatedModel,
     state: StatedState,
     horizon: int,
+    within: Callable[[], list[Step]],
 ) -> StatedLimits:
     fields(stated, 'limits', (), ('cones', 'glide_slope', 'walls', 'speeds'))
     n = len(state.position)
     sloping = 'glide_slope' in stated and n == 3
-    leads = _leads(model, state, horizon)
+    bodies = items(stated.get('walls', []), 'walls')
+    places = within() if bodies else []
+    decided = state.second if state.coasted is None else state.coasted
+    fastest = max(ONE, size_above(decided[:n]))  # what a body rate decides may be longer
     directed, slowest = cones(stated.get('cones', []), n, made.slowest, horizon)
     least, most = speeds(stated.get('speeds', [[0.0, 1.0]] * horizon), horizon)
     return StatedLimits(
@@ -228,21 +202,16 @@ def _limits(
         most,
         tied,
         glide_slope(stated['glide_slope'], horizon) if sloping else None,
-        [wall(each, n, horizon, leads) for each in items(stated.get('walls', []), 'walls')],
+        [wall(each, n, places, fastest) for each in bodies],
     )
 
 
-def _leads(model: StatedModel, state: StatedState, horizon: int) -> list[Lead]:
-    """Return where each step leads; nothing where steps are no lines."""
-    if not model.is_straight:
-        return []
-    known, far = [model.blow * w for w in state.disturbance], model.push
-    fastest = max(ONE, size_above(state.first[: len(known)]))
-    found = []
-    for k in range(horizon):
-        if model.inertial:
-            both = zip(state.velocity, state.disturbance, strict=True)
-            known = [model.step * (p + k * model.gust * w) for p, w in both]
-            far = model.push + model.step * k * model.add
-        found.append(Lead(known, fastest * far))
-    return found
+@lru_cache(maxsize=4)
+def costless(posed: StatedProblem) -> StatedProblem:
+    """Return a problem of which nothing costs anything: no term of a cost is below that."""
+    free = [ZERO] * posed.horizon
+    weights = StatedWeights(free, ZERO, ZERO, ZERO, [*free, ZERO])
+    state, n = posed.state, posed.n
+    first, second, coasted = state.first[:n], state.second[:n], state.coasted
+    state = state._replace(first=first, second=second, coasted=coasted and coasted[:n])
+    return replace(posed, width=n, weights=weights, state=state)
