@@ -14,8 +14,8 @@ import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.proof.sides import ARCS, FACES, SIDES
-from orbimpc_ros.mpc.proof.slopes import ROUNDING, set_slopes
-from orbimpc_ros.mpc.proof.tangents import least_over_orbitope, top_of
+from orbimpc_ros.mpc.proof.slopes import ROUNDING, least_along, set_slopes
+from orbimpc_ros.mpc.proof.tangents import least_over_orbitope, top_of, vector_size
 
 QUARTERS = 4  # of a circle, that arcs begin with
 DEEPEST = 40  # halvings of them
@@ -88,10 +88,22 @@ def _holder(made, parents, t, j):
 
 
 @compiled
-def _complete(places, known, tree, nodes, t, faces, normal):
+def _first_in_order(made, parents, tree, ordered, t, j):
+    """Return the first face of a step that is in order with those of the steps before it."""
+    least = 0
+    while t > 0:
+        if j < ordered and made[t] < j:
+            least = max(least, tree.sides[t])
+        t = parents[t]
+    return least
+
+
+@compiled
+def _complete(places, known, symmetry, tree, nodes, t, faces, normal):
     """Note the parts of a node; return whether they are all that can be reached of it.
 
-    Nodes that are counted among them beyond that stay parts of none.
+    Nodes that are counted among them beyond that stay parts of none. What is out of order, or one
+    of the faces of a step that nothing sees, may be left out: there is a trajectory as cheap.
     """
     made, parents = nodes
     j, first, count = tree.splits[t], tree.parts[t], tree.counts[t]
@@ -103,13 +115,15 @@ def _complete(places, known, tree, nodes, t, faces, normal):
         if known.kinds[j] != ARCS or tree.levels[holder] >= DEEPEST:
             return False
         level, begin, sides = tree.levels[holder] + 1, 2 * tree.sides[holder], 2
-    part = first
+    part, least = first, _first_in_order(made, parents, tree, symmetry.ordered, t, j)
     for side in range(begin, begin + sides):
         if part < first + count and tree.sides[part] == side and tree.levels[part] == level:
             if parents[part] >= 0:
                 return False
             made[part], parents[part] = j, t
             part += 1
+        elif side < least or (side > 0 and j == symmetry.unseen):
+            continue
         elif not _out_of_reach(places, known, j, (level, side), faces, normal):
             return False
     return True
@@ -184,24 +198,28 @@ def _held(places, known, always, tree, nodes, leaf, unit, faces, forces):
 @compiled
 def _leaf_bound(terms, start, goals, point, forces, held, slopes):
     """Return what a leaf's tangent proves."""
-    (worth, cancelled), arrival, rest = held, np.zeros(0), 0.0
+    (worth, cancelled), arrival, rest, n = held, np.zeros(0), 0.0, forces.shape[1]
     value, size = set_slopes(terms, start, goals, (arrival, 0.0), point, slopes)
     for k in range(len(point)):
-        square = 0.0
+        square, length, ahead = 0.0, terms.lengths[k + 1], vector_size(point[k], n)
         for c in range(point.shape[1]):
             along = slopes[k, c] * point[k, c]
             value -= along
             size += abs(along)
-            if c < forces.shape[1]:
+            if c < n:
                 slopes[k, c] -= forces[k, c]
+                if point.shape[1] == 9 and ahead > 0.0:  # no length is less along any way
+                    slopes[k, c] += length * point[k, c] / ahead
             square += slopes[k, c] ** 2
+        size += length
         if not square < np.inf:  # or no number
             return -np.inf
         if point.shape[1] == 9:
             rest -= least_over_orbitope(slopes[k], top_of(slopes[k]))
         else:
-            rest += np.sqrt(square)
-    return value + worth - rest - ROUNDING * len(point) * (size + cancelled + rest)
+            rest -= least_along(length - np.sqrt(square), 0.0, terms.floor[0])
+    value += worth + terms.lengths[0] * vector_size(start[2], n)
+    return value - rest - ROUNDING * len(point) * (size + cancelled + abs(rest))
 
 
 @compiled
@@ -209,15 +227,17 @@ def choices_bound(terms, start, goals, places, stated, tree, unit):
     """Return the least bound of all leaves; -inf where they are not all there is.
 
     Args:
-        terms: the problem; lengths have no weight in it.
+        terms: the problem.
         start: p_0, the disturbance, R_0 e1 and R_g e1, shape (5, n).
         goals: g_1..g_N less s_0, shape (N, n).
         places: where headings lead.
-        stated: the choices, the normals of a floor's faces, and what holds of all trajectories.
+        stated: the choices, the normals of a floor's faces, what holds of all trajectories, and
+            which steps can be told apart.
         tree: of the choices that were made.
         unit: of the multipliers, in that of the cost.
     """
-    (known, faces, always), count, number, least = stated, len(tree.splits), -1, np.inf
+    known, faces, always, symmetry = stated
+    count, number, least = len(tree.splits), -1, np.inf
     nodes = np.full(count, -1), np.full(count, -1)
     slopes, forces = np.empty(tree.points.shape[1:]), np.empty(goals.shape)
     normal = np.empty(goals.shape[1])
@@ -225,7 +245,7 @@ def choices_bound(terms, start, goals, places, stated, tree, unit):
         if t > 0 and nodes[1][t] < 0:
             return -np.inf
         if tree.splits[t] >= 0:
-            if not _complete(places, known, tree, nodes, t, faces, normal):
+            if not _complete(places, known, symmetry, tree, nodes, t, faces, normal):
                 return -np.inf
             continue
         number += 1

@@ -65,12 +65,7 @@ class Recount:
         pull = np.zeros(self._pulled)
         for grounds in (tangent(x, bends), Tangent(x, bends, pull, 0.0, bends, rest)):
             self.bound(here, rest, grounds, 1.0)  # compiles
-        sectors = problem.turns_are_angles and problem.widest_turn < HALF  # are no choices
-        if (
-            problem.obstacles
-            or (problem.max_rate and not sectors)
-            or (n == 3 and problem.floor.exists)
-        ):
+        if self._expects_trees:
             self.expect_choices()
 
     def expect_choices(self) -> None:
@@ -80,7 +75,8 @@ class Recount:
             return
         known, point = np.zeros(1, np.int64), np.zeros((1, problem.horizon, self._width))
         here = State.at(np.zeros(problem.dimension), np.eye(problem.dimension))
-        chords = max(0, problem.horizon - self._sides.always(here).begin)
+        always = self._sides.always(here, np.zeros(problem.dimension))
+        chords = max(0, problem.horizon - always.begin)
         tethers, none = np.zeros((1, chords, problem.dimension)), np.zeros(0, np.int64)
         leaf = known + LEAF, known, known, known, known, point, known > 0, known
         tree = ChoiceGrounds(*leaf, none, none, np.zeros(0), tethers)
@@ -89,9 +85,7 @@ class Recount:
     @staticmethod
     def reads(problem: Problem) -> bool:
         """Return whether bounds of a problem can be counted again."""
-        known = problem.floor.shape in FLOORS
-        flat = problem.dimension == 3 and problem.floor.shape == 'polygon'
-        return _width(problem) == 9 or (known and not flat)
+        return _width(problem) == 9 or problem.floor.shape in FLOORS
 
     def bound(
         self,
@@ -116,7 +110,9 @@ class Recount:
         known = self._terms, self._curvature, start, goals - state.position
         if isinstance(grounds, Tangent):
             return self._of_tangent(known, grounds, state.coasted is not None)
-        if self._width == 9 or self._problem.rotation_order == 2:
+        if (self._width == 9 or self._problem.rotation_order == 2) or (
+            self._problem.dimension == 3 and len(grounds.splits) > 1
+        ):
             return -np.inf  # of which nothing is split
         if not self._pulls(grounds):
             return -np.inf
@@ -167,9 +163,18 @@ class Recount:
         """Return whether half-spaces and turns, as known here, are all that is asked for."""
         problem, terms = self._problem, self._terms
         flat = problem.floor.shape != 'circle' and not problem.turns_are_angles
-        plain = terms.order == 1 and not (self._pulled or terms.lengths.any())
-        plain &= problem.floor.shape in FLOORS
+        plain = terms.order == 1 and problem.floor.shape in FLOORS
         return plain and (problem.dimension == 2 or flat)
+
+    @property
+    def _expects_trees(self) -> bool:
+        """Return whether trees of choices are to be counted though nothing moves."""
+        problem, floor = self._problem, self._problem.floor
+        sectors = problem.turns_are_angles and problem.widest_turn < HALF  # are no choices
+        faces = floor.shape == 'polygon' and (self._pulled or self._terms.lengths.any())
+        turned = problem.max_rate and not sectors
+        spatial = problem.dimension == 3 and floor.exists
+        return bool(problem.obstacles or turned or spatial or faces)
 
     def _of_choices(
         self, state: State, start: Array, goals: Array, tree: ChoiceGrounds, unit: float
@@ -178,14 +183,15 @@ class Recount:
         if not self._knows_trees:
             return -np.inf
         count, n = goals.shape
-        always, places = self._sides.always(state), self._sides.places(state)
+        always, places = self._sides.always(state, goals[-1]), self._sides.places(state)
         leaves, nodes, rows = len(tree.points), len(tree.splits), len(tree.presses)
         fits = tree.points.shape == (leaves, count, self._width) and nodes > 0
         fits &= tree.tethers.shape == (leaves, max(0, count - always.begin), n)
         wanted = [*[nodes] * 5, *[leaves] * 3, *[rows] * 3, leaves]
         if not (fits and list(map(len, tree)) == wanted):
             return -np.inf
-        stated = self._sides.alternatives(state, places), self._sides.faces, always
+        known = self._sides.alternatives(state, places)
+        stated = known, self._sides.faces, always, self._sides.symmetry(known, always)
         return float(choices_bound(self._terms, start, goals, places, stated, tree, unit))
 
     def _of_tangent(self, known: tuple, leaf: Tangent, coasting: bool) -> float:

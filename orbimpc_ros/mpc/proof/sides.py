@@ -69,8 +69,23 @@ class Always(NamedTuple):
     first: Array
 
 
+class Symmetry(NamedTuple):
+    """Which steps can be told apart, where a floor's faces are all that there is to choose.
+
+    Attributes:
+        ordered: the first steps that all else sees nothing of but the sum of their headings and
+            their lengths: to put them in the order of their faces changes no cost; 0 for none.
+        unseen: the step that nothing else sees; -1 for none.
+    """
+
+    ordered: int
+    unseen: int
+
+
 class Places(NamedTuple):
     """Where headings lead, lengths in units of what a step moves a vehicle at most.
+
+    Where an inertial vehicle has to arrive, p_N is the last of them, in such a unit a step.
 
     Attributes:
         maps: what R_1 e1..R_N e1 add to each place, shape (P, N).
@@ -112,12 +127,46 @@ class Sides:
         velocities = np.array(p) if problem.inertial else problem.forward * z + disturbance
         degree, ends = problem.translation.degree, np.array(s)
         within = controls(degree, problem.step, ends, velocities)
-        led = np.concatenate([ends[1:], within.reshape(-1, z.shape[1])]) / problem.length_unit
-        return np.concatenate([z[1:], led])
+        moved = [ends[1:], within.reshape(-1, z.shape[1])]
+        if self._arrivals > 1:
+            moved.append(problem.step * velocities[-1:])
+        return np.concatenate([z[1:], np.concatenate(moved) / problem.length_unit])
 
     # --- what always holds
 
-    def always(self, state: State) -> Always:
+    def always(self, state: State, goal: Array) -> Always:
+        """Return what an arrival asks for, and turn limits at rotation order 1.
+
+        Args:
+            state: where trajectories start.
+            goal: g_N less s_0, shape (n,).
+        """
+        known, (places, normals) = self._turned(state), self._arrived
+        if not len(places):
+            return known
+        target = np.zeros((self._arrivals, len(goal)))
+        target[0] = goal / self._problem.length_unit
+        offsets = (normals * target.repeat(2 * len(goal), axis=0)).sum(axis=1)
+        return known._replace(
+            places=np.concatenate([known.places, places]),
+            normals=np.concatenate([known.normals, normals]),
+            offsets=np.concatenate([known.offsets, offsets]),
+        )
+
+    @property
+    def _arrivals(self) -> int:
+        """Return how many places have to be somewhere: s_N, and p_N where there is inertia."""
+        return (1 + self._problem.inertial) * (self._problem.terminal == 'constraint')
+
+    @cached_property
+    def _arrived(self) -> tuple[np.ndarray, Array]:
+        """Return places and normals of half-spaces that leave but an arrival: up, down, by axis."""
+        n, ends = self._problem.dimension, (2 * self._problem.horizon - 1, len(self._maps) - 1)
+        outward = np.stack([np.eye(n), -np.eye(n)], axis=1).reshape(-1, n)
+        places = np.repeat(np.array(ends[: self._arrivals], np.int64), 2 * n)
+        return places, np.tile(outward, (self._arrivals, 1))
+
+    def _turned(self, state: State) -> Always:
         """Return what turn limits ask for, at rotation order 1."""
         problem, count = self._problem, self._problem.horizon
         ahead, first = state.attitude[:, 0], state.rotation[:, 0].copy()
@@ -149,6 +198,19 @@ class Sides:
         return Always(none.astype(np.int64), outward, none, chord, begin, none)
 
     # --- choices
+
+    def symmetry(self, known: Alternatives, always: Always) -> Symmetry:
+        """Return which steps can be told apart, given all that there is to hold them."""
+        count, terms = self._problem.horizon, self._terms
+        end = self._maps[2 * count - 1]
+        alone = len(known.kinds) == count and bool((known.kinds == FACES).all())
+        alone &= always.begin == count and bool((always.places == 2 * count - 1).all())
+        costly = terms.weights[:-1].any() or any(terms.turning) or terms.order > 1
+        alike = _are_equal(end[:-1]) and _are_equal(terms.lengths[1:-1])
+        if not alone or costly or self._problem.inertial or not alike:
+            return Symmetry(0, -1)
+        seen = end[-1] or terms.lengths[-1]
+        return Symmetry(count - 1, -1 if seen else count - 1)
 
     @cached_property
     def faces(self) -> Array:
@@ -242,6 +304,10 @@ class Sides:
         """Return how far apart headings get the places of a step, shape (N, m, m)."""
         maps = self._maps[2 * self._problem.horizon :].reshape(-1, self._most, self._maps.shape[1])
         return np.asarray(np.abs(maps[:, :, None] - maps[:, None]).sum(axis=-1))
+
+
+def _are_equal(numbers: Array) -> bool:
+    return bool((numbers == numbers[:1]).all())
 
 
 def _extents(box: Box, origin: Array) -> Array:

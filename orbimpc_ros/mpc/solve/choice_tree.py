@@ -20,7 +20,7 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Ball, Problem, State
 from orbimpc_ros.mpc.proof.grounds import ChoiceGrounds
 from orbimpc_ros.mpc.solve.branching import Branch
-from orbimpc_ros.mpc.solve.choice_nodes import ChoiceNodes, TreeLeaf
+from orbimpc_ros.mpc.solve.choice_nodes import ChoiceNodes, Press, TreeLeaf
 from orbimpc_ros.mpc.solve.passages import Passage
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.posed import Posed
@@ -62,10 +62,9 @@ class ChoiceTree:
             return False
         return isinstance(program, PlaceProgram) or (
             COMPILED
-            and not (plane and floor.exists)
             and problem.rotation_order == 1
-            and problem.terminal == 'penalty'
-            and problem.weights.length == problem.max_rate == 0.0
+            and problem.max_rate == 0.0
+            and not (problem.weights.length and not plane and _turns_have_weight(problem))
             and not problem.has_cones
             and not problem.approach.exists
         )
@@ -109,7 +108,14 @@ class ChoiceTree:
         for row, normal, size in zip(rows, found.normals, sizes, strict=True):
             if -1 - row >= steps:
                 tethers[-1 - row - steps] -= size * normal
+        presses += self._arrived(found.pull)
         return TreeLeaf(found.point, tuple(presses), tethers, empty)
+
+    def _arrived(self, pull: Array) -> list[Press]:
+        """Return an arrival's multipliers as those of the half-spaces that leave nothing else."""
+        first = self._always + self._edges
+        every = enumerate(pull.tolist())
+        return [(0, first + 2 * i + int(each > 0.0), abs(each)) for i, each in every if each]
 
     def _asked(self, t: int) -> list[tuple[int, int]]:
         """Return, of each half-space of a node's relaxation, who holds it, and which it is."""
@@ -169,6 +175,11 @@ class ChoiceTree:
                 cells = self._posed.alternatives[j].cells
                 sides[t] = next(i for i, each in enumerate(cells) if each is cell)
         return places
+
+
+def _turns_have_weight(problem: Problem) -> bool:
+    """Return whether the cost sees all of rotations, of which lengths leave no multipliers."""
+    return bool(problem.weights.input or problem.weights.attitude)
 
 
 def _arc(patch: Patch) -> tuple[int, int]:

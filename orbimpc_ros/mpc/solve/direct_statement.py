@@ -129,6 +129,13 @@ class DirectStatement:
         """Return the length of :meth:`values`."""
         return sum(map(len, self._known))
 
+    @property
+    def arrival(self) -> slice:
+        """Return which of :meth:`values` say where s_N has to be, and then p_N."""
+        kinds = 1 + self.problem.inertial
+        first = self.width + 3 * (kinds - 1)
+        return slice(first, first + 3 * kinds * (self.problem.terminal == 'constraint'))
+
     def values(self, state: State, goals: Array) -> Array:
         """Return what a state and goals g_1..g_N, shape (N, 3), put on right-hand sides."""
         problem, origins = self.problem, adrift(self.problem, state)

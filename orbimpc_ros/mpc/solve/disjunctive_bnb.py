@@ -114,9 +114,7 @@ class DisjunctiveSearch:
     def _tree(self, posed: Posed) -> ChoiceTree | None:
         """Return what notes the grounds of a search; None where they could not be counted."""
         told = ChoiceTree.tells(self.problem, posed.request.state, self.program)
-        if self._exchangeable or not told:
-            return None
-        return ChoiceTree(posed, self.program, self._inverse)
+        return ChoiceTree(posed, self.program, self._inverse) if told else None
 
     def _relaxed(self, request: Request) -> Found:
         """Return the optimum of the one relaxation that is all of the problem."""

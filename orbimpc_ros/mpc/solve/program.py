@@ -265,12 +265,14 @@ class Program:
         return Relaxation(self._statement.coordinates(x, self._request.state), bound)
 
     def _multipliers(self, answer: Any, scale: float) -> Multipliers:
-        sizes = scale * np.maximum(np.asarray(answer.z)[self._asked], 0.0)
+        z = scale * np.asarray(answer.z)
+        sizes, arrived = np.maximum(z[self._asked], 0.0), self._statement.arrival
+        pull = self._signs[arrived] * z[self._rows[arrived]]
         rows = np.flatnonzero(sizes)
         normals = np.zeros(
             (len(rows), self.problem.dimension)
         )  # of tangents, of which there are none
-        return Multipliers(np.asarray(answer.x)[self._columns], rows, normals, sizes[rows])
+        return Multipliers(np.asarray(answer.x)[self._columns], rows, normals, sizes[rows], pull)
 
     def _limits_of(self, speed: float, spin: float) -> Array:
         """Return the most that each column's variable can be, of a state's speed and spin."""

@@ -29,6 +29,8 @@ class Point(NamedTuple):
     row: Array
 
 
+NO_PULL = np.zeros(0)
+
 # What it is put on, a slot or a control point v, a unit normal and an offset: normal . v >= offset.
 Halfspace = tuple[int | Point, Array, float]
 
@@ -64,12 +66,14 @@ class Multipliers(NamedTuple):
             ball b; the first N balls hold R_1 e1..R_N e1, the others their chords, shape (S,).
         normals: of rows and tangents, shape (S, n).
         sizes: of the multipliers, >= 0, shape (S,).
+        pull: of s_N - g_N, and then of p_N, where a plan has to arrive, shape (m,).
     """
 
     point: Array
     rows: np.ndarray
     normals: Array
     sizes: Array
+    pull: Array = NO_PULL
 
 
 class Relaxed(Protocol):
