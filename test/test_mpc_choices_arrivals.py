@@ -15,10 +15,11 @@ from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.proof.choices import choices_bound
-from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds, Grounds, tangent
+from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds, Grounds, Tangent, tangent
 from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.proof.sides import Sides, Symmetry
 from orbimpc_ros.mpc.proof.slopes import terms_of
+from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.solver import Solver
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason='the search that leaves trees needs numba')
@@ -245,3 +246,34 @@ def test_faces_of_space_are_choices_over_thrust_axes():
     parts = np.array([1, *[0] * 6]), np.full(7, np.nan)
     parted = Grounds(np.array(split), *parts, points, bends, whole.origins)
     assert recount.bound(*case[1:], parted, 1.0) == -np.inf
+
+
+# --- round floors over SO(3), of whose patches nothing is told
+
+
+@pytest.mark.parametrize('number', [0, 2, 5, 7])
+def test_a_search_whose_root_is_as_good_leaves_its_tangent(number):
+    contest = next(each for each in CONTESTS if each.key == 'lander')
+    instance = contest.instances(contest.problem, 8)[number]
+    case = Case(contest.problem, instance.state, instance.goals)
+    plan = Solver(case.problem, gap_tolerance=contest.gap).solve(*case[1:])
+    assert plan.proof.nodes > 1
+    assert isinstance(plan.proof.grounds, Tangent)
+    assert plan.proof.checked
+    again = counted(case, plan)
+    assert (1.0 - 2e-5) * said(case) <= again <= plan.objective * (1.0 + 1e-7)
+
+
+def test_a_search_whose_root_is_not_as_good_is_the_methods_word():
+    fast = Floor('circle', fraction=0.6)
+    problem = Problem(dimension=3, horizon=2, floor=fast, weights=Weights(1.0, 0.5, 0.0, 2.0))
+    case = Case(problem, State.at(np.zeros(3), np.eye(3)), np.tile([0.6, 0.1, 0.0], (2, 1)))
+    solver = Solver(problem, gap_tolerance=5e-2)
+    plan, units = solver.solve(*case[1:]), solver._units
+    request = Request(units.state(case.state), units.lengths(case.goals))
+    root = solver._method.program.relax(request)
+    assert root.grounds is not None
+    assert units.cost * root.bound < 0.7 * plan.lower_bound
+    assert plan.proof.grounds is None
+    assert not plan.proof.checked
+    assert plan.gap < 5e-2

@@ -24,7 +24,7 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.traffic import Traffic, traffic_of
-from orbimpc_ros.mpc.proof.grounds import ChoiceGrounds
+from orbimpc_ros.mpc.proof.grounds import ChoiceGrounds, Left
 from orbimpc_ros.mpc.solve.branching import (
     Branch,
     Branching,
@@ -41,7 +41,7 @@ from orbimpc_ros.mpc.solve.incumbent import Incumbent, arrives, is_accurate
 from orbimpc_ros.mpc.solve.passages import Passages
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.posed import Choice, Missed, Posed
-from orbimpc_ros.mpc.solve.relaxation import Relaxed
+from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.request import Found, Request
 from orbimpc_ros.mpc.solve.scouting import Scout
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
@@ -177,7 +177,8 @@ class _Run:
         self, posed: Posed, branching: Branching, tolerance: float, tree: ChoiceTree | None
     ) -> None:
         self._posed, self._branching, self._tree = posed, branching, tree
-        self._best = Incumbent(posed, tolerance)
+        self._best, self._tolerance = Incumbent(posed, tolerance), tolerance
+        self._root: Relaxation | None = None
         self._dives = Dives(posed, self._best)
         self._guided = posed.passages is not None  # trajectories come from ways, not yet from dives
         self._closed = np.inf
@@ -203,13 +204,17 @@ class _Run:
         lower = min([self._closed, best.cost, *(node.bound for node in self._open)])
         if lower == np.inf:
             raise Infeasible('no trajectory satisfies the constraints: every branch is infeasible')
-        return Found(best.x, best.cost, lower, posed.solved, grounds=self._grounds())
+        return Found(best.x, best.cost, lower, posed.solved, grounds=self._grounds(lower))
 
-    def _grounds(self) -> ChoiceGrounds | None:
-        request = self._posed.request
-        if self._tree is None or not request.leaves_time_for(TELLING * self._tree.leaves):
+    def _grounds(self, lower: float) -> Left | None:
+        """Return what a bound rests on: the tree, or its root where that is as good."""
+        tree, root = self._tree, self._root
+        if tree is not None:
+            in_time = self._posed.request.leaves_time_for(TELLING * tree.leaves)
+            return tree.grounds() if in_time else None
+        if root is None or root.bound < lower - self._tolerance * abs(lower):
             return None
-        return self._tree.grounds()
+        return root.grounds
 
     @property
     def _limit(self) -> float:
@@ -231,6 +236,8 @@ class _Run:
                 raise
             self._note(node, empty=True)
             return
+        if self._root is None:
+            self._root = relaxed
         bound = max(node.bound, relaxed.bound)
         self._note(node, better=relaxed.bound >= node.bound)
         if relaxed.x is None:  # neither refuted nor solved
