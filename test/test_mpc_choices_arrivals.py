@@ -251,10 +251,10 @@ def test_faces_of_space_are_choices_over_thrust_axes():
 # --- round floors over SO(3), of whose patches nothing is told
 
 
-@pytest.mark.parametrize('number', [0, 2, 5, 7])
+@pytest.mark.parametrize('number', [0, 5, 7, 12])
 def test_a_search_whose_root_is_as_good_leaves_its_tangent(number):
     contest = next(each for each in CONTESTS if each.key == 'lander')
-    instance = contest.instances(contest.problem, 8)[number]
+    instance = contest.instances(contest.problem, 13)[number]
     case = Case(contest.problem, instance.state, instance.goals)
     plan = Solver(case.problem, gap_tolerance=contest.gap).solve(*case[1:])
     assert plan.proof.nodes > 1
