@@ -12,7 +12,7 @@ from counting import changed, counted, said, solved
 from orbimpc_ros.lab.bench.contests import CONTESTS
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
-from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Approach, Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.proof.choices import choices_bound
 from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds, Grounds, Tangent, tangent
@@ -124,7 +124,7 @@ def test_plans_arrive_in_all_half_spaces_of_an_arrival(kind, seed):
     case, plan = posed(kind, seed)
     sides = Sides(case.problem, terms_of(case.problem))
     places = sides.places(case.state)
-    always = sides.always(case.state, case.goals[-1] - case.state.position)
+    always = sides.always(case.state, case.goals)
     led = places.free + places.maps @ plan.rotations[1:, :, 0]
     assert len(always.places) == 4 * (1 + case.problem.inertial)
     past = np.einsum('ij,ij->i', led[always.places], always.normals) - always.offsets
@@ -141,7 +141,7 @@ def symmetry(problem, **state):
     here = State.at(np.zeros(2), np.eye(2), **state)
     sides = Sides(problem, terms_of(problem))
     known = sides.alternatives(here, sides.places(here))
-    return sides.symmetry(known, sides.always(here, np.zeros(2)))
+    return sides.symmetry(known, sides.always(here, np.zeros((problem.horizon, 2))))
 
 
 SHORTEST = Problem(horizon=6, floor=PENTAGON, **SHORT)
@@ -162,6 +162,7 @@ def test_steps_cannot_be_told_apart_where_nothing_does():
         {'max_rate': 0.5},
         {'translation_order': 2},
         {'rotation_order': 2},
+        {'approach': Approach(0.3, (1.0, 0.0))},
         {'floor': CIRCLE},
         {'floor': Floor('none')},
     ],

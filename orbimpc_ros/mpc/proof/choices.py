@@ -107,7 +107,9 @@ def _complete(places, known, symmetry, tree, nodes, t, faces, normal):
     """
     made, parents = nodes
     j, first, count = tree.splits[t], tree.parts[t], tree.counts[t]
-    if j >= len(known.kinds) or first <= t or count < 0 or first + count > len(made):
+    if j >= len(known.kinds) or (known.kinds[j] == ARCS and len(normal) != 2):
+        return False  # arcs are all there is in the plane alone
+    if first <= t or count < 0 or first + count > len(made):
         return False
     holder, level, begin = _holder(made, parents, t, j), 0, 0
     sides = _sides_of(known, j, faces)
@@ -162,6 +164,33 @@ def _tie(always, tethers, unit, forces):
 
 
 @compiled
+def _lean(places, cones, leans, unit, normal, forces):
+    """Add what multipliers of cones do to forces; return their worth, and what may cancel.
+
+    A vector that comes to less than nothing with some of its cone is raised along the axis a. One
+    that is y (a - cos(angle) u), |u| <= 1, comes to no less than -y e with what is eased by e.
+    """
+    worth, size, n = 0.0, 0.0, len(normal)
+    for i in range(len(leans)):
+        place, sine, along, offset = cones.places[i], cones.sines[i], 0.0, 0.0
+        for c in range(n):
+            normal[c] = unit * leans[i, c]
+            along += normal[c] * cones.axes[i, c]
+        length = vector_size(normal, n)
+        raised = max(0.0, sine * length - along) / (1.0 - sine) + ROUNDING * length
+        for c in range(n):
+            normal[c] += raised * cones.axes[i, c]
+            offset += normal[c] * cones.tips[i, c]
+        along, length = along + raised, vector_size(normal, n)
+        if cones.eased[i] > 0.0 and along > 0.0:
+            deep = np.sqrt(max(0.0, along * along - (sine * length) ** 2))
+            offset -= cones.eased[i] * length * length / (along + deep)
+        more, cancelled = _press(places, place, 1.0, normal, offset, forces)
+        worth, size = worth + more, size + cancelled + length
+    return worth, size
+
+
+@compiled
 def _held(places, known, always, tree, nodes, leaf, unit, faces, forces):
     """Set the forces of a leaf's multipliers; return their worth, and what may cancel.
 
@@ -170,6 +199,10 @@ def _held(places, known, always, tree, nodes, leaf, unit, faces, forces):
     (made, parents), (t, number), normal = nodes, leaf, np.empty(forces.shape[1])
     forces[:] = 0.0
     worth, size = _tie(always, tree.tethers[number], unit, forces)
+    if tree.leans.size:
+        leans = tree.leans[number]
+        more, cancelled = _lean(places, always.cones, leans, unit, normal, forces)
+        worth, size = worth + more, size + cancelled
     begin, end = tree.ends[number - 1] if number > 0 else 0, tree.ends[number]
     if not 0 <= begin <= end <= len(tree.presses):
         return np.nan, size

@@ -75,12 +75,12 @@ class Recount:
             return
         known, point = np.zeros(1, np.int64), np.zeros((1, problem.horizon, self._width))
         here = State.at(np.zeros(problem.dimension), np.eye(problem.dimension))
-        always = self._sides.always(here, np.zeros(problem.dimension))
-        chords = max(0, problem.horizon - always.begin)
+        goals = point[0, :, : problem.dimension]
+        chords = max(0, problem.horizon - self._sides.always(here, goals).begin)
         tethers, none = np.zeros((1, chords, problem.dimension)), np.zeros(0, np.int64)
         leaf = known + LEAF, known, known, known, known, point, known > 0, known
         tree = ChoiceGrounds(*leaf, none, none, np.zeros(0), tethers)
-        self.bound(here, point[0, :, : problem.dimension], tree, 1.0)
+        self.bound(here, goals, tree, 1.0)
 
     @staticmethod
     def reads(problem: Problem) -> bool:
@@ -106,7 +106,7 @@ class Recount:
         """
         start = self._begun(state)
         if isinstance(grounds, ChoiceGrounds):
-            return self._of_choices(state, start, goals - state.position, grounds, unit)
+            return self._of_choices(state, start, goals, grounds, unit)
         known = self._terms, self._curvature, start, goals - state.position
         if isinstance(grounds, Tangent):
             return self._of_tangent(known, grounds, state.coasted is not None)
@@ -162,9 +162,8 @@ class Recount:
     def _knows_trees(self) -> bool:
         """Return whether half-spaces and turns, as known here, are all that is asked for."""
         problem, terms = self._problem, self._terms
-        flat = problem.floor.shape != 'circle' and not problem.turns_are_angles
         plain = terms.order == 1 and problem.floor.shape in FLOORS
-        return plain and (problem.dimension == 2 or flat)
+        return plain and (problem.dimension == 2 or not problem.turns_are_angles)
 
     @property
     def _expects_trees(self) -> bool:
@@ -174,7 +173,8 @@ class Recount:
         faces = floor.shape == 'polygon' and (self._pulled or self._terms.lengths.any())
         turned = problem.max_rate and not sectors
         spatial = problem.dimension == 3 and floor.exists
-        return bool(problem.obstacles or turned or spatial or faces)
+        coned = problem.has_cones or problem.approach.exists
+        return bool(problem.obstacles or turned or spatial or faces or coned)
 
     def _of_choices(
         self, state: State, start: Array, goals: Array, tree: ChoiceGrounds, unit: float
@@ -183,16 +183,19 @@ class Recount:
         if not self._knows_trees:
             return -np.inf
         count, n = goals.shape
-        always, places = self._sides.always(state, goals[-1]), self._sides.places(state)
+        always, places = self._sides.always(state, goals), self._sides.places(state)
         leaves, nodes, rows = len(tree.points), len(tree.splits), len(tree.presses)
         fits = tree.points.shape == (leaves, count, self._width) and nodes > 0
         fits &= tree.tethers.shape == (leaves, max(0, count - always.begin), n)
+        if tree.leans.size:
+            fits &= tree.leans.shape == (leaves, len(always.cones.places), n)
         wanted = [*[nodes] * 5, *[leaves] * 3, *[rows] * 3, leaves]
-        if not (fits and list(map(len, tree)) == wanted):
+        if not (fits and list(map(len, tree[:-1])) == wanted):
             return -np.inf
         known = self._sides.alternatives(state, places)
         stated = known, self._sides.faces, always, self._sides.symmetry(known, always)
-        return float(choices_bound(self._terms, start, goals, places, stated, tree, unit))
+        away = goals - state.position
+        return float(choices_bound(self._terms, start, away, places, stated, tree, unit))
 
     def _of_tangent(self, known: tuple, leaf: Tangent, coasting: bool) -> float:
         """Return what a tangent proves; its numbers are in the problem's own units."""

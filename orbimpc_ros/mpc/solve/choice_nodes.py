@@ -15,6 +15,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds
+from orbimpc_ros.mpc.solve.relaxation import NO_CONES
 
 Press = tuple[int, int, float]  # the node that holds a row, which of its rows, its multiplier
 
@@ -27,12 +28,14 @@ class TreeLeaf(NamedTuple):
         presses: what holds there.
         tethers: see :class:`orbimpc_ros.mpc.proof.grounds.ChoiceGrounds`.
         empty: whether what holds proves that nothing is there.
+        leans: see there.
     """
 
     point: Array
     presses: tuple[Press, ...]
     tethers: Array
     empty: bool = False
+    leans: Array = NO_CONES
 
     def raised(self, press: Press, move: Array, normal: Array) -> TreeLeaf:
         """Return a tangent a step on along a row, by a multiplier of it.
@@ -98,4 +101,5 @@ class ChoiceNodes:
             np.array(rows, np.int64),
             np.array(sizes, float),
             np.array([leaf.tethers for leaf in leaves]),
+            np.array([leaf.leans for leaf in leaves]),
         )

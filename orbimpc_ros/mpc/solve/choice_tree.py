@@ -55,18 +55,21 @@ class ChoiceTree:
     @staticmethod
     def tells(problem: Problem, state: State, program: Relaxed) -> bool:
         """Return whether multipliers of a program's half-spaces are all that its bounds rest on."""
-        plane, floor = problem.dimension == 2, problem.floor
         bodies = [*problem.obstacles, *(each.body for each in state.hazards)]
         balls = any(isinstance(each, Ball) for each in bodies)
-        if not plane and (balls or floor.shape == 'circle'):  # patches of a sphere are not arcs
-            return False
+        # Patches of a sphere are not arcs.
+        patches = problem.dimension == 3 and (balls or problem.floor.shape == 'circle')
+        return not patches and ChoiceTree.tells_relaxations(problem, program)
+
+    @staticmethod
+    def tells_relaxations(problem: Problem, program: Relaxed) -> bool:
+        """Return whether that is so where nothing is chosen."""
         return isinstance(program, PlaceProgram) or (
             COMPILED
             and problem.rotation_order == 1
             and problem.max_rate == 0.0
-            and not (problem.weights.length and not plane and _turns_have_weight(problem))
-            and not problem.has_cones
-            and not problem.approach.exists
+            and not (problem.weights.length and _turns_in_space_have_weight(problem))
+            and not (problem.has_cones and problem.approach.exists)
         )
 
     def solved(self, t: int, *, better: bool = True, empty: bool = False) -> None:
@@ -109,7 +112,9 @@ class ChoiceTree:
             if -1 - row >= steps:
                 tethers[-1 - row - steps] -= size * normal
         presses += self._arrived(found.pull)
-        return TreeLeaf(found.point, tuple(presses), tethers, empty)
+        first = self._always + self._edges + 2 * len(found.pull)
+        presses += [(0, first + i, each) for i, each in enumerate(found.props.tolist()) if each]
+        return TreeLeaf(found.point, tuple(presses), tethers, empty, found.leans)
 
     def _arrived(self, pull: Array) -> list[Press]:
         """Return an arrival's multipliers as those of the half-spaces that leave nothing else."""
@@ -177,9 +182,10 @@ class ChoiceTree:
         return places
 
 
-def _turns_have_weight(problem: Problem) -> bool:
+def _turns_in_space_have_weight(problem: Problem) -> bool:
     """Return whether the cost sees all of rotations, of which lengths leave no multipliers."""
-    return bool(problem.weights.input or problem.weights.attitude)
+    turning = problem.weights.input or problem.weights.attitude
+    return problem.dimension == 3 and bool(turning)
 
 
 def _arc(patch: Patch) -> tuple[int, int]:

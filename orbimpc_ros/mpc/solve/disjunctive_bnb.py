@@ -108,12 +108,13 @@ class DisjunctiveSearch:
         if passages is not None:
             curvature += passages.curvatures(self._inverse)
         branching = Branching(posed, curvature, self._exchangeable)
-        run = _Run(posed, branching, self.tolerance, self._tree(posed))
+        whole = ChoiceTree.tells(self.problem, request.state, self.program)
+        run = _Run(posed, branching, self.tolerance, self._tree(posed), whole=whole)
         return run.run(() if traffic is None else self._ways(request, traffic))
 
     def _tree(self, posed: Posed) -> ChoiceTree | None:
-        """Return what notes the grounds of a search; None where they could not be counted."""
-        told = ChoiceTree.tells(self.problem, posed.request.state, self.program)
+        """Return what notes the grounds of a search; None where not even its root's are known."""
+        told = ChoiceTree.tells_relaxations(self.problem, self.program)
         return ChoiceTree(posed, self.program, self._inverse) if told else None
 
     def _relaxed(self, request: Request) -> Found:
@@ -171,12 +172,28 @@ class _Node:
 
 
 class _Run:
-    """One search: the open nodes, the best trajectory, the least bound given up."""
+    """One search: the open nodes, the best trajectory, the least bound given up.
+
+    Args:
+        posed: what is searched.
+        branching: how nodes are branched on.
+        tolerance: relative gap at which it stops.
+        tree: notes what bounds rest on.
+        whole: whether it does of all nodes, not just of the root.
+    """
 
     def __init__(
-        self, posed: Posed, branching: Branching, tolerance: float, tree: ChoiceTree | None
+        self,
+        posed: Posed,
+        branching: Branching,
+        tolerance: float,
+        tree: ChoiceTree | None,
+        *,
+        whole: bool,
     ) -> None:
-        self._posed, self._branching, self._tree = posed, branching, tree
+        self._posed, self._branching = posed, branching
+        self._tree: ChoiceTree | None = tree if whole else None
+        self._stump: ChoiceTree | None = None if whole else tree
         self._best, self._tolerance = Incumbent(posed, tolerance), tolerance
         self._root: Relaxation | None = None
         self._dives = Dives(posed, self._best)
@@ -237,7 +254,7 @@ class _Run:
             self._note(node, empty=True)
             return
         if self._root is None:
-            self._root = relaxed
+            self._root = self._rooted(relaxed)
         bound = max(node.bound, relaxed.bound)
         self._note(node, better=relaxed.bound >= node.bound)
         if relaxed.x is None:  # neither refuted nor solved
@@ -258,6 +275,13 @@ class _Run:
             self._close(bound)
             return
         self._part(node, branch)
+
+    def _rooted(self, relaxed: Relaxation) -> Relaxation:
+        """Return the root's relaxation with what it rests on, where no tree tells that."""
+        if self._stump is None or relaxed.grounds is not None:
+            return relaxed
+        self._stump.solved(0)
+        return replace(relaxed, grounds=self._stump.grounds())
 
     def _note(self, node: _Node, *, better: bool = True, empty: bool = False) -> None:
         if self._tree is not None:
