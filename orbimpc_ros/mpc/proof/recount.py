@@ -74,7 +74,8 @@ class Recount:
         if not self._knows_trees:
             return
         known, point = np.zeros(1, np.int64), np.zeros((1, problem.horizon, self._width))
-        here = State.at(np.zeros(problem.dimension), np.eye(problem.dimension))
+        still = np.eye(problem.dimension)
+        here = State.at(np.zeros(problem.dimension), still, wanted=still)
         goals = point[0, :, : problem.dimension]
         chords = max(0, problem.horizon - self._sides.always(here, goals).begin)
         tethers, none = np.zeros((1, chords, problem.dimension)), np.zeros(0, np.int64)
