@@ -13,11 +13,8 @@ from typing import Any
 import numpy as np
 import problems
 
-from orbimpc_ros.mpc.errors import Infeasible
-from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
-from orbimpc_ros.mpc.solve.solver import Solver
 
 ARRIVES = {'terminal': 'constraint'}
 KINDS: dict[str, dict[str, Any]] = {
@@ -134,18 +131,6 @@ def case(kind: str, rng: np.random.Generator, longest: int = 7) -> Case:
     moving = zip(every[:hazards], drift, strict=True)
     state = replace(state, hazards=tuple(itertools.starmap(Hazard.drifting, moving)))
     return Case(problem, state, np.tile(target, (horizon, 1)))
-
-
-def solved(kind: str, seed: int, **changes: Any) -> tuple[Case, Plan]:
-    """Return the first of a seed's problems that has a plan, with it."""
-    rng = np.random.default_rng([seed, *kind.encode()])
-    while True:
-        found = case(kind, rng, longest=6)
-        found = found._replace(problem=replace(found.problem, **changes))
-        try:
-            return found, Solver(found.problem).solve(found.state, found.goals)
-        except Infeasible:  # a body where the state already leads
-            continue
 
 
 def _box(rng: np.random.Generator, begin: np.ndarray, end: np.ndarray) -> Box:

@@ -7,7 +7,7 @@ import json
 import certified
 import numpy as np
 import pytest
-from certified import solved
+from counting import solved
 
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.plan import Proof

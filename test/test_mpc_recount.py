@@ -307,8 +307,8 @@ def test_a_bound_beyond_its_grounds_is_lowered_to_what_they_prove(excess):
 
 
 def test_a_bound_that_is_the_methods_word_says_so_in_a_word_for_messages():
-    goal = np.tile([1.0, 2.0, 3.0], (4, 1))
-    problem = Problem(dimension=3, horizon=4, floor=Floor('circle', fraction=0.5))
-    proof = Solver(problem).solve(State.at(np.zeros(3), np.eye(3)), goal).proof
+    goal, orders = np.tile([1.0, 2.0], (4, 1)), {'rotation_order': 2, 'translation_order': 2}
+    problem = Problem(horizon=4, floor=Floor('polygon', faces=4, fraction=0.5), **orders)
+    proof = Solver(problem).solve(State.at(np.zeros(2), np.eye(2)), goal).proof
     assert proof.lower_bound > 0.0
     assert proof.checked is False

@@ -110,7 +110,7 @@ class ChoiceWords:
         scaled = units.problem, units.state(state), units.lengths(goals)
         self._hessians, self._q = quadratic(*scaled, grounds.points.shape[2])
         sides = Sides(problem, terms_of(problem))
-        self._places, self._always = sides.places(state), sides.always(state)
+        self._places, self._always = sides.places(state), sides.always(state, goals)
         self._choices, self._faces = sides.alternatives(state, self._places), sides.faces
         self._words = list(self._called(state))
         self._numbers = np.cumsum(grounds.splits == LEAF) - 1  # of leaves
@@ -130,8 +130,10 @@ class ChoiceWords:
 
     @property
     def _has_words(self) -> bool:
-        """Return whether there are words for all that is split."""
+        """Return whether there are words for all that is split, and for what cones hold."""
         problem = self._problem
+        if problem.weights.length or self._grounds.leans.any():
+            return False
         if problem.dimension == 3:
             return not problem.floor.exists
         return not (self.origins is not None and problem.max_rate)  # from the attitude on

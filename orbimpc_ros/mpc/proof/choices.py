@@ -14,8 +14,8 @@ import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.proof.sides import ARCS, FACES, SIDES
-from orbimpc_ros.mpc.proof.slopes import ROUNDING, set_slopes
-from orbimpc_ros.mpc.proof.tangents import least_over_orbitope, top_of
+from orbimpc_ros.mpc.proof.slopes import ROUNDING, least_along, set_slopes
+from orbimpc_ros.mpc.proof.tangents import least_over_orbitope, top_of, vector_size
 
 QUARTERS = 4  # of a circle, that arcs begin with
 DEEPEST = 40  # halvings of them
@@ -88,14 +88,28 @@ def _holder(made, parents, t, j):
 
 
 @compiled
-def _complete(places, known, tree, nodes, t, faces, normal):
+def _first_in_order(made, parents, tree, ordered, t, j):
+    """Return the first face of a step that is in order with those of the steps before it."""
+    least = 0
+    while t > 0:
+        if j < ordered and made[t] < j:
+            least = max(least, tree.sides[t])
+        t = parents[t]
+    return least
+
+
+@compiled
+def _complete(places, known, symmetry, tree, nodes, t, faces, normal):
     """Note the parts of a node; return whether they are all that can be reached of it.
 
-    Nodes that are counted among them beyond that stay parts of none.
+    Nodes that are counted among them beyond that stay parts of none. What is out of order, or one
+    of the faces of a step that nothing sees, may be left out: there is a trajectory as cheap.
     """
     made, parents = nodes
     j, first, count = tree.splits[t], tree.parts[t], tree.counts[t]
-    if j >= len(known.kinds) or first <= t or count < 0 or first + count > len(made):
+    if j >= len(known.kinds) or (known.kinds[j] == ARCS and len(normal) != 2):
+        return False  # arcs are all there is in the plane alone
+    if first <= t or count < 0 or first + count > len(made):
         return False
     holder, level, begin = _holder(made, parents, t, j), 0, 0
     sides = _sides_of(known, j, faces)
@@ -103,13 +117,15 @@ def _complete(places, known, tree, nodes, t, faces, normal):
         if known.kinds[j] != ARCS or tree.levels[holder] >= DEEPEST:
             return False
         level, begin, sides = tree.levels[holder] + 1, 2 * tree.sides[holder], 2
-    part = first
+    part, least = first, _first_in_order(made, parents, tree, symmetry.ordered, t, j)
     for side in range(begin, begin + sides):
         if part < first + count and tree.sides[part] == side and tree.levels[part] == level:
             if parents[part] >= 0:
                 return False
             made[part], parents[part] = j, t
             part += 1
+        elif side < least or (side > 0 and j == symmetry.unseen):
+            continue
         elif not _out_of_reach(places, known, j, (level, side), faces, normal):
             return False
     return True
@@ -148,6 +164,33 @@ def _tie(always, tethers, unit, forces):
 
 
 @compiled
+def _lean(places, cones, leans, unit, normal, forces):
+    """Add what multipliers of cones do to forces; return their worth, and what may cancel.
+
+    A vector that comes to less than nothing with some of its cone is raised along the axis a. One
+    that is y (a - cos(angle) u), |u| <= 1, comes to no less than -y e with what is eased by e.
+    """
+    worth, size, n = 0.0, 0.0, len(normal)
+    for i in range(len(leans)):
+        place, sine, along, offset = cones.places[i], cones.sines[i], 0.0, 0.0
+        for c in range(n):
+            normal[c] = unit * leans[i, c]
+            along += normal[c] * cones.axes[i, c]
+        length = vector_size(normal, n)
+        raised = max(0.0, sine * length - along) / (1.0 - sine) + ROUNDING * length
+        for c in range(n):
+            normal[c] += raised * cones.axes[i, c]
+            offset += normal[c] * cones.tips[i, c]
+        along, length = along + raised, vector_size(normal, n)
+        if cones.eased[i] > 0.0 and along > 0.0:
+            deep = np.sqrt(max(0.0, along * along - (sine * length) ** 2))
+            offset -= cones.eased[i] * length * length / (along + deep)
+        more, cancelled = _press(places, place, 1.0, normal, offset, forces)
+        worth, size = worth + more, size + cancelled + length
+    return worth, size
+
+
+@compiled
 def _held(places, known, always, tree, nodes, leaf, unit, faces, forces):
     """Set the forces of a leaf's multipliers; return their worth, and what may cancel.
 
@@ -156,6 +199,10 @@ def _held(places, known, always, tree, nodes, leaf, unit, faces, forces):
     (made, parents), (t, number), normal = nodes, leaf, np.empty(forces.shape[1])
     forces[:] = 0.0
     worth, size = _tie(always, tree.tethers[number], unit, forces)
+    if tree.leans.size:
+        leans = tree.leans[number]
+        more, cancelled = _lean(places, always.cones, leans, unit, normal, forces)
+        worth, size = worth + more, size + cancelled
     begin, end = tree.ends[number - 1] if number > 0 else 0, tree.ends[number]
     if not 0 <= begin <= end <= len(tree.presses):
         return np.nan, size
@@ -184,22 +231,28 @@ def _held(places, known, always, tree, nodes, leaf, unit, faces, forces):
 @compiled
 def _leaf_bound(terms, start, goals, point, forces, held, slopes, enough):
     """Return what a leaf's tangent proves; over SO(3) as much of it as is enough, step by step."""
-    (worth, cancelled), arrival, rest = held, np.zeros(0), 0.0
+    (worth, cancelled), arrival, rest, n = held, np.zeros(0), 0.0, forces.shape[1]
     value, size = set_slopes(terms, start, goals, (arrival, 0.0), point, slopes)
     for k in range(len(point)):
-        square = 0.0
+        square, length, ahead = 0.0, terms.lengths[k + 1], vector_size(point[k], n)
         for c in range(point.shape[1]):
             along = slopes[k, c] * point[k, c]
             value -= along
             size += abs(along)
-            if c < forces.shape[1]:
+            if c < n:
                 slopes[k, c] -= forces[k, c]
+                if point.shape[1] == 9 and ahead > 0.0:  # no length is less along any way
+                    slopes[k, c] += length * point[k, c] / ahead
             square += slopes[k, c] ** 2
+        size += length
         if not square < np.inf:  # or no number
             return -np.inf
-        rest += _by_columns(slopes[k]) if point.shape[1] == 9 else np.sqrt(square)
-    slack = ROUNDING * len(point) * (size + cancelled + rest)
-    bound = value + worth - rest - slack
+        if point.shape[1] == 9:
+            rest += _by_columns(slopes[k])
+        else:
+            rest -= least_along(length - np.sqrt(square), 0.0, terms.floor[0])
+    value += worth + terms.lengths[0] * vector_size(start[2], n)
+    bound = value - rest - ROUNDING * len(point) * (size + cancelled + abs(rest))
     for k in range(len(point) if point.shape[1] == 9 else 0):
         if bound >= enough:
             break
@@ -221,16 +274,18 @@ def choices_bound(terms, start, goals, places, stated, tree, unit, enough):
     """Return the least bound of all leaves; -inf where they are not all there is.
 
     Args:
-        terms: the problem; lengths have no weight in it.
+        terms: the problem.
         start: p_0, the disturbance, R_0 e1 and R_g e1, shape (5, n).
         goals: g_1..g_N less s_0, shape (N, n).
         places: where headings lead.
-        stated: the choices, the normals of a floor's faces, and what holds of all trajectories.
+        stated: the choices, the normals of a floor's faces, what holds of all trajectories, and
+            which steps can be told apart.
         tree: of the choices that were made.
         unit: of the multipliers, in that of the cost.
         enough: a bound beyond which nothing has to be counted.
     """
-    (known, faces, always), count, number, least = stated, len(tree.splits), -1, np.inf
+    known, faces, always, symmetry = stated
+    count, number, least = len(tree.splits), -1, np.inf
     nodes = np.full(count, -1), np.full(count, -1)
     slopes, forces = np.empty(tree.points.shape[1:]), np.empty(goals.shape)
     normal = np.empty(goals.shape[1])
@@ -238,7 +293,7 @@ def choices_bound(terms, start, goals, places, stated, tree, unit, enough):
         if t > 0 and nodes[1][t] < 0:
             return -np.inf
         if tree.splits[t] >= 0:
-            if not _complete(places, known, tree, nodes, t, faces, normal):
+            if not _complete(places, known, symmetry, tree, nodes, t, faces, normal):
                 return -np.inf
             continue
         number += 1

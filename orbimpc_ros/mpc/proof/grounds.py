@@ -14,6 +14,7 @@ from orbimpc_ros.mpc.arrays import Array
 
 LEAF = -1  # in the place of the step that a node is split by
 NO_PULLS, NO_STIFFNESS = np.zeros((0, 0)), np.zeros(0)
+NO_LEANS = np.zeros((0, 0, 0))
 
 
 class Grounds(NamedTuple):
@@ -67,6 +68,8 @@ class ChoiceGrounds(NamedTuple):
         rows: which of its rows, shape (E,).
         presses: their multipliers, >= 0, shape (E,).
         tethers: multipliers of how far R e1 moves in a step, shape (L, K, n).
+        leans: multipliers of what lies in cones, vectors that come to no less than nothing with
+            all of a cone, shape (L, C, n).
     """
 
     splits: np.ndarray
@@ -81,6 +84,7 @@ class ChoiceGrounds(NamedTuple):
     rows: np.ndarray
     presses: Array
     tethers: Array
+    leans: Array = NO_LEANS
 
 
 class Tangent(NamedTuple):

@@ -65,12 +65,7 @@ class Recount:
         pull = np.zeros(self._pulled)
         for grounds in (tangent(x, bends), Tangent(x, bends, pull, 0.0, bends, rest)):
             self.bound(here, rest, grounds, 1.0)  # compiles
-        sectors = problem.turns_are_angles and problem.widest_turn < HALF  # are no choices
-        if (
-            problem.obstacles
-            or (problem.max_rate and not sectors)
-            or (n == 3 and problem.floor.exists)
-        ):
+        if self._expects_trees:
             self.expect_choices()
 
     def expect_choices(self) -> None:
@@ -79,19 +74,19 @@ class Recount:
         if not self._knows_trees:
             return
         known, point = np.zeros(1, np.int64), np.zeros((1, problem.horizon, self._width))
-        here = State.at(np.zeros(problem.dimension), np.eye(problem.dimension))
-        chords = max(0, problem.horizon - self._sides.always(here).begin)
+        still = np.eye(problem.dimension)
+        here = State.at(np.zeros(problem.dimension), still, wanted=still)
+        goals = point[0, :, : problem.dimension]
+        chords = max(0, problem.horizon - self._sides.always(here, goals).begin)
         tethers, none = np.zeros((1, chords, problem.dimension)), np.zeros(0, np.int64)
         leaf = known + LEAF, known, known, known, known, point, known > 0, known
         tree = ChoiceGrounds(*leaf, none, none, np.zeros(0), tethers)
-        self.bound(here, point[0, :, : problem.dimension], tree, 1.0)
+        self.bound(here, goals, tree, 1.0)
 
     @staticmethod
     def reads(problem: Problem) -> bool:
         """Return whether bounds of a problem can be counted again."""
-        known = problem.floor.shape in FLOORS
-        flat = problem.dimension == 3 and problem.floor.shape == 'polygon'
-        return _width(problem) == 9 or (known and not flat)
+        return _width(problem) == 9 or problem.floor.shape in FLOORS
 
     def bound(
         self,
@@ -112,12 +107,13 @@ class Recount:
         """
         start = self._begun(state)
         if isinstance(grounds, ChoiceGrounds):
-            away = goals - state.position
-            return self._of_choices(state, start, away, grounds, (unit, enough))
+            return self._of_choices(state, start, goals, grounds, (unit, enough))
         known = self._terms, self._curvature, start, goals - state.position
         if isinstance(grounds, Tangent):
             return self._of_tangent(known, grounds, state.coasted is not None)
-        if self._width == 9 or self._problem.rotation_order == 2:
+        if (self._width == 9 or self._problem.rotation_order == 2) or (
+            self._problem.dimension == 3 and len(grounds.splits) > 1
+        ):
             return -np.inf  # of which nothing is split
         if not self._pulls(grounds):
             return -np.inf
@@ -167,10 +163,19 @@ class Recount:
     def _knows_trees(self) -> bool:
         """Return whether half-spaces and turns, as known here, are all that is asked for."""
         problem, terms = self._problem, self._terms
-        flat = problem.floor.shape != 'circle' and not problem.turns_are_angles
-        plain = terms.order == 1 and not (self._pulled or terms.lengths.any())
-        plain &= problem.floor.shape in FLOORS
-        return plain and (problem.dimension == 2 or flat)
+        plain = terms.order == 1 and problem.floor.shape in FLOORS
+        return plain and (problem.dimension == 2 or not problem.turns_are_angles)
+
+    @property
+    def _expects_trees(self) -> bool:
+        """Return whether trees of choices are to be counted though nothing moves."""
+        problem, floor = self._problem, self._problem.floor
+        sectors = problem.turns_are_angles and problem.widest_turn < HALF  # are no choices
+        faces = floor.shape == 'polygon' and (self._pulled or self._terms.lengths.any())
+        turned = problem.max_rate and not sectors
+        spatial = problem.dimension == 3 and floor.exists
+        coned = problem.has_cones or problem.approach.exists
+        return bool(problem.obstacles or turned or spatial or faces or coned)
 
     def _of_choices(
         self, state: State, start: Array, goals: Array, tree: ChoiceGrounds, asked: tuple
@@ -179,18 +184,21 @@ class Recount:
         if not self._knows_trees:
             return -np.inf
         count, n = goals.shape
-        always, places = self._sides.always(state), self._sides.places(state)
+        always, places = self._sides.always(state, goals), self._sides.places(state)
         leaves, nodes, rows = len(tree.points), len(tree.splits), len(tree.presses)
         fits = tree.points.shape == (leaves, count, self._width) and nodes > 0
         fits &= tree.tethers.shape == (leaves, max(0, count - always.begin), n)
+        if tree.leans.size:
+            fits &= tree.leans.shape == (leaves, len(always.cones.places), n)
         wanted = [*[nodes] * 5, *[leaves] * 3, *[rows] * 3, leaves]
-        if not (fits and list(map(len, tree)) == wanted):
+        if not (fits and list(map(len, tree[:-1])) == wanted):
             return -np.inf
         known = self._sides.standing  # of which a tree without splits has no use
         if nodes > 1:
             known = self._sides.alternatives(state, places)
-        stated = known, self._sides.faces, always
-        return float(choices_bound(self._terms, start, goals, places, stated, tree, *asked))
+        stated = known, self._sides.faces, always, self._sides.symmetry(known, always)
+        away = goals - state.position
+        return float(choices_bound(self._terms, start, away, places, stated, tree, *asked))
 
     def _of_tangent(self, known: tuple, leaf: Tangent, coasting: bool) -> float:
         """Return what a tangent proves; its numbers are in the problem's own units."""

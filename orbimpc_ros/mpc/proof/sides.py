@@ -21,10 +21,13 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.model.motion import controls
 from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
+from orbimpc_ros.mpc.problem.cones import Relief, relief
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.slopes import CostTerms
 
 FACES, ARCS, SIDES = range(3)  # what kinds of sides a choice has
+
+Rows = tuple[np.ndarray, Array, Array]  # places, normals and offsets of half-spaces
 
 
 class Alternatives(NamedTuple):
@@ -49,8 +52,30 @@ class Alternatives(NamedTuple):
     extents: Array
 
 
+class Cones(NamedTuple):
+    """What holds of all trajectories: places no farther from an axis than an angle, below 90 deg.
+
+    With p from the tip, and a the axis, cos(angle) |p| - a . p <= e; that is 0 unless it is eased.
+
+    Attributes:
+        places: shape (C,).
+        axes: unit vectors, shape (C, n).
+        sines: of the angles, shape (C,).
+        tips: shape (C, n).
+        eased: e, shape (C,).
+    """
+
+    places: np.ndarray
+    axes: Array
+    sines: Array
+    tips: Array
+    eased: Array
+
+
 class Always(NamedTuple):
-    """What holds of all trajectories: half-spaces of places, and turns.
+    """What holds of all trajectories: half-spaces of places, turns, and cones.
+
+    Half-spaces are those of turns, of an arrival, and what cones are beyond at least.
 
     Attributes:
         places: shape (R,).
@@ -59,6 +84,7 @@ class Always(NamedTuple):
         chord: how far R e1 moves in a step at most.
         begin: the first of the steps 0..N-1 of which that is so; N where turns are not limited.
         first: R_0 e1, shape (n,).
+        cones: of the tilt, the glide slope, and the approach.
     """
 
     places: np.ndarray
@@ -67,10 +93,26 @@ class Always(NamedTuple):
     chord: float
     begin: int
     first: Array
+    cones: Cones
+
+
+class Symmetry(NamedTuple):
+    """Which steps can be told apart, where a floor's faces are all that there is to choose.
+
+    Attributes:
+        ordered: the first steps that all else sees nothing of but the sum of their headings and
+            their lengths: to put them in the order of their faces changes no cost; 0 for none.
+        unseen: the step that nothing else sees; -1 for none.
+    """
+
+    ordered: int
+    unseen: int
 
 
 class Places(NamedTuple):
     """Where headings lead, lengths in units of what a step moves a vehicle at most.
+
+    Where an inertial vehicle has to arrive, p_N is the last of them, in such a unit a step.
 
     Attributes:
         maps: what R_1 e1..R_N e1 add to each place, shape (P, N).
@@ -112,12 +154,91 @@ class Sides:
         velocities = np.array(p) if problem.inertial else problem.forward * z + disturbance
         degree, ends = problem.translation.degree, np.array(s)
         within = controls(degree, problem.step, ends, velocities)
-        led = np.concatenate([ends[1:], within.reshape(-1, z.shape[1])]) / problem.length_unit
-        return np.concatenate([z[1:], led])
+        moved = [ends[1:], within.reshape(-1, z.shape[1])]
+        if self._arrivals > 1:
+            moved.append(problem.step * velocities[-1:])
+        return np.concatenate([z[1:], np.concatenate(moved) / problem.length_unit])
 
     # --- what always holds
 
-    def always(self, state: State) -> Always:
+    def always(self, state: State, goals: Array) -> Always:
+        """Return what turn limits ask for, at rotation order 1, an arrival, and cones.
+
+        Args:
+            state: where trajectories start.
+            goals: g_1..g_N, shape (N, n) [m].
+        """
+        known = self._turned(state)
+        if not (self._arrivals or self._has_cones):
+            return known
+        away = (goals - state.position) / self._problem.length_unit
+        eased = relief(self._problem, state, goals) if self._problem.has_cones else None
+        more = self._arrived(away[-1]), *self._thrust(state, eased)
+        places, normals, offsets = map(np.concatenate, zip(known[:3], *more, strict=True))
+        cones = self._cones(state, away, eased)
+        return known._replace(places=places, normals=normals, offsets=offsets, cones=cones)
+
+    @property
+    def _has_cones(self) -> bool:
+        return self._problem.has_cones or self._problem.approach.exists
+
+    @property
+    def _arrivals(self) -> int:
+        """Return how many places have to be somewhere: s_N, and p_N where there is inertia."""
+        return (1 + self._problem.inertial) * (self._problem.terminal == 'constraint')
+
+    def _arrived(self, goal: Array) -> Rows:
+        """Return the half-spaces that leave but an arrival: up, down, by axis.
+
+        Args:
+            goal: g_N less s_0, shape (n,).
+        """
+        n, ends = len(goal), (2 * self._problem.horizon - 1, len(self._maps) - 1)
+        outward = np.stack([np.eye(n), -np.eye(n)], axis=1).reshape(-1, n)
+        places = np.repeat(np.array(ends[: self._arrivals], np.int64), 2 * n)
+        offsets = np.zeros(len(places))
+        offsets[: 2 * n] = (outward @ goal)[: len(offsets)]
+        return places, np.tile(outward, (self._arrivals, 1)), offsets
+
+    def _thrust(self, state: State, eased: Relief | None) -> list[Rows]:
+        """Return how far along the axes of cones headings are, which have a least size."""
+        problem, steps = self._problem, np.arange(self._problem.horizon)
+        found: list[Rows] = []
+        least, n = problem.floor.clearance(problem.dimension), problem.dimension
+        if eased is not None and problem.tilt and least:
+            up = np.repeat(np.eye(n)[-1:], len(steps), axis=0)
+            found.append((steps, up, math.cos(problem.tilt) * least - eased.tilt))
+        if problem.approach.exists:
+            axis = problem.approach.axis(state)[None]
+            least = math.cos(problem.approach.cone) * problem.least_heading
+            found.append((steps[-1:], axis, np.array([least])))
+        return found
+
+    def _cones(self, state: State, away: Array, eased: Relief | None) -> Cones:
+        """Return the cones of the tilt, the glide slope, and the approach.
+
+        Args:
+            state: where trajectories start.
+            away: g_1..g_N less s_0, in units of a step, shape (N, n).
+            eased: how far outside of its cones each step may be.
+        """
+        problem, steps = self._problem, np.arange(self._problem.horizon)
+        found, still = [self._chords.cones], np.zeros(away.shape)
+        up = np.repeat(np.eye(away.shape[1])[-1:], len(steps), axis=0)
+        if eased is not None and problem.tilt:
+            sines = np.full(len(steps), math.sin(problem.tilt))
+            found.append(Cones(steps, up, sines, still, eased.tilt))
+        if eased is not None and problem.glide_slope:
+            cosine = math.cos(problem.glide_slope)  # the sine of its angle from the vertical
+            lower = eased.slope / (cosine * problem.length_unit)
+            sines, tips = np.full(len(steps), cosine), away - lower[:, None] * up
+            found.append(Cones(len(steps) + steps, up, sines, tips, np.zeros(len(steps))))
+        if problem.approach.exists:
+            axis, sine = problem.approach.axis(state)[None], math.sin(problem.approach.cone)
+            found.append(Cones(steps[-1:], axis, np.array([sine]), still[:1], np.zeros(1)))
+        return Cones(*map(np.concatenate, zip(*found, strict=True)))
+
+    def _turned(self, state: State) -> Always:
         """Return what turn limits ask for, at rotation order 1."""
         problem, count = self._problem, self._problem.horizon
         ahead, first = state.attitude[:, 0], state.rotation[:, 0].copy()
@@ -137,7 +258,7 @@ class Sides:
             places, offsets = np.append(places, [0, 0]), np.append(offsets, [0.0, 0.0])
             outward = np.concatenate([outward, edges])
         chord = max(2.0 * math.sin(0.5 * turn), uneven)
-        return Always(places, outward, offsets, chord, 1, first)
+        return Always(places, outward, offsets, chord, 1, first, self._chords.cones)
 
     @cached_property
     def _chords(self) -> Always:
@@ -146,9 +267,25 @@ class Sides:
         chord = 2.0 * math.sin(0.5 * min(math.pi, problem.step * problem.max_rate))
         begin = 0 if problem.max_rate else problem.horizon
         outward = np.zeros((0, problem.dimension))
-        return Always(none.astype(np.int64), outward, none, chord, begin, none)
+        nowhere = none.astype(np.int64)
+        cones = Cones(nowhere, outward, none, outward, none)
+        return Always(nowhere, outward, none, chord, begin, none, cones)
 
     # --- choices
+
+    def symmetry(self, known: Alternatives, always: Always) -> Symmetry:
+        """Return which steps can be told apart, given all that there is to hold them."""
+        count, terms = self._problem.horizon, self._terms
+        end = self._maps[2 * count - 1]
+        alone = len(known.kinds) == count and bool((known.kinds == FACES).all())
+        alone &= always.begin == count and bool((always.places == 2 * count - 1).all())
+        alone &= not len(always.cones.places)
+        costly = terms.weights[:-1].any() or any(terms.turning) or terms.order > 1
+        alike = _are_equal(end[:-1]) and _are_equal(terms.lengths[1:-1])
+        if not alone or costly or self._problem.inertial or not alike:
+            return Symmetry(0, -1)
+        seen = end[-1] or terms.lengths[-1]
+        return Symmetry(count - 1, -1 if seen else count - 1)
 
     @cached_property
     def faces(self) -> Array:
@@ -242,6 +379,10 @@ class Sides:
         """Return how far apart headings get the places of a step, shape (N, m, m)."""
         maps = self._maps[2 * self._problem.horizon :].reshape(-1, self._most, self._maps.shape[1])
         return np.asarray(np.abs(maps[:, :, None] - maps[:, None]).sum(axis=-1))
+
+
+def _are_equal(numbers: Array) -> bool:
+    return bool((numbers == numbers[:1]).all())
 
 
 def _extents(box: Box, origin: Array) -> Array:

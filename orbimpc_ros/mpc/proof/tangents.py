@@ -40,7 +40,8 @@ def tangents_bound(terms, curvature, start, goals, leaf, coasting):
             _lean(slopes[k], leaf.ways[k], terms.lengths[k + 1])
             least = least_over_orbitope(slopes[k], leaf.tops[k])
         else:
-            least = least_along(terms.lengths[k + 1] - _size(slopes[k], n), bend, terms.floor[0])
+            rise = terms.lengths[k + 1] - vector_size(slopes[k], n)
+            least = least_along(rise, bend, terms.floor[0])
         value += 0.5 * bend * square - along + least
         size += abs(bend) * square + abs(along) + abs(least)
         curved |= bend < 0.0
@@ -49,13 +50,13 @@ def tangents_bound(terms, curvature, start, goals, leaf, coasting):
             return -np.inf  # beyond what is known
     if curved:
         value -= lack_arriving(curvature, bends, 1.0, leaf.stiffness) * reach
-    value += terms.lengths[0] * _size(start[2], n)
+    value += terms.lengths[0] * vector_size(start[2], n)
     value -= ROUNDING * count * size
     return value if value > -np.inf else -np.inf  # or no number
 
 
 @compiled
-def _size(vector, n):
+def vector_size(vector, n):
     """Return the size of the first n coordinates."""
     square = 0.0
     for c in range(n):
@@ -66,7 +67,7 @@ def _size(vector, n):
 @compiled
 def _least_decided(slope, decided, length, n, coasting):
     """Return the least slope . x + l |x e1| where x is decided, or any share of what is."""
-    least = length * _size(decided, n)
+    least = length * vector_size(decided, n)
     for c in range(len(slope)):
         least += slope[c] * decided[c]
     return min(0.0, least) if coasting else least
@@ -75,7 +76,7 @@ def _least_decided(slope, decided, length, n, coasting):
 @compiled
 def _lean(slope, way, length):
     """Add to a slope that of l way . R e1, which is at most l |R e1|."""
-    share = length / max(1.0, _size(way, len(way)))
+    share = length / max(1.0, vector_size(way, len(way)))
     for c in range(len(way)):
         slope[c] += share * way[c]
 

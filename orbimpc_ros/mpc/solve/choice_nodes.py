@@ -15,6 +15,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds, Left, tangent
+from orbimpc_ros.mpc.solve.relaxation import NO_CONES
 
 Press = tuple[int, int, float]  # the node that holds a row, which of its rows, its multiplier
 
@@ -27,6 +28,7 @@ class TreeLeaf(NamedTuple):
         presses: what holds there.
         tethers: see :class:`orbimpc_ros.mpc.proof.grounds.ChoiceGrounds`.
         empty: whether what holds proves that nothing is there.
+        leans: see there.
         moves: by how much headings still move from that point, shape (N,), along a normal, (n,);
             all leaves are moved at once.
     """
@@ -35,12 +37,13 @@ class TreeLeaf(NamedTuple):
     presses: tuple[Press, ...]
     tethers: Array
     empty: bool = False
+    leans: Array = NO_CONES
     moves: tuple[Array, Array] | None = None
 
     @property
     def is_free(self) -> bool:
         """Return whether it is a tangent to the cost alone, of headings alone."""
-        held = self.presses or self.empty or self.tethers.any()
+        held = self.presses or self.empty or self.tethers.any() or self.leans.any()
         return not held and self.point.shape[1] <= 3
 
     def raised(self, press: Press, move: Array, normal: Array) -> TreeLeaf:
@@ -107,6 +110,7 @@ class ChoiceNodes:
             np.array(rows, np.int64),
             np.array(sizes, float),
             np.array([leaf.tethers for leaf in leaves]),
+            np.array([leaf.leans for leaf in leaves]),
         )
 
 

@@ -20,7 +20,7 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Ball, Problem, State
 from orbimpc_ros.mpc.proof.grounds import Left
 from orbimpc_ros.mpc.solve.branching import Branch
-from orbimpc_ros.mpc.solve.choice_nodes import ChoiceNodes, TreeLeaf
+from orbimpc_ros.mpc.solve.choice_nodes import ChoiceNodes, Press, TreeLeaf
 from orbimpc_ros.mpc.solve.passages import Passage
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.posed import Posed
@@ -55,19 +55,21 @@ class ChoiceTree:
     @staticmethod
     def tells(problem: Problem, state: State, program: Relaxed) -> bool:
         """Return whether multipliers of a program's half-spaces are all that its bounds rest on."""
-        plane, floor = problem.dimension == 2, problem.floor
         bodies = [*problem.obstacles, *(each.body for each in state.hazards)]
         balls = any(isinstance(each, Ball) for each in bodies)
-        if not plane and (balls or floor.shape == 'circle'):  # patches of a sphere are not arcs
-            return False
+        # Patches of a sphere are not arcs.
+        patches = problem.dimension == 3 and (balls or problem.floor.shape == 'circle')
+        return not patches and ChoiceTree.tells_relaxations(problem, program)
+
+    @staticmethod
+    def tells_relaxations(problem: Problem, program: Relaxed) -> bool:
+        """Return whether that is so where nothing is chosen."""
         return isinstance(program, PlaceProgram) or (
             COMPILED
-            and not (plane and floor.exists)
             and problem.rotation_order == 1
-            and problem.terminal == 'penalty'
-            and problem.weights.length == problem.max_rate == 0.0
-            and not problem.has_cones
-            and not problem.approach.exists
+            and problem.max_rate == 0.0
+            and not (problem.weights.length and _turns_in_space_have_weight(problem))
+            and not (problem.has_cones and problem.approach.exists)
         )
 
     def solved(self, t: int, *, better: bool = True, empty: bool = False) -> None:
@@ -109,7 +111,16 @@ class ChoiceTree:
         for row, normal, size in zip(rows, found.normals, sizes, strict=True):
             if -1 - row >= steps:
                 tethers[-1 - row - steps] -= size * normal
-        return TreeLeaf(found.point, tuple(presses), tethers, empty)
+        presses += self._arrived(found.pull)
+        first = self._always + self._edges + 2 * len(found.pull)
+        presses += [(0, first + i, each) for i, each in enumerate(found.props.tolist()) if each]
+        return TreeLeaf(found.point, tuple(presses), tethers, empty, found.leans)
+
+    def _arrived(self, pull: Array) -> list[Press]:
+        """Return an arrival's multipliers as those of the half-spaces that leave nothing else."""
+        first = self._always + self._edges
+        every = enumerate(pull.tolist())
+        return [(0, first + 2 * i + int(each > 0.0), abs(each)) for i, each in every if each]
 
     def _asked(self, t: int) -> list[tuple[int, int]]:
         """Return, of each half-space of a node's relaxation, who holds it, and which it is."""
@@ -169,6 +180,12 @@ class ChoiceTree:
                 cells = self._posed.alternatives[j].cells
                 sides[t] = next(i for i, each in enumerate(cells) if each is cell)
         return places
+
+
+def _turns_in_space_have_weight(problem: Problem) -> bool:
+    """Return whether the cost sees all of rotations, of which lengths leave no multipliers."""
+    turning = problem.weights.input or problem.weights.attitude
+    return problem.dimension == 3 and bool(turning)
 
 
 def _arc(patch: Patch) -> tuple[int, int]:

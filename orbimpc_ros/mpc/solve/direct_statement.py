@@ -40,6 +40,7 @@ from orbimpc_ros.mpc.problem.cones import relief, slope_sides
 from orbimpc_ros.mpc.solve.disjunction import Slot
 
 ORDER = 4  # of the matrices S(R)
+TINY = 1e-300
 
 
 class Block(NamedTuple):
@@ -128,6 +129,42 @@ class DirectStatement:
     def size(self) -> int:
         """Return the length of :meth:`values`."""
         return sum(map(len, self._known))
+
+    @property
+    def arrival(self) -> slice:
+        """Return which of :meth:`values` say where s_N has to be, and then p_N."""
+        kinds = 1 + self.problem.inertial
+        first = self.width + 3 * (kinds - 1)
+        return slice(first, first + 3 * kinds * (self.problem.terminal == 'constraint'))
+
+    def leaning(self, z: Array) -> tuple[Array, Array]:
+        """Return the multipliers of cones, shape (C, 3), and of least headings within a tilt.
+
+        Those of z_3 >= cos(tilt) t and t >= |z| are taken together; where t is the floor's, some of
+        the first are left for z_3 >= cos(tilt) times that.
+
+        Args:
+            z: multipliers of all rows.
+        """
+        problem, leans, props = self.problem, [np.zeros((0, 3))], np.zeros(0)
+        if problem.tilt:
+            lean, up = math.cos(problem.tilt), np.maximum(z[self._tilted], 0.0)
+            sides = z[self._heads[:, None] + np.arange(1, 4)]
+            sizes = np.sqrt(np.einsum('kc,kc->k', sides, sides))
+            taken = np.minimum(1.0, lean * up / np.maximum(sizes, TINY))[:, None] * sides
+            if problem.floor.clearance(3) > 0.0:
+                used = np.minimum(up, sizes / lean)
+                up, props = used, up - used
+            taken[:, 2] += up
+            leans.append(taken)
+        if problem.glide_slope:
+            x, y, height = slope_sides(problem)
+            leans.append(
+                np.column_stack(
+                    [x * z[self._sloped + 1], y * z[self._sloped + 2], height * z[self._sloped]]
+                )
+            )
+        return np.concatenate(leans), props
 
     def values(self, state: State, goals: Array) -> Array:
         """Return what a state and goals g_1..g_N, shape (N, 3), put on right-hand sides."""
@@ -243,9 +280,8 @@ class DirectStatement:
         if problem.tilt:
             lean = math.cos(problem.tilt)
             up = self._z[1:, 2]
-            self._known.append(
-                rows.add(np.zeros(len(every)), (every, up, -1.0), (every, self._t, lean))
-            )
+            self._tilted = rows.add(np.zeros(len(every)), (every, up, -1.0), (every, self._t, lean))
+            self._known.append(self._tilted)
         places = [self._slot_columns(slot) for slot in range(len(self.slots))]
         count = np.arange(len(places))[:, None]
         if places:
@@ -260,6 +296,7 @@ class DirectStatement:
         steps = self.problem.horizon
         four = 4 * np.arange(steps)
         axes = four[:, None] + np.arange(1, 4)
+        self._heads = rows.count + four
         rows.add(np.zeros(4 * steps), (four, self._t, -1.0), (axes, self._z[1:], -1.0))
         if not self.problem.glide_slope:
             return
@@ -267,6 +304,7 @@ class DirectStatement:
         x, y, z = -slope_sides(self.problem)
         places = [(heads + 1, self._v[:, 0], x), (heads + 2, self._v[:, 1], y)]
         numbers = rows.add(np.zeros(3 * steps), (heads, self._v[:, 2], z), *places)
+        self._sloped = numbers[0::3]
         for place in (1, 2, 0):
             self._known.append(numbers[place::3])
 

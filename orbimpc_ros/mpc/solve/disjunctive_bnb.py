@@ -41,7 +41,7 @@ from orbimpc_ros.mpc.solve.incumbent import Incumbent, arrives, is_accurate
 from orbimpc_ros.mpc.solve.passages import Passages
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.posed import Choice, Missed, Posed
-from orbimpc_ros.mpc.solve.relaxation import Relaxed
+from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.request import Found, Request
 from orbimpc_ros.mpc.solve.scouting import Scout
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
@@ -108,15 +108,14 @@ class DisjunctiveSearch:
         if passages is not None:
             curvature += passages.curvatures(self._inverse)
         branching = Branching(posed, curvature, self._exchangeable)
-        run = _Run(posed, branching, self.tolerance, self._tree(posed))
+        whole = ChoiceTree.tells(self.problem, request.state, self.program)
+        run = _Run(posed, branching, self.tolerance, self._tree(posed), whole=whole)
         return run.run(() if traffic is None else self._ways(request, traffic))
 
     def _tree(self, posed: Posed) -> ChoiceTree | None:
-        """Return what notes the grounds of a search; None where they could not be counted."""
-        told = ChoiceTree.tells(self.problem, posed.request.state, self.program)
-        if self._exchangeable or not told:
-            return None
-        return ChoiceTree(posed, self.program, self._inverse)
+        """Return what notes the grounds of a search; None where not even its root's are known."""
+        told = ChoiceTree.tells_relaxations(self.problem, self.program)
+        return ChoiceTree(posed, self.program, self._inverse) if told else None
 
     def _relaxed(self, request: Request) -> Found:
         """Return the optimum of the one relaxation that is all of the problem."""
@@ -173,13 +172,30 @@ class _Node:
 
 
 class _Run:
-    """One search: the open nodes, the best trajectory, the least bound given up."""
+    """One search: the open nodes, the best trajectory, the least bound given up.
+
+    Args:
+        posed: what is searched.
+        branching: how nodes are branched on.
+        tolerance: relative gap at which it stops.
+        tree: notes what bounds rest on.
+        whole: whether it does of all nodes, not just of the root.
+    """
 
     def __init__(
-        self, posed: Posed, branching: Branching, tolerance: float, tree: ChoiceTree | None
+        self,
+        posed: Posed,
+        branching: Branching,
+        tolerance: float,
+        tree: ChoiceTree | None,
+        *,
+        whole: bool,
     ) -> None:
-        self._posed, self._branching, self._tree = posed, branching, tree
-        self._best = Incumbent(posed, tolerance)
+        self._posed, self._branching = posed, branching
+        self._tree: ChoiceTree | None = tree if whole else None
+        self._stump: ChoiceTree | None = None if whole else tree
+        self._best, self._tolerance = Incumbent(posed, tolerance), tolerance
+        self._root: Relaxation | None = None
         self._dives = Dives(posed, self._best)
         self._guided = posed.passages is not None  # trajectories come from ways, not yet from dives
         self._closed = np.inf
@@ -205,13 +221,17 @@ class _Run:
         lower = min([self._closed, best.cost, *(node.bound for node in self._open)])
         if lower == np.inf:
             raise Infeasible('no trajectory satisfies the constraints: every branch is infeasible')
-        return Found(best.x, best.cost, lower, posed.solved, grounds=self._grounds())
+        return Found(best.x, best.cost, lower, posed.solved, grounds=self._grounds(lower))
 
-    def _grounds(self) -> Left | None:
-        request = self._posed.request
-        if self._tree is None or not request.leaves_time_for(TELLING * self._tree.leaves):
+    def _grounds(self, lower: float) -> Left | None:
+        """Return what a bound rests on: the tree, or its root where that is as good."""
+        tree, root = self._tree, self._root
+        if tree is not None:
+            in_time = self._posed.request.leaves_time_for(TELLING * tree.leaves)
+            return tree.grounds() if in_time else None
+        if root is None or root.bound < lower - self._tolerance * abs(lower):
             return None
-        return self._tree.grounds()
+        return root.grounds
 
     @property
     def _limit(self) -> float:
@@ -233,6 +253,8 @@ class _Run:
                 raise
             self._note(node, empty=True)
             return
+        if self._root is None:
+            self._root = self._rooted(relaxed)
         bound = max(node.bound, relaxed.bound)
         self._note(node, better=relaxed.bound >= node.bound)
         if relaxed.x is None:  # neither refuted nor solved
@@ -253,6 +275,13 @@ class _Run:
             self._close(bound)
             return
         self._part(node, branch)
+
+    def _rooted(self, relaxed: Relaxation) -> Relaxation:
+        """Return the root's relaxation with what it rests on, where no tree tells that."""
+        if self._stump is None or relaxed.grounds is not None:
+            return relaxed
+        self._stump.solved(0)
+        return replace(relaxed, grounds=self._stump.grounds())
 
     def _note(self, node: _Node, *, better: bool = True, empty: bool = False) -> None:
         if self._tree is not None:

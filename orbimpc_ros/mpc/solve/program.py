@@ -19,7 +19,7 @@ from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.orbitopes import coordinate_count, coordinates
 from orbimpc_ros.mpc.model.cost import (
     attitude_weight,
     first_length,
@@ -33,7 +33,14 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.conic import SOLVED, Certifier, extended, run, solver_for
 from orbimpc_ros.mpc.solve.direct_statement import DirectStatement
 from orbimpc_ros.mpc.solve.disjunction import Slot
-from orbimpc_ros.mpc.solve.relaxation import Halfspace, Multipliers, Point, Relaxation
+from orbimpc_ros.mpc.solve.relaxation import (
+    NO_CONES,
+    NO_PULL,
+    Halfspace,
+    Multipliers,
+    Point,
+    Relaxation,
+)
 from orbimpc_ros.mpc.solve.request import Request
 
 SMALL = 1e-2  # a cost below this is solved once more, scaled up
@@ -76,6 +83,8 @@ class Program:
         self._statement = _statement(problem, slots, coasting and problem.rotation_order == 2)
         self._tolerance = tolerance
         self._heaviest = float(position_weights(problem).max())
+        axes = problem.weights.input == problem.weights.attitude == 0.0
+        self._seen = problem.dimension if axes else coordinate_count(problem.dimension)
         self._stopping, self._steadying = velocity_weight(problem), attitude_weight(problem)
         self._scale = 1.0
         self._solver: Any = None
@@ -265,12 +274,29 @@ class Program:
         return Relaxation(self._statement.coordinates(x, self._request.state), bound)
 
     def _multipliers(self, answer: Any, scale: float) -> Multipliers:
-        sizes = scale * np.maximum(np.asarray(answer.z)[self._asked], 0.0)
+        z = scale * np.asarray(answer.z)
+        sizes, arrived = np.maximum(z[self._asked], 0.0), self._statement.arrival
+        pull = self._signs[arrived] * z[self._rows[arrived]]
+        leans, props = self._leaning(z)
         rows = np.flatnonzero(sizes)
         normals = np.zeros(
             (len(rows), self.problem.dimension)
         )  # of tangents, of which there are none
-        return Multipliers(np.asarray(answer.x)[self._columns], rows, normals, sizes[rows])
+        point = np.asarray(answer.x)[self._columns[:, : self._seen]]
+        return Multipliers(point, rows, normals, sizes[rows], pull, leans, props)
+
+    def _leaning(self, z: Array) -> tuple[Array, Array]:
+        """Return the multipliers of cones, shape (C, n), and of least headings along their axes."""
+        if self.problem.approach.exists:
+            a = self._data['A']
+            sign = a.data[self._aside]
+            least, _ = self._slots[-1]
+            return (sign * z[a.indices[self._towards]])[None], np.maximum(z[[least]], 0.0)
+        if not (self.problem.has_cones and isinstance(self._statement, DirectStatement)):
+            return NO_CONES, NO_PULL
+        end = self._data['dims'].zero + self._data['dims'].nonneg
+        cut = len(z) - len(self._b_0)  # rows on top
+        return self._statement.leaning(np.delete(z, slice(end, end + cut)))
 
     def _limits_of(self, speed: float, spin: float) -> Array:
         """Return the most that each column's variable can be, of a state's speed and spin."""
@@ -343,6 +369,8 @@ class Program:
             column = column_of[statement.towards.id]
             aside = column_of[statement.aside.id] + np.arange(self.problem.dimension)
             self._towards = _shared_entries(data['A'], column, aside)
+            rows = data['A'].indices[self._towards]
+            self._aside = [_entry(data['A'], int(r), c) for r, c in zip(rows, aside, strict=True)]
 
     def _numbered_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the row and sign of each right-hand side, and the row of each slot.

@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.proof.grounds import Tangent
+from orbimpc_ros.mpc.proof.grounds import Left
 from orbimpc_ros.mpc.solve.request import Request
 
 
@@ -28,6 +28,8 @@ class Point(NamedTuple):
     number: int
     row: Array
 
+
+NO_PULL, NO_CONES = np.zeros(0), np.zeros((0, 0))
 
 # What it is put on, a slot or a control point v, a unit normal and an offset: normal . v >= offset.
 Halfspace = tuple[int | Point, Array, float]
@@ -47,7 +49,7 @@ class Relaxation:
     x: Array | None
     bound: float
     own: float | None = None
-    grounds: Tangent | None = None
+    grounds: Left | None = None
 
     @property
     def dual_value(self) -> float:
@@ -64,12 +66,18 @@ class Multipliers(NamedTuple):
             ball b; the first N balls hold R_1 e1..R_N e1, the others their chords, shape (S,).
         normals: of rows and tangents, shape (S, n).
         sizes: of the multipliers, >= 0, shape (S,).
+        pull: of s_N - g_N, and then of p_N, where a plan has to arrive, shape (m,).
+        leans: of the cones of tilt, glide slope and approach, shape (C, n).
+        props: of how far along their axes least headings are, >= 0, shape (P,).
     """
 
     point: Array
     rows: np.ndarray
     normals: Array
     sizes: Array
+    pull: Array = NO_PULL
+    leans: Array = NO_CONES
+    props: Array = NO_PULL
 
 
 class Relaxed(Protocol):

@@ -35,6 +35,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.grounds import Tangent
 from orbimpc_ros.mpc.solve.disjunction import Slot
 from orbimpc_ros.mpc.solve.relaxation import (
+    NO_PULL,
     Halfspace,
     Multipliers,
     Point,
@@ -209,7 +210,8 @@ class SO3Multipliers:
         for _ in range(2):
             progress, status = self._minimise(terms, request)
             if progress.numbers[BEST] > bound:
-                bound, self.multipliers = float(progress.numbers[BEST]), self._told(imposed)
+                bound = float(progress.numbers[BEST])
+                self.multipliers = self._told(request, imposed)
             if status == SETTLED:
                 grounds = None if imposed else self._grounds(request)
                 proved = self._proved(bound)
@@ -245,16 +247,16 @@ class SO3Multipliers:
         """Return a bound above the unconstrained optimum as one on the cost, safe from rounding."""
         return self._least + bound - CANCELLED / ROUNDING * self._rounding
 
-    def _told(self, imposed: Sequence[Halfspace]) -> Multipliers | None:
+    def _told(self, request: Request, imposed: Sequence[Halfspace]) -> Multipliers | None:
         """Return what the last solve's bound rests on beside the orbitopes."""
         if self._given:
             return None
         steps = [
             self._slots[each[0]].step - 1 for each in imposed if not isinstance(each[0], Point)
         ]
-        sizes = self._work.rows[steps]
-        rows = np.flatnonzero(sizes)
-        return Multipliers(self._work.lowest.copy(), rows, np.zeros((len(rows), 3)), sizes[rows])
+        point, sizes = self._work.lowest.copy(), self._work.rows[steps]
+        rows, pull = np.flatnonzero(sizes), self._pull(request, point, self._work.forces)
+        return Multipliers(point, rows, np.zeros((len(rows), 3)), sizes[rows], pull)
 
     def _grounds(self, request: Request) -> Tangent:
         """Return what the last solve's bound rests on: its Lagrangian's tangent where it is least.
@@ -268,15 +270,19 @@ class SO3Multipliers:
         tops[free] = work.tops[self._coasting :]
         if self._given:
             point[0] = self._first * (work.lowest[0, 0] if self._coasting else 1.0)
-        pull = np.zeros(0)
-        if self._pulls is not None:
-            slopes, _ = self._condensed.affine(request.state, request.goals)
-            slopes += self._condensed.hessian @ point[:, :3] + forces[:, :3]
-            pull = -(self._pulls @ slopes[free]).ravel()
+        pull = self._pull(request, point, forces)
         ways, weighed = np.zeros((count, 3)), self._lengths > 0.0
         ways[-len(weighed) :][weighed] = INWARD * work.pushes[weighed]
         ways[-len(weighed) :][weighed] /= self._lengths[weighed, None]
         return Tangent(point, np.zeros(count), pull, 0.0, tops, ways)
+
+    def _pull(self, request: Request, point: Array, forces: Array) -> Array:
+        """Return the multipliers of an arrival, of what is left of slopes and forces at a point."""
+        if self._pulls is None:
+            return NO_PULL
+        slopes, _ = self._condensed.affine(request.state, request.goals)
+        slopes += self._condensed.hessian @ point[:, :3] + forces[:, :3]
+        return -(self._pulls @ slopes[self._given :]).ravel()
 
     def _rotations(self, x: Array) -> Array:
         if self._coasting:

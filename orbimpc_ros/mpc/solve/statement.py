@@ -141,6 +141,15 @@ class Statement:
         return [p for p in candidates if p.id in known]
 
     @property
+    def arrival(self) -> slice:
+        """Return which of :meth:`values` say where s_N has to be, and then p_N."""
+        known = self._parameters()
+        first = next((i for i, p in enumerate(known) if p is self._arrival), len(known))
+        ends = np.cumsum([0, *(p.size for p in known)])
+        count = self.problem.dimension * (1 + self.problem.inertial)
+        return slice(int(ends[first]), int(ends[first]) + count * (first < len(known)))
+
+    @property
     def chords(self) -> int:
         """Return how many turns a chord bounds: the last of :meth:`values`."""
         return 0 if self._chords is None else self._chords.size
