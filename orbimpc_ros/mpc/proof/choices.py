@@ -109,7 +109,7 @@ def _complete(places, known, symmetry, tree, nodes, t, faces, normal):
     j, first, count = tree.splits[t], tree.parts[t], tree.counts[t]
     if j >= len(known.kinds) or (known.kinds[j] == ARCS and len(normal) != 2):
         return False  # arcs are all there is in the plane alone
-    if first <= t or count < 0 or first + count > len(made):
+    if first <= t or first + count > len(made):
         return False
     holder, level, begin = _holder(made, parents, t, j), 0, 0
     sides = _sides_of(known, j, faces)
