@@ -275,14 +275,22 @@ class Sides:
 
     def symmetry(self, known: Alternatives, always: Always) -> Symmetry:
         """Return which steps can be told apart, given all that there is to hold them."""
-        count, terms = self._problem.horizon, self._terms
-        end = self._maps[2 * count - 1]
+        count = self._problem.horizon
+        if not self._alike.ordered:
+            return self._alike
         alone = len(known.kinds) == count and bool((known.kinds == FACES).all())
         alone &= always.begin == count and bool((always.places == 2 * count - 1).all())
         alone &= not len(always.cones.places)
+        return self._alike if alone else Symmetry(0, -1)
+
+    @cached_property
+    def _alike(self) -> Symmetry:
+        """Return which steps the cost and an arrival can tell apart."""
+        count, terms = self._problem.horizon, self._terms
+        end = self._maps[2 * count - 1]
         costly = terms.weights[:-1].any() or any(terms.turning) or terms.order > 1
         alike = _are_equal(end[:-1]) and _are_equal(terms.lengths[1:-1])
-        if not alone or costly or self._problem.inertial or not alike:
+        if costly or self._problem.inertial or not alike:
             return Symmetry(0, -1)
         seen = end[-1] or terms.lengths[-1]
         return Symmetry(count - 1, -1 if seen else count - 1)

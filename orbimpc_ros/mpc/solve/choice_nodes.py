@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds, Left, tangent
+from orbimpc_ros.mpc.proof.grounds import LEAF, NO_LEANS, ChoiceGrounds, Left, tangent
 from orbimpc_ros.mpc.solve.relaxation import NO_CONES
 
 Press = tuple[int, int, float]  # the node that holds a row, which of its rows, its multiplier
@@ -110,7 +110,7 @@ class ChoiceNodes:
             np.array(rows, np.int64),
             np.array(sizes, float),
             np.array([leaf.tethers for leaf in leaves]),
-            np.array([leaf.leans for leaf in leaves]),
+            np.array([leaf.leans for leaf in leaves]) if leaves[0].leans.size else NO_LEANS,
         )
 
 
