@@ -114,6 +114,8 @@ def certificates_for(
 ) -> Iterator[Certificate]:
     """Yield what may prove a bound: what the plan's method left of it, then a proof of its own.
 
+    A large search is left for where there is no other: a bound that is known takes a smaller one.
+
     Args:
         problem: what was solved.
         state: where the plan starts.
@@ -124,14 +126,19 @@ def certificates_for(
     Raises:
         Unproved: as :func:`certificate_of` does.
     """
-    proof, bound = plan.proof, _posed(bound)
-    grounds = proof.grounds
+    bound = _posed(bound)
+    grounds, proof = plan.proof.grounds, replace(plan.proof, lower_bound=bound)
     large = isinstance(grounds, Grounds) and len(grounds.splits) > FEW
-    if grounds is not None and not large:
-        made = kept(problem, state, goals, replace(proof, lower_bound=bound))
-        if made is not None:
-            yield made
-    yield certificate_of(problem, state, goals, plan.rotations[1:], bound)
+    left = None if large else kept(problem, state, goals, proof)
+    if left is not None:
+        yield left
+    try:
+        yield certificate_of(problem, state, goals, plan.rotations[1:], bound)
+    except Unproved:
+        left = kept(problem, state, goals, proof) if large else None
+        if left is None:
+            raise
+        yield left
 
 
 def certificate_for(
