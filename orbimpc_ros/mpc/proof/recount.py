@@ -171,7 +171,7 @@ class Recount:
         """Return whether trees of choices are to be counted though nothing moves."""
         problem, floor = self._problem, self._problem.floor
         sectors = problem.turns_are_angles and problem.widest_turn < HALF  # are no choices
-        faces = floor.shape == 'polygon' and (self._pulled or self._terms.lengths.any())
+        faces = floor.shape != 'circle' and (self._pulled or self._terms.lengths.any())
         turned = problem.max_rate and not sectors
         spatial = problem.dimension == 3 and floor.exists
         coned = problem.has_cones or problem.approach.exists

@@ -129,9 +129,10 @@ class DisjunctiveSearch:
         accurate = arrives if solved else is_accurate
         if not accurate(self.problem, goals, trajectory):
             return Found(None, np.inf, relaxed.bound, 1)
-        if self._tangent is None:
-            return replace(found, grounds=self._root(request)) if found.grounds is None else found
-        return replace(found, grounds=self._tangent.at(request, relaxed.x, relaxed.bound))
+        known = found.grounds
+        if self._tangent is not None:
+            known = self._tangent.at(request, relaxed.x, relaxed.bound)
+        return replace(found, grounds=self._root(request) if known is None else known)
 
     def _root(self, request: Request) -> Left | None:
         """Return what the bound of a relaxation rests on where nothing is left to choose."""
