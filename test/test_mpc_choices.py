@@ -431,7 +431,7 @@ def test_what_always_holds_holds_of_all_that_turn_within_the_limit(turn, least):
         z = speeds[:, None] * np.transpose([np.cos(angles), np.sin(angles)])
         c, s = np.cos(begin), np.sin(begin)
         state = State.at(np.zeros(2), np.array([[c, -s], [s, c]]))
-        always, places = sides.always(state), sides.places(state)
+        always, places = sides.always(state, np.zeros((6, 2))), sides.places(state)
         led = places.free + places.maps @ z
         slack = np.einsum('ij,ij->i', always.normals, led[always.places]) - always.offsets
         assert slack.min(initial=1.0) >= -1e-12

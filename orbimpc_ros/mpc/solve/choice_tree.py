@@ -169,17 +169,16 @@ class ChoiceTree:
 
     def _sides(self) -> np.ndarray:
         """Return levels and sides of all nodes, shape (2, T)."""
-        levels, sides = places = np.zeros((2, len(self._cells)), np.int64)
-        for t, chosen in enumerate(self._cells):
-            if chosen is None:
-                continue
-            j, cell = chosen
+        told, numbers = [(0, 0)], dict[int, dict[int, int]]()  # of its cells, by choice
+        for j, cell in filter(None, self._cells):
             if isinstance(cell, Patch):
-                levels[t], sides[t] = _arc(cell)
-            else:
+                told.append(_arc(cell))
+                continue
+            if j not in numbers:
                 cells = self._posed.alternatives[j].cells
-                sides[t] = next(i for i, each in enumerate(cells) if each is cell)
-        return places
+                numbers[j] = {id(each): i for i, each in enumerate(cells)}
+            told.append((0, numbers[j][id(cell)]))
+        return np.array(told, np.int64).T.copy()
 
 
 def _turns_in_space_have_weight(problem: Problem) -> bool:
