@@ -11,7 +11,7 @@ from counting import solved
 
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.plan import Proof
-from orbimpc_ros.mpc.problem import Ball, Box, Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds
 from orbimpc_ros.mpc.proof.kept import kept
@@ -64,6 +64,25 @@ def test_what_a_search_over_choices_publishes_holds(kind, seed):
 def test_what_moves_within_steps_is_held_by_their_control_points(kind, changes):
     known = held(*solved(kind, 1, **changes))
     assert {'step'} <= {wall['of'] for wall in known['limits']['walls']}
+
+
+@pytest.mark.parametrize(
+    'kind', ['boxes', 'boxes, inertia', 'discs', 'boxes that move', 'space, boxes', 'polygon']
+)
+def test_arrivals_have_words(kind):
+    known = held(*solved(kind, 2, terminal='constraint'))
+    assert '"pull"' in json.dumps(known['tree'])
+
+
+@pytest.mark.parametrize(
+    'changes',
+    [{'weights': Weights(1.0, 0.05, 0.01, 10.0)}, {'approach': Approach(0.3, (1.0, 0.5))}],
+)
+def test_of_lengths_and_cones_nothing_is_published_beside_boxes(changes):
+    case, plan = solved('boxes, shared faces', 2, **changes)
+    assert isinstance(plan.proof.grounds, ChoiceGrounds)
+    assert plan.proof.checked
+    assert kept(*case, plan.proof) is None
 
 
 @pytest.mark.parametrize(('kind', 'floor'), itertools.product(('boxes', 'discs'), (SQUARE, ROUND)))

@@ -125,20 +125,31 @@ class ChoiceWords:
 
     def tree(self) -> Tree | None:
         """Return it in the user's units; None where there are no words for something."""
-        made = self._node(0, (), {}) if self._has_words else None
+        made = self._node(0, self._arrival, {}) if self._has_words else None
         return None if made is None else in_users_units(made, self._units)
 
     @property
     def _has_words(self) -> bool:
-        """Return whether there are words for all that is split, and for what cones hold."""
+        """Return whether there are words for all that is split, and that holds of all."""
         problem = self._problem
-        if problem.weights.length or self._grounds.leans.any():
+        if problem.weights.length or problem.has_cones or problem.approach.exists:
             return False
         if problem.dimension == 3:
             return not problem.floor.exists
         return not (self.origins is not None and problem.max_rate)  # from the attitude on
 
     # --- choices
+
+    @property
+    def _arrival(self) -> tuple[Row, ...]:
+        """Return the rows that leave but an arrival, after those of turns: up, down by axis."""
+        always, problem = self._always, self._problem
+        if problem.terminal != 'constraint':
+            return ()
+        count = 2 * problem.dimension * (1 + problem.inertial)
+        known = zip(always.places.tolist(), always.normals, always.offsets.tolist(), strict=True)
+        rows = [Row(0, i, *each, said=False) for i, each in enumerate(known)]
+        return tuple(rows[-count:])
 
     def _called(self, state: State) -> Iterator[Word]:
         """Yield the words for all choices, in their order."""
@@ -268,8 +279,11 @@ class ChoiceWords:
 
 def _pressing(known: Sequence[Row], held: Held) -> Leaf:
     """Return multipliers as leaves have them."""
-    presses = [y for y, row in zip(held.presses, known, strict=True) if row.said]
-    return Leaf(presses=np.array(presses), tethers=held.tethers)
+    told = list(zip(held.presses.tolist(), known, strict=True))
+    presses = [y for y, row in told if row.said]
+    upwards = np.array([y for y, row in told if row.holder == 0])
+    pull = upwards[1::2] - upwards[::2]  # of an arrival, which is one both ways
+    return Leaf(pull=pull, presses=np.array(presses), tethers=held.tethers)
 
 
 def _gap(held: Held) -> float:

@@ -17,7 +17,6 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.orbitopes import lmi_parts
@@ -206,6 +205,8 @@ class PartProgram:
 
     def answer(self, region: Region) -> Answer:
         """Return what the program comes to in a region."""
+        from scipy import sparse
+
         from orbimpc_ros.mpc.solve.conic import run, solver_for  # takes Clarabel
 
         arriving, pointing, cones, turning = self._fixed

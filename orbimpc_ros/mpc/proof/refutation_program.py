@@ -16,7 +16,6 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.model import dynamics
@@ -235,6 +234,8 @@ class RefutationProgram:
 
     def answer(self, region: Region) -> Missed | None:
         """Return what is missed in a region at least; None where Clarabel panics."""
+        from scipy import sparse
+
         from orbimpc_ros.mpc.solve.conic import run, solver_for  # takes Clarabel
 
         decided, paced, rounds = self._fixed

@@ -20,14 +20,6 @@ from orbimpc_ros.mpc.loop.interception import FARTHEST, steps_before
 from orbimpc_ros.mpc.loop.odometry import Odometry, along_the_air
 from orbimpc_ros.mpc.loop.traffic.nearest import nearest
 from orbimpc_ros.mpc.outcome import Reason
-from orbimpc_ros.mpc.proof.certificate import Refutation
-from orbimpc_ros.mpc.proof.refute import (
-    WORD,
-    OutOfTime,
-    catches_refuted,
-    refutation_of,
-    refuted_in_time,
-)
 from orbimpc_ros.ros.clock import UNKNOWN, RosTime
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
@@ -218,19 +210,27 @@ class Ticker:
             catches: whether what is said of catches is to be refuted, too.
         """
         tick, catch = report.tick, report.tick.catch
+        if tick.infeasible is None and not (catches and catch):
+            return report
+        # Imported by the first tick that needs it: a tenth of a second that starts are spared.
+        from orbimpc_ros.mpc.proof.refute import (
+            WORD,
+            catches_refuted,
+            refutation_of,
+            refuted_in_time,
+        )
+
         if tick.infeasible is not None:
-            made = self._refuted(partial(refutation_of, tick.infeasible))
+            known = partial(refutation_of, tick.infeasible)
+            made = refuted_in_time(known, self._clock, self._end)
             if made is None:
                 tick = replace(tick, reason=f'{tick.reason}; {WORD}')
             return replace(report, tick=tick, refutation=made)
-        if not catches or catch is None:
-            return report
+        assert catch is not None
         count = steps_before(catch.bound, catch.sought.problem.step)
-        made = self._refuted(partial(catches_refuted, catch.sought, count)) if count else None
-        return replace(report, refutation=made)
-
-    def _refuted(self, make: Callable[[OutOfTime], Refutation]) -> Refutation | None:
-        return refuted_in_time(make, self._clock, self._end)
+        refuting = partial(catches_refuted, catch.sought, count)
+        found = refuted_in_time(refuting, self._clock, self._end) if count else None
+        return replace(report, refutation=found)
 
     def _look_out(self, inbox: Inbox, odometry: Odometry) -> int:
         """Tell the controller what moves around the vehicle; return how much of it is left out."""
