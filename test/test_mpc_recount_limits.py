@@ -9,9 +9,10 @@ import problems
 import pytest
 
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Approach, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.convexity import arriving
+from orbimpc_ros.mpc.proof.grounds import LEAF, Grounds
 from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.mpc.proof.recount import ALL, Recount, _least_between, _reached, _within_reach
 from orbimpc_ros.mpc.proof.slopes import lack_arriving
@@ -377,3 +378,75 @@ def test_what_is_left_of_a_sector_holds_all_that_a_range_of_speeds_reaches(seed)
     for angle, _ in places(rng, normals, least, low, high, slow, fast):
         assert begin <= angle <= end
     assert len(normals) == 0 or _within_reach(low, high, 0.9 * least, normals, least)[1] < low
+
+
+# --- cones of approach
+
+
+def an_approach(seed):
+    """Return a problem with a floor, a turn limit and a cone of approach, a state, and goals."""
+    rng = np.random.default_rng(seed)
+    step, forward = 10.0 ** rng.uniform(-1, 0), 10.0 ** rng.uniform(-0.5, 1)
+    floors = (
+        Floor('circle', fraction=float(rng.uniform(0.3, 1.0))),
+        Floor('polygon', faces=6, fraction=float(rng.uniform(0.3, 0.8))),
+    )
+    problem = Problem(
+        horizon=int(rng.integers(3, 14)),
+        step=step,
+        forward=forward,
+        weights=Weights(float(rng.choice([0.0, 1.0])), 0.05, 0.0, 10.0),
+        floor=floors[seed % 2],
+        max_rate=float(rng.uniform(0.2, 1.3)) / step,
+        max_acceleration=float(rng.choice([0.0, 0.2])) * forward / step,
+        approach=Approach(float(rng.uniform(0.05, 1.0)), tuple(rng.normal(size=2))),
+    )
+    start = State.at(3.0 * rng.normal(size=2), problems.rotation(rng, 2))
+    way = rng.normal(size=2)
+    way *= rng.uniform(0.1, 0.8) * problem.horizon * problem.length_unit / np.linalg.norm(way)
+    return problem, start, np.tile(start.position + way, (problem.horizon, 1))
+
+
+@needs_machine_code
+@pytest.mark.parametrize('seed', [*range(8), *range(9, 16)])  # 8 takes 28,000 nodes
+def test_what_a_search_rests_on_within_a_cone_is_what_it_said(seed):
+    asked = an_approach(seed)
+    bound, cost, (grounds, unit) = told(*asked)
+    again = Recount(asked[0]).bound(*asked[1:], grounds, unit)
+    assert bound * (1.0 - 1e-9) <= again <= cost * (1.0 + 1e-7)
+
+
+@needs_machine_code
+def test_each_way_round_to_the_last_heading_has_a_root():
+    """Without one of them nothing is proved, nor by one that is a part of another."""
+    problem, state, goals = an_approach(5)
+    _, _, (grounds, unit) = told(problem, state, goals)
+    recount = Recount(problem)
+    assert problem.horizon * problem.widest_turn > 2.0 * np.pi
+    assert recount.bound(state, goals, grounds, unit) > 0.0
+    fewer = [each[:1] for each in grounds[:5]]
+    alone = Grounds(*fewer, grounds.origins)._replace(splits=np.array([LEAF]))
+    assert recount.bound(state, goals, alone, unit) == -np.inf
+    split = int(np.flatnonzero(grounds.splits != LEAF)[0])
+    parts = grounds.parts.copy()
+    parts[split] = split + 1  # the root of another way
+    assert recount.bound(state, goals, grounds._replace(parts=parts), unit) == -np.inf
+
+
+@needs_machine_code
+def test_a_narrower_cone_is_another_problem():
+    """What is said within a cone does not follow from a wider one."""
+    problem, state, goals = an_approach(5)
+    _, _, (grounds, unit) = told(problem, state, goals)
+    bound = Recount(problem).bound(state, goals, grounds, unit)
+    wider = replace(problem, approach=replace(problem.approach, cone=1.3))
+    assert Recount(wider).bound(state, goals, grounds, unit) < bound * (1.0 - 1e-3)
+
+
+@needs_machine_code
+def test_of_ways_round_to_a_last_heading_nothing_is_published():
+    asked = an_approach(5)
+    plan = Solver(asked[0]).solve(*asked[1:])
+    assert plan.proof.checked
+    assert len(plan.proof.grounds.splits) > 1
+    assert kept(*asked, plan.proof) is None

@@ -239,7 +239,7 @@ def _wind(ring, tree):
         _set_way(ring, least + made, tree.low[made], tree.high[made])
         _set_speeds(ring, tree.slow[made], tree.fast[made])
         if made:
-            tree.points[made] = tree.free
+            tree.splits[made], tree.points[made] = -1, tree.free
             keep(tree, -np.inf)
     return most >= least
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 WIDEST_APPROACH = 1.4  # [rad] beyond it the cone is nearly a half-space, and ill-conditioned
 SLOWEST = 0.01  # speed fraction below which a heading has no direction
+LEEWAY = 3e-7  # [rad] on the last heading of the plane: for plans that just reach the cone
 
 
 @dataclass(frozen=True)

@@ -52,10 +52,11 @@ def kept(problem: Problem, state: State, goals: Array, proof: Proof) -> Certific
 
 
 def _is_beyond_format(problem: Problem, by_angles: bool) -> bool:
-    """Return whether splits can be by speeds, or by directions that a turn limit leaves free."""
+    """Return whether splits can be by speeds, ways round, directions that a turn limit leaves."""
     parted = problem.floor.exists and problem.dimension == 2
     wide = problem.max_rate > 0.0 and problem.widest_turn >= HALF
-    return parted and (problem.max_acceleration > 0.0 or (by_angles and wide))
+    round_to = problem.max_rate > 0.0 and problem.approach.exists  # the last heading
+    return parted and (problem.max_acceleration > 0.0 or (by_angles and wide) or round_to)
 
 
 def _tree_of(grounds: Grounds, unit: float, floor: Floor) -> Tree:

@@ -21,6 +21,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.kernels import compiled, inlined
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.pace import entry_speed
 from orbimpc_ros.mpc.proof.choices import choices_bound
 from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds, Grounds, Left, Tangent, tangent
@@ -119,8 +120,16 @@ class Recount:
             return -np.inf
         ahead, limited = state.attitude, self._problem.max_acceleration > 0.0
         entry = entry_speed(self._problem, state) if limited else 0.0
-        begun = math.atan2(ahead[1, 0], ahead[0, 0]), entry
+        begun = math.atan2(ahead[1, 0], ahead[0, 0]), entry, *self._last(state)
         return float(recounted(*known, begun, grounds, unit, enough))
+
+    def _last(self, state: State) -> tuple[float, float]:
+        """Return the direction of the last heading, and the angle it may be off by [rad]."""
+        approach = self._problem.approach
+        if self._problem.dimension == 3 or not approach.exists:
+            return 0.0, math.pi
+        axis = approach.axis(state)
+        return math.atan2(axis[1], axis[0]), approach.cone + LEEWAY
 
     def _pulls(self, grounds: Grounds) -> bool:
         """Return whether what pulls at the end of each leaf fits the problem, or nothing does."""
@@ -453,22 +462,46 @@ def _parted(t, terms, grounds, regions, reached):
 
 
 @compiled
-def _regions(grounds, begun, floor):
-    """Return what each cell knows, the root's set: faces, directions from to, speeds from to."""
-    (heading, entry), (least, turn, change) = begun, floor
-    nodes, count, by_angles = len(grounds.splits), len(grounds.origins), False
+def _ways_round(begun, turn, count):
+    """Return by how many full turns the first way round to the last heading is off, and how many.
+
+    Where that heading is not limited, or turns are not, there is one way.
+    """
+    heading, _, last, within = begun
+    if turn <= 0.0 or within >= HALF:
+        return 0.0, 1
+    away, reach = last - heading, count * turn + within
+    first = np.ceil((-reach - away) / (2.0 * np.pi))
+    return first, int(np.floor((reach - away) / (2.0 * np.pi)) - first) + 1
+
+
+@compiled
+def _regions(grounds, begun, floor, ways):
+    """Return what each cell knows, the roots' set: faces, directions from to, speeds from to.
+
+    There is a root for each way round to the last heading.
+    """
+    (heading, entry, last, within), (least, turn, change) = begun, floor
+    nodes, count, by_angles = len(grounds.splits), len(grounds.origins), ways[1] > 1
     for t in range(nodes):
         by_angles |= grounds.splits[t] >= 0 and not np.isnan(grounds.angles[t])
     sectors = nodes if by_angles else 1  # else all have the root's
     paced = sectors if change < np.inf else 1
     low, high = np.empty((sectors, count)), np.empty((sectors, count))
     slow, fast = np.empty((paced, count)), np.empty((paced, count))
-    for k in range(count):
-        low[0, k], high[0, k] = grounds.origins[k], grounds.origins[k] + 2.0 * np.pi
-        if turn > 0.0:
-            low[0, k], high[0, k] = heading - (k + 1) * turn, heading + (k + 1) * turn
-        slow[0, k] = max(least, entry - (k + 1) * change)
-        fast[0, k] = min(1.0, entry + (k + 1) * change)
+    for way in range(ways[1]):
+        for k in range(count):
+            low[way, k], high[way, k] = grounds.origins[k], grounds.origins[k] + 2.0 * np.pi
+            if turn > 0.0:
+                low[way, k], high[way, k] = heading - (k + 1) * turn, heading + (k + 1) * turn
+            if way < paced:
+                slow[way, k] = max(least, entry - (k + 1) * change)
+                fast[way, k] = min(1.0, entry + (k + 1) * change)
+        if turn > 0.0 and within < HALF:
+            middle, end = last + 2.0 * np.pi * (ways[0] + way), count - 1
+            low[way, end] = max(low[way, end], middle - within)
+            high[way, end] = min(high[way, end], middle + within)
+            _narrowed(low[way], high[way], end, turn)
     return np.full((nodes, count), -1), low, high, slow, fast
 
 
@@ -512,15 +545,19 @@ def recounted(terms, curvature, start, goals, begun, grounds, unit, enough):
         curvature: of its cost over one coordinate of the headings: see :func:`lack_arriving`.
         start: p_0, the disturbance, R_0 e1 and R_g e1, shape (5, n).
         goals: g_1..g_N less s_0, shape (N, n).
-        begun: the heading of the attitude [rad], for turn limits; the speed that changes begin at.
+        begun: the heading of the attitude [rad], for turn limits; the speed that changes begin at;
+            the direction of the last heading, and how far off it may be [rad].
         grounds: splits and tangents.
         unit: of the bends, in that of the cost.
         enough: a bound beyond which nothing is counted.
     """
     splits, point = grounds.splits, grounds.points[0]
-    regions = _regions(grounds, begun, terms.floor)
+    ways = _ways_round(begun, terms.floor[1], len(point))
+    if not 1 <= ways[1] <= len(splits):
+        return -np.inf
+    regions = _regions(grounds, begun, terms.floor, ways)
     reached, slopes, spent = np.zeros(len(splits), np.bool_), np.empty(goals.shape), 0.0
-    reached[0] = True
+    reached[: ways[1]] = True
     for t in range(len(splits)):
         if reached[t] and splits[t] >= 0 and not _parted(t, terms, grounds, regions, reached):
             return -np.inf

@@ -64,8 +64,8 @@ def terms_of(problem: Problem) -> CostTerms:
     count = problem.floor.faces if problem.floor.shape == 'polygon' else 0
     corners = 2.0 * np.pi * np.arange(count) / max(count, 1)
     fraction = float(problem.floor.fraction) if problem.floor.exists else 0.0
-    turn = float(problem.step * problem.max_rate) if problem.floor.exists else 0.0
-    parted = problem.floor.exists and problem.dimension == 2  # others have no ranges of speeds
+    parted = problem.floor.exists and problem.dimension == 2  # others have no sectors
+    turn = float(problem.step * problem.max_rate) if parted else 0.0
     change = float(problem.speed_change) if parted else np.inf
     floor = fraction, turn if turn < HALF else 0.0, change
     normals = np.column_stack([np.cos(corners), np.sin(corners)])

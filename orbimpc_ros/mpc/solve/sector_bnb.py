@@ -24,6 +24,7 @@ from orbimpc_ros.mpc.kernels.sectors import HALF, begin_sectors, offer, search, 
 from orbimpc_ros.mpc.kernels.steering import Ring
 from orbimpc_ros.mpc.model.condensed import Condensed, regular
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.pace import entry_speed
 from orbimpc_ros.mpc.proof.grounds import Grounds
 from orbimpc_ros.mpc.solve.request import Found, Request
@@ -32,7 +33,6 @@ LONGEST = 120  # horizon; up to it a search proves in a tick what sparse solves 
 ROOM = 600_000  # nodes times steps that there is memory for
 MOST = 20_000  # nodes of a search
 SLICE = 3e5  # multiplications between two looks at the time: about a millisecond
-LEEWAY = 3e-7  # [rad] on the last heading: what is allowed to plans that just reach the cone
 SETTLED = 90.0  # tolerances at which a search may stop
 
 
@@ -102,8 +102,8 @@ class SectorSearch:
             if request.enough.met(self._found(constant)):
                 break
         made = int(tree.counts[MADE])
-        told = not self._approach.exists and request.leaves_time_for(made)
-        grounds = self._grounds(made, first - math.pi) if told else None
+        in_time = request.leaves_time_for(made)
+        grounds = self._grounds(made, first - math.pi) if in_time else None
         return replace(self._found(constant), grounds=grounds)
 
     def _last(self, state: State) -> tuple[float, float]:
