@@ -61,7 +61,7 @@ class Recount:
         ends, basis = np.linalg.eigh(hessian_of(self._terms, rest, 1.0) - hessian)
         moved = ends[::-1] > FLAT * ends[-1]  # directions that lead elsewhere at the end
         self._curvature = hessian, basis[:, ::-1].copy(), ends[::-1][moved].copy()
-        here, bends = State.at(np.zeros(n), np.eye(n)), np.zeros(count)
+        here, bends = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n)), np.zeros(count)
         self._pulled = n * (1 + problem.inertial) * (problem.terminal == 'constraint')
         pull = np.zeros(self._pulled)
         for grounds in (tangent(x, bends), Tangent(x, bends, pull, 0.0, bends, rest)):
