@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import certified
@@ -11,7 +13,9 @@ import numpy as np
 
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.plan import Plan
+from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
+from orbimpc_ros.mpc.proof.grounds import ChoiceGrounds
 from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.solver import Solver
@@ -49,3 +53,40 @@ def changed(array: np.ndarray, place: Any, value: Any) -> np.ndarray:
     array = array.copy()
     array[place] = value
     return array
+
+
+def mutants(grounds: ChoiceGrounds, rng: np.random.Generator, count: int) -> Iterator[dict]:
+    """Yield so many random changes of one number of a tree each."""
+    for _ in range(count):
+        name = ChoiceGrounds._fields[rng.integers(len(ChoiceGrounds._fields))]
+        array = getattr(grounds, name)
+        if not array.size:
+            continue
+        place = tuple(rng.integers(size) for size in array.shape)
+        old = array[place]
+        value = not old if array.dtype == bool else old + rng.integers(-3, 4)
+        if array.dtype.kind == 'f':
+            value = old * rng.uniform(0.0, 3.0) + 0.1 * rng.normal()
+        yield {name: changed(array, place, value)}
+
+
+@cache
+def between_walls() -> tuple[Case, Plan]:
+    """Return a problem in space whose tree has parts that are empty, and sides left out."""
+    walls = tuple(
+        Box((x, y - 1.5, -1.5), (x + 0.3, y + 1.5, 1.5)) for x, y in ((1.0, -0.4), (1.8, 0.9))
+    )
+    problem = Problem(
+        dimension=3,
+        horizon=8,
+        step=0.3,
+        translation_order=2,
+        discretisation='exact',
+        forward=3.0,
+        weights=Weights(1.0, 0.05, 0.0, 10.0),
+        obstacles=walls,
+        no_corner_cutting=True,
+    )
+    state = State.at(np.zeros(3), np.eye(3), velocity=np.array([0.3, 0.0, 0.0]))
+    case = Case(problem, state, np.tile([3.0, 0.3, 0.0], (8, 1)))
+    return case, Solver(problem).solve(*case[1:])

@@ -7,17 +7,16 @@ import json
 import certified
 import numpy as np
 import pytest
-from counting import solved
+from counting import between_walls, solved
 
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.plan import Proof
-from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Approach, Ball, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds
 from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.proof.verifier import Refused, parsed, verified
-from orbimpc_ros.mpc.solve.solver import Solver
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason='the search that leaves trees needs numba')
 KINDS = (
@@ -104,23 +103,7 @@ def splits(node):
 @pytest.fixture(scope='module')
 def branched():
     """Return a problem in space whose tree has parts that are empty, and sides left out."""
-    walls = tuple(
-        Box((x, y - 1.5, -1.5), (x + 0.3, y + 1.5, 1.5)) for x, y in ((1.0, -0.4), (1.8, 0.9))
-    )
-    problem = Problem(
-        dimension=3,
-        horizon=8,
-        step=0.3,
-        translation_order=2,
-        discretisation='exact',
-        forward=3.0,
-        weights=Weights(1.0, 0.05, 0.0, 10.0),
-        obstacles=walls,
-        no_corner_cutting=True,
-    )
-    state = State.at(np.zeros(3), np.eye(3), velocity=np.array([0.3, 0.0, 0.0]))
-    case = Case(problem, state, np.tile([3.0, 0.3, 0.0], (8, 1)))
-    plan = Solver(problem).solve(*case[1:])
+    case, plan = between_walls()
     grounds = plan.proof.grounds
     assert grounds.empty.sum() > 5
     assert (grounds.counts[grounds.splits != LEAF] < 6).any()

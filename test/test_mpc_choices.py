@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from counting import changed, counted, said, solved
+from counting import between_walls, changed, counted, mutants, said, solved
 
 from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.kernels import COMPILED
@@ -96,23 +96,7 @@ def test_a_round_floor_beside_a_box_in_space_is_the_methods_word(weight):
 
 def test_a_search_among_boxes_in_space_tells_of_its_nodes():
     """Solved, raised by a step along a row, and refuted ones; sides out of reach are left out."""
-    walls = tuple(
-        Box((x, y - 1.5, -1.5), (x + 0.3, y + 1.5, 1.5)) for x, y in ((1.0, -0.4), (1.8, 0.9))
-    )
-    problem = Problem(
-        dimension=3,
-        horizon=8,
-        step=0.3,
-        translation_order=2,
-        discretisation='exact',
-        forward=3.0,
-        weights=Weights(1.0, 0.05, 0.0, 10.0),
-        obstacles=walls,
-        no_corner_cutting=True,
-    )
-    state = State.at(np.zeros(3), np.eye(3), velocity=np.array([0.3, 0.0, 0.0]))
-    case = Case(problem, state, np.tile([3.0, 0.3, 0.0], (8, 1)))
-    plan = Solver(problem).solve(*case[1:])
+    case, plan = between_walls()
     grounds = plan.proof.grounds
     assert plan.proof.checked
     assert grounds.empty.sum() > 5
@@ -177,17 +161,8 @@ def test_no_grounds_prove_more_than_there_is(branched):
     case, plan = branched
     grounds, rng = plan.proof.grounds, np.random.default_rng(5)
     before = counted(case, plan)
-    for _ in range(300):
-        name = ChoiceGrounds._fields[rng.integers(len(ChoiceGrounds._fields))]
-        array = getattr(grounds, name)
-        if not array.size:
-            continue
-        place = tuple(rng.integers(size) for size in array.shape)
-        old = array[place]
-        value = not old if array.dtype == bool else old + rng.integers(-3, 4)
-        if array.dtype.kind == 'f':
-            value = old * rng.uniform(0.0, 3.0) + 0.1 * rng.normal()
-        assert counted(case, plan, **{name: changed(array, place, value)}) <= before * (1.0 + 1e-9)
+    for changes in mutants(grounds, rng, 300):
+        assert counted(case, plan, **changes) <= before * (1.0 + 1e-9)
 
 
 def spoilt(grounds):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import certified
 import numpy as np
 import pytest
-from counting import changed, counted, said, solved
+from counting import changed, counted, mutants, said, solved
 
 from orbimpc_ros.lab.bench.contests import CONTESTS
 from orbimpc_ros.mpc.kernels import COMPILED
@@ -87,17 +87,8 @@ def test_no_grounds_prove_more_than_a_trajectory_costs(kind):
     """Whatever the numbers are, and wherever else the vehicle has to arrive."""
     case, plan = posed(kind, 3)
     grounds, rng = plan.proof.grounds, np.random.default_rng(7)
-    for _ in range(200):
-        name = ChoiceGrounds._fields[rng.integers(len(ChoiceGrounds._fields))]
-        array = getattr(grounds, name)
-        if not array.size:
-            continue
-        place = tuple(rng.integers(size) for size in array.shape)
-        old = array[place]
-        value = not old if array.dtype == bool else old + rng.integers(-3, 4)
-        if array.dtype.kind == 'f':
-            value = old * rng.uniform(0.0, 3.0) + 0.1 * rng.normal()
-        again = counted(case, plan, **{name: changed(array, place, value)})
+    for changes in mutants(grounds, rng, 200):
+        again = counted(case, plan, **changes)
         assert again <= plan.objective * (1.0 + 1e-7)
     unit = 0.01 * case.problem.length_unit
     for _ in range(5):

@@ -8,6 +8,7 @@ import certified
 import numpy as np
 import problems
 import pytest
+from counting import changed
 
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
@@ -175,12 +176,6 @@ def branched():
     plan = Solver(problem).solve(state, goals)
     assert len(plan.proof.grounds.splits) > 1
     return problem, state, goals, plan
-
-
-def changed(array, place, value):
-    made = array.copy()
-    made[place] = value
-    return made
 
 
 @needs_machine_code

@@ -17,6 +17,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.proof.grounds import LEAF, NO_LEANS, ChoiceGrounds, Left, tangent
 from orbimpc_ros.mpc.solve.relaxation import NO_CONES
 
+TELLING = 20  # times as long it takes to tell of a tangent as to count it
 Press = tuple[int, int, float]  # the node that holds a row, which of its rows, its multiplier
 
 

@@ -33,6 +33,7 @@ from orbimpc_ros.mpc.solve.branching import (
     steps_are_exchangeable,
     unraised,
 )
+from orbimpc_ros.mpc.solve.choice_nodes import TELLING
 from orbimpc_ros.mpc.solve.choice_tree import ChoiceTree
 from orbimpc_ros.mpc.solve.disjunction import Slot, disjunctions_of
 from orbimpc_ros.mpc.solve.dives import Dives
@@ -49,7 +50,6 @@ from orbimpc_ros.mpc.solve.turns import Turns
 
 NEAR = 0.05  # a round floor missed by less is worth a dive
 MAX_NODES = 20_000
-TELLING = 20  # times as long it takes to tell of a tangent as to count it
 HALFWAY = (
     50.0  # times the tolerance, for descents and traffic: half of the gap that counts as proved
 )

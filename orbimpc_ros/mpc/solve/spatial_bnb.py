@@ -38,6 +38,7 @@ from orbimpc_ros.mpc.model.cost import (
     wanted_coordinates,
 )
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.solve.choice_nodes import TELLING
 from orbimpc_ros.mpc.solve.disjunction import Disjunction, disjunctions_of
 from orbimpc_ros.mpc.solve.general import General
 from orbimpc_ros.mpc.solve.request import Found, Request
@@ -47,7 +48,6 @@ from orbimpc_ros.mpc.solve.unconstrained import other_axes, thrust_axis
 
 MOST = 6400  # nodes of a search
 BUDGET = 100.0 * SLICE  # multiplications of a node
-TELLING = 20  # times as long it takes to tell of a tangent as to count it
 FARTHEST = 12.0  # |R - R'|_F^2 of any two rotations
 UNGUIDED = np.empty((0, 3))
 
