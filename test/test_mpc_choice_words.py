@@ -52,13 +52,13 @@ def held(case, plan):
     return made.document()
 
 
-@pytest.mark.parametrize(('kind', 'seed'), itertools.product(KINDS, (0, 3)))
+@pytest.mark.parametrize(('kind', 'seed'), [*itertools.product(KINDS, (0, 3))])
 def test_what_a_search_over_choices_publishes_holds(kind, seed):
     held(*solved(kind, seed))
 
 
 @pytest.mark.parametrize(
-    ('kind', 'changes'), itertools.product(('boxes that move', 'discs'), CURVED)
+    ('kind', 'changes'), [*itertools.product(('boxes that move', 'discs'), CURVED)]
 )
 def test_what_moves_within_steps_is_held_by_their_control_points(kind, changes):
     known = held(*solved(kind, 1, **changes))
@@ -84,7 +84,9 @@ def test_of_lengths_and_cones_nothing_is_published_beside_boxes(changes):
     assert kept(*case, plan.proof) is None
 
 
-@pytest.mark.parametrize(('kind', 'floor'), itertools.product(('boxes', 'discs'), (SQUARE, ROUND)))
+@pytest.mark.parametrize(
+    ('kind', 'floor'), [*itertools.product(('boxes', 'discs'), (SQUARE, ROUND))]
+)
 def test_floors_beside_bodies_have_words(kind, floor):
     known = held(*solved(kind, 1, floor=floor))
     headings = [each for each in splits(known['tree']) if 'wall' not in each]

@@ -41,7 +41,7 @@ FLOORS = {
 
 
 @pytest.mark.parametrize(
-    ('kind', 'seed'), itertools.product((*BESIDE, *TURNING, *SPATIAL), range(2))
+    ('kind', 'seed'), [*itertools.product((*BESIDE, *TURNING, *SPATIAL), range(2))]
 )
 def test_what_a_search_proves_is_proved_by_its_tree(kind, seed):
     case, plan = solved(kind, seed)
@@ -127,7 +127,9 @@ def test_boxes_that_move_in_space_are_choices_over_rotations(seed):
         assert counted(case, plan, presses=presses) <= again * (1.0 + 1e-9)
 
 
-@pytest.mark.parametrize(('floor', 'rate', 'seed'), itertools.product(FLOORS, (0.0, 1.0), (1, 2)))
+@pytest.mark.parametrize(
+    ('floor', 'rate', 'seed'), [*itertools.product(FLOORS, (0.0, 1.0), (1, 2))]
+)
 def test_floors_beside_boxes_are_choices_too(floor, rate, seed):
     step = solved('boxes', seed)[0].problem.step
     case, plan = solved('boxes', seed, floor=FLOORS[floor], max_rate=rate / step)
@@ -289,7 +291,7 @@ def test_a_bound_beyond_its_tree_is_lowered_to_what_it_proves(monkeypatch):
 # --- the choices themselves
 
 
-@pytest.mark.parametrize(('kind', 'seed'), itertools.product(BESIDE, range(2)))
+@pytest.mark.parametrize(('kind', 'seed'), [*itertools.product(BESIDE, range(2))])
 def test_places_are_where_headings_lead(kind, seed):
     case, plan = solved(kind, seed)
     problem, state = case.problem, case.state
@@ -312,7 +314,7 @@ def rows_of(known, j, at, places, z, faces):
     return np.array(margins)
 
 
-@pytest.mark.parametrize(('kind', 'seed'), itertools.product(BESIDE, range(2)))
+@pytest.mark.parametrize(('kind', 'seed'), [*itertools.product(BESIDE, range(2))])
 def test_whatever_keeps_clear_is_on_some_side_of_every_choice(kind, seed):
     case, plan = solved(kind, seed)
     sides, z = Sides(case.problem, terms_of(case.problem)), plan.rotations[1:, :, 0]

@@ -53,7 +53,7 @@ def posed(kind, seed):
     return solved(base, seed, **changes)
 
 
-@pytest.mark.parametrize(('kind', 'seed'), itertools.product(KINDS, range(2)))
+@pytest.mark.parametrize(('kind', 'seed'), [*itertools.product(KINDS, range(2))])
 def test_what_a_search_proves_is_proved_by_its_tree(kind, seed):
     case, plan = posed(kind, seed)
     assert isinstance(plan.proof.grounds, ChoiceGrounds | Grounds)  # where nothing was chosen
@@ -111,7 +111,9 @@ def test_multipliers_of_an_arrival_hold_what_it_does():
     assert Recount(free).bound(*case[1:], grounds, plan.proof.cost_unit) == -np.inf
 
 
-@pytest.mark.parametrize(('kind', 'seed'), itertools.product(('boxes', 'boxes, inertia'), range(2)))
+@pytest.mark.parametrize(
+    ('kind', 'seed'), [*itertools.product(('boxes', 'boxes, inertia'), range(2))]
+)
 def test_plans_arrive_in_all_half_spaces_of_an_arrival(kind, seed):
     case, plan = posed(kind, seed)
     sides = Sides(case.problem, terms_of(case.problem))

@@ -41,7 +41,7 @@ def posed(kind, seed):
     return solved(base, seed, **changes)
 
 
-@pytest.mark.parametrize(('kind', 'seed'), itertools.product(KINDS, range(2)))
+@pytest.mark.parametrize(('kind', 'seed'), [*itertools.product(KINDS, range(2))])
 def test_what_a_search_proves_within_cones_is_proved_by_its_tree(kind, seed):
     case, plan = posed(kind, seed)
     assert isinstance(plan.proof.grounds, ChoiceGrounds)
@@ -85,7 +85,7 @@ def test_multipliers_of_cones_hold_what_they_do():
     assert again < (1.0 - 1e-6) * before
 
 
-@pytest.mark.parametrize(('kind', 'seed'), itertools.product(KINDS, range(2)))
+@pytest.mark.parametrize(('kind', 'seed'), [*itertools.product(KINDS, range(2))])
 def test_plans_lie_in_the_cones_as_they_are_stated_here(kind, seed):
     case, plan = posed(kind, seed)
     sides = Sides(case.problem, terms_of(case.problem))

@@ -76,7 +76,7 @@ def quickly(name):
     return pytest.param(name, marks=pytest.mark.skipif(slow, reason=reason))
 
 
-@pytest.mark.parametrize('name', map(quickly, FLIGHTS))
+@pytest.mark.parametrize('name', [quickly(each) for each in FLIGHTS])
 def test_a_golden_bag_is_answered_as_it_was(replay, name):
     if name == 'multirotor' and not COMPILED:
         # Near the goal costs are tiny, and the general program's are off by 5e-6 of them.

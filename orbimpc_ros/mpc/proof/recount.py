@@ -63,6 +63,7 @@ class Recount:
         self._curvature = hessian, basis[:, ::-1].copy(), ends[::-1][moved].copy()
         here, bends = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n)), np.zeros(count)
         self._pulled = n * (1 + problem.inertial) * (problem.terminal == 'constraint')
+        self._aims = n == 2 and problem.approach.exists
         pull = np.zeros(self._pulled)
         for grounds in (tangent(x, bends), Tangent(x, bends, pull, 0.0, bends, rest)):
             self.bound(here, rest, grounds, 1.0)  # compiles
@@ -125,11 +126,10 @@ class Recount:
 
     def _last(self, state: State) -> tuple[float, float]:
         """Return the direction of the last heading, and the angle it may be off by [rad]."""
-        approach = self._problem.approach
-        if self._problem.dimension == 3 or not approach.exists:
+        if not self._aims:
             return 0.0, math.pi
-        axis = approach.axis(state)
-        return math.atan2(axis[1], axis[0]), approach.cone + LEEWAY
+        axis = self._problem.approach.axis(state)
+        return math.atan2(axis[1], axis[0]), self._problem.approach.cone + LEEWAY
 
     def _pulls(self, grounds: Grounds) -> bool:
         """Return whether what pulls at the end of each leaf fits the problem, or nothing does."""
