@@ -22,12 +22,11 @@ from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof.certificate import Leaf, plain, statement
-from orbimpc_ros.mpc.proof.prove import Unproved
+from orbimpc_ros.mpc.proof.prove import Unproved, held, held_in_time
 from orbimpc_ros.mpc.proof.refutation_program import Motion, RefutationProgram
 from orbimpc_ros.mpc.proof.refute import (
     catches_refuted,
     refutation_of,
-    refuted_in_time,
     stated,
 )
 from orbimpc_ros.mpc.proof.verifier import Refused, parsed, posed_by, refuted_by, verified
@@ -96,7 +95,7 @@ def sought_of(kind, seed=0):
 def test_what_is_refuted_in_time_holds_and_is_what_it_is_without_a_deadline(kind):
     for seed in range(3):
         sought = sought_of(kind, seed)
-        made = refuted_in_time(functools.partial(refutation_of, sought), lambda: 0.0, np.inf)
+        made = held(lambda sought=sought: [refutation_of(sought)])
         try:
             known = refutation_of(sought).text()
         except Unproved:
@@ -130,9 +129,9 @@ def test_catches_are_given_up_when_it_is_late_too():
 
 @pytest.mark.parametrize(('end', 'known'), [(11.0, True), (9.0, False)])
 def test_half_of_the_time_is_left_to_go_through_what_is_made(end, known):
-    make = functools.partial(refutation_of, sought_of('out of reach'))
-    times = iter([0.0, 5.0])  # when it begins, and before the only part
-    assert (refuted_in_time(make, lambda: next(times), end) is not None) == known
+    sought, times = sought_of('out of reach'), iter([0.0, 5.0])  # begins; before the only part
+    made = held_in_time(lambda late: [refutation_of(sought, late)], lambda: next(times), end)
+    assert (made is not None) == known
 
 
 @pytest.mark.parametrize('kind', ['out of reach', 'walled in', 'behind a wing'])
@@ -141,8 +140,8 @@ def test_what_is_made_and_does_not_hold_is_no_refutation(kind):
     nothing = Leaf(np.zeros((made.sought.problem.horizon, made.sought.problem.dimension)))
     for trees in ((nothing,), 2 * made.trees, ()):
         each = replace(made, trees=trees)
-        assert refuted_in_time(lambda _, each=each: each, lambda: 0.0, 1.0) is None
-    assert refuted_in_time(lambda _: made, lambda: 0.0, 1.0) is made
+        assert held(lambda each=each: [each]) is None
+    assert held(lambda: [each, made]) is made
 
 
 def test_who_has_no_clarabel_or_one_that_panics_refutes_nothing(monkeypatch):
@@ -154,7 +153,7 @@ def test_who_has_no_clarabel_or_one_that_panics_refutes_nothing(monkeypatch):
     monkeypatch.setitem(sys.modules, 'clarabel', None)
     with pytest.raises(BadInput, match='not installed'):
         make()
-    assert refuted_in_time(make, lambda: 0.0, 1.0) is None
+    assert held(lambda: [make()]) is None
 
 
 # --- catches

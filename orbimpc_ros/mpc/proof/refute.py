@@ -11,19 +11,18 @@ Mathematics: docs/proofs.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 
-from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Ball, Floor, Problem
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof.certificate import Leaf, Refutation, Tree, plain, split_into
-from orbimpc_ros.mpc.proof.prove import Unproved
+from orbimpc_ros.mpc.proof.prove import OutOfTime, Unproved, patient
 from orbimpc_ros.mpc.proof.refutation_program import Missed, Motion, RefutationProgram, middle_of
-from orbimpc_ros.mpc.proof.verifier import Refused, parsed, refuted_by, verified
+from orbimpc_ros.mpc.proof.verifier import Refused, refuted_by
 from orbimpc_ros.mpc.proof.verifier.bound import bound
 from orbimpc_ros.mpc.proof.verifier.regions import Region, Sector
 from orbimpc_ros.mpc.proof.verifier.splits import beside, halves, root
@@ -31,13 +30,6 @@ from orbimpc_ros.mpc.proof.verifier.stated import StatedProblem
 from orbimpc_ros.mpc.proof.walls import WallSplits
 
 NARROWEST = 1e-6  # [rad] of a sector that is split
-WORD = 'not proved: the word of the method'
-OutOfTime = Callable[[], bool]
-
-
-def patient() -> bool:
-    """Return that there is time left, always."""
-    return False
 
 
 def refutation_of(sought: Sought, out_of_time: OutOfTime = patient) -> Refutation:
@@ -67,28 +59,6 @@ def catches_refuted(sought: Sought, count: int, out_of_time: OutOfTime = patient
     """
     made, steps = stated(sought), range(1, count + 1)
     return replace(made, trees=tuple(_refuting(made, k, out_of_time) for k in steps))
-
-
-def refuted_in_time(
-    make: Callable[[OutOfTime], Refutation], clock: Callable[[], float], end: float
-) -> Refutation | None:
-    """Return a refutation that is made and holds, in exact arithmetic; None without one in time.
-
-    To go through one takes no longer than to make it, where each leaf is gone through, too: half of
-    the time is for either. Beyond that it takes what a single leaf does at most.
-
-    Args:
-        make: makes it, until it is out of time.
-        clock: of the end [s].
-        end: by when it is wanted [s]; infinite for whenever it is there.
-    """
-    now = clock()
-    half = now + 0.5 * (end - now)
-    try:
-        made = make(lambda: clock() >= half)
-        return made if verified(parsed(made.text().encode())).holds else None
-    except (Unproved, Refused, BadInput):  # the last without Clarabel
-        return None
 
 
 def stated(sought: Sought) -> Refutation:
