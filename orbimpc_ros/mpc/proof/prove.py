@@ -78,6 +78,8 @@ def held_in_time(
         end: by when one is wanted [s]; infinite for whenever it is there.
     """
     now = clock()
+    if now >= end:
+        return None
     half = now + 0.5 * (end - now)
     return held(lambda: make(lambda: clock() >= half))
 
