@@ -134,8 +134,9 @@ def test_plans_arrive_in_all_half_spaces_of_an_arrival(kind, seed):
 def symmetry(problem, **state):
     here = State.at(np.zeros(2), np.eye(2), **state)
     sides = Sides(problem, terms_of(problem))
-    known = sides.alternatives(here, sides.places(here))
-    return sides.symmetry(known, sides.always(here, np.zeros((problem.horizon, 2))))
+    away = np.zeros((problem.horizon, 2))
+    known = sides.alternatives(here, away, sides.places(here))
+    return sides.symmetry(known, sides.always(here, away))
 
 
 SHORTEST = Problem(horizon=6, floor=PENTAGON, **SHORT)

@@ -13,22 +13,39 @@ from __future__ import annotations
 import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.proof.sides import ARCS, FACES, SIDES
+from orbimpc_ros.mpc.proof.patches import FINEST, set_patch
+from orbimpc_ros.mpc.proof.sides import ARCS, CAPS, FACES, FIRST_CAP, PATCHES, SIDES
 from orbimpc_ros.mpc.proof.slopes import ROUNDING, least_along, set_slopes
 from orbimpc_ros.mpc.proof.tangents import least_over_orbitope, top_of, vector_size
 
 QUARTERS = 4  # of a circle, that arcs begin with
 DEEPEST = 40  # halvings of them
+TRIANGLES = 4  # that a patch is split into
 SURE = 1e-12  # by so much more than can be reached is surely out of reach
 
 
 @compiled
 def _sides_of(known, j, faces):
-    """Return how many sides a choice has to begin with."""
+    """Return the first of the sides that a choice has to begin with, and how many there are."""
     kind = known.kinds[j]
     if kind == ARCS:
-        return QUARTERS
-    return len(faces) if kind == FACES else known.extents.shape[1]
+        return 0, QUARTERS
+    if kind == PATCHES:
+        return 0, FIRST_CAP
+    if kind == CAPS:
+        return FIRST_CAP, len(faces.patches) - FIRST_CAP
+    return 0, len(faces.normals) if kind == FACES else known.extents.shape[1]
+
+
+@compiled
+def _parts_of(known, j, tree, holder):
+    """Return which sides a side is split into: how often halved, the first, and how many; or 0."""
+    kind, level, side = known.kinds[j], tree.levels[holder], tree.sides[holder]
+    if kind == ARCS and 0 <= level < DEEPEST:
+        return level + 1, 2 * side, 2
+    if kind in (PATCHES, CAPS) and 0 <= level < FINEST:
+        return level + 1, TRIANGLES * side, TRIANGLES
+    return level, side, 0
 
 
 @compiled
@@ -38,9 +55,9 @@ def set_row(known, j, at, i, faces, normal):
     Args:
         known: the choices.
         j: which of them.
-        at: how often its quarters were halved, and which side.
+        at: how often its quarters, or patches, were halved, and which side.
         i: which row.
-        faces: normals of those of a polygonal floor, shape (F, n).
+        faces: what sides are made of.
         normal: to be set, shape (n,).
     """
     kind, (level, side), n = known.kinds[j], at, len(normal)
@@ -49,8 +66,12 @@ def set_row(known, j, at, i, faces, normal):
         normal[side % n] = 1.0 if side >= n else -1.0
         offset = known.extents[j, side]
     elif kind == FACES:
-        normal[:] = faces[side]
+        normal[:] = faces.normals[side]
         offset = known.sizes[j]
+    elif kind in (PATCHES, CAPS):
+        share = set_patch(faces.patches, level, side, normal)
+        across = np.sqrt(max(0.0, 1.0 - share * share))
+        offset = known.sizes[j] * share - known.spreads[j] * across
     else:
         width = 0.5 * np.pi / 2.0**level
         middle = width * (side + 0.5)
@@ -107,16 +128,16 @@ def _complete(places, known, symmetry, tree, nodes, t, faces, normal):
     """
     made, parents = nodes
     j, first, count = tree.splits[t], tree.parts[t], tree.counts[t]
-    if j >= len(known.kinds) or (known.kinds[j] == ARCS and len(normal) != 2):
-        return False  # arcs are all there is in the plane alone
+    if j >= len(known.kinds):
+        return False
     if first <= t or first + count > len(made):
         return False
-    holder, level, begin = _holder(made, parents, t, j), 0, 0
-    sides = _sides_of(known, j, faces)
+    holder, level = _holder(made, parents, t, j), 0
+    begin, sides = _sides_of(known, j, faces)
     if holder >= 0:
-        if known.kinds[j] != ARCS or tree.levels[holder] >= DEEPEST:
+        level, begin, sides = _parts_of(known, j, tree, holder)
+        if sides == 0:
             return False
-        level, begin, sides = tree.levels[holder] + 1, 2 * tree.sides[holder], 2
     part, least = first, _first_in_order(made, parents, tree, symmetry.ordered, t, j)
     for side in range(begin, begin + sides):
         if part < first + count and tree.sides[part] == side and tree.levels[part] == level:
@@ -278,7 +299,7 @@ def choices_bound(terms, start, goals, places, stated, tree, unit, enough):
         start: p_0, the disturbance, R_0 e1 and R_g e1, shape (5, n).
         goals: g_1..g_N less s_0, shape (N, n).
         places: where headings lead.
-        stated: the choices, the normals of a floor's faces, what holds of all trajectories, and
+        stated: the choices, what sides are made of, what holds of all trajectories, and
             which steps can be told apart.
         tree: of the choices that were made.
         unit: of the multipliers, in that of the cost.

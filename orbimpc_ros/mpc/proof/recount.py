@@ -204,7 +204,7 @@ class Recount:
             return -np.inf
         known = self._sides.standing  # of which a tree without splits has no use
         if nodes > 1:
-            known = self._sides.alternatives(state, places)
+            known = self._sides.alternatives(state, goals, places)
         stated = known, self._sides.faces, always, self._sides.symmetry(known, always)
         away = goals - state.position
         return float(choices_bound(self._terms, start, away, places, stated, tree, *asked))
