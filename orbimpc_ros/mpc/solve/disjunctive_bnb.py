@@ -222,12 +222,11 @@ class _Run:
     def _grounds(self, lower: float) -> Left | None:
         """Return what a bound rests on: the tree, or its root where that is as good."""
         tree, root = self._tree, self._root
-        known = None if root is None else root.grounds
-        if root is not None and root.bound >= lower - self._tolerance * abs(lower) and known:
-            return known
-        if tree is None or not self._posed.request.leaves_time_for(TELLING * tree.leaves):
+        if tree is not None and self._posed.request.leaves_time_for(TELLING * tree.leaves):
+            return tree.grounds()
+        if root is None or root.bound < lower - self._tolerance * abs(lower):
             return None
-        return tree.grounds()
+        return root.grounds
 
     @property
     def _limit(self) -> float:
