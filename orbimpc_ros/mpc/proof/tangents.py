@@ -11,6 +11,10 @@ import numpy as np
 from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.proof.slopes import ROUNDING, lack, lack_arriving, least_along, set_slopes
 
+STEPS = 40  # of Newton's method
+DOUBLE = 1e-3  # of a cube: a root whose polynomial rises so slowly is nearly a double one
+FLAT = 1e-15  # of a fourth power, that is no more than rounding
+
 
 @compiled
 def tangents_bound(terms, curvature, start, goals, leaf, coasting):
@@ -89,7 +93,31 @@ def least_over_orbitope(slope, top):
 
 @compiled
 def top_of(slope):
-    """Return a top for which top I + K(G) is all but semidefinite: no less is any use."""
+    """Return a top for which top I + K(G) is all but semidefinite: no less is any use.
+
+    It is the largest root of the polynomial of -K(G), that for B = -G is
+    t^4 - 2 |B|^2 t^2 - 8 det(B) t + |B|^4 - 4 |cof B|^2: Newton's method comes down to it from
+    above. Where it is nearly a double one, that is slow.
+    """
+    square, cofactors, volume = 0.0, 0.0, 0.0
+    for i in range(9):
+        square += slope[i] * slope[i]
+    for c in range(3):
+        i, j = 3 * ((c + 1) % 3), 3 * ((c + 2) % 3)
+        for r in range(3):
+            at, after = (r + 1) % 3, (r + 2) % 3
+            each = slope[i + at] * slope[j + after] - slope[i + after] * slope[j + at]
+            cofactors += each * each
+            volume -= slope[3 * c + r] * each / 3.0
+    top = np.sqrt(3.0 * square)
+    for _ in range(STEPS):
+        rise = 4.0 * (top * (top * top - square) - 2.0 * volume)
+        if rise <= DOUBLE * top * top * top:
+            break
+        value = (top * top - square) ** 2 - 8.0 * volume * top - 4.0 * cofactors
+        if value <= FLAT * square * square:
+            return top
+        top -= value / rise
     return -np.linalg.eigvalsh(_turned(slope, 0.0))[0]
 
 
