@@ -68,7 +68,6 @@ class ChoiceTree:
             COMPILED
             and problem.rotation_order == 1
             and problem.max_rate == 0.0
-            and not (problem.weights.length and _turns_in_space_have_weight(problem))
             and not (problem.has_cones and problem.approach.exists)
         )
 
@@ -114,7 +113,7 @@ class ChoiceTree:
         presses += self._arrived(found.pull)
         first = self._always + self._edges + 2 * len(found.pull)
         presses += [(0, first + i, each) for i, each in enumerate(found.props.tolist()) if each]
-        return TreeLeaf(found.point, tuple(presses), tethers, empty, found.leans)
+        return TreeLeaf(found.point, tuple(presses), tethers, empty, found.leans, found.ways)
 
     def _arrived(self, pull: Array) -> list[Press]:
         """Return an arrival's multipliers as those of the half-spaces that leave nothing else."""
@@ -179,12 +178,6 @@ class ChoiceTree:
                 numbers[j] = {id(each): i for i, each in enumerate(cells)}
             told.append((0, numbers[j][id(cell)]))
         return np.array(told, np.int64).T.copy()
-
-
-def _turns_in_space_have_weight(problem: Problem) -> bool:
-    """Return whether the cost sees all of rotations, of which lengths leave no multipliers."""
-    turning = problem.weights.input or problem.weights.attitude
-    return problem.dimension == 3 and bool(turning)
 
 
 def _arc(patch: Patch) -> tuple[int, int]:
