@@ -16,7 +16,12 @@ from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.proof.patches import FINEST, set_patch
 from orbimpc_ros.mpc.proof.sides import ARCS, CAPS, FACES, FIRST_CAP, PATCHES, SIDES
 from orbimpc_ros.mpc.proof.slopes import ROUNDING, least_along, set_slopes
-from orbimpc_ros.mpc.proof.tangents import least_over_orbitope, top_of, vector_size
+from orbimpc_ros.mpc.proof.tangents import (
+    least_over_orbitope,
+    share_length,
+    top_of,
+    vector_size,
+)
 
 QUARTERS = 4  # of a circle, that arcs begin with
 DEEPEST = 40  # halvings of them
@@ -250,28 +255,29 @@ def _held(places, known, always, tree, nodes, leaf, unit, faces, forces):
 
 
 @compiled
-def _leaf_bound(terms, start, goals, point, forces, held, slopes, enough):
+def _leaf_bound(terms, start, goals, tangent, forces, held, slopes, enough):
     """Return what a leaf's tangent proves; over SO(3) as much of it as is enough, step by step."""
     (worth, cancelled), arrival, rest, n = held, np.zeros(0), 0.0, forces.shape[1]
+    point, ways = tangent
     value, size = set_slopes(terms, start, goals, (arrival, 0.0), point, slopes)
     for k in range(len(point)):
-        square, length, ahead = 0.0, terms.lengths[k + 1], vector_size(point[k], n)
+        square, length = 0.0, terms.lengths[k + 1]
         for c in range(point.shape[1]):
             along = slopes[k, c] * point[k, c]
             value -= along
             size += abs(along)
             if c < n:
                 slopes[k, c] -= forces[k, c]
-                if point.shape[1] == 9 and ahead > 0.0:  # no length is less along any way
-                    slopes[k, c] += length * point[k, c] / ahead
             square += slopes[k, c] ** 2
         size += length
-        if not square < np.inf:  # or no number
-            return -np.inf
         if point.shape[1] == 9:
+            if len(ways) > 0:
+                rest -= share_length(slopes[k], ways[k], length, terms.floor[0])
             rest += _by_columns(slopes[k])
         else:
             rest -= least_along(length - np.sqrt(square), 0.0, terms.floor[0])
+        if not abs(rest) < np.inf:  # or no number
+            return -np.inf
     value += worth + terms.lengths[0] * vector_size(start[2], n)
     bound = value - rest - ROUNDING * len(point) * (size + cancelled + abs(rest))
     for k in range(len(point) if point.shape[1] == 9 else 0):
@@ -329,7 +335,8 @@ def choices_bound(terms, start, goals, places, stated, tree, unit, enough):
             if not held[0] > reach + ROUNDING * len(forces) * (held[1] + reach):
                 return -np.inf
             continue
-        told = tree.points[number], forces, held, slopes, min(enough, least)
+        tangent = tree.points[number], tree.ways[number] if len(tree.ways) > 0 else forces[:0]
+        told = tangent, forces, held, slopes, min(enough, least)
         value = _leaf_bound(terms, start, goals, *told)
         if not value > -np.inf:  # or no number
             return -np.inf

@@ -199,8 +199,10 @@ class Recount:
         fits &= tree.tethers.shape == (leaves, max(0, count - always.begin), n)
         if tree.leans.size:
             fits &= tree.leans.shape == (leaves, len(always.cones.places), n)
+        if tree.ways.size:
+            fits &= tree.ways.shape == (leaves, count, n)
         wanted = [*[nodes] * 5, *[leaves] * 3, *[rows] * 3, leaves]
-        if not (fits and list(map(len, tree[:-1])) == wanted):
+        if not (fits and list(map(len, tree[:-2])) == wanted):
             return -np.inf
         known = self._sides.standing  # of which a tree without splits has no use
         if nodes > 1:

@@ -41,8 +41,9 @@ def tangents_bound(terms, curvature, start, goals, leaf, coasting):
         if k == 0 and terms.order == 2:
             least = _least_decided(slopes[0], start[4], terms.lengths[1], n, coasting)
         elif point.shape[1] == 9:
-            _lean(slopes[k], leaf.ways[k], terms.lengths[k + 1])
-            least = least_over_orbitope(slopes[k], leaf.tops[k])
+            rest = share_length(slopes[k], leaf.ways[k], terms.lengths[k + 1], terms.floor[0])
+            least = rest + least_over_orbitope(slopes[k], leaf.tops[k])
+            size += rest
         else:
             rise = terms.lengths[k + 1] - vector_size(slopes[k], n)
             least = least_along(rise, bend, terms.floor[0])
@@ -78,11 +79,16 @@ def _least_decided(slope, decided, length, n, coasting):
 
 
 @compiled
-def _lean(slope, way, length):
-    """Add to a slope that of l way . R e1, which is at most l |R e1|."""
-    share = length / max(1.0, vector_size(way, len(way)))
+def share_length(slope, way, length, least):
+    """Add to a slope that of l way . R e1, and return what l |R e1| comes to beyond that.
+
+    That is l (1 - |way|) |R e1|, of no less than the floor's speed.
+    """
+    size = vector_size(way, len(way))
+    share = length / max(1.0, size)
     for c in range(len(way)):
         slope[c] += share * way[c]
+    return (length - share * size) * least
 
 
 @compiled

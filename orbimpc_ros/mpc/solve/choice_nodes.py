@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.proof.grounds import LEAF, NO_LEANS, ChoiceGrounds, Left, tangent
+from orbimpc_ros.mpc.proof.grounds import LEAF, NO_LEANS, NO_WAYS, ChoiceGrounds, Left, tangent
 from orbimpc_ros.mpc.solve.relaxation import NO_CONES
 
 TELLING = 20  # times as long it takes to tell of a tangent as to count it
@@ -30,6 +30,7 @@ class TreeLeaf(NamedTuple):
         tethers: see :class:`orbimpc_ros.mpc.proof.grounds.ChoiceGrounds`.
         empty: whether what holds proves that nothing is there.
         leans: see there.
+        ways: see there.
         moves: by how much headings still move from that point, shape (N,), along a normal, (n,);
             all leaves are moved at once.
     """
@@ -39,6 +40,7 @@ class TreeLeaf(NamedTuple):
     tethers: Array
     empty: bool = False
     leans: Array = NO_CONES
+    ways: Array = NO_CONES
     moves: tuple[Array, Array] | None = None
 
     @property
@@ -112,6 +114,7 @@ class ChoiceNodes:
             np.array(sizes, float),
             np.array([leaf.tethers for leaf in leaves]),
             np.array([leaf.leans for leaf in leaves]) if leaves[0].leans.size else NO_LEANS,
+            np.array([leaf.ways for leaf in leaves]) if leaves[0].ways.size else NO_WAYS,
         )
 
 

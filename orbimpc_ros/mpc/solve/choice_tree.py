@@ -60,7 +60,6 @@ class ChoiceTree:
             COMPILED
             and problem.rotation_order == 1
             and problem.max_rate == 0.0
-            and not (problem.weights.length and _turns_in_space_have_weight(problem))
             and not (problem.has_cones and problem.approach.exists)
         )
 
@@ -106,7 +105,7 @@ class ChoiceTree:
         presses += self._arrived(found.pull)
         first = self._always + self._edges + 2 * len(found.pull)
         presses += [(0, first + i, each) for i, each in enumerate(found.props.tolist()) if each]
-        return TreeLeaf(found.point, tuple(presses), tethers, empty, found.leans)
+        return TreeLeaf(found.point, tuple(presses), tethers, empty, found.leans, found.ways)
 
     def _arrived(self, pull: Array) -> list[Press]:
         """Return an arrival's multipliers as those of the half-spaces that leave nothing else."""
@@ -193,12 +192,6 @@ def _around(cells: Sequence[Patch], direction: Array) -> int:
     """Return which of some triangles a direction is in."""
     within = [np.linalg.solve(each.corners.T, direction).min() for each in cells]
     return int(np.argmax(within))
-
-
-def _turns_in_space_have_weight(problem: Problem) -> bool:
-    """Return whether the cost sees all of rotations, of which lengths leave no multipliers."""
-    turning = problem.weights.input or problem.weights.attitude
-    return problem.dimension == 3 and bool(turning)
 
 
 def _arc(patch: Patch) -> tuple[int, int]:

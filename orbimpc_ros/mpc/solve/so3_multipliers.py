@@ -256,7 +256,8 @@ class SO3Multipliers:
         ]
         point, sizes = self._work.lowest.copy(), self._work.rows[steps]
         rows, pull = np.flatnonzero(sizes), self._pull(request, point, self._work.forces)
-        return Multipliers(point, rows, np.zeros((len(rows), 3)), sizes[rows], pull)
+        normals = np.zeros((len(rows), 3))  # of tangents, of which there are none
+        return Multipliers(point, rows, normals, sizes[rows], pull, ways=self._ways())
 
     def _grounds(self, request: Request) -> Tangent:
         """Return what the last solve's bound rests on: its Lagrangian's tangent where it is least.
@@ -271,10 +272,14 @@ class SO3Multipliers:
         if self._given:
             point[0] = self._first * (work.lowest[0, 0] if self._coasting else 1.0)
         pull = self._pull(request, point, forces)
-        ways, weighed = np.zeros((count, 3)), self._lengths > 0.0
-        ways[-len(weighed) :][weighed] = INWARD * work.pushes[weighed]
+        return Tangent(point, np.zeros(count), pull, 0.0, tops, self._ways())
+
+    def _ways(self) -> Array:
+        """Return along which way the last solve's bound has each length, shape (N, 3)."""
+        ways, weighed = np.zeros((self.problem.horizon, 3)), self._lengths > 0.0
+        ways[-len(weighed) :][weighed] = INWARD * self._work.pushes[weighed]
         ways[-len(weighed) :][weighed] /= self._lengths[weighed, None]
-        return Tangent(point, np.zeros(count), pull, 0.0, tops, ways)
+        return ways
 
     def _pull(self, request: Request, point: Array, forces: Array) -> Array:
         """Return the multipliers of an arrival, of what is left of slopes and forces at a point."""
