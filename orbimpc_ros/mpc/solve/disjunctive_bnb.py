@@ -221,12 +221,14 @@ class _Run:
 
     def _grounds(self, lower: float) -> Left | None:
         """Return what a bound rests on: the tree, or its root where that is as good."""
-        tree, root = self._tree, self._root
-        if tree is not None and self._posed.request.leaves_time_for(TELLING * tree.leaves):
-            return tree.grounds()
-        if root is None or root.bound < lower - self._tolerance * abs(lower):
-            return None
-        return root.grounds
+        tree, root, known = self._tree, self._root, None
+        if root is not None and root.bound >= lower - self._tolerance * abs(lower):
+            known = root.grounds
+        if known is not None and self._posed.has_patches:
+            return known
+        if tree is None or not self._posed.request.leaves_time_for(TELLING * tree.leaves):
+            return known
+        return tree.grounds()
 
     @property
     def _limit(self) -> float:
