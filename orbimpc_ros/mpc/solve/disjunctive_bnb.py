@@ -227,9 +227,10 @@ class _Run:
     def _grounds(self, lower: float) -> Left | None:
         """Return what a bound rests on: the tree, or its root where that is as good."""
         tree, root = self._tree, self._root
-        if tree is not None:
-            in_time = self._posed.request.leaves_time_for(TELLING * tree.leaves)
-            return tree.grounds() if in_time else None
+        if tree is not None and self._posed.request.leaves_time_for(TELLING * tree.leaves):
+            told = tree.grounds()
+            if told is not None:
+                return told
         if root is None or root.bound < lower - self._tolerance * abs(lower):
             return None
         return root.grounds
