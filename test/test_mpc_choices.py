@@ -252,7 +252,7 @@ def test_a_side_has_no_more_rows_than_its_choice_has_places():
 
 def test_problems_that_trees_say_nothing_of_have_nothing_proved():
     case, plan = solved('boxes', 2)
-    other = replace(case.problem, rotation_order=2, translation_order=2)
+    other = replace(case.problem, rotation_order=2, max_rate=0.1)
     recount, grounds = Recount(other), plan.proof.grounds
     assert not recount.knows(grounds)
     assert recount.bound(case.state, case.goals, grounds, 1.0) == -np.inf

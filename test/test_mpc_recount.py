@@ -302,8 +302,8 @@ def test_a_bound_beyond_its_grounds_is_lowered_to_what_they_prove(excess):
 
 
 def test_a_bound_that_is_the_methods_word_says_so_in_a_word_for_messages():
-    goal, orders = np.tile([1.0, 2.0], (4, 1)), {'rotation_order': 2, 'translation_order': 2}
-    problem = Problem(horizon=4, floor=Floor('polygon', faces=4, fraction=0.5), **orders)
+    goal, turns = np.tile([1.0, 2.0], (4, 1)), {'rotation_order': 2, 'max_rate': 1.0}
+    problem = Problem(horizon=4, floor=Floor('polygon', faces=4, fraction=0.5), **turns)
     proof = Solver(problem).solve(State.at(np.zeros(2), np.eye(2)), goal).proof
     assert proof.lower_bound > 0.0
     assert proof.checked is False

@@ -134,6 +134,8 @@ class ChoiceWords:
         problem = self._problem
         if problem.weights.length or problem.has_cones or problem.approach.exists:
             return False
+        if problem.rotation_order == 2:  # of whose hull alone there are certificates
+            return not (len(self._words) or problem.max_rate)
         if problem.dimension == 3:
             return not (problem.floor.exists or (self._choices.kinds == PATCHES).any())
         return not (self.origins is not None and problem.max_rate)  # from the attitude on

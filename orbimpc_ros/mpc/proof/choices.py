@@ -17,6 +17,7 @@ from orbimpc_ros.mpc.proof.patches import FINEST, set_patch
 from orbimpc_ros.mpc.proof.sides import ARCS, CAPS, FACES, FIRST_CAP, PATCHES, SIDES
 from orbimpc_ros.mpc.proof.slopes import ROUNDING, least_along, set_slopes
 from orbimpc_ros.mpc.proof.tangents import (
+    least_decided,
     least_over_orbitope,
     share_length,
     top_of,
@@ -255,10 +256,10 @@ def _held(places, known, always, tree, nodes, leaf, unit, faces, forces):
 
 
 @compiled
-def _leaf_bound(terms, start, goals, tangent, forces, held, slopes, enough):
+def _leaf_bound(terms, start, goals, coasting, tangent, forces, held, slopes, enough):
     """Return what a leaf's tangent proves; over SO(3) as much of it as is enough, step by step."""
     (worth, cancelled), arrival, rest, n = held, np.zeros(0), 0.0, forces.shape[1]
-    point, ways = tangent
+    (point, ways), decided = tangent, terms.order - 1
     value, size = set_slopes(terms, start, goals, (arrival, 0.0), point, slopes)
     for k in range(len(point)):
         square, length = 0.0, terms.lengths[k + 1]
@@ -270,7 +271,10 @@ def _leaf_bound(terms, start, goals, tangent, forces, held, slopes, enough):
                 slopes[k, c] -= forces[k, c]
             square += slopes[k, c] ** 2
         size += length
-        if point.shape[1] == 9:
+        if k < decided:
+            known = start[4], terms.floor[0], coasting
+            rest -= least_decided(slopes[k], length, n, known)
+        elif point.shape[1] == 9:
             if len(ways) > 0:
                 rest -= share_length(slopes[k], ways[k], length, terms.floor[0])
             rest += _by_columns(slopes[k])
@@ -280,7 +284,7 @@ def _leaf_bound(terms, start, goals, tangent, forces, held, slopes, enough):
             return -np.inf
     value += worth + terms.lengths[0] * vector_size(start[2], n)
     bound = value - rest - ROUNDING * len(point) * (size + cancelled + abs(rest))
-    for k in range(len(point) if point.shape[1] == 9 else 0):
+    for k in range(decided, len(point) if point.shape[1] == 9 else 0):
         if bound >= enough:
             break
         bound += _by_columns(slopes[k]) + least_over_orbitope(slopes[k], top_of(slopes[k]))
@@ -297,13 +301,26 @@ def _by_columns(slope):
 
 
 @compiled
-def choices_bound(terms, start, goals, places, stated, tree, unit, enough):
+def _reach(terms, start, coasting, forces):
+    """Return the most that headings, which the state may decide, come to along forces."""
+    reach, decided = 0.0, terms.order - 1
+    if decided:
+        known = start[4], terms.floor[0], coasting
+        reach -= least_decided(-forces[0], 0.0, forces.shape[1], known)
+    for k in range(decided, len(forces)):
+        reach += np.sqrt((forces[k] ** 2).sum())
+    return reach
+
+
+@compiled
+def choices_bound(terms, start, goals, coasting, places, stated, tree, unit, enough):
     """Return the least bound of all leaves; -inf where they are not all there is.
 
     Args:
         terms: the problem.
-        start: p_0, the disturbance, R_0 e1 and R_g e1, shape (5, n).
+        start: p_0, the disturbance, R_0, R_g and, at order 2, what decides R_1, shape (5, d).
         goals: g_1..g_N less s_0, shape (N, n).
+        coasting: whether R_1 is what decides it, or any share of that.
         places: where headings lead.
         stated: the choices, what sides are made of, what holds of all trajectories, and
             which steps can be told apart.
@@ -329,15 +346,13 @@ def choices_bound(terms, start, goals, places, stated, tree, unit, enough):
         leaf = t, number
         held = _held(places, known, always, tree, nodes, leaf, unit, faces, forces)
         if tree.empty[number]:
-            reach = 0.0
-            for k in range(len(forces)):
-                reach += np.sqrt((forces[k] ** 2).sum())
+            reach = _reach(terms, start, coasting, forces)
             if not held[0] > reach + ROUNDING * len(forces) * (held[1] + reach):
                 return -np.inf
             continue
         tangent = tree.points[number], tree.ways[number] if len(tree.ways) > 0 else forces[:0]
         told = tangent, forces, held, slopes, min(enough, least)
-        value = _leaf_bound(terms, start, goals, *told)
+        value = _leaf_bound(terms, start, goals, coasting, *told)
         if not value > -np.inf:  # or no number
             return -np.inf
         least = min(least, value)

@@ -39,7 +39,8 @@ def tangents_bound(terms, curvature, start, goals, leaf, coasting):
             along += slopes[k, c] * point[k, c]
             square += point[k, c] * point[k, c]
         if k == 0 and terms.order == 2:
-            least = _least_decided(slopes[0], start[4], terms.lengths[1], n, coasting)
+            decided = start[4], terms.floor[0], coasting
+            least = least_decided(slopes[0], terms.lengths[1], n, decided)
         elif point.shape[1] == 9:
             rest = share_length(slopes[k], leaf.ways[k], terms.lengths[k + 1], terms.floor[0])
             least = rest + least_over_orbitope(slopes[k], leaf.tops[k])
@@ -70,12 +71,23 @@ def vector_size(vector, n):
 
 
 @compiled
-def _least_decided(slope, decided, length, n, coasting):
-    """Return the least slope . x + l |x e1| where x is decided, or any share of what is."""
-    least = length * vector_size(decided, n)
+def least_decided(slope, length, n, decided):
+    """Return the least slope . x + l |x e1| where x is decided, or any share of what is.
+
+    Args:
+        slope: shape (d,), or shape (n,) of what is along x e1 alone.
+        length: l.
+        n: dimension.
+        decided: x; the floor's speed, that no share is slower than; whether shares are allowed.
+    """
+    x, floor, coasting = decided
+    speed = vector_size(x, n)
+    most = length * speed
     for c in range(len(slope)):
-        least += slope[c] * decided[c]
-    return min(0.0, least) if coasting else least
+        most += slope[c] * x[c]
+    if not coasting or speed <= floor:
+        return most
+    return min(most, floor / speed * most)
 
 
 @compiled

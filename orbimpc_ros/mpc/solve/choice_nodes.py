@@ -63,12 +63,16 @@ class TreeLeaf(NamedTuple):
 class ChoiceNodes:
     """What nodes are split by, and who holds what was chosen on the way to each.
 
+    Args:
+        apart: whether a leaf that is free is one with no tree.
+
     Attributes:
         splits: the choice that each node is split by, ``LEAF`` of leaves.
         holders: by choice that is made, at which node it was.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, apart: bool = True) -> None:
+        self._apart = apart
         self.splits, self._parts, self._counts = [LEAF], [0], [0]
         self.holders: list[dict[int, int]] = [{}]
 
@@ -95,7 +99,7 @@ class ChoiceNodes:
             sides: levels and sides of the nodes, shape (2, T).
             leaves: of the nodes that are not split, in their order.
         """
-        if len(leaves) == 1 and leaves[0].is_free:
+        if self._apart and len(leaves) == 1 and leaves[0].is_free:
             return tangent(leaves[0].point, np.zeros(len(leaves[0].point)))
         presses = [each for leaf in leaves for each in leaf.presses]
         holders, rows, sizes = zip(*presses, strict=True) if presses else ((), (), ())

@@ -42,7 +42,7 @@ class ChoiceTree:
         turns = posed.turns
         self._always = len(turns.slots) if turns else 0
         self._edges = 2 * posed.problem.first_turn_is_a_cone
-        self._nodes = ChoiceNodes()
+        self._nodes = ChoiceNodes(apart=posed.problem.rotation_order == 1)
         self._cells: list[tuple[int, Cell] | None] = [None]
         self._raised: list[tuple[int, int, float] | None] = [None]
         self._solved: dict[int, TreeLeaf | None] = {}
@@ -58,9 +58,8 @@ class ChoiceTree:
         """Return whether multipliers of a program's half-spaces are all that its bounds rest on."""
         return isinstance(program, PlaceProgram) or (
             COMPILED
-            and problem.rotation_order == 1
             and problem.max_rate == 0.0
-            and not (problem.has_cones and problem.approach.exists)
+            and not (problem.has_cones and (problem.approach.exists or problem.rotation_order > 1))
         )
 
     def solved(self, t: int, *, better: bool = True, empty: bool = False) -> None:

@@ -228,7 +228,8 @@ class _Run:
             return known
         if tree is None or not self._posed.request.leaves_time_for(TELLING * tree.leaves):
             return known
-        return tree.grounds()
+        told = tree.grounds()
+        return known if told is None else told
 
     @property
     def _limit(self) -> float:
