@@ -94,15 +94,48 @@ LEFT: dict[str, dict[str, Any]] = {
         'length': 0.3,
     },
 }
+# Changes of speed above a floor in the plane, and ways round to a cone: what one search splits.
+PACED: dict[str, dict[str, Any]] = {
+    'circle, acceleration': {
+        'floor': Floor('circle', fraction=0.8),
+        'max_acceleration': 0.05,
+        'horizon': 4,
+    },
+    'circle, turn rate, acceleration': {
+        'floor': Floor('circle', fraction=0.7),
+        'max_rate': 0.4,
+        'max_acceleration': 0.03,
+    },
+    'circle, turn rate, approach': {
+        'floor': Floor('circle', fraction=0.6),
+        'max_rate': 0.9,
+        'approach': Approach(0.4, (1.0, 0.5)),
+    },
+    'polygon, turn rate, approach': {
+        'floor': Floor('polygon', 6, 0.6),
+        'max_rate': 0.9,
+        'approach': Approach(0.4, (1.0, 0.5)),
+    },
+    'wing': {
+        'floor': Floor('circle', fraction=0.7),
+        'max_rate': 0.5,
+        'max_acceleration': 0.03,
+        'approach': Approach(0.5, (1.0, 0.5)),
+    },
+}
 
 
 def case(kind: str, rng: np.random.Generator, longest: int = 7) -> Case:
-    """Return a problem of a kind with a state at full speed and goals within its reach."""
-    given = dict((KINDS | LIMITED | TIED | LEFT)[kind])
+    """Return a problem of a kind with a state and goals within its reach.
+
+    The state is at full speed, but where plans know that speeds change slowly.
+    """
+    given = dict((KINDS | LIMITED | TIED | LEFT | PACED)[kind])
     bodies, hazards = given.pop('bodies', 0), given.pop('hazards', 0)
     discs = given.pop('discs', 0)
     weights = Weights(1.0, given.pop('input', 0.05), given.pop('length', 0.0), 10.0)
     horizon = int(rng.integers(4, longest + 1))
+    horizon = given.pop('horizon', horizon)
     step, forward = 10.0 ** rng.uniform(-1, 0), 10.0 ** rng.uniform(-0.5, 1)
     if 'max_rate' in given:
         given['max_rate'] = given['max_rate'] / step
@@ -113,9 +146,10 @@ def case(kind: str, rng: np.random.Generator, longest: int = 7) -> Case:
     attitude = problems.rotation(rng, n)
     extra: dict[str, Any] = {'velocity': 0.1 * rng.normal(size=n) * unit / step}
     coasted = attitude @ problems.rotation(rng, n, 0.2) if problem.rotation_order == 2 else None
+    speed = rng.uniform(problem.floor.fraction, 1.0) if kind in PACED else 1.0
     state = State.at(
         rng.normal(size=n) * unit,
-        attitude,
+        speed * attitude,
         coasted=coasted,
         disturbance=0.05 * rng.normal(size=n) * unit / step ** (2 if problem.inertial else 1),
         **(extra if problem.inertial else {}),

@@ -10,11 +10,13 @@ from typing import Any
 
 import certified
 import numpy as np
+import problems
 
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.plan import Plan
-from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Approach, Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
+from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.grounds import ChoiceGrounds
 from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.solve.request import Request
@@ -39,6 +41,14 @@ def said(case: Case) -> float:
     units, method = solver._units, solver._method_for(case.state)
     found = method.solve(Request(units.state(case.state), units.lengths(case.goals)))
     return units.cost * found.lower_bound
+
+
+def told(problem: Problem, state: State, goals: np.ndarray) -> tuple[float, float, Any]:
+    """Return a method's bound and cost, and what its bound rests on, as the problem was posed."""
+    solver, units = Solver(problem), Units.of(problem)
+    found = solver._method.solve(Request(units.state(state), units.lengths(goals)))
+    grounds = solver._posed(found.grounds)
+    return units.cost * found.lower_bound, units.cost * found.cost, (grounds, units.cost)
 
 
 def counted(case: Case, plan: Plan, **changes: Any) -> float:
@@ -68,6 +78,54 @@ def mutants(grounds: ChoiceGrounds, rng: np.random.Generator, count: int) -> Ite
         if array.dtype.kind == 'f':
             value = old * rng.uniform(0.0, 3.0) + 0.1 * rng.normal()
         yield {name: changed(array, place, value)}
+
+
+def a_change(seed: int) -> Case:
+    """Return a problem with a floor whose speed changes slowly, a state, and goals."""
+    rng = np.random.default_rng(seed)
+    faces = int(rng.choice([0, 4, 6]))
+    least = rng.uniform(0.3, 0.95 * np.cos(np.pi / faces) if faces else 0.8)
+    step, forward = 10.0 ** rng.uniform(-1, 0), 10.0 ** rng.uniform(-0.5, 1)
+    turn = float(rng.choice([0.3, 0.7, 1.5, 0.0]))
+    problem = Problem(
+        horizon=int(rng.integers(3, 6)),
+        step=step,
+        forward=forward,
+        weights=Weights(1.0, 0.05, 0.0, 10.0),
+        floor=Floor('polygon', faces, least) if faces else Floor('circle', fraction=least),
+        max_rate=turn / step,
+        max_acceleration=float(rng.choice([0.05, 0.1, 0.3])) * forward / step,
+    )
+    unit = problem.length_unit
+    turned = rng.uniform(least, 1.0) * problems.rotation(rng, 2)
+    start = State.at(10.0 * unit * rng.normal(size=2), turned)
+    way = rng.normal(size=2)
+    way *= rng.uniform(0.1, 0.9) * problem.horizon * unit / np.linalg.norm(way)
+    return Case(problem, start, np.tile(start.position + way, (problem.horizon, 1)))
+
+
+def an_approach(seed: int) -> Case:
+    """Return a problem with a floor, a turn limit and a cone of approach, a state, and goals."""
+    rng = np.random.default_rng(seed)
+    step, forward = 10.0 ** rng.uniform(-1, 0), 10.0 ** rng.uniform(-0.5, 1)
+    floors = (
+        Floor('circle', fraction=float(rng.uniform(0.3, 1.0))),
+        Floor('polygon', faces=6, fraction=float(rng.uniform(0.3, 0.8))),
+    )
+    problem = Problem(
+        horizon=int(rng.integers(3, 14)),
+        step=step,
+        forward=forward,
+        weights=Weights(float(rng.choice([0.0, 1.0])), 0.05, 0.0, 10.0),
+        floor=floors[seed % 2],
+        max_rate=float(rng.uniform(0.2, 1.3)) / step,
+        max_acceleration=float(rng.choice([0.0, 0.2])) * forward / step,
+        approach=Approach(float(rng.uniform(0.05, 1.0)), tuple(rng.normal(size=2))),
+    )
+    start = State.at(3.0 * rng.normal(size=2), problems.rotation(rng, 2))
+    way = rng.normal(size=2)
+    way *= rng.uniform(0.1, 0.8) * problem.horizon * problem.length_unit / np.linalg.norm(way)
+    return Case(problem, start, np.tile(start.position + way, (problem.horizon, 1)))
 
 
 @cache

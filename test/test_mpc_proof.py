@@ -144,7 +144,7 @@ def test_a_proof_beside_a_box_takes_the_box(path, value, outcome):
         (('limits', 'walls', 0, 'radius'), 0.1, 'does not hold'),
         (('limits', 'walls', 0, 'of'), 'end', 'presses is not a list'),
         (('limits', 'walls', 0, 'of'), 'ends', 'beyond this format'),
-        (('tree', 'at'), 7.0, 'not within the directions'),
+        (('tree', 'at'), 7.0, 'not within what it splits'),
         (('problem', 'discretisation'), 'exact', 'presses is not a list'),
     ],
 )
@@ -183,7 +183,6 @@ def test_a_search_that_is_too_long_has_no_certificate(monkeypatch):
     ('changes', 'word'),
     [
         ({'dimension': 3, 'obstacles': (Ball(np.ones(3), 0.5),)}, 'balls in space'),
-        ({'max_acceleration': 0.1, 'floor': Floor('circle')}, 'max_acceleration with a floor'),
         ({'dimension': 3, 'max_rate': 0.1, 'floor': Floor('circle')}, 'max_rate in space with'),
         ({'rotation_order': 2, 'max_rate': 0.1}, 'turn limits at rotation_order 2'),
         ({'rotation_order': 2, 'floor': Floor('circle')}, 'rotation_order 2'),

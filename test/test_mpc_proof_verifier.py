@@ -27,13 +27,13 @@ from orbimpc_ros.mpc.proof import verifier
 from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Split, statement
 from orbimpc_ros.mpc.proof.verifier import least as closed
 from orbimpc_ros.mpc.proof.verifier import reading
-from orbimpc_ros.mpc.proof.verifier.bound import bound, slid, towed
+from orbimpc_ros.mpc.proof.verifier.bound import _least, bound, slid, towed
 from orbimpc_ros.mpc.proof.verifier.cost import Added, cost
 from orbimpc_ros.mpc.proof.verifier.exact import TINY, direction, dot, lacking
 from orbimpc_ros.mpc.proof.verifier.limits import cone
 from orbimpc_ros.mpc.proof.verifier.motion import steps
 from orbimpc_ros.mpc.proof.verifier.regions import Sector
-from orbimpc_ros.mpc.proof.verifier.splits import beside, root
+from orbimpc_ros.mpc.proof.verifier.splits import beside, halves, root, slower
 
 MODELS = [
     *itertools.product((2, 3), (1, 2), (1, 2), ('euler', 'exact')),
@@ -153,6 +153,92 @@ def test_places_are_the_control_points_of_steps(n, order, inertia, kind):
         for place, point in zip(step, points, strict=True):
             free, reach = np.array(place.free, float), np.array(place.reach, float)
             assert free + reach @ headings[1:] == pytest.approx(point, abs=1e-12)
+
+
+def paced(rng, problem):
+    """Return an exact problem whose speed changes slowly, and 3000 ways to fly it.
+
+    Directions and speeds, shape (3000, N).
+    """
+    attitude, share = rotation(2, rng), rng.uniform(problem.floor.fraction, 1.0)
+    state = State.at(rng.normal(size=2), share * attitude, attitude=attitude)
+    exact = verifier.posed_by(statement(problem, state, np.zeros((problem.horizon, 2))))
+    begun = np.arctan2(attitude[1, 0], attitude[0, 0])
+    shape = 3000, problem.horizon
+    some = [rng.choice([-1.0, 1.0], shape) * rng.beta(1.0, 0.3, shape) for _ in range(2)]
+    angles = begun + np.cumsum(problem.widest_turn * some[0], axis=1)
+    speeds, before = np.empty(shape), np.full(3000, share)
+    for k, change in enumerate(problem.speed_change * some[1].T):
+        before = np.clip(before + change, problem.floor.fraction, 1.0)
+        speeds[:, k] = before
+    return exact, angles, speeds
+
+
+def within(region, angles, speeds):
+    """Return which ways are in a region, of all rounding."""
+    if region is None:
+        return np.zeros(len(angles), bool)
+    (low, high), (slow, fast) = (
+        np.array(each, float).T + np.array([[-1e-12], [1e-12]])
+        for each in (region.sectors, region.speeds)
+    )
+    inside = (low <= angles) & (angles <= high) & (slow <= speeds) & (speeds <= fast)
+    return inside.all(axis=1)
+
+
+@pytest.mark.parametrize('seed', range(8))
+def test_parts_below_and_above_an_angle_or_a_speed_leave_nothing_out(seed):
+    rng = np.random.default_rng([seed, 15])
+    floor = Floor('circle', fraction=rng.uniform(0.2, 0.7))
+    pace = rng.choice([0.03, 0.1, 0.5])
+    problem = Problem(horizon=5, floor=floor, max_rate=rng.uniform(0.1, 1.0), max_acceleration=pace)
+    exact, *ways = paced(rng, problem)
+    region = root(exact, None)
+    assert within(region, *ways).all()
+    for step in range(12):
+        k, split = int(rng.integers(5)), (halves, slower)[step % 2]
+        low, high = (region.sectors, region.speeds)[step % 2][k]
+        at = low + Fraction(rng.uniform()) * (high - low)
+        whole, parts = within(region, *ways), split(exact, region, k, at)
+        inside = [within(each, *ways) for each in parts]
+        assert (whole == inside[0] | inside[1]).all()
+        fewer = [each for each in parts if each is not None]
+        region = fewer[int(rng.integers(len(fewer)))]
+
+
+@pytest.mark.parametrize('seed', range(12))
+def test_what_a_step_adds_is_no_more_than_it_does_within_its_speeds_and_directions(seed):
+    rng = np.random.default_rng([seed, 16])
+    floor, length = Floor('circle', fraction=0.3), rng.choice([0.0, 0.5])
+    weights = Weights(length=float(length))
+    problem = Problem(horizon=5, weights=weights, floor=floor, max_rate=0.4, max_acceleration=0.1)
+    exact, *_ = paced(rng, problem)
+    region = root(exact, None)
+    for split in (halves, slower):
+        known = (region.sectors if split is halves else region.speeds)[2]
+        parts = split(exact, region, 2, (known.low + known.high) / 2)
+        region = parts[int(rng.integers(2))]
+    slope, bend = rng.normal(size=2), rng.choice([0.0, 0.5, -0.5])
+    (low, high), (slow, fast) = (map(float, each[2]) for each in (region.sectors, region.speeds))
+    angles, speeds = np.meshgrid(np.linspace(low, high, 401), np.linspace(slow, fast, 201))
+    along = slope[0] * np.cos(angles) + slope[1] * np.sin(angles) + length
+    found = (along * speeds - 0.5 * bend * speeds**2).min()
+    least = float(_least(exact, region, 2, fractions([slope])[0], Fraction(bend)))
+    assert found - 1e-3 <= least <= found + 1e-12
+
+
+def test_speeds_reach_as_far_as_they_change_from_where_they_begin():
+    floor = Floor('circle', fraction=0.6)
+    problem = Problem(horizon=3, step=0.5, forward=2.0, floor=floor, max_acceleration=0.4)
+    for share, ends in (
+        (0.85, [(0.75, 0.95), (0.65, 1.0), (0.6, 1.0)]),
+        (0.3, [(0.6, 0.7), (0.6, 0.8), (0.6, 0.9)]),
+    ):  # at the floor at once
+        state = State.at(np.zeros(2), share * np.eye(2), attitude=np.eye(2))
+        exact = verifier.posed_by(statement(problem, state, np.zeros((3, 2))))
+        assert np.array(exact.limits.speeds, float) == pytest.approx(np.array(ends))
+    free = statement(replace(problem, max_acceleration=0.0), state, np.zeros((3, 2)))
+    assert verifier.posed_by(free).limits.speeds == ((Fraction(0.6), 1),) * 3
 
 
 STEPS = list(itertools.product((1, 2), ('euler', 'exact')))

@@ -7,9 +7,10 @@ import certified
 import numpy as np
 import problems
 import pytest
+from counting import a_change, an_approach, told
 
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.problem import Approach, Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.convexity import arriving
 from orbimpc_ros.mpc.proof.grounds import LEAF, Grounds
@@ -27,14 +28,6 @@ ACCURATE = 1e-5  # share of a bound: searches over arcs tell multipliers of arri
 needs_machine_code = pytest.mark.skipif(
     not COMPILED, reason='the search that leaves grounds needs numba'
 )
-
-
-def told(problem, state, goals):
-    """Return a method's bound and cost, and what its bound rests on, as the problem was posed."""
-    solver, units = Solver(problem), Units.of(problem)
-    found = solver._method.solve(Request(units.state(state), units.lengths(goals)))
-    grounds = solver._posed(found.grounds)
-    return units.cost * found.lower_bound, units.cost * found.cost, (grounds, units.cost)
 
 
 # --- arrivals
@@ -191,30 +184,6 @@ def test_no_leaf_is_pulled_where_nothing_has_to_arrive():
 # --- changes of speed
 
 
-def a_change(seed):
-    """Return a problem with a floor whose speed changes slowly, a state, and goals."""
-    rng = np.random.default_rng(seed)
-    faces = int(rng.choice([0, 4, 6]))
-    least = rng.uniform(0.3, 0.95 * np.cos(np.pi / faces) if faces else 0.8)
-    step, forward = 10.0 ** rng.uniform(-1, 0), 10.0 ** rng.uniform(-0.5, 1)
-    turn = float(rng.choice([0.3, 0.7, 1.5, 0.0]))
-    problem = Problem(
-        horizon=int(rng.integers(3, 6)),
-        step=step,
-        forward=forward,
-        weights=Weights(1.0, 0.05, 0.0, 10.0),
-        floor=Floor('polygon', faces, least) if faces else Floor('circle', fraction=least),
-        max_rate=turn / step,
-        max_acceleration=float(rng.choice([0.05, 0.1, 0.3])) * forward / step,
-    )
-    unit = problem.length_unit
-    turned = rng.uniform(least, 1.0) * problems.rotation(rng, 2)
-    start = State.at(10.0 * unit * rng.normal(size=2), turned)
-    way = rng.normal(size=2)
-    way *= rng.uniform(0.1, 0.9) * problem.horizon * unit / np.linalg.norm(way)
-    return problem, start, np.tile(start.position + way, (problem.horizon, 1))
-
-
 def slowing():
     """Return a problem whose bound rests on splits by speeds, with what that is."""
     asked = a_change(24)
@@ -288,14 +257,6 @@ def test_turns_by_up_to_half_a_circle_leave_all_directions():
     plan = Solver(problem).solve(*asked[1:])
     assert plan.proof.checked
     assert kept(*asked, plan.proof) is None  # the format counts directions from the attitude then
-
-
-@needs_machine_code
-def test_splits_by_speeds_are_no_certificates():
-    asked, *_ = slowing()
-    plan = Solver(asked[0]).solve(*asked[1:])
-    assert plan.proof.checked
-    assert kept(*asked, plan.proof) is None
 
 
 @needs_machine_code
@@ -383,30 +344,6 @@ def test_what_is_left_of_a_sector_holds_all_that_a_range_of_speeds_reaches(seed)
 # --- cones of approach
 
 
-def an_approach(seed):
-    """Return a problem with a floor, a turn limit and a cone of approach, a state, and goals."""
-    rng = np.random.default_rng(seed)
-    step, forward = 10.0 ** rng.uniform(-1, 0), 10.0 ** rng.uniform(-0.5, 1)
-    floors = (
-        Floor('circle', fraction=float(rng.uniform(0.3, 1.0))),
-        Floor('polygon', faces=6, fraction=float(rng.uniform(0.3, 0.8))),
-    )
-    problem = Problem(
-        horizon=int(rng.integers(3, 14)),
-        step=step,
-        forward=forward,
-        weights=Weights(float(rng.choice([0.0, 1.0])), 0.05, 0.0, 10.0),
-        floor=floors[seed % 2],
-        max_rate=float(rng.uniform(0.2, 1.3)) / step,
-        max_acceleration=float(rng.choice([0.0, 0.2])) * forward / step,
-        approach=Approach(float(rng.uniform(0.05, 1.0)), tuple(rng.normal(size=2))),
-    )
-    start = State.at(3.0 * rng.normal(size=2), problems.rotation(rng, 2))
-    way = rng.normal(size=2)
-    way *= rng.uniform(0.1, 0.8) * problem.horizon * problem.length_unit / np.linalg.norm(way)
-    return problem, start, np.tile(start.position + way, (problem.horizon, 1))
-
-
 @needs_machine_code
 @pytest.mark.parametrize('seed', [*range(8), *range(9, 16)])  # 8 takes 28,000 nodes
 def test_what_a_search_rests_on_within_a_cone_is_what_it_said(seed):
@@ -441,12 +378,3 @@ def test_a_narrower_cone_is_another_problem():
     bound = Recount(problem).bound(state, goals, grounds, unit)
     wider = replace(problem, approach=replace(problem.approach, cone=1.3))
     assert Recount(wider).bound(state, goals, grounds, unit) < bound * (1.0 - 1e-3)
-
-
-@needs_machine_code
-def test_of_ways_round_to_a_last_heading_nothing_is_published():
-    asked = an_approach(5)
-    plan = Solver(asked[0]).solve(*asked[1:])
-    assert plan.proof.checked
-    assert len(plan.proof.grounds.splits) > 1
-    assert kept(*asked, plan.proof) is None

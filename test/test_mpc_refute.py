@@ -33,6 +33,7 @@ from orbimpc_ros.mpc.proof.verifier import Refused, parsed, posed_by, refuted_by
 from orbimpc_ros.mpc.proof.verifier.bound import bound
 from orbimpc_ros.mpc.proof.verifier.least import least_along
 from orbimpc_ros.mpc.proof.verifier.splits import root
+from orbimpc_ros.mpc.solve.solver import Solver
 
 WING = Problem(horizon=6, max_rate=0.6, floor=Floor('circle', fraction=1.0))
 RADIUS = 0.15
@@ -82,6 +83,18 @@ def test_balls_in_space_are_left_out_of_what_is_refuted_and_nothing_else_is():
     held = State.at(np.zeros(3), np.eye(3), hazards=around)
     with pytest.raises(Unproved, match='no refutation'):
         refutation_of(Sought(replace(problem, terminal='penalty'), held, goals))
+
+
+def test_who_is_below_a_floor_that_is_not_known_changes_speed_from_nobody_knows_where():
+    """It is told to be at its floor at once: a polygon in space, which is left out."""
+    problem = Problem(3, horizon=3, floor=Floor('polygon', 6, 0.5), max_acceleration=0.05)
+    start = State.at(np.zeros(3), 0.1 * np.eye(3), attitude=np.eye(3))
+    goal = np.array([0.1 + 2 * 0.5, 0.0, 0.0])
+    sought = Sought(replace(problem, terminal='constraint'), start, np.tile(goal, (3, 1)))
+    plan = Solver(sought.problem).solve(start, sought.goals)
+    assert np.linalg.norm(plan.positions[-1] - goal) < 1e-6
+    with pytest.raises(Unproved, match='no refutation'):
+        refutation_of(sought)
 
 
 # --- in time
@@ -268,7 +281,7 @@ def test_speeds_that_change_slowly_refute_a_catch():
     made = catches_refuted(sought, 4)
     assert judged(made.text()) == 'holds'
     known = made.document()
-    assert known['limits']['speeds'][1] == [0.0, pytest.approx(0.3)]
+    assert known['limits']['speeds'] == {'entry': 0.1, 'change': 0.1}
     del known['limits']['speeds']
     assert judged(json.dumps(known)) == 'does not hold'
 
@@ -561,7 +574,7 @@ def test_junk_anywhere_is_refused_in_words(seed):
         'cones': [{'axis': [1.0, 0.0], 'angle': 1.5, 'least': 0.0, 'steps': [1, 2]}],
         'walls': [{'centre': [9.0, 9.0], 'radius': 0.1, 'of': 'end', 'grown': [0.0] * 6,
                    'shifts': [[0.0, 0.0]] * 7}],
-        'speeds': [[0.0, 1.0]] * 6,
+        'speeds': {'entry': 0.0, 'change': 1.0},
     }  # fmt: skip
     assert judged(json.dumps(known)) == 'holds'
     paths = [each for each in places_of(known) if each]
@@ -576,6 +589,12 @@ def test_junk_anywhere_is_refused_in_words(seed):
 def test_speeds_that_are_none_are_refused():
     state = State.at(np.zeros(2), np.eye(2))
     made = {**statement(Problem(horizon=2), state, np.zeros((2, 2)))}
-    for speeds in ([[0.5, 0.2]] * 2, [[0.0, 1.1]] * 2, [[-0.1, 1.0]] * 2, [[0.0, 1.0]]):
-        with pytest.raises(Refused, match='speeds'):
+    for speeds in (
+        [0.1, 0.2],
+        {'entry': 0.1},
+        {'entry': -0.1, 'change': 0.1},
+        {'entry': 0.1, 'change': -0.1},
+        {'entry': 0.1, 'change': 0.1, 'most': 1.0},
+    ):
+        with pytest.raises(Refused, match=r'speeds|entry|change'):
             posed_by({**made, 'limits': {'speeds': speeds}})

@@ -98,11 +98,11 @@ def test_a_missing_file_is_bad_input(run, tmp_path):
 
 def test_a_plan_without_a_certificate_is_printed_and_says_so(run, tmp_path):
     problem = tmp_path / 'problem.json'
-    problem.write_text(json.dumps({**CASES['uav_square_0'], 'max_acceleration': 9.0}))
+    problem.write_text(json.dumps({**CASES['uav_square_0'], 'rotation_order': 2}))
     code, out, error = run('solve', problem, '--certificate', tmp_path / 'none.json')
     assert code == 1
     assert json.loads(out)['status'] == 'optimal'
-    assert 'none yet for max_acceleration' in error
+    assert 'none yet for floors at rotation_order 2' in error
     assert not (tmp_path / 'none.json').exists()
 
 
@@ -258,6 +258,14 @@ def test_ticks_of_a_bag_hold(run, tmp_path):
     assert '20 holds, 1 nothing claimed' in out
     assert len(list((tmp_path / 'made').iterdir())) == 20
     assert run('verify', tmp_path / 'made' / 'tick_00003.json')[0] == 0
+
+
+def test_ticks_of_a_wing_whose_speed_changes_slowly_hold_within_a_cone(run, tmp_path):
+    code, out, _ = run('verify', HERE / 'golden' / 'cessna', '--out', tmp_path)
+    assert code == 0
+    assert '111 holds, 1 nothing claimed' in out
+    known = json.loads((tmp_path / 'tick_00001.json').read_text())
+    assert known['limits']['speeds']['change'] == pytest.approx(0.0258, abs=1e-4)
 
 
 FAR = {**CASES['uav_square_0'], 'terminal': 'constraint', 'goal': [60.0, 0.0]}

@@ -66,7 +66,8 @@ def main() -> int:
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--longest', type=int, default=20, help='horizon')
     parser.add_argument('--mutants', type=int, default=500)
-    every = list(certified.KINDS | certified.LIMITED | certified.TIED | certified.LEFT)
+    limited = certified.LIMITED | certified.TIED | certified.PACED
+    every = list(certified.KINDS | limited | certified.LEFT)
     parser.add_argument('--kinds', nargs='+', choices=every, default=every, metavar='KIND')
     args = parser.parse_args()
     kinds = args.kinds

@@ -16,7 +16,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Approach, Box, Problem, State
 from orbimpc_ros.mpc.problem.cones import relief
-from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
+from orbimpc_ros.mpc.problem.pace import entry_speed
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.problem.units import Units
@@ -59,15 +59,17 @@ class Split:
     Attributes:
         step: k >= 1, whose z_k, or s_k, tells them apart.
         parts: beyond each of a floor's faces, or the directions below and above an angle, or the
-            sides of a wall.
-        at: that angle [rad]; None for faces, and for the sides of a box.
+            sides of a wall, or the speeds below and above one.
+        at: that angle [rad]; None for faces, for the sides of a box, and for speeds.
         wall: number of the wall on whose sides s_k is; None for what is not split by one.
+        speed: a share of full speed; None for what is not split by one.
     """
 
     step: int
     parts: tuple[Tree, ...]
     at: float | None = None
     wall: int | None = None
+    speed: float | None = None
 
 
 Tree = Leaf | Split
@@ -142,8 +144,6 @@ class Refutation:
             refuted |= {'radius': self.sought.radius, **_last_cone(problem, state)}
             problem = replace(problem, approach=Approach())
         made = {'format': FORMAT, **statement(problem, state, goals), 'refuted': refuted}
-        if problem.max_acceleration:
-            made['limits'] = made.get('limits', {}) | {'speeds': _speeds(problem, state)}
         return made if self.origins is None else {**made, 'origins': self.origins.tolist()}
 
     def text(self) -> str:
@@ -158,16 +158,6 @@ def _last_cone(problem: Problem, state: State) -> dict[str, Any]:
     axis = problem.approach.axis(state).tolist()
     cone = {'axis': axis, 'angle': problem.approach.cone, 'least': problem.least_heading}
     return {'cone': cone}
-
-
-def _speeds(problem: Problem, state: State) -> list[list[float]]:
-    """Return the least and the most |R_k e1|, k = 1..N, to which changes of speed lead."""
-    entry = entry_speed(problem, state)
-    ends = (
-        [moved_towards(problem, entry, wanted, k) for wanted in (0.0, 1.0)]
-        for k in range(1, problem.horizon + 1)
-    )
-    return list(ends)
 
 
 def _line(document: dict[str, Any]) -> str:
@@ -195,6 +185,9 @@ def _limits(problem: Problem, state: State, goals: Array) -> dict[str, Any]:
     if problem.approach.exists:
         axis, least = problem.approach.axis(state).tolist(), problem.least_heading
         cones.append(_cone(axis, problem.approach.cone, least, [problem.horizon]))
+    if problem.max_acceleration and problem.rotation_order == 1:
+        entry, change = entry_speed(problem, state), problem.speed_change
+        found['speeds'] = {'entry': entry, 'change': change}
     walls = [_wall(box, 'ends' if problem.no_corner_cutting else 'end') for box in problem.boxes]
     traffic = traffic_of(problem, state)
     for body, shifts, grown in zip(*traffic[1:3], traffic.grown, strict=True) if traffic else ():
@@ -246,9 +239,8 @@ def plain(tree: Tree) -> dict[str, Any]:
     """Return a tree as the plain values of its format."""
     if isinstance(tree, Split):
         found = {'split': tree.step, 'parts': [plain(part) for part in tree.parts]}
-        if tree.wall is not None:
-            found['wall'] = tree.wall
-        return found if tree.at is None else {**found, 'at': tree.at}
+        told = {'at': tree.at, 'wall': tree.wall, 'speed': tree.speed}
+        return found | {name: value for name, value in told.items() if value is not None}
     leaf: dict[str, Any] = {}
     names = 'point', 'bends', 'pull', 'tops', 'shares', 'presses', 'slides', 'tethers', 'meets'
     for name in names:

@@ -35,9 +35,11 @@ from orbimpc_ros.mpc.proof.grounds import Grounds
 from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.mpc.proof.part_program import PartProgram
 from orbimpc_ros.mpc.proof.sectors import SectorProof
+from orbimpc_ros.mpc.proof.split_words import split_words
 from orbimpc_ros.mpc.proof.stationary import Stationary, setting
 from orbimpc_ros.mpc.proof.verifier import RELATIVE, Refused, parsed, posed_by, verified
 from orbimpc_ros.mpc.proof.walls import WallProof
+from orbimpc_ros.mpc.solve.request import Enough, Request
 
 NEAR = (1e-6, 1e-4, 1e-3)  # of a plan's moduli to their bounds: methods differ in accuracy
 FEW = 500  # nodes of a search by faces or sectors up to which its own tree is the certificate
@@ -106,13 +108,13 @@ def certificate_of(
         Unproved: problems of this kind have no certificates yet, or none was found.
     """
     _require(problem, state)
+    bound, x = _posed(bound), coordinates(rotations)[:, : _width(problem)]
+    certificate, target = Certificate(problem, state, goals, bound, Leaf(x)), _enough(bound)
+    if _is_searched(problem):
+        return _searched(certificate, target, out_of_time)
     limited = _is_limited(problem, state)
     problem = replace(problem, max_acceleration=0.0)  # a bound without it is one with it
     units = Units.of(problem)
-    x = coordinates(rotations)[:, : _width(problem)]
-    bound = _posed(bound)
-    certificate = Certificate(problem, state, goals, bound, Leaf(x))
-    target = _enough(bound)
     if limited:
         return _beside_walls(certificate, units, target, out_of_time)
     scaled = units.problem, units.state(state), units.lengths(goals)
@@ -134,6 +136,47 @@ def certificate_of(
         )
     tree, origins = _split(scaled, x, target / units.cost, out_of_time)
     return replace(certificate, tree=in_users_units(tree, units), origins=origins)
+
+
+def _is_searched(problem: Problem) -> bool:
+    """Return whether speeds, or ways round to a cone, are split: as one search alone does."""
+    paced, polygonal = problem.max_acceleration > 0.0, problem.floor.shape == 'polygon'
+    limited = paced or (problem.max_rate and problem.approach.exists)
+    if not (limited and _is_parted(problem)) or (paced and polygonal):
+        return False
+    from orbimpc_ros.mpc.solve.sector_bnb import SectorSearch  # takes machine code
+
+    return SectorSearch.solves(problem)
+
+
+def _searched(certificate: Certificate, target: float, out_of_time: OutOfTime) -> Certificate:
+    """Return what the search proves that knows changes of speed, and ways round to a cone.
+
+    Raises:
+        Unproved: it does not prove as much, or the format has no words for it.
+    """
+    from orbimpc_ros.mpc.solve.sector_bnb import SectorSearch
+
+    problem, state = certificate.problem, certificate.state
+    units = Units.of(problem)
+    search = SectorSearch(units.problem, 0.0)
+    found = search.solve(
+        Request(
+            units.state(state),
+            units.lengths(certificate.goals),
+            out_of_time=out_of_time,
+            enough=Enough(bound=target / units.cost),
+        )
+    )
+    if found.lower_bound * units.cost < target:
+        proved = found.lower_bound * units.cost
+        raise Unproved(f'no certificate: {found.nodes} sectors prove {proved!r}')
+    assert isinstance(found.grounds, Grounds)
+    said = split_words(problem, state, found.grounds, target, units.cost)
+    if said is None:
+        raise Unproved('no certificate: there are no words for how a search split it')
+    tree, origins = said
+    return replace(certificate, tree=tree, origins=origins)
 
 
 def _beside_walls(
@@ -184,7 +227,11 @@ def certificates_for(
     """
     bound = _posed(bound)
     grounds, proof = plan.proof.grounds, replace(plan.proof, lower_bound=bound)
-    large = isinstance(grounds, Grounds) and len(grounds.splits) > FEW
+    large = (
+        isinstance(grounds, Grounds)
+        and len(grounds.splits) > FEW
+        and not _is_searched(problem)  # by the same search again
+    )
     left = None if large else kept(problem, state, goals, proof)
     if left is not None:
         yield left
@@ -248,10 +295,8 @@ def _require(problem: Problem, state: State) -> None:
     """
     limited, bodies = _is_limited(problem, state), [each.body for each in state.hazards]
     second = problem.rotation_order == 2
-    paced = problem.max_acceleration and _is_parted(problem)
-    limits = {
+    limits: dict[str, object] = {
         'obstacles, cones, turn limits at rotation_order 2': limited and second,
-        'max_acceleration with a floor in the plane': paced,
         'floors at rotation_order 2': problem.floor.exists and second,
         f'floor.shape {problem.floor.shape}': problem.floor.shape not in (
             'none', 'circle', 'polygon'),

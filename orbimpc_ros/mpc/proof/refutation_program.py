@@ -154,8 +154,8 @@ class RefutationProgram:
         for row, (k, cone) in zip(cones, self._owned, strict=True):
             row[self._z[k]], row[self._t[k]] = -np.array(cone.axis, float), float(cone.least)
         least[0, self._v] = -1.0
-        limits = posed.limits
-        slowest, fastest = (np.array(each, float) for each in (limits.least, limits.most))
+        slowest, fastest = np.array(posed.limits.speeds, float).T
+        slowest = np.maximum(slowest, np.array(posed.limits.least, float))
         if posed.order == 2:
             slowest[0] = 0.0
             fastest[0] = 1.0

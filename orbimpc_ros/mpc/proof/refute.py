@@ -80,7 +80,9 @@ def statable(problem: Problem) -> Problem:
         floor = Floor()
     rated = problem.rotation_order == 1 and (planar or not problem.floor.exists)
     rate = problem.max_rate if rated and floor.exists == problem.floor.exists else 0.0
-    pace = problem.max_acceleration if problem.rotation_order == 1 else 0.0
+    # Who is below a floor changes speed from there on.
+    paced = problem.rotation_order == 1 and floor.exists == problem.floor.exists
+    pace = problem.max_acceleration if paced else 0.0
     bodies = tuple(each for each in problem.obstacles if planar or not isinstance(each, Ball))
     return replace(problem, floor=floor, max_rate=rate, max_acceleration=pace, obstacles=bodies)
 

@@ -185,7 +185,7 @@ def _of_step(
         value += least_over_orbitope(less(tangent, leaf.shares[k]), leaf.tops[k])
         tangent = leaf.shares[k]
     elif any(leaf.shares[k]):
-        value += _least_in_cones(posed, k, leaf.shares[k])
+        value += _least_in_cones(posed, region, k, leaf.shares[k])
         tangent = less(tangent, leaf.shares[k])
     return value + _least(posed, region, k, tangent, bend)
 
@@ -202,18 +202,20 @@ def _least(posed: StatedProblem, region: Region, k: int, slope: Vector, bend: Fr
     steepest = -size_above(slope) if sector is None else least_within(slope, sector)
     steepest = max([steepest, *(least_towards(slope, cone) for cone in posed.limits.cones[k])])
     # Where cones end, it is flat. What is linear is least around that.
-    slowest = posed.floor.slowest if bend or length else posed.limits.least[k]
-    fastest = posed.limits.most[k]
+    slowest, fastest = region.speeds[k]
+    if not (bend or length):
+        slowest = max(slowest, posed.limits.least[k])
     return least_along(steepest + length, bend, slowest, fastest)  # a polygon is beyond, too
 
 
-def _least_in_cones(posed: StatedProblem, k: int, share: Vector) -> Fraction:
+def _least_in_cones(posed: StatedProblem, region: Region, k: int, share: Vector) -> Fraction:
     """Return the least share . z over what the cones of a step hold, whatever else does."""
     limits = posed.limits
     if not limits.cones[k]:
         raise Refused('shares have no cone that holds them')
     steepest = max(least_towards(share, cone) for cone in limits.cones[k])
-    return least_along(steepest, ZERO, limits.least[k], limits.most[k])
+    slowest, fastest = region.speeds[k]
+    return least_along(steepest, ZERO, max(slowest, limits.least[k]), fastest)
 
 
 def _least_decided(posed: StatedProblem, slope: Vector, bend: Fraction) -> Fraction:

@@ -6,8 +6,9 @@ from __future__ import annotations
 from fractions import Fraction
 from typing import Any, NamedTuple
 
-from .exact import NARROW, PI, TINY, ZERO, Vector, direction, dot, root_above
-from .reading import Refused, fields, items, rows, vector, weight, whole, word
+from .exact import NARROW, ONE, PI, TINY, ZERO, Vector, direction, dot, root_above
+from .reading import Refused, fields, items, vector, weight, whole, word
+from .regions import Speeds
 
 
 class StatedFloor(NamedTuple):
@@ -84,12 +85,12 @@ def cones(stated: Any, n: int, slowest: Fraction, horizon: int) -> tuple[list[li
     return found, least
 
 
-def speeds(stated: Any, horizon: int) -> tuple[Vector, Vector]:
-    """Return the least and the most speed of each step, as changes of speed are limited."""
-    both = rows(stated, 'speeds', horizon, 2)
-    if any(not 0 <= least <= most <= 1 for least, most in both):
-        raise Refused('speeds are not from a least to a most one within 0 and 1')
-    return [least for least, _ in both], [most for _, most in both]
+def speeds(stated: Any, slowest: Fraction, horizon: int) -> tuple[tuple[Speeds, ...], Fraction]:
+    """Return what each step's speed is within, and by how much one changes in a step at most."""
+    fields(stated, 'speeds', ('entry', 'change'))
+    entry, change = (weight(stated[name], name) for name in ('entry', 'change'))
+    far = [k * change for k in range(1, horizon + 1)]
+    return tuple(Speeds(max(slowest, entry - x), min(ONE, entry + x)) for x in far), change
 
 
 def tether(turn: Fraction, limit: StatedFloor, begin: Vector) -> Tether | None:

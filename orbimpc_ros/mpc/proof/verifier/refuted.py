@@ -96,9 +96,7 @@ def _first_steps(limits: Any, k: int, last: list[dict[str, Any]]) -> dict[str, A
     fields(limits, 'limits', (), ('cones', 'glide_slope', 'walls', 'speeds'))
     cones = [_cone(each, k) for each in items(limits.get('cones', []), 'cones')]
     walls = [_wall(each, k) for each in items(limits.get('walls', []), 'walls')]
-    found: dict[str, Any] = {'cones': [*cones, *last], 'walls': walls}
-    if 'speeds' in limits:
-        found['speeds'] = items(limits['speeds'], 'speeds')[:k]
+    found: dict[str, Any] = {**limits, 'cones': [*cones, *last], 'walls': walls}
     if 'glide_slope' in limits:
         slope = limits['glide_slope']
         fields(slope, 'glide_slope', ('angle', 'eased'))

@@ -17,6 +17,13 @@ class Sector(NamedTuple):
     high: Fraction
 
 
+class Speeds(NamedTuple):
+    """Shares of full speed from ``low`` to ``high``."""
+
+    low: Fraction
+    high: Fraction
+
+
 class Side(NamedTuple):
     """What is known of where a vehicle is: normal . place is at least so much."""
 
@@ -28,10 +35,11 @@ class Side(NamedTuple):
 class Region(NamedTuple):
     """What is known in a part of a split: a face or a sector of each step, None if neither.
 
-    And of positions, beside the bodies that tell the parts apart.
+    And how fast it is; and of positions, beside the bodies that tell the parts apart.
     """
 
     faces: tuple[int | None, ...]
     sectors: tuple[Sector | None, ...]
+    speeds: tuple[Speeds, ...]
     rows: tuple[Side, ...] = ()
     passed: tuple[tuple[int, int, Sector], ...] = ()  # discs, at which step, and on which side

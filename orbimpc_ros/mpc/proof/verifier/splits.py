@@ -15,6 +15,7 @@ from .stated import StatedProblem
 from .walls import BoxWall
 
 DEEPEST = 100_000
+Ranges = tuple[Any, ...]  # a sector of each step, or its speeds
 
 
 def leaves(posed: StatedProblem, tree: Any, root: Region) -> Iterator[tuple[Any, Region]]:
@@ -32,13 +33,15 @@ def leaves(posed: StatedProblem, tree: Any, root: Region) -> Iterator[tuple[Any,
 
 
 def _parts(posed: StatedProblem, node: dict[str, Any], region: Region) -> list[tuple[Any, Region]]:
-    fields(node, 'a split', ('split', 'parts'), ('at', 'wall'))
+    fields(node, 'a split', ('split', 'parts'), ('at', 'wall', 'speed'))
     k = whole(node['split'], 'split', 1, posed.horizon) - 1
     regions: Sequence[Region | None]
     if 'wall' in node:
         regions = beside(posed, region, k, node['wall'], node.get('at'))
     elif 'at' in node:
         regions = halves(posed, region, k, number(node['at'], 'at'))
+    elif 'speed' in node:
+        regions = slower(posed, region, k, number(node['speed'], 'speed'))
     else:
         regions = beyond(posed, region, k)
     both = zip(items(node['parts'], 'parts', len(regions)), regions, strict=True)
@@ -52,16 +55,17 @@ def root(posed: StatedProblem, origins: Any) -> Region:
     are all directions, counted from an angle of the certificate's choice.
     """
     free: tuple[Any, ...] = (None,) * posed.horizon
+    sectors = free
     if posed.turn:
         if origins is not None:
             raise Refused('origins have no use where the attitude is one')
         low, high = _heading(posed)
         turns = [k * posed.turn for k in range(1, posed.horizon + 1)]
-        return Region(free, tuple(Sector(low - each, high + each) for each in turns))
-    if origins is None:
-        return Region(free, free)
-    starts = vector(origins, 'origins', posed.horizon)
-    return Region(free, tuple(Sector(each, each + TURN) for each in starts))
+        sectors = tuple(Sector(low - each, high + each) for each in turns)
+    elif origins is not None:
+        starts = vector(origins, 'origins', posed.horizon)
+        sectors = tuple(Sector(each, each + TURN) for each in starts)
+    return Region(free, sectors, posed.limits.speeds)
 
 
 def _heading(posed: StatedProblem) -> tuple[Fraction, Fraction]:
@@ -78,30 +82,42 @@ def _heading(posed: StatedProblem) -> tuple[Fraction, Fraction]:
 
 def halves(posed: StatedProblem, region: Region, k: int, angle: Fraction) -> list[Region | None]:
     """Return what is known below and above an angle; None where nothing is left."""
-    return [_narrowed(posed, region, k, each) for each in _cut(region.sectors[k], angle)]
+    known = region.sectors
+    parts = [_narrowed(known, k, each, posed.turn) for each in _cut(known[k], angle)]
+    return [None if each is None else region._replace(sectors=each) for each in parts]
 
 
-def _cut(sector: Sector | None, angle: Fraction) -> tuple[Sector, Sector]:
-    if sector is None or not sector.low <= angle <= sector.high:
-        raise Refused('a split is not within the directions that it splits')
-    return Sector(sector.low, angle), Sector(angle, sector.high)
+def slower(posed: StatedProblem, region: Region, k: int, speed: Fraction) -> list[Region | None]:
+    """Return what is known below and above a speed; None where nothing is left."""
+    known = region.speeds
+    parts = [_narrowed(known, k, each, posed.limits.change) for each in _cut(known[k], speed)]
+    return [None if each is None else region._replace(speeds=each) for each in parts]
 
 
-def _narrowed(posed: StatedProblem, region: Region, k: int, sector: Sector) -> Region | None:
-    """Put a sector in, and what a turn limit makes of the others' for it."""
-    sectors = list(region.sectors)
-    sectors[k] = sector
-    for way in (range(k + 1, posed.horizon), range(k - 1, -1, -1)) if posed.turn else ():
-        near = sector
+def _cut(known: Any, at: Fraction) -> tuple[Any, Any]:
+    """Return a sector, or a range of speeds, below and above a number."""
+    if known is None or not known.low <= at <= known.high:
+        raise Refused('a split is not within what it splits')
+    return known._replace(high=at), known._replace(low=at)
+
+
+def _narrowed(known: Ranges, k: int, part: Any, most: Fraction) -> Ranges | None:
+    """Put in what is known of a step, and what a limit of changes makes of the others' for it.
+
+    Steps change what it is about by so much at most; where that is 0, there is no such limit.
+    """
+    made = list(known)
+    made[k] = part
+    for way in (range(k + 1, len(made)), range(k - 1, -1, -1)) if most else ():
+        near = part
         for j in way:
-            own = sectors[j]
-            assert own is not None
-            near = Sector(max(own.low, near.low - posed.turn),
-                          min(own.high, near.high + posed.turn))  # fmt: skip
+            own = made[j]
+            near = own._replace(low=max(own.low, near.low - most),
+                                high=min(own.high, near.high + most))  # fmt: skip
             if near.low > near.high:
                 return None
-            sectors[j] = near
-    return region._replace(sectors=tuple(sectors))
+            made[j] = near
+    return tuple(made)
 
 
 def beyond(posed: StatedProblem, region: Region, k: int) -> list[Region | None]:

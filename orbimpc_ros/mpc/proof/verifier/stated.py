@@ -23,6 +23,7 @@ from .limits import (
 )  # fmt: skip
 from .motion import Begin, Place, StatedModel, Step, flown, model, steps
 from .reading import Refused, fields, items, rows, vector, weight, whole, word
+from .regions import Speeds
 from .walls import BoxWall, DiscWall, wall
 
 MOST_STEPS = 500
@@ -31,6 +32,7 @@ STATE = ('position', 'rotation', 'velocity', 'rotation_rate', 'attitude', 'coast
          'disturbance', 'wanted')  # fmt: skip
 PROBLEM = ('dimension', 'rotation_order', 'translation_order', 'discretisation', 'horizon', 'step',
            'forward', 'weights', 'terminal', 'floor', 'max_rate')  # fmt: skip
+ANY_SPEED = {'entry': 0.0, 'change': 1.0}
 
 
 class StatedWeights(NamedTuple):
@@ -62,11 +64,15 @@ class StatedState(NamedTuple):
 
 
 class StatedLimits(NamedTuple):
-    """Of each step its cones, its least and most speed; tethers; the cone above the goal; walls."""
+    """Of each step its cones, and what they are least at; its speeds, and how much they change.
+
+    Then tethers, the cone above the goal, and walls.
+    """
 
     cones: list[list[Cone]]
     least: Vector
-    most: Vector
+    speeds: tuple[Speeds, ...]
+    change: Fraction
     tether: Tether | None
     slope: GlideSlope | None
     walls: list[BoxWall | DiscWall]
@@ -195,11 +201,10 @@ def _limits(
     decided = state.second if state.coasted is None else state.coasted
     fastest = max(ONE, size_above(decided[:n]))  # what a body rate decides may be longer
     directed, slowest = cones(stated.get('cones', []), n, made.slowest, horizon)
-    least, most = speeds(stated.get('speeds', [[0.0, 1.0]] * horizon), horizon)
     return StatedLimits(
         directed,
-        [max(both) for both in zip(slowest, least, strict=True)],
-        most,
+        slowest,
+        *speeds(stated.get('speeds', ANY_SPEED), made.slowest, horizon),
         tied,
         glide_slope(stated['glide_slope'], horizon) if sloping else None,
         [wall(each, n, places, fastest) for each in bodies],
