@@ -73,15 +73,40 @@ def test_arrivals_have_words(kind):
     assert '"pull"' in json.dumps(known['tree'])
 
 
-@pytest.mark.parametrize(
-    'changes',
-    [{'weights': Weights(1.0, 0.05, 0.01, 10.0)}, {'approach': Approach(0.3, (1.0, 0.5))}],
-)
-def test_of_lengths_and_cones_nothing_is_published_beside_boxes(changes):
-    case, plan = solved('boxes, shared faces', 2, **changes)
+def test_of_cones_nothing_is_published_beside_boxes():
+    case, plan = solved('boxes, shared faces', 2, approach=Approach(0.3, (1.0, 0.5)))
     assert isinstance(plan.proof.grounds, ChoiceGrounds)
     assert plan.proof.checked
     assert kept(*case, plan.proof) is None
+
+
+LONG = {'weights': Weights(1.0, 0.05, 0.3, 10.0)}
+
+
+@pytest.mark.parametrize(
+    ('kind', 'seed', 'changes'),
+    [
+        ('boxes', 2, {}),
+        ('boxes, shared faces', 3, {'floor': SQUARE}),
+        ('boxes', 3, {'floor': ROUND}),
+        ('discs', 1, {'floor': SQUARE}),
+        ('polygon', 3, {}),
+        ('polygon', 3, {'terminal': 'constraint'}),
+    ],
+)
+def test_lengths_have_words_in_the_plane(kind, seed, changes):
+    case, plan = solved(kind, seed, **LONG, **changes)
+    assert isinstance(plan.proof.grounds, ChoiceGrounds)
+    known = held(case, plan)
+    told = [any(map(any, leaf.get('shares', ()))) for leaf in certified.leaves(known['tree'])]
+    assert any(told) == (case.problem.floor.shape == 'polygon')
+
+
+def test_beyond_a_face_a_length_takes_its_share():
+    known = held(*solved('polygon', 3, **LONG))
+    for leaf in certified.leaves(known['tree']):
+        leaf.pop('shares', None)
+    assert not judged(known).holds
 
 
 @pytest.mark.parametrize(

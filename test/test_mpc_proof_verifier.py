@@ -33,7 +33,7 @@ from orbimpc_ros.mpc.proof.verifier.exact import TINY, direction, dot, lacking
 from orbimpc_ros.mpc.proof.verifier.limits import cone
 from orbimpc_ros.mpc.proof.verifier.motion import steps
 from orbimpc_ros.mpc.proof.verifier.regions import Sector
-from orbimpc_ros.mpc.proof.verifier.splits import beside, halves, root, slower
+from orbimpc_ros.mpc.proof.verifier.splits import beside, beyond, halves, root, slower
 
 MODELS = [
     *itertools.product((2, 3), (1, 2), (1, 2), ('euler', 'exact')),
@@ -227,6 +227,31 @@ def test_what_a_step_adds_is_no_more_than_it_does_within_its_speeds_and_directio
     assert found - 1e-3 <= least <= found + 1e-12
 
 
+@pytest.mark.parametrize('seed', range(12))
+def test_what_a_leaf_proves_is_below_the_cost_of_all_that_is_beyond_its_face(seed):
+    rng = np.random.default_rng([seed, 17])
+    weights = Weights(0.1, 0.07, float(rng.choice([0.0, 0.5])), 0.0)
+    floor = Floor('polygon', 5, 0.5)
+    problem = Problem(horizon=1, weights=weights, floor=floor, discretisation='exact')
+    exact, state, goals = posed(problem, rng)
+    face = int(rng.integers(5))
+    region = beyond(exact, root(exact, None), 0)[face]
+    z = rng.normal(size=(4000, 1, 2))
+    z *= rng.uniform(0.5, 1.0, (4000, 1, 1)) / np.linalg.norm(z, axis=-1, keepdims=True)
+    normal = np.array([np.cos(0.4 * np.pi * face), np.sin(0.4 * np.pi * face)])
+    outside = z[(z @ normal)[:, 0] >= 0.5]
+    costs = [trajectory_of(problem, state, goals, each).cost for each in outside]
+    best, found = outside[np.argmin(costs)], []
+    ahead = length_weights(problem)[1] * best / np.linalg.norm(best)
+    for share in (0.0 * best, rng.normal(size=(1, 2)), -ahead):
+        for bend in (0.0, 0.1, -0.1):
+            known = {'point': best, 'bends': np.array([bend]), 'shares': share}
+            leaf = {name: value.tolist() for name, value in known.items()}
+            found.append(float(bound(exact, leaf, region)))
+    assert max(found) <= min(costs) + 1e-12
+    assert found[6] >= min(costs) - 0.06  # a length is no less than along the way of the best
+
+
 def test_speeds_reach_as_far_as_they_change_from_where_they_begin():
     floor = Floor('circle', fraction=0.6)
     problem = Problem(horizon=3, step=0.5, forward=2.0, floor=floor, max_acceleration=0.4)
@@ -300,7 +325,7 @@ def test_what_is_known_beside_a_box_that_moves_is_that_all_of_a_step_is(inertia,
     rng = np.random.default_rng([inertia, len(kind), 12])
     low = 9.0 + rng.normal(size=2)
     (wall,), points, moved = passing(Box(low, low + 0.4), inertia, kind, rng)
-    for i, beyond in enumerate((low - points + moved, points - moved - low - 0.4)):
+    for i, away in enumerate((low - points + moved, points - moved - low - 0.4)):
         for axis in range(2):
             rows = wall.side(2 * i + axis, 1)
             assert len(rows) == points.shape[1]
@@ -308,7 +333,7 @@ def test_what_is_known_beside_a_box_that_moves_is_that_all_of_a_step_is(inertia,
                 points[:, j] @ np.array(row.normal, float) - float(row.least)
                 for j, row in enumerate(rows)
             ]
-            assert pytest.approx(beyond[..., axis], abs=1e-12) == np.array(margins).T
+            assert pytest.approx(away[..., axis], abs=1e-12) == np.array(margins).T
 
 
 @pytest.mark.parametrize('seed', range(4))
@@ -607,7 +632,7 @@ def test_a_sound_tree_is_taken():
         (('tree', 'parts', 2, 'at'), -0.1, 'within'),
         (('tree', 'parts', 2, 'at'), 7.0, 'within'),
         (('tree', 'parts', 0, 'point'), [[0.0, 0.0]], 'list of 2'),
-        (('tree', 'parts', 0, 'bends'), [0.1, 0.0], 'bends'),
+        (('tree', 'parts', 0, 'bends'), [0.1], 'bends'),
         (('tree', 'parts', 0, 'pull'), [1.0], 'pull'),
         (('origins',), ..., 'within'),
         (('tree',), 7, 'leaf'),

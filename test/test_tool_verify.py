@@ -260,6 +260,12 @@ def test_ticks_of_a_bag_hold(run, tmp_path):
     assert run('verify', tmp_path / 'made' / 'tick_00003.json')[0] == 0
 
 
+def test_the_shortest_ways_of_a_vehicle_beyond_a_polygon_hold(run):
+    code, out, _ = run('verify', HERE / 'golden' / 'dubins')
+    assert code == 0
+    assert '20 holds, 1 nothing claimed' in out
+
+
 def test_ticks_of_a_wing_whose_speed_changes_slowly_hold_within_a_cone(run, tmp_path):
     code, out, _ = run('verify', HERE / 'golden' / 'cessna', '--out', tmp_path)
     assert code == 0

@@ -132,12 +132,13 @@ class ChoiceWords:
     def _has_words(self) -> bool:
         """Return whether there are words for all that is split, and that holds of all."""
         problem = self._problem
-        if problem.weights.length or problem.has_cones or problem.approach.exists:
+        if problem.has_cones or problem.approach.exists:
             return False
         if problem.rotation_order == 2:  # of whose hull alone there are certificates
             return not (len(self._words) or problem.max_rate)
         if problem.dimension == 3:
-            return not (problem.floor.exists or (self._choices.kinds == PATCHES).any())
+            patched = bool((self._choices.kinds == PATCHES).any())
+            return not (problem.floor.exists or problem.weights.length or patched)
         return not (self.origins is not None and problem.max_rate)  # from the attitude on
 
     # --- choices
@@ -237,15 +238,24 @@ class ChoiceWords:
         if grounds.empty[number]:
             return self._lifted(known, held)
         point, wide = grounds.points[number], self._q.shape[1] == 9
-        tops = self._tops(point, held.forces) if wide else None
-        return replace(_pressing(known, held), point=point, tops=tops)
+        left = self._left(point, held.forces)
+        tops = np.array([top(each) for each in left]) if wide else None
+        lengths = self._problem.weights.length > 0.0
+        shares = left * self._is_faced(known)[:, None] if lengths else None
+        return replace(_pressing(known, held), point=point, tops=tops, shares=shares)
 
-    def _tops(self, point: Array, forces: Array) -> Array:
-        """Return the tops of what is left of the slopes over SO(3)."""
+    def _left(self, point: Array, forces: Array) -> Array:
+        """Return what multipliers leave of the slopes at a point, shape (N, d)."""
         slopes = [h @ x for h, x in zip(self._hessians, point.T, strict=True)]
-        left = np.column_stack(slopes) + self._q
+        left: Array = np.column_stack(slopes) + self._q
         left[:, : forces.shape[1]] += forces
-        return np.array([top(each) for each in left])
+        return left
+
+    def _is_faced(self, known: Sequence[Row]) -> np.ndarray:
+        """Return which headings are known to be beyond a face, shape (N,)."""
+        told = [row.place for row in known if row.holder and not row.said]
+        polygonal = self._problem.floor.shape == 'polygon'
+        return np.isin(np.arange(self._problem.horizon), told if polygonal else [])
 
     def _held(self, known: Sequence[Row], presses: Array, tethers: Array) -> Held:
         """Return multipliers with what they come to."""

@@ -181,22 +181,22 @@ def _of_step(
     value = bend * dot(x, x) / 2 - dot(tangent, x)
     if k == 0 and posed.order == 2:
         return value + _least_decided(posed, tangent, bend)
+    share, face = leaf.shares[k], region.faces[k]
     if posed.width == 9:
-        value += least_over_orbitope(less(tangent, leaf.shares[k]), leaf.tops[k])
-        tangent = leaf.shares[k]
-    elif any(leaf.shares[k]):
-        value += _least_in_cones(posed, region, k, leaf.shares[k])
-        tangent = less(tangent, leaf.shares[k])
+        value += least_over_orbitope(less(tangent, share), leaf.tops[k])
+        tangent = share
+    elif face is not None:
+        value += least_beyond(less(tangent, share), posed.floor, face)
+        tangent = share
+    elif any(share):
+        value += _least_in_cones(posed, region, k, share)
+        tangent = less(tangent, share)
     return value + _least(posed, region, k, tangent, bend)
 
 
 def _least(posed: StatedProblem, region: Region, k: int, slope: Vector, bend: Fraction) -> Fraction:
-    """Return the least slope . z + l |z| - bend |z|^2 / 2 over what z_{k+1} can be."""
-    length, face, sector = posed.weights.length[k + 1], region.faces[k], region.sectors[k]
-    if face is not None:
-        if bend or length:
-            raise Refused('bends and lengths beyond faces are beyond this format')
-        return least_beyond(slope, posed.floor, face)
+    """Return the least slope . z + l |z| - bend |z|^2 / 2 over what z_{k+1} can be, less faces."""
+    length, sector = posed.weights.length[k + 1], region.sectors[k]
     if sector is not None and posed.floor.faces and not bend and not length:
         return least_reached(slope, posed.floor, sector)
     steepest = -size_above(slope) if sector is None else least_within(slope, sector)
