@@ -330,9 +330,11 @@ class Sides:
             goals: g_1..g_N, shape (N, n) [m].
             places: where headings lead.
         """
-        origin = state.position / self._problem.length_unit
-        moved = self.standing.extents + np.concatenate([origin, -origin])
-        standing, moving = self.standing._replace(extents=moved), self._bodies(state, places)
+        standing, moving = self.standing, self._bodies(state, places)
+        if self._problem.boxes:
+            origin = state.position / self._problem.length_unit
+            moved = standing.extents + np.concatenate([origin, -origin])
+            standing = standing._replace(extents=moved)
         if len(self.faces.patches) > FIRST_CAP and self._problem.floor.shape == 'circle':
             eased = relief(self._problem, state, goals).tilt > 0.0
             kinds = standing.kinds.copy()

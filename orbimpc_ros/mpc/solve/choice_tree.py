@@ -90,11 +90,11 @@ class ChoiceTree:
 
     def _leaf(self, t: int, found: Multipliers, empty: bool) -> TreeLeaf:
         steps, n = len(found.point), self._posed.problem.dimension
-        rows, sizes = found.rows.tolist(), found.sizes.tolist()
-        asked = self._asked(t) if any(row >= 0 for row in rows) else []
-        presses = [(*asked[row], size) for row, size in zip(rows, sizes, strict=True) if row >= 0]
+        held = list(zip(found.rows.tolist(), found.sizes.tolist(), strict=True))
+        asked = self._asked(t) if any(row >= 0 for row, _ in held) else []
+        presses = [(*asked[row], size) for row, size in held if row >= 0]
         tethers = np.zeros((self._program.chords, n))
-        for row, normal, size in zip(rows, found.normals, sizes, strict=True):
+        for (row, size), normal in zip(held, found.normals, strict=True):
             if -1 - row >= steps:
                 tethers[-1 - row - steps] -= size * normal
         presses += self._arrived(found.pull)
@@ -139,7 +139,7 @@ class ChoiceTree:
         chosen = self._cells[t]
         assert chosen is not None
         j, cell = chosen
-        return known.raised((t, row, step), step * self._moved(j, row), cell.normal)
+        return known.raised((t, row, step), self._moved(j, row), cell.normal)
 
     def _moved(self, j: int, row: int) -> Array:
         """Return H^-1 a of a row of a choice, shape (N,)."""

@@ -284,7 +284,7 @@ class Program:
             (len(rows), self.problem.dimension)
         )  # of tangents, of which there are none
         point = np.asarray(answer.x)[self._columns[:, : self._seen]]
-        ways = ways if self._seen == 9 else NO_CONES
+        ways = ways if self._seen == 9 and self.problem.weights.length else NO_CONES
         return Multipliers(point, rows, normals, sizes[rows], pull, leans, props, ways)
 
     def _leaning(self, z: Array) -> tuple[Array, Array, Array]:

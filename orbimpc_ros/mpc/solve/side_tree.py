@@ -117,8 +117,8 @@ class SideGrounds:
                 continue
             step = short / curvature
             if 0.5 * short * step > best:
-                best, moved = 0.5 * short * step, step * inverse[: len(own.point), place]
-                known = own.raised((number, i, step), moved, normal)
+                best, column = 0.5 * short * step, inverse[: len(own.point), place]
+                known = own.raised((number, i, step), column, normal)
         return known
 
 

@@ -35,6 +35,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.grounds import Tangent
 from orbimpc_ros.mpc.solve.disjunction import Slot
 from orbimpc_ros.mpc.solve.relaxation import (
+    NO_CONES,
     NO_PULL,
     Halfspace,
     Multipliers,
@@ -249,12 +250,15 @@ class SO3Multipliers:
 
     def _told(self, request: Request, imposed: Sequence[Halfspace]) -> Multipliers | None:
         """Return what the last solve's bound rests on beside the orbitopes."""
-        places = [self._place(each[0]) for each in imposed]
-        sizes = np.array([0.0 if place < 0 else self._work.rows[place] for place in places])
-        point, forces, _ = self._lowest()
-        rows, pull = np.flatnonzero(sizes), self._pull(request, point, forces)
-        normals = np.zeros((len(rows), 3))  # of tangents, of which there are none
-        return Multipliers(point, rows, normals, sizes[rows], pull, ways=self._ways())
+        pressed, held = self._work.rows.tolist(), []
+        for row, (slot, _, _) in enumerate(imposed):
+            place = self._place(slot)
+            if place >= 0 and pressed[place]:
+                held.append((row, pressed[place]))
+        rows, sizes = np.array([row for row, _ in held], np.int64), np.array([y for _, y in held])
+        normals = np.zeros((len(held), 3))  # of tangents, of which there are none
+        point = self._lowest()
+        return Multipliers(point, rows, normals, sizes, self._pull(request, point), ways=self._ways)
 
     def _place(self, slot: int | Point) -> int:
         """Return the place of the heading that a half-space is put on, < 0 if that is given."""
@@ -266,34 +270,44 @@ class SO3Multipliers:
 
         What an arrival pulls at is what is left of the slopes there.
         """
-        point, forces, tops = self._lowest()
-        pull = self._pull(request, point, forces)
-        return Tangent(point, np.zeros(len(point)), pull, 0.0, tops, self._ways())
+        point, tops = self._lowest(), self._of_all(self._work.tops)
+        pull, ways = self._pull(request, point), self._ways
+        if not len(ways):
+            ways = np.zeros((len(point), 3))
+        return Tangent(point, np.zeros(len(point)), pull, 0.0, tops, ways)
 
-    def _lowest(self) -> tuple[Array, Array, Array]:
-        """Return where the last Lagrangian is least, forces there, shape (N, 9), and tops, (N,)."""
-        work, count = self._work, self.problem.horizon
-        point, forces, tops = np.zeros((count, 9)), np.zeros((count, 9)), np.zeros(count)
-        free = slice(self._given, None)
-        point[free], forces[free] = work.lowest[self._coasting :], work.forces[self._coasting :]
-        tops[free] = work.tops[self._coasting :]
+    def _lowest(self) -> Array:
+        """Return where the last Lagrangian is least, shape (N, 9)."""
+        point = self._of_all(self._work.lowest)
         if self._given:
-            point[0] = self._first * (work.lowest[0, 0] if self._coasting else 1.0)
-        return point, forces, tops
+            point[0] = self._first * (self._work.lowest[0, 0] if self._coasting else 1.0)
+        return point
 
+    def _of_all(self, known: Array) -> Array:
+        """Return what is known of the rotations that are free as that of all, with 0 of others."""
+        if not self._given:
+            return known.copy()
+        found = np.zeros((self.problem.horizon, *known.shape[1:]))
+        found[self._given :] = known[self._coasting :]
+        return found
+
+    @property
     def _ways(self) -> Array:
-        """Return along which way the last solve's bound has each length, shape (N, 3)."""
-        ways, weighed = np.zeros((self.problem.horizon, 3)), self._lengths > 0.0
+        """Return along which way the last solve's bound has each length, shape (N, 3), if any."""
+        if not self.problem.weights.length:
+            return NO_CONES
+        weighed = self._lengths > 0.0
+        ways = np.zeros((self.problem.horizon, 3))
         ways[-len(weighed) :][weighed] = INWARD * self._work.pushes[weighed]
         ways[-len(weighed) :][weighed] /= self._lengths[weighed, None]
         return ways
 
-    def _pull(self, request: Request, point: Array, forces: Array) -> Array:
+    def _pull(self, request: Request, point: Array) -> Array:
         """Return the multipliers of an arrival, of what is left of slopes and forces at a point."""
         if self._pulls is None:
             return NO_PULL
         slopes, _ = self._condensed.affine(request.state, request.goals)
-        slopes += self._condensed.hessian @ point[:, :3] + forces[:, :3]
+        slopes += self._condensed.hessian @ point[:, :3] + self._of_all(self._work.forces)[:, :3]
         return -(self._pulls @ slopes[self._given :]).ravel()
 
     def _rotations(self, x: Array) -> Array:
