@@ -13,6 +13,7 @@ from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Ball, Box, Floor, Problem, State
 from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
 from orbimpc_ros.mpc.proof.sectors import SectorProof
+from orbimpc_ros.mpc.proof.spatial import touching_freely
 from orbimpc_ros.mpc.proof.verifier import Refused, parsed, verified
 from orbimpc_ros.mpc.solve.solver import Solver
 
@@ -162,6 +163,19 @@ def test_pressing_from_the_wrong_side_is_refused():
     leaf = next(each for each in certified.leaves(known['tree']) if any(each['presses']))
     leaf['presses'] = [-y for y in leaf['presses']]
     assert 'presses are negative' in judged(json.dumps(known))
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_a_tangent_touches_where_slopes_vanish_but_for_rounding(seed):
+    """Of what its slopes are off by there, each step's bound lacks as much."""
+    rng, count = np.random.default_rng([seed, 21]), 40
+    axes = np.linalg.qr(rng.normal(size=(count, count)))[0]
+    bent = axes * 10.0 ** rng.uniform(-5.0, 0.0, count) @ axes.T
+    bent = 0.5 * (bent + bent.T)
+    q, nothing = bent @ rng.normal(size=(count, 2)), (np.zeros((0, count)), np.zeros((0, 2)))
+    point, _ = touching_freely([bent], q, nothing)
+    left = bent.astype(np.longdouble) @ point + q
+    assert np.abs(left).max() < 3e-16
 
 
 def test_a_bound_that_is_too_high_has_no_certificate():
