@@ -100,6 +100,8 @@ def _narrowed(posed: StatedProblem, region: Region, k: int, sector: Sector) -> R
                           min(own.high, near.high + posed.turn))  # fmt: skip
             if near.low > near.high:
                 return None
+            if near == own:  # and so are those beyond
+                break
             sectors[j] = near
     return region._replace(sectors=tuple(sectors))
 
