@@ -195,4 +195,4 @@ class _Told:
 
     def places(self, x: Array) -> Array:
         """Return where axes lead, shape (E, m, n) [m]."""
-        return np.asarray(self._free + self._reach @ x)
+        return np.asarray(self._free + self._reach[..., : len(x)] @ x)
