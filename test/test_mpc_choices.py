@@ -17,7 +17,7 @@ from orbimpc_ros.mpc.proof.choices import QUARTERS, _out_of_reach, choices_bound
 from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds, Grounds
 from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.mpc.proof.recount import Recount
-from orbimpc_ros.mpc.proof.sides import ARCS, SIDES, Sides
+from orbimpc_ros.mpc.proof.sides import ARCS, SIDES, Faces, Sides
 from orbimpc_ros.mpc.proof.slopes import terms_of
 from orbimpc_ros.mpc.proof.verifier import parsed, verified
 from orbimpc_ros.mpc.solve.solver import OUTWARD, Solver
@@ -33,7 +33,7 @@ BESIDE = (
 )
 TURNING = ('turn rate', 'turn rate, exact', 'turn rate, inertia', 'turn rate, boxes')
 SPATIAL = ('axes, boxes', 'space, boxes')
-FACELESS = np.zeros((0, 2))
+FACELESS = Faces(np.zeros((0, 2)), np.zeros((0, 3, 3)))
 FLOORS = {
     'circle': Floor('circle', fraction=0.6),
     'polygon': Floor('polygon', faces=5, fraction=0.6),
@@ -80,8 +80,7 @@ def test_a_tree_is_counted_as_far_as_is_enough(share):
 
 
 @pytest.mark.parametrize('weight', [0.0, 0.05])
-def test_a_round_floor_beside_a_box_in_space_is_the_methods_word(weight):
-    """Its patches of the sphere are not stated anew: the bound stands, and says so."""
+def test_a_round_floor_beside_a_box_in_space_is_counted(weight):
     problem = Problem(
         dimension=3,
         floor=Floor('circle', fraction=0.6),
@@ -90,8 +89,7 @@ def test_a_round_floor_beside_a_box_in_space_is_the_methods_word(weight):
         discretisation='exact',
     )
     plan = Solver(problem).solve(State.at(np.zeros(3), np.eye(3)), np.tile([4.0, 0.2, 0.0], (5, 1)))
-    assert plan.gap < 1e-3
-    assert not plan.proof.checked
+    assert plan.status == 'optimal'
 
 
 def test_a_search_among_boxes_in_space_tells_of_its_nodes():
@@ -254,7 +252,7 @@ def test_a_side_has_no_more_rows_than_its_choice_has_places():
 
 def test_problems_that_trees_say_nothing_of_have_nothing_proved():
     case, plan = solved('boxes', 2)
-    other = replace(case.problem, rotation_order=2, translation_order=2)
+    other = replace(case.problem, rotation_order=2, max_rate=0.1)
     recount, grounds = Recount(other), plan.proof.grounds
     assert not recount.knows(grounds)
     assert recount.bound(case.state, case.goals, grounds, 1.0) == -np.inf
@@ -319,7 +317,7 @@ def test_whatever_keeps_clear_is_on_some_side_of_every_choice(kind, seed):
     case, plan = solved(kind, seed)
     sides, z = Sides(case.problem, terms_of(case.problem)), plan.rotations[1:, :, 0]
     places, normal = sides.places(case.state), np.zeros(2)
-    known = sides.alternatives(case.state, places)
+    known = sides.alternatives(case.state, case.goals, places)
     assert len(known.kinds) > 0
     for j, level in itertools.product(range(len(known.kinds)), (0, 1, 5)):
         count = 4 if known.kinds[j] == SIDES else QUARTERS << level
@@ -339,7 +337,7 @@ def test_a_direction_that_is_within_no_arc_of_a_disc_is_inside():
     problem = Problem(horizon=1, obstacles=(Ball((0.0, 2.0), 0.7),))
     sides, state = Sides(problem, terms_of(problem)), State.at(np.zeros(2), np.eye(2))
     places = sides.places(state)
-    known = sides.alternatives(state, places)
+    known = sides.alternatives(state, np.zeros((problem.horizon, 2)), places)
     (whole, end), rng = range(2), np.random.default_rng(3)
     assert (known.kinds == ARCS).all()
     for angle in rng.uniform(0.0, 2.0 * np.pi, 40):
@@ -364,7 +362,7 @@ def test_a_step_beyond_a_disc_is_beyond_a_row_that_allows_for_its_length():
     state = State.at(np.zeros(2), np.eye(2), velocity=np.array([0.3, 0.2]), hazards=(hazard,))
     sides, rng = Sides(problem, terms_of(problem)), np.random.default_rng(8)
     places = sides.places(state)
-    known = sides.alternatives(state, places)
+    known = sides.alternatives(state, np.zeros((problem.horizon, 2)), places)
     clear = 0
     for _ in range(200):
         z = rng.normal(size=(3, 2))

@@ -23,6 +23,7 @@ ARRIVES = {'terminal': 'constraint'}
 LONG, FUEL = {'weights': Weights(1.0, 0.05, 0.3, 10.0)}, {'weights': Weights(1.0, 0.0, 0.3, 10.0)}
 AHEAD = {'approach': Approach(0.3, (1.0, 0.5))}
 DESCENT = {'translation_order': 2, 'tilt': 0.3, 'glide_slope': 0.4}
+IDLING = {'floor': Floor('circle', fraction=0.3)}
 KINDS = {
     'approach': ('approach', {}),
     'approach, arrival': ('approach', ARRIVES | LONG),
@@ -33,6 +34,12 @@ KINDS = {
     'cones': ('cones', FUEL),
     'cones, boxes': ('axes, boxes', FUEL | DESCENT),
     'cones, rotations': ('space, boxes', DESCENT),
+    'cones, rotations, lengths': ('cones', LONG | IDLING),
+    'cones, faces, lengths': ('cones', LONG | {'floor': Floor('polygon', 6, 0.4)}),
+    'slope, rotations, lengths': ('cones', LONG | IDLING | {'tilt': 0.0}),
+    'cones, boxes, lengths': ('space, boxes', LONG | DESCENT),
+    'boxes, lengths': ('space, boxes', LONG),
+    'approach, space, lengths': ('space, approach', LONG),
 }
 
 
@@ -51,7 +58,7 @@ def test_what_a_search_proves_within_cones_is_proved_by_its_tree(kind, seed):
 
 
 def test_trees_within_cones_are_counted_by_the_same_machine_code():
-    for kind in ('approach, faces', 'cones', 'cones, rotations'):
+    for kind in ('approach, faces', 'cones', 'cones, rotations, lengths'):
         counted(*posed(kind, 0))
     assert len(choices_bound.signatures) == 1  # else a tick would wait for it
 
@@ -74,6 +81,36 @@ def test_no_multipliers_of_cones_prove_more_than_a_trajectory_costs(kind):
         assert counted(case, plan, leans=leans) == -np.inf
     before = counted(case, plan)
     assert counted(case, plan, leans=grounds.leans[:0]) <= before * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('kind', ['cones, rotations, lengths', 'approach, space, lengths'])
+def test_no_ways_of_lengths_prove_more_than_a_trajectory_costs(kind, seed):
+    case, plan = posed(kind, seed)
+    grounds, rng = plan.proof.grounds, np.random.default_rng(seed)
+    most = plan.objective * (1.0 + 1e-7)
+    for _ in range(150):
+        ways = grounds.ways * rng.uniform(0.0, 3.0, (*grounds.ways.shape[:2], 1))
+        ways += rng.choice([0.0, 0.1, 1.0]) * rng.normal(size=ways.shape)
+        assert counted(case, plan, ways=ways) <= most
+    assert counted(case, plan, ways=3.0 * grounds.ways) > 0.0  # as if they were no longer than 1
+    for wrong in (np.nan, np.inf):
+        assert counted(case, plan, ways=changed(grounds.ways, (0, 0, 0), wrong)) == -np.inf
+    for twice in range(3):
+        ways = np.concatenate([grounds.ways] * 2, axis=twice)
+        assert counted(case, plan, ways=ways) == -np.inf
+
+
+def test_lengths_count_for_what_a_floor_leaves_of_them():
+    """Where headings of the relaxation are slower than the floor."""
+    case, plan = solved('cones', 0, **IDLING, weights=Weights(1.0, 0.05, 3.0, 10.0))
+    grounds = plan.proof.grounds
+    sizes = np.linalg.norm(grounds.ways, axis=2)
+    assert ((sizes > 0.01) & (sizes < 0.99)).any()
+    before, full = counted(case, plan), grounds.ways / sizes[:, :, None]
+    assert (1.0 - 1e-9) * said(case) <= before <= plan.objective * (1.0 + 1e-7)
+    assert counted(case, plan, ways=full) < (1.0 - 1e-4) * before
+    assert counted(case, plan, ways=0.0 * full) < (1.0 - 1e-4) * before
 
 
 def test_multipliers_of_cones_hold_what_they_do():

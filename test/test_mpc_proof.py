@@ -11,7 +11,7 @@ import pytest
 
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Ball, Box, Floor, Problem, State
-from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of
+from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of, patient
 from orbimpc_ros.mpc.proof.sectors import SectorProof
 from orbimpc_ros.mpc.proof.spatial import touching_freely
 from orbimpc_ros.mpc.proof.verifier import Refused, parsed, verified
@@ -223,7 +223,7 @@ def test_a_bound_that_no_sector_proves_is_given_up_before_the_interpreter_does()
     problem = Problem(horizon=16, floor=Floor('circle', fraction=0.6))
     state, goals = State.at(np.zeros(2), np.eye(2)), np.tile([3.0, 1.0], (16, 1))
     x = np.tile([0.6, 0.0], (16, 1))
-    assert SectorProof(problem, state, goals, x, np.inf).tree() is None
+    assert SectorProof(problem, state, goals, x, np.inf, patient).tree() is None
 
 
 def test_where_nothing_is_split_words_are_about_the_tangent():

@@ -15,7 +15,7 @@ from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
 from orbimpc_ros.mpc.proof.grounds import Tangent, tangent
 from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.mpc.proof.recount import Recount
-from orbimpc_ros.mpc.proof.tangents import tangents_bound
+from orbimpc_ros.mpc.proof.tangents import tangents_bound, top_of
 from orbimpc_ros.mpc.proof.verifier import parsed, verified
 from orbimpc_ros.mpc.solve.request import Found
 from orbimpc_ros.mpc.solve.solver import OUTWARD, Solver
@@ -302,8 +302,28 @@ def test_a_bound_beyond_its_grounds_is_lowered_to_what_they_prove(excess):
 
 
 def test_a_bound_that_is_the_methods_word_says_so_in_a_word_for_messages():
-    goal, orders = np.tile([1.0, 2.0], (4, 1)), {'rotation_order': 2, 'translation_order': 2}
-    problem = Problem(horizon=4, floor=Floor('polygon', faces=4, fraction=0.5), **orders)
+    goal, turns = np.tile([1.0, 2.0], (4, 1)), {'rotation_order': 2, 'max_rate': 1.0}
+    problem = Problem(horizon=4, floor=Floor('polygon', faces=4, fraction=0.5), **turns)
     proof = Solver(problem).solve(State.at(np.zeros(2), np.eye(2)), goal).proof
     assert proof.lower_bound > 0.0
     assert proof.checked is False
+
+
+def slopes_over_rotations(rng):
+    """Yield matrices of any size, of rank one, nearly so, and whose least rotation is any turn."""
+    u, v = problems.rotation(rng, 3), problems.rotation(rng, 3)
+    size = 10.0 ** rng.uniform(-6.0, 6.0)
+    yield size * rng.normal(size=(3, 3))
+    yield size * np.outer(u[0], v[0])
+    yield size * (np.outer(u[0], v[0]) + 1e-5 * u)
+    yield size * u @ np.diag([1.0, 0.3, -0.3 - rng.choice([0.0, 1e-9, 1e-3])]) @ v
+    yield np.zeros((3, 3))
+
+
+@pytest.mark.parametrize('seed', range(40))
+def test_the_top_of_a_slope_is_what_its_singular_values_say(seed):
+    """Of max -<G, R> over rotations: the sum of G's, the least with the sign of det -G."""
+    for matrix in slopes_over_rotations(np.random.default_rng(seed)):
+        sizes = np.linalg.svd(matrix)[1]
+        most = sizes[0] + sizes[1] + np.sign(np.linalg.det(-matrix)) * sizes[2]
+        assert top_of(matrix.T.ravel()) == pytest.approx(most, rel=1e-11, abs=1e-300)

@@ -17,6 +17,7 @@ from orbimpc_ros.mpc.model.translation import TRANSLATIONS
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.problem.case import case_of
 from orbimpc_ros.mpc.problem.floor import SHAPES
+from orbimpc_ros.mpc.proof.slopes import terms_of
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve.solver import Solver
 
@@ -32,6 +33,16 @@ def registered(monkeypatch):
 
 def east(fraction=0.5):
     return Floor('eastward', fraction=fraction)
+
+
+def test_bounds_count_on_no_more_speed_than_a_floor_asks_for(monkeypatch):
+    class Slower(Eastward):
+        def clearance(self, floor, dimension):
+            return 0.5 * floor.fraction
+
+    monkeypatch.setitem(SHAPES, 'slower', Slower())
+    problem = Problem(dimension=3, floor=Floor('slower', fraction=0.6))
+    assert terms_of(problem).floor[0] == 0.3
 
 
 @pytest.mark.parametrize('dimension', [2, 3])

@@ -18,7 +18,7 @@ from orbimpc_ros.mpc.loop.safety import CIRCLE_STEPS, safe_command
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.mpc.problem.floor import largest_fraction
-from orbimpc_ros.mpc.proof.refute import WORD
+from orbimpc_ros.mpc.proof.prove import WORD
 from orbimpc_ros.mpc.proof.verifier import parsed, verified
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
@@ -447,6 +447,52 @@ def test_without_time_for_a_proof_a_tick_says_whose_word_it_is():
     assert report.values['infeasible_checked'] is False
     assert report.tick.reason == f'{answered.tick.reason}; {WORD}'
     assert refutation_messages(report) == {}
+
+
+def of_the_methods_word(report, bound):
+    """Return a report whose bound nobody has counted."""
+    proof = replace(report.tick.plan.proof, lower_bound=bound, checked=False, grounds=None)
+    plan = replace(report.tick.plan, proof=proof)
+    return replace(report, tick=replace(report.tick, plan=plan, status=plan.status))
+
+
+def test_a_bound_that_was_not_counted_is_proved_after_the_command():
+    driven = still()
+    answered = driven.tick_again(1.0)
+    assert answered.tick.status == 'optimal'
+    word = of_the_methods_word(answered, answered.tick.plan.lower_bound)
+    assert word.tick.status == 'feasible'
+    report = driven.ticker.proved(word)
+    assert report.tick.status == 'optimal'
+    assert report.values['bound_checked'] is True
+    assert report.tick.reason == answered.tick.reason
+    known = driven.inbox.settings, Stamp(stamp(1.0), FRAMES), report, '/planner'
+    sent = report_messages(*known, oriented=True, heard={'certificate'})['certificate']
+    verdict = verified(parsed(bytes(sent.data)))
+    assert verdict.holds
+    assert verdict.claimed == report.tick.plan.lower_bound > 0.0
+
+
+def test_a_bound_that_nothing_proves_is_the_methods_word():
+    driven = still()
+    answered = driven.tick_again(1.0)
+    word = of_the_methods_word(answered, 1.0001 * answered.tick.plan.objective)
+    report = driven.ticker.proved(word)
+    assert report.tick.status == 'feasible'
+    assert report.values['bound_checked'] is False
+    assert report.tick.reason == WORD
+    assert report.tick.command == answered.tick.command
+    left_open = of_the_methods_word(answered, 0.5 * answered.tick.plan.objective)
+    assert driven.ticker.proved(left_open) is left_open  # there is nothing to gain
+
+
+def test_the_proof_of_a_bound_has_until_the_deadline():
+    driven = still()
+    answered = driven.tick_again(1.0)
+    word = of_the_methods_word(answered, answered.tick.plan.lower_bound)
+    end = driven.ticker._end
+    driven.ticker._clock = lambda: end
+    assert driven.ticker.proved(word).tick.reason == WORD
 
 
 def test_a_plan_needs_no_such_proof():

@@ -27,6 +27,7 @@ from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.io import bag, settings
 from orbimpc_ros.tool.replay.difference import Tolerances, comparisons
 from orbimpc_ros.tool.replay.recording import Published, published, recording_of
+from orbimpc_ros.tool.replay.report import ticks_of
 from orbimpc_ros.tool.replay.resolving import replayed
 
 # Not the rope: near it, the last bits of NumPy's sums decide whether a search ends with a plan.
@@ -105,6 +106,14 @@ def test_golden_bags_hold_what_they_are_for():
         assert all(a.status == 'optimal' and a.gap < 1e-6 for a in answers[arrival])
     assert sum(a.status == 'optimal' and a.force > 0.0 for a in answers['multirotor']) > 25
     assert max(f.stat().st_size for f in GOLDEN.rglob('*.mcap')) < 100_000
+
+
+@pytest.mark.skipif(not COMPILED, reason='what searches leave needs numba to be counted')
+@pytest.mark.parametrize('name', ['lander', 'multirotor', 'obstacles', 'servicer', 'spacecraft'])
+def test_all_bounds_of_golden_flights_in_space_are_counted_again(name):
+    plans = [row.tick.plan for row in ticks_of(GOLDEN / name, None, '')]
+    assert sum(plan is not None for plan in plans) >= 19
+    assert all(plan.proof.checked for plan in plans if plan is not None)
 
 
 def test_the_faulty_bag_holds_faults(replay):
@@ -475,6 +484,16 @@ def test_gaps_that_are_both_left_open_are_not_compared():
     assert distances({'gap': 0.002}, {'gap': 0.0})['gap'].differs
     assert distances({'gap': 0.5}, {'gap': math.inf})['gap'].differs
     assert distances({'gap': 0.5}, {'gap': math.nan})['gap'].differs
+
+
+def test_whether_there_was_time_for_an_exact_proof_is_not_compared():
+    proved = {'status': 'optimal', 'gap': 0.0, 'bound_checked': True}
+    word = {'status': 'feasible', 'gap': 0.0, 'bound_checked': False}
+    for before, now in ((proved, word), (word, proved)):
+        assert not distances(before, now)['status'].differs
+    assert distances(proved, word | {'bound_checked': True})['status'].differs
+    assert distances(proved, word | {'gap': 0.002})['status'].differs
+    assert distances(proved, word | {'status': 'failed'})['status'].differs
 
 
 @pytest.mark.parametrize(

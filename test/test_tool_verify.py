@@ -13,7 +13,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf
 from orbimpc_ros.mpc.proof.kept import kept
-from orbimpc_ros.mpc.proof.refute import WORD
+from orbimpc_ros.mpc.proof.prove import WORD
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.io.bag.writer import BagWriter

@@ -32,8 +32,8 @@ class Proof:
         gap_tolerance: relative gap within which a plan counts as proved optimal.
         cost_unit: the natural size of costs of the problem, which rounding is measured against.
         reason: why no more was proved, where there is more to say than the gap.
-        checked: whether the bound is no more than what was counted again, by code that shares
-            nothing with the method; else it is the method's word.
+        checked: whether the bound is no more than what was counted again, or proved in exact
+            arithmetic, by code that shares nothing with the method; else it is the method's word.
         grounds: what the bound rests on, bends of what has splits in cost units; None where that
             is not known.
     """
@@ -105,12 +105,25 @@ class Plan(ByContent):
 
     @property
     def status(self) -> Status:
-        """Return whether it is proved optimal, within the gap tolerance, or merely feasible."""
+        """Return whether it is proved optimal, within the gap tolerance, or merely feasible.
+
+        A bound that is the method's word proves nothing.
+        """
+        proved = self.is_closed and self.proof.checked
+        return Status.OPTIMAL if proved else Status.FEASIBLE
+
+    @property
+    def is_closed(self) -> bool:
+        """Return whether the bound is within the gap tolerance, whoever's word it is."""
         proof = self.proof
         missing = self.objective - proof.lower_bound
         rounding = ROUNDING * proof.cost_unit
-        proved = missing <= max(proof.gap_tolerance * abs(self.objective), rounding) < np.inf
-        return Status.OPTIMAL if proved else Status.FEASIBLE
+        return bool(missing <= max(proof.gap_tolerance * abs(self.objective), rounding) < np.inf)
+
+    @property
+    def is_the_methods_word(self) -> bool:
+        """Return whether it would be optimal if its bound were checked, which it is not."""
+        return self.is_closed and not self.proof.checked
 
     @property
     def speed_fraction(self) -> Array:

@@ -21,7 +21,7 @@ from orbimpc_ros.ros.messages import header
 if TYPE_CHECKING:  # the simulator reports without a solver, and starts sooner for it
     from orbimpc_ros.mpc.loop.controller import Tick
     from orbimpc_ros.mpc.plan import Plan
-    from orbimpc_ros.mpc.proof.certificate import Refutation
+    from orbimpc_ros.mpc.proof.certificate import Certificate, Refutation
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 AFRESH = Reason(Cause.AFRESH, 'starting afresh')  # inputs and plan were forgotten
@@ -51,6 +51,8 @@ class Report:
         goal_model: how the forecast takes the goal to move; empty unless it chooses.
         left_out: moving obstacles within reach that were too many to plan with.
         traffic_stamps: of what was heard last of obstacles and of other vehicles, by topic [ns].
+        certificate: what proves in exact arithmetic a bound that was not counted again; None where
+            that is not proved, or need not be.
         refutation: what proves that nothing is feasible, or is caught before a time, where the
             tick says so; None where that is not proved.
     """
@@ -67,6 +69,7 @@ class Report:
     goal_model: str = ''
     left_out: int = 0
     traffic_stamps: Mapping[str, int] = field(default_factory=dict)
+    certificate: Certificate | None = None
     refutation: Refutation | None = None
 
     @property
@@ -141,10 +144,7 @@ def _traffic(tick: Tick) -> dict[str, object]:
 
 def _margins(tick: Tick) -> dict[str, float]:
     """Return how far inside of each limit the plan stays, by name."""
-    problem, state, goals, plan = tick.problem, tick.state, tick.goals, tick.plan
-    if problem is None or state is None or goals is None or plan is None:
-        return {}
-    return margins(problem, state, goals, plan)
+    return {} if tick.case is None or tick.plan is None else margins(*tick.case, tick.plan)
 
 
 def _farthest(plan: Plan) -> float:
@@ -153,12 +153,10 @@ def _farthest(plan: Plan) -> float:
 
 def prices(tick: Tick) -> dict[str, float]:
     """Return what binds at a tick's plan: apart, for the vehicle must not wait for it."""
-    problem, state, goals, plan = tick.problem, tick.state, tick.goals, tick.plan
-    if problem is None or state is None or goals is None or plan is None:
+    case, plan = tick.case, tick.plan
+    if case is None or plan is None or plan.horizon > LONGEST:
         return {}
-    if plan.horizon > LONGEST:
-        return {}
-    explanation = explained(problem, state, goals, plan)
+    explanation = explained(*case, plan)
     if explanation.unexplained > ANOTHER_PLAN:
         return {}
     return {str(each): each.price for each in explanation.binding}

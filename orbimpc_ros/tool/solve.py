@@ -15,8 +15,8 @@ from orbimpc_ros.mpc.errors import BadInput, Infeasible
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.problem.sought import Sought
-from orbimpc_ros.mpc.proof.prove import Unproved, certificate_for
-from orbimpc_ros.mpc.proof.refute import WORD, OutOfTime, refutation_of
+from orbimpc_ros.mpc.proof.prove import WORD, OutOfTime, Unproved, certificate_for
+from orbimpc_ros.mpc.proof.refute import refutation_of
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool.io import document
 from orbimpc_ros.tool.io.files import write_whole

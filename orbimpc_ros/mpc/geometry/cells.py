@@ -19,6 +19,7 @@ from orbimpc_ros.mpc.geometry.faces import normals
 
 TOUCH = 1e-4  # [rad]
 FINEST = 1e-6  # [rad] a patch this narrow allows less below its floor than rounding does
+STEEPEST_CAP = 1.0  # [rad]: patches that share a corner are too long for a wider one
 QUARTERS = 4  # of a circle: arcs, or triangles about +z, to begin with
 
 
@@ -62,7 +63,7 @@ class Patch(Cell):
         centre /= np.linalg.norm(centre)
         return cls(sealed(centre), floor * float((corners @ centre).min()), corners, floor)
 
-    def parts(self) -> tuple[Cell, ...]:
+    def parts(self) -> tuple[Patch, ...]:
         """Return the halves of an arc, or the four triangles between a triangle's midpoints.
 
         There are none of what is as fine as can be.
@@ -106,16 +107,21 @@ def round_cells(dimension: int, floor: float) -> tuple[Cell, ...]:
         around = normals(2, 4)
         corners = [np.array([around[i], around[(i + 1) % 4]]) for i in range(4)]
     else:
-        corners = _icosahedron_triangles()
+        corners = list(icosahedron())
     return tuple(Patch.over(sealed(c), floor) for c in corners)
 
 
 @lru_cache(maxsize=16)
 def cap_cells(tilt: float, floor: float) -> tuple[Cell, ...]:
-    """Return patches that together cover the sphere as far as an angle [rad] from +z.
+    """Return patches that together cover the sphere as far as an angle [rad] from +z."""
+    return tuple(Patch.over(sealed(corners), floor) for corners in cap(tilt))
 
-    Four triangles that share the corner +z. Their outer sides touch the circle at that angle; they
-    are a little wider, for rounding.
+
+def cap(tilt: float) -> Array:
+    """Return the corners of four triangles that cover a cap of the sphere, shape (4, 3, 3).
+
+    They share the corner +z. Their outer sides touch the circle at an angle ``tilt`` from it [rad];
+    they are a little wider, for rounding.
     """
     wide = math.atan(math.tan(tilt + TOUCH) / math.cos(math.pi / QUARTERS))
     around = 2.0 * np.pi * np.arange(QUARTERS + 1) / QUARTERS
@@ -124,19 +130,19 @@ def cap_cells(tilt: float, floor: float) -> tuple[Cell, ...]:
         [math.sin(wide) * np.cos(around), math.sin(wide) * np.sin(around), height]
     )
     up = np.array([0.0, 0.0, 1.0])
-    return tuple(
-        Patch.over(sealed(np.array([up, outer[i], outer[i + 1]])), floor) for i in range(QUARTERS)
-    )
+    return np.array([[up, outer[i], outer[i + 1]] for i in range(QUARTERS)])
 
 
-def _icosahedron_triangles() -> list[Array]:
-    """Return the corners of the icosahedron's faces, 20 of shape (3, 3)."""
+@lru_cache(maxsize=1)
+def icosahedron() -> Array:
+    """Return the corners of the icosahedron's faces, shape (20, 3, 3)."""
     vertices = normals(3, 12)  # the dodecahedron's normals are the icosahedron's vertices
     # Its faces are told by their vertices: ``normals(3, 20)`` belong to one turned against it.
     adjacent = vertices @ vertices.T > 0.0
     triples = itertools.combinations(range(len(vertices)), 3)
-    return [
+    faces = [
         vertices[[i, j, k]]
         for i, j, k in triples
         if adjacent[i, j] and adjacent[j, k] and adjacent[i, k]
     ]
+    return sealed(np.array(faces))

@@ -29,6 +29,7 @@ from orbimpc_ros.mpc.loop.traffic.reserve import keeping, kept
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble, later, shifted
 from orbimpc_ros.mpc.problem import Approach, Hazard, Problem, State
+from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.cones import told
 from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
 from orbimpc_ros.mpc.problem.reach import held_goal, pulled_in
@@ -76,6 +77,13 @@ class Tick(ByContent):
     cause: Cause = Cause.NONE
     catch: Catch | None = None
     infeasible: Sought | None = None
+
+    @property
+    def case(self) -> Case | None:
+        """Return what the plan solves; None without a plan."""
+        if self.problem is None or self.state is None or self.goals is None:
+            return None
+        return Case(self.problem, self.state, self.goals)
 
 
 @dataclass(frozen=True)
@@ -677,5 +685,5 @@ def _solved(task: _Task) -> _Answer:
     outside = told(task.problem, task.goals, plan) if task.problem.has_cones else ''
     if plan.status == Status.OPTIMAL:
         return plan, Status.OPTIMAL, outside
-    unproved = f'not proved optimal: gap {plan.gap:.2g}'
+    unproved = '' if plan.is_closed else f'not proved optimal: gap {plan.gap:.2g}'
     return plan, plan.status, '; '.join(filter(None, (unproved, plan.proof.reason, outside)))

@@ -24,7 +24,7 @@ from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.certificate import Leaf, Tree, in_users_units, split_into
 from orbimpc_ros.mpc.proof.choices import set_row
 from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds
-from orbimpc_ros.mpc.proof.sides import ARCS, Sides
+from orbimpc_ros.mpc.proof.sides import ARCS, PATCHES, Sides
 from orbimpc_ros.mpc.proof.slopes import HALF, terms_of
 from orbimpc_ros.mpc.proof.spatial import quadratic, top
 
@@ -111,7 +111,7 @@ class ChoiceWords:
         self._hessians, self._q = quadratic(*scaled, grounds.points.shape[2])
         sides = Sides(problem, terms_of(problem))
         self._places, self._always = sides.places(state), sides.always(state, goals)
-        self._choices, self._faces = sides.alternatives(state, self._places), sides.faces
+        self._choices, self._faces = sides.alternatives(state, goals, self._places), sides.faces
         self._words = list(self._called(state))
         self._numbers = np.cumsum(grounds.splits == LEAF) - 1  # of leaves
         self._tied = 0.0 < problem.step * problem.max_rate < HALF and not problem.floor.exists
@@ -134,8 +134,11 @@ class ChoiceWords:
         problem = self._problem
         if problem.has_cones or problem.approach.exists:
             return False
+        if problem.rotation_order == 2:  # of whose hull alone there are certificates
+            return not (len(self._words) or problem.max_rate)
         if problem.dimension == 3:
-            return not (problem.floor.exists or problem.weights.length)
+            patched = bool((self._choices.kinds == PATCHES).any())
+            return not (problem.floor.exists or problem.weights.length or patched)
         return not (self.origins is not None and problem.max_rate)  # from the attitude on
 
     # --- choices
@@ -186,7 +189,7 @@ class ChoiceWords:
         if self._choices.kinds[j] == ARCS:
             return self._by_angles(j, arcs.get(j), part)
         wall = self._words[j].wall
-        sides = len(self._faces) if wall is None else 2 * self._problem.dimension
+        sides = len(self._faces.normals) if wall is None else 2 * self._problem.dimension
         return split_into((part((0, i)) for i in range(sides)), self._words[j].step, wall=wall)
 
     def _by_angles(

@@ -13,22 +13,45 @@ from __future__ import annotations
 import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.proof.sides import ARCS, FACES, SIDES
+from orbimpc_ros.mpc.proof.patches import FINEST, set_patch
+from orbimpc_ros.mpc.proof.sides import ARCS, CAPS, FACES, FIRST_CAP, PATCHES, SIDES
 from orbimpc_ros.mpc.proof.slopes import ROUNDING, least_along, set_slopes
-from orbimpc_ros.mpc.proof.tangents import least_over_orbitope, top_of, vector_size
+from orbimpc_ros.mpc.proof.tangents import (
+    least_decided,
+    least_over_orbitope,
+    share_length,
+    top_of,
+    vector_size,
+)
 
 QUARTERS = 4  # of a circle, that arcs begin with
 DEEPEST = 40  # halvings of them
+TRIANGLES = 4  # that a patch is split into
 SURE = 1e-12  # by so much more than can be reached is surely out of reach
 
 
 @compiled
 def _sides_of(known, j, faces):
-    """Return how many sides a choice has to begin with."""
+    """Return the first of the sides that a choice has to begin with, and how many there are."""
     kind = known.kinds[j]
     if kind == ARCS:
-        return QUARTERS
-    return len(faces) if kind == FACES else known.extents.shape[1]
+        return 0, QUARTERS
+    if kind == PATCHES:
+        return 0, FIRST_CAP
+    if kind == CAPS:
+        return FIRST_CAP, len(faces.patches) - FIRST_CAP
+    return 0, len(faces.normals) if kind == FACES else known.extents.shape[1]
+
+
+@compiled
+def _parts_of(known, j, tree, holder):
+    """Return which sides a side is split into: how often halved, the first, and how many; or 0."""
+    kind, level, side = known.kinds[j], tree.levels[holder], tree.sides[holder]
+    if kind == ARCS and 0 <= level < DEEPEST:
+        return level + 1, 2 * side, 2
+    if kind in (PATCHES, CAPS) and 0 <= level < FINEST:
+        return level + 1, TRIANGLES * side, TRIANGLES
+    return level, side, 0
 
 
 @compiled
@@ -38,9 +61,9 @@ def set_row(known, j, at, i, faces, normal):
     Args:
         known: the choices.
         j: which of them.
-        at: how often its quarters were halved, and which side.
+        at: how often its quarters, or patches, were halved, and which side.
         i: which row.
-        faces: normals of those of a polygonal floor, shape (F, n).
+        faces: what sides are made of.
         normal: to be set, shape (n,).
     """
     kind, (level, side), n = known.kinds[j], at, len(normal)
@@ -49,8 +72,12 @@ def set_row(known, j, at, i, faces, normal):
         normal[side % n] = 1.0 if side >= n else -1.0
         offset = known.extents[j, side]
     elif kind == FACES:
-        normal[:] = faces[side]
+        normal[:] = faces.normals[side]
         offset = known.sizes[j]
+    elif kind in (PATCHES, CAPS):
+        share = set_patch(faces.patches, level, side, normal)
+        across = np.sqrt(max(0.0, 1.0 - share * share))
+        offset = known.sizes[j] * share - known.spreads[j] * across
     else:
         width = 0.5 * np.pi / 2.0**level
         middle = width * (side + 0.5)
@@ -107,16 +134,16 @@ def _complete(places, known, symmetry, tree, nodes, t, faces, normal):
     """
     made, parents = nodes
     j, first, count = tree.splits[t], tree.parts[t], tree.counts[t]
-    if j >= len(known.kinds) or (known.kinds[j] == ARCS and len(normal) != 2):
-        return False  # arcs are all there is in the plane alone
+    if j >= len(known.kinds):
+        return False
     if first <= t or first + count > len(made):
         return False
-    holder, level, begin = _holder(made, parents, t, j), 0, 0
-    sides = _sides_of(known, j, faces)
+    holder, level = _holder(made, parents, t, j), 0
+    begin, sides = _sides_of(known, j, faces)
     if holder >= 0:
-        if known.kinds[j] != ARCS or tree.levels[holder] >= DEEPEST:
+        level, begin, sides = _parts_of(known, j, tree, holder)
+        if sides == 0:
             return False
-        level, begin, sides = tree.levels[holder] + 1, 2 * tree.sides[holder], 2
     part, least = first, _first_in_order(made, parents, tree, symmetry.ordered, t, j)
     for side in range(begin, begin + sides):
         if part < first + count and tree.sides[part] == side and tree.levels[part] == level:
@@ -229,31 +256,35 @@ def _held(places, known, always, tree, nodes, leaf, unit, faces, forces):
 
 
 @compiled
-def _leaf_bound(terms, start, goals, point, forces, held, slopes, enough):
+def _leaf_bound(terms, start, goals, coasting, tangent, forces, held, slopes, enough):
     """Return what a leaf's tangent proves; over SO(3) as much of it as is enough, step by step."""
     (worth, cancelled), arrival, rest, n = held, np.zeros(0), 0.0, forces.shape[1]
+    (point, ways), decided = tangent, terms.order - 1
     value, size = set_slopes(terms, start, goals, (arrival, 0.0), point, slopes)
     for k in range(len(point)):
-        square, length, ahead = 0.0, terms.lengths[k + 1], vector_size(point[k], n)
+        square, length = 0.0, terms.lengths[k + 1]
         for c in range(point.shape[1]):
             along = slopes[k, c] * point[k, c]
             value -= along
             size += abs(along)
             if c < n:
                 slopes[k, c] -= forces[k, c]
-                if point.shape[1] == 9 and ahead > 0.0:  # no length is less along any way
-                    slopes[k, c] += length * point[k, c] / ahead
             square += slopes[k, c] ** 2
         size += length
-        if not square < np.inf:  # or no number
-            return -np.inf
-        if point.shape[1] == 9:
+        if k < decided:
+            known = start[4], terms.floor[0], coasting
+            rest -= least_decided(slopes[k], length, n, known)
+        elif point.shape[1] == 9:
+            if len(ways) > 0:
+                rest -= share_length(slopes[k], ways[k], length, terms.floor[0])
             rest += _by_columns(slopes[k])
         else:
             rest -= least_along(length - np.sqrt(square), 0.0, terms.floor[0])
+        if not abs(rest) < np.inf:  # or no number
+            return -np.inf
     value += worth + terms.lengths[0] * vector_size(start[2], n)
     bound = value - rest - ROUNDING * len(point) * (size + cancelled + abs(rest))
-    for k in range(len(point) if point.shape[1] == 9 else 0):
+    for k in range(decided, len(point) if point.shape[1] == 9 else 0):
         if bound >= enough:
             break
         bound += _by_columns(slopes[k]) + least_over_orbitope(slopes[k], top_of(slopes[k]))
@@ -270,15 +301,28 @@ def _by_columns(slope):
 
 
 @compiled
-def choices_bound(terms, start, goals, places, stated, tree, unit, enough):
+def _reach(terms, start, coasting, forces):
+    """Return the most that headings, which the state may decide, come to along forces."""
+    reach, decided = 0.0, terms.order - 1
+    if decided:
+        known = start[4], terms.floor[0], coasting
+        reach -= least_decided(-forces[0], 0.0, forces.shape[1], known)
+    for k in range(decided, len(forces)):
+        reach += np.sqrt((forces[k] ** 2).sum())
+    return reach
+
+
+@compiled
+def choices_bound(terms, start, goals, coasting, places, stated, tree, unit, enough):
     """Return the least bound of all leaves; -inf where they are not all there is.
 
     Args:
         terms: the problem.
-        start: p_0, the disturbance, R_0 e1 and R_g e1, shape (5, n).
+        start: p_0, the disturbance, R_0, R_g and, at order 2, what decides R_1, shape (5, d).
         goals: g_1..g_N less s_0, shape (N, n).
+        coasting: whether R_1 is what decides it, or any share of that.
         places: where headings lead.
-        stated: the choices, the normals of a floor's faces, what holds of all trajectories, and
+        stated: the choices, what sides are made of, what holds of all trajectories, and
             which steps can be told apart.
         tree: of the choices that were made.
         unit: of the multipliers, in that of the cost.
@@ -302,14 +346,13 @@ def choices_bound(terms, start, goals, places, stated, tree, unit, enough):
         leaf = t, number
         held = _held(places, known, always, tree, nodes, leaf, unit, faces, forces)
         if tree.empty[number]:
-            reach = 0.0
-            for k in range(len(forces)):
-                reach += np.sqrt((forces[k] ** 2).sum())
+            reach = _reach(terms, start, coasting, forces)
             if not held[0] > reach + ROUNDING * len(forces) * (held[1] + reach):
                 return -np.inf
             continue
-        told = tree.points[number], forces, held, slopes, min(enough, least)
-        value = _leaf_bound(terms, start, goals, *told)
+        tangent = tree.points[number], tree.ways[number] if len(tree.ways) > 0 else forces[:0]
+        told = tangent, forces, held, slopes, min(enough, least)
+        value = _leaf_bound(terms, start, goals, coasting, *told)
         if not value > -np.inf:  # or no number
             return -np.inf
         least = min(least, value)

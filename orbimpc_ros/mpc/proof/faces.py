@@ -6,7 +6,7 @@ Mathematics: docs/mathematics.md, 4.3, and docs/proofs.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -29,12 +29,20 @@ class FaceProof:
         state: where plans start.
         goals: shape (N, 2).
         target: the bound to prove.
+        out_of_time: polled before each part; True gives up.
     """
 
     most = 20_000  # leaves
     origins = None  # no directions are split
 
-    def __init__(self, problem: Problem, state: State, goals: Array, target: float) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        state: State,
+        goals: Array,
+        target: float,
+        out_of_time: Callable[[], bool],
+    ) -> None:
         condensed = Condensed(problem)
         q, constant = condensed.affine(state, goals)
         hessian, self._inverse, excess = regular(condensed.hessian)
@@ -42,13 +50,15 @@ class FaceProof:
         self._quadratic = Quadratic(hessian, self._inverse, q)
         self._target = target - constant + excess
         self._room = tree(problem.horizon, 2, problem.floor.faces)
-        self._leaves = 0
+        self._leaves, self._late = 0, out_of_time
 
     def tree(self) -> Tree | None:
         """Return splits and leaves that prove the target; None where that takes too many."""
         return self._proved(np.full(len(self._inverse), -1, np.int32))
 
     def _proved(self, choice: np.ndarray) -> Tree | None:
+        if self._late():
+            return None
         x, bound = self._relaxed(choice)
         if bound >= self._target:
             self._leaves += 1

@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.arrays import Array
 
 LEAF = -1  # in the place of the step that a node is split by
 NO_PULLS, NO_STIFFNESS = np.zeros((0, 0)), np.zeros(0)
-NO_LEANS = np.zeros((0, 0, 0))
+NO_LEANS = NO_WAYS = np.zeros((0, 0, 0))
 
 
 class Grounds(NamedTuple):
@@ -70,6 +70,8 @@ class ChoiceGrounds(NamedTuple):
         tethers: multipliers of how far R e1 moves in a step, shape (L, K, n).
         leans: multipliers of what lies in cones, vectors that come to no less than nothing with
             all of a cone, shape (L, C, n).
+        ways: over SO(3), along which a length is at least what it counts, no longer than 1, shape
+            (L, N, n); none where no length is told of.
     """
 
     splits: np.ndarray
@@ -85,6 +87,7 @@ class ChoiceGrounds(NamedTuple):
     presses: Array
     tethers: Array
     leans: Array = NO_LEANS
+    ways: Array = NO_WAYS
 
 
 class Tangent(NamedTuple):

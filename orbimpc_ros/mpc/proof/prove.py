@@ -10,20 +10,26 @@ Mathematics: docs/proofs.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.errors import OrbimpcError
+from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Ball, Problem, State
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof import spatial
-from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Tree, in_users_units
+from orbimpc_ros.mpc.proof.certificate import (
+    Certificate,
+    Leaf,
+    Refutation,
+    Tree,
+    in_users_units,
+)
 from orbimpc_ros.mpc.proof.faces import FaceProof
 from orbimpc_ros.mpc.proof.grounds import Grounds
 from orbimpc_ros.mpc.proof.kept import kept
@@ -31,21 +37,62 @@ from orbimpc_ros.mpc.proof.part_program import PartProgram
 from orbimpc_ros.mpc.proof.sectors import SectorProof
 from orbimpc_ros.mpc.proof.split_words import split_words
 from orbimpc_ros.mpc.proof.stationary import Stationary, setting
-from orbimpc_ros.mpc.proof.verifier import RELATIVE, Refused, posed_by, verified
+from orbimpc_ros.mpc.proof.verifier import RELATIVE, Refused, parsed, posed_by, verified
 from orbimpc_ros.mpc.proof.walls import WallProof
 from orbimpc_ros.mpc.solve.request import Enough, Request
 
 NEAR = (1e-6, 1e-4, 1e-3)  # of a plan's moduli to their bounds: methods differ in accuracy
 FEW = 500  # nodes of a search by faces or sectors up to which its own tree is the certificate
 SHARE = 0.5  # of what a bound may exceed what is proved
+WORD = 'not proved: the word of the method'
+OutOfTime = Callable[[], bool]
+Made = TypeVar('Made', Certificate, Refutation)
 
 
 class Unproved(OrbimpcError):
     """There is no certificate: for problems of a kind, or for a bound."""
 
 
+def patient() -> bool:
+    """Return that there is time left, always."""
+    return False
+
+
+def held(make: Callable[[], Iterable[Made]]) -> Made | None:
+    """Return the first of some certificates that holds, in exact arithmetic; None without one."""
+    try:
+        return next((each for each in make() if _holds(each)), None)
+    except (Unproved, BadInput):  # the latter without Clarabel
+        return None
+
+
+def held_in_time(
+    make: Callable[[OutOfTime], Iterable[Made]], clock: Callable[[], float], end: float
+) -> Made | None:
+    """Return the first of some certificates that holds; None without one in time.
+
+    To go through one takes no longer than to make it, where each leaf is gone through, too: half of
+    the time is for either. Beyond that it takes what a single leaf does at most.
+
+    Args:
+        make: makes them, until it is out of time.
+        clock: of the end [s].
+        end: by when one is wanted [s]; infinite for whenever it is there.
+    """
+    now = clock()
+    if now >= end:
+        return None
+    half = now + 0.5 * (end - now)
+    return held(lambda: make(lambda: clock() >= half))
+
+
 def certificate_of(
-    problem: Problem, state: State, goals: Array, rotations: Array, bound: float
+    problem: Problem,
+    state: State,
+    goals: Array,
+    rotations: Array,
+    bound: float,
+    out_of_time: OutOfTime = patient,
 ) -> Certificate:
     """Return what proves a lower bound, given a plan near the optimum.
 
@@ -55,6 +102,7 @@ def certificate_of(
         goals: g_1..g_N, shape (N, n) [m].
         rotations: the plan's R_1..R_N, shape (N, n, n).
         bound: to prove, as published.
+        out_of_time: polled before each part of all trajectories; True gives up.
 
     Raises:
         Unproved: problems of this kind have no certificates yet, or none was found.
@@ -63,12 +111,12 @@ def certificate_of(
     bound, x = _posed(bound), coordinates(rotations)[:, : _width(problem)]
     certificate, target = Certificate(problem, state, goals, bound, Leaf(x)), _enough(bound)
     if _is_searched(problem):
-        return _searched(certificate, target)
+        return _searched(certificate, target, out_of_time)
     limited = _is_limited(problem, state)
     problem = replace(problem, max_acceleration=0.0)  # a bound without it is one with it
     units = Units.of(problem)
     if limited:
-        return _beside_walls(certificate, units, target)
+        return _beside_walls(certificate, units, target, out_of_time)
     scaled = units.problem, units.state(state), units.lengths(goals)
     if _width(problem) == 9:
         tangents = iter(spatial.tangents(*scaled, x))
@@ -81,12 +129,12 @@ def certificate_of(
         if best >= target:
             return made
     if _width(problem) == 9 and problem.rotation_order == 1:  # no accurate plan: its own program
-        return _beside_walls(certificate, units, target)
+        return _beside_walls(certificate, units, target, out_of_time)
     if not _splits(problem):
         raise Unproved(
             f'no certificate: one tangent proves {best!r}, and there is nothing to split'
         )
-    tree, origins = _split(scaled, x, target / units.cost)
+    tree, origins = _split(scaled, x, target / units.cost, out_of_time)
     return replace(certificate, tree=in_users_units(tree, units), origins=origins)
 
 
@@ -101,7 +149,7 @@ def _is_searched(problem: Problem) -> bool:
     return SectorSearch.solves(problem)
 
 
-def _searched(certificate: Certificate, target: float) -> Certificate:
+def _searched(certificate: Certificate, target: float, out_of_time: OutOfTime) -> Certificate:
     """Return what the search proves that knows changes of speed, and ways round to a cone.
 
     Raises:
@@ -116,6 +164,7 @@ def _searched(certificate: Certificate, target: float) -> Certificate:
         Request(
             units.state(state),
             units.lengths(certificate.goals),
+            out_of_time=out_of_time,
             enough=Enough(bound=target / units.cost),
         )
     )
@@ -130,7 +179,9 @@ def _searched(certificate: Certificate, target: float) -> Certificate:
     return replace(certificate, tree=tree, origins=origins)
 
 
-def _beside_walls(certificate: Certificate, units: Units, target: float) -> Certificate:
+def _beside_walls(
+    certificate: Certificate, units: Units, target: float, out_of_time: OutOfTime
+) -> Certificate:
     """Return what proves as much where there are walls, cones, or thrust limits over SO(3).
 
     Raises:
@@ -144,15 +195,20 @@ def _beside_walls(certificate: Certificate, units: Units, target: float) -> Cert
         return dict(made)
 
     program = PartProgram(*scaled, posed, units.length)
-    proof = WallProof(program, posed, stated, units.length, target)
+    proof = WallProof(program, posed, stated, units.length, target, out_of_time)
     tree = proof.tree()
     if tree is None:
-        raise Unproved(f'no certificate: not within {proof.most} leaves, or as accurate')
+        raise Unproved(f'no certificate: not within {proof.most} leaves, or as accurate, in time')
     return replace(certificate, tree=in_users_units(tree, units))
 
 
 def certificates_for(
-    problem: Problem, state: State, goals: Array, plan: Plan, bound: float
+    problem: Problem,
+    state: State,
+    goals: Array,
+    plan: Plan,
+    bound: float,
+    out_of_time: OutOfTime = patient,
 ) -> Iterator[Certificate]:
     """Yield what may prove a bound: what the plan's method left of it, then a proof of its own.
 
@@ -164,6 +220,7 @@ def certificates_for(
         goals: g_1..g_N, shape (N, n) [m].
         plan: of the method.
         bound: to prove.
+        out_of_time: as for :func:`certificate_of`.
 
     Raises:
         Unproved: as :func:`certificate_of` does.
@@ -179,7 +236,7 @@ def certificates_for(
     if left is not None:
         yield left
     try:
-        yield certificate_of(problem, state, goals, plan.rotations[1:], bound)
+        yield certificate_of(problem, state, goals, plan.rotations[1:], bound, out_of_time)
     except Unproved:
         left = kept(problem, state, goals, proof) if large else None
         if left is None:
@@ -188,15 +245,28 @@ def certificates_for(
 
 
 def certificate_for(
-    problem: Problem, state: State, goals: Array, plan: Plan, bound: float
+    problem: Problem,
+    state: State,
+    goals: Array,
+    plan: Plan,
+    bound: float,
+    out_of_time: OutOfTime = patient,
 ) -> Certificate:
     """Return the first of :func:`certificates_for` that proves as much, or else the last."""
     made = None
-    for made in certificates_for(problem, state, goals, plan, bound):
+    for made in certificates_for(problem, state, goals, plan, bound, out_of_time):
         if _proved(made) >= _enough(bound):
             break
     assert made is not None
     return made
+
+
+def _holds(made: Certificate | Refutation) -> bool:
+    """Return whether a certificate holds, read as anyone would read it."""
+    try:
+        return verified(parsed(made.text().encode())).holds
+    except Refused:
+        return False
 
 
 def _posed(bound: float) -> float:
@@ -273,7 +343,7 @@ def _splits(problem: Problem) -> bool:
 
 
 def _split(
-    scaled: tuple[Problem, State, Array], x: Array, target: float
+    scaled: tuple[Problem, State, Array], x: Array, target: float, out_of_time: OutOfTime
 ) -> tuple[Tree, Array | None]:
     """Return a tree of splits that proves as much, in natural units, and its origins.
 
@@ -283,10 +353,10 @@ def _split(
     problem, state, goals = scaled
     proof: FaceProof | SectorProof
     if problem.floor.shape == 'polygon':
-        proof = FaceProof(problem, state, goals, target)
+        proof = FaceProof(problem, state, goals, target, out_of_time)
     else:
-        proof = SectorProof(problem, state, goals, x, target)
+        proof = SectorProof(problem, state, goals, x, target, out_of_time)
     tree = proof.tree()
     if tree is None:
-        raise Unproved(f'no certificate: not within {proof.most} leaves, or as accurate')
+        raise Unproved(f'no certificate: not within {proof.most} leaves, or as accurate, in time')
     return tree, proof.origins

@@ -171,9 +171,10 @@ class Recount:
     @cached_property
     def _knows_trees(self) -> bool:
         """Return whether half-spaces and turns, as known here, are all that is asked for."""
-        problem, terms = self._problem, self._terms
-        plain = terms.order == 1 and problem.floor.shape in FLOORS
-        return plain and (problem.dimension == 2 or not problem.turns_are_angles)
+        problem = self._problem
+        planar = problem.dimension == 2 and problem.rotation_order == 1
+        turns = problem.turns_are_angles if problem.rotation_order == 1 else problem.max_rate > 0.0
+        return problem.floor.shape in FLOORS and (planar or not turns)
 
     @property
     def _expects_trees(self) -> bool:
@@ -182,7 +183,7 @@ class Recount:
         sectors = problem.turns_are_angles and problem.widest_turn < HALF  # are no choices
         faces = floor.shape != 'circle' and (self._pulled or self._terms.lengths.any())
         turned = problem.max_rate and not sectors
-        spatial = problem.dimension == 3 and floor.exists
+        spatial = problem.dimension == 3  # where the cone program may take over
         coned = problem.has_cones or problem.approach.exists
         return bool(problem.obstacles or turned or spatial or faces or coned)
 
@@ -199,15 +200,20 @@ class Recount:
         fits &= tree.tethers.shape == (leaves, max(0, count - always.begin), n)
         if tree.leans.size:
             fits &= tree.leans.shape == (leaves, len(always.cones.places), n)
+        if tree.ways.size:
+            fits &= tree.ways.shape == (leaves, count, n)
         wanted = [*[nodes] * 5, *[leaves] * 3, *[rows] * 3, leaves]
-        if not (fits and list(map(len, tree[:-1])) == wanted):
+        if not (fits and list(map(len, tree[:-2])) == wanted):
             return -np.inf
         known = self._sides.standing  # of which a tree without splits has no use
         if nodes > 1:
-            known = self._sides.alternatives(state, places)
+            known = self._sides.alternatives(state, goals, places)
+        coasting = state.coasted is not None
         stated = known, self._sides.faces, always, self._sides.symmetry(known, always)
         away = goals - state.position
-        return float(choices_bound(self._terms, start, away, places, stated, tree, *asked))
+        return float(
+            choices_bound(self._terms, start, away, coasting, places, stated, tree, *asked)
+        )
 
     def _of_tangent(self, known: tuple, leaf: Tangent, coasting: bool) -> float:
         """Return what a tangent proves; its numbers are in the problem's own units."""
@@ -224,9 +230,9 @@ class Recount:
 def _width(problem: Problem) -> int:
     """Return how many coordinates of a rotation the cost sees."""
     w = problem.weights
-    if problem.dimension == 3 and problem.rotation_order == 1 and not (w.input or w.attitude):
-        return 3
-    return 2 if problem.dimension == 2 else 9
+    if problem.dimension == 2:
+        return 2
+    return 9 if w.input or w.attitude else 3
 
 
 @inlined

@@ -11,19 +11,18 @@ Mathematics: docs/proofs.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 
-from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Ball, Floor, Problem
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof.certificate import Leaf, Refutation, Tree, plain, split_into
-from orbimpc_ros.mpc.proof.prove import Unproved
+from orbimpc_ros.mpc.proof.prove import OutOfTime, Unproved, patient
 from orbimpc_ros.mpc.proof.refutation_program import Missed, Motion, RefutationProgram, middle_of
-from orbimpc_ros.mpc.proof.verifier import Refused, parsed, refuted_by, verified
+from orbimpc_ros.mpc.proof.verifier import Refused, refuted_by
 from orbimpc_ros.mpc.proof.verifier.bound import bound
 from orbimpc_ros.mpc.proof.verifier.regions import Region, Sector
 from orbimpc_ros.mpc.proof.verifier.splits import beside, halves, root
@@ -31,13 +30,6 @@ from orbimpc_ros.mpc.proof.verifier.stated import StatedProblem
 from orbimpc_ros.mpc.proof.walls import WallSplits
 
 NARROWEST = 1e-6  # [rad] of a sector that is split
-WORD = 'not proved: the word of the method'
-OutOfTime = Callable[[], bool]
-
-
-def patient() -> bool:
-    """Return that there is time left, always."""
-    return False
 
 
 def refutation_of(sought: Sought, out_of_time: OutOfTime = patient) -> Refutation:
@@ -50,8 +42,7 @@ def refutation_of(sought: Sought, out_of_time: OutOfTime = patient) -> Refutatio
     Raises:
         Unproved: none was found.
     """
-    made = stated(sought)
-    return replace(made, trees=(_refuting(made, sought.problem.horizon, out_of_time),))
+    return _refuting(stated(sought), 1, out_of_time)
 
 
 def catches_refuted(sought: Sought, count: int, out_of_time: OutOfTime = patient) -> Refutation:
@@ -65,30 +56,7 @@ def catches_refuted(sought: Sought, count: int, out_of_time: OutOfTime = patient
     Raises:
         Unproved: for one of them none was found.
     """
-    made, steps = stated(sought), range(1, count + 1)
-    return replace(made, trees=tuple(_refuting(made, k, out_of_time) for k in steps))
-
-
-def refuted_in_time(
-    make: Callable[[OutOfTime], Refutation], clock: Callable[[], float], end: float
-) -> Refutation | None:
-    """Return a refutation that is made and holds, in exact arithmetic; None without one in time.
-
-    To go through one takes no longer than to make it, where each leaf is gone through, too: half of
-    the time is for either. Beyond that it takes what a single leaf does at most.
-
-    Args:
-        make: makes it, until it is out of time.
-        clock: of the end [s].
-        end: by when it is wanted [s]; infinite for whenever it is there.
-    """
-    now = clock()
-    half = now + 0.5 * (end - now)
-    try:
-        made = make(lambda: clock() >= half)
-        return made if verified(parsed(made.text().encode())).holds else None
-    except (Unproved, Refused, BadInput):  # the last without Clarabel
-        return None
+    return _refuting(stated(sought), count, out_of_time)
 
 
 def stated(sought: Sought) -> Refutation:
@@ -117,26 +85,35 @@ def statable(problem: Problem) -> Problem:
     return replace(problem, floor=floor, max_rate=rate, max_acceleration=pace, obstacles=bodies)
 
 
-def _refuting(made: Refutation, k: int, out_of_time: OutOfTime) -> Tree:
-    """Return the tree that refutes a catch at step k; or all that there is, of a problem of k.
+def _refuting(made: Refutation, count: int, out_of_time: OutOfTime) -> Refutation:
+    """Return what refutes all that there is, or catches at the first steps.
+
+    Raises:
+        Unproved: for one of them none was found.
+    """
+    motion = Motion.of(made.sought.problem, made.sought.state, made.sought.goals)
+    try:
+        problems = refuted_by(made.document(), count)
+    except Refused as error:
+        raise Unproved(f'no certificate: {error}') from None
+    trees = (_tree(made, posed, motion, out_of_time) for posed in problems)
+    return replace(made, trees=tuple(trees))
+
+
+def _tree(made: Refutation, posed: StatedProblem, motion: Motion, out_of_time: OutOfTime) -> Tree:
+    """Return the tree that refutes a problem.
 
     Raises:
         Unproved: none was found.
     """
-    sought = made.sought
-    try:
-        posed = refuted_by(made.document(), k)
-    except Refused as error:
-        raise Unproved(f'no certificate: {error}') from None
-    motion = Motion.of(sought.problem, sought.state, sought.goals)
-    if sought.radius:
-        motion = motion.begun(k)
+    k, what = posed.horizon, 'all that there is'
+    if posed.radius is not None:
+        motion, what = motion.begun(k), f'a catch at step {k}'
     origins = None if made.origins is None else made.origins[:k].tolist()
     program = RefutationProgram(motion, posed)
     tree = RefutationProof(program, posed, motion.unit, origins, out_of_time).tree()
     if tree is None:
-        what = f'of a catch at step {k}' if sought.radius else 'of all that there is'
-        raise Unproved(f'no certificate: no refutation {what} was found')
+        raise Unproved(f'no certificate: no refutation of {what} was found')
     return tree
 
 

@@ -7,7 +7,7 @@ Mathematics: docs/mathematics.md, 4.6 and 4.10, and docs/proofs.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -38,6 +38,7 @@ class SectorProof:
         goals: shape (N, 2).
         x: headings of the best plan, shape (N, 2).
         target: the bound to prove.
+        out_of_time: polled before each part; True gives up.
 
     Attributes:
         origins: from where directions are counted, shape (N,) [rad]; None with a turn limit.
@@ -46,7 +47,13 @@ class SectorProof:
     most = 3000  # leaves
 
     def __init__(
-        self, problem: Problem, state: State, goals: Array, x: Array, target: float
+        self,
+        problem: Problem,
+        state: State,
+        goals: Array,
+        x: Array,
+        target: float,
+        out_of_time: Callable[[], bool],
     ) -> None:
         condensed, count = Condensed(problem), problem.horizon
         self._q, constant = condensed.affine(state, goals)
@@ -54,7 +61,7 @@ class SectorProof:
         length = length_weights(problem)[1:]
         self._annulus = Annulus(condensed.hessian, length, np.zeros(count), self._floor)
         self._target, self._turn = target - constant, problem.step * problem.max_rate
-        self._leaves = 0
+        self._leaves, self._late = 0, out_of_time
         self._curvature = 0.5 / np.diag(regular(condensed.hessian)[1])
         self._ahead = 0.0
         if self._turn:
@@ -71,6 +78,8 @@ class SectorProof:
         return self._proved(*self._root, 0)
 
     def _proved(self, low: Array, high: Array, depth: int) -> Tree | None:
+        if self._late():
+            return None
         leaf, bound, missed = self._relaxed(low, high)
         if bound >= self._target:
             self._leaves += 1

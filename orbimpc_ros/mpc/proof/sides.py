@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.cells import STEEPEST_CAP, cap, icosahedron
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.model.motion import controls
 from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
@@ -25,7 +26,8 @@ from orbimpc_ros.mpc.problem.cones import Relief, relief
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.slopes import CostTerms
 
-FACES, ARCS, SIDES = range(3)  # what kinds of sides a choice has
+FACES, ARCS, SIDES, PATCHES, CAPS = range(5)  # what kinds of sides a choice has
+FIRST_CAP = 20  # of the patches that a sphere begins with
 
 Rows = tuple[np.ndarray, Array, Array]  # places, normals and offsets of half-spaces
 
@@ -34,7 +36,8 @@ class Alternatives(NamedTuple):
     """All choices, in the order in which problems state them: floors, boxes, bodies; in arrays.
 
     Attributes:
-        kinds: ``FACES`` of a polygonal floor, ``ARCS`` of a circle, ``SIDES`` of a box, shape (C,).
+        kinds: ``FACES`` of a polygonal floor, ``ARCS`` of a circle, ``SIDES`` of a box, ``PATCHES``
+            of a sphere, or of its cap within the tilt (``CAPS``), shape (C,).
         places: the first place that each is about; the others follow, shape (C,).
         counts: how many places, shape (C,).
         centres: what places are relative to, shape (C, m, n).
@@ -50,6 +53,19 @@ class Alternatives(NamedTuple):
     sizes: Array
     spreads: Array
     extents: Array
+
+
+class Faces(NamedTuple):
+    """What sides are made of.
+
+    Attributes:
+        normals: of the faces of a polygonal floor, shape (F, n).
+        patches: corners of the triangles that patches of a sphere begin with, the icosahedron's 20
+            and then those of the cap within the tilt, shape (M, 3, 3); none in the plane.
+    """
+
+    normals: Array
+    patches: Array
 
 
 class Cones(NamedTuple):
@@ -296,16 +312,32 @@ class Sides:
         return Symmetry(count - 1, -1 if seen else count - 1)
 
     @cached_property
-    def faces(self) -> Array:
-        """Return the normals of a polygonal floor's faces, shape (F, n)."""
-        floor, n = self._problem.floor, self._problem.dimension
-        return np.array(normals(n, floor.faces) if floor.shape == 'polygon' else np.zeros((0, n)))
+    def faces(self) -> Faces:
+        """Return what sides are made of."""
+        problem, floor, n = self._problem, self._problem.floor, self._problem.dimension
+        sides = normals(n, floor.faces) if floor.shape == 'polygon' else np.zeros((0, n))
+        if n == 2:
+            return Faces(np.array(sides), np.zeros((0, 3, 3)))
+        capped = 0.0 < problem.tilt <= STEEPEST_CAP
+        patches = [icosahedron(), cap(problem.tilt)] if capped else [icosahedron()]
+        return Faces(np.array(sides), np.concatenate(patches))
 
-    def alternatives(self, state: State, places: Places) -> Alternatives:
-        """Return the choices of trajectories from a state, in natural units."""
+    def alternatives(self, state: State, goals: Array, places: Places) -> Alternatives:
+        """Return the choices of trajectories from a state, in natural units.
+
+        Args:
+            state: where trajectories start.
+            goals: g_1..g_N, shape (N, n) [m].
+            places: where headings lead.
+        """
         origin = state.position / self._problem.length_unit
         moved = self.standing.extents + np.concatenate([origin, -origin])
         standing, moving = self.standing._replace(extents=moved), self._bodies(state, places)
+        if len(self.faces.patches) > FIRST_CAP and self._problem.floor.shape == 'circle':
+            eased = relief(self._problem, state, goals).tilt > 0.0
+            kinds = standing.kinds.copy()
+            kinds[: len(eased)] = np.where(eased, PATCHES, CAPS)
+            standing = standing._replace(kinds=kinds)
         if moving is None:
             return standing
         return Alternatives(*map(np.concatenate, zip(standing, moving, strict=True)))
@@ -315,6 +347,11 @@ class Sides:
         """Return what needs no state; extents of boxes are counted from the origin."""
         parts = self._floors(), self._boxes()
         return Alternatives(*map(np.concatenate, zip(*parts, strict=True)))
+
+    @property
+    def _round(self) -> int:
+        """Return the kind of sides that there are of what is round."""
+        return ARCS if self._problem.dimension == 2 else PATCHES
 
     @property
     def _most(self) -> int:
@@ -330,7 +367,7 @@ class Sides:
     def _floors(self) -> Alternatives:
         floor, count = self._problem.floor, self._problem.horizon
         made = self._none(count if floor.exists else 0)
-        made.kinds[:] = FACES if floor.shape == 'polygon' else ARCS
+        made.kinds[:] = FACES if floor.shape == 'polygon' else self._round
         made.places[:], made.counts[:] = np.arange(len(made.places)), 1
         made.sizes[:] = floor.fraction if floor.exists else 0.0
         return made
@@ -368,7 +405,7 @@ class Sides:
         for j, (body, grown) in enumerate(zip(traffic.bodies, traffic.grown, strict=True)):
             own, more = slice(2 * j * count, 2 * (j + 1) * count), np.repeat(grown, 2)
             if isinstance(body, Ball):
-                made.kinds[own] = ARCS
+                made.kinds[own] = self._round
                 made.sizes[own] = np.maximum(0.0, body.radius + more) / unit
             else:
                 extents = _extents(body, state.position) + more[:, None]

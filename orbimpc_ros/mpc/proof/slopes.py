@@ -63,7 +63,7 @@ def terms_of(problem: Problem) -> CostTerms:
     turning = double * w.input / problem.step ** (2 * order), double * w.attitude, float(braking)
     count = problem.floor.faces if problem.floor.shape == 'polygon' else 0
     corners = 2.0 * np.pi * np.arange(count) / max(count, 1)
-    fraction = float(problem.floor.fraction) if problem.floor.exists else 0.0
+    fraction = float(problem.floor.clearance(problem.dimension))
     parted = problem.floor.exists and problem.dimension == 2  # others have no sectors
     turn = float(problem.step * problem.max_rate) if parted else 0.0
     change = float(problem.speed_change) if parted else np.inf
@@ -147,7 +147,7 @@ def _turn(terms, start, x, c, slopes):
     off = before - start[3, c]
     slopes[len(x) - 1, c] += 2.0 * steadying * off
     value += steadying * off * off
-    return value, size + value
+    return value, size / len(x) + value  # of neighbours alone: it does not add up
 
 
 @compiled

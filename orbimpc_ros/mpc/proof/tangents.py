@@ -11,6 +11,10 @@ import numpy as np
 from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.proof.slopes import ROUNDING, lack, lack_arriving, least_along, set_slopes
 
+STEPS = 40  # of Newton's method
+DOUBLE = 1e-3  # of a cube: a root whose polynomial rises so slowly is nearly a double one
+FLAT = 1e-15  # of a fourth power, that is no more than rounding
+
 
 @compiled
 def tangents_bound(terms, curvature, start, goals, leaf, coasting):
@@ -35,10 +39,12 @@ def tangents_bound(terms, curvature, start, goals, leaf, coasting):
             along += slopes[k, c] * point[k, c]
             square += point[k, c] * point[k, c]
         if k == 0 and terms.order == 2:
-            least = _least_decided(slopes[0], start[4], terms.lengths[1], n, coasting)
+            decided = start[4], terms.floor[0], coasting
+            least = least_decided(slopes[0], terms.lengths[1], n, decided)
         elif point.shape[1] == 9:
-            _lean(slopes[k], leaf.ways[k], terms.lengths[k + 1])
-            least = least_over_orbitope(slopes[k], leaf.tops[k])
+            rest = share_length(slopes[k], leaf.ways[k], terms.lengths[k + 1], terms.floor[0])
+            least = rest + least_over_orbitope(slopes[k], leaf.tops[k])
+            size += rest
         else:
             rise = terms.lengths[k + 1] - vector_size(slopes[k], n)
             least = least_along(rise, bend, terms.floor[0])
@@ -65,20 +71,36 @@ def vector_size(vector, n):
 
 
 @compiled
-def _least_decided(slope, decided, length, n, coasting):
-    """Return the least slope . x + l |x e1| where x is decided, or any share of what is."""
-    least = length * vector_size(decided, n)
+def least_decided(slope, length, n, decided):
+    """Return the least slope . x + l |x e1| where x is decided, or any share of what is.
+
+    Args:
+        slope: shape (d,), or shape (n,) of what is along x e1 alone.
+        length: l.
+        n: dimension.
+        decided: x; the floor's speed, that no share is slower than; whether shares are allowed.
+    """
+    x, floor, coasting = decided
+    speed = vector_size(x, n)
+    most = length * speed
     for c in range(len(slope)):
-        least += slope[c] * decided[c]
-    return min(0.0, least) if coasting else least
+        most += slope[c] * x[c]
+    if not coasting or speed <= floor:
+        return most
+    return min(most, floor / speed * most)
 
 
 @compiled
-def _lean(slope, way, length):
-    """Add to a slope that of l way . R e1, which is at most l |R e1|."""
-    share = length / max(1.0, vector_size(way, len(way)))
+def share_length(slope, way, length, least):
+    """Add to a slope that of l way . R e1, and return what l |R e1| comes to beyond that.
+
+    That is l (1 - |way|) |R e1|, of no less than the floor's speed.
+    """
+    size = vector_size(way, len(way))
+    share = length / max(1.0, size)
     for c in range(len(way)):
         slope[c] += share * way[c]
+    return (length - share * size) * least
 
 
 @compiled
@@ -89,7 +111,31 @@ def least_over_orbitope(slope, top):
 
 @compiled
 def top_of(slope):
-    """Return a top for which top I + K(G) is all but semidefinite: no less is any use."""
+    """Return a top for which top I + K(G) is all but semidefinite: no less is any use.
+
+    It is the largest root of the polynomial of -K(G), that for B = -G is
+    t^4 - 2 |B|^2 t^2 - 8 det(B) t + |B|^4 - 4 |cof B|^2: Newton's method comes down to it from
+    above. Where it is nearly a double one, that is slow.
+    """
+    square, cofactors, volume = 0.0, 0.0, 0.0
+    for i in range(9):
+        square += slope[i] * slope[i]
+    for c in range(3):
+        i, j = 3 * ((c + 1) % 3), 3 * ((c + 2) % 3)
+        for r in range(3):
+            at, after = (r + 1) % 3, (r + 2) % 3
+            each = slope[i + at] * slope[j + after] - slope[i + after] * slope[j + at]
+            cofactors += each * each
+            volume -= slope[3 * c + r] * each / 3.0
+    top = np.sqrt(3.0 * square)
+    for _ in range(STEPS):
+        rise = 4.0 * (top * (top * top - square) - 2.0 * volume)
+        if rise <= DOUBLE * top * top * top:
+            break
+        value = (top * top - square) ** 2 - 8.0 * volume * top - 4.0 * cofactors
+        if value <= FLAT * square * square:
+            return top
+        top -= value / rise
     return -np.linalg.eigvalsh(_turned(slope, 0.0))[0]
 
 

@@ -41,6 +41,7 @@ class WallProof:
         stated: returns a leaf in the user's units, as the format has it.
         unit: of lengths [m].
         target: the bound to prove, in the user's units.
+        out_of_time: polled before each part; True gives up.
     """
 
     most = 2000  # leaves
@@ -53,7 +54,9 @@ class WallProof:
         stated: Callable[[Leaf], dict],
         unit: float,
         target: float,
+        out_of_time: Callable[[], bool],
     ) -> None:
+        self._late = out_of_time
         self._program, self._posed, self._stated = program, posed, stated
         self._splits = WallSplits(posed, program.curvatures, unit)
         self._target, self._leaves = Fraction(target), 0
@@ -63,6 +66,8 @@ class WallProof:
         return self._proved(root(self._posed, None))
 
     def _proved(self, region: Region) -> Tree | None:
+        if self._late():
+            return None
         answer = self._program.answer(region)
         for leaf, worth in self._tried(region, answer):
             if worth >= self._target:
@@ -190,4 +195,4 @@ class _Told:
 
     def places(self, x: Array) -> Array:
         """Return where axes lead, shape (E, m, n) [m]."""
-        return np.asarray(self._free + self._reach @ x)
+        return np.asarray(self._free + self._reach[..., : len(x)] @ x)

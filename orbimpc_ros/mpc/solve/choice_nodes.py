@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.proof.grounds import LEAF, NO_LEANS, ChoiceGrounds, Left, tangent
+from orbimpc_ros.mpc.proof.grounds import LEAF, NO_LEANS, NO_WAYS, ChoiceGrounds, Left, tangent
 from orbimpc_ros.mpc.solve.relaxation import NO_CONES
 
 TELLING = 20  # times as long it takes to tell of a tangent as to count it
@@ -30,6 +30,7 @@ class TreeLeaf(NamedTuple):
         tethers: see :class:`orbimpc_ros.mpc.proof.grounds.ChoiceGrounds`.
         empty: whether what holds proves that nothing is there.
         leans: see there.
+        ways: see there.
         moves: by how much headings still move from that point, shape (N,), along a normal, (n,);
             all leaves are moved at once.
     """
@@ -39,6 +40,7 @@ class TreeLeaf(NamedTuple):
     tethers: Array
     empty: bool = False
     leans: Array = NO_CONES
+    ways: Array = NO_CONES
     moves: tuple[Array, Array] | None = None
 
     @property
@@ -61,12 +63,16 @@ class TreeLeaf(NamedTuple):
 class ChoiceNodes:
     """What nodes are split by, and who holds what was chosen on the way to each.
 
+    Args:
+        apart: whether a leaf that is free is one with no tree.
+
     Attributes:
         splits: the choice that each node is split by, ``LEAF`` of leaves.
         holders: by choice that is made, at which node it was.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, apart: bool = True) -> None:
+        self._apart = apart
         self.splits, self._parts, self._counts = [LEAF], [0], [0]
         self.holders: list[dict[int, int]] = [{}]
 
@@ -93,7 +99,7 @@ class ChoiceNodes:
             sides: levels and sides of the nodes, shape (2, T).
             leaves: of the nodes that are not split, in their order.
         """
-        if len(leaves) == 1 and leaves[0].is_free:
+        if self._apart and len(leaves) == 1 and leaves[0].is_free:
             return tangent(leaves[0].point, np.zeros(len(leaves[0].point)))
         presses = [each for leaf in leaves for each in leaf.presses]
         holders, rows, sizes = zip(*presses, strict=True) if presses else ((), (), ())
@@ -112,6 +118,7 @@ class ChoiceNodes:
             np.array(sizes, float),
             np.array([leaf.tethers for leaf in leaves]),
             np.array([leaf.leans for leaf in leaves]) if leaves[0].leans.size else NO_LEANS,
+            np.array([leaf.ways for leaf in leaves]) if leaves[0].ways.size else NO_WAYS,
         )
 
 

@@ -11,13 +11,14 @@ Mathematics: docs/proofs.md.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.cells import Cell, Patch
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.problem import Ball, Problem, State
+from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.grounds import Left
 from orbimpc_ros.mpc.solve.branching import Branch
 from orbimpc_ros.mpc.solve.choice_nodes import ChoiceNodes, Press, TreeLeaf
@@ -41,7 +42,7 @@ class ChoiceTree:
         turns = posed.turns
         self._always = len(turns.slots) if turns else 0
         self._edges = 2 * posed.problem.first_turn_is_a_cone
-        self._nodes = ChoiceNodes()
+        self._nodes = ChoiceNodes(apart=posed.problem.rotation_order == 1)
         self._cells: list[tuple[int, Cell] | None] = [None]
         self._raised: list[tuple[int, int, float] | None] = [None]
         self._solved: dict[int, TreeLeaf | None] = {}
@@ -53,23 +54,12 @@ class ChoiceTree:
         return len(self._nodes.leaves)
 
     @staticmethod
-    def tells(problem: Problem, state: State, program: Relaxed) -> bool:
+    def tells(problem: Problem, program: Relaxed) -> bool:
         """Return whether multipliers of a program's half-spaces are all that its bounds rest on."""
-        bodies = [*problem.obstacles, *(each.body for each in state.hazards)]
-        balls = any(isinstance(each, Ball) for each in bodies)
-        # Patches of a sphere are not arcs.
-        patches = problem.dimension == 3 and (balls or problem.floor.shape == 'circle')
-        return not patches and ChoiceTree.tells_relaxations(problem, program)
-
-    @staticmethod
-    def tells_relaxations(problem: Problem, program: Relaxed) -> bool:
-        """Return whether that is so where nothing is chosen."""
         return isinstance(program, PlaceProgram) or (
             COMPILED
-            and problem.rotation_order == 1
             and problem.max_rate == 0.0
-            and not (problem.weights.length and _turns_in_space_have_weight(problem))
-            and not (problem.has_cones and problem.approach.exists)
+            and not (problem.has_cones and (problem.approach.exists or problem.rotation_order > 1))
         )
 
     def solved(self, t: int, *, better: bool = True, empty: bool = False) -> None:
@@ -114,7 +104,7 @@ class ChoiceTree:
         presses += self._arrived(found.pull)
         first = self._always + self._edges + 2 * len(found.pull)
         presses += [(0, first + i, each) for i, each in enumerate(found.props.tolist()) if each]
-        return TreeLeaf(found.point, tuple(presses), tethers, empty, found.leans)
+        return TreeLeaf(found.point, tuple(presses), tethers, empty, found.leans, found.ways)
 
     def _arrived(self, pull: Array) -> list[Press]:
         """Return an arrival's multipliers as those of the half-spaces that leave nothing else."""
@@ -172,7 +162,7 @@ class ChoiceTree:
         told, numbers = [(0, 0)], dict[int, dict[int, int]]()  # of its cells, by choice
         for j, cell in filter(None, self._cells):
             if isinstance(cell, Patch):
-                told.append(_arc(cell))
+                told.append(_arc(cell) if len(cell.corners) == 2 else self._triangle(j, cell))
                 continue
             if j not in numbers:
                 cells = self._posed.alternatives[j].cells
@@ -180,11 +170,27 @@ class ChoiceTree:
             told.append((0, numbers[j][id(cell)]))
         return np.array(told, np.int64).T.copy()
 
+    def _triangle(self, j: int, patch: Patch) -> tuple[int, int]:
+        """Return how often a patch that a sphere begins with was split, and which part it is."""
+        choice = self._posed.alternatives[j]
+        begin, first = choice.cells, 0
+        upright = () if isinstance(choice, Passage) else choice.upright
+        if upright and self._posed.cells(j, None) is upright:
+            begin, first = upright, len(begin)
+        cells = tuple(each for each in begin if isinstance(each, Patch))
+        i = _around(cells, patch.normal)
+        level, side = 0, first + i
+        while not np.array_equal(cells[i].corners, patch.corners):
+            cells = cells[i].parts()
+            i = _around(cells, patch.normal)
+            level, side = level + 1, len(cells) * side + i
+        return level, side
 
-def _turns_in_space_have_weight(problem: Problem) -> bool:
-    """Return whether the cost sees all of rotations, of which lengths leave no multipliers."""
-    turning = problem.weights.input or problem.weights.attitude
-    return problem.dimension == 3 and bool(turning)
+
+def _around(cells: Sequence[Patch], direction: Array) -> int:
+    """Return which of some triangles a direction is in."""
+    within = [np.linalg.solve(each.corners.T, direction).min() for each in cells]
+    return int(np.argmax(within))
 
 
 def _arc(patch: Patch) -> tuple[int, int]:

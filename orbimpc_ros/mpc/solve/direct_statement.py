@@ -94,7 +94,7 @@ class DirectStatement:
         slots: what half-spaces will be put on.
     """
 
-    coasting, chords = False, 0
+    coasting, chords, lengths = False, 0, None
 
     def __init__(self, problem: Problem, slots: Sequence[Slot] = ()) -> None:
         self.problem, self.slots, steps = problem, tuple(slots), problem.horizon
@@ -137,23 +137,27 @@ class DirectStatement:
         first = self.width + 3 * (kinds - 1)
         return slice(first, first + 3 * kinds * (self.problem.terminal == 'constraint'))
 
-    def leaning(self, z: Array) -> tuple[Array, Array]:
+    def leaning(self, z: Array) -> tuple[Array, Array, Array]:
         """Return the multipliers of cones, shape (C, 3), and of least headings within a tilt.
 
-        Those of z_3 >= cos(tilt) t and t >= |z| are taken together; where t is the floor's, some of
-        the first are left for z_3 >= cos(tilt) times that.
+        And the ways along which lengths are, shape (N, 3). What t >= |z| holds, lengths and
+        z_3 >= cos(tilt) t push; where t is the floor's, by more than that. Of either the same share
+        is taken for |z|. What is left of a tilt's is one of z_3 >= cos(tilt) times the floor.
 
         Args:
             z: multipliers of all rows.
         """
         problem, leans, props = self.problem, [np.zeros((0, 3))], np.zeros(0)
+        pushed, lean = length_weights(problem)[1:], math.cos(problem.tilt)
+        up = np.maximum(z[self._tilted], 0.0) if problem.tilt else np.zeros(problem.horizon)
+        sides = z[self._heads[:, None] + np.arange(1, 4)]
+        sizes = np.sqrt(np.einsum('kc,kc->k', sides, sides))
+        most = np.maximum(np.maximum(pushed + lean * up, sizes), TINY)
+        ways = -sides / most[:, None]
         if problem.tilt:
-            lean, up = math.cos(problem.tilt), np.maximum(z[self._tilted], 0.0)
-            sides = z[self._heads[:, None] + np.arange(1, 4)]
-            sizes = np.sqrt(np.einsum('kc,kc->k', sides, sides))
-            taken = np.minimum(1.0, lean * up / np.maximum(sizes, TINY))[:, None] * sides
+            taken = -lean * up[:, None] * ways
             if problem.floor.clearance(3) > 0.0:
-                used = np.minimum(up, sizes / lean)
+                used = up * (sizes / most)
                 up, props = used, up - used
             taken[:, 2] += up
             leans.append(taken)
@@ -164,7 +168,7 @@ class DirectStatement:
                     [x * z[self._sloped + 1], y * z[self._sloped + 2], height * z[self._sloped]]
                 )
             )
-        return np.concatenate(leans), props
+        return np.concatenate(leans), props, ways
 
     def values(self, state: State, goals: Array) -> Array:
         """Return what a state and goals g_1..g_N, shape (N, 3), put on right-hand sides."""

@@ -16,10 +16,8 @@ from typing import Literal
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.cells import Cell, cap_cells
+from orbimpc_ros.mpc.geometry.cells import STEEPEST_CAP, Cell, cap_cells
 from orbimpc_ros.mpc.problem import Problem
-
-STEEPEST_CAP = 1.0  # [rad]: patches that share a corner are too long for a wider one
 
 
 @dataclass(frozen=True)

@@ -108,13 +108,12 @@ class DisjunctiveSearch:
         if passages is not None:
             curvature += passages.curvatures(self._inverse)
         branching = Branching(posed, curvature, self._exchangeable)
-        whole = ChoiceTree.tells(self.problem, request.state, self.program)
-        run = _Run(posed, branching, self.tolerance, self._tree(posed), whole=whole)
+        run = _Run(posed, branching, self.tolerance, self._tree(posed))
         return run.run(() if traffic is None else self._ways(request, traffic))
 
     def _tree(self, posed: Posed) -> ChoiceTree | None:
-        """Return what notes the grounds of a search; None where not even its root's are known."""
-        told = ChoiceTree.tells_relaxations(self.problem, self.program)
+        """Return what notes the grounds of a search; None where its relaxations' are not known."""
+        told = ChoiceTree.tells(self.problem, self.program)
         return ChoiceTree(posed, self.program, self._inverse) if told else None
 
     def _relaxed(self, request: Request) -> Found:
@@ -179,8 +178,7 @@ class _Run:
         posed: what is searched.
         branching: how nodes are branched on.
         tolerance: relative gap at which it stops.
-        tree: notes what bounds rest on.
-        whole: whether it does of all nodes, not just of the root.
+        tree: notes what bounds rest on; None where that is not known but for what relaxations say.
     """
 
     def __init__(
@@ -189,12 +187,9 @@ class _Run:
         branching: Branching,
         tolerance: float,
         tree: ChoiceTree | None,
-        *,
-        whole: bool,
     ) -> None:
         self._posed, self._branching = posed, branching
-        self._tree: ChoiceTree | None = tree if whole else None
-        self._stump: ChoiceTree | None = None if whole else tree
+        self._tree = tree
         self._best, self._tolerance = Incumbent(posed, tolerance), tolerance
         self._root: Relaxation | None = None
         self._dives = Dives(posed, self._best)
@@ -226,13 +221,15 @@ class _Run:
 
     def _grounds(self, lower: float) -> Left | None:
         """Return what a bound rests on: the tree, or its root where that is as good."""
-        tree, root = self._tree, self._root
-        if tree is not None:
-            in_time = self._posed.request.leaves_time_for(TELLING * tree.leaves)
-            return tree.grounds() if in_time else None
-        if root is None or root.bound < lower - self._tolerance * abs(lower):
-            return None
-        return root.grounds
+        tree, root, known = self._tree, self._root, None
+        if root is not None and root.bound >= lower - self._tolerance * abs(lower):
+            known = root.grounds
+        if known is not None and self._posed.has_patches:
+            return known
+        if tree is None or not self._posed.request.leaves_time_for(TELLING * tree.leaves):
+            return known
+        told = tree.grounds()
+        return known if told is None else told
 
     @property
     def _limit(self) -> float:
@@ -255,7 +252,7 @@ class _Run:
             self._note(node, empty=True)
             return
         if self._root is None:
-            self._root = self._rooted(relaxed)
+            self._root = relaxed
         bound = max(node.bound, relaxed.bound)
         self._note(node, better=relaxed.bound >= node.bound)
         if relaxed.x is None:  # neither refuted nor solved
@@ -276,13 +273,6 @@ class _Run:
             self._close(bound)
             return
         self._part(node, branch)
-
-    def _rooted(self, relaxed: Relaxation) -> Relaxation:
-        """Return the root's relaxation with what it rests on, where no tree tells that."""
-        if self._stump is None or relaxed.grounds is not None:
-            return relaxed
-        self._stump.solved(0)
-        return replace(relaxed, grounds=self._stump.grounds())
 
     def _note(self, node: _Node, *, better: bool = True, empty: bool = False) -> None:
         if self._tree is not None:

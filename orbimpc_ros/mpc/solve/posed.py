@@ -69,6 +69,11 @@ class Posed:
         return self.request.late
 
     @property
+    def has_patches(self) -> bool:
+        """Return whether patches of a sphere are chosen from: certificates have no words for it."""
+        return self.problem.dimension == 3 and any(each.radius for each in self.alternatives)
+
+    @property
     def undecided(self) -> Choice:
         """Return the choice of a root: nothing is chosen."""
         return (None,) * len(self.alternatives)

@@ -23,6 +23,7 @@ from orbimpc_ros.mpc.geometry.orbitopes import coordinate_count, coordinates
 from orbimpc_ros.mpc.model.cost import (
     attitude_weight,
     first_length,
+    length_weights,
     position_weights,
     velocity_weight,
     wanted_coordinates,
@@ -277,26 +278,42 @@ class Program:
         z = scale * np.asarray(answer.z)
         sizes, arrived = np.maximum(z[self._asked], 0.0), self._statement.arrival
         pull = self._signs[arrived] * z[self._rows[arrived]]
-        leans, props = self._leaning(z)
+        leans, props, ways = self._leaning(z)
         rows = np.flatnonzero(sizes)
         normals = np.zeros(
             (len(rows), self.problem.dimension)
         )  # of tangents, of which there are none
         point = np.asarray(answer.x)[self._columns[:, : self._seen]]
-        return Multipliers(point, rows, normals, sizes[rows], pull, leans, props)
+        ways = ways if self._seen == 9 else NO_CONES
+        return Multipliers(point, rows, normals, sizes[rows], pull, leans, props, ways)
 
-    def _leaning(self, z: Array) -> tuple[Array, Array]:
-        """Return the multipliers of cones, shape (C, n), and of least headings along their axes."""
+    def _leaning(self, z: Array) -> tuple[Array, Array, Array]:
+        """Return the multipliers of cones, shape (C, n), and of least headings along their axes.
+
+        And the ways along which lengths are, shape (N, n).
+        """
+        end = self._data['dims'].zero + self._data['dims'].nonneg
+        cut = len(z) - len(self._b_0)  # rows on top
+        z = np.delete(z, slice(end, end + cut))
+        if isinstance(self._statement, DirectStatement):
+            return self._statement.leaning(z)
+        leans, props = NO_CONES, NO_PULL
         if self.problem.approach.exists:
             a = self._data['A']
             sign = a.data[self._aside]
             least, _ = self._slots[-1]
-            return (sign * z[a.indices[self._towards]])[None], np.maximum(z[[least]], 0.0)
-        if not (self.problem.has_cones and isinstance(self._statement, DirectStatement)):
-            return NO_CONES, NO_PULL
-        end = self._data['dims'].zero + self._data['dims'].nonneg
-        cut = len(z) - len(self._b_0)  # rows on top
-        return self._statement.leaning(np.delete(z, slice(end, end + cut)))
+            leans = (sign * z[a.indices[self._towards]])[None]
+            props = np.maximum(z[[least]], 0.0)
+        return leans, props, self._ways(z)
+
+    def _ways(self, z: Array) -> Array:
+        """Return along which way what holds lengths >= |R_k e1| has each of them, shape (N, n)."""
+        n, weights = self.problem.dimension, length_weights(self.problem)[1:]
+        ways, weighed = np.zeros((len(weights), n)), weights > 0.0
+        sides = z[self._heads[:, None] + np.arange(1, 1 + n)]
+        sizes = np.sqrt(np.einsum('kc,kc->k', sides, sides))
+        ways[weighed] = -sides / np.maximum(weights[weighed], sizes)[:, None]
+        return ways
 
     def _limits_of(self, speed: float, spin: float) -> Array:
         """Return the most that each column's variable can be, of a state's speed and spin."""
@@ -358,6 +375,11 @@ class Program:
             self._a_0[entries] = 0.0
             self._b_0[row] = INERT
             self._slots.append((row, entries))
+        self._heads = np.zeros(0, int)  # of the cones that hold lengths
+        if statement.lengths is not None:
+            columns = column_of[statement.lengths.id] + np.arange(statement.lengths.size)
+            a = data['A']
+            self._heads = np.array([a.indices[slice(*a.indptr[c : c + 2])].max() for c in columns])
         if statement.coasting:
             column = column_of[statement.fraction.id]
             self._coasted = _shared_entries(data['A'], column, first + d + np.arange(d))

@@ -69,6 +69,8 @@ class Multipliers(NamedTuple):
         pull: of s_N - g_N, and then of p_N, where a plan has to arrive, shape (m,).
         leans: of the cones of tilt, glide slope and approach, shape (C, n).
         props: of how far along their axes least headings are, >= 0, shape (P,).
+        ways: over SO(3), along which lengths are at least what they count, no longer than 1,
+            shape (N, n).
     """
 
     point: Array
@@ -78,6 +80,7 @@ class Multipliers(NamedTuple):
     pull: Array = NO_PULL
     leans: Array = NO_CONES
     props: Array = NO_PULL
+    ways: Array = NO_CONES
 
 
 class Relaxed(Protocol):

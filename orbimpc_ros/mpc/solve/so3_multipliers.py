@@ -68,7 +68,7 @@ class SO3Multipliers:
         coasting: whether states come with a ``coasted`` rotation (for rotation order 2).
 
     Attributes:
-        multipliers: at rotation order 1, see :class:`orbimpc_ros.mpc.solve.relaxation.Relaxed`.
+        multipliers: see :class:`orbimpc_ros.mpc.solve.relaxation.Relaxed`.
         chords: none.
     """
 
@@ -200,7 +200,7 @@ class SO3Multipliers:
         """
         if request is not self._request:
             self._bind(request)
-        imposed = list(halfspaces)
+        imposed, self.multipliers = list(halfspaces), None
         if self._coasting and abs(self._start[0, 0]) > STEEPEST:
             if request.hurried and self._general is None:
                 return Relaxation(None, -np.inf)
@@ -249,20 +249,29 @@ class SO3Multipliers:
 
     def _told(self, request: Request, imposed: Sequence[Halfspace]) -> Multipliers | None:
         """Return what the last solve's bound rests on beside the orbitopes."""
-        if self._given:
-            return None
-        steps = [
-            self._slots[each[0]].step - 1 for each in imposed if not isinstance(each[0], Point)
-        ]
-        point, sizes = self._work.lowest.copy(), self._work.rows[steps]
-        rows, pull = np.flatnonzero(sizes), self._pull(request, point, self._work.forces)
-        return Multipliers(point, rows, np.zeros((len(rows), 3)), sizes[rows], pull)
+        places = [self._place(each[0]) for each in imposed]
+        sizes = np.array([0.0 if place < 0 else self._work.rows[place] for place in places])
+        point, forces, _ = self._lowest()
+        rows, pull = np.flatnonzero(sizes), self._pull(request, point, forces)
+        normals = np.zeros((len(rows), 3))  # of tangents, of which there are none
+        return Multipliers(point, rows, normals, sizes[rows], pull, ways=self._ways())
+
+    def _place(self, slot: int | Point) -> int:
+        """Return the place of the heading that a half-space is put on, < 0 if that is given."""
+        assert not isinstance(slot, Point)  # of which this has none
+        return self._slots[slot].step - 1 - self._given + self._coasting
 
     def _grounds(self, request: Request) -> Tangent:
         """Return what the last solve's bound rests on: its Lagrangian's tangent where it is least.
 
         What an arrival pulls at is what is left of the slopes there.
         """
+        point, forces, tops = self._lowest()
+        pull = self._pull(request, point, forces)
+        return Tangent(point, np.zeros(len(point)), pull, 0.0, tops, self._ways())
+
+    def _lowest(self) -> tuple[Array, Array, Array]:
+        """Return where the last Lagrangian is least, forces there, shape (N, 9), and tops, (N,)."""
         work, count = self._work, self.problem.horizon
         point, forces, tops = np.zeros((count, 9)), np.zeros((count, 9)), np.zeros(count)
         free = slice(self._given, None)
@@ -270,11 +279,14 @@ class SO3Multipliers:
         tops[free] = work.tops[self._coasting :]
         if self._given:
             point[0] = self._first * (work.lowest[0, 0] if self._coasting else 1.0)
-        pull = self._pull(request, point, forces)
-        ways, weighed = np.zeros((count, 3)), self._lengths > 0.0
-        ways[-len(weighed) :][weighed] = INWARD * work.pushes[weighed]
+        return point, forces, tops
+
+    def _ways(self) -> Array:
+        """Return along which way the last solve's bound has each length, shape (N, 3)."""
+        ways, weighed = np.zeros((self.problem.horizon, 3)), self._lengths > 0.0
+        ways[-len(weighed) :][weighed] = INWARD * self._work.pushes[weighed]
         ways[-len(weighed) :][weighed] /= self._lengths[weighed, None]
-        return Tangent(point, np.zeros(count), pull, 0.0, tops, ways)
+        return ways
 
     def _pull(self, request: Request, point: Array, forces: Array) -> Array:
         """Return the multipliers of an arrival, of what is left of slopes and forces at a point."""
@@ -295,10 +307,8 @@ class SO3Multipliers:
             return self._unbound
         rows, offsets = np.zeros((self._places, 3)), np.full(self._places, INERT)
         for slot, normal, offset in imposed:
-            assert not isinstance(slot, Point)  # of which this has none
-            step = self._slots[slot].step
-            if step > self._given:
-                place = step - 1 - self._given + self._coasting
+            place = self._place(slot)
+            if place >= self._coasting:
                 rows[place], offsets[place] = normal, offset
             elif self._coasting:
                 rows[0, 0], offsets[0] = normal @ self._first[:3], offset

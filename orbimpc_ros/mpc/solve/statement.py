@@ -73,7 +73,7 @@ class Statement:
         self.towards, self.aside = cp.Variable(name='along the approach'), cp.Variable(n)
         self._steep = cp.Variable(steps, name='|R e1| or the floor')
         self._velocities: cp.Variable | None = None
-        self._lengths: cp.Variable | None = None
+        self.lengths: cp.Variable | None = None
         self.slots = tuple(slots)
         self._offsets = cp.Parameter(len(slots)) if slots else None
         flown = [*self._rotation_constraints(), *self._translation_constraints()]
@@ -303,8 +303,8 @@ class Statement:
         }
         if self._velocities is not None:
             each[self._velocities] = np.tile(np.append(speed, pushed), n)  # column by column
-        if self._lengths is not None:
-            each[self._lengths] = np.ones(self._lengths.size)
+        if self.lengths is not None:
+            each[self.lengths] = np.ones(self.lengths.size)
         present = {v.id for v in self.program.variables()}
         return {v: size for v, size in each.items() if v.id in present}
 
@@ -319,7 +319,7 @@ class Statement:
         priced = np.flatnonzero(weights)
         if not len(priced):
             return cost, []
-        length = self._lengths = cp.Variable(len(priced), name='|R e1|')
+        length = self.lengths = cp.Variable(len(priced), name='|R e1|')
         epigraph: list[cp.Constraint] = [cp.SOC(length, self._headings[1 + priced].T)]
         least = problem.floor.clearance(n)
         if least > 0.0:

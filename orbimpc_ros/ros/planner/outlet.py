@@ -94,7 +94,7 @@ def report_messages(
         'plan_markers': lambda: _markers(settings.problem, stamp, report.tick),
     }
     if settings.publish_certificate:
-        makers['certificate'] = lambda: _certificate(report.tick)
+        makers['certificate'] = lambda: _certificate(report)
     if oriented:
         makers['rotation'] = lambda: messages.rotation_message(stamp, report.tick.command)
     made = {topic: make() for topic, make in makers.items() if topic in heard}
@@ -114,10 +114,11 @@ def _path(settings: PlannerSettings, stamp: Stamp, report: Report) -> Path | Non
     return messages.path_message(stamp, problem.step, poses, start)
 
 
-def _certificate(tick: Tick) -> UInt8MultiArray | None:
-    if tick.plan is None or tick.problem is None or tick.state is None or tick.goals is None:
-        return None
-    made = kept(tick.problem, tick.state, tick.goals, tick.plan.proof)
+def _certificate(report: Report) -> UInt8MultiArray | None:
+    """Return what proves the plan's bound, where there is a form of it."""
+    case, plan, made = report.tick.case, report.tick.plan, report.certificate
+    if made is None and case is not None and plan is not None:
+        made = kept(*case, plan.proof)
     return None if made is None else messages.bytes_message(made.text().encode())
 
 

@@ -16,10 +16,12 @@ from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.loop.controller import Controller, Tick
 from orbimpc_ros.mpc.loop.delay import Interval, advanced
 from orbimpc_ros.mpc.loop.disturbance import Estimator
-from orbimpc_ros.mpc.loop.interception import FARTHEST, steps_before
+from orbimpc_ros.mpc.loop.interception import FARTHEST, Catch, steps_before
 from orbimpc_ros.mpc.loop.odometry import Odometry, along_the_air
 from orbimpc_ros.mpc.loop.traffic.nearest import nearest
 from orbimpc_ros.mpc.outcome import Reason
+from orbimpc_ros.mpc.plan import Plan
+from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.ros.clock import UNKNOWN, RosTime
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
@@ -53,6 +55,10 @@ def prepared(settings: PlannerSettings) -> tuple[PlannerSettings, Controller]:
 
 def _is_past(clock: Callable[[], float], end: float) -> bool:
     return clock() > end
+
+
+def _joined(*words: str) -> str:
+    return '; '.join(filter(None, words))
 
 
 def _estimator(settings: PlannerSettings) -> Estimator | None:
@@ -170,7 +176,7 @@ class Ticker:
             tick = self._ticked(odometry, targets, inbox.wanted(now, ros), begun)
         history.last = sent  # what is commanded now counts once it went out
         if limited:
-            tick = replace(tick, reason='; '.join(filter(None, (tick.reason, limited))))
+            tick = replace(tick, reason=_joined(tick.reason, limited))
         lead = settings.response.lead(settings.problem)
         took = self._clock() - begun
         self.timing.took(took, settings.deadline, settings.period)
@@ -200,37 +206,60 @@ class Ticker:
         return self._controller.tick(odometry, targets(ends), late, targets, wanted)
 
     def proved(self, report: Report, *, catches: bool = False) -> Report:
-        """Return the report on the last tick with what refutes that anything is feasible or caught.
+        """Return the report on the last tick with proofs in exact arithmetic of what it says.
 
-        As far as the tick says so. It is looked for until the tick's deadline: after its command
-        went out, which need not wait.
+        That is of a bound that closes the gap and was not counted again, that nothing is feasible,
+        and that nothing is caught before a time. They are looked for until the tick's deadline:
+        after its command went out, which need not wait.
 
         Args:
             report: on that tick.
             catches: whether what is said of catches is to be refuted, too.
         """
         tick, catch = report.tick, report.tick.catch
-        if tick.infeasible is None and not (catches and catch):
+        if tick.plan is not None and tick.plan.is_the_methods_word and not tick.fallback:
+            report = self._bounded(report, tick.plan)
+        if tick.infeasible is not None:
+            return self._refuted(report, tick.infeasible)
+        return self._barred(report, catch) if catches and catch else report
+
+    def _barred(self, report: Report, catch: Catch) -> Report:
+        """Return a report with what refutes that anything is caught before the bound of catches."""
+        count = steps_before(catch.bound, catch.sought.problem.step)
+        if not count:
             return report
         # Imported by the first tick that needs it: a tenth of a second that starts are spared.
-        from orbimpc_ros.mpc.proof.refute import (
-            WORD,
-            catches_refuted,
-            refutation_of,
-            refuted_in_time,
-        )
+        from orbimpc_ros.mpc.proof.prove import held_in_time
+        from orbimpc_ros.mpc.proof.refute import catches_refuted
 
-        if tick.infeasible is not None:
-            known = partial(refutation_of, tick.infeasible)
-            made = refuted_in_time(known, self._clock, self._end)
-            if made is None:
-                tick = replace(tick, reason=f'{tick.reason}; {WORD}')
-            return replace(report, tick=tick, refutation=made)
-        assert catch is not None
-        count = steps_before(catch.bound, catch.sought.problem.step)
-        refuting = partial(catches_refuted, catch.sought, count)
-        found = refuted_in_time(refuting, self._clock, self._end) if count else None
+        found = held_in_time(
+            lambda late: [catches_refuted(catch.sought, count, late)], self._clock, self._end
+        )
         return replace(report, refutation=found)
+
+    def _bounded(self, report: Report, plan: Plan) -> Report:
+        """Return a report with what proves a plan's bound, or that it is not proved."""
+        from orbimpc_ros.mpc.proof.prove import WORD, certificates_for, held_in_time
+
+        tick, bound = report.tick, plan.lower_bound
+        assert tick.case is not None
+        known = *tick.case, plan, bound
+        made = held_in_time(lambda late: certificates_for(*known, late), self._clock, self._end)
+        if made is None:
+            return replace(report, tick=replace(tick, reason=_joined(tick.reason, WORD)))
+        plan = replace(plan, proof=replace(plan.proof, checked=True))
+        return replace(report, tick=replace(tick, plan=plan, status=plan.status), certificate=made)
+
+    def _refuted(self, report: Report, sought: Sought) -> Report:
+        """Return a report with what proves that nothing is feasible, or that it is not proved."""
+        from orbimpc_ros.mpc.proof.prove import WORD, held_in_time
+        from orbimpc_ros.mpc.proof.refute import refutation_of
+
+        made = held_in_time(lambda late: [refutation_of(sought, late)], self._clock, self._end)
+        if made is None:
+            tick = report.tick
+            report = replace(report, tick=replace(tick, reason=_joined(tick.reason, WORD)))
+        return replace(report, refutation=made)
 
     def _look_out(self, inbox: Inbox, odometry: Odometry) -> int:
         """Tell the controller what moves around the vehicle; return how much of it is left out."""

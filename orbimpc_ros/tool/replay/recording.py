@@ -65,6 +65,7 @@ class Published:
         speed_fraction: share of full speed or thrust along the plan, shape (N + 1,); empty without.
         objective: of the plan; NaN without one.
         gap: of the plan; NaN without one.
+        bound_checked: whether its bound was more than the method's word.
         earliest_catch: when the plan catches the goal; NaN where it does not [s].
         catch_bound: before which nothing catches the goal; NaN where none is looked for [s].
         goal_stamps: of the goals that it was planned for, by topic [ns].
@@ -86,6 +87,7 @@ class Published:
     objective: float | None = None
     lower_bound: float | None = None
     gap: float | None = None
+    bound_checked: bool | None = None
     earliest_catch: float | None = None
     catch_bound: float | None = None
     goal_stamps: Mapping[str, int] = field(default_factory=dict)
@@ -140,6 +142,10 @@ def _numbers(value: Any) -> tuple[float, ...]:
     return tuple(math.nan if each is None else each for each in found)
 
 
+def _truth(value: Any) -> bool | None:
+    return value if isinstance(value, bool) else None
+
+
 def _integers(value: Any) -> Mapping[str, int]:
     good = isinstance(value, dict) and all(isinstance(each, int) for each in value.values())
     return value if good else {}
@@ -150,6 +156,7 @@ READERS: dict[str, Callable[[Any], Any]] = {
     **dict.fromkeys(('status', 'reason', 'fallback'), str),
     **dict.fromkeys((*NUMBERS, 'advanced', 'solve_time_ms'), _number),
     **dict.fromkeys(('goal_stamps', 'goal_counts', 'traffic_stamps'), _integers),
+    'bound_checked': _truth,
     'cause': _cause,
     'speed_fraction': _numbers,
 }  # of the keys on ``tick``

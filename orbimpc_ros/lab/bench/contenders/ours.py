@@ -7,7 +7,6 @@ import time
 
 from orbimpc_ros.lab.bench.contenders.contender import Solution
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import Plan, shifted
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.solver import Solver
@@ -43,4 +42,4 @@ class Ours:
         """Return the plan's objective and proof."""
         plan = self._plan
         assert plan is not None
-        return Solution(plan.objective, plan.gap, plan.status != Status.OPTIMAL)
+        return Solution(plan.objective, plan.gap, not plan.is_closed)
