@@ -778,9 +778,32 @@ def test_a_sector_that_leaves_nothing_out_holds_nothing(width):
         assert least <= -math.hypot(*slope)
 
 
-def test_balls_in_space_are_refused():
+def test_balls_in_space_have_no_sides():
     state = State.at(np.zeros(3), np.eye(3))
-    known = statement(Problem(3, horizon=2), state, np.ones((2, 3)))
-    ball = {'centre': [1.0, 0.0, 0.0], 'radius': 0.5, 'of': 'end'}
-    with pytest.raises(verifier.Refused, match='balls in space'):
-        verifier.posed_by({**known, 'limits': {'walls': [ball]}})
+    ball = Ball(np.array([1.0, 0.0, 0.0]), 0.5)
+    exact = verifier.posed_by(
+        statement(Problem(3, horizon=2, obstacles=(ball,)), state, np.ones((2, 3)))
+    )
+    assert [wall.of for wall in exact.limits.walls] == ['end', 'step']
+    with pytest.raises(verifier.Refused, match='have no sides'):
+        beside(exact, root(exact, None), 1, 0, 1.0)
+
+
+@pytest.mark.parametrize(
+    'changes',
+    [
+        {'rotation_order': 2, 'floor': Floor('circle', fraction=0.5)},
+        {'rotation_order': 2, 'floor': Floor('polygon', 6, 0.5), 'max_rate': 0.3},
+        {'dimension': 3, 'floor': Floor('polygon', 6, 0.5)},
+    ],
+)
+def test_floors_of_which_there_are_no_proofs_are_no_use(changes):
+    """Nor does a turn limit bound chords with them."""
+    problem = replace(Problem(horizon=3, weights=WEIGHTS), **changes)
+    case = posed(problem, np.random.default_rng(18))
+    free = verifier.posed_by(statement(replace(problem, floor=Floor(), max_rate=0.0), *case[1:]))
+    leaf = {'point': np.full((3, free.width), 0.2).tolist()}
+    proved = [bound(each, leaf, root(each, None)) for each in (case[0], free)]
+    assert proved[0] == proved[1]
+    with pytest.raises(verifier.Refused, match='no turns are limited'):
+        bound(case[0], {**leaf, 'tethers': np.ones((3, free.n)).tolist()}, root(case[0], None))

@@ -102,7 +102,7 @@ def test_a_plan_without_a_certificate_is_printed_and_says_so(run, tmp_path):
     code, out, error = run('solve', problem, '--certificate', tmp_path / 'none.json')
     assert code == 1
     assert json.loads(out)['status'] == 'optimal'
-    assert 'none yet for floors at rotation_order 2' in error
+    assert 'one tangent proves' in error
     assert not (tmp_path / 'none.json').exists()
 
 

@@ -17,9 +17,9 @@ from fractions import Fraction
 
 import numpy as np
 
-from orbimpc_ros.mpc.problem import Ball, Floor, Problem
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof.certificate import Leaf, Refutation, Tree, plain, split_into
+from orbimpc_ros.mpc.proof.fewer_limits import with_statable_limits
 from orbimpc_ros.mpc.proof.prove import OutOfTime, Unproved, patient
 from orbimpc_ros.mpc.proof.refutation_program import Missed, Motion, RefutationProgram, middle_of
 from orbimpc_ros.mpc.proof.verifier import Refused, refuted_by
@@ -61,28 +61,11 @@ def catches_refuted(sought: Sought, count: int, out_of_time: OutOfTime = patient
 
 def stated(sought: Sought) -> Refutation:
     """Return a refutation without its trees, of as much of a problem as certificates can state."""
-    problem, state = statable(sought.problem), sought.state
-    planar = problem.dimension == 2
-    hazards = tuple(each for each in state.hazards if planar or not isinstance(each.body, Ball))
-    split = planar and problem.floor.exists and not problem.max_rate
+    problem, state = with_statable_limits(sought.problem, sought.state)
+    split = problem.dimension == 2 and problem.floor.exists and not problem.max_rate
     origins = np.zeros(problem.horizon) if split else None
-    posed = replace(sought, problem=problem, state=replace(state, hazards=hazards))
+    posed = replace(sought, problem=problem, state=state)
     return Refutation(posed, (), origins)
-
-
-def statable(problem: Problem) -> Problem:
-    """Return a problem with those limits only that certificates can state: it allows no less."""
-    floor, planar = problem.floor, problem.dimension == 2
-    known = floor.shape in (('circle', 'polygon') if planar else ('circle',))
-    if not known or problem.rotation_order == 2:
-        floor = Floor()
-    rated = problem.rotation_order == 1 and (planar or not problem.floor.exists)
-    rate = problem.max_rate if rated and floor.exists == problem.floor.exists else 0.0
-    # Who is below a floor changes speed from there on.
-    paced = problem.rotation_order == 1 and floor.exists == problem.floor.exists
-    pace = problem.max_acceleration if paced else 0.0
-    bodies = tuple(each for each in problem.obstacles if planar or not isinstance(each, Ball))
-    return replace(problem, floor=floor, max_rate=rate, max_acceleration=pace, obstacles=bodies)
 
 
 def _refuting(made: Refutation, count: int, out_of_time: OutOfTime) -> Refutation:

@@ -134,8 +134,10 @@ def posed_by(document: dict[str, Any]) -> StatedProblem:
     if weights.attitude and document['state']['wanted'] is None:
         raise Refused('state.wanted is missing')
     made = limits.floor(problem['floor'])
-    if made.slowest > 1 or (made.exists and order == 2) or (made.faces and n == 3):
-        raise Refused('the floor is beyond this format')
+    if made.slowest > 1:
+        raise Refused('floor.fraction is above 1')
+    if order == 2 or (made.faces and n == 3):  # of which the format has no proofs
+        made = made._replace(slowest=ZERO, faces=0)
     turn = motion.step * weight(problem['max_rate'], 'max_rate')
     arrives = word(problem['terminal'], 'terminal', ('penalty', 'constraint')) == 'constraint'
     goals = rows(document['goals'], 'goals', horizon, n)

@@ -72,15 +72,13 @@ class BoxWall(Wall):
 
 
 class DiscWall(Wall):
-    """A wall in the plane with ``centre`` and ``radius``."""
+    """A wall with ``centre`` and ``radius``; only in the plane it has sides."""
 
     shape = 'centre', 'radius'
 
     def __init__(self, body: Any, n: int, steps: list[Step], fastest: Fraction) -> None:
         super().__init__(body, n, steps)
-        if n != 2 or self.of == 'ends':
-            raise Refused('balls in space, and discs of both ends, are beyond this format')
-        self._middle = vector(body['centre'], 'centre', 2)
+        self._middle = vector(body['centre'], 'centre', n)
         self._radius = weight(body['radius'], 'radius')
         self._fastest = fastest
 
@@ -102,6 +100,8 @@ class DiscWall(Wall):
         With unit vectors u of the sector and any c, let c . u >= m > 0. Then c . Q >= m |Q|; other
         points P have u . (P - Q) >= 0, and what c has across u is at most sqrt(|c|^2 - m^2).
         """
+        if len(self._middle) != 2 or self.of == 'ends':
+            raise Refused('balls in space, and discs of both ends, have no sides')
         radius = self.radius(k)
         if sector.high - sector.low > PI - NARROW or radius <= 0:
             return []
