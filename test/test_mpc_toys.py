@@ -12,6 +12,7 @@ from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import Command, flaw
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.loop.safety import safe_command
 from orbimpc_ros.mpc.model.translation import TRANSLATIONS
 from orbimpc_ros.mpc.problem import Floor, Problem, State
@@ -150,7 +151,8 @@ def test_a_new_model_is_planned_with_checked_and_proved(dimension, rotation_orde
     reached = np.ones(dimension) + 0.06 * speed
     goals = np.tile(reached, (8, 1))
     plan = Solver(problem, coasting=True).solve(start, goals)
-    assert plan.status == 'optimal'
+    assert plan.is_closed
+    assert plan.proof.checked or not COMPILED  # certificates know no such model
     places, velocities = flown(problem, start, plan.rotations[:, :, 0])
     np.testing.assert_allclose(plan.positions, places, rtol=0.0, atol=1e-9 * speed)
     np.testing.assert_allclose(plan.velocities, velocities, rtol=0.0, atol=1e-9 * speed)

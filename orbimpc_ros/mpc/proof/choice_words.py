@@ -135,7 +135,7 @@ class ChoiceWords:
         if problem.has_cones or problem.approach.exists:
             return False
         if problem.rotation_order == 2:  # of whose hull alone there are certificates
-            return not (len(self._words) or problem.max_rate)
+            return not (len(self._words) or problem.max_rate or problem.weights.length)
         if problem.dimension == 3:
             patched = bool((self._choices.kinds == PATCHES).any())
             return not (problem.floor.exists or problem.weights.length or patched)

@@ -64,7 +64,7 @@ def held(make: Callable[[], Iterable[Made]]) -> Made | None:
     """Return the first of some certificates that holds, in exact arithmetic; None without one."""
     try:
         return next((each for each in make() if _holds(each)), None)
-    except (Unproved, BadInput):  # the latter without Clarabel
+    except (Unproved, Refused, BadInput):  # of what is no model there; without Clarabel
         return None
 
 

@@ -17,7 +17,6 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.cells import Cell, Patch
-from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.grounds import Left
 from orbimpc_ros.mpc.solve.branching import Branch
@@ -56,11 +55,8 @@ class ChoiceTree:
     @staticmethod
     def tells(problem: Problem, program: Relaxed) -> bool:
         """Return whether multipliers of a program's half-spaces are all that its bounds rest on."""
-        return isinstance(program, PlaceProgram) or (
-            COMPILED
-            and problem.max_rate == 0.0
-            and not (problem.has_cones and (problem.approach.exists or problem.rotation_order > 1))
-        )
+        coned = problem.has_cones and (problem.approach.exists or problem.rotation_order > 1)
+        return isinstance(program, PlaceProgram) or (problem.max_rate == 0.0 and not coned)
 
     def solved(self, t: int, *, better: bool = True, empty: bool = False) -> None:
         """Note what the last relaxation, which was that of a node, rests on.

@@ -21,6 +21,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.traffic import Traffic, traffic_of
@@ -136,7 +137,7 @@ class DisjunctiveSearch:
     def _root(self, request: Request) -> Left | None:
         """Return what the bound of a relaxation rests on where nothing is left to choose."""
         tree = self._tree(Posed(self.problem, self.program, (), self.turns, request))
-        if tree is None:
+        if tree is None or not COMPILED:  # whose multipliers are not as good
             return None
         tree.solved(0)
         return tree.grounds()
