@@ -8,11 +8,15 @@ from functools import cache
 import certified
 import numpy as np
 import pytest
+from toy_floor import Eastward
 
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.problem import Ball, Box, Floor, Problem, State
+from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem.floor import SHAPES
+from orbimpc_ros.mpc.proof.certificate import statement
 from orbimpc_ros.mpc.proof.prove import Unproved, certificate_of, patient
 from orbimpc_ros.mpc.proof.sectors import SectorProof
+from orbimpc_ros.mpc.proof.spatial import touching_freely
 from orbimpc_ros.mpc.proof.verifier import Refused, parsed, verified
 from orbimpc_ros.mpc.solve.solver import Solver
 
@@ -143,7 +147,7 @@ def test_a_proof_beside_a_box_takes_the_box(path, value, outcome):
     [
         (('limits', 'walls', 0, 'radius'), 0.1, 'does not hold'),
         (('limits', 'walls', 0, 'of'), 'end', 'presses is not a list'),
-        (('limits', 'walls', 0, 'of'), 'ends', 'beyond this format'),
+        (('limits', 'walls', 0, 'of'), 'ends', 'have no sides'),
         (('tree', 'at'), 7.0, 'not within what it splits'),
         (('problem', 'discretisation'), 'exact', 'presses is not a list'),
     ],
@@ -164,6 +168,19 @@ def test_pressing_from_the_wrong_side_is_refused():
     assert 'presses are negative' in judged(json.dumps(known))
 
 
+@pytest.mark.parametrize('seed', range(4))
+def test_a_tangent_touches_where_slopes_vanish_but_for_rounding(seed):
+    """Of what its slopes are off by there, each step's bound lacks as much."""
+    rng, count = np.random.default_rng([seed, 21]), 40
+    axes = np.linalg.qr(rng.normal(size=(count, count)))[0]
+    bent = axes * 10.0 ** rng.uniform(-5.0, 0.0, count) @ axes.T
+    bent = 0.5 * (bent + bent.T)
+    q, nothing = bent @ rng.normal(size=(count, 2)), (np.zeros((0, count)), np.zeros((0, 2)))
+    point, _ = touching_freely([bent], q, nothing)
+    left = bent.astype(np.longdouble) @ point + q
+    assert np.abs(left).max() < 3e-16
+
+
 def test_a_bound_that_is_too_high_has_no_certificate():
     case = certified.case('hull', np.random.default_rng(3))
     plan = Solver(case.problem).solve(case.state, case.goals)
@@ -179,22 +196,55 @@ def test_a_search_that_is_too_long_has_no_certificate(monkeypatch):
         certificate_of(*case, plan.rotations[1:], 1.00001 * plan.objective)
 
 
-@pytest.mark.parametrize(
-    ('changes', 'word'),
-    [
-        ({'dimension': 3, 'obstacles': (Ball(np.ones(3), 0.5),)}, 'balls in space'),
-        ({'dimension': 3, 'max_rate': 0.1, 'floor': Floor('circle')}, 'max_rate in space with'),
-        ({'rotation_order': 2, 'max_rate': 0.1}, 'turn limits at rotation_order 2'),
-        ({'rotation_order': 2, 'floor': Floor('circle')}, 'rotation_order 2'),
-        ({'dimension': 3, 'tilt': 0.3, 'translation_order': 2, 'rotation_order': 2}, 'cones'),
-    ],
-)
-def test_problems_without_certificates_say_so(changes, word):
-    problem = Problem(**changes)
+BESIDE = {2: np.array([1.0, 2.5]), 3: np.array([1.0, 2.5, 0.0])}
+CUBE = Box(BESIDE[3], BESIDE[3] + 0.5)
+SECOND = {'rotation_order': 2, 'translation_order': 1}
+# Of these the verifier knows nothing: a floor, a turn limit, bodies or a cone.
+LEFT_OUT = {
+    'floor': SECOND | {'floor': Floor('circle', fraction=0.3)},
+    'polygon and turn rate': SECOND | {'floor': Floor('polygon', 6, 0.3), 'max_rate': 1.5},
+    'disc': SECOND | {'obstacles': (Ball(BESIDE[2], 0.5),)},
+    'approach': SECOND | {'approach': Approach(1.0, (1.0, 0.0))},
+    'polygon in space': {'dimension': 3, 'floor': Floor('polygon', 6, 0.2)},
+    'turn rate in space': {'dimension': 3, 'floor': Floor('circle', fraction=0.2), 'max_rate': 1.5},
+    'ball in space': {'dimension': 3, 'obstacles': (Ball(BESIDE[3], 0.5), CUBE)},
+    'box': SECOND | {'dimension': 3, 'obstacles': (CUBE,)},
+}
+
+
+def ahead(kind, away):
+    """Return a problem with a goal so far ahead, and a plan of it."""
+    problem = Problem(horizon=4, weights=Weights(1.0, 0.05, 0.0, 10.0), **LEFT_OUT[kind])
     n = problem.dimension
-    state = State.at(np.zeros(n), np.eye(n))
-    with pytest.raises(Unproved, match=word):
-        certificate_of(problem, state, np.ones((5, n)), np.tile(np.eye(n), (5, 1, 1)), 1.0)
+    still = np.eye(n) if problem.rotation_order == 2 else None
+    case = problem, State.at(np.zeros(n), np.eye(n), coasted=still), away * np.eye(n)[[0] * 4]
+    return case, Solver(problem, coasting=True).solve(*case[1:])
+
+
+@pytest.mark.parametrize('kind', LEFT_OUT)
+def test_what_proofs_leave_out_is_stated_and_needs_none_where_it_is_out_of_the_way(kind):
+    case, plan = ahead(kind, 5.0)
+    made = certificate_of(*case, plan.rotations[1:], plan.lower_bound)
+    verdict = verified(parsed(made.text().encode()))
+    assert verdict.holds
+    assert verdict.proved <= plan.objective * (1.0 + 1e-7)
+    known, stated = made.document(), statement(*case)
+    assert {name: known[name] for name in stated} == stated
+
+
+@pytest.mark.parametrize('kind', ['floor', 'polygon and turn rate', 'polygon in space'])
+def test_where_what_proofs_leave_out_matters_words_say_how_much_is_proved(kind):
+    case, plan = ahead(kind, 0.1)
+    assert plan.lower_bound > 0.0
+    with pytest.raises(Unproved, match=r'nothing to split|as accurate'):
+        certificate_of(*case, plan.rotations[1:], plan.lower_bound)
+
+
+def test_floors_that_the_format_cannot_state_have_no_certificates(monkeypatch):
+    monkeypatch.setitem(SHAPES, 'eastward', Eastward())
+    problem, state = Problem(floor=Floor('eastward')), State.at(np.zeros(2), np.eye(2))
+    with pytest.raises(Unproved, match=r'floor\.shape'):
+        certificate_of(problem, state, np.ones((5, 2)), np.tile(np.eye(2), (5, 1, 1)), 1.0)
 
 
 def test_numbers_are_written_as_they_are():

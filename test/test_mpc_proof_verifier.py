@@ -28,8 +28,16 @@ from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Split, statemen
 from orbimpc_ros.mpc.proof.verifier import least as closed
 from orbimpc_ros.mpc.proof.verifier import reading
 from orbimpc_ros.mpc.proof.verifier.bound import _least, bound, slid, towed
-from orbimpc_ros.mpc.proof.verifier.cost import Added, cost
-from orbimpc_ros.mpc.proof.verifier.exact import TINY, direction, dot, lacking
+from orbimpc_ros.mpc.proof.verifier.cost import Added, tangent
+from orbimpc_ros.mpc.proof.verifier.exact import (
+    TINY,
+    UNIT,
+    Matrix,
+    Vector,
+    across,
+    direction,
+    lacking,
+)
 from orbimpc_ros.mpc.proof.verifier.limits import cone
 from orbimpc_ros.mpc.proof.verifier.motion import steps
 from orbimpc_ros.mpc.proof.verifier.regions import Sector
@@ -42,15 +50,31 @@ MODELS = [
 WEIGHTS = Weights(position=1.3, input=0.07, length=0.0, terminal=4.0, attitude=0.6)
 
 
-def fractions(values):
-    return [[Fraction(float(x)) for x in row] for row in values]
+def exactly(values):
+    """Return the rows of an array as they are."""
+    return [Vector.of(map(float, row)) for row in values]
 
 
-def added(posed, pull=(), stiffness=0, push=None, towed=None):
-    """Return what is added to a cost: nothing, but for what is given."""
-    still = np.zeros((posed.horizon, posed.n))
-    forces = (fractions(still if each is None else each) for each in (push, towed))
-    return Added(list(pull), Fraction(stiffness), *forces)
+def units(values):
+    """Return how many units each number is: a double is a whole number of them."""
+    return [round(UNIT * Fraction(float(x))) for x in values]
+
+
+def added(posed, stiffness=0, push=None, towed=None):
+    """Return what is added to a cost: nothing, but for what is given, step by step."""
+    flown = len(posed.weights.flown)
+    push = np.zeros((flown, posed.n)) if push is None else push[:flown]
+    towed = np.zeros((posed.horizon, posed.n)) if towed is None else towed
+    bends = Vector([0] * posed.horizon)
+    return Added(bends, Fraction(stiffness), *(across(exactly(each)) for each in (push, towed)))
+
+
+def cost(posed, x, more):
+    """Return the cost, with what is added, and its gradient, shape (N, d)."""
+    touched = across(x)
+    least, slopes = tangent(posed, touched, more)
+    rise = sum(slope @ along for slope, along in zip(slopes, touched, strict=True))
+    return Fraction(least, UNIT) + rise, across(slopes)
 
 
 def rotation(n, rng):
@@ -81,7 +105,7 @@ def test_its_cost_is_the_objective(n, order, inertia, kind):
     x = rng.normal(size=(6, exact.width))
     if order == 2:
         x[0] = coordinates(state.rotation + problem.step * state.rotation_rate)
-    value, _ = cost(exact, fractions(x), added(exact))
+    value, _ = cost(exact, exactly(x), added(exact))
     assert float(value) == pytest.approx(trajectory_of(problem, state, goals, x).cost, rel=1e-12)
 
 
@@ -92,17 +116,17 @@ def test_its_gradient_is_exact(n, order, inertia, kind):
         n, order, inertia, 5, 0.3, 1.7, WEIGHTS, discretisation=kind, terminal='constraint'
     )
     exact, _, _ = posed(problem, rng)
-    x, d = (fractions(rng.normal(size=(5, exact.width))) for _ in range(2))
-    pull = [Fraction(float(y)) for y in rng.normal(size=n * inertia)]
+    x, d = (exactly(rng.normal(size=(5, exact.width))) for _ in range(2))
     ahead, behind = (
-        [[a + sign * b for a, b in zip(u, v, strict=True)] for u, v in zip(x, d, strict=True)]
-        for sign in (1, -1)
+        [u + v * sign for u, v in zip(x, d, strict=True)] for sign in map(Fraction, (1, -1))
     )
-    more = added(exact, pull, Fraction(3, 2), *rng.normal(size=(2, 5, n)))
+    more = added(exact, Fraction(3, 2), rng.normal(size=(6, n)), rng.normal(size=(5, n)))
+    more = more._replace(bends=Vector.of(rng.normal(size=5)))
     slopes = cost(exact, x, more)[1]
-    along = sum(a * b for u, v in zip(slopes, d, strict=True) for a, b in zip(u, v, strict=True))
-    # Of a quadratic, differences from both sides are exact.
-    assert cost(exact, ahead, more)[0] - cost(exact, behind, more)[0] == 2 * along
+    along = sum(u @ v for u, v in zip(slopes, d, strict=True))
+    # Of a quadratic, differences from both sides are exact, but for units that are rounded.
+    difference = cost(exact, ahead, more)[0] - cost(exact, behind, more)[0]
+    assert abs(difference - 2 * along) < Fraction(100, UNIT)
 
 
 @pytest.mark.parametrize(('n', 'order', 'inertia', 'kind'), MODELS)
@@ -110,18 +134,21 @@ def test_what_pushes_positions_is_weighed_as_it_moves_them(n, order, inertia, ki
     rng = np.random.default_rng([n, order, inertia, 2])
     problem = Problem(n, order, inertia, 5, 0.3, 1.7, WEIGHTS, discretisation=kind)
     exact, state, goals = posed(problem, rng)
-    x, push = rng.normal(size=(5, exact.width)), rng.normal(size=(5, n))
+    x, push = rng.normal(size=(5, exact.width)), rng.normal(size=(6, n))
     if order == 2:
         x[0] = coordinates(state.rotation + problem.step * state.rotation_rate)
     headings = np.vstack([state.rotation[:, 0], x[:, :n]])
-    positions, _ = translation_rollout(problem, state, headings)
+    positions, velocities = translation_rollout(problem, state, headings)
     (value, slopes), (pushed, steeper) = (
-        cost(exact, fractions(x), added(exact, push=each)) for each in (None, push)
+        cost(exact, exactly(x), added(exact, push=each)) for each in (None, push)
     )
-    weighed = np.sum(push * (positions[1:] - goals))
+    braked = push[5] * (inertia == 2)
+    weighed = np.sum(push[:5] * (positions[1:] - goals)) + braked @ velocities[-1]
     assert float(pushed - value) == pytest.approx(weighed, abs=1e-11)
-    more = (np.array(steeper) - np.array(slopes)).astype(float)
-    assert more[:, :n] == pytest.approx(problem.maps.reach[:, 1:].T @ push)
+    more = np.array([list(b - a) for a, b in zip(slopes, steeper, strict=True)], float)
+    maps = problem.maps
+    slowed = np.outer(maps.pushed[-1, 1:], braked) if inertia == 2 else 0.0
+    assert more[:, :n] == pytest.approx(maps.reach[:, 1:].T @ push[:5] + slowed)
     assert not more[:, n:].any()
 
 
@@ -131,8 +158,8 @@ def test_least_within_a_cone_is_below_all_that_is_in_it(seed):
     n = 2 + seed % 2
     axis, slope, angle = rng.normal(size=n), rng.normal(size=n), rng.uniform(0.05, 3.0)
     width = np.cos(angle) * np.linalg.norm(axis)
-    made = cone(fractions([axis])[0], Fraction(float(width)))
-    least = float(closed.least_towards(fractions([slope])[0], made))
+    made = cone(*exactly([axis]), Fraction(float(width)))
+    least = closed.towards(units(slope), made) / UNIT
     ways = rng.normal(size=(200_000, n))
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     inside = ways[ways @ axis >= width]
@@ -223,7 +250,8 @@ def test_what_a_step_adds_is_no_more_than_it_does_within_its_speeds_and_directio
     angles, speeds = np.meshgrid(np.linspace(low, high, 401), np.linspace(slow, fast, 201))
     along = slope[0] * np.cos(angles) + slope[1] * np.sin(angles) + length
     found = (along * speeds - 0.5 * bend * speeds**2).min()
-    least = float(_least(exact, region, 2, fractions([slope])[0], Fraction(bend)))
+    units = [round(UNIT * x) for x in slope]
+    least = _least(exact, region, 2, units, round(UNIT * bend)) / UNIT
     assert found - 1e-3 <= least <= found + 1e-12
 
 
@@ -346,7 +374,7 @@ def test_what_slides_along_the_glide_slope_is_nowhere_above_what_is_eased(seed):
     exact, way = verifier.posed_by(said), rng.uniform(0.0, 2.0 * np.pi)
     rim = np.array([np.cos(way), np.sin(way), -1.000001 / np.tan(angle)])
     slides = rng.uniform(0.0, 2.0, (2, 1)) * rim
-    paid = sum(slid(exact, k, c) for k, c in enumerate(fractions(slides)))
+    paid = sum(slid(exact, k, c) for k, c in enumerate(exactly(slides)))
     away = rng.uniform(-2.0, 2.0, (20_000, 2, 3))
     stray = np.sin(angle) * np.hypot(away[..., 0], away[..., 1]) - np.cos(angle) * away[..., 2]
     inside = away[(stray <= eased).all(axis=1)]
@@ -354,7 +382,7 @@ def test_what_slides_along_the_glide_slope_is_nowhere_above_what_is_eased(seed):
     assert (np.sum(inside * slides, axis=(1, 2)) + float(paid)).max() <= 1e-12
     slides[:, 2] *= 0.99999
     with pytest.raises(verifier.Refused, match='not along the glide slope'):
-        slid(exact, 0, fractions(slides)[0])
+        slid(exact, 0, exactly(slides)[0])
 
 
 def tied(n, order, seed):
@@ -387,7 +415,7 @@ def test_what_tows_axes_adds_nothing_to_what_is_legal(n, order, seed):
     problem, state, goals, legal, rng = tied(n, order, seed)
     exact, axes = verifier.posed_by(statement(problem, state, goals)), legal[:, :, :, 0]
     for tethers in (rng.normal(size=(4, n)), np.diff(axes[0], axis=0)):
-        forces, paid = towed(exact, fractions(tethers))
+        forces, paid = towed(exact, exactly(tethers))
         added = np.einsum('wki,ki->w', axes[:, 1:], np.array(forces, float)) + float(paid)
         assert added.max() <= 1e-12
         chords = np.einsum('wki,ki->w', np.diff(axes, axis=1), tethers)
@@ -422,9 +450,9 @@ def test_what_a_leaf_with_tethers_proves_is_below_the_cost_of_what_is_legal(n, o
 def test_tethers_are_refused_where_no_chord_is_a_limit(changes):
     problem = replace(Problem(step=0.4, horizon=2), **changes)
     exact, _, _ = posed(problem, np.random.default_rng(14))
-    assert towed(exact, fractions(np.zeros((2, 2))))[1] == 0
+    assert towed(exact, exactly(np.zeros((2, 2))))[1] == 0
     with pytest.raises(verifier.Refused, match='no turns are limited'):
-        towed(exact, fractions(np.ones((2, 2))))
+        towed(exact, exactly(np.ones((2, 2))))
 
 
 @pytest.mark.parametrize('kind', ['euler', 'exact', 'held'])
@@ -451,7 +479,7 @@ def test_what_a_matrix_lacks_of_semidefinite_is_bracketed(seed):
     factor = rng.normal(size=(5, 5 - seed % 3))
     matrix = factor @ factor.T - (0.1 * np.eye(5) if seed > 2 else 0.0)
     matrix = 0.5 * (matrix + matrix.T) * 10.0 ** rng.uniform(-9, 9)
-    lack, least = float(lacking(fractions(matrix))), np.linalg.eigvalsh(matrix)[0]
+    lack, least = float(lacking(Matrix.of(exactly(matrix)))), np.linalg.eigvalsh(matrix)[0]
     size = np.abs(matrix).max()
     assert lack >= -least - 1e-14 * size
     assert lack <= 20.0 * max(0.0, -least) + 1e-12 * size
@@ -463,10 +491,9 @@ def test_least_over_a_sector_is_below_all_that_is_in_it(seed):
     low = rng.uniform(-9.0, 9.0)
     high = low + rng.choice([0.1, 1.0, 3.0, 4.0, 6.0, 7.0])
     slope, bend, floor = rng.normal(size=2), rng.normal(), 0.4
-    steepest = closed.least_within(
-        [Fraction(float(s)) for s in slope], Sector(Fraction(low), Fraction(high))
-    )
-    least = float(closed.least_along(steepest, Fraction(bend), Fraction(floor)))
+    steepest = closed.within(units(slope), Sector(Fraction(low), Fraction(high)))
+    speeds = Fraction(floor), Fraction(1)
+    least = closed.over_speeds(steepest, *units([bend]), *speeds) / UNIT
     angles, speeds = np.meshgrid(np.linspace(low, high, 801), np.linspace(floor, 1.0, 201))
     z = speeds * (slope[0] * np.cos(angles) + slope[1] * np.sin(angles))
     found = (z - 0.5 * bend * speeds**2).min()
@@ -481,7 +508,7 @@ def test_least_beyond_a_face_is_below_all_that_is_beyond(seed):
     problem = Problem(floor=Floor('polygon', faces, 0.6))
     exact, _, _ = posed(problem, rng)
     slope = rng.normal(size=2)
-    least = float(closed.least_beyond(fractions([slope])[0], exact.floor, face))
+    least = closed.beyond(units(slope), exact.floor, face) / UNIT
     angle = 2.0 * np.pi * face / faces + np.linspace(-1.0, 1.0, 2001) * math.acos(0.6)
     rim = np.column_stack([np.cos(angle), np.sin(angle)])  # the least of a line is at an end
     assert least == pytest.approx((rim @ slope).min(), abs=1e-5)
@@ -497,8 +524,8 @@ def test_least_over_a_sector_of_a_polygon_is_that_of_its_points(seed):
     exact, _, _ = posed(problem, rng)
     low, slope = rng.uniform(-9.0, 9.0), rng.normal(size=2)
     high = low + rng.uniform(0.01, 3.1)
-    sector, given = Sector(Fraction(low), Fraction(high)), fractions([slope])[0]
-    least = float(closed.least_reached(given, exact.floor, sector))
+    sector = Sector(Fraction(low), Fraction(high))
+    least = closed.reached(units(slope), exact.floor, sector) / UNIT
     angles = np.linspace(low, high, 2001)
     share = 2.0 * np.pi / faces
     reach = fraction / np.cos(angles - share * np.round(angles / share))
@@ -514,11 +541,12 @@ def test_least_over_the_orbitope_is_below_all_rotations(seed):
     sizes = np.linalg.svd(slope.reshape(3, 3).T, compute_uv=False)
     sign = -np.sign(np.linalg.det(slope.reshape(3, 3)))
     least = -(sizes[0] + sizes[1] + sign * sizes[2])
-    exact = closed.least_over_orbitope
-    given = [Fraction(float(s)) for s in slope]
-    assert float(exact(given, Fraction(-least))) == pytest.approx(least, abs=1e-9)
-    assert float(exact(given, Fraction(-least + 1.0))) <= least  # tops that are loose, or too low
-    assert float(exact(given, Fraction(-least - 1.0))) <= least
+    found = [
+        closed.over_orbitope(units(slope), *units([-least + off])) / UNIT
+        for off in (0.0, 1.0, -1.0)  # tops that are loose, or too low
+    ]
+    assert found[0] == pytest.approx(least, abs=1e-9)
+    assert max(found[1:]) <= least
 
 
 def test_what_a_leaf_proves_is_the_same_after_another_was_stiff():
@@ -689,7 +717,7 @@ def test_a_huge_file_is_refused_before_it_is_taken_apart(tmp_path, monkeypatch):
 
 def test_vectors_of_two_lengths_have_no_product():
     with pytest.raises(ValueError, match='one length'):
-        dot([Fraction(1)], [Fraction(1), Fraction(2)])
+        Matrix([[1]]) @ Vector([1, 2])
 
 
 def test_a_leaf_without_a_point_knows_what_is_decided_at_rotation_order_2():
@@ -745,14 +773,37 @@ def test_places_are_as_far_apart_as_what_a_body_rate_decides_leads():
 def test_a_sector_that_leaves_nothing_out_holds_nothing(width):
     sector = Sector(Fraction(-width / 2), Fraction(width / 2))
     for slope in ([1.0, 0.0], [1.0, 1e-8], [-3.0, 4.0]):
-        least = float(closed.least_within(fractions([slope])[0], sector))
+        least = closed.within(units(slope), sector) / UNIT
         assert least == pytest.approx(-math.hypot(*slope), rel=1e-12)
         assert least <= -math.hypot(*slope)
 
 
-def test_balls_in_space_are_refused():
+def test_balls_in_space_have_no_sides():
     state = State.at(np.zeros(3), np.eye(3))
-    known = statement(Problem(3, horizon=2), state, np.ones((2, 3)))
-    ball = {'centre': [1.0, 0.0, 0.0], 'radius': 0.5, 'of': 'end'}
-    with pytest.raises(verifier.Refused, match='balls in space'):
-        verifier.posed_by({**known, 'limits': {'walls': [ball]}})
+    ball = Ball(np.array([1.0, 0.0, 0.0]), 0.5)
+    exact = verifier.posed_by(
+        statement(Problem(3, horizon=2, obstacles=(ball,)), state, np.ones((2, 3)))
+    )
+    assert [wall.of for wall in exact.limits.walls] == ['end', 'step']
+    with pytest.raises(verifier.Refused, match='have no sides'):
+        beside(exact, root(exact, None), 1, 0, 1.0)
+
+
+@pytest.mark.parametrize(
+    'changes',
+    [
+        {'rotation_order': 2, 'floor': Floor('circle', fraction=0.5)},
+        {'rotation_order': 2, 'floor': Floor('polygon', 6, 0.5), 'max_rate': 0.3},
+        {'dimension': 3, 'floor': Floor('polygon', 6, 0.5)},
+    ],
+)
+def test_floors_of_which_there_are_no_proofs_are_no_use(changes):
+    """Nor does a turn limit bound chords with them."""
+    problem = replace(Problem(horizon=3, weights=WEIGHTS), **changes)
+    case = posed(problem, np.random.default_rng(18))
+    free = verifier.posed_by(statement(replace(problem, floor=Floor(), max_rate=0.0), *case[1:]))
+    leaf = {'point': np.full((3, free.width), 0.2).tolist()}
+    proved = [bound(each, leaf, root(each, None)) for each in (case[0], free)]
+    assert proved[0] == proved[1]
+    with pytest.raises(verifier.Refused, match='no turns are limited'):
+        bound(case[0], {**leaf, 'tethers': np.ones((3, free.n)).tolist()}, root(case[0], None))

@@ -31,8 +31,11 @@ from orbimpc_ros.mpc.proof.refute import (
 )
 from orbimpc_ros.mpc.proof.verifier import Refused, parsed, posed_by, refuted_by, verified
 from orbimpc_ros.mpc.proof.verifier.bound import bound
-from orbimpc_ros.mpc.proof.verifier.least import least_along
+from orbimpc_ros.mpc.proof.verifier.exact import UNIT
+from orbimpc_ros.mpc.proof.verifier.least import over_speeds
+from orbimpc_ros.mpc.proof.verifier.regions import Sector
 from orbimpc_ros.mpc.proof.verifier.splits import root
+from orbimpc_ros.mpc.proof.verifier.walls import BoxWall
 from orbimpc_ros.mpc.solve.solver import Solver
 
 WING = Problem(horizon=6, max_rate=0.6, floor=Floor('circle', fraction=1.0))
@@ -316,11 +319,11 @@ def test_no_multipliers_refute_what_is_caught(n, order, inertia, seed):
     rng = np.random.default_rng([seed, n, order, inertia])
     sought, _ = caught(rng, dimension=n, rotation_order=order, translation_order=inertia)
     for k in range(1, 6):
-        posed = refuted_by(stated(sought).document(), k)
+        posed = refuted_by(stated(sought).document(), k)[-1]
         leaf = {'point': [[0.0] * n] * k, 'meets': rng.normal(size=n).tolist()}
         assert bound(posed, leaf, root(posed, None)) <= 0
         # That of the goal's direction is as near to zero as what is left to be caught.
-        nearer = refuted_by(stated(replace(sought, radius=1e-3 * RADIUS)).document(), k)
+        (*_, nearer) = refuted_by(stated(replace(sought, radius=1e-3 * RADIUS)).document(), k)
         assert nearer.radius < posed.radius
 
 
@@ -330,7 +333,7 @@ def test_multipliers_beside_walls_do_not_refute_who_is_outside(seed):
     sought, places = caught(rng)
     low = places[3] + np.array([0.01, -1.0])
     sought = replace(sought, problem=replace(sought.problem, obstacles=(Box(low, low + 2.0),)))
-    posed = refuted_by(stated(sought).document(), 5)
+    posed = refuted_by(stated(sought).document(), 5)[-1]
     region = root(posed, None)
     region = region._replace(rows=tuple(posed.limits.walls[0].side(0, 3)))  # below on the x axis
     for _ in range(20):
@@ -340,6 +343,18 @@ def test_multipliers_beside_walls_do_not_refute_who_is_outside(seed):
             'presses': rng.uniform(0.0, 2.0, len(region.rows)).tolist(),
         }
         assert bound(posed, leaf, region) <= 0
+
+
+def sides_of(walls, count):
+    """Return what is known of the first steps beside walls; later ones have no part in it."""
+    found = []
+    for wall, k in itertools.product(walls, range(count)):
+        which = 0 if isinstance(wall, BoxWall) else Sector(Fraction(0), Fraction(1))
+        for place, normal, least in wall.side(which, k):
+            own, later = list(place.reach)[:count], list(place.reach)[count:]
+            assert not any(later)
+            found.append((list(place.free), own, list(normal), least))
+    return found
 
 
 @pytest.mark.parametrize('kind', ['hazards', 'descent', 'pace'])
@@ -358,10 +373,13 @@ def test_the_first_steps_of_a_problem_are_those_of_a_shorter_one(kind):
     for k in range(1, problem.horizon + 1):
         shorter = replace(problem, horizon=k)
         other = stated(Sought(shorter, state, goals[:k], RADIUS)).document()
-        first, second = refuted_by(known, k).limits, refuted_by(other, k).limits
-        assert first[:4] == second[:4]
-        places = [[vars(wall) for wall in each.walls] for each in (first, second)]
+        first, second = (refuted_by(each, k)[-1] for each in (known, other))
+        assert first.limits[:4] == second.limits[:4]
+        assert first.positions == second.positions
+        assert first.goals == second.goals
+        places = [sides_of(each.limits.walls, k) for each in (first, second)]
         assert places[0] == places[1]
+        assert bool(places[0]) == (kind != 'descent')
 
 
 @pytest.mark.parametrize('seed', range(5))
@@ -369,7 +387,8 @@ def test_least_speed_along_a_slope_is_below_all_that_are_allowed(seed):
     rng = np.random.default_rng(seed)
     slope, bend = rng.normal(size=2)
     low, high = np.sort(rng.random(2))
-    least = float(least_along(*map(Fraction, (slope, bend, low, high))))
+    given = round(UNIT * slope), round(UNIT * bend), Fraction(low), Fraction(high)
+    least = over_speeds(*given) / UNIT
     speeds = np.linspace(low, high, 1001)
     values = slope * speeds - 0.5 * bend * speeds**2
     assert least == pytest.approx(values.min(), abs=1e-5)
@@ -391,7 +410,7 @@ def test_what_the_program_says_is_missed_is_what_its_multipliers_prove(kind):
     problem = Problem(horizon=4, step=0.5, forward=0.6, **EXACT[kind])
     state = State.at(np.zeros(2), 0.8 * np.eye(2), attitude=np.eye(2))
     sought = Sought(problem, state, np.tile([1.3, 0.9], (4, 1)), 0.1)
-    posed = refuted_by(stated(sought).document(), 4)
+    posed = refuted_by(stated(sought).document(), 4)[-1]
     motion = Motion.of(problem, state, sought.goals)
     answer = RefutationProgram(motion, posed).answer(root(posed, None))
     assert not answer.feasible
@@ -404,7 +423,7 @@ def test_what_the_program_says_is_missed_is_what_its_multipliers_prove(kind):
 def test_a_goal_beyond_the_farthest_is_missed_by_what_it_is_beyond():
     state = State.at(np.zeros(2), np.eye(2))
     sought = Sought(Problem(horizon=3), state, np.tile([4.0, 1.0], (3, 1)), RADIUS)
-    posed = refuted_by(stated(sought).document(), 3)
+    posed = refuted_by(stated(sought).document(), 3)[-1]
     program = RefutationProgram(Motion.of(sought.problem, state, sought.goals), posed)
     leaf = plain(program.answer(root(posed, None)).leaf)
     away = np.hypot(3.0, 1.0) - 2.0 - RADIUS  # R_0 decides the first step
@@ -429,7 +448,7 @@ def test_a_goal_beyond_the_farthest_takes_no_program_and_one_on_the_rim_does(mon
 def test_shares_without_a_cone_are_refused():
     state = State.at(np.zeros(2), np.eye(2))
     sought = Sought(Problem(horizon=2), state, np.zeros((2, 2)), RADIUS)
-    posed = refuted_by(stated(sought).document(), 2)
+    posed = refuted_by(stated(sought).document(), 2)[-1]
     leaf = {'point': [[0.0, 0.0]] * 2, 'shares': [[1.0, 0.0], [0.0, 0.0]]}
     with pytest.raises(Refused, match='no cone'):
         bound(posed, leaf, root(posed, None))
@@ -442,7 +461,7 @@ def test_no_shares_refute_a_heading_that_is_in_its_cone_and_its_sector(seed):
     cone = Approach(0.3, (float(np.cos(angle)), float(np.sin(angle))))
     problem = Problem(horizon=1, approach=cone, **refutable.WING)
     sought = Sought(problem, State.at(np.zeros(2), np.eye(2)), np.zeros((1, 2)))
-    posed = refuted_by(stated(sought).document(), 1)
+    posed = refuted_by(stated(sought).document(), 1)[-1]
     for _ in range(50):
         leaf = {'point': [[0.0, 0.0]], 'shares': [rng.normal(size=2).tolist()]}
         assert bound(posed, leaf, root(posed, None)) <= 0

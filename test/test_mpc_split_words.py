@@ -186,6 +186,15 @@ def test_a_low_bound_takes_no_more_than_a_little_of_the_search():
     assert verdict.leaves < 100
 
 
+def test_a_search_that_there_is_no_time_to_tell_of_has_no_certificate(monkeypatch):
+    case, plan = plan_of(a_change, 34)
+    asked = *case, plan.rotations[1:], plan.lower_bound
+    assert verified(certificate_of(*asked, lambda: True).document()).holds
+    monkeypatch.setattr('orbimpc_ros.mpc.solve.request.AFTERWARDS', 0)
+    with pytest.raises(Unproved, match='no words'):
+        certificate_of(*asked, lambda: True)
+
+
 def test_what_a_search_left_comes_first_however_large_it_is():
     case, plan = plan_of(a_change, 97)
     assert len(plan.proof.grounds.splits) > 500

@@ -20,7 +20,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.plan import Plan
-from orbimpc_ros.mpc.problem import Ball, Problem, State
+from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof import spatial
 from orbimpc_ros.mpc.proof.certificate import (
@@ -31,6 +31,7 @@ from orbimpc_ros.mpc.proof.certificate import (
     in_users_units,
 )
 from orbimpc_ros.mpc.proof.faces import FaceProof
+from orbimpc_ros.mpc.proof.fewer_limits import with_provable_limits
 from orbimpc_ros.mpc.proof.grounds import Grounds
 from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.mpc.proof.part_program import PartProgram
@@ -38,6 +39,7 @@ from orbimpc_ros.mpc.proof.sectors import SectorProof
 from orbimpc_ros.mpc.proof.split_words import split_words
 from orbimpc_ros.mpc.proof.stationary import Stationary, setting
 from orbimpc_ros.mpc.proof.verifier import RELATIVE, Refused, parsed, posed_by, verified
+from orbimpc_ros.mpc.proof.verifier.stated import StatedProblem
 from orbimpc_ros.mpc.proof.walls import WallProof
 from orbimpc_ros.mpc.solve.request import Enough, Request
 
@@ -107,16 +109,15 @@ def certificate_of(
     Raises:
         Unproved: problems of this kind have no certificates yet, or none was found.
     """
-    _require(problem, state)
     bound, x = _posed(bound), coordinates(rotations)[:, : _width(problem)]
     certificate, target = Certificate(problem, state, goals, bound, Leaf(x)), _enough(bound)
+    posed = _as_read(certificate)
     if _is_searched(problem):
         return _searched(certificate, target, out_of_time)
-    limited = _is_limited(problem, state)
-    problem = replace(problem, max_acceleration=0.0)  # a bound without it is one with it
+    problem, state = with_provable_limits(problem, state)
     units = Units.of(problem)
-    if limited:
-        return _beside_walls(certificate, units, target, out_of_time)
+    if problem.rotation_order == 1 and _is_limited(problem, state):
+        return _beside_walls(certificate, posed, units, target, out_of_time)
     scaled = units.problem, units.state(state), units.lengths(goals)
     if _width(problem) == 9:
         tangents = iter(spatial.tangents(*scaled, x))
@@ -129,7 +130,7 @@ def certificate_of(
         if best >= target:
             return made
     if _width(problem) == 9 and problem.rotation_order == 1:  # no accurate plan: its own program
-        return _beside_walls(certificate, units, target, out_of_time)
+        return _beside_walls(certificate, posed, units, target, out_of_time)
     if not _splits(problem):
         raise Unproved(
             f'no certificate: one tangent proves {best!r}, and there is nothing to split'
@@ -171,23 +172,26 @@ def _searched(certificate: Certificate, target: float, out_of_time: OutOfTime) -
     if found.lower_bound * units.cost < target:
         proved = found.lower_bound * units.cost
         raise Unproved(f'no certificate: {found.nodes} sectors prove {proved!r}')
-    assert isinstance(found.grounds, Grounds)
-    said = split_words(problem, state, found.grounds, target, units.cost)
-    if said is None:
+    known = found.grounds
+    said = isinstance(known, Grounds) and split_words(problem, state, known, target, units.cost)
+    if not said:  # or there was no time for them
         raise Unproved('no certificate: there are no words for how a search split it')
     tree, origins = said
     return replace(certificate, tree=tree, origins=origins)
 
 
 def _beside_walls(
-    certificate: Certificate, units: Units, target: float, out_of_time: OutOfTime
+    certificate: Certificate,
+    posed: StatedProblem,
+    units: Units,
+    target: float,
+    out_of_time: OutOfTime,
 ) -> Certificate:
     """Return what proves as much where there are walls, cones, or thrust limits over SO(3).
 
     Raises:
         Unproved: nothing was found, or it would be too large.
     """
-    posed = posed_by(certificate.document())
     scaled = units.problem, units.state(certificate.state), units.lengths(certificate.goals)
 
     def stated(leaf: Leaf) -> dict[str, Any]:
@@ -200,6 +204,18 @@ def _beside_walls(
     if tree is None:
         raise Unproved(f'no certificate: not within {proof.most} leaves, or as accurate, in time')
     return replace(certificate, tree=in_users_units(tree, units))
+
+
+def _as_read(certificate: Certificate) -> StatedProblem:
+    """Return the problem of a certificate as the verifier reads it.
+
+    Raises:
+        Unproved: the format cannot state it.
+    """
+    try:
+        return posed_by(certificate.document())
+    except Refused as error:
+        raise Unproved(f'no certificate: {error}') from None
 
 
 def certificates_for(
@@ -285,31 +301,6 @@ def _width(problem: Problem) -> int:
     if problem.dimension == 3 and problem.rotation_order == 1 and not (w.input or w.attitude):
         return 3
     return 2 if problem.dimension == 2 else 9
-
-
-def _require(problem: Problem, state: State) -> None:
-    """Refuse what there are no certificates for.
-
-    Raises:
-        Unproved: saying why.
-    """
-    limited, bodies = _is_limited(problem, state), [each.body for each in state.hazards]
-    second = problem.rotation_order == 2
-    limits: dict[str, object] = {
-        'obstacles, cones, turn limits at rotation_order 2': limited and second,
-        'floors at rotation_order 2': problem.floor.exists and second,
-        f'floor.shape {problem.floor.shape}': problem.floor.shape not in (
-            'none', 'circle', 'polygon'),
-    }  # fmt: skip
-    if problem.dimension == 3:
-        limits['max_rate in space with a floor'] = problem.max_rate and problem.floor.exists
-        limits['a polygon in space'] = problem.floor.shape == 'polygon'
-        limits['balls in space'] = any(
-            isinstance(each, Ball) for each in (*problem.obstacles, *bodies)
-        )
-    for name, there in limits.items():
-        if there:
-            raise Unproved(f'no certificate: there is none yet for {name}')
 
 
 def _is_parted(problem: Problem) -> bool:

@@ -141,8 +141,8 @@ class RefutationProgram:
         a = self._blank(posed.n)
         a[:, self._z[0]] = np.eye(posed.n)
         if posed.state.coasted is None:
-            return a, np.array(posed.state.second[: posed.n], float)
-        a[:, self._t[0]] = -np.array(posed.state.coasted[: posed.n], float)
+            return a, np.array(posed.state.second, float)
+        a[:, self._t[0]] = -np.array(posed.state.coasted, float)
         return a, np.zeros(posed.n)
 
     def _paced(self) -> Rows:
@@ -152,7 +152,8 @@ class RefutationProgram:
         least = self._blank(1)
         speeds[:, self._t] = np.vstack([np.eye(count), -np.eye(count)])
         for row, (k, cone) in zip(cones, self._owned, strict=True):
-            row[self._z[k]], row[self._t[k]] = -np.array(cone.axis, float), float(cone.least)
+            row[self._z[k]] = -np.array(cone.axis, float)
+            row[self._t[k]] = cone.least / cone.axis.unit
         least[0, self._v] = -1.0
         slowest, fastest = np.array(posed.limits.speeds, float).T
         slowest = np.maximum(slowest, np.array(posed.limits.least, float))
@@ -216,7 +217,7 @@ class RefutationProgram:
         """Return that rows of positions are missed by no more than v."""
         motion, a, b = self._motion, self._blank(len(region.rows)), np.empty(len(region.rows))
         for i, (place, normal, least) in enumerate(region.rows):
-            towards, reach = np.array(normal, float), np.array(place.reach, float)
+            towards, reach = np.array(normal, float), np.array(place.reach, float)[: len(self._z)]
             a[i, self._z] = -np.outer(reach, towards) / motion.unit
             a[i, self._v] = -1.0
             b[i] = (towards @ np.array(place.free, float) - float(least)) / motion.unit
@@ -280,7 +281,8 @@ class RefutationProgram:
         for (k, cone), held in zip(self._owned, leaning[2 * len(self._t) :], strict=False):
             if k in seen:
                 pull = disks[k, 1:] / disks[k, 0] if disks[k, 0] > 0.0 else np.zeros(self._posed.n)
-                shares[k] = held * (np.array(cone.axis, float) + float(cone.least) * pull)
+                least = cone.least / cone.axis.unit
+                shares[k] = held * (np.array(cone.axis, float) + least * pull)
             seen.add(k)
         return shares if shares.any() else None
 

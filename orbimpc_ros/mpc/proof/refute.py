@@ -17,9 +17,9 @@ from fractions import Fraction
 
 import numpy as np
 
-from orbimpc_ros.mpc.problem import Ball, Floor, Problem
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof.certificate import Leaf, Refutation, Tree, plain, split_into
+from orbimpc_ros.mpc.proof.fewer_limits import with_statable_limits
 from orbimpc_ros.mpc.proof.prove import OutOfTime, Unproved, patient
 from orbimpc_ros.mpc.proof.refutation_program import Missed, Motion, RefutationProgram, middle_of
 from orbimpc_ros.mpc.proof.verifier import Refused, refuted_by
@@ -42,8 +42,7 @@ def refutation_of(sought: Sought, out_of_time: OutOfTime = patient) -> Refutatio
     Raises:
         Unproved: none was found.
     """
-    made = stated(sought)
-    return replace(made, trees=(_refuting(made, sought.problem.horizon, out_of_time),))
+    return _refuting(stated(sought), 1, out_of_time)
 
 
 def catches_refuted(sought: Sought, count: int, out_of_time: OutOfTime = patient) -> Refutation:
@@ -57,56 +56,47 @@ def catches_refuted(sought: Sought, count: int, out_of_time: OutOfTime = patient
     Raises:
         Unproved: for one of them none was found.
     """
-    made, steps = stated(sought), range(1, count + 1)
-    return replace(made, trees=tuple(_refuting(made, k, out_of_time) for k in steps))
+    return _refuting(stated(sought), count, out_of_time)
 
 
 def stated(sought: Sought) -> Refutation:
     """Return a refutation without its trees, of as much of a problem as certificates can state."""
-    problem, state = statable(sought.problem), sought.state
-    planar = problem.dimension == 2
-    hazards = tuple(each for each in state.hazards if planar or not isinstance(each.body, Ball))
-    split = planar and problem.floor.exists and not problem.max_rate
+    problem, state = with_statable_limits(sought.problem, sought.state)
+    split = problem.dimension == 2 and problem.floor.exists and not problem.max_rate
     origins = np.zeros(problem.horizon) if split else None
-    posed = replace(sought, problem=problem, state=replace(state, hazards=hazards))
+    posed = replace(sought, problem=problem, state=state)
     return Refutation(posed, (), origins)
 
 
-def statable(problem: Problem) -> Problem:
-    """Return a problem with those limits only that certificates can state: it allows no less."""
-    floor, planar = problem.floor, problem.dimension == 2
-    known = floor.shape in (('circle', 'polygon') if planar else ('circle',))
-    if not known or problem.rotation_order == 2:
-        floor = Floor()
-    rated = problem.rotation_order == 1 and (planar or not problem.floor.exists)
-    rate = problem.max_rate if rated and floor.exists == problem.floor.exists else 0.0
-    # Who is below a floor changes speed from there on.
-    paced = problem.rotation_order == 1 and floor.exists == problem.floor.exists
-    pace = problem.max_acceleration if paced else 0.0
-    bodies = tuple(each for each in problem.obstacles if planar or not isinstance(each, Ball))
-    return replace(problem, floor=floor, max_rate=rate, max_acceleration=pace, obstacles=bodies)
+def _refuting(made: Refutation, count: int, out_of_time: OutOfTime) -> Refutation:
+    """Return what refutes all that there is, or catches at the first steps.
+
+    Raises:
+        Unproved: for one of them none was found.
+    """
+    motion = Motion.of(made.sought.problem, made.sought.state, made.sought.goals)
+    try:
+        problems = refuted_by(made.document(), count)
+    except Refused as error:
+        raise Unproved(f'no certificate: {error}') from None
+    trees = (_tree(made, posed, motion, out_of_time) for posed in problems)
+    return replace(made, trees=tuple(trees))
 
 
-def _refuting(made: Refutation, k: int, out_of_time: OutOfTime) -> Tree:
-    """Return the tree that refutes a catch at step k; or all that there is, of a problem of k.
+def _tree(made: Refutation, posed: StatedProblem, motion: Motion, out_of_time: OutOfTime) -> Tree:
+    """Return the tree that refutes a problem.
 
     Raises:
         Unproved: none was found.
     """
-    sought = made.sought
-    try:
-        posed = refuted_by(made.document(), k)
-    except Refused as error:
-        raise Unproved(f'no certificate: {error}') from None
-    motion = Motion.of(sought.problem, sought.state, sought.goals)
-    if sought.radius:
-        motion = motion.begun(k)
+    k, what = posed.horizon, 'all that there is'
+    if posed.radius is not None:
+        motion, what = motion.begun(k), f'a catch at step {k}'
     origins = None if made.origins is None else made.origins[:k].tolist()
     program = RefutationProgram(motion, posed)
     tree = RefutationProof(program, posed, motion.unit, origins, out_of_time).tree()
     if tree is None:
-        what = f'of a catch at step {k}' if sought.radius else 'of all that there is'
-        raise Unproved(f'no certificate: no refutation {what} was found')
+        raise Unproved(f'no certificate: no refutation of {what} was found')
     return tree
 
 

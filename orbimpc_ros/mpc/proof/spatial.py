@@ -19,6 +19,7 @@ from orbimpc_ros.mpc.proof.certificate import Leaf
 from orbimpc_ros.mpc.proof.stationary import arrival_of
 
 INSIDE = 1e-4  # an eigenvalue of S(R), of 4 in all, that is not zero
+REFINED = 2  # times that a linear system is solved for what it is off by
 AT_END = 1e-7  # a thrust fraction this near to 0 or 1 is there
 
 
@@ -136,9 +137,17 @@ def touching_freely(
 
 
 def _least(bent: Array, q: Array, rows: Array, left: Array) -> tuple[Array, Array]:
-    """Return where x'Bx/2 + q.x is least with A x = b, of each column, and the multipliers."""
+    """Return where x'Bx/2 + q.x is least with A x = b, of each column, and the multipliers.
+
+    What a tangent's slopes are off by there, its bound lacks. So that is solved for, until it is no
+    more than rounding.
+    """
     system = np.block([[bent, rows.T], [rows, np.zeros((len(rows), len(rows)))]])
-    found = np.linalg.lstsq(system, np.concatenate([-q, left]), rcond=1e-15)[0]
+    wanted = np.concatenate([-q, left])
+    found = np.zeros_like(wanted)
+    for _ in range(REFINED):
+        missed = (wanted - system.astype(np.longdouble) @ found).astype(float)
+        found = found + np.linalg.lstsq(system, missed, rcond=1e-15)[0]
     moved, pull = np.split(found, [len(bent)])
     return moved, pull
 

@@ -116,6 +116,7 @@ class WallSplits:
         beside = list(itertools.product(enumerate(posed.limits.walls), range(posed.horizon)))
         boxes = [(j, wall, k) for (j, wall), k in beside if isinstance(wall, BoxWall)]
         discs = [(j, wall, k) for (j, wall), k in beside if isinstance(wall, DiscWall)]
+        discs = discs if posed.n == 2 else []  # balls have no sides
         self._boxes, self._discs = ([(j, k) for j, _, k in each] for each in (boxes, discs))
         self._by_boxes, self._by_discs = (
             _Told([[place for place, _ in wall.told(k)] for _, wall, k in each])
@@ -195,4 +196,4 @@ class _Told:
 
     def places(self, x: Array) -> Array:
         """Return where axes lead, shape (E, m, n) [m]."""
-        return np.asarray(self._free + self._reach @ x)
+        return np.asarray(self._free + self._reach[..., : len(x)] @ x)

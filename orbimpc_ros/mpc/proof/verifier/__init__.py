@@ -3,9 +3,10 @@
 
     python -m verifier CERTIFICATE.json
 
-Nothing else of the package is imported, so that this folder can be copied and read by itself, and
-nothing is rounded: numbers of the file are doubles, and what follows is computed with fractions.
-Square roots, sines and cosines are bracketed, and the side taken on which a bound gets worse.
+Nothing else of the package is imported, so that this folder can be copied and read by itself.
+Numbers of the file are doubles, and sums and products of them are exact: whole numbers over one
+denominator. Square roots, sines and cosines are bracketed, and the side taken on which a bound gets
+worse; where least values are counted in units of 2^-160, they are rounded down.
 
 A bound rests on three facts. (1) The cost without lengths, f, is a sum of squares of affine
 functions: it is convex, and so is f_t(x) = f(x) + sum_k t_k |x_k|^2 / 2 where its matrix is
@@ -31,11 +32,10 @@ import math
 from fractions import Fraction
 from typing import Any, NamedTuple
 
-from .bound import bound
+from .bound import bounds
 from .exact import rounded_down
-from .reading import Refused, fields, number, parsed, read
-from .refuted import refuted, refuted_by
-from .splits import leaves, root
+from .reading import Refused, fields, items, number, parsed, read
+from .refuted import refuted_by
 from .stated import posed_by
 
 __all__ = [
@@ -81,21 +81,25 @@ def verified(document: Any) -> Verdict:
 
 
 def _refuting(document: dict[str, Any]) -> Verdict:
-    found = refuted(document)
-    holds = found.whole == found.trees
-    if found.step is None:
-        return Verdict(math.inf, math.inf if holds else 0.0, found.leaves, holds)
-    claimed, proved = ((k + 1) * found.step for k in (found.trees, found.whole))
-    return Verdict(rounded_down(claimed), rounded_down(proved), found.leaves, holds)
+    claim, origins = document['refuted'], document.get('origins')
+    fields(claim, 'refuted', ('trees',), ('radius', 'cone'))
+    trees = items(claim['trees'], 'trees')
+    problems, found = refuted_by(document, len(trees)), []
+    for posed, tree in zip(problems, trees, strict=True):
+        begun = origins and items(origins, 'origins')[: posed.horizon]
+        found.append(bounds(posed, tree, begun))
+    whole = next((k for k, each in enumerate(found) if min(each) <= 0), len(found))
+    leaves, holds = sum(map(len, found)), whole == len(found)
+    if 'radius' not in claim:
+        return Verdict(math.inf, math.inf if holds else 0.0, leaves, holds)
+    claimed, proved = ((k + 1) * problems[0].model.step for k in (len(found), whole))
+    return Verdict(rounded_down(claimed), rounded_down(proved), leaves, holds)
 
 
 def _bounding(document: dict[str, Any]) -> Verdict:
     posed = posed_by(document)
     claimed = number(document['lower_bound'], 'lower_bound')
-    whole = root(posed, document.get('origins'))
-    bounds = [bound(posed, leaf, part) for leaf, part in leaves(posed, document['tree'], whole)]
-    if not bounds:
-        raise Refused('the tree has no leaf')
-    proved = min(bounds)
+    found = bounds(posed, document['tree'], document.get('origins'))
+    proved = min(found)
     holds = claimed <= 0 or proved >= claimed - RELATIVE * claimed  # no term of the cost is < 0
-    return Verdict(float(claimed), rounded_down(proved), len(bounds), holds)
+    return Verdict(float(claimed), rounded_down(proved), len(found), holds)

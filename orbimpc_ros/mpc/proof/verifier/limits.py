@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
+import math
 from fractions import Fraction
 from typing import Any, NamedTuple
 
-from .exact import NARROW, ONE, PI, TINY, ZERO, Vector, direction, dot, root_above
+from .exact import NARROW, ONE, PI, TINY, UNIT, ZERO, Vector, direction
 from .reading import Refused, fields, items, vector, weight, whole, word
 from .regions import Speeds
 
@@ -24,21 +25,23 @@ class Cone(NamedTuple):
 
     Attributes:
         axis: of any length.
-        least: at most the cosine of the cone's angle, times that length.
+        least: at most the cosine of the cone's angle, times that length; in units of the axis, as
+            is what follows.
         square: of that length.
-        aside: at least the sine of the angle that this is.
+        aside: at least the sine of the angle that this is, times that length.
     """
 
     axis: Vector
-    least: Fraction
-    square: Fraction
-    aside: Fraction
+    least: int
+    square: int
+    aside: int
 
 
 def cone(axis: Vector, least: Fraction) -> Cone:
     """Return the cone of u . axis >= least."""
-    square = dot(axis, axis)
-    return Cone(axis, least, square, root_above(max(ZERO, 1 - least * least / square)))
+    fine = Vector([UNIT * each for each in axis.numbers], UNIT * axis.unit)
+    low, square = math.floor(least * fine.unit), sum(each * each for each in fine.numbers)
+    return Cone(fine, low, square, math.isqrt(max(0, square - low * low)) + 1)
 
 
 class Tether(NamedTuple):
@@ -65,7 +68,9 @@ def floor(stated: Any) -> StatedFloor:
     return StatedFloor(shape != 'none', slowest, faces)
 
 
-def cones(stated: Any, n: int, slowest: Fraction, horizon: int) -> tuple[list[list[Cone]], Vector]:
+def cones(
+    stated: Any, n: int, slowest: Fraction, horizon: int
+) -> tuple[list[list[Cone]], list[Fraction]]:
     """Return the cones that each step's axis is in, and its least speed."""
     found: list[list[Cone]] = [[] for _ in range(horizon)]
     least = [slowest] * horizon
@@ -73,7 +78,7 @@ def cones(stated: Any, n: int, slowest: Fraction, horizon: int) -> tuple[list[li
         fields(each, 'a cone', ('axis', 'angle', 'least', 'steps'))
         angle = weight(each['angle'], 'angle')
         axis = vector(each['axis'], 'axis', n)
-        if angle > PI / 2 or not any(axis):
+        if angle > PI / 2 or not axis:
             raise Refused('a cone is none, or wider than half of space')
         made = cone(axis, direction(angle)[0] - TINY)
         for step in items(each['steps'], 'steps'):

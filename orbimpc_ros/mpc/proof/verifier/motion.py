@@ -7,7 +7,7 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-from .exact import ONE, ZERO, Vector, add
+from .exact import ONE, ZERO, Vector, across
 from .reading import Refused, weight, whole, word
 
 
@@ -29,7 +29,7 @@ class StatedModel(NamedTuple):
     inertial: bool
     forward: Fraction
     degree: int
-    flown: Vector
+    flown: list[Fraction]
     push: Fraction
     add: Fraction
     follow: Fraction
@@ -38,7 +38,7 @@ class StatedModel(NamedTuple):
     gust: Fraction
 
 
-Begin = tuple[Fraction, Fraction, Fraction]  # s_0, p_0 and w along an axis
+Begin = tuple[Vector, Vector, Vector]  # s_0, p_0 and w
 
 
 class Place(NamedTuple):
@@ -73,7 +73,7 @@ def model(problem: dict[str, Any], horizon: int) -> StatedModel:
 
 
 def flown(
-    model: StatedModel, begins: list[Begin], first: Vector, horizon: int
+    model: StatedModel, begin: Begin, first: Vector, horizon: int
 ) -> tuple[list[Place], list[Place]]:
     """Return positions s_0..s_N and velocities at those times.
 
@@ -81,36 +81,36 @@ def flown(
 
     Args:
         model: of the motion.
-        begins: s_0, p_0 and w along each axis.
+        begin: s_0, p_0 and w.
         first: z_0.
         horizon: N.
     """
-    still = [ZERO] * horizon
-    free = [_rolled(model, begin, [z, *still]) for begin, z in zip(begins, first, strict=True)]
-    added = _rolled(model, (ZERO, ZERO, ZERO), [ZERO, ONE, *still[1:]])  # by z_1
+    nothing, once = Vector([0]), Vector([1])
+    free = _rolled(model, begin, [first, *[first * ZERO] * horizon])
+    added = _rolled(model, (nothing,) * 3, [nothing, once, *[nothing] * (horizon - 1)])  # by z_1
     positions, velocities = (
         [
-            Place([axis[i][k] for axis in free], [*added[i][k:0:-1], *still[k:]])
-            for k in range(horizon + 1)
+            Place(known, Vector([*of_one.numbers[k:0:-1], *[0] * (horizon - k)], of_one.unit))
+            for k, known in enumerate(alone)
         ]
-        for i in (0, 1)
+        for alone, (of_one,) in zip(free, map(across, added), strict=True)
     )
     return positions, velocities
 
 
-def _rolled(model: StatedModel, begin: Begin, z: Vector) -> tuple[Vector, Vector]:
-    """Return s_0..s_N and the velocities along an axis, given z_0..z_N there."""
+def _rolled(model: StatedModel, begin: Begin, z: list[Vector]) -> tuple[list[Vector], list[Vector]]:
+    """Return s_0..s_N and the velocities at those times, given z_0..z_N."""
     s, p, w = begin
-    blown, hastened = model.blow * w, model.gust * w
+    blown, hastened = w * model.blow, w * model.gust
     positions, velocities = [s], [p]
     for now, then in pairwise(z):
-        s += model.push * now + model.follow * then + blown
+        s = s + now * model.push + then * model.follow + blown
         if model.inertial:
-            s += model.step * p
-            p += model.add * now + model.after * then + hastened
+            s = s + p * model.step
+            p = p + now * model.add + then * model.after + hastened
         positions.append(s)
         velocities.append(p)
-    return positions, velocities if model.inertial else [model.forward * each + w for each in z]
+    return positions, velocities if model.inertial else [each * model.forward + w for each in z]
 
 
 def steps(model: StatedModel, positions: list[Place], velocities: list[Place]) -> list[Step]:
@@ -126,4 +126,4 @@ def steps(model: StatedModel, positions: list[Place], velocities: list[Place]) -
 
 def _led(place: Place, velocity: Place, time: Fraction) -> Place:
     """Return where a velocity leads from a place in a time."""
-    return Place(*(add(x, [time * y for y in v]) for x, v in zip(place, velocity, strict=True)))
+    return Place(*(x + v * time for x, v in zip(place, velocity, strict=True)))

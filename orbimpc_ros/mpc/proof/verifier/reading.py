@@ -68,16 +68,18 @@ def fields(value: Any, name: str, needed: tuple[str, ...], optional: tuple[str, 
 
 def number(value: Any, name: str) -> Fraction:
     """Return the double that a number stands for."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not _is_double(value):
-        raise Refused(f'{name} is not a finite number')
-    return Fraction(float(value))
+    return Fraction(_double(value, name))
 
 
-def _is_double(value: float) -> bool:
+def _double(value: Any, name: str) -> float:
     try:
-        return math.isfinite(float(value))
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            found = float(value)
+            if math.isfinite(found):
+                return found
     except OverflowError:
-        return False
+        pass
+    raise Refused(f'{name} is not a finite number')
 
 
 def weight(value: Any, name: str) -> Fraction:
@@ -111,9 +113,10 @@ def items(value: Any, name: str, count: int | None = None) -> list[Any]:
 
 def vector(value: Any, name: str, length: int) -> Vector:
     """Return a list of numbers."""
-    return [number(each, name) for each in items(value, name, length)]
+    return Vector.of([_double(each, name) for each in items(value, name, length)])
 
 
 def rows(value: Any, name: str, count: int, length: int) -> list[Vector]:
     """Return a list of lists of numbers."""
-    return [vector(each, name, length) for each in items(value, name, count)]
+    lists = [items(each, name, length) for each in items(value, name, count)]
+    return vector([each for row in lists for each in row], name, count * length).pieces(length)

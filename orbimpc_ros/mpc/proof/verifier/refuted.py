@@ -10,110 +10,59 @@ Derivation: docs/proofs.md.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import Any
 
-from .bound import bound
-from .reading import Refused, fields, items, weight, whole
-from .splits import leaves, root
-from .stated import MOST_STEPS, WEIGHTS, StatedProblem, posed_by
-
-WALL = ('min', 'max', 'centre', 'radius', 'of', 'shifts', 'grown')
-
-
-class Refuted(NamedTuple):
-    """What refutations come to.
-
-    Attributes:
-        trees: how many there are.
-        whole: how many from the first on refute.
-        leaves: of all.
-        step: of a catch [s]; None where nothing is to be caught.
-    """
-
-    trees: int
-    whole: int
-    leaves: int
-    step: Fraction | None
+from .exact import ZERO
+from .limits import Cone, cones
+from .motion import Place
+from .reading import Refused, fields, weight, whole
+from .stated import StatedProblem, posed_by
 
 
-def refuted(document: dict[str, Any]) -> Refuted:
-    """Return what the refutations of a document come to."""
-    fields(document['refuted'], 'refuted', ('trees',), ('radius', 'cone'))
-    trees = items(document['refuted']['trees'], 'trees')
-    catches = 'radius' in document['refuted']
-    if not trees or (len(trees) > 1 and not catches):
-        raise Refused('there are not as many trees as there is to refute')
-    bounds = [_bounds(document, k, tree) for k, tree in enumerate(trees, 1)]
-    holds = [min(each) > 0 for each in bounds]
-    first = holds.index(False) if False in holds else len(holds)
-    step = weight(document['problem']['step'], 'step') if catches else None
-    return Refuted(len(trees), first, sum(map(len, bounds)), step)
-
-
-def _bounds(document: dict[str, Any], k: int, tree: Any) -> list[Fraction]:
-    """Return the bounds of a tree's leaves, of a catch at step k or of all steps."""
-    posed, origins = refuted_by(document, k), document.get('origins')
-    begun = origins if origins is None else items(origins, 'origins')[: posed.horizon]
-    parts = leaves(posed, tree, root(posed, begun))
-    found = [bound(posed, leaf, part) for leaf, part in parts]
-    if not found:
-        raise Refused('the tree has no leaf')
-    return found
-
-
-def refuted_by(document: dict[str, Any], k: int) -> StatedProblem:
-    """Return the problem of which nothing is feasible: of a catch at step k, or of all steps."""
-    claim, limits = document['refuted'], document.get('limits', {})
-    if not isinstance(document['problem'], dict):
-        raise Refused('problem is not a mapping')
-    free = {**document['problem'], 'weights': dict.fromkeys(WEIGHTS, 0.0)}
+def refuted_by(document: dict[str, Any], count: int) -> list[StatedProblem]:
+    """Return what nothing is feasible of: catches at so many steps from the first on, or all."""
+    claim, posed = document['refuted'], posed_by(document).costless
     if 'radius' not in claim:
-        if 'cone' in claim:
-            raise Refused('there is a cone, but nothing to catch')
-        return posed_by({**document, 'problem': free}, refutes=True)
-    goals = items(document['goals'], 'goals')
-    whole(k, 'the number of trees', 1, len(goals))
-    begun = {
-        **document,
-        'problem': {**free, 'horizon': k, 'terminal': 'penalty'},
-        'goals': goals[:k],
-        'limits': _first_steps(limits, k, _last_cones(claim, k)),
-    }
-    return posed_by(begun, weight(claim['radius'], 'radius'), refutes=True)
+        if 'cone' in claim or count != 1:
+            raise Refused('there is a cone, or not one tree, but nothing to catch')
+        return [posed]
+    whole(count, 'the number of trees', 1, posed.horizon)
+    radius, last = weight(claim['radius'], 'radius'), _last_cone(claim, posed.n)
+    return [_catch(posed, k, radius, *last) for k in range(1, count + 1)]
 
 
-def _last_cones(claim: dict[str, Any], k: int) -> list[dict[str, Any]]:
-    """Return the cone that the last of k headings is in, if there is one."""
-    if 'cone' not in claim:
-        return []
-    fields(claim['cone'], 'cone', ('axis', 'angle', 'least'))
-    return [{**claim['cone'], 'steps': [k]}]
+def _last_cone(claim: dict[str, Any], n: int) -> tuple[list[Cone], Fraction]:
+    """Return the cones that the last heading of a catch is in, and its least speed."""
+    if 'cone' in claim:
+        fields(claim['cone'], 'cone', ('axis', 'angle', 'least'))
+    stated = [{**claim['cone'], 'steps': [1]}] if 'cone' in claim else []
+    (found,), (least,) = cones(stated, n, ZERO, 1)
+    return found, least
 
 
-def _first_steps(limits: Any, k: int, last: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return what limits say of the first k steps, and a cone of the last one."""
-    fields(limits, 'limits', (), ('cones', 'glide_slope', 'walls', 'speeds'))
-    cones = [_cone(each, k) for each in items(limits.get('cones', []), 'cones')]
-    walls = [_wall(each, k) for each in items(limits.get('walls', []), 'walls')]
-    found: dict[str, Any] = {**limits, 'cones': [*cones, *last], 'walls': walls}
-    if 'glide_slope' in limits:
-        slope = limits['glide_slope']
-        fields(slope, 'glide_slope', ('angle', 'eased'))
-        found['glide_slope'] = {**slope, 'eased': items(slope['eased'], 'eased')[:k]}
-    return found
+def _catch(
+    posed: StatedProblem, k: int, radius: Fraction, last: list[Cone], least: Fraction
+) -> StatedProblem:
+    """Return the problem of a catch at step k: the first k steps, which later ones do not move."""
+    held, limits = posed.limits.cones, posed.limits
 
+    def begun(places: list[Place]) -> list[Place]:
+        return [place._replace(reach=place.reach.pieces(k)[0]) for place in places[: k + 1]]
 
-def _cone(stated: Any, k: int) -> dict[str, Any]:
-    fields(stated, 'a cone', ('axis', 'angle', 'least', 'steps'))
-    steps = [whole(each, 'steps', 1, MOST_STEPS) for each in items(stated['steps'], 'steps')]
-    return {**stated, 'steps': [each for each in steps if each <= k]}
-
-
-def _wall(stated: Any, k: int) -> dict[str, Any]:
-    fields(stated, 'a wall', (), WALL)
-    lengths = {'shifts': k + 1, 'grown': k}
-    begun = {
-        name: items(stated[name], name)[:count] for name, count in lengths.items() if name in stated
-    }
-    return {**stated, **begun}
+    return replace(
+        posed,
+        horizon=k,
+        positions=begun(posed.positions),
+        velocities=begun(posed.velocities),
+        goals=posed.goals[:k],
+        weights=posed.weights._replace(flown=[ZERO] * (k + posed.model.inertial)),
+        arrives=False,
+        limits=limits._replace(
+            cones=[*held[: k - 1], held[k - 1] + last],
+            least=[*limits.least[: k - 1], max(limits.least[k - 1], least)],
+            speeds=limits.speeds[:k],
+        ),
+        radius=radius,
+    )

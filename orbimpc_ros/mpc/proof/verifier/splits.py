@@ -116,6 +116,8 @@ def _narrowed(known: Ranges, k: int, part: Any, most: Fraction) -> Ranges | None
                                 high=min(own.high, near.high + most))  # fmt: skip
             if near.low > near.high:
                 return None
+            if near == own:  # and so are those beyond
+                break
             made[j] = near
     return tuple(made)
 

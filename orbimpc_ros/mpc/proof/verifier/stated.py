@@ -3,25 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import lru_cache
+from functools import cached_property
 from typing import Any, NamedTuple
 
-from .exact import ONE, ZERO, Vector, size_above
-from .limits import (
-    Cone,
-    GlideSlope,
-    StatedFloor,
-    Tether,
-    cones,
-    floor,
-    glide_slope,
-    speeds,
-    tether,
-)  # fmt: skip
-from .motion import Begin, Place, StatedModel, Step, flown, model, steps
+from . import limits
+from .exact import ONE, ZERO, Matrix, Vector, size_above
+from .motion import Place, StatedModel, flown, model, steps
 from .reading import Refused, fields, items, rows, vector, weight, whole, word
 from .regions import Speeds
 from .walls import BoxWall, DiscWall, wall
@@ -36,13 +25,19 @@ ANY_SPEED = {'entry': 0.0, 'change': 1.0}
 
 
 class StatedWeights(NamedTuple):
-    """Of |s_k - g_k|^2, shape (N,); of inputs; of the last attitude; of p_N; of |z_0|..|z_N|."""
+    """Of the squares of what is flown, of how it turns, and of where it points; and of lengths.
 
-    position: Vector
-    input: Fraction
+    Attributes:
+        flown: of s_k - g_k, and of p_N where there is inertia.
+        turned: of differences of rotations.
+        attitude: of the last rotation, less what is wanted.
+        length: of |z_0|..|z_N|.
+    """
+
+    flown: list[Fraction]
+    turned: Fraction
     attitude: Fraction
-    braking: Fraction
-    length: Vector
+    length: list[Fraction]
 
 
 class StatedState(NamedTuple):
@@ -57,11 +52,6 @@ class StatedState(NamedTuple):
     coasted: Vector | None
     wanted: Vector
 
-    @property
-    def begins(self) -> list[Begin]:
-        """Return s_0, p_0 and w along each axis."""
-        return list(zip(self.position, self.velocity, self.disturbance, strict=True))
-
 
 class StatedLimits(NamedTuple):
     """Of each step its cones, and what they are least at; its speeds, and how much they change.
@@ -69,12 +59,12 @@ class StatedLimits(NamedTuple):
     Then tethers, the cone above the goal, and walls.
     """
 
-    cones: list[list[Cone]]
-    least: Vector
+    cones: list[list[limits.Cone]]
+    least: list[Fraction]
     speeds: tuple[Speeds, ...]
     change: Fraction
-    tether: Tether | None
-    slope: GlideSlope | None
+    tether: limits.Tether | None
+    slope: limits.GlideSlope | None
     walls: list[BoxWall | DiscWall]
 
 
@@ -103,18 +93,30 @@ class StatedProblem:
     velocities: list[Place]
     weights: StatedWeights
     arrives: bool
-    floor: StatedFloor
+    floor: limits.StatedFloor
     state: StatedState
     goals: list[Vector]
     limits: StatedLimits
     turn: Fraction
     radius: Fraction | None = None
 
+    def axis(self, rotation: Vector) -> Vector:
+        """Return the thrust axis of a rotation."""
+        return rotation.pieces(self.n)[0]
 
-def posed_by(
-    document: dict[str, Any], radius: Fraction | None = None, *, refutes: bool = False
-) -> StatedProblem:
-    """Return the problem that a certificate is of; what refutes sees thrust axes alone.
+    @cached_property
+    def costless(self) -> StatedProblem:
+        """The same where nothing costs anything: no term of a cost is below that."""
+        free, state = [ZERO] * (self.horizon + 1), self.state
+        weights = StatedWeights(free[: len(self.weights.flown)], ZERO, ZERO, free)
+        coasted = None if state.coasted is None else self.axis(state.coasted)
+        first, second, wanted = map(self.axis, (state.first, state.second, state.wanted))
+        state = state._replace(first=first, second=second, coasted=coasted, wanted=wanted)
+        return replace(self, width=self.n, weights=weights, state=state)
+
+
+def posed_by(document: dict[str, Any]) -> StatedProblem:
+    """Return the problem that a certificate is of.
 
     Raises:
         Refused: it is malformed, or of a kind that the format has no proofs for.
@@ -125,40 +127,39 @@ def posed_by(
     order = whole(problem['rotation_order'], 'rotation_order', 1, 2)
     horizon = whole(problem['horizon'], 'horizon', 1, MOST_STEPS)
     motion = model(problem, horizon)
-    weights = _weights(problem['weights'], n, motion)
-    seen = weights.input or weights.attitude or not (refutes or order == 1)
+    weights = _weights(problem['weights'], n, order, motion)
+    seen = weights.turned or weights.attitude or order == 2
     width = 2 if n == 2 else 9 if seen else 3
     state = _state(document['state'], n, width, motion.step)
     if weights.attitude and document['state']['wanted'] is None:
         raise Refused('state.wanted is missing')
-    made = floor(problem['floor'])
-    if made.slowest > 1 or (made.exists and order == 2) or (made.faces and n == 3):
-        raise Refused('the floor is beyond this format')
+    made = limits.floor(problem['floor'])
+    if made.slowest > 1:
+        raise Refused('floor.fraction is above 1')
+    if order == 2 or (made.faces and n == 3):  # of which the format has no proofs
+        made = made._replace(slowest=ZERO, faces=0)
     turn = motion.step * weight(problem['max_rate'], 'max_rate')
     arrives = word(problem['terminal'], 'terminal', ('penalty', 'constraint')) == 'constraint'
     goals = rows(document['goals'], 'goals', horizon, n)
-    tied = tether(turn, made, state.first[:n])
-    led = flown(motion, state.begins, state.first[:n], horizon)
-
-    def within() -> list[Step]:
-        return steps(motion, *led)
-
-    limits = _limits(document.get('limits', {}), made, tied, state, horizon, within)
+    first = state.first.pieces(n)[0]
+    tied, led = limits.tether(turn, made, first), flown(motion, state[:3], first, horizon)
+    held = _limits(document.get('limits', {}), made, tied, state, motion, led)
     turn = turn if n == 2 and made.slowest else ZERO
     return StatedProblem(
-        n, order, horizon, width, motion, *led, weights, arrives, made, state, goals, limits,
-        turn, radius,
+        n, order, horizon, width, motion, *led, weights, arrives, made, state, goals, held,
+        turn,
     )  # fmt: skip
 
 
-def _weights(stated: Any, n: int, model: StatedModel) -> StatedWeights:
+def _weights(stated: Any, n: int, order: int, model: StatedModel) -> StatedWeights:
     fields(stated, 'weights', WEIGHTS)
     q, r, length, last, attitude, arrival = (weight(stated[name], name) for name in WEIGHTS)
     double = 2 if n == 2 else 1  # coordinates of R that are there twice
-    position = [q] * (len(model.flown) - 2) + [q + last + arrival]
-    braking = arrival * model.step * model.step if model.inertial else ZERO
+    braking = [arrival * model.step * model.step] if model.inertial else []
+    flown = [*[q] * (len(model.flown) - 2), q + last + arrival, *braking]
     lengths = [length * each for each in model.flown]
-    return StatedWeights(position, double * r, double * attitude, braking, lengths)
+    turned = double * r / model.step ** (2 * order)
+    return StatedWeights(flown, turned, double * attitude, lengths)
 
 
 def _state(stated: Any, n: int, width: int, step: Fraction) -> StatedState:
@@ -166,8 +167,8 @@ def _state(stated: Any, n: int, width: int, step: Fraction) -> StatedState:
 
     def rotation(name: str) -> Vector:
         """Return a matrix column by column, as far as it is seen."""
-        matrix = rows(stated[name], f'state.{name}', n, n)
-        return [row[i] for i in range(n) for row in matrix][:width]
+        columns = Matrix.of(rows(stated[name], f'state.{name}', n, n)).columns
+        return Vector([x for each in columns.rows for x in each][:width], columns.unit)
 
     def place(name: str) -> Vector:
         return vector(stated[name], f'state.{name}', n)
@@ -178,45 +179,34 @@ def _state(stated: Any, n: int, width: int, step: Fraction) -> StatedState:
         velocity=place('velocity'),
         disturbance=place('disturbance'),
         first=first,
-        second=[x + step * y for x, y in zip(first, rate, strict=True)],
+        second=first + rate * step,
         ahead=rotation('attitude'),
         coasted=None if stated['coasted'] is None else rotation('coasted'),
-        wanted=[ZERO] * width if stated['wanted'] is None else rotation('wanted'),
+        wanted=Vector([0] * width) if stated['wanted'] is None else rotation('wanted'),
     )
 
 
 def _limits(
     stated: Any,
-    made: StatedFloor,
-    tied: Tether | None,
+    made: limits.StatedFloor,
+    tied: limits.Tether | None,
     state: StatedState,
-    horizon: int,
-    within: Callable[[], list[Step]],
+    model: StatedModel,
+    led: tuple[list[Place], list[Place]],
 ) -> StatedLimits:
     fields(stated, 'limits', (), ('cones', 'glide_slope', 'walls', 'speeds'))
-    n = len(state.position)
+    n, horizon = len(state.position), len(model.flown) - 1
     sloping = 'glide_slope' in stated and n == 3
     bodies = items(stated.get('walls', []), 'walls')
-    places = within() if bodies else []
+    places = steps(model, *led) if bodies else []
     decided = state.second if state.coasted is None else state.coasted
-    fastest = max(ONE, size_above(decided[:n]))  # what a body rate decides may be longer
-    directed, slowest = cones(stated.get('cones', []), n, made.slowest, horizon)
+    fastest = max(ONE, size_above(decided.pieces(n)[0]))  # what a body rate decides may be longer
+    directed, slowest = limits.cones(stated.get('cones', []), n, made.slowest, horizon)
     return StatedLimits(
         directed,
         slowest,
-        *speeds(stated.get('speeds', ANY_SPEED), made.slowest, horizon),
+        *limits.speeds(stated.get('speeds', ANY_SPEED), made.slowest, horizon),
         tied,
-        glide_slope(stated['glide_slope'], horizon) if sloping else None,
+        limits.glide_slope(stated['glide_slope'], horizon) if sloping else None,
         [wall(each, n, places, fastest) for each in bodies],
     )
-
-
-@lru_cache(maxsize=4)
-def costless(posed: StatedProblem) -> StatedProblem:
-    """Return a problem of which nothing costs anything: no term of a cost is below that."""
-    free = [ZERO] * posed.horizon
-    weights = StatedWeights(free, ZERO, ZERO, ZERO, [*free, ZERO])
-    state, n = posed.state, posed.n
-    first, second, coasted = state.first[:n], state.second[:n], state.coasted
-    state = state._replace(first=first, second=second, coasted=coasted and coasted[:n])
-    return replace(posed, width=n, weights=weights, state=state)

@@ -7,7 +7,7 @@ from fractions import Fraction
 from itertools import combinations_with_replacement
 from typing import Any
 
-from .exact import NARROW, PI, TINY, ZERO, Vector, add, direction, dot, less, root_above, size_above
+from .exact import NARROW, PI, TINY, ZERO, Vector, direction, root_above, size_above
 from .motion import Place, Step
 from .reading import Refused, fields, rows, vector, weight, word
 from .regions import Sector, Side
@@ -34,18 +34,18 @@ class Wall:
         self._shifts = rows(body.get('shifts', still[0]), 'shifts', horizon + 1, n)
         self._grown = vector(body.get('grown', still[1]), 'grown', horizon)
         self._steps = steps
-        self._middle = [ZERO] * n
+        self._middle = Vector([0] * n)
 
     def told(self, k: int) -> list[tuple[Place, Vector]]:
         """Return the places of step k that are on one of its sides, and where its middle is then.
 
         Both ends are so from the second step on: how the first one begins is the state's.
         """
-        places, begin = self._steps[k], add(self._middle, self._shifts[k])
-        last, moved = len(places) - 1, less(self._shifts[k + 1], self._shifts[k])
+        places, begin = self._steps[k], self._middle + self._shifts[k]
+        last, moved = len(places) - 1, self._shifts[k + 1] - self._shifts[k]
         both = [0, last] if k else [last]
         return [
-            (places[i], add(begin, [Fraction(i, last) * each for each in moved]))
+            (places[i], begin + moved * Fraction(i, last))
             for i in {'end': [last], 'ends': both, 'step': range(last + 1)}[self.of]
         ]
 
@@ -64,7 +64,7 @@ class BoxWall(Wall):
         n = len(self._low)
         axis, sign = i % n, -1 if i < n else 1
         face = self._low[axis] if i < n else self._high[axis]
-        normal = [Fraction(sign * (j == axis)) for j in range(n)]
+        normal = Vector([sign * (j == axis) for j in range(n)])
         return [
             Side(place, normal, sign * (face + shift[axis]) + self._grown[k])
             for place, shift in self.told(k)
@@ -72,23 +72,21 @@ class BoxWall(Wall):
 
 
 class DiscWall(Wall):
-    """A wall in the plane with ``centre`` and ``radius``."""
+    """A wall with ``centre`` and ``radius``; only in the plane it has sides."""
 
     shape = 'centre', 'radius'
 
     def __init__(self, body: Any, n: int, steps: list[Step], fastest: Fraction) -> None:
         super().__init__(body, n, steps)
-        if n != 2 or self.of == 'ends':
-            raise Refused('balls in space, and discs of both ends, are beyond this format')
-        self._middle = vector(body['centre'], 'centre', 2)
+        self._middle = vector(body['centre'], 'centre', n)
         self._radius = weight(body['radius'], 'radius')
         self._fastest = fastest
 
     def spread(self, k: int) -> Fraction:
         """Return how far places of a step are apart at most, as seen from the disc."""
         return max(
-            size_above(less(less(a.free, x), less(b.free, y)))
-            + self._fastest * sum(map(abs, less(a.reach, b.reach)), ZERO)
+            size_above(a.free - x - b.free + y)
+            + self._fastest * sum(map(abs, a.reach - b.reach), ZERO)
             for (a, x), (b, y) in combinations_with_replacement(self.told(k), 2)
         )
 
@@ -102,16 +100,18 @@ class DiscWall(Wall):
         With unit vectors u of the sector and any c, let c . u >= m > 0. Then c . Q >= m |Q|; other
         points P have u . (P - Q) >= 0, and what c has across u is at most sqrt(|c|^2 - m^2).
         """
+        if len(self._middle) != 2 or self.of == 'ends':
+            raise Refused('balls in space, and discs of both ends, have no sides')
         radius = self.radius(k)
         if sector.high - sector.low > PI - NARROW or radius <= 0:
             return []
-        c = list(direction((sector.low + sector.high) / 2))
+        c = Vector.of(direction((sector.low + sector.high) / 2))
         edges = (direction(each) for each in sector)
         m = min(c[0] * x + c[1] * y for x, y in edges) - 4 * TINY
         if m <= 0:
             return []
-        least = m * radius - self.spread(k) * root_above(max(ZERO, dot(c, c) - m * m))
-        return [Side(place, c, least + dot(c, middle)) for place, middle in self.told(k)]
+        least = m * radius - self.spread(k) * root_above(max(ZERO, c @ c - m * m))
+        return [Side(place, c, least + c @ middle) for place, middle in self.told(k)]
 
 
 def wall(body: Any, n: int, steps: list[Step], fastest: Fraction) -> BoxWall | DiscWall:
