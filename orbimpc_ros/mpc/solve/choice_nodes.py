@@ -120,7 +120,7 @@ class ChoiceNodes:
 
 
 def _stacked(matrices: Sequence[Array]) -> Array:
-    """Return what :func:`numpy.stack` does, several times as fast for matrices as small as these."""
+    """Return what :func:`numpy.stack` does, several times as fast for small matrices."""
     return np.concatenate(matrices).reshape(len(matrices), *matrices[0].shape)
 
 
