@@ -190,7 +190,9 @@ Document = dict[str, Any]
 def mutant(known: Document, rng: np.random.Generator) -> tuple[str, str]:
     """Return the name of a change and a certificate's text with it, no longer a proof."""
     made = copy.deepcopy(known)
-    names = list(CHANGES)
+    # Who may not stop, or is to end within a cone, may have to leave a goal where it is.
+    stays = known['problem']['floor']['shape'] == 'none' and 'cones' not in known.get('limits', {})
+    names = [name for name, change in CHANGES.items() if stays or change is not _near]
     name = names[int(rng.integers(len(names)))]
     return name, CHANGES[name](made, rng)
 

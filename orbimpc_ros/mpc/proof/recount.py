@@ -172,9 +172,8 @@ class Recount:
     def _knows_trees(self) -> bool:
         """Return whether half-spaces and turns, as known here, are all that is asked for."""
         problem = self._problem
-        planar = problem.dimension == 2 and problem.rotation_order == 1
-        turns = problem.turns_are_angles if problem.rotation_order == 1 else problem.max_rate > 0.0
-        return problem.floor.shape in FLOORS and (planar or not turns)
+        turns = problem.rotation_order == 2 and problem.max_rate > 0.0
+        return problem.floor.shape in FLOORS and not turns
 
     @property
     def _expects_trees(self) -> bool:

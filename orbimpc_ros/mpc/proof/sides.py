@@ -100,7 +100,7 @@ class Always(NamedTuple):
         chord: how far R e1 moves in a step at most.
         begin: the first of the steps 0..N-1 of which that is so; N where turns are not limited.
         first: R_0 e1, shape (n,).
-        cones: of the tilt, the glide slope, and the approach.
+        cones: of a first turn, the tilt, the glide slope, and the approach.
     """
 
     places: np.ndarray
@@ -191,7 +191,7 @@ class Sides:
         eased = relief(self._problem, state, goals) if self._problem.has_cones else None
         more = self._arrived(away[-1]), *self._thrust(state, eased)
         places, normals, offsets = map(np.concatenate, zip(known[:3], *more, strict=True))
-        cones = self._cones(state, away, eased)
+        cones = self._cones(state, away, eased, known.cones)
         return known._replace(places=places, normals=normals, offsets=offsets, cones=cones)
 
     @property
@@ -230,16 +230,17 @@ class Sides:
             found.append((steps[-1:], axis, np.array([least])))
         return found
 
-    def _cones(self, state: State, away: Array, eased: Relief | None) -> Cones:
-        """Return the cones of the tilt, the glide slope, and the approach.
+    def _cones(self, state: State, away: Array, eased: Relief | None, turned: Cones) -> Cones:
+        """Return the cones of a first turn, the tilt, the glide slope, and the approach.
 
         Args:
             state: where trajectories start.
             away: g_1..g_N less s_0, in units of a step, shape (N, n).
             eased: how far outside of its cones each step may be.
+            turned: that of a first turn, if there is one.
         """
         problem, steps = self._problem, np.arange(self._problem.horizon)
-        found, still = [self._chords.cones], np.zeros(away.shape)
+        found, still = [turned], np.zeros(away.shape)
         up = np.repeat(np.eye(away.shape[1])[-1:], len(steps), axis=0)
         if eased is not None and problem.tilt:
             sines = np.full(len(steps), math.sin(problem.tilt))
@@ -268,13 +269,16 @@ class Sides:
         share = np.cos(turn * steps)
         offsets = np.minimum(share, least * share)
         places, outward = steps - 1, np.tile(ahead, (len(steps), 1))
+        chord, cones = max(2.0 * math.sin(0.5 * turn), uneven), self._chords.cones
         if cone:
+            origin, sine = np.zeros((1, len(ahead))), np.array([math.sin(turn)])
+            cones = Cones(np.zeros(1, np.int64), ahead[None].copy(), sine, origin, np.zeros(1))
+        if cone and len(ahead) == 2:  # the same by its edges
             (x, y), s, c = ahead, math.sin(turn), math.cos(turn)
             edges = [[s * x - c * y, s * y + c * x], [s * x + c * y, s * y - c * x]]
             places, offsets = np.append(places, [0, 0]), np.append(offsets, [0.0, 0.0])
             outward = np.concatenate([outward, edges])
-        chord = max(2.0 * math.sin(0.5 * turn), uneven)
-        return Always(places, outward, offsets, chord, 1, first, self._chords.cones)
+        return Always(places, outward, offsets, chord, 1, first, cones)
 
     @cached_property
     def _chords(self) -> Always:

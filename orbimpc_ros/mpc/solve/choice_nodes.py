@@ -114,14 +114,20 @@ class ChoiceNodes:
             *np.array((holders, rows), np.int64),
             np.array(sizes, float),
             _stacked([leaf.tethers for leaf in leaves]),
-            _stacked([leaf.leans for leaf in leaves]) if leaves[0].leans.size else NO_LEANS,
-            _stacked([leaf.ways for leaf in leaves]) if leaves[0].ways.size else NO_WAYS,
+            _filled([leaf.leans for leaf in leaves], NO_LEANS),
+            _filled([leaf.ways for leaf in leaves], NO_WAYS),
         )
 
 
 def _stacked(matrices: Sequence[Array]) -> Array:
     """Return what :func:`numpy.stack` does, several times as fast for small matrices."""
     return np.concatenate(matrices).reshape(len(matrices), *matrices[0].shape)
+
+
+def _filled(matrices: Sequence[Array], none: Array) -> Array:
+    """Return matrices stacked, zeros in the place of those that are empty; none if all are."""
+    blank = next((np.zeros(each.shape) for each in matrices if each.size), None)
+    return none if blank is None else _stacked([e if e.size else blank for e in matrices])
 
 
 def _moved(leaves: Sequence[TreeLeaf]) -> Array:

@@ -22,7 +22,6 @@ from orbimpc_ros.mpc.proof.grounds import Left
 from orbimpc_ros.mpc.solve.branching import Branch
 from orbimpc_ros.mpc.solve.choice_nodes import ChoiceNodes, Press, TreeLeaf
 from orbimpc_ros.mpc.solve.passages import Passage
-from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.posed import Posed
 from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxed
 
@@ -40,7 +39,8 @@ class ChoiceTree:
         self._posed, self._program, self._inverse = posed, program, inverse
         turns = posed.turns
         self._always = len(turns.slots) if turns else 0
-        self._edges = 2 * posed.problem.first_turn_is_a_cone
+        planar = posed.problem.dimension == 2
+        self._edges = 2 * (planar and posed.problem.first_turn_is_a_cone)
         self._nodes = ChoiceNodes(apart=posed.problem.rotation_order == 1)
         self._cells: list[tuple[int, Cell] | None] = [None]
         self._raised: list[tuple[int, int, float] | None] = [None]
@@ -53,10 +53,11 @@ class ChoiceTree:
         return len(self._nodes.leaves)
 
     @staticmethod
-    def tells(problem: Problem, program: Relaxed) -> bool:
-        """Return whether multipliers of a program's half-spaces are all that its bounds rest on."""
-        coned = problem.has_cones and (problem.approach.exists or problem.rotation_order > 1)
-        return isinstance(program, PlaceProgram) or (problem.max_rate == 0.0 and not coned)
+    def tells(problem: Problem) -> bool:
+        """Return whether programs tell of all the multipliers that their bounds rest on."""
+        second, limited = problem.rotation_order > 1, problem.max_rate > 0.0
+        coned = problem.has_cones and (problem.approach.exists or second or limited)
+        return not (coned or (second and limited))
 
     def solved(self, t: int, *, better: bool = True, empty: bool = False) -> None:
         """Note what the last relaxation, which was that of a node, rests on.

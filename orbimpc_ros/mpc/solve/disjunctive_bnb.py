@@ -114,8 +114,9 @@ class DisjunctiveSearch:
 
     def _tree(self, posed: Posed) -> ChoiceTree | None:
         """Return what notes the grounds of a search; None where its relaxations' are not known."""
-        told = ChoiceTree.tells(self.problem, self.program)
-        return ChoiceTree(posed, self.program, self._inverse) if told else None
+        if not ChoiceTree.tells(self.problem):
+            return None
+        return ChoiceTree(posed, self.program, self._inverse)
 
     def _relaxed(self, request: Request) -> Found:
         """Return the optimum of the one relaxation that is all of the problem."""

@@ -152,9 +152,8 @@ class PlaceProgram:
             self._general = Program(self.problem, self._slots)
         try:
             return self._general.relax(request, halfspaces, chords)
-        finally:  # it tells of half-spaces alone
-            limited = self.problem.max_rate > 0.0
-            self.multipliers = None if limited else self._general.multipliers
+        finally:
+            self.multipliers = self._general.multipliers
 
     def _multipliers(self, count: int) -> Multipliers:
         held, steps = self._held, self.problem.horizon

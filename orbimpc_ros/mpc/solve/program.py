@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -64,11 +64,9 @@ class Program:
         tolerance: Clarabel's, on feasibility and on the gap.
 
     Attributes:
-        multipliers: of half-spaces, see :class:`orbimpc_ros.mpc.solve.relaxation.Relaxed`.
-        chords: none that it tells of.
+        multipliers: see :class:`orbimpc_ros.mpc.solve.relaxation.Relaxed`.
+        chords: see there.
     """
-
-    chords = 0
 
     def __init__(
         self,
@@ -82,6 +80,7 @@ class Program:
         if problem.approach.exists:  # the least heading, which no search has to fill in
             slots = (*slots, Slot('heading', problem.horizon))
         self._statement = _statement(problem, slots, coasting and problem.rotation_order == 2)
+        self.chords: int = self._statement.chords
         self._tolerance = tolerance
         self._heaviest = float(position_weights(problem).max())
         axes = problem.weights.input == problem.weights.attitude == 0.0
@@ -115,7 +114,7 @@ class Program:
             assert state.coasted is not None
             self._a_0[self._coasted] = -coordinates(state.coasted)
         if self.problem.first_turn_is_a_cone:
-            self._a_0[self._ahead] = state.attitude[:, 0]
+            self._a_0[self._cones[0].axis] = state.attitude[:, 0]
         if self.problem.approach.exists:
             self._approach(state)
         at_rest, per_speed, per_spin = self._limits
@@ -126,7 +125,7 @@ class Program:
         """Put the direction of approach in: of its cone, and of the least heading along it."""
         approach, (row, entries) = self.problem.approach, self._slots[-1]
         axis = approach.axis(state)
-        self._a_0[self._towards] = axis
+        self._a_0[self._cones[-1].axis] = axis
         self._a_0[entries] = -axis
         self._b[row] = -math.cos(approach.cone) * self.problem.least_heading
 
@@ -142,7 +141,7 @@ class Program:
         out_of_time = request.out_of_time
         a, b = self._a_0.copy(), self._b.copy()
         if chords is not None:
-            rows = slice(len(self._rows) - self._statement.chords, None)
+            rows = slice(len(self._rows) - self.chords, None)
             b[self._rows[rows]] = self._b_0[self._rows[rows]] + self._signs[rows] * chords
         cuts: list[Cut] = []
         self._asked, end = [], self._data['dims'].zero + self._data['dims'].nonneg
@@ -276,35 +275,48 @@ class Program:
 
     def _multipliers(self, answer: Any, scale: float) -> Multipliers:
         z = scale * np.asarray(answer.z)
-        sizes, arrived = np.maximum(z[self._asked], 0.0), self._statement.arrival
+        sizes, end = np.maximum(z[self._asked], 0.0), self._data['dims'].zero
+        end += self._data['dims'].nonneg
+        z = np.delete(z, slice(end, end + len(z) - len(self._b_0)))  # without rows on top
+        arrived, rows = self._statement.arrival, np.flatnonzero(sizes)
         pull = self._signs[arrived] * z[self._rows[arrived]]
         leans, props, ways = self._leaning(z)
-        rows = np.flatnonzero(sizes)
-        normals = np.zeros(
-            (len(rows), self.problem.dimension)
-        )  # of tangents, of which there are none
+        tied, outward, tensions = self._tied(z)
+        normals = np.zeros((len(rows), self.problem.dimension))  # none of half-spaces
         point = np.asarray(answer.x)[self._columns[:, : self._seen]]
         ways = ways if self._seen == 9 and self.problem.weights.length else NO_CONES
-        return Multipliers(point, rows, normals, sizes[rows], pull, leans, props, ways)
+        return Multipliers(
+            point,
+            np.concatenate([rows, tied]),
+            np.concatenate([normals, outward]),
+            np.concatenate([sizes[rows], tensions]),
+            pull,
+            leans,
+            props,
+            ways,
+        )
+
+    def _tied(self, z: Array) -> tuple[np.ndarray, Array, Array]:
+        """Return the numbers, directions and sizes of the multipliers of chords."""
+        heads = self._rows[len(self._rows) - self.chords :]
+        pulls = z[heads[:, None] + np.arange(1, 1 + self.problem.dimension)]
+        sizes = np.sqrt(np.einsum('kc,kc->k', pulls, pulls))
+        numbers = -1 - self.problem.horizon - np.arange(self.chords)
+        return numbers, pulls / np.maximum(sizes, TINY)[:, None], sizes
 
     def _leaning(self, z: Array) -> tuple[Array, Array, Array]:
         """Return the multipliers of cones, shape (C, n), and of least headings along their axes.
 
         And the ways along which lengths are, shape (N, n).
         """
-        end = self._data['dims'].zero + self._data['dims'].nonneg
-        cut = len(z) - len(self._b_0)  # rows on top
-        z = np.delete(z, slice(end, end + cut))
         if isinstance(self._statement, DirectStatement):
             return self._statement.leaning(z)
-        leans, props = NO_CONES, NO_PULL
+        a, props = self._data['A'], NO_PULL
+        leans = [a.data[cone.aside] * z[a.indices[cone.axis]] for cone in self._cones]
         if self.problem.approach.exists:
-            a = self._data['A']
-            sign = a.data[self._aside]
             least, _ = self._slots[-1]
-            leans = (sign * z[a.indices[self._towards]])[None]
             props = np.maximum(z[[least]], 0.0)
-        return leans, props, self._ways(z)
+        return np.array(leans).reshape(-1, self.problem.dimension), props, self._ways(z)
 
     def _ways(self, z: Array) -> Array:
         """Return along which way what holds lengths >= |R_k e1| has each of them, shape (N, n)."""
@@ -383,16 +395,15 @@ class Program:
         if statement.coasting:
             column = column_of[statement.fraction.id]
             self._coasted = _shared_entries(data['A'], column, first + d + np.arange(d))
+        cones = []
         if self.problem.first_turn_is_a_cone:
-            column = column_of[statement.along.id]
-            across = column_of[statement.across.id] + np.arange(self.problem.dimension)
-            self._ahead = _shared_entries(data['A'], column, across)
+            cones.append((statement.along, statement.across))
         if self.problem.approach.exists:
-            column = column_of[statement.towards.id]
-            aside = column_of[statement.aside.id] + np.arange(self.problem.dimension)
-            self._towards = _shared_entries(data['A'], column, aside)
-            rows = data['A'].indices[self._towards]
-            self._aside = [_entry(data['A'], int(r), c) for r, c in zip(rows, aside, strict=True)]
+            cones.append((statement.towards, statement.aside))
+        self._cones = [
+            _cone(data['A'], column_of[along.id], column_of[across.id] + np.arange(across.size))
+            for along, across in cones
+        ]
 
     def _numbered_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the row and sign of each right-hand side, and the row of each slot.
@@ -432,6 +443,25 @@ def _entry(a: sparse.csc_matrix, row: int, column: int) -> int:
     """Return where entry (row, column) of a compressed matrix is stored."""
     start, end = a.indptr[column], a.indptr[column + 1]
     return int(start + np.flatnonzero(a.indices[start:end] == row)[0])
+
+
+class _Cone(NamedTuple):
+    """Where a cone is in the data: rows that say how far aside a heading is of its axis.
+
+    Attributes:
+        axis: the entries of the axis.
+        aside: those of how far aside it is.
+    """
+
+    axis: np.ndarray
+    aside: np.ndarray
+
+
+def _cone(a: sparse.csc_matrix, along: int, across: np.ndarray) -> _Cone:
+    """Return the cone of a column, of how far along its axis a heading is, and others, aside."""
+    axis = _shared_entries(a, along, across)
+    rows = a.indices[axis].tolist()
+    return _Cone(axis, np.array([_entry(a, r, c) for r, c in zip(rows, across, strict=True)]))
 
 
 def _shared_entries(a: sparse.csc_matrix, scalar: int, columns: np.ndarray) -> np.ndarray:

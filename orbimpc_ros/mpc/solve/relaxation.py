@@ -67,7 +67,7 @@ class Multipliers(NamedTuple):
         normals: of rows and tangents, shape (S, n).
         sizes: of the multipliers, >= 0, shape (S,).
         pull: of s_N - g_N, and then of p_N, where a plan has to arrive, shape (m,).
-        leans: of the cones of tilt, glide slope and approach, shape (C, n).
+        leans: of the cones of a first turn, tilt, glide slope and approach, shape (C, n).
         props: of how far along their axes least headings are, >= 0, shape (P,).
         ways: over SO(3), along which lengths are at least what they count, no longer than 1,
             shape (N, n).
