@@ -105,13 +105,20 @@ class ChoiceNodes:
             return tangent(leaves[0].point, np.zeros(len(leaves[0].point)))
         presses = [each for leaf in leaves for each in leaf.presses]
         holders, rows, sizes = zip(*presses, strict=True) if presses else ((), (), ())
+        splits, parts, counts = np.array((self.splits, self._parts, self._counts))
+        holding, pressed = np.array((holders, rows), np.int64)
+        levels, at = sides
         return ChoiceGrounds(
-            *np.array((self.splits, self._parts, self._counts)),
-            *sides,
+            splits,
+            parts,
+            counts,
+            levels,
+            at,
             _moved(leaves),
             np.array([leaf.empty for leaf in leaves]),
             np.cumsum([len(leaf.presses) for leaf in leaves]),
-            *np.array((holders, rows), np.int64),
+            holding,
+            pressed,
             np.array(sizes, float),
             _stacked([leaf.tethers for leaf in leaves]),
             _filled([leaf.leans for leaf in leaves], NO_LEANS),
