@@ -144,7 +144,7 @@ class Program:
             rows = slice(len(self._rows) - self.chords, None)
             b[self._rows[rows]] = self._b_0[self._rows[rows]] + self._signs[rows] * chords
         cuts: list[Cut] = []
-        self._asked, end = [], self._data['dims'].zero + self._data['dims'].nonneg
+        self._asked, end = [], self._linear
         for slot, normal, offset in halfspaces:
             if isinstance(slot, Point):
                 self._asked.append(end + len(cuts))
@@ -273,10 +273,14 @@ class Program:
         x = np.asarray(answer.x)[self._columns]
         return Relaxation(self._statement.coordinates(x, self._request.state), bound)
 
+    @property
+    def _linear(self) -> int:
+        """Return how many rows are equations or inequalities; those of cones follow."""
+        return int(self._data['dims'].zero + self._data['dims'].nonneg)
+
     def _multipliers(self, answer: Any, scale: float) -> Multipliers:
         z = scale * np.asarray(answer.z)
-        sizes, end = np.maximum(z[self._asked], 0.0), self._data['dims'].zero
-        end += self._data['dims'].nonneg
+        sizes, end = np.maximum(z[self._asked], 0.0), self._linear
         z = np.delete(z, slice(end, end + len(z) - len(self._b_0)))  # without rows on top
         arrived, rows = self._statement.arrival, np.flatnonzero(sizes)
         pull = self._signs[arrived] * z[self._rows[arrived]]
