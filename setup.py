@@ -43,7 +43,7 @@ setup(
     maintainer='orbimpc_ros developers',
     maintainer_email='orbimpc-ros@example.org',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed', 'lab/study/vehicles/scenarios/**/*.yaml']},
+    package_data={NAME: ['py.typed']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (SHARE, ['package.xml']),
@@ -77,9 +77,9 @@ setup(
             'rotorpy>=3.0; python_version >= "3.11"',
         ],
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
-        # Newer Arrows want NumPy 2, which not every ROS workspace has.
-        'study': ['casadi', 'distributed>=2024.1', 'pyarrow>=14,<25'],
+        'study': ['distributed>=2024.1'],
         'test': [
+            'casadi',
             'check-jsonschema>=0.29',
             'colcon-core',
             'colcon-package-selection',

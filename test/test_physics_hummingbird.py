@@ -10,13 +10,13 @@ pytest.importorskip('rclpy')
 
 from bags import GOLDEN
 
-from orbimpc_ros.lab.study.vehicles.flights import row
-from orbimpc_ros.lab.study.vehicles.scenario import scenario_named
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.physics.failure import EngineFailure
 from orbimpc_ros.ros.sim.arena import outcome
 from orbimpc_ros.tool.demo.rendering import flown_again
+from orbimpc_ros.tool.study import flights as study
+from orbimpc_ros.tool.study.draws import draws_of
 from orbimpc_ros.world.engines import EnginePlant
 from orbimpc_ros.world.flight import departure
 from orbimpc_ros.world.rope import Rope
@@ -165,7 +165,7 @@ def test_it_can_be_rendered(hummingbird):
 @pytest.mark.skipif(not COMPILED, reason='slow in plain Python: pip install numba')
 def test_the_planner_catches_the_rope(hummingbird):
     """The first flight of a seed that no study has used."""
-    flown_by_us = row(scenario_named('rope'), 'orbitope', 901, 0, {})
+    flown_by_us = study.flown(study.Job('rope', 'orbitope', 0, draws_of('rope').of(901, 0)))
     assert flown_by_us['caught']
     assert flown_by_us['time'] < 15.0
-    assert flown_by_us['astray'] < 0.5
+    assert flown_by_us['off'] < 0.5

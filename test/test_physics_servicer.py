@@ -11,14 +11,14 @@ pytest.importorskip('rclpy')
 
 from bags import GOLDEN
 
-from orbimpc_ros.lab.study.vehicles.flights import row
-from orbimpc_ros.lab.study.vehicles.scenario import scenario_named
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.physics.failure import EngineFailure
 from orbimpc_ros.tool.demo.rendering import flown_again
 from orbimpc_ros.tool.io import history
+from orbimpc_ros.tool.study import flights as study
+from orbimpc_ros.tool.study.draws import draws_of
 from orbimpc_ros.world.engines import EnginePlant
 from orbimpc_ros.world.flight import departure
 from orbimpc_ros.world.rope import fixed
@@ -154,7 +154,7 @@ def test_a_recorded_flight_can_be_flown_again(servicer):
 @pytest.mark.skipif(not COMPILED, reason='slow in plain Python: pip install numba')
 def test_the_planner_arrives(servicer):
     """The first flight of a seed that no study has used."""
-    flown_by_us = row(scenario_named('servicer'), 'orbitope', 901, 0, {})
+    flown_by_us = study.flown(study.Job('servicer', 'orbitope', 0, draws_of('servicer').of(901, 0)))
     assert flown_by_us['caught']
     assert flown_by_us['missed'] < 0.1
     assert flown_by_us['speed'] < 0.05

@@ -13,7 +13,6 @@ pytest.importorskip('rclpy')
 from bags import messages_of
 from dying_engine import FAILURES
 
-from orbimpc_ros.lab.onboard import Planner, tell
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.loop.odometry import Odometry
@@ -24,6 +23,7 @@ from orbimpc_ros.tool.demo.arrivals import planned_at_start
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.content import fields
 from orbimpc_ros.tool.io.share import config
+from orbimpc_ros.tool.run.onboard import Planner, tell
 from orbimpc_ros.world import engines
 from orbimpc_ros.world.engines import EnginePlant
 from orbimpc_ros.world.flight import departure

@@ -28,7 +28,7 @@ def recipe(name):
 
 def flight(parameters, craft, motion, goal, seconds, band=0.0):
     """Motions at every tick, with the commands, of a vehicle that sets off from a motion."""
-    from orbimpc_ros.lab.onboard import Planner
+    from orbimpc_ros.tool.run.onboard import Planner
 
     planner, log = Planner(parameters), []
     for k in range(round(seconds / planner.period)):

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from orbimpc_ros.lab.bench.duel import OURS
-from orbimpc_ros.lab.bench.picture import side_by_side
-from orbimpc_ros.lab.bench.rows import LATE, BenchRow
+from benchmarks.bench.duel import OURS
+from benchmarks.bench.picture import side_by_side
+from benchmarks.bench.rows import LATE, BenchRow
 from orbimpc_ros.tool import figures
 from orbimpc_ros.tool.demo.arrivals import column, planned_at_start, table, title
 from orbimpc_ros.tool.demo.fleet import resolve

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
+from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple, NoReturn
 
@@ -26,7 +27,8 @@ class Subcommand(NamedTuple):
     """A command: a module with ``add_arguments(parser)`` and ``run(args) -> exit code``.
 
     Attributes:
-        package: that has the module, which has the command's name.
+        package: that has the module, which has the command's name; ``benchmarks`` is a folder of
+            the repository, which is not installed.
         summary: what it does.
         planning: whether it plans for long, so that a slow planner is worth a word.
     """
@@ -36,24 +38,23 @@ class Subcommand(NamedTuple):
     planning: bool = False
 
 
-TOOL, LABORATORY = 'orbimpc_ros.tool', 'orbimpc_ros.lab'
+TOOL, BENCHMARKS = 'orbimpc_ros.tool', 'benchmarks'
+CLONE = Path(__file__).resolve().parents[2]
 COMMANDS = {
     'bench': Subcommand(
-        LABORATORY, 'measure side by side with the solvers that are installed', True
+        BENCHMARKS, 'measure side by side with the solvers that are installed', True
     ),
     'demo': Subcommand(
         TOOL, 'run planner and simulator over DDS, record a bag, draw the picture', True
     ),
     'replay': Subcommand(TOOL, 'solve the inputs of a bag again, compare with its outputs'),
     'faults': Subcommand(
-        LABORATORY,
+        BENCHMARKS,
         'try planner and simulator under faults, as real processes, and print the matrix',
     ),
     'plot': Subcommand(TOOL, 'draw the figures and an animation of a bag'),
     'solve': Subcommand(TOOL, 'solve one problem from a file, print the plan as JSON'),
-    'study': Subcommand(
-        LABORATORY, 'fly many ropes with several controllers and compare them', True
-    ),
+    'study': Subcommand(TOOL, 'fly many random tasks and report how they end', True),
     'verify': Subcommand(TOOL, 'prove lower bounds again, in exact arithmetic'),
     'view': Subcommand(TOOL, 'look at a flight in a browser, live or from a bag'),
 }
@@ -128,7 +129,15 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
 
 
 def _module(command: str) -> ModuleType:
-    return import_module(f'{COMMANDS[command].package}.{command}')
+    package = COMMANDS[command].package
+    if package == BENCHMARKS:
+        if not (CLONE / BENCHMARKS / '__init__.py').is_file():
+            raise BadInput.stating(f'orbimpc {command}', 'not installed', 'run it from a clone')
+        if str(CLONE) not in sys.path:
+            sys.path.append(str(CLONE))
+            known = os.environ.get('PYTHONPATH')  # for the processes that it starts
+            os.environ['PYTHONPATH'] = os.pathsep.join(filter(None, (str(CLONE), known)))
+    return import_module(f'{package}.{command}')
 
 
 def _code(error: OrbimpcError) -> int:

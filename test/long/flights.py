@@ -33,9 +33,9 @@ import missions
 import numpy as np
 from airframe import Airframe, Motion
 
-from orbimpc_ros.lab.onboard import Planner
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.ros.messages import measurement_message
+from orbimpc_ros.tool.run.onboard import Planner
 
 ROUNDING = 1e-6  # relative
 STEPS = {0.05: 0.1, 0.1: 0.2, 0.2: 0.25, 0.5: 0.25, 1.0: 0.2}  # [s], and how often

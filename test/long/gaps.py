@@ -22,10 +22,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.lab.bench.flights import landings, winged
-from orbimpc_ros.lab.bench.instances import Instance, circling
-from orbimpc_ros.lab.bench.vehicles import FULL, LANDER, RATE, ROUND
-from orbimpc_ros.lab.study.baselines.nonlinear import OPTIONS, NonlinearProgram
+from benchmarks.bench.flights import landings, winged
+from benchmarks.bench.instances import Instance, circling
+from benchmarks.bench.vehicles import FULL, LANDER, RATE, ROUND
+from benchmarks.rivals.nonlinear import OPTIONS, NonlinearProgram
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Floor, Problem

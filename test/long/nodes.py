@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.lab.bench.vehicles import FULL, RATE, ROUND
+from benchmarks.bench.vehicles import FULL, RATE, ROUND
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Floor, Problem, State

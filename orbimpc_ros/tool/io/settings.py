@@ -139,7 +139,7 @@ def _completed(content: Any, name: str, namespace: str = '') -> Values:
         wanted = ('/**', f'{namespace}/')
         content = {key: each for key, each in content.items() if str(key).startswith(wanted)}
     values: Values = {row.name: row.default for row in ROWS.values()}
-    for given, value in _sections(content, name):
+    for given, value in sections(content, name):
         row = ROWS_OF_SIM.get(given) or ROWS.get(given)
         if row is not None:
             values[given] = _typed(row, value)
@@ -153,7 +153,7 @@ def _completed(content: Any, name: str, namespace: str = '') -> Values:
     return values
 
 
-def _sections(content: Any, name: str) -> Iterator[tuple[str, Any]]:
+def sections(content: Any, name: str) -> Iterator[tuple[str, Any]]:
     """Yield the parameters of every section of a parameter file, nested names joined by dots."""
     for title, section in content.items() if isinstance(content, dict) else (('', None),):
         if not isinstance(section, dict) or not isinstance(section.get('ros__parameters'), dict):

@@ -1,0 +1,141 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""``orbimpc bench``: side by side, in one run, with the solvers that are installed."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+from benchmarks.bench import live
+from benchmarks.bench.contenders.contender import Contender
+from benchmarks.bench.contest import CAP, PACKAGES, QUICK_CAP, Contest
+from benchmarks.bench.contests import CONTESTS
+from benchmarks.bench.duel import OURS, duel
+from benchmarks.bench.result import Result
+from benchmarks.bench.rows import HULLS, BenchRow, growth, of_duel
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.tool.io.files import require_writable
+from orbimpc_ros.tool.run.progress import ProgressLine
+
+WARM_UP = 3  # instances solved before the clock counts
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the command."""
+    parser.add_argument('--json', metavar='FILE', help='write the result there')
+    parser.add_argument('--picture', metavar='FILE', help='a PNG (default: beside the JSON)')
+    parser.add_argument(
+        '--only', nargs='+', metavar='PROBLEM', help=f'some of: {", ".join(problems())}'
+    )
+    parser.add_argument('--quick', action='store_true', help='few instances, low time limits')
+
+
+def problems() -> list[str]:
+    """Return the short names of everything that can be measured."""
+    return [*dict.fromkeys(contest.key for contest in CONTESTS), *live.NAMES]
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure, write as it goes, print, draw; 1 if ours was beaten or a measurement failed.
+
+    Raises:
+        KeyboardInterrupt: somebody asked to stop; what was measured is kept.
+    """
+    wanted, result = _wanted(args.only), Result(*_files(args))
+    try:
+        for rows in measured(wanted, args.quick, result.rows):
+            result.add(rows)
+    finally:
+        result.close()
+    return int(any(row.beaten or row.failed for row in result.rows))
+
+
+def _wanted(only: list[str] | None) -> list[str]:
+    for name in only or ():
+        if name not in problems():
+            raise BadInput('--only', name, ' | '.join(problems()))
+    return only or problems()
+
+
+def _files(args: argparse.Namespace) -> tuple[Path | None, Path | None]:
+    """Return where rows and picture go, after a look whether they can be written."""
+    file = Path(args.json).resolve() if args.json else None
+    picture = Path(args.picture).resolve() if args.picture else file and file.with_suffix('.png')
+    for name, path in (('--json', file), ('--picture', picture)):
+        if path is not None:
+            require_writable(name, path)
+    return file, picture
+
+
+def measured(
+    wanted: list[str], quick: bool, before: Sequence[BenchRow]
+) -> Iterator[list[BenchRow]]:
+    """Yield the rows of each measurement as it is done; of one that fails, a row that says why.
+
+    Args:
+        wanted: names of problems.
+        quick: few instances, low time limits.
+        before: what was measured before each.
+    """
+    for title, measure in _measurements(wanted, quick, before):
+        try:
+            rows = measure()
+        except Exception as error:  # whatever it is, the others are still worth measuring
+            note = f'failed: {type(error).__name__}: {error}'
+            rows = [BenchRow(title, OURS, note=note, failed=True)]
+        yield rows
+
+
+def _measurements(
+    wanted: list[str], quick: bool, before: Sequence[BenchRow]
+) -> Iterator[tuple[str, Callable[[], list[BenchRow]]]]:
+    for contest in CONTESTS:
+        if contest.key in wanted:
+            yield contest.title, partial(contested, contest, quick)
+    yield f'{HULLS}...: exponent of N', partial(growth, before)
+    yield from live.measurements(wanted, quick)
+
+
+def contested(contest: Contest, quick: bool) -> list[BenchRow]:
+    """Return the rows of one contest; who is not installed is listed as absent."""
+    cap, count = QUICK_CAP if quick else CAP, contest.counts[0 if quick else 1]
+    contenders, absent = _entrants(contest, cap)
+    instances = contest.instances(contest.problem, count)
+    progress = ProgressLine(len(instances))
+    samples = duel(
+        contenders,
+        instances,
+        warm_up=WARM_UP,
+        budget=contest.budget(cap),
+        every=contest.every,
+        show=lambda done: progress.show(done, contest.title),
+    )
+    progress.close()
+    return [*of_duel(contest.title, samples, contest.required, contest.gap), *absent]
+
+
+def _entrants(contest: Contest, cap: float) -> tuple[dict[str, Contender], list[BenchRow]]:
+    """Return who takes part, and rows of who is not installed."""
+    found = {name: _entrant(contest, name, cap) for name in (OURS, *contest.rivals)}
+    absent = [
+        BenchRow(
+            contest.title,
+            name,
+            required=contest.required.get(name),
+            note=f'absent: pip install {PACKAGES[name]}',
+        )
+        for name, contender in found.items()
+        if contender is None
+    ]
+    return {name: each for name, each in found.items() if each is not None}, absent
+
+
+def _entrant(contest: Contest, name: str, cap: float) -> Contender | None:
+    try:
+        return contest.contender(name, cap)
+    except ImportError:
+        if name not in PACKAGES:  # one of our own: that is no absence but a defect
+            raise
+        return None

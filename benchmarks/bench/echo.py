@@ -1,0 +1,44 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""``python -m benchmarks.bench.echo``: answers each odometry message at once.
+
+A command of the same type and stamp, without any thought: what rclpy and DDS cost at least. Goals
+are taken in as well, since they come just before odometry.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+
+import rclpy
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.qos import ReliabilityPolicy
+from rclpy.utilities import get_default_context
+
+from orbimpc_ros.ros.process import executor_named, initialised, qos
+
+
+def main() -> None:
+    """Echo until a signal comes."""
+    signals: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, _frame: signals.append(number))
+    with initialised(sys.argv, context=get_default_context()):
+        node = rclpy.create_node('echo', automatically_declare_parameters_from_overrides=True)
+        commands = node.create_publisher(TwistStamped, 'cmd_vel', qos())
+
+        def answer(message: Odometry) -> None:
+            commands.publish(TwistStamped(header=message.header))
+
+        latest = qos(1, ReliabilityPolicy.BEST_EFFORT)
+        node.create_subscription(Odometry, 'odom', answer, latest)
+        node.create_subscription(PoseStamped, 'goal', lambda _message: None, latest)
+        executor = executor_named(node.get_parameter('executor').value)
+        executor.add_node(node)
+        while not signals:
+            executor.spin_once(timeout_sec=0.05)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,30 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""The planner node with a controller that raises on odometry that slips sideways fast.
+
+No message makes the planner itself raise, as far as is known, so that what happens then can only
+be tried on one that was made to.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+from benchmarks.faults.stimulus import SLIP
+from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.ros.planner import node as planner
+
+sound = Controller.tick
+
+
+def tick(self: Controller, odometry: Odometry, *rest: Any, **more: Any) -> Any:
+    """Plan, unless the odometry slips."""
+    if odometry.body_velocity[1] > 0.5 * SLIP:
+        raise ArithmeticError('slipped')
+    return sound(self, odometry, *rest, **more)
+
+
+if __name__ == '__main__':
+    Controller.tick = tick  # type: ignore[method-assign]
+    sys.exit(planner.main())

@@ -1,0 +1,166 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""A test harness: one planner in a process of its own, its stimulus, and the monitor on it."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped, TransformStamped
+from nav_msgs.msg import Odometry
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
+
+from benchmarks.faults import stimulus
+from benchmarks.faults.flood import HELD_UP, Pause
+from benchmarks.faults.monitor import Limits
+from benchmarks.faults.session import Place, Session
+from benchmarks.test_node import KEPT
+from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.process import qos
+from orbimpc_ros.ros.transforms import TF
+
+STEP = 0.2  # [s]
+EPOCH = 1000.0  # [s] at which simulated time begins
+RATE = 20.0  # [Hz] of odometry and goal
+PLANNER: dict[str, Any] = {
+    'step': STEP,
+    'floor.shape': 'polygon',
+    'goal_timeout': 0.4,
+    'goal_jump_limit': 5.0,
+    'max_rate': 3.0,
+    'safe_command': 'stop',  # with a floor it would be to circle, which is no sign to judge by
+}  # [s], [m], [rad/s]
+
+
+class Harness(Session):
+    """Feeds a planner at a steady rate and hears all that it says, until closed.
+
+    Args:
+        place: of the planner.
+        parameters: of the planner, beside those of all harnesses.
+        simulated: whether to be the planner's clock as well.
+        seed: of all that is drawn.
+        module: of the planner.
+
+    Attributes:
+        planner: its process.
+        draw: all that is drawn.
+        spoiled: what is wrong with the stimulus.
+        running: whether the clock runs; only where that is simulated.
+        jump: what the clock is off [s].
+        pauses: times without a goal, as on a busy machine.
+        frozen_at: when the clock was stopped last, on the monotonic clock [s].
+    """
+
+    def __init__(
+        self,
+        place: Place,
+        parameters: Mapping[str, Any] | None = None,
+        *,
+        simulated: bool = False,
+        seed: int = 0,
+        module: str = 'orbimpc_ros.ros.planner',
+    ) -> None:
+        self._values = PLANNER | dict(parameters or {}) | {'use_sim_time': simulated}
+        super().__init__(place, Limits(1.0, self._values['max_rate']))
+        self._simulated, self._module = simulated, module
+        self.draw = random.Random(seed)
+        self.spoiled = stimulus.Spoiled('nothing')
+        self.running, self.jump = True, 0.0
+        self._begun = self._due = time.monotonic()
+        self.frozen_at = 0.0
+        self.pauses: list[Pause] = []
+        self.node = self.test_node.node
+        self.odometry: Any = self.node.create_publisher(Odometry, 'odom', qos(KEPT))
+        self.goal = self.node.create_publisher(PoseStamped, 'goal', qos(KEPT))
+        self._transforms: Any = None
+        if self._values.get('tf'):
+            self._transforms = self.node.create_publisher(TransformStamped, TF, qos(KEPT))
+        self._clock = self.node.create_publisher(Clock, '/clock', qos(KEPT))
+        self.start()
+
+    def start(self) -> None:
+        """Start a planner."""
+        self.planner = self.launch(self._module, self._values)
+
+    # --- time
+
+    @property
+    def now(self) -> int:
+        """Return the time that messages are stamped with [ns]."""
+        if not self._simulated:
+            return time.time_ns()
+        at = time.monotonic() if self.running else self.frozen_at
+        return round((EPOCH + at - self._begun + self.jump) * messages.SECOND)
+
+    def freeze(self) -> None:
+        """Stop the clock."""
+        self.frozen_at, self.running = time.monotonic(), False
+
+    def thaw(self) -> None:
+        """Let the clock run on from where it stopped."""
+        self.jump += self.frozen_at - time.monotonic()
+        self.running = True
+
+    def spin(self, seconds: float, done: Callable[[], bool] = lambda: False) -> None:
+        """Feed and listen for a while, or until ``done``."""
+        end = time.monotonic() + seconds
+        while (now := time.monotonic()) < end and not done():
+            if now >= self._due:
+                if now > self._due + HELD_UP:
+                    self.pauses.append(Pause(self._due, now))
+                self._due = max(self._due + 1.0 / RATE, now)
+                self._feed()
+            wait = min(self._due, end) - time.monotonic()
+            self.test_node.spin_once(wait)
+
+    def until_planned(self) -> None:
+        """Feed a healthy planner until it commands to move."""
+        since = time.monotonic()
+        self.until(lambda: self.monitor.moving(since) > 0, 'a plan')
+
+    def _feed(self) -> None:
+        if self._simulated:
+            self._clock.publish(Clock(clock=messages.time_message(self.now)))
+        goal = stimulus.goal_at(time.monotonic() - self._begun, self.now)
+        if self._transforms is not None:
+            transform = stimulus.transform_at(self.now)
+            goal.header.frame_id = transform.header.frame_id
+            self._publish(self._transforms, transform, self.spoiled.transform)
+        self._publish(self.goal, goal, self.spoiled.goal)
+        if self.odometry is not None:
+            odometry = stimulus.odometry_at(time.monotonic() - self._begun, self.now)
+            self._publish(self.odometry, odometry, self.spoiled.odometry)
+
+    def _publish(self, publisher: Any, message: Any, spoil: stimulus.Spoiler | None) -> None:
+        for each in [message] if spoil is None else spoil(message, self.draw):
+            publisher.publish(each)
+
+    def mute(self) -> None:
+        """Leave odometry to another publisher."""
+        self.node.destroy_publisher(self.odometry)
+        self.odometry = None
+
+    def unmute(self) -> None:
+        """Publish odometry again."""
+        self.odometry = self.node.create_publisher(Odometry, 'odom', qos(KEPT))
+
+    def set_parameters(self, values: Mapping[str, Any]) -> list[str]:
+        """Set parameters of the running planner, one by one; return the reasons for refusals."""
+        parameters = [Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
+        request = SetParameters.Request(parameters=parameters)
+        results = self.call(SetParameters, '/planner/set_parameters', request).results
+        return [result.reason for result in results if not result.successful]
+
+    def call(self, kind: Any, name: str, request: Any) -> Any:
+        """Return the response of a service of the planner."""
+        client = self.node.create_client(kind, name)
+        self.until(client.service_is_ready, name)
+        future = client.call_async(request)
+        self.until(future.done, name)
+        self.node.destroy_client(client)
+        return future.result()

@@ -1,0 +1,70 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""What one would fly instead: controllers behind the same forecast, wind estimate and lags."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.ros.parameters.planner import PlannerSettings
+from orbimpc_ros.tool.io import document
+
+RIVALS = {
+    'pursuit': ('guidance', 'PurePursuit'),
+    'lead': ('guidance', 'Lead'),
+    'proportional': ('guidance', 'Proportional'),
+    'sampling': ('sampling', 'Sampling'),
+    'linearised': ('programs', 'LinearisedPilot'),
+    'nonlinear': ('programs', 'NonlinearPilot'),
+    'waypoint': ('guidance', 'Waypoint'),  # of an engine that has guidance of its own
+}
+TUNED = Path(__file__).with_name('tuned')
+# Studies whose rivals were tuned on another one, as far as they have no file of their own.
+LIKE = {
+    'fixed_wing_cone': 'fixed_wing',
+    'fixed_wing_near': 'fixed_wing',
+    'gates': 'crossing',
+    'retrieval_constant': 'retrieval',
+    'retrieval_small': 'retrieval',
+}
+Tuned = dict[str, dict[str, float]]
+
+
+def class_of(name: str) -> type:
+    """Return the class of a rival, by its name in :data:`RIVALS`."""
+    module, kind = RIVALS[name]
+    found: type = getattr(import_module(f'{__name__}.{module}'), kind)
+    return found
+
+
+def pilot(
+    name: str, settings: PlannerSettings, study: str, tuned: Mapping[str, float] | None = None
+) -> Controller:
+    """Return a rival.
+
+    Args:
+        name: in :data:`RIVALS`.
+        settings: of the planner in whose place it flies.
+        study: whose tuning it has.
+        tuned: what is set of its :attr:`Rival.SPACE` instead.
+
+    Raises:
+        BadInput: all rivals are planar.
+    """
+    if settings.problem.dimension != 2:
+        raise BadInput('--controllers', name, 'orbitope where dimension is 3')
+    given = tuned_of(study).get(name, {}) if tuned is None else tuned
+    made: Controller = class_of(name)(settings, given)
+    return made
+
+
+def tuned_of(study: str) -> Tuned:
+    """Return what was found for a study, by rival."""
+    files = [TUNED / f'{name}.yaml' for name in (LIKE.get(study, study), study)]
+    known: Tuned = {}
+    for file in files:
+        known |= document.read(str(file)) if file.is_file() else {}
+    return known

@@ -1,0 +1,172 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""The base of the rivals: a controller whose commands come from elsewhere than from a plan."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.command import Command
+from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.loop.controller import Controller, Tick
+from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.mpc.outcome import Status
+from orbimpc_ros.mpc.problem import Hazard, State
+from orbimpc_ros.ros.parameters.planner import PlannerSettings
+
+
+class Range(NamedTuple):
+    """What a number may be tuned to: its default, and the ends of its range, in equal ratios.
+
+    Where it has a ``need``, it means something only in scenarios that have that.
+    """
+
+    default: float
+    low: float
+    high: float
+    need: str = ''
+
+
+CONE, TRAFFIC = 'cone', 'traffic'
+BEHIND: Mapping[str, Range] = {'behind': Range(10.0, 3.0, 30.0, CONE)}
+LINED = math.radians(30.0)  # off the direction of approach: behind the goal by less
+
+
+class Sight(NamedTuple):
+    """What a pilot knows at a tick.
+
+    Attributes:
+        time: from when on it can act, its lags being over [s].
+        state: then.
+        goals: g_1..g_N at the ends of the steps, shape (N, 2) [m].
+        ahead: returns where the goal will be at times, shape (M,) [s], as shape (M, 2) [m].
+        wind: shape (2,) [m/s].
+    """
+
+    time: float
+    state: State
+    goals: Array
+    ahead: Callable[[Array], Array]
+    wind: Array
+
+    @property
+    def hazards(self) -> tuple[Hazard, ...]:
+        """Return what moves around the vehicle, in a time that begins at :attr:`time`."""
+        return self.state.hazards
+
+    @property
+    def heading(self) -> float:
+        """Return where the vehicle points [rad]."""
+        return math.atan2(self.state.attitude[1, 0], self.state.attitude[0, 0])
+
+
+class Rival(Controller, ABC):
+    """Flies a planar vehicle of orders (1, 1).
+
+    Args:
+        settings: of the planner in whose place it flies.
+        tuned: numbers of :attr:`SPACE`; defaults for the others.
+
+    Attributes:
+        SPACE: what may be tuned, by name.
+    """
+
+    SPACE: ClassVar[Mapping[str, Range]] = {}
+
+    def __init__(self, settings: PlannerSettings, tuned: Mapping[str, float]) -> None:
+        super().__init__(
+            settings.problem,
+            safe=settings.safe_command,
+            response=settings.response,
+            disturbance=settings.disturbance,
+            velocity_source=settings.velocity_source,
+        )
+        self.radius, self.cone = settings.capture_radius, settings.approach
+        self.tuned = {name: each.default for name, each in self.SPACE.items()} | dict(tuned)
+
+    @abstractmethod
+    def steered(self, sight: Sight) -> tuple[float, float]:
+        """Return the share of full speed and the body rate [rad/s], still to be limited."""
+
+    def tick(
+        self,
+        odometry: Odometry,
+        goals: Array,
+        out_of_time: Callable[[], bool] | None = None,
+        ahead: Callable[[Array], Array] | None = None,
+        wanted: Array | None = None,
+    ) -> Tick:
+        """Return the command that it steers; see :meth:`Controller.tick`."""
+        assert ahead is not None
+        state = self._state(odometry)
+        self._begin(odometry)
+        wind = np.zeros(2) if self.disturbance is None else self.disturbance
+        sight = Sight(odometry.time, state, goals, ahead, wind)
+        command = self._limited(state, *self.steered(self._led(sight)))
+        known = self.problem, np.array(goals)
+        return self._finish(
+            Tick(Status.FEASIBLE, '', state, None, command, problem=known[0], goals=known[1])
+        )
+
+    def _led(self, sight: Sight) -> Sight:
+        """Return a sight whose goal is led to along the direction of approach, if there is one.
+
+        Who is not yet behind the goal, as seen along that direction, is led to a point ``behind``
+        it, so many steps at full speed away; who is, to the middle of the line that is left.
+        """
+        if not self.cone.exists or 'behind' not in self.tuned:
+            return sight
+        axis = self.cone.axis(sight.state)
+        away = sight.ahead(np.array([sight.time]))[0] - sight.state.position
+        along = float(away @ axis)
+        lined = along >= math.cos(LINED) * float(np.linalg.norm(away))
+        behind = self.tuned['behind'] * self.problem.step * self.problem.forward
+        back = (0.5 * along if lined else behind) * axis
+        return sight._replace(
+            goals=sight.goals - back, ahead=lambda times: sight.ahead(times) - back
+        )
+
+    def expect_hazards(self) -> None:
+        """Make nothing: it solves none of the package's programs."""
+
+    @property
+    def fastest(self) -> float:
+        """Return the largest body rate [rad/s]."""
+        return self.problem.max_rate or math.pi / self.problem.step
+
+    def turning(self, angle: float) -> float:
+        """Return the rate that turns by an angle within a step, as far as the limit allows."""
+        rate = wrapped(angle) / self.problem.step
+        return min(max(rate, -self.fastest), self.fastest)
+
+    def _limited(self, state: State, fraction: float, rate: float) -> Command:
+        least = self.problem.floor.clearance(2)
+        turn = np.array([min(max(rate, -self.fastest), self.fastest)])
+        rotation = state.attitude @ exp(self.problem.step * turn)
+        return Command(min(max(fraction, least), 1.0), turn, rotation)
+
+
+def depths(hazards: Sequence[Hazard], paths: Array, times: Array) -> Array:
+    """Return how deep points of paths are inside of what moves [m]; negative outside.
+
+    Args:
+        hazards: at least one.
+        paths: shape (M, K, 2) [m].
+        times: of their points, shape (K,) [s], in the hazards' own time.
+
+    Returns:
+        Shape (M, K).
+    """
+    points = [(paths - each.moved(times)).reshape(-1, 2) for each in hazards]
+    found = [each.body.depth(p) for each, p in zip(hazards, points, strict=True)]
+    return np.asarray(np.max(found, axis=0).reshape(paths.shape[:2]))
+
+
+def wrapped(angle: float) -> float:
+    """Return an angle in [-pi, pi) [rad]."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi

@@ -1,0 +1,210 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""One flight of a study: planner and simulated vehicle in one process, a row of results."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.loop.controller import Controller, Tick
+from orbimpc_ros.mpc.outcome import Fallback, Status
+from orbimpc_ros.physics.engine import Guided
+from orbimpc_ros.physics.failure import EngineFailure
+from orbimpc_ros.ros.parameters import sim_settings
+from orbimpc_ros.ros.parameters.planner import PlannerSettings
+from orbimpc_ros.ros.planner.ticker import prepared
+from orbimpc_ros.tool.io import settings
+from orbimpc_ros.tool.run.onboard import Planner, tell
+from orbimpc_ros.world.airspeed import Airspeeds
+from orbimpc_ros.world.engines import EngineVehicle
+from orbimpc_ros.world.flight import Flight, departure
+from orbimpc_ros.world.vehicle import Continuous
+
+Row = dict[str, Any]
+OURS, WAYPOINT = 'orbitope', 'waypoint'  # this package's controller, an engine's own guidance
+RIVALS = 'benchmarks.rivals'  # a folder of the repository, which is not installed
+NEARLY_ALL = 0.95  # of the ticks of a flight
+_made: dict[str, Controller] = {}  # the last controller, by its settings
+
+
+@dataclass(frozen=True)
+class Job:
+    """A flight to be flown, wherever that is.
+
+    Attributes:
+        study: name of the study, by which rivals find what they were tuned to.
+        controller: :data:`OURS`, or the name of a rival.
+        index: of the flight.
+        values: of all parameters, drawn ones included.
+        margin: by how much larger than they are bodies in the traffic are reported [m].
+        tuned: what is set of a rival; what was found for the study by default.
+    """
+
+    study: str
+    controller: str
+    index: int
+    values: dict[str, Any]
+    margin: float = 0.0
+    tuned: Mapping[str, float] | None = None
+
+
+def flown(job: Job) -> Row:
+    """Fly and return ``controller``, ``index`` and what came of the flight.
+
+    ``caught``, ``time`` to the catch [s] (None without one), ``closest`` [m], ``touched`` (whether
+    it ended at an obstacle), ``stalls``, ``failed`` (how an engine has failed, or an empty string);
+    ``ticks``, of which so many were ``optimal`` and ``unplanned`` (by a fallback); the largest
+    ``gap`` of a plan, the largest ``projection`` loss, which is how far the thrust of a rotation is
+    from the planned one as a share of full thrust, ``tracking`` [m], how far from its plan the next
+    one began in 19 ticks of 20 at most; ``p50_ms`` and ``longest_ms``, processor time of the ticks.
+    Of an arrival ``missed`` [m] and ``speed`` [m/s] at its end, of a vehicle in an engine its least
+    ``airspeed`` [m/s], the ``height`` above the goal at the closest approach [m], and the largest
+    magnitudes of what the engine reports, such as its ``bank`` [rad].
+    """
+    simulated = sim_settings(settings.of_sim(job.values))
+    # Other processes may keep the machine busy: ticks are measured in processor time.
+    planner = Planner(job.values, pilot=lambda given: _pilot(job, given), clock=time.thread_time)
+    flight = departure(simulated.scenario, simulated.begin)
+    model = flight.scenario.model
+    log = _Log(Airspeeds(model.stall_speed if isinstance(model, Continuous) else 0.0))
+    failed = ''
+    while not (flight.over or flight.touched):
+        tell(planner, flight, simulated.goal_path_steps, job.margin)
+        begun = time.thread_time()
+        _, report = planner.report(flight.vehicle.time)
+        log.note_tick(report.tick, flight.vehicle.time, 1e3 * (time.thread_time() - begun))
+        if job.controller == WAYPOINT:
+            _aim(flight)
+        command = report.tick.command
+        try:
+            flight = flight.after(command.speed_fraction, command.body_rate)
+        except EngineFailure as error:
+            failed = str(error)
+            break
+        log.note_step(flight)
+    return {
+        'controller': job.controller,
+        'index': job.index,
+        'caught': flight.captured,
+        'time': flight.missed_at - flight.scenario.start.time if flight.captured else None,
+        'touched': bool(flight.touched),
+        'failed': failed,
+        **log.row(),
+        **_end(flight, log),
+    }
+
+
+def _pilot(job: Job, given: PlannerSettings) -> Controller:
+    """Return the controller of a flight, reset; ours is kept, since making one takes long."""
+    if job.controller != OURS:
+        made: Controller = rivals().pilot(job.controller, given, job.study, job.tuned)
+        return made
+    key = repr(given)
+    if key not in _made:
+        _made.clear()
+        _made[key] = prepared(given)[1]
+    _made[key].reset()
+    return _made[key]
+
+
+def rivals() -> Any:
+    """Return the package of the rivals.
+
+    Raises:
+        BadInput: this is no clone of the repository.
+    """
+    try:
+        return import_module(RIVALS)
+    except ModuleNotFoundError:
+        raise BadInput.stating('--controllers', f'{RIVALS} is missing', 'a clone has it') from None
+
+
+class _Log:
+    """What is noted of a flight, tick by tick and step by step."""
+
+    def __init__(self, airspeeds: Airspeeds) -> None:
+        self.airspeeds, self.closest, self.height = airspeeds, math.inf, 0.0
+        self.facts: dict[str, float] = {}  # the largest of what an engine reports, by name
+        self._optimal = self._unplanned = 0
+        self._spent: list[float] = []
+        self._gaps: list[float] = []
+        self._lost: list[float] = []
+        self._tracking: list[float] = []
+        self._last: tuple[Tick, float] | None = None
+
+    def note_tick(self, tick: Tick, now: float, spent: float) -> None:
+        """Note a tick at a time [s] that took so long [ms]."""
+        self._spent.append(spent)
+        self._optimal += tick.status is Status.OPTIMAL
+        self._unplanned += tick.fallback is not Fallback.NONE
+        if self._last is not None:
+            self._tracking += _off_plan(*self._last, tick, now)
+        if tick.plan is not None:
+            self._gaps.append(tick.plan.gap)
+            rotation, axis = tick.plan.rotations[1], tick.plan.projected[1][:, 0]
+            sigma = tick.plan.speed_fraction[1]
+            self._lost.append(float(np.linalg.norm(sigma * axis - rotation[:, 0])))
+        self._last = tick, now
+
+    def note_step(self, flight: Flight) -> None:
+        """Note the step just flown."""
+        self.airspeeds = self.airspeeds.seeing(flight.trail)
+        for each in flight.trail:
+            for name, value in () if each.caught else each.facts.items():
+                self.facts[name] = max(self.facts.get(name, 0.0), abs(value))
+        if flight.miss < self.closest:
+            self.closest = flight.miss
+            nearest = min(flight.trail, key=lambda each: abs(each.time - flight.missed_at))
+            self.height = nearest.height
+
+    def row(self) -> Row:
+        """Return what was noted of the ticks."""
+        off = self._tracking
+        return {
+            'closest': self.closest,
+            'stalls': self.airspeeds.stalls,
+            'ticks': len(self._spent),
+            'optimal': self._optimal,
+            'unplanned': self._unplanned,
+            'gap': max(self._gaps, default=None),
+            'projection': max(self._lost, default=None),
+            'tracking': float(np.quantile(off, NEARLY_ALL)) if off else None,
+            'p50_ms': float(np.median(self._spent)),
+            'longest_ms': max(self._spent),
+        }
+
+
+def _off_plan(before: Tick, then: float, tick: Tick, now: float) -> list[float]:
+    """Return how far from the plan of a tick the next one begins [m]; nothing without a plan.
+
+    A plan begins where the lags of earlier commands are over.
+    """
+    if before.plan is None or before.problem is None or tick.state is None:
+        return []
+    ends = before.problem.step * np.arange(len(before.plan.positions))
+    planned = [np.interp(now - then, ends, along) for along in before.plan.positions.T]
+    return [float(np.linalg.norm(tick.state.position - planned))]
+
+
+def _end(flight: Flight, log: _Log) -> Row:
+    row: Row = {}
+    if flight.scenario.finish == 'arrival':
+        row |= {'missed': flight.distance, 'speed': flight.speed}
+    if isinstance(flight.vehicle, EngineVehicle):
+        row |= {'airspeed': log.airspeeds.least, 'height': log.height} | log.facts
+    return row
+
+
+def _aim(flight: Flight) -> None:
+    """Have the engine's own guidance fly to where the goal is now."""
+    vehicle = flight.vehicle
+    if not isinstance(vehicle, EngineVehicle) or not isinstance(vehicle.engine, Guided):
+        raise BadInput('--controllers', WAYPOINT, 'an engine with a guidance of its own')
+    vehicle.engine.steer_to(flight.goal)

@@ -1,0 +1,338 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""The fault matrix: what the monitor notices, how rows are judged, and the short form itself."""
+
+import gc
+import json
+import math
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from conftest import PATIENCE
+
+pytest.importorskip('rclpy')
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import TwistStamped
+
+from benchmarks import collector, faults
+from benchmarks.faults import injection, stimulus
+from benchmarks.faults.flood import Pause, pauses
+from benchmarks.faults.matrix import MATRIX
+from benchmarks.faults.monitor import HeardCommand, Limits, Monitor
+from benchmarks.faults.outcome import FaultCase, MatrixRow, Outcome, table
+from benchmarks.faults.parameters import nonsense
+from benchmarks.faults.soak import Soak
+from orbimpc_ros.ros.parameters import PLANNER, SIM
+from orbimpc_ros.tool import cli
+
+LIMITS = Limits(speed=1.0, rate=3.0)
+NAN, INF = math.nan, math.inf
+
+
+def command(*words):
+    return [sys.executable, '-m', 'orbimpc_ros.tool.cli', 'faults', *words]
+
+
+# --- the monitor
+
+
+@pytest.mark.parametrize(
+    ('speed', 'rates', 'broken'),
+    [
+        (1.0, (0.0, 0.0, 3.0), False), (0.0, (0.0, 0.0, 0.0), False),
+        (NAN, (0.0, 0.0, 0.0), True), (0.5, (INF, 0.0, 0.0), True), (0.5, (0.0, 0.0, NAN), True),
+        (1.1, (0.0, 0.0, 0.0), True), (-0.1, (0.0, 0.0, 0.0), True),
+        (0.5, (0.0, 0.0, -3.1), True), (0.5, (2.0, 2.0, 2.0), True),
+    ],
+)  # fmt: skip
+def test_the_monitor_notices_commands_beyond_limits(speed, rates, broken):
+    assert LIMITS.broken(HeardCommand(0.0, speed, rates)) == broken
+
+
+def heard(*commands):
+    monitor = Monitor(LIMITS)
+    monitor.commands += [HeardCommand(at, speed, (0.0, 0.0, rate)) for at, speed, rate in commands]
+    return monitor
+
+
+def test_the_monitor_knows_when_it_was_safe():
+    monitor = heard((1.0, 0.5, 0.1), (2.0, 0.0, 0.1), (3.0, 0.0, 0.0), (4.0, 0.0, 0.0))
+    assert monitor.first_safe(1.0) == 3.0
+    assert monitor.first_safe(3.5) == 4.0
+    assert monitor.first_safe(5.0) == INF
+    assert monitor.moving(0.5) == 2
+    assert monitor.moving(2.5) == 0
+
+
+def test_what_moves_again_or_never_stops_is_unsafe():
+    assert heard((1.0, 0.5, 0.0), (2.0, 0.0, 0.0), (3.0, 0.0, 0.0)).moving_again(0.5, 1.5) == 0
+    assert heard((1.0, 0.0, 0.0), (2.0, 0.5, 0.0), (3.0, 0.5, 0.0)).moving_again(0.5, 9.0) == 2
+    assert heard((1.0, 0.5, 0.0), (2.0, 0.5, 0.0), (3.0, 0.5, 0.0)).moving_again(0.5, 1.5) == 2
+
+
+def test_what_came_before_a_fault_may_be_flown_until_it_is_out_of_date():
+    """A busy planner may be safe for a while, and then plan from good odometry that lay waiting."""
+    expected = injection.Expected(wait=0.3, allowed=1.0)
+    due = 1.0 + 0.3
+    busy = [(1.05, 0.0, 0.0), (1.1, 0.5, 0.1), (1.2, 0.5, 0.1)]
+    stopped = [(due + 0.1, 0.0, 0.0), (due + 0.3, 0.0, 0.0)]
+    assert injection.unsafe_commands(heard(*busy, *stopped), 1.0, expected) == 0
+    again = heard(*busy, *stopped, (due + 0.5, 0.5, 0.1))
+    assert injection.unsafe_commands(again, 1.0, expected) == 1
+    assert injection.unsafe_commands(again, 1.0, injection.Expected(0.3, 1.0, strict=False)) == 0
+    overdue = heard(*busy, (due + 0.1, 0.5, 0.1), (due + 0.3, 0.5, 0.1))
+    assert injection.unsafe_commands(overdue, 1.0, expected) == 1
+
+
+def test_the_monitor_takes_down_what_it_hears():
+    monitor = Monitor(LIMITS)
+    twist = TwistStamped()
+    twist.twist.linear.x, twist.twist.angular.z = 2.0, 0.5
+    sent = {'source_timestamp': time.time_ns() - 500_000_000}
+    now = time.monotonic()
+    monitor.on_command(twist, sent)
+    assert monitor.commands[0].at < now - 0.25  # when it was sent, not when it was heard
+    assert monitor.commands[0][1:] == (2.0, (0.0, 0.0, 0.5))
+    assert monitor.broken() == 1
+    status = DiagnosticStatus(
+        level=DiagnosticStatus.ERROR,
+        name='/planner',
+        message='the goal leaps',
+        values=[KeyValue(key='solve_time_ms', value='12.5')],
+    )
+    monitor.on_health(DiagnosticArray(status=[status]), sent)
+    monitor.on_tick(DiagnosticArray(status=[status]), sent)
+    assert monitor.first_error(0.0) == monitor.first_complaint(0.0, 'goal') < INF
+    assert monitor.first_complaint(0.0, 'odom') == INF
+    assert monitor.first_error(time.monotonic()) == INF
+    assert monitor.solve_ms == 12.5
+
+
+# --- rows
+
+
+def row(*outcomes, allowed=1.0):
+    return MatrixRow(
+        FaultCase('row', 'a row', allowed, lambda _fixtures, _long: iter(())), list(outcomes)
+    )
+
+
+@pytest.mark.parametrize(
+    ('outcome', 'ok'),
+    [
+        (Outcome('fine'), True),
+        (Outcome('in time', reaction=1.0), True),
+        (Outcome('late', reaction=1.1), False),
+        (Outcome('never', reaction=INF), False),
+        (Outcome('unsafe', unsafe=1), False),
+        (Outcome('wrong', failure='exit code 3'), False),
+    ],
+)
+def test_a_row_is_as_good_as_its_worst_case(outcome, ok):
+    found = row(Outcome('first', reaction=0.5), outcome, Outcome('last', reaction=0.2))
+    assert found.ok == ok
+    assert bool(found.failures) != ok
+    assert all(outcome.case in text for text in found.failures)
+    text = table([found])
+    assert ('NO' in text) != ok
+    json.dumps(found.as_json(), allow_nan=False)
+
+
+def test_a_row_without_cases_is_not_ok():
+    assert not row().ok
+
+
+def test_a_soak_is_judged_by_memory_gaps_and_stops():
+    ticks = tuple(0.05 * k for k in range(100))
+    assert Soak((100.0, 101.0, 100.5), ticks, 0, ()).ok
+    assert not Soak((100.0, 102.5, 100.5), ticks, 0, ()).ok
+    assert not Soak((100.0,), (*ticks, ticks[-1] + 0.11), 0, ()).ok
+    assert not Soak((100.0,), ticks, 1, ()).ok
+    stopped = ((1.3, 'odometry is old'),)
+    assert not Soak((100.0,), ticks, 0, stopped).ok
+    assert not Soak((100.0,), ticks, 0, stopped, (Pause(0.7, 1.1), Pause(1.4, 1.8))).ok
+    assert Soak((100.0,), ticks, 0, stopped, (Pause(1.0, 1.25),)).ok
+    assert '1.00 MiB' in str(Soak((100.0, 101.0), ticks, 0, ()))
+
+
+def test_collections_wait_until_a_measurement_is_over():
+    def measured():
+        with collector.paused():
+            assert not gc.isenabled()
+            raise OSError('over')
+
+    with pytest.raises(OSError, match='over'):
+        measured()
+    assert gc.isenabled()
+
+
+def test_a_source_of_odometry_tells_when_it_was_held_up(tmp_path):
+    log = tmp_path / 'flood.log'
+    words = [sys.executable, '-m', 'benchmarks.faults.flood', '500']
+    with log.open('wb') as stream, subprocess.Popen(words, stdout=stream) as source:
+        try:
+            end = time.monotonic() + 60.0
+            while not any(pause.end - pause.begin >= 0.4 for pause in pauses(log)):
+                assert time.monotonic() < end
+                source.send_signal(signal.SIGSTOP)
+                time.sleep(0.4)
+                source.send_signal(signal.SIGCONT)
+                time.sleep(0.3)
+        finally:
+            source.kill()
+
+
+# --- what is done to messages and parameters
+
+
+def test_spoilers_do_what_they_say():
+    draw = random.Random(0)
+    now = 1_000 * 10**9
+
+    def fresh():
+        return stimulus.odometry_at(1.0, now)
+
+    assert stimulus.lost(fresh(), draw) == []
+    (far,) = stimulus.shifted(5.0, 6.0)(fresh(), draw)
+    assert 1005 <= far.header.stamp.sec <= 1006
+    (old,) = stimulus.shifted(-2000.0, -1500.0)(fresh(), draw)
+    assert old.header.stamp == Time()
+    (bad,) = stimulus.with_field('pose.pose.position.x', NAN)(fresh(), draw)
+    assert math.isnan(bad.pose.pose.position.x)
+    (along,) = stimulus.in_the_world(fresh(), draw)
+    turned = stimulus.SPEED / stimulus.RADIUS  # [rad] after a second
+    velocity = along.twist.twist.linear
+    wanted = stimulus.SPEED * math.cos(turned), stimulus.SPEED * math.sin(turned)
+    assert (velocity.x, velocity.y) == pytest.approx(wanted)
+    repeat = stimulus.repeated()
+    first = repeat(fresh(), draw)
+    assert repeat(stimulus.odometry_at(2.0, 2 * now), draw) == first
+    mix = stimulus.interleaved()
+    times = [mix(stimulus.odometry_at(k, now + k * 10**9), draw)[0].header.stamp for k in range(4)]
+    seconds = [stamp.sec - 1000 for stamp in times]
+    assert seconds[:3] == [0, 0, 2]
+    assert seconds[3] < 3
+    norms = set()
+    for _ in range(20):
+        (spun,) = stimulus.scaled_quaternion('odometry')(fresh(), draw)
+        q = spun.pose.pose.orientation
+        norms.add(round(math.hypot(q.x, q.y, q.z, q.w), 3))
+    assert norms == {0.0, 0.99, 1.01, 1e200}
+    assert all(isinstance(stimulus.garbled(fresh(), draw)[0], bytes) for _ in range(20))
+
+
+@pytest.mark.parametrize('number', range(30))
+def test_nonsense_is_nonsense(number):
+    from orbimpc_ros.mpc.errors import BadInput
+
+    draw = random.Random(number)
+    for parameter in (*PLANNER, *SIM):
+        value = nonsense(parameter, draw)
+        if type(value) is not type(parameter.default) and not isinstance(value, list):
+            continue  # ROS refuses another type
+        with pytest.raises(BadInput):
+            parameter.check(value)
+
+
+# --- the command
+
+
+@pytest.fixture(scope='module')
+def short(tmp_path_factory):
+    """Return the finished short form and its rows by name."""
+    file = tmp_path_factory.mktemp('faults') / 'rows.json'
+    done = subprocess.run(command('--json', str(file)), capture_output=True, text=True, check=False)
+    return done, {found['name']: found for found in json.loads(file.read_text())['rows']}
+
+
+@pytest.mark.parametrize('name', [case.name for case in MATRIX])
+def test_under_every_fault_commands_are_safe(short, name):
+    """Whatever the machine is busy with; whether it was in time, the command itself tells."""
+    done, rows = short
+    found = rows[name]
+    assert found['cases'], done.stderr
+    assert found['unsafe'] == 0, found['failures']
+    assert [case['failure'] for case in found['cases'] if case['failure']] == []
+    assert all(case['reaction'] != 'never' for case in found['cases']), found['failures']
+
+
+def test_the_table_says_what_the_rows_say(short):
+    done, rows = short
+    assert done.returncode == (0 if all(found['ok'] for found in rows.values()) else 1)
+    assert all(case.title in done.stdout for case in MATRIX)
+    assert 'Traceback' not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ('words', 'culprit'),
+    [
+        (('--only', 'weather'), '--only'),
+        (('--json', '/nowhere/rows.json'), '--json'),
+        (('--soak', '0'), '--soak'),
+        (('--soak', 'nan'), '--soak'),
+    ],
+)
+def test_bad_words_are_refused_in_one_line(capsys, words, culprit):
+    assert cli.main(['faults', *words]) == 2
+    complaint = capsys.readouterr().err
+    assert complaint.count('\n') == 1
+    assert culprit in complaint
+
+
+def test_without_ros_it_says_what_to_install(capsys, monkeypatch):
+    monkeypatch.setattr(faults, 'find_spec', lambda _name: None)
+    assert cli.main(['faults']) == 2
+    complaint = capsys.readouterr().err
+    assert complaint.count('\n') == 1
+    assert 'orbimpc_ros[ros]' in complaint
+
+
+def test_rows_are_listed(capsys):
+    assert cli.main(['faults', '--list']) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == [case.name for case in MATRIX]
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_an_interrupted_matrix_leaves_no_process(number):
+    child = subprocess.Popen(
+        command('--only', 'odometry'), stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    wait_for(lambda: nodes_of(child.pid))
+    nodes = nodes_of(child.pid)
+    time.sleep(1.0)  # into the run
+    child.send_signal(number)
+    _, err = child.communicate(timeout=PATIENCE)
+    assert child.returncode == (-number if number == signal.SIGKILL else 130)
+    assert b'Traceback' not in err
+    wait_for(lambda: not any(alive(node) for node in nodes))
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def nodes_of(parent):
+    words = ['ps', '-o', 'pid=', '--ppid', str(parent)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    return [int(pid) for pid in done.stdout.split()]
+
+
+def alive(pid):
+    """Whether a process runs; one whose parent was killed may stay on as a zombie."""
+    try:
+        os.kill(pid, 0)
+        state = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0]
+    except (ProcessLookupError, FileNotFoundError):
+        return False
+    return state != 'Z'

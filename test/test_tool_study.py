@@ -1,0 +1,304 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""``orbimpc study``: what flights draw, what comes of them, results that go on, reports."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dying_engine import FAILURES
+
+pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros.parameters import planner_settings, sim_settings
+from orbimpc_ros.tool import cli, study
+from orbimpc_ros.tool.io import settings
+from orbimpc_ros.tool.io.share import config
+from orbimpc_ros.tool.study import flights, results
+from orbimpc_ros.tool.study.draws import draws_of
+from orbimpc_ros.tool.study.flights import OURS, Job, flown
+from orbimpc_ros.tool.study.report import report
+
+ROOT = Path(__file__).parents[1]
+STUDIES = sorted(file.stem for file in (ROOT / 'config' / 'studies').glob('*.yaml'))
+CONFIGS = [str(file) for file in sorted((ROOT / 'config').glob('*.yaml'))]
+PATIENCE = 300.0  # [s] on a busy machine
+
+
+@pytest.mark.parametrize('name', [*STUDIES, *CONFIGS])
+def test_flights_draw_what_is_allowed_and_one_parameter_does_not_change_another(name):
+    draws = draws_of(name)
+    assert draws.of(3, 0) != draws.of(3, 1)
+    assert draws.of(3, 1) == draws.of(3, 1)
+    assert sim_settings(settings.of_sim(draws.of(3, 0))).scenario.max_ticks > 1
+    fixed = draws_of(name, ('rope.phase=[0.1, 0.1, 0.0]',)).of(3, 0)
+    assert fixed == draws.of(3, 0) | {'rope.phase': (0.1, 0.1, 0.0)}
+
+
+def test_draws_fill_their_ranges():
+    drawn = [draws_of('retrieval').of(5, k) for k in range(400)]
+    found = np.array([each['rope.frequency'] for each in drawn])
+    assert 0.02 <= found.min() < 0.03 < 0.29 < found.max() <= 0.3
+
+
+def test_the_wind_is_the_simulators_alone():
+    values = draws_of('fixed_wing').of(0, 0)
+    assert not planner_settings(values).disturbance.any()
+    assert np.linalg.norm(settings.of_sim(values)['wind']) > 0.0
+
+
+def test_a_parameter_file_is_studied_with_goals_all_around_as_far_away_as_its_own():
+    draws = draws_of(str(config('fixed_wing.yaml')))
+    start, goal = (np.array(draws.values[name]) for name in ('start.position', 'rope.center'))
+    away = np.array([draws.of(0, k)['rope.center'] for k in range(60)]) - start
+    np.testing.assert_allclose(np.linalg.norm(away, axis=1), np.linalg.norm(goal - start))
+    assert np.linalg.norm(away.mean(axis=0)) < 0.4 * np.linalg.norm(goal - start)
+    assert not away[:, 2].any()
+    among = draws_of(str(config('multirotor.yaml')))  # where a box may be anywhere
+    assert among.of(0, 0)['rope.center'] == among.values['rope.center']
+
+
+def test_an_attitude_in_space_is_drawn_as_a_unit_quaternion():
+    drawn = [draws_of('servicer').of(0, k)['start.orientation'] for k in range(50)]
+    np.testing.assert_allclose(np.linalg.norm(drawn, axis=1), 1.0)
+    np.testing.assert_allclose(np.mean(drawn, axis=0), 0.0, atol=0.3)
+
+
+def test_a_study_has_what_the_one_it_is_like_has():
+    base, own = draws_of('retrieval'), draws_of('retrieval_small')
+    assert {k for k in own.values if own.values[k] != base.values[k]} == {'capture_radius'}
+    assert own.rules == base.rules
+    assert draws_of('gates').margin == draws_of('crossing').margin > 0.0
+
+
+@pytest.mark.parametrize(
+    ('text', 'named'),
+    [
+        ('{about: a, set: [], draw: {}}', 'config or like'),
+        ('{about: a, like: b, config: c, set: [], draw: {}}', 'config or like'),
+        ('{about: a, config: retrieval.yaml, set: [], draw: {seed: {half: 3}}}', 'rules'),
+        ('{about: a, config: retrieval.yaml, set: [], draw: {seed: 3}}', 'rules'),
+        ('{about: a, config: retrieval.yaml, set: [], draw: {stepp: [1, 2]}}', 'stepp'),
+    ],
+)
+def test_a_malformed_study_is_refused(text, named, tmp_path):
+    (tmp_path / 'own.yaml').write_text(text)
+    with pytest.raises(BadInput, match=named):
+        draws_of(str(tmp_path / 'own.yaml'))
+
+
+def job(name, controller=OURS, index=0, *changes, seed=1):
+    draws = draws_of(name, changes)
+    return Job(name, controller, index, draws.of(seed, index), draws.margin)
+
+
+@pytest.mark.parametrize(
+    'name', [OURS, 'pursuit', 'lead', 'proportional', 'sampling', 'linearised']
+)
+def test_controllers_keep_their_limits_and_see_the_same(name):
+    first, again = (flown(job('fixed_wing', name, 0, 'max_ticks=4')) for _ in range(2))
+    assert first['ticks'] == 4
+    assert first['stalls'] == first['unplanned'] == 0
+    assert first['closest'] == again['closest']
+
+
+def test_a_row_adds_up():
+    row = flown(job('retrieval'))
+    assert row['caught']
+    assert row['closest'] <= 0.15
+    assert row['ticks'] - 1 <= row['time'] <= row['ticks']
+    assert row['optimal'] <= row['ticks']
+    assert row['projection'] < 1e-12  # in the plane a rotation loses no speed
+    lost = flown(job('retrieval', 'pursuit', 0, 'max_ticks=3', 'rope.center=[50.0, 0.0, 0.0]'))
+    assert (lost['caught'], lost['time'], lost['ticks']) == (False, None, 3)
+    assert lost['closest'] > 30.0
+
+
+def test_the_end_of_an_arrival_is_reported():
+    """Of this package's vehicle, whose engine is not needed for it."""
+    row = flown(job('servicer', OURS, 0, 'vehicle=continuous'))
+    assert row['missed'] < 0.1
+    assert row['speed'] < 0.05
+    assert 0.0 < row['tracking'] < 1.0
+    text = report(draws_of('servicer'), {OURS: [row]})
+    assert 'distance at the end [m]' in text
+    assert '- `orbitope` missed 0.' in text
+
+
+def test_an_engine_is_studied_beside_its_own_guidance():
+    pytest.importorskip('jsbsim')
+    near = 'rope.center=[400.0, 100.0, 0.0]'
+    for name in ('lead', 'waypoint'):
+        row = flown(job('cessna', name, 0, near, seed=700))
+        assert row['airspeed'] > 1.1 * 27.6
+        assert 0.0 < row['bank'] < 0.6
+    with pytest.raises(BadInput, match='--controllers is waypoint'):
+        flown(job('fixed_wing', 'waypoint'))
+
+
+def test_an_engine_that_fails_ends_its_flight_and_not_the_study(monkeypatch):
+    monkeypatch.setattr('orbimpc_ros.world.engines.class_of', lambda _: FAILURES['Stopping'])
+    row = flown(job('cessna', 'lead', 0, seed=700))
+    assert row['failed'] == 'broken: stopped at t = 2.000 s'
+    assert row['caught'] is False
+    assert '- `lead` missed 1: 0 (broken: stopped' in report(draws_of('cessna'), {'lead': [row]})
+
+
+def test_rivals_do_not_fly_in_space():
+    with pytest.raises(BadInput, match='--controllers is lead'):
+        flown(job('servicer', 'lead'))
+
+
+def flight(name, index, time):
+    return {
+        'controller': name, 'index': index, 'caught': time is not None, 'time': time,
+        'closest': 0.1, 'p50_ms': 1.0, 'longest_ms': 2.0, 'touched': False, 'unplanned': 0,
+        'optimal': 4, 'ticks': 9, 'failed': '',
+    }  # fmt: skip
+
+
+def test_a_report_says_first_where_the_planner_loses():
+    draws = draws_of('fixed_wing')
+    rows = {
+        OURS: [flight(OURS, k, 10.0 if k < 10 else None) for k in range(20)],
+        'pursuit': [flight('pursuit', k, 9.0) for k in range(20)],
+    }
+    text = report(draws, rows).splitlines()
+    assert text[4] == '- Catches less often than `pursuit`: 50.0% of the flights, not 100.0%.'
+    assert text[5].startswith('- Later than `pursuit` in the mean')
+    assert '| `orbitope` | 50.0% | 29.9% to 70.1% |' in '\n'.join(text)  # Wilson (1927)
+    assert '| `pursuit` | 0% | 100% |' in '\n'.join(text)
+    swapped = {OURS: rows['pursuit'], 'lead': rows[OURS]}
+    assert 'No other controller catches more often' in report(draws, swapped)
+
+
+def test_results_go_on_where_they_were_cut_off_and_only_with_the_same_study(tmp_path):
+    file, about = tmp_path / 'flights.jsonl', {'seed': 3, 'version': '1'}
+    begun = results.Results(file, about, resumed=False)
+    begun.add(flight(OURS, 0, 1.0))
+    file.write_text(file.read_text() + '{"controller": "orbitope", "ind')
+    again = results.Results(file, about, resumed=True)
+    assert again.rows == begun.rows
+    again.add(flight(OURS, 1, None))
+    assert len(file.read_text().splitlines()) == 3
+    for other, named in (({'seed': 4}, 'seed'), ({'version': '2'}, 'version')):
+        with pytest.raises(BadInput, match=f'a study with other {named}'):
+            results.Results(file, about | other, resumed=True)
+    with pytest.raises(BadInput, match='--resume'):
+        results.Results(file, about, resumed=False)
+    with pytest.raises(BadInput, match='no study'):
+        results.Results(tmp_path / 'none.jsonl', about, resumed=True)
+    for damage in ('{"seed": 3', '{}\n[]\n', '\x00\n', ''):
+        file.write_text(damage)
+        with pytest.raises(BadInput, match=r'damaged|other'):
+            results.Results(file, about, resumed=True)
+
+
+def command(*words):
+    return [sys.executable, '-m', 'orbimpc_ros.tool.cli', 'study', *map(str, words)]
+
+
+def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(tmp_path):
+    folder = tmp_path / 'study'
+    words = ['retrieval', '--set', 'max_ticks=2', '--runs', 40, '--workers', 1, '-o', folder]
+    # Its own session: the signal goes to its workers as well, as from a terminal.
+    process = subprocess.Popen(
+        command(*words),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+        start_new_session=True,
+    )
+    file, end = folder / 'flights.jsonl', time.monotonic() + PATIENCE
+    while not (file.exists() and file.read_text().count('\n') > 2) and time.monotonic() < end:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)
+    out, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130, err
+    assert 'Traceback' not in err
+    kept = file.read_text().splitlines()
+    assert f'kept {len(kept) - 1} of 40 flights' in out
+    done = subprocess.run(command(*words, '--resume'), capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    assert file.read_text().splitlines()[: len(kept)] == kept
+    rows = [json.loads(line) for line in file.read_text().splitlines()[1:]]
+    assert sorted(row['index'] for row in rows) == list(range(40))
+    assert (folder / 'report.md').read_text() == done.stdout
+    assert {each.name for each in folder.glob('*.png')} == {'caught.png', 'caught-dark.png'}
+
+
+def test_the_workers_of_a_cluster_fly_the_same(tmp_path, capsys):
+    distributed = pytest.importorskip('distributed')
+    words = ['study', 'retrieval', '--set', 'max_ticks=3', '--runs', '2', '-o', str(tmp_path)]
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=':0'
+    ) as peers:
+        assert cli.main([*words, '--cluster', peers.scheduler_address]) == 0
+    rows = [json.loads(line) for line in (tmp_path / 'flights.jsonl').open()][1:]
+    for row in rows:
+        own = flown(job('retrieval', OURS, row['index'], 'max_ticks=3', seed=0))
+        assert row['closest'] == own['closest']
+
+
+@pytest.mark.parametrize('address', ['tcp://127.0.0.1:1', 'pigeon://coop', '127.0.0.1:no'])
+def test_a_scheduler_that_does_not_answer_is_named(address, monkeypatch):
+    pytest.importorskip('distributed')
+    monkeypatch.setattr(results, 'PATIENCE', 0.5)
+    with pytest.raises(BadInput, match='--cluster is'), results.workers(address, 1):
+        pass
+
+
+def test_a_flight_that_ends_with_an_error_is_reported(monkeypatch):
+    monkeypatch.setattr(flights, 'sim_settings', lambda values: 1 / 0)
+    with ThreadPoolExecutor(1) as pool, pytest.raises(results.FlightFailure, match='ZeroDivision'):
+        list(results.each_flown(pool, [job('retrieval')], lambda: True))
+
+
+@contextmanager
+def no_workers(cluster, count):
+    raise AssertionError('nothing was to be flown')
+    yield
+
+
+@pytest.mark.parametrize(
+    ('words', 'named'),
+    [
+        (['--runs', '0'], '--runs is 0'),
+        (['--seed', '-1'], '--seed is -1'),
+        (['--workers', '0'], '--workers is 0'),
+        (['--workers', '2', '--cluster', 'tcp://127.0.0.1:1'], '--workers is 2'),
+        (['--controllers', 'orbitope,autopilot'], 'autopilot'),
+        (['--controllers', 'lead,lead'], 'at most once'),
+        (['--set', 'rope.freq=1'], 'rope.frequency'),
+        (['--set', 'capture_radius=0'], 'capture_radius'),
+        (['--resume'], '-o DIR'),
+        (['--resume', '-o', 'nowhere'], 'nowhere'),
+        (['-o', '/proc/study'], '/proc/study'),
+        (['-o', '.'], 'other files'),
+        (['nobody'], 'a parameter file, or one of'),
+    ],
+)
+def test_bad_input_is_one_line(words, named, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(results, 'workers', no_workers)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'thesis.tex').write_text('precious')
+    assert cli.main(['study', *words]) in (1, 2)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1, lines
+    assert named in lines[0]
+    assert not list(tmp_path.rglob(study.FLIGHTS))
+
+
+def test_rivals_need_a_clone(monkeypatch):
+    monkeypatch.setattr(flights, 'RIVALS', 'benchmarks_that_are_not_there')
+    with pytest.raises(BadInput, match='a clone has it'):
+        flights.rivals()
