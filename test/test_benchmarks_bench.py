@@ -198,7 +198,7 @@ def test_requirements_are_least_ratios_and_most_of_everything_else():
         'p', OURS, 1, p50_ms=2.0, ratio_p50=5.0, required={'p50_ms': 1.0, 'ratio_p50': 4.0}
     )
     assert row.missed == ['p50_ms']
-    assert 'missed' in table.text([row])
+    assert 'MISSED' in table.text([row])
     assert 'met' in table.text([BenchRow('p', OURS, 1, p50_ms=2.0, required={'p50_ms': 3.0})])
 
 

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Imports run one way, mpc <- world <- ros <- tool <- lab; maths and physics need no ROS.
+"""Imports run one way, mpc <- world <- ros <- tool <- benchmarks; maths and physics need no ROS.
 
 Physics, which world flies, imports nothing of the rest.
 """
@@ -13,7 +13,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / 'orbimpc_ros'
 MOVABLE = PACKAGE / 'mpc' / 'proof' / 'verifier'
-LAYERS = ('mpc', 'world', 'ros', 'tool', 'lab')
+LAYERS = ('mpc', 'world', 'ros', 'tool')
 ROS = ('rclpy', 'rosidl_runtime_py', 'std_msgs', 'geometry_msgs', 'nav_msgs', 'rosbags')
 
 
@@ -74,6 +74,7 @@ def test_a_layer_imports_nothing_above_it(layer):
     for file in (PACKAGE / layer).rglob('*.py'):
         for name in imports_of(file):
             parts = name.split('.')
+            assert parts[0] != 'benchmarks', f'{file} imports {name}'
             assert parts[0] != 'orbimpc_ros' or parts[1] not in above, f'{file} imports {name}'
 
 

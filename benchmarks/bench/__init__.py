@@ -38,7 +38,10 @@ def problems() -> list[str]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure, write as it goes, print, draw; 1 if ours was beaten or a measurement failed.
+    """Measure, write as it goes, print, draw.
+
+    Returns:
+        1 if a requirement was missed, ours was beaten or a measurement failed.
 
     Raises:
         KeyboardInterrupt: somebody asked to stop; what was measured is kept.
@@ -49,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
             result.add(rows)
     finally:
         result.close()
-    return int(any(row.beaten or row.failed for row in result.rows))
+    return int(any(r.beaten or r.failed or (r.measured and r.missed) for r in result.rows))
 
 
 def _wanted(only: list[str] | None) -> list[str]:

@@ -162,7 +162,7 @@ def _latency(title: str, rate: float, executor: str, seconds: float) -> list[Ben
         BenchRow(title, 'the solve alone', len(pairs), *percentiles([solve for _, solve in pairs])),
         BenchRow(title, 'without the solve', len(pairs), *reached),
         BenchRow(title, BARE, len(echoed), *floor),
-        BenchRow(title, 'what the planner adds to that', len(pairs), *added, required=limits),
+        BenchRow(title, 'difference of the two', len(pairs), *added, required=limits),
         BenchRow(
             f'{title}: lost', OURS, len(ours), objective=float(lost),
             required={'objective': 0.0},

@@ -154,7 +154,8 @@ def _note(theirs: Samples, ours: Samples, same: float) -> str:
         notes.append(f'time limit hit on {capped}: ratios are at least')
     if theirs.refused:
         notes.append(theirs.refused)
-    return ', '.join(notes) or 'objectives agree'
+    fewer = f' on {len(apart)} of {len(ours.solutions)}' if len(apart) < len(ours.solutions) else ''
+    return ', '.join(notes) or f'objectives agree{fewer}'
 
 
 def growth(rows: Sequence[BenchRow]) -> list[BenchRow]:

@@ -4,11 +4,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
-
-from benchmarks.columns import aligned
 
 if TYPE_CHECKING:
     from benchmarks.faults.fixtures import Fixtures
@@ -117,7 +115,7 @@ def _plain(values: dict[str, Any]) -> dict[str, Any]:
 
 def table(rows: Sequence[MatrixRow]) -> str:
     """Return the rows as a plain table."""
-    return aligned([HEAD, *(_cells(row) for row in rows)], NUMBERS)
+    return _aligned([HEAD, *(_cells(row) for row in rows)], NUMBERS)
 
 
 def _cells(row: MatrixRow) -> tuple[str, ...]:
@@ -134,3 +132,14 @@ def _cells(row: MatrixRow) -> tuple[str, ...]:
         'yes' if row.ok else 'NO',
         remarks,
     )
+
+
+def _aligned(lines: Sequence[Sequence[str]], numbers: Container[int]) -> str:
+    """Return lines of cells as columns; those of ``numbers`` are flush right, the others left."""
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    shown = []
+    for line in lines:
+        padded = (c.rjust(w) if i in numbers else c.ljust(w)
+                  for i, (c, w) in enumerate(zip(line, widths, strict=True)))  # fmt: skip
+        shown.append('  '.join(padded).rstrip())
+    return '\n'.join(shown)

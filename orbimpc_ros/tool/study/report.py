@@ -19,6 +19,7 @@ from orbimpc_ros.tool.study.flights import OURS, Row
 
 Rows = Mapping[str, Sequence[Row]]  # by controller, flights in the same order
 DEGREES = 180.0 / math.pi
+MOST_NAMED = 20
 # By title: the field of a row, and what it is multiplied by.
 MEASURES = {
     'closest approach [m]': ('closest', 1.0),
@@ -144,7 +145,8 @@ def _failures(rows: Rows) -> Iterator[str]:
     """Name every flight without a catch by its number, and say how it missed."""
     for name, flights in rows.items():
         lost = [f'{row["index"]} ({_how(row)})' for row in flights if not row['caught']]
-        yield f'- `{name}` missed {len(lost)}{": " if lost else ""}{", ".join(lost)}.'
+        named = [*lost[:MOST_NAMED], *(['...'] if lost[MOST_NAMED:] else [])]
+        yield f'- `{name}` missed {len(lost)}{": " if lost else ""}{", ".join(named)}.'
 
 
 def _how(row: Row) -> str:

@@ -1,0 +1,141 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""``orbimpc study``: fly many random tasks of one vehicle, and report how they end."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from orbimpc_ros import __version__
+from orbimpc_ros.mpc.arrays import whole
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.tool.io.files import new_folder, writing_to
+
+if TYPE_CHECKING:
+    from orbimpc_ros.tool.study.draws import Draws
+    from orbimpc_ros.tool.study.results import Results
+
+RUNS, MOST_RUNS, LARGEST_SEED, MOST_WORKERS = 100, 1_000_000, 2**63 - 1, 1024
+FILE, WHICH = 'retrieval', 'a parameter file, a study file, or the name of one'
+OUT, FLIGHTS, REPORT, PICTURE = 'out', 'flights.jsonl', 'report.md', 'caught.png'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the command."""
+    add = parser.add_argument
+    whose = 'separated by commas; all but orbitope need a clone of the repository'
+    add('file', metavar='FILE', nargs='?', default=FILE, help=f'{WHICH} (default: {FILE})')
+    add('--runs', type=int, default=RUNS, metavar='N', help=f'flights (default: {RUNS})')
+    add('--seed', type=int, default=0, metavar='N', help='of everything drawn (default: 0)')
+    add('--controllers', default='orbitope', metavar='LIST', help=whose)
+    change = 'a parameter that is not drawn; may be repeated'
+    add('--set', action='append', default=[], metavar='NAME=VALUE', help=change)
+    add('-o', '--out', metavar='DIR', help='takes the results (default: a new one in out/)')
+    add('--resume', action='store_true', help='go on with the study in DIR')
+    add('--cluster', metavar='ADDRESS', help='of a Dask scheduler (default: the cores here)')
+    add('--workers', type=int, metavar='N', help='processes here (default: one per core)')
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fly what is still to be flown, then report.
+
+    Raises:
+        KeyboardInterrupt: somebody asked to stop; the results so far are kept.
+    """
+    from orbimpc_ros.tool.study.draws import draws_of
+    from orbimpc_ros.tool.study.report import draw, report
+    from orbimpc_ros.tool.study.results import Results
+
+    whole(args.runs, '--runs', 1, MOST_RUNS)
+    whole(args.seed, '--seed', 0, LARGEST_SEED)
+    count = os.cpu_count() or 1 if args.workers is None else args.workers
+    whole(count, '--workers', 1, MOST_WORKERS)
+    if args.cluster is not None and args.workers is not None:
+        raise BadInput('--workers', args.workers, 'only without --cluster, which has its own')
+    if args.resume and args.out is None:
+        raise BadInput('--resume', 'without -o DIR', 'the folder of the study to go on with')
+    draws, names = draws_of(args.file, args.set), _controllers(args.controllers)
+    about = {
+        'version': __version__,
+        'seed': args.seed,
+        'values': draws.values,
+        'rules': draws.rules,
+        'margin': draws.margin,
+        'tuned': _tuned(names, draws.name),
+    }
+    folder = _folder(args, draws.name)
+    with writing_to(folder):
+        results = Results(folder / FLIGHTS, about, resumed=args.resume)
+        _fly(results, draws, names, args, count)
+        rows = {name: [results.rows[name, k] for k in range(args.runs)] for name in names}
+        text = report(draws, rows)
+        (folder / REPORT).write_text(text)
+        draw(draws, rows, folder / PICTURE)
+    print(text, end='')
+    return 0
+
+
+def _folder(args: argparse.Namespace, name: str) -> Path:
+    if args.out is None:
+        return new_folder(OUT, name)
+    folder = Path(args.out).resolve()
+    with writing_to(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()) and not (folder / FLIGHTS).exists():
+            raise BadInput(str(folder), 'a folder with other files', 'a new or an empty folder')
+    return folder
+
+
+def _controllers(given: str) -> list[str]:
+    from orbimpc_ros.tool.study.flights import OURS, WAYPOINT, rivals
+
+    names = given.split(',')
+    known = (OURS, WAYPOINT) if {*names} <= {OURS, WAYPOINT} else (OURS, WAYPOINT, *rivals().RIVALS)
+    for name in names:
+        if name not in known or names.count(name) > 1:
+            raise BadInput('--controllers', given, f'each of {",".join(known)} at most once')
+    return names
+
+
+def _tuned(names: Sequence[str], study: str) -> dict[str, dict[str, float]]:
+    """Return what rivals were tuned to for a study."""
+    from orbimpc_ros.tool.study.flights import OURS, rivals
+
+    others = [name for name in names if name != OURS]
+    return {name: rivals().tuned_of(study).get(name, {}) for name in others}
+
+
+def _fly(
+    results: Results, draws: Draws, names: Sequence[str], args: argparse.Namespace, count: int
+) -> None:
+    """Fly the flights that the results lack; each is kept as soon as it is over."""
+    from orbimpc_ros.tool.run.processes import Interruptions
+    from orbimpc_ros.tool.run.progress import ProgressLine
+    from orbimpc_ros.tool.study.flights import Job
+    from orbimpc_ros.tool.study.results import each_flown, workers
+
+    jobs = [
+        Job(draws.name, name, index, draws.of(args.seed, index), draws.margin)
+        for index in range(args.runs)
+        for name in names
+        if (name, index) not in results.rows
+    ]
+    if not jobs:
+        return
+    total = args.runs * len(names)
+    done, progress = total - len(jobs), ProgressLine(total)
+    with Interruptions() as interruptions, workers(args.cluster, count) as pool:
+        progress.show(done, f'{done} of {total} flights')
+        for row in each_flown(pool, jobs, lambda: not interruptions.requested):
+            results.add(row)
+            done += 1
+            progress.show(done, f'{done} of {total} flights')
+    progress.close()
+    if done < total:
+        print(
+            f'kept {done} of {total} flights in {results.file.parent}; --resume goes on with them'
+        )
+        raise KeyboardInterrupt
