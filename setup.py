@@ -46,7 +46,7 @@ setup(
     package_data={NAME: ['py.typed']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
-        (SHARE, ['package.xml']),
+        (SHARE, ['package.xml', 'requirements-jazzy.txt']),
         *shared_files(),
     ],
     python_requires='>=3.10',

@@ -291,7 +291,7 @@ def test_without_ros_it_says_what_to_install(capsys, monkeypatch):
     assert cli.main(['faults']) == 2
     complaint = capsys.readouterr().err
     assert complaint.count('\n') == 1
-    assert 'orbimpc_ros[ros]' in complaint
+    assert 'ros-jazzy-rclpy' in complaint
 
 
 def test_rows_are_listed(capsys):

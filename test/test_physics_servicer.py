@@ -138,7 +138,7 @@ def test_a_library_that_is_missing_is_said_with_the_way_to_get_it(monkeypatch):
     modules = __import__('sys').modules
     monkeypatch.delitem(modules, 'orbimpc_ros.physics.servicer', raising=False)
     monkeypatch.setitem(modules, 'Basilisk.architecture', None)
-    hint = r"Basilisk is missing; pip install 'orbimpc_ros\[basilisk\]'"
+    hint = r"Basilisk is missing; pip install 'bsk>=2.12'"
     with pytest.raises(BadInput, match=f'vehicle servicer: {hint}'):
         flight_of()
 

@@ -93,7 +93,7 @@ def test_a_demo_without_its_engine_says_how_to_get_it(monkeypatch, capsys, tmp_p
     monkeypatch.delitem(__import__('sys').modules, 'orbimpc_ros.physics.cessna', raising=False)
     assert cli.main(['demo', 'cessna', '--out', str(tmp_path)]) == 2
     out, err = capsys.readouterr()
-    hint = "jsbsim is missing; pip install 'orbimpc_ros[physics]'"
+    hint = "jsbsim is missing; pip install 'jsbsim>=1.2'"
     assert err == f'orbimpc: vehicle cessna: {hint}\n'
     assert not out
     assert not list(tmp_path.iterdir())

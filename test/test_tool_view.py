@@ -259,4 +259,4 @@ def test_without_the_viewer_it_says_what_to_install(capsys, monkeypatch):
     monkeypatch.setattr(view, 'installed', lambda: False)
     code, complaint = run(capsys, GOLDEN / 'dubins')
     assert (code, len(complaint)) == (2, 1)
-    assert 'orbimpc_ros[view]' in complaint[0]
+    assert 'rerun-sdk' in complaint[0]

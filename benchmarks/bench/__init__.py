@@ -15,6 +15,7 @@ from benchmarks.bench.contests import CONTESTS
 from benchmarks.bench.duel import OURS, duel
 from benchmarks.bench.result import Result
 from benchmarks.bench.rows import HULLS, BenchRow, growth, of_duel
+from orbimpc_ros.install import command
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.io.files import require_writable
 from orbimpc_ros.tool.run.progress import ProgressLine
@@ -127,7 +128,7 @@ def _entrants(contest: Contest, cap: float) -> tuple[dict[str, Contender], list[
             contest.title,
             name,
             required=contest.required.get(name),
-            note=f'absent: pip install {PACKAGES[name]}',
+            note=f'absent: {command(PACKAGES[name])}',
         )
         for name, contender in found.items()
         if contender is None

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from benchmarks.machine import machine
+from orbimpc_ros.install import command_for_extra
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.tool.io.files import require_writable
 
@@ -52,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         require_writable('--json', Path(args.json).resolve())
     if find_spec('rclpy') is None:
-        hint = "install ROS 2, or pip install 'orbimpc_ros[ros]'"
+        hint = f'install ROS 2, or {command_for_extra("ros")}'
         raise BadInput.stating('orbimpc faults', 'rclpy is missing', hint)
     if args.soak is not None:
         from benchmarks.faults.soak import soaked

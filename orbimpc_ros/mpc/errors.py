@@ -6,6 +6,8 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+from orbimpc_ros.install import command
+
 LISTED = 20  # names that an error lists at most
 
 
@@ -45,7 +47,7 @@ class BadInput(OrbimpcError, ValueError):
     @classmethod
     def without(cls, package: str) -> BadInput:
         """Return the error of a problem whose method needs a package that is not installed."""
-        needed = f'this problem takes a general method, which needs it: pip install {package}'
+        needed = f'this problem takes a general method, which needs it: {command(package)}'
         return cls.stating(package, 'not installed', needed)
 
     @classmethod

@@ -59,7 +59,11 @@ def _run(node: str) -> int:
 def in_a_line(error: ModuleNotFoundError) -> str:
     """Return in a line how to install what is missing; empty for what is missing by a mistake."""
     package = (error.name or '').partition('.')[0]
-    if package in OTHERS:
-        return f'{package} is missing: pip install {package}'
-    hint = "install ROS 2, or pip install 'orbimpc_ros[ros]'"
-    return f'{package} is missing: {hint}' if package in ROS else ''
+    if package not in OTHERS + ROS:
+        return ''
+    from orbimpc_ros import install  # metadata takes time that starts have not
+
+    hint = install.command(package)
+    if package in ROS:
+        hint = f'install ROS 2, or {install.command_for_extra("ros")}'
+    return f'{package} is missing: {hint}'

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from orbimpc_ros.install import command_for_extra
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.physics.engine import Engine, Motion, NoStart, Start, checked
@@ -196,7 +197,7 @@ def class_of(name: str) -> Callable[..., Engine]:
         library = str(error.name).partition('.')[0]
         if library not in kind.libraries:
             raise
-        hint = f"pip install 'orbimpc_ros[{kind.extra}]'"
+        hint = command_for_extra(kind.extra)
         raise BadInput.stating(f'vehicle {name}', f'{library} is missing', hint) from None
     made: Callable[..., Engine] = getattr(module, kind.made_by)
     return made

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from orbimpc_ros.install import command
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.ros.entry import leave_at_signals
 
@@ -17,7 +18,7 @@ NOTICE = (
 )
 MISSING = (
     'numba is not installed: plans take 6 to 60 times as long; to have it, '
-    'apt install python3-numba or pip install numba'
+    f'apt install python3-numba or {command("numba")}'
 )
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 from uuid import uuid4
 
+from orbimpc_ros.install import command_for_extra
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.tool.io.files import require_writable, why
 
@@ -48,8 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Show a bag, or what is running, until somebody asks to stop."""
     if not installed():
-        hint = "pip install 'orbimpc_ros[view]'"
-        raise BadInput.stating('orbimpc view', 'needs rerun-sdk', hint)
+        raise BadInput.stating('orbimpc view', 'needs rerun-sdk', command_for_extra('view'))
     from orbimpc_ros.tool.run.processes import Interruptions
 
     with Interruptions() as interruptions:

@@ -1,0 +1,56 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""How to install what is missing, without breaking what is there.
+
+An extra is named by the packages in it: this distribution is on no index, so that
+``orbimpc_ros[view]`` would be looked for in vain. Where NumPy 1 is installed, as ROS 2 Jazzy's
+messages on Ubuntu 24.04 need it, the command keeps to ``requirements-jazzy.txt``.
+"""
+
+from __future__ import annotations
+
+import shlex
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+
+NAME, CONSTRAINTS = 'orbimpc_ros', 'requirements-jazzy.txt'
+
+
+def command(*packages: str) -> str:
+    """Return the command that installs packages."""
+    words = ['pip', 'install']
+    if version('numpy').startswith('1.'):
+        file = _constraints()
+        words += ['numpy<2'] if file is None else ['--constraint', str(file)]
+    return shlex.join([*words, *packages])
+
+
+def command_for_extra(extra: str) -> str:
+    """Return the command that installs the packages of an extra, by its name in ``setup.py``."""
+    # Imported here: it comes with matplotlib, which the nodes do without.
+    from packaging.requirements import Requirement
+
+    try:
+        declared = [Requirement(each) for each in requires(NAME) or []]
+    except PackageNotFoundError:  # a folder that was put on the path, not installed
+        return f'see the extra {extra!r} in setup.py'
+    wanted = [
+        each
+        for each in declared
+        if each.marker is not None
+        and each.marker.evaluate({'extra': extra})
+        and not each.marker.evaluate({'extra': ''})
+    ]
+    return command(*(f'{each.name}{_extras(each.extras)}{each.specifier}' for each in wanted))
+
+
+def _extras(names: set[str]) -> str:
+    return f'[{",".join(sorted(names))}]' if names else ''
+
+
+def _constraints() -> Path | None:
+    """Return the file of constraints: in a clone, or where the package was installed."""
+    for folder in Path(__file__).resolve().parents:
+        for root in (folder / 'share' / NAME, folder):
+            if (root / CONSTRAINTS).is_file():
+                return root / CONSTRAINTS
+    return None

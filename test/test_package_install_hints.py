@@ -1,0 +1,45 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Hints at what to install: packages that an index has, and none that breaks ROS's NumPy 1."""
+
+import ast
+import shlex
+from pathlib import Path
+
+import pytest
+
+from orbimpc_ros import install
+
+ROOT = Path(__file__).parents[1]
+
+
+def declared(extra):
+    tree = ast.parse((ROOT / 'setup.py').read_text())
+    pairs = next(n.value for n in ast.walk(tree) if getattr(n, 'arg', '') == 'extras_require')
+    return next(
+        ast.literal_eval(v)
+        for k, v in zip(pairs.keys, pairs.values, strict=True)
+        if k.value == extra
+    )
+
+
+@pytest.mark.parametrize('extra', ['basilisk', 'ros', 'view'])
+@pytest.mark.parametrize('numpy', ['1.26.4', '2.4.6'])
+def test_an_extra_is_named_by_its_packages_within_what_the_environment_bears(
+    extra, numpy, monkeypatch
+):
+    monkeypatch.setattr(install, 'version', lambda _name: numpy)
+    words = shlex.split(install.command_for_extra(extra))
+    names = {install_name(each) for each in declared(extra)}
+    bounds = ['--constraint', str(ROOT / 'requirements-jazzy.txt')] if numpy[0] == '1' else []
+    assert words[: 2 + len(bounds)] == ['pip', 'install', *bounds]
+    assert {install_name(each) for each in words[2 + len(bounds) :]} == names
+
+
+def install_name(requirement):
+    return requirement.partition(';')[0].split('>')[0].split('<')[0].split('=')[0].split('[')[0]
+
+
+def test_without_the_file_numpy_stays_below_2_all_the_same(monkeypatch):
+    monkeypatch.setattr(install, 'version', lambda _name: '1.26.4')
+    monkeypatch.setattr(install, '_constraints', lambda: None)
+    assert install.command('numba') == "pip install 'numpy<2' numba"
