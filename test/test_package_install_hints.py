@@ -2,6 +2,7 @@
 """Hints at what to install: packages that an index has, and none that breaks ROS's NumPy 1."""
 
 import ast
+import re
 import shlex
 from pathlib import Path
 
@@ -36,7 +37,7 @@ def test_an_extra_is_named_by_its_packages_within_what_the_environment_bears(
 
 
 def install_name(requirement):
-    return requirement.partition(';')[0].split('>')[0].split('<')[0].split('=')[0].split('[')[0]
+    return re.match(r'[\w-]+', requirement)[0]
 
 
 def test_without_the_file_numpy_stays_below_2_all_the_same(monkeypatch):

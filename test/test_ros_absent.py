@@ -71,4 +71,5 @@ def test_a_general_method_says_in_a_line_what_it_needs(bare):
 )
 def test_what_is_missing_is_said_with_the_way_to_get_it(name, line):
     found = in_a_line(ModuleNotFoundError(f'No module named {name!r}', name=name))
-    assert found.startswith(line) and bool(found) == bool(line)
+    assert found.startswith(line)
+    assert bool(found) == bool(line)

@@ -1,8 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A fleet over DDS: pairs of processes in namespaces, in real time, in one bag."""
+"""A fleet over DDS: pairs of processes in namespaces, with one clock, in one bag."""
 
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -119,6 +120,20 @@ def test_a_fleets_parameters_are_read_back_by_namespace():
         read = settings.read(text, name)
         assert read['rope.center'] == each['rope.center']
         assert read == values | each
+
+
+def test_a_collision_is_called_one(capsys):
+    ways = {'/uav1': [[-1.0, 0.0], [1.0, 0.0]], '/uav2': [[0.0, -1.0], [0.0, 1.1]]}
+    flown = {
+        name: SimpleNamespace(
+            values={'avoid_radius': 1.0}, times=np.array([0.0, 2.0]), positions=np.array(way)
+        )
+        for name, way in ways.items()
+    }
+    assert not fleet._clear(flown)
+    assert 'COLLISION     /uav1 and /uav2 within 0.0' in capsys.readouterr().out
+    flown['/uav2'].times += 5.0
+    assert fleet._clear(flown)
 
 
 def test_an_answer_after_the_next_question_is_late(tmp_path):

@@ -53,6 +53,13 @@ def test_near_misses_are_local_minima_that_came_near():
     assert run.capture.time == pytest.approx(18.0)
 
 
+def test_a_catch_by_contact_is_no_near_miss():
+    """An engine may see the contact a little farther from the middle than the radius."""
+    run = history([3.0, 0.15, 0.9, 0.12], captured=True)
+    run.positions[2:, 1] = [0.0, 0.13]
+    assert [m.time for m in run.near_misses] == pytest.approx([11.0])
+
+
 def test_what_is_not_captured_has_no_capture():
     assert history([1.0, 0.5], captured=False).capture is None
     assert history([1.0], captured=True).capture is None
@@ -137,6 +144,15 @@ def test_a_goal_is_caught_within_the_simulators_radius():
     assert history([1.0], True, capture_radius=0.3).capture_radius == 0.3
     own = {'capture_radius': 5.0, 'sim.capture_radius': 0.1}
     assert history([1.0], True, **own).capture_radius == 0.1
+
+
+def test_what_both_nodes_and_the_simulator_alone_are_given_holds_in_either_order():
+    both = ['wind=[1.0, 0.0, 0.0]', 'sim.wind=[3.0, 0.0, 0.0]']
+    for changes in (both, both[::-1]):
+        values = settings.changed(settings.read('{}'), changes)
+        assert values['wind'] == (1.0, 0.0, 0.0)
+        assert settings.of_sim(values)['wind'] == (3.0, 0.0, 0.0)
+    assert 'sim.wind' not in settings.changed(values, ['wind=[2.0, 0.0, 0.0]'])
 
 
 def test_a_simulator_may_have_values_of_its_own():

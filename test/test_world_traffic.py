@@ -10,7 +10,7 @@ import pytest
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Box, Problem
 from orbimpc_ros.world.contact import drifter, met
-from orbimpc_ros.world.fleet import LEAST_RING, crossing, separation
+from orbimpc_ros.world.fleet import LEAST_RING, crossing
 from orbimpc_ros.world.flight import departure
 from orbimpc_ros.world.scenario import retrieval
 from orbimpc_ros.world.vehicle import launched
@@ -66,8 +66,8 @@ def test_a_crossing_leads_from_a_ring_through_its_middle():
         assert np.linalg.norm(0.5 * (member.position + goal)) < 1.0
         way = goal - member.position
         assert member.heading == pytest.approx(math.atan2(way[1], way[0]))
-    starts = [(np.array([0.0, 1.0]), np.tile(m.position, (2, 1))) for m in fleet]
-    assert separation(starts) > 1.5
+    starts = {m: (np.array([0.0, 1.0]), np.tile(fleet[m].position, (2, 1))) for m in range(8)}
+    assert min(separations(starts).values()) > 1.5
     np.testing.assert_array_equal(crossing(8, 3)[2].position, fleet[2].position)
     with pytest.raises(BadInput, match='vehicles'):
         crossing(65)
@@ -89,11 +89,14 @@ def test_vehicles_are_apart_as_looking_often_finds_them():
                     for a, b in zip(here.T, there.T, strict=True)
                 ]
                 least = min(least, np.hypot(*apart).min())
-        assert least - 0.01 < separation(tracks) <= least + 1e-9
-        assert separation(tracks[:1]) == math.inf
+        found = separations(dict(enumerate(tracks)))
+        assert found.keys() == {(0, 1), (0, 2), (1, 2)}
+        assert least - 0.01 < min(found.values()) <= least + 1e-9
     straight = np.array([0.0, 2.0])
-    ways = [
-        (straight, np.array([[-1.0, 0.3], [1.0, 0.3]])),
-        (straight, np.array([[0.0, -1.0], [0.0, 1.0]])),
-    ]
-    assert separation(ways) == pytest.approx(0.3 / math.sqrt(2.0))
+    ways = {
+        'a': (straight, np.array([[-1.0, 0.3], [1.0, 0.3]])),
+        'b': (straight, np.array([[0.0, -1.0], [0.0, 1.0]])),
+    }
+    assert separations(ways) == {('a', 'b'): pytest.approx(0.3 / math.sqrt(2.0))}
+    later = {'a': ways['a'], 'b': (straight + 3.0, ways['b'][1])}
+    assert separations(later) == {('a', 'b'): math.inf}

@@ -97,9 +97,10 @@ def run(args: argparse.Namespace) -> int:
     """Verify, print a row for each bound, and return 1 if one of them does not hold."""
     path = Path(args.path)
     first = '' if path.suffix == '.json' else '  tick  '
-    print(f'{first}{"of":<7}{"claimed":<24}{"proved":<24}leaves')
-    found = []
+    found: list[TickVerdict] = []
     for row in [_file(path, args)] if path.suffix == '.json' else _bag(path, args):
+        if not found:  # after what may be wrong with a file
+            print(f'{first}{"of":<7}{"claimed":<24}{"proved":<24}leaves')
         found.append(row)
         print(row, flush=True)
     counts = Counter(row.outcome for row in found)

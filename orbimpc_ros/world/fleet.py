@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,14 +72,15 @@ def _crosser(place: float, number: int, seed: int, ring: float) -> Member:
     return Member(start, math.atan2(y, x), fixed(goal))
 
 
-def separation(tracks: Sequence[tuple[Array, Array]]) -> float:
-    """Return the least distance between any two vehicles while both fly [m]; infinite if none do.
+def separations(tracks: Mapping[str, tuple[Array, Array]]) -> dict[tuple[str, str], float]:
+    """Return the least distance of each pair while both fly [m]; infinite if they never do.
 
     Args:
-        tracks: of each, increasing times, shape (K,) [s], and positions, shape (K, n) [m], from
-            one to the next of which it moves evenly.
+        tracks: of each vehicle, increasing times, shape (K,) [s], and positions, shape (K, n) [m],
+            between which it moves evenly.
     """
-    return min((_apart(*pair) for pair in itertools.combinations(tracks, 2)), default=math.inf)
+    pairs = itertools.combinations(tracks, 2)
+    return {(one, other): _apart(tracks[one], tracks[other]) for one, other in pairs}
 
 
 def _apart(one: tuple[Array, Array], other: tuple[Array, Array]) -> float:

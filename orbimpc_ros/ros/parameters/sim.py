@@ -139,8 +139,9 @@ SIM: tuple[Row, ...] = (
     *(replace(row, live=False) for row in VEHICLE),
     *PROCESS,
     *PLANT,
-    Row('clock', 'lockstep', 'Whether to wait for each command or run in real time',
-        choices=('lockstep', 'wall')),
+    Row('clock', 'lockstep', 'lockstep waits for each command, shared also for the /clock that the '
+        'vehicles of a fleet have in common; wall runs in real time',
+        choices=('lockstep', 'shared', 'wall')),
     *ROPE,
     *ENDING,
     *START,
@@ -156,6 +157,7 @@ class SimSettings:
     Attributes:
         scenario: what to simulate.
         lockstep: whether to wait for each command instead of running in real time.
+        shared_clock: whether to wait for /clock besides, instead of publishing it.
         command_timeout: after which a command is stale, at least 1.5 steps [s].
         lease: after which a planner that gives no sign of life is given up [s].
         faults: what goes wrong between the vehicle and its planner.
@@ -171,6 +173,7 @@ class SimSettings:
 
     scenario: Scenario
     lockstep: bool
+    shared_clock: bool
     command_timeout: float
     lease: float
     faults: Faults
@@ -199,7 +202,8 @@ def sim_settings(values: Values) -> SimSettings:
         row.check(values[row.name])
     return SimSettings(
         scenario=_scenario(values),
-        lockstep=values['clock'] == 'lockstep',
+        lockstep=values['clock'] != 'wall',
+        shared_clock=values['clock'] == 'shared',
         command_timeout=max(values['command_timeout'], 1.5 * values['step']),
         lease=max(LIFE, SHARE * values['command_timeout']),
         faults=_faults(values),

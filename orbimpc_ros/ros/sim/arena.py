@@ -84,12 +84,16 @@ class Arena:
             self._obstacles = create(MarkerArray, 'obstacles', qos(DEPTH))
         if self.settings.goal_path_steps:
             self._goal_path = create(Path, 'goal_path', qos(DEPTH))
-        if self.settings.lockstep:
+        if self._has_own_clock:
             self._time = create(Clock, '/clock', qos(DEPTH))
         if isinstance(self.settings.scenario.model, Continuous):
             self._truth = create(DiagnosticArray, 'truth', qos(DEPTH))
         if TransformBroadcaster is not None:
             self._transforms = TransformBroadcaster(self.node)
+
+    @property
+    def _has_own_clock(self) -> bool:
+        return self.settings.lockstep and not self.settings.shared_clock
 
     @property
     def readers_lacking(self) -> str:
@@ -126,7 +130,7 @@ class Arena:
     def show(self, at: int, seen: Sequence[Delivery]) -> None:
         """Publish what is seen of the flight at ``at`` [ns]: clock, goals, odometry."""
         now = Stamp(at, self.settings.frames)
-        if self.settings.lockstep:
+        if self._has_own_clock:
             self._time.publish(Clock(clock=messages.time_message(at)))
         if self.settings.scenario.traffic:
             self._obstacles.publish(traffic_markers(now, self.flight))

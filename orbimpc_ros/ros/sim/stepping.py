@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
+from rosgraph_msgs.msg import Clock
 
 from orbimpc_ros.ros.messages import SECOND
-from orbimpc_ros.ros.process import FAILED
-from orbimpc_ros.ros.sim.arena import Arena
+from orbimpc_ros.ros.process import FAILED, qos
+from orbimpc_ros.ros.sim.arena import DEPTH, Arena
 from orbimpc_ros.ros.sim.commands import Order
 from orbimpc_ros.world.faults import Delivery
 
@@ -62,12 +64,19 @@ class LockStep:
     follows the clock and the goals at a distance: stamps no longer show the planner what belongs
     together, and DDS keeps no order among topics.
 
-    At a ``rate`` the next step is not shown before its time, in which nothing else changes.
+    At a ``rate`` the next step is not shown before its time, in which nothing else changes. With a
+    shared clock it is not shown before that clock has come to it.
     """
 
     def __init__(self, arena: Arena) -> None:
         self._arena, self._waiting = arena, Waiting(arena)
         self._paced = arena.settings.rate > 0.0
+        self._shared = math.inf  # what the shared clock shows, if there is one [ns]
+        if arena.settings.shared_clock:
+            self._shared = -math.inf
+            arena.node.create_subscription(
+                Clock, '/clock', arena.node.at_work(self._on_clock), qos(DEPTH)
+            )
         self.restart()
         arena.node.every(LOOK, self.look)
         if self._paced:
@@ -119,7 +128,7 @@ class LockStep:
         absent = self._arena.readers_lacking or self._arena.planner_lacking
         if not absent:
             self._begun = True
-            self._ask()
+            self._ask_when_due()
         elif self._waiting.lasted > self._arena.settings.wait_timeout:
             self._give_up(absent, self._waiting.lasted)
         else:
@@ -189,7 +198,18 @@ class LockStep:
         held = self._heard + self._arena.settings.command_timeout - self._arena.flight.vehicle.time
         self._arena.fly(self._order, held)
         self._asking, self._awaited = False, None
-        if not self._paced and not self._arena.finished:
+        if not self._paced:
+            self._ask_when_due()
+
+    def _on_clock(self, message: Clock) -> None:
+        self._shared = message.clock.sec * SECOND + message.clock.nanosec
+        self._ask_when_due()
+
+    def _ask_when_due(self) -> None:
+        """Ask, unless a step is under way or the shared clock has not come to the next one."""
+        half = 0.5 * self._arena.settings.scenario.model.step * SECOND  # rounding is less
+        due = self.now <= self._shared + half
+        if due and self._begun and not self._asking and not self._arena.finished:
             self._ask()
 
 

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""``orbimpc demo fleet`` and ``crossing``: vehicles in namespaces, in real time.
+"""``orbimpc demo fleet`` and ``crossing``: vehicles in namespaces, which share a clock.
 
 In a fleet each is after a rope of its own; in a crossing each is to get to the other side, clear of
 all others.
@@ -21,7 +21,7 @@ from orbimpc_ros.tool.io import bag, settings
 from orbimpc_ros.tool.io.files import new_folder, writing_to
 from orbimpc_ros.tool.io.settings import Values
 from orbimpc_ros.tool.io.share import config
-from orbimpc_ros.world.fleet import separation
+from orbimpc_ros.world.fleet import separations
 
 if TYPE_CHECKING:
     from orbimpc_ros.tool.io.history import History
@@ -55,9 +55,9 @@ def resolve(
     Raises:
         BadInput: too many vehicles, an unknown name, or a value that is not allowed.
     """
-    values = settings.resolve(config(f'{kind}.yaml'), changes)
-    if values['clock'] != 'wall':
-        raise BadInput('clock', values['clock'], 'wall: a fleet cannot share one simulated clock')
+    values = settings.resolve(config(f'{kind}.yaml'), ['clock=shared', *changes])
+    if values['clock'] == 'lockstep':
+        raise BadInput('clock', values['clock'], 'shared or wall: a fleet has one /clock')
     given = {change.partition('=')[0] for change in changes} - {'seed'}
     drawn = DRAWN[kind](count, values['seed'])
     if values['avoid']:
@@ -93,7 +93,11 @@ def _clear(flown: Mapping[str, History]) -> bool:
     radius = next(iter(flown.values())).values['avoid_radius']
     if not radius:
         return True
-    least = separation([(each.times, each.positions) for each in flown.values()])
+    found = separations({name: (each.times, each.positions) for name, each in flown.items()})
+    for pair, least in found.items():
+        if least < radius:
+            print(f'COLLISION     {" and ".join(pair)} within {least:.3f} m of each other')
+    least = min(found.values(), default=math.inf)
     print(f'apart         at least {least:.3f} m, {radius:g} m asked for')
     return least >= radius
 

@@ -139,10 +139,15 @@ class History:
     def near_misses(self) -> list[Encounter]:
         """Return the local minima of the distance that came near and yet caught nothing."""
         radius, moments = self.capture_radius, self.moments
+        # Where a contact is judged elsewhere, the catch itself may be farther away than the radius.
+        before_catch = self.end - (
+            0.0 if self.capture is None else 0.5 * float(self.values['step'])
+        )
         return [
             now
             for before, now, after in zip(moments, moments[1:], moments[2:], strict=False)
             if radius < now.distance <= NEAR * radius
+            and now.time <= before_catch
             and before.distance > now.distance <= after.distance
         ]
 

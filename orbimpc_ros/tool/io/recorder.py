@@ -14,8 +14,9 @@ from typing import Any
 from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
 
-from orbimpc_ros.ros.messages import SECOND
+from orbimpc_ros.ros.messages import SECOND, time_message
 from orbimpc_ros.ros.process import attached
 from orbimpc_ros.tool.io.bag.writer import BagWriter
 from orbimpc_ros.tool.io.topics import Topic
@@ -90,6 +91,7 @@ class Recorder:
 
     Attributes:
         counts: messages taken, by topic.
+        latest: stamp of the last message of a topic [ns].
     """
 
     def __init__(
@@ -100,6 +102,7 @@ class Recorder:
         planners: Sequence[str] = ('/planner',),
     ) -> None:
         self.counts = dict.fromkeys((topic.name for topic in topics), 0)
+        self.latest: dict[str, int] = {}
         self._stamps = Stamps()
         self._early: list[tuple[str, bytes, int]] = []
         self._bag = BagWriter(folder, topics, notes)
@@ -112,6 +115,7 @@ class Recorder:
             if topic not in self._held:
                 self._listen(topic)
         self._unmet = {name: self._client(name) for name in planners}
+        self._clock: Any = None
 
     def _client(self, planner: str) -> Client:
         """Return a client of a service that every node has."""
@@ -137,6 +141,7 @@ class Recorder:
     def _taking(self, topic: Topic) -> Callable[[bytes, dict[str, Any]], None]:
         def take(data: bytes, about: dict[str, Any]) -> None:
             self.counts[topic.name] += 1
+            self.latest[topic.name] = carried(data, topic.type) or 0
             stamp, sent = self._stamps.of(data, topic.type), about['source_timestamp']
             if stamp is None:
                 self._early.append((topic.name, data, sent))
@@ -151,6 +156,12 @@ class Recorder:
         for name, data, sent in self._early:
             self._bag.write(name, self._stamps.now or 0, data, sent)
         self._early.clear()
+
+    def publish_clock(self, seconds: float) -> None:
+        """Publish a time on /clock, for nodes that have no simulator of their own to do so."""
+        if self._clock is None:
+            self._clock = self._node.create_publisher(Clock, '/clock', DEPTH)
+        self._clock.publish(Clock(clock=time_message(round(seconds * SECOND))))
 
     def spin(self, seconds: float) -> None:
         """Record for a while, or until something has come."""

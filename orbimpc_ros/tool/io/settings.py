@@ -56,11 +56,10 @@ def changed(values: Values, changes: Sequence[str]) -> Values:
     Raises:
         BadInput: an unknown name, or a value or combination that is not allowed.
     """
-    found = dict(values)
-    for each in changes:
-        name, value = _change(each)
+    found, given = dict(values), dict(map(_change, changes))
+    for name in given:  # a value for both nodes, but for what the simulator is given of its own
         found.pop(f'{OF_SIM}{name}', None)
-        found[name] = value
+    found |= given
     planner_settings(found)
     sim_settings(of_sim(found))
     return found

@@ -10,9 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from orbimpc_ros.ros.parameters import sim_settings
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.settings import Values
 from orbimpc_ros.tool.run import discovery, processes
+from orbimpc_ros.tool.run.pacer import Pacer
 from orbimpc_ros.tool.run.processes import Interruptions, Process
 from orbimpc_ros.tool.run.progress import ProgressLine
 
@@ -47,7 +49,7 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = settings.EMPTY
         KeyboardInterrupt: somebody asked to stop; the bag is complete up to then.
     """
     parameters, namespaces = folder / 'parameters.yaml', tuple(own) or ('',)
-    simulated = values['clock'] == 'lockstep'
+    simulated = values['clock'] != 'wall'
     text = settings.text(values | OF_A_RUN | {'use_sim_time': simulated}, own)
     parameters.write_text(text)
     print(f'ROS_DOMAIN_ID={discovery.isolate(folder)}, results in {folder}')
@@ -107,9 +109,13 @@ def _watch(
     values: Values,
 ) -> None:
     """Record until the simulators are done or somebody asks to stop."""
-    progress = ProgressLine(values['max_ticks'])
+    progress, pacer = ProgressLine(values['max_ticks']), None
+    if values['clock'] == 'shared':
+        pacer = Pacer(recorder, sim_settings(settings.of_sim(values)).begin, values['step'])
     while any(each.sim.running for each in vehicles) and not interruptions.requested:
         recorder.spin(SPIN)
+        if pacer is not None:
+            pacer.look([each.namespace for each in vehicles if each.sim.running])
         for each in vehicles:
             each.planner.require_health()
         _show(progress, vehicles, recorder, values)
