@@ -139,7 +139,7 @@ class History:
     def near_misses(self) -> list[Encounter]:
         """Return the local minima of the distance that came near and yet caught nothing."""
         radius, moments = self.capture_radius, self.moments
-        # Where a contact is judged elsewhere, the catch itself may be farther away than the radius.
+        # The catch itself, where somebody else judged the contact, may be outside of the radius.
         before_catch = self.end - (
             0.0 if self.capture is None else 0.5 * float(self.values['step'])
         )
