@@ -56,6 +56,41 @@ def test_a_change_of_course_is_known_soon(change, n):
     assert bank < 0.3 * old
 
 
+@pytest.mark.parametrize(('rate', 'noise'), [(2.0, 0.02), (5.0, 0.05), (10.0, 0.05)])
+@pytest.mark.parametrize('turned', [0.0, 0.5, 1.0], ids=['stops', 'turns', 'reverses'])
+def test_a_second_after_a_change_of_course_the_new_one_is_known(turned, rate, noise):
+    """However seldom the goal is seen: up to 3 m/s, three seconds ahead."""
+    missed = []
+    for seed in range(20):
+        rng = np.random.default_rng([15, seed])
+        speed, angle = rng.uniform(0.3, 3.0), rng.uniform(-np.pi, np.pi)
+        old = speed * np.array([np.cos(angle), np.sin(angle)])
+        new = speed * np.array([np.cos(angle + np.pi * turned), np.sin(angle + np.pi * turned)])
+        new = new if turned else np.zeros(2)
+        since = np.arange(-rng.uniform(4.0, 10.0), 1.0, 1.0 / rate)[:, None]
+        seen = np.where(since < 0.0, since * old, since * new)
+        seen = seen + noise * rng.normal(size=seen.shape)
+        bank = shown(CHANGED + since[:, 0], seen)
+        missed.append(np.linalg.norm(bank.at(np.array([CHANGED + 4.0]))[0] - 4.0 * new))
+    assert np.quantile(missed, 0.9) < 3.5
+
+
+def test_no_forecast_is_faster_than_what_was_seen():
+    rng = np.random.default_rng(16)
+    for n, rate in ((2, 2.0), (3, 10.0)):
+        bank, place, velocity, fastest = Bank(), np.zeros(n), np.zeros(n), 0.0
+        for k in range(200):
+            if rng.uniform() < 0.1:
+                velocity = rng.uniform(0.0, 3.0) * rng.normal(size=n)
+            fastest = max(fastest, float(np.linalg.norm(velocity)))
+            place = place + velocity / rate
+            time = START + k / rate
+            bank.observe(Sighting(time, place.copy()))
+            ahead = bank.at(time + np.array([0.0, 1.0, 4.0]))
+            moved = np.linalg.norm(ahead - ahead[0], axis=1)
+            assert (moved <= fastest * np.array([0.0, 1.0, 4.0]) + 1e-6).all()
+
+
 def test_a_swing_that_becomes_another_is_known_soon():
     """What there is of it in a second is neither still nor straight, but bent."""
     errors = []

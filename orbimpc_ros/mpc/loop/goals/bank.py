@@ -25,6 +25,7 @@ from orbimpc_ros.mpc.loop.goals.families import (
     NAMES,
     OSCILLATING,
     SWING,
+    TINY,
     TURN,
 )
 from orbimpc_ros.mpc.loop.goals.fits import UNKNOWN, Fits, Noise, Past, Placement
@@ -41,8 +42,9 @@ SWINGS_FROM = 6  # sightings
 YOUNG = 16  # sightings up to which each is worked on at once, later every other one
 LIKELY, NEGLIGIBLE = 1e-2, 1e-4  # shares
 BETTER, WORSE = 0.9, 1.02  # ratios of misfits at which a family starts anew from another's
-PATIENCE, MOST_TASKS = 0.5, 6  # [s] of waiting that pays for one more task, and how many at most
+PATIENCE, MOST_TASKS = 0.4, 6  # [s] of waiting that pays for one more task, and how many at most
 STEPS = 4  # of Gauss-Newton on a closer look
+SPEED_OVER = 0.5  # [s]
 WORTHWHILE = 0.01  # units of the noise that a step should gain
 
 
@@ -77,6 +79,8 @@ class Bank:
         self._n = 0
         self._covariances: Array | None = None
         self._apart: list[tuple[float, Array]] = []  # sightings off the forecast so far
+        self._lately: list[tuple[float, Array]] = []
+        self._fastest = 0.0  # speed seen [m/s]
         self._waiting: list[Placement] = []
 
     @property
@@ -112,7 +116,7 @@ class Bank:
         shares = self._shares[used] / self._shares[used].sum()
         rates, dampings = self._fits.rates[used, None], self._fits.dampings[used, None]
         x = families.columns((times - self._epoch)[None], rates, dampings)
-        places = x @ self._fitted[used]
+        places = self._within_speeds(x @ self._fitted[used], used, times)
         mean = (shares @ places.reshape(len(used), -1)).reshape(len(times), -1)
         pairs = (x[..., :, None] * x[..., None, :]).reshape(len(used), len(times), -1)
         within = shares @ (pairs @ self._covariances).reshape(len(used), -1)
@@ -121,6 +125,33 @@ class Bank:
             off = places - mean
             covariances += np.einsum('k,kti,ktj->tij', shares, off, off)
         return Prediction(mean + self._origin, covariances, self.model)
+
+    def _within_speeds(self, places: Array, used: Array, times: Array) -> Array:
+        """Return places no farther from the present ones than the fastest speed seen leads.
+
+        Args:
+            places: of families, shape (K, N, n) [m].
+            used: their numbers, shape (K,).
+            times: shape (N,) [s].
+        """
+        assert self._last is not None
+        rows = self._fits.rows(self._last - self._epoch)[used, None]
+        now = rows @ self._fitted[used]
+        moved, reach = places - now, self._fastest * np.maximum(times - self._last, 0.0)
+        size = np.linalg.norm(moved, axis=2)
+        share = np.where(size > reach, reach / np.maximum(size, TINY), 1.0)
+        share[:, times <= self._last] = 1.0
+        return np.asarray(now + share[..., None] * moved)
+
+    def _note_speed(self, time: float, position: Array) -> None:
+        """Note how fast the goal has moved lately, over half a second or the last two sightings."""
+        self._lately.append((time, position))
+        while len(self._lately) > 2 and time - self._lately[1][0] >= SPEED_OVER:
+            self._lately.pop(0)
+        begun, place = self._lately[0]
+        if time > begun:
+            speed = math.dist(position, place) / (time - begun)
+            self._fastest = max(self._fastest, min(speed, FAR))
 
     # --- taking in
 
@@ -202,9 +233,10 @@ class Bank:
         self._apart, self._waiting = [], []
         for time, position in zip(times, seen, strict=True):
             self._append(float(time), position, self._fits.rows(time - self._epoch))
-        self._conclude()
+            self._conclude()
 
     def _append(self, time: float, position: Array, rows: Array) -> None:
+        self._note_speed(time, position)
         since, place = time - self._epoch, position - self._origin
         self._times[self._count], self._seen[self._count] = since, place
         self._count += 1

@@ -10,7 +10,7 @@ from orbimpc_ros.mpc.loop.goals.families import PLACE, SPEED, THRUST
 from orbimpc_ros.mpc.loop.goals.fits import Noise, data_evidence
 
 # Sightings of a new motion: even, for of older sightings every other one was weighed.
-LENGTHS = np.array([4, 6, 8, 10, 12, 16, 20, 26, 34, 42, 50])
+LENGTHS = np.array([2, 4, 6, 8, 10, 12, 16, 20, 26, 34, 42, 50])
 TIE = 4.0  # lengths whose evidence is that close are as likely; the longest tells most
 RARE = -5.0  # logarithm of the prior odds that the goal changes its course at a sighting
 WIDTHS = np.array([PLACE, SPEED, THRUST])  # prior standard deviations of a new motion
@@ -49,7 +49,7 @@ class Changes:
 
     def found(self) -> int:
         """Return how many sightings a new motion has, if one is likely; otherwise 0."""
-        usable = int(np.searchsorted(LENGTHS, self._count - LENGTHS[0], side='right'))
+        usable = int(np.searchsorted(LENGTHS, self._count - 1, side='right'))
         if not usable:
             return 0
         now, size = self._count, len(self._evidence)

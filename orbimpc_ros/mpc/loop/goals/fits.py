@@ -32,6 +32,7 @@ from orbimpc_ros.mpc.loop.goals.families import (
 )
 
 MOST_DAMPED = 2.0  # [1/s]
+BENT_FROM = 5  # sightings: through three any change of course is an acceleration
 # Of a few numbers at a time: to import SciPy's takes longer than all that a flight needs of it.
 log_gamma = np.vectorize(math.lgamma, otypes=[float])
 
@@ -232,13 +233,22 @@ class Fits:
         data = data_evidence(self.misfit, self.count * self._n, share, scale)
         self.evidence = self._prior - spread + data
         self.evidence[~self.weighed] = -np.inf
+        if self.count < BENT_FROM:
+            self.evidence[families.ACCELERATION] = -np.inf
         self.gain = np.where(self.known, explained / self.noises, 0.0)
 
     def noise(self) -> Noise:
-        """Return what the likeliest family has taught of the noise, to be recalled later."""
-        share = min(self._noise.share + 0.5 * self.count * self._n, RECALLED)
-        variance = float(self.noises[int(np.argmax(self.evidence))])
-        return Noise(share, share * max(variance, LEAST))
+        """Return what the likeliest family has taught of the noise, to be recalled later.
+
+        As many numbers as its parameters take are fitted exactly, and teach nothing.
+        """
+        best = int(np.argmax(self.evidence))
+        left = 0.5 * (self.count * self._n - int(self._layout.used[best].sum()))
+        if left <= 0.0:
+            return self._noise
+        share, scale = self._noise.share + left, self._noise.scale + 0.5 * float(self.misfit[best])
+        kept = min(share, RECALLED)
+        return Noise(kept, kept * max(scale / share, LEAST))
 
     @property
     def fitted(self) -> Array:
