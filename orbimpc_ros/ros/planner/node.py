@@ -12,7 +12,7 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
@@ -30,9 +30,10 @@ from orbimpc_ros.ros.parameters import PLANNER, Live, PlannerSettings, planner_s
 from orbimpc_ros.ros.parameters.sections import warn_of_unused
 from orbimpc_ros.ros.planner.announcer import Announcer
 from orbimpc_ros.ros.planner.compiling import leaving_at_signals, report_compilation
+from orbimpc_ros.ros.planner.events import Events
 from orbimpc_ros.ros.planner.frames import listen_to_transforms
 from orbimpc_ros.ros.planner.health import Condition, Health, condition
-from orbimpc_ros.ros.planner.inbox import NAMED, Inbox
+from orbimpc_ros.ros.planner.inbox import NAMED, STREAM, Inbox
 from orbimpc_ros.ros.planner.lookout import OBSTACLES, PLAN, others
 from orbimpc_ros.ros.planner.mode import ModeChanges
 from orbimpc_ros.ros.planner.neighbours import Neighbours
@@ -47,8 +48,9 @@ from orbimpc_ros.ros.planner.outlet import (
 from orbimpc_ros.ros.planner.summary import doubts, summary
 from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.ros.process import qos, run
-from orbimpc_ros.ros.reports import AFRESH, DISABLED, INACTIVE, Report, prices
+from orbimpc_ros.ros.reports import AFRESH, DISABLED, INACTIVE, RESET, Report, prices
 
+EVENTS = ('arrived', 'caught')  # topics
 # Who is connected is looked at instead: an event handler makes every wait of the node longer.
 NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 GOAL_PATIENCE = 0.1  # [s] to wait for the goal that belongs to an odometry message
@@ -95,6 +97,7 @@ class PlannerNode(Managed):
         self._report: Report | None = None  # on it
         self._outlet.engaged = not self._settings.gated
         self._mode_changes = ModeChanges()
+        self._create_events()
         self._health = Health(self, self._condition, self._counts)
         self._create_subscriptions()
         self._create_timers()
@@ -103,7 +106,8 @@ class PlannerNode(Managed):
 
     def activate(self) -> None:
         """Plan and command, of what comes from now on."""
-        self._forget()
+        self._forget_plan()
+        self._inbox.forget()
         self._outlet.forget()
         self._report = None
 
@@ -165,6 +169,12 @@ class PlannerNode(Managed):
         for topic in self._inbox.others:
             self._listen(Path, topic, self.at_work(self._hearing(topic)))
 
+    def _create_events(self) -> None:
+        self._events, self._shown = Events(), dict[str, bool]()
+        kept = qos(durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._tellers = {name: self.create_publisher(Bool, name, kept) for name in EVENTS}
+        self._tell_events()
+
     def _create_timers(self) -> None:
         period = self._settings.period
         if not self._settings.on_odometry:
@@ -215,7 +225,33 @@ class PlannerNode(Managed):
         self._witness.note(self._inbox.latest['odom'].value)  # no command waits for it
 
     def _on_goal(self, message: PoseStamped) -> None:
+        before = self._inbox.latest.get('goal')
         self._take('goal', message)
+        goal = self._inbox.latest.get('goal')
+        if goal is not None and goal is not before:
+            self._events.send(goal.value.position, streams=goal.run >= STREAM)
+            self._tell_events()
+
+    def _look_for_events(self) -> None:
+        """Look whether the latest odometry shows a goal caught or reached."""
+        settings, known, now = self._settings, self._inbox.odometry, self.steady_now()
+        if known is None or self._inbox.missing or self._inbox.stale_goal(now, self._time.now):
+            return
+        goal = self._inbox.targets(np.array([known.value.time]), now, self._time.now)[0]
+        approach, wanted = settings.approach, self._inbox.wanted(now, self._time.now)
+        if approach.is_the_goals and wanted is not None:
+            approach = replace(approach, direction=tuple(wanted[:, 0].tolist()))
+        found = settings.goal_radius, settings.odom_timeout, approach
+        self._events.note(known.value, goal, *found)
+        self._tell_events()
+
+    def _tell_events(self) -> None:
+        """Publish what has happened, or no longer holds, where that is news."""
+        for name, teller in self._tellers.items():
+            holds = getattr(self._events, name)
+            if holds != self._shown.get(name):
+                teller.publish(Bool(data=holds))
+                self._shown[name] = holds
 
     def _on_path(self, message: Path) -> None:
         self._take('goal_path', message)
@@ -310,6 +346,7 @@ class PlannerNode(Managed):
             report = self._ticker.safe(self._inbox, unsafe)
         self._publish(odometry.stamp, report)
         self._answered = odometry.stamp.nanoseconds
+        self._look_for_events()
         self._watch_now()
 
     def _unsafe(self) -> Reason | None:
@@ -435,22 +472,25 @@ class PlannerNode(Managed):
         if not -back <= by <= forth:
             self._start_afresh(f'the clock jumped by {by:.3g} s')
 
-    def _start_afresh(self, why: str) -> None:
-        self.get_logger().warning(f'{AFRESH.words}: {why}')
-        self._forget()
-        self.safe(AFRESH)
+    def _start_afresh(self, why: str, reason: Reason = AFRESH) -> None:
+        self.get_logger().warning(f'{reason.words}: {why}')
+        self._forget_plan()
+        self._inbox.start_afresh()
+        self._events.begin()
+        self._tell_events()
+        self.safe(reason)
 
-    def _forget(self) -> None:
-        """Forget inputs and plan."""
+    def _forget_plan(self) -> None:
         self._patience.cancel()
         self._ticker.start_afresh()
-        self._inbox.forget()
         self._halves = Halves()
         self._answered = -1
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
-        self._start_afresh('asked to')
-        response.success, response.message = True, 'inputs and plan forgotten'
+        self._ticker.forget_disturbance()
+        self._start_afresh('asked to', RESET)
+        response.success = True
+        response.message = 'plan, estimates and all inputs but the goal forgotten'
         return response
 
     def _on_enable(self, request: Any, response: Any) -> Any:

@@ -145,6 +145,11 @@ class Ticker:
         if self._estimator is not None:
             self._estimator.start_afresh()
 
+    def forget_disturbance(self) -> None:
+        """Forget what was estimated of wind or acceleration."""
+        if self._estimator is not None:
+            self._estimator.reset()
+
     def planned(self, inbox: Inbox, now: float, ros: RosTime = UNKNOWN) -> Report:
         """Return a tick by a plan, if there is one; nothing in the inbox may be missing.
 
