@@ -353,6 +353,11 @@ class Inbox:
         """Return the topics that accompany every odometry message."""
         return [topic for topic, pairing in self.pairings.items() if pairing.constant]
 
+    @property
+    def in_step(self) -> bool:
+        """Return whether goals come with odometry, as from a simulator that waits for answers."""
+        return self._time in self.goal_stamps.values() or bool(self.companions)
+
     def _spoken(self, topic: str) -> bool:
         stamp = self._stamps.get(topic)
         return stamp is not None and stamp >= self._time

@@ -54,7 +54,8 @@ EVENTS = ('arrived', 'caught')  # topics
 # Who is connected is looked at instead: an event handler makes every wait of the node longer.
 NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 GOAL_PATIENCE = 0.1  # [s] to wait for the goal that belongs to an odometry message
-LEADERS_PATIENCE = 10.0  # [s] the same for plans of other vehicles, while simulated time stands
+STANDING_PATIENCE = 1.0  # [s] the same while simulated time stands: who waits sends it again
+LEADERS_PATIENCE = 10.0  # [s] the same for plans of other vehicles
 MARKERS = 10  # messages on obstacles that may wait, for each may matter
 REPEAT = 0.1  # [s] until who asks again is answered again: not for messages that come twice
 WATCH = 0.05  # [s] how often the inputs' age is looked at, at least
@@ -92,7 +93,8 @@ class PlannerNode(Managed):
         if self._settings.halves:
             names['odom'] = ' and '.join(map(self.resolve_topic_name, HALVES))
         self._inbox = Inbox(self._settings, names, avoided)
-        self._ticker = Ticker(self._settings, controller, simulated=self._time.simulated)
+        simulated = self._time.simulated
+        self._ticker = Ticker(self._settings, controller, simulated=simulated, counted=simulated)
         self._stamp = Stamp(0)  # of the last tick
         self._report: Report | None = None  # on it
         self._outlet.engaged = not self._settings.gated
@@ -317,8 +319,9 @@ class PlannerNode(Managed):
     def _patience_left(self) -> int:
         """Return how many calls an odometry message waits for what belongs to it."""
         leaders = set(self._inbox.lookout.leaders).intersection(self._inbox.companions)
-        long = leaders and self._time.simulated
-        return round((LEADERS_PATIENCE if long else GOAL_PATIENCE) / (0.5 * GOAL_PATIENCE))
+        standing = LEADERS_PATIENCE if leaders else STANDING_PATIENCE
+        patience = standing if self._time.simulated else GOAL_PATIENCE
+        return round(patience / (0.5 * GOAL_PATIENCE))
 
     def _on_patience(self) -> None:
         # On the second call at the soonest: after a stall, what lies waiting gets its turn first.
