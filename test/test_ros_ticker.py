@@ -327,7 +327,7 @@ def test_an_unknown_wind_is_estimated_planned_with_and_told():
     assert 0.0 <= report.values['innovation'] < 1.0
     driven.start_afresh()
     assert driven.tick_again(now + 0.1).disturbance == pytest.approx(wind, abs=0.01)
-    driven.ticker.forget_disturbance()
+    driven.ticker.forget()
     assert not driven.tick_again(now + 0.2).disturbance.any()
 
 

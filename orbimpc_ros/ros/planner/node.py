@@ -490,7 +490,7 @@ class PlannerNode(Managed):
         self._answered = -1
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
-        self._ticker.forget_disturbance()
+        self._ticker.forget()
         self._start_afresh('asked to', RESET)
         response.success = True
         response.message = 'plan, estimates and all inputs but the goal forgotten'

@@ -165,8 +165,9 @@ class Ticker:
         if self._estimator is not None:
             self._estimator.start_afresh()
 
-    def forget_disturbance(self) -> None:
-        """Forget what was estimated of wind or acceleration."""
+    def forget(self) -> None:
+        """Forget the plan and the wind; the command in force stays so."""
+        self.start_afresh()
         if self._estimator is not None:
             self._estimator.reset()
 

@@ -74,7 +74,7 @@ class OfflinePlanner:
     def start_afresh(self, cause: Cause) -> None:
         """Forget plan and inputs, as the planner does for a cause."""
         if cause is Cause.RESET:
-            self._ticker.forget_disturbance()
+            self._ticker.forget()
         self._ticker.start_afresh()
         self._inbox.start_afresh()
 
