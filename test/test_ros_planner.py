@@ -199,31 +199,27 @@ def test_that_a_goal_is_caught_and_then_reached_is_told_until_there_is_another(l
     heard = {name: observer.listen(Bool, name, kept) for name in ('arrived', 'caught')}
     seconds = 1.0
 
-    def fly(x, until):
-        """Be at a place, for as long as it takes; each measurement once the last is answered."""
+    def fly(x, to, until):
+        """Be at a place, with the goal at another, each measurement once the last is answered."""
+        sent = goal(seconds)
+        sent.pose.position.x = to
 
         def flown():
             nonlocal seconds
             placed = odometry(seconds)
             seconds += 0.5 * any(c.header.stamp == placed.header.stamp for c in bench.commands)
             placed.pose.pose.position.x = x
+            bench.goal.publish(sent)  # again: under load the first may be lost
             bench.odometry.publish(placed)
             return [m.data for m in heard['caught']] + [m.data for m in heard['arrived']] == until
 
         bench.until(flown, f'{until} at {x}')
 
-    def send(x):
-        sent = goal(seconds)
-        sent.pose.position.x = x
-        bench.goal.publish(sent)
-
     observer.until(lambda: all(heard.values()), 'that nothing has happened yet')
-    send(5.0)
-    fly(0.0, [False, False])
-    fly(4.8, [False, True, False, True])
-    send(9.0)
-    fly(4.8, [False, True, False, False, True, False])
-    fly(13.0, [False, True, False, True, False, True, False])  # past it, in between two messages
+    fly(0.0, 5.0, [False, False])
+    fly(4.8, 5.0, [False, True, False, True])
+    fly(4.8, 9.0, [False, True, False, False, True, False])
+    fly(13.0, 9.0, [False, True, False, True, False, True, False])  # past it, in between
     late = observer.node.create_subscription(Bool, 'caught', (told_late := []).append, kept)
     observer.until(lambda: told_late, 'what is kept for whoever comes later')
     assert told_late[0].data

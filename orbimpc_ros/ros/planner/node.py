@@ -172,7 +172,7 @@ class PlannerNode(Managed):
             self._listen(Path, topic, self.at_work(self._hearing(topic)))
 
     def _create_events(self) -> None:
-        self._events, self._shown = Events(), dict[str, bool]()
+        self._events, self._shown, self._goals_noted = Events(), dict[str, bool](), 0
         kept = qos(durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._tellers = {name: self.create_publisher(Bool, name, kept) for name in EVENTS}
         self._tell_events()
@@ -227,15 +227,20 @@ class PlannerNode(Managed):
         self._witness.note(self._inbox.latest['odom'].value)  # no command waits for it
 
     def _on_goal(self, message: PoseStamped) -> None:
-        before = self._inbox.latest.get('goal')
         self._take('goal', message)
-        goal = self._inbox.latest.get('goal')
-        if goal is not None and goal is not before:
+        self._note_goal()
+        self._tell_events()
+
+    def _note_goal(self) -> None:
+        """Let the events know of a goal that has come since the last one they know of."""
+        goal, count = self._inbox.latest.get('goal'), self._inbox.goal_counts['goal']
+        if goal is not None and count != self._goals_noted:
+            self._goals_noted = count
             self._events.send(goal.value.position, streams=goal.run >= STREAM)
-            self._tell_events()
 
     def _look_for_events(self) -> None:
         """Look whether the latest odometry shows a goal caught or reached."""
+        self._note_goal()  # the tick may be for one that has just come
         settings, known, now = self._settings, self._inbox.odometry, self.steady_now()
         if known is None or self._inbox.missing or self._inbox.stale_goal(now, self._time.now):
             return
