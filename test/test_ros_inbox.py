@@ -363,19 +363,26 @@ def test_typed_goals_and_one_kept_over_a_fresh_start_show_no_motion():
     values = {row.name: row.default for row in PLANNER}
     moving = Inbox(planner_settings({**values, 'goal_prediction': 'velocity'}))
     moving.take('odom', odometry(1.0), 1.0)
-    for at, message in ((1.0, typed(2.0)), (1.5, typed(4.0)), (2.0, goal(2.0, 6.0))):
+    for at, message in ((1.0, typed(2.0)), (1.5, typed(4.0)), (9.0, goal(9.0, 6.0))):
         moving.take('odom', odometry(at + 0.1), at)
         assert moving.take('goal', message, at) == ''
         held = [[message.pose.position.x, 0.0]]
-        np.testing.assert_array_equal(moving.targets(np.array([9.0]), at), held)
+        np.testing.assert_array_equal(moving.targets(np.array([19.0]), at), held)
     moving.start_afresh()
     assert moving.missing == 'odometry on odom'
-    moving.take('odom', odometry(0.5), 2.1)
-    np.testing.assert_array_equal(moving.targets(np.array([9.0]), 2.1), held)
-    assert moving.take('goal', goal(0.6, 8.0), 2.2) == ''  # of whatever time
-    np.testing.assert_array_equal(moving.targets(np.array([9.0]), 2.2), [[8.0, 0.0]])
+    moving.take('odom', odometry(0.5), 9.1)
+    np.testing.assert_array_equal(moving.targets(np.array([19.0]), 9.1), held)
+    assert moving.take('goal', goal(0.6, 8.0), 9.2) == ''  # of whatever time
+    np.testing.assert_array_equal(moving.targets(np.array([19.0]), 9.2), [[8.0, 0.0]])
     moving.forget()
     assert 'goal' in moving.missing
+
+
+def test_the_last_goal_of_a_stream_is_not_kept_over_a_fresh_start(inbox):
+    """It sends the next one, or has stopped."""
+    sent(inbox, 1.0, 1.1, 1.2)
+    inbox.start_afresh()
+    assert inbox.missing == 'odometry on odom and a goal on goal or goal_path'
 
 
 def test_odometry_that_loses_its_stamp_is_not_taken_for_the_beginning_of_time(inbox):

@@ -155,22 +155,22 @@ def test_disabled_means_the_safe_command_again_and_again(flying):
     assert moving(flying.fly(3.0))
 
 
-def test_after_a_reset_it_flies_to_the_same_goal_as_soon_as_there_is_odometry(flying):
-    flying.fly(100.0)
-    flown = len(flying.commands)
-    answer = flying.observer.call(Trigger, '/planner/reset', Trigger.Request())
-    assert answer.message == 'plan, estimates and all inputs but the goal forgotten'
-    flying.until(lambda: len(flying.commands) >= flown + 3, 'safe commands')
-    assert not any(moving(command) for command in flying.commands[flown:])
-    assert 'reset' in {told(tick)['cause'] for tick in flying.ticks}
-    flying.says('waits for odometry on /odom')
-    flown = len(flying.commands)
+def test_after_a_reset_it_flies_to_the_same_goal_as_soon_as_there_is_odometry(bench):
+    bench.fly(100.0)
+    flown = len(bench.commands)
+    answer = bench.observer.call(Trigger, '/planner/reset', Trigger.Request())
+    assert answer.message == 'plan, estimates and inputs forgotten, but for a goal sent by hand'
+    bench.until(lambda: len(bench.commands) >= flown + 3, 'safe commands')
+    assert not any(moving(command) for command in bench.commands[flown:])
+    assert 'reset' in {told(tick)['cause'] for tick in bench.ticks}
+    bench.says('waits for odometry on /odom')
+    flown = len(bench.commands)
 
     def goes_on():
-        flying.odometry.publish(odometry(1.0))  # an older stamp than before, and no goal again
-        return any(map(moving, flying.commands[flown:]))
+        bench.odometry.publish(odometry(1.0))  # an older stamp than before, and no goal again
+        return any(map(moving, bench.commands[flown:]))
 
-    flying.until(goes_on, 'a command to move')
+    bench.until(goes_on, 'a command to move')
 
 
 def test_goals_typed_one_after_the_other_are_flown_to_without_a_warning(launch, observer):

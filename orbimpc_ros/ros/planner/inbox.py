@@ -156,17 +156,21 @@ class Inbox:
         self.forecast.reset()
 
     def start_afresh(self) -> None:
-        """Forget all but where the goal was last, as after a reset or when time jumped."""
+        """Forget all but a goal sent by hand, as after a reset or when time jumped."""
         self._keep_goal_alone()
         self.lookout.forget()
         self.transforms.forget()
         self.timed.clear()
 
     def _keep_goal_alone(self) -> None:
-        """Forget odometry, and the stamps of goals: the last one stays, as one without a stamp."""
+        """Forget odometry and goals, but for one sent by hand, which stays without its stamp.
+
+        A stream sends the next one; if it has stopped, its last one is not to be flown to.
+        """
         goal = self.latest.get('goal')
         self.latest.clear()
-        if goal is not None:
+        self.forecast.reset()
+        if goal is not None and goal.run < STREAM:
             unset = replace(goal.stamp, nanoseconds=0)
             self._see_anew(replace(goal, stamp=unset, timed=False, foreign=False))
 

@@ -498,7 +498,7 @@ class PlannerNode(Managed):
         self._ticker.forget()
         self._start_afresh('asked to', RESET)
         response.success = True
-        response.message = 'plan, estimates and all inputs but the goal forgotten'
+        response.message = 'plan, estimates and inputs forgotten, but for a goal sent by hand'
         return response
 
     def _on_enable(self, request: Any, response: Any) -> Any:
