@@ -18,22 +18,23 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ElementTree.parse(ROOT / 'package.xml').getroot()
 STANDARD = sys.stdlib_module_names
 
-# Who brings what the code imports: rosdep key, distribution on PyPI. None: not needed there.
+# Who brings what the code imports: rosdep key, distribution on PyPI. None: not needed or not there.
 PROVIDERS = {
     'PIL': ('python3-pil', 'pillow'),
     'clarabel': ('python3-cvxpy-pip', 'clarabel'),
     'cvxpy': ('python3-cvxpy-pip', 'cvxpy'),
-    'lz4': ('mcap-ros2-support', 'lz4'),
+    'lz4': (None, 'lz4'),
     'matplotlib': ('python3-matplotlib', 'matplotlib'),
-    'mcap': ('mcap-ros2-support', 'mcap'),
+    'mcap': (None, 'mcap'),
     'mpl_toolkits': ('python3-matplotlib', 'matplotlib'),
     'numba': ('python3-numba', None),
     'numpy': ('python3-numpy', 'numpy'),
     'rosbags': ('python3-rosbags-pip', 'rosbags'),
     'scipy': ('python3-scipy', 'scipy'),
     'yaml': ('python3-yaml', 'pyyaml'),
-    'zstandard': ('mcap-ros2-support', 'zstandard'),
+    'zstandard': (None, 'zstandard'),
 }
+BAGS = 'rosbag2_storage_mcap'  # of ros2 bag record, which launch files start
 # Of what is not named as its module is.
 MODULES = {'bsk': ('Basilisk',), 'rerun-sdk': ('rerun', 'rerun_cli')}
 
@@ -105,7 +106,12 @@ def test_every_import_is_declared_in_package_xml():
         if module in optional():
             continue
         key = PROVIDERS[module][0] if module in PROVIDERS else module
-        assert key in depends(), f'{module} is imported, {key} is not in package.xml'
+        assert key is None or key in depends(), f'{module} is imported, {key} not in package.xml'
+
+
+def test_nothing_is_declared_in_package_xml_that_is_not_imported():
+    used = {PROVIDERS[module][0] if module in PROVIDERS else module for module in imported()}
+    assert {key for key in depends() if key.endswith('-pip') or 'mcap' in key} <= used | {BAGS}
 
 
 def test_every_third_party_import_is_declared_in_setup():
@@ -119,11 +125,11 @@ def test_what_rosdep_would_install_by_pip_comes_from_the_requirements():
     lines = (ROOT / 'requirements-jazzy.txt').read_text().splitlines()
     given = {re.split(r'[<>=]', line)[0] for line in lines if not line.startswith('#')}
     (skipped,) = re.findall(r"--skip-keys '([^']+)'", (ROOT / 'README.md').read_text())
-    by_pip = {key for key in depends() if key.endswith('-pip') or key == 'mcap-ros2-support'}
+    by_pip = {key for key in depends() if key.endswith('-pip')}
     assert by_pip | {'python3-numba'} == set(skipped.split()) <= depends()
     for module, (key, _) in PROVIDERS.items():
         # CVXPY brings Clarabel, MCAP its two compressors.
-        if key in skipped and module not in ('clarabel', 'lz4', 'zstandard'):
+        if (key is None or key in skipped) and module not in ('clarabel', 'lz4', 'zstandard'):
             assert module in given
     assert given <= set(PROVIDERS)
 

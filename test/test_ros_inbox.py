@@ -63,7 +63,24 @@ def test_a_sender_whose_clock_went_back_is_heard_once_the_old_is_stale(inbox):
     inbox.take('goal', goal(100.0), 0.0)
     assert inbox.take('odom', odometry(0.0), 0.1)
     assert inbox.take('odom', odometry(0.0), 0.3) == ''
-    assert 'goal' not in inbox.latest  # of the old time
+    kept = inbox.latest['goal']  # it lies where it lay; its stamp is of the old time
+    assert kept.stamp.nanoseconds == 0
+    assert kept.value.time == 0.0
+
+
+@pytest.mark.parametrize('refused', [False, True])
+def test_a_goal_of_the_past_leaves_odometry_as_it_is(inbox, refused):
+    """Neither one that is taken in nor one that is itself refused costs what has just come."""
+    values = {row.name: row.default for row in PLANNER}
+    inbox.adopt(planner_settings({**values, 'weights.attitude': 0.5}))
+    inbox.take('goal', goal(100.0), 0.0)
+    inbox.take('odom', odometry(101.0), 2.9)
+    known, old = inbox.odometry, goal(50.0, x=7.0)
+    if refused:
+        oriented(old, np.sqrt(0.5), 0, np.sqrt(0.5), 0)  # without a yaw
+    assert bool(inbox.take('goal', old, 3.0)) == refused
+    assert inbox.odometry is known
+    assert inbox.latest['goal'].value.position[0] == (5.0 if refused else 7.0)
 
 
 def test_a_frozen_stamp_never_counts_as_fresh(inbox):
@@ -216,6 +233,7 @@ def test_simulated_time_may_trail_by_a_step(inbox):
 def test_before_time_starts_nothing_is_from_the_future(inbox):
     assert inbox.take('odom', stamped(odometry, 0.0), 0.0, RosTime(None, 0.1)) == ''
     assert not inbox.odometry.timed
+    assert inbox.untimed == ''  # nor is anything known to be of another clock
 
 
 def test_what_was_held_up_on_the_way_is_as_old_as_its_stamp(inbox):
@@ -305,6 +323,66 @@ def test_stamps_that_nobody_sets_are_told_as_what_they_are(inbox):
     refusal = inbox.take('odom', odometry(0.0), 0.1)
     assert 'unset stamp: 0 again; set header.stamp to the time' in refusal
     assert inbox.refused == {'odom: unset stamp': 1}
+
+
+def typed(x, frame='', make=goal):
+    """A message as ``ros2 topic pub`` makes it of a pose alone."""
+    message = make(0.0, x) if make is goal else make(0.0)
+    message.header.frame_id = frame
+    return message
+
+
+@pytest.mark.parametrize('before', [None, 'typed', 'stamped'])
+def test_a_goal_typed_without_a_stamp_or_a_frame_is_of_the_moment_it_comes(inbox, before):
+    inbox.take('odom', stamped(odometry, 0.0), 0.0, clock(0.0))
+    if before is not None:
+        first = typed(1.0) if before == 'typed' else stamped(goal, 0.0, 1.0)
+        assert inbox.take('goal', first, 0.0, clock(0.0)) == ''
+    assert inbox.take('goal', typed(2.0), 0.1, clock(0.1)) == ''
+    assert inbox.untimed == ''
+    assert inbox.latest['goal'].value.time == inbox.odometry.value.time
+    np.testing.assert_array_equal(inbox.targets(ahead(inbox, 2), 0.1), [[2.0, 0.0]] * 2)
+    assert inbox.stale_goal(1.0, clock(1.0)) == ''
+    assert inbox.stale_goal(1.2, clock(1.2)) == 'the goal is 1.10 s old'
+    assert inbox.take('goal', stamped(goal, 1.2, 3.0), 1.2, clock(1.2)) == ''
+    assert inbox.latest['goal'].timed
+
+
+def test_a_goal_typed_in_a_wrong_frame_is_refused_and_so_is_odometry_without_one():
+    values = {row.name: row.default for row in PLANNER}
+    strict = Inbox(planner_settings({**values, 'frame_id': 'odom'}))
+    assert strict.take('goal', typed(2.0), 0.0) == ''
+    refusal = strict.take('goal', typed(3.0, 'map'), 1.0)
+    assert "header.frame_id is 'map'; allowed: 'odom'" in refusal
+    assert 'header.frame_id' in strict.take('odom', typed(0.0, make=odometry), 1.0)
+    assert strict.latest['goal'].value.position[0] == 2.0
+
+
+def test_typed_goals_and_one_kept_over_a_fresh_start_show_no_motion():
+    """Where they lie is known, but not when they came there."""
+    values = {row.name: row.default for row in PLANNER}
+    moving = Inbox(planner_settings({**values, 'goal_prediction': 'velocity'}))
+    moving.take('odom', odometry(1.0), 1.0)
+    for at, message in ((1.0, typed(2.0)), (1.5, typed(4.0)), (9.0, goal(9.0, 6.0))):
+        moving.take('odom', odometry(at + 0.1), at)
+        assert moving.take('goal', message, at) == ''
+        held = [[message.pose.position.x, 0.0]]
+        np.testing.assert_array_equal(moving.targets(np.array([19.0]), at), held)
+    moving.start_afresh()
+    assert moving.missing == 'odometry on odom'
+    moving.take('odom', odometry(0.5), 9.1)
+    np.testing.assert_array_equal(moving.targets(np.array([19.0]), 9.1), held)
+    assert moving.take('goal', goal(0.6, 8.0), 9.2) == ''  # of whatever time
+    np.testing.assert_array_equal(moving.targets(np.array([19.0]), 9.2), [[8.0, 0.0]])
+    moving.forget()
+    assert 'goal' in moving.missing
+
+
+def test_the_last_goal_of_a_stream_is_not_kept_over_a_fresh_start(inbox):
+    """It sends the next one, or has stopped."""
+    sent(inbox, 1.0, 1.1, 1.2)
+    inbox.start_afresh()
+    assert inbox.missing == 'odometry on odom and a goal on goal or goal_path'
 
 
 def test_odometry_that_loses_its_stamp_is_not_taken_for_the_beginning_of_time(inbox):

@@ -75,7 +75,8 @@ def oracle():
 
 def test_the_rope_is_caught_and_the_topics_are_as_documented(launch, observer, oracle):
     heard = {topic: observer.listen(kind, topic) for topic, kind in TOPICS.items()}
-    captured = observer.listen(Bool, 'captured', KEPT)
+    captured, caught = (observer.listen(Bool, each, KEPT) for each in ('captured', 'caught'))
+    health = observer.listen(DiagnosticArray, '/diagnostics')
     launch('planner', {}, 'retrieval')
     observer.until_connected(*ANSWERS)
     sim = launch('sim', LONG, 'retrieval')
@@ -86,6 +87,8 @@ def test_the_rope_is_caught_and_the_topics_are_as_documented(launch, observer, o
     stamps = [10**9 * k for k in range(flown + 1)]
     told = ('odom', 'goal', '/clock', *ANSWERS)
     observer.until(lambda: all(reached(heard[t], stamps[-1]) for t in told), 'the rest')
+    observer.until(lambda: [each.data for each in caught] == [False, True], 'the catch')
+    assert not any("not of this node's clock" in m.status[0].message for m in health)
     heard = {topic: once(messages) for topic, messages in heard.items()}
     assert [stamp(m) for m in heard['odom']] == stamps
     for topic in told:

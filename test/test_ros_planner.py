@@ -17,6 +17,7 @@ from nav_msgs.msg import Odometry, Path
 from planners import FRAMES, QUICK, Bench, goal, moving, odometry, told
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy
 from std_msgs.msg import Bool, UInt8MultiArray
 from std_srvs.srv import SetBool, Trigger
 
@@ -154,14 +155,75 @@ def test_disabled_means_the_safe_command_again_and_again(flying):
     assert moving(flying.fly(3.0))
 
 
-def test_reset_forgets_the_inputs_and_is_safe_until_they_are_there_again(flying):
-    flying.fly(100.0)
-    flown = len(flying.commands)
-    assert flying.observer.call(Trigger, '/planner/reset', Trigger.Request()).success
-    flying.until(lambda: len(flying.commands) >= flown + 3, 'safe commands')
-    assert not any(moving(command) for command in flying.commands[flown:])
-    flying.until(lambda: 'waits for' in flying.health[-1].status[0].message, 'waiting')
-    assert moving(flying.fly(1.0))  # an older stamp than before
+def test_after_a_reset_it_flies_to_the_same_goal_as_soon_as_there_is_odometry(bench):
+    bench.fly(100.0)
+    flown = len(bench.commands)
+    answer = bench.observer.call(Trigger, '/planner/reset', Trigger.Request())
+    assert answer.message == 'plan, estimates and inputs forgotten, but for a goal sent by hand'
+    bench.until(lambda: len(bench.commands) >= flown + 3, 'safe commands')
+    assert not any(moving(command) for command in bench.commands[flown:])
+    assert 'reset' in {told(tick)['cause'] for tick in bench.ticks}
+    bench.says('waits for odometry on /odom')
+    flown = len(bench.commands)
+
+    def goes_on():
+        bench.odometry.publish(odometry(1.0))  # an older stamp than before, and no goal again
+        return any(map(moving, bench.commands[flown:]))
+
+    bench.until(goes_on, 'a command to move')
+
+
+def test_goals_typed_one_after_the_other_are_flown_to_without_a_warning(launch, observer):
+    """As by ``ros2 topic pub --once /goal ...`` of a pose alone, and again of another one."""
+    bench = Bench(launch, observer, QUICK | {'odom_timeout': 60.0})
+    for seconds, y in enumerate((2.0, -2.0, 2.0), start=1):
+        sent = PoseStamped()
+        sent.pose.position.y = y
+        before = len(bench.commands)
+
+        def turned(sent=sent, before=before, seconds=seconds, y=y):
+            bench.goal.publish(sent)
+            bench.odometry.publish(odometry(time.time()))
+            return [c for c in bench.commands[before:] if c.twist.angular.z * y > 0.0]
+
+        bench.until(turned, 'a turn towards the goal')
+    heard = len(bench.health)
+    bench.until(lambda: len(bench.health) >= heard + 2, 'later diagnostics')
+    assert {m.status[0].message for m in bench.health[heard:]} == {'planning'}
+    assert not any(key.startswith('refused') for key in told(bench.health[-1]))
+
+
+def test_that_a_goal_is_caught_and_then_reached_is_told_until_there_is_another(launch, observer):
+    kept = qos(10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    bench = Bench(launch, observer, QUICK | {'capture_radius': 0.3})
+    heard = {name: observer.listen(Bool, name, kept) for name in ('arrived', 'caught')}
+    seconds = 1.0
+
+    def fly(x, to, until):
+        """Be at a place, with the goal at another, each measurement once the last is answered."""
+        sent = goal(seconds)
+        sent.pose.position.x = to
+
+        def flown():
+            nonlocal seconds
+            placed = odometry(seconds)
+            seconds += 0.5 * any(c.header.stamp == placed.header.stamp for c in bench.commands)
+            placed.pose.pose.position.x = x
+            bench.goal.publish(sent)  # again: under load the first may be lost
+            bench.odometry.publish(placed)
+            return [m.data for m in heard['caught']] + [m.data for m in heard['arrived']] == until
+
+        bench.until(flown, f'{until} at {x}')
+
+    observer.until(lambda: all(heard.values()), 'that nothing has happened yet')
+    fly(0.0, 5.0, [False, False])
+    fly(4.8, 5.0, [False, True, False, True])
+    fly(4.8, 9.0, [False, True, False, False, True, False])
+    fly(13.0, 9.0, [False, True, False, True, False, True, False])  # past it, in between
+    late = observer.node.create_subscription(Bool, 'caught', (told_late := []).append, kept)
+    observer.until(lambda: told_late, 'what is kept for whoever comes later')
+    assert told_late[0].data
+    observer.node.destroy_subscription(late)
 
 
 def test_a_timer_plans_without_new_odometry(launch, observer):

@@ -1,6 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Answers without publishing: safe commands, held plans, compensation, the last look."""
 
+import itertools
 import random
 from dataclasses import replace
 
@@ -36,11 +37,11 @@ START = 1_700_000_000 * SECOND  # [ns]
 class Driven:
     """A ticker whose inputs are stamped and come when the test says."""
 
-    def __init__(self, simulated=False, **changes):
+    def __init__(self, simulated=False, limits=None, **changes):
         values = {row.name: row.default for row in PLANNER} | {'step': 0.1} | changes
         settings = planner_settings(values)
         self.inbox = Inbox(settings)
-        self.ticker = Ticker(*prepared(settings), simulated=simulated)
+        self.ticker = Ticker(*prepared(settings), simulated=simulated, **(limits or {}))
 
     def odometry(self, at, now, position=(0.0, 0.0)):
         vehicle = launched(Model(), np.array(position), np.eye(2))
@@ -326,6 +327,8 @@ def test_an_unknown_wind_is_estimated_planned_with_and_told():
     assert 0.0 <= report.values['innovation'] < 1.0
     driven.start_afresh()
     assert driven.tick_again(now + 0.1).disturbance == pytest.approx(wind, abs=0.01)
+    driven.ticker.forget()
+    assert not driven.tick_again(now + 0.2).disturbance.any()
 
 
 def test_what_is_given_is_planned_with_and_nothing_is_estimated():
@@ -440,7 +443,7 @@ def test_without_time_for_a_proof_a_tick_says_whose_word_it_is():
     driven = still(terminal='constraint')
     answered = driven.tick_again(1.0)
     end = driven.ticker._end
-    driven.ticker._clock = lambda: end
+    driven.ticker._limit = lambda: end
     report = driven.ticker.proved(answered)
     assert report.tick.status == answered.tick.status == 'infeasible'
     assert report.tick.command == answered.tick.command
@@ -486,12 +489,29 @@ def test_a_bound_that_nothing_proves_is_the_methods_word():
     assert driven.ticker.proved(left_open) is left_open  # there is nothing to gain
 
 
+BOXES = {'obstacles': [1.5, -1.0, 2.5, 1.6, 3.0, 1.2, 4.0, 3.0], 'floor.shape': 'circle'}
+
+
+@pytest.mark.parametrize('deadline', [1e-3, 0.1])
+def test_in_lock_step_a_deadline_leaves_the_same_work_however_slow_the_machine_is(deadline):
+    found = []
+    for second in (1e-9, 10.0):  # between two looks at the clock
+        limits = {'clock': itertools.count(step=second).__next__, 'counted': True}
+        search = {'step': 0.5, 'horizon': 10, 'no_corner_cutting': True, 'deadline': deadline}
+        driven = Driven(True, limits, **search, **BOXES)
+        report = driven.tick_again(0.0)
+        plan = driven.ticker.proved(report).tick.plan
+        found.append((plan.objective, plan.lower_bound, plan.nodes))
+        assert (plan.gap < 1e-6) == (deadline == 0.1)
+    assert found[0] == found[1]
+
+
 def test_the_proof_of_a_bound_has_until_the_deadline():
     driven = still()
     answered = driven.tick_again(1.0)
     word = of_the_methods_word(answered, answered.tick.plan.lower_bound)
     end = driven.ticker._end
-    driven.ticker._clock = lambda: end
+    driven.ticker._limit = lambda: end
     assert driven.ticker.proved(word).tick.reason == WORD
 
 
@@ -529,7 +549,7 @@ def test_what_is_said_of_catches_is_counted_or_refuted_or_the_methods_word():
     assert word.values['catch_checked'] is False
     assert driven.ticker.proved(word, catches=True).values['catch_checked'] is True
     end = driven.ticker._end
-    driven.ticker._clock = lambda: end
+    driven.ticker._limit = lambda: end
     late = driven.ticker.proved(word, catches=True)
     assert late.values['catch_checked'] is False
     assert late.tick.reason == answered.tick.reason

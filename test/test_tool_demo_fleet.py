@@ -12,7 +12,7 @@ from bags import check_pictures
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.vehicles import vehicles
 from orbimpc_ros.tool.demo import fleet
-from orbimpc_ros.tool.io import history, settings
+from orbimpc_ros.tool.io import bag, history, settings
 from orbimpc_ros.tool.io.bag.writer import BagWriter
 from orbimpc_ros.tool.io.topics import topics_of
 from orbimpc_ros.world.fleet import members
@@ -54,6 +54,17 @@ def test_one_bag_holds_every_vehicle_from_its_first_step_on(flown):
         assert seen.values['rope.center'] == vehicles(2)[name]['rope.center']
         assert np.ptp(np.diff(seen.times)) < 1.0
         assert seen.captured
+
+
+def test_bodies_of_a_fleet_have_frames_of_their_own_in_one_world(flown):
+    """As on the one /tf; planners obey, and answer in the frame of their vehicle."""
+    found = {}
+    for topic, content in ((each.topic, each.content) for each in bag.read(flown[1] / 'bag')):
+        if topic.endswith(('/odom', '/cmd_vel')):
+            frame = getattr(content, 'child_frame_id', content.header.frame_id)
+            found.setdefault(topic, set()).add(frame)
+    topics = ('odom', 'cmd_vel')
+    assert found == {f'{ns}/{topic}': {f'{ns[1:]}/base_link'} for ns in NAMES for topic in topics}
 
 
 def test_what_is_not_caught_is_a_failure(tmp_path):

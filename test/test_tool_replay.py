@@ -415,7 +415,9 @@ def test_a_planner_that_starts_afresh_is_known_by_the_cause_not_by_its_words():
     """What it had taken in is forgotten, so that the next answer finds no odometry."""
     recording, values = recording_of(RETRIEVAL), settings.of_bag(RETRIEVAL)
     first = recording.answers[0]
-    for cause, fallback in ((Cause.AFRESH, 'safe command'), (Cause.DISABLED, ''), (None, '')):
+    forgotten, kept = (Cause.AFRESH, Cause.RESET), (Cause.DISABLED, None)
+    for cause in (*forgotten, *kept):
+        fallback = 'safe command' if cause in forgotten else ''
         said = Published(cause=cause, reason='starting afresh or not', solve_time_ms=0.0)
         answers = (first, replace(first, answer=said), first)
         ticks = replayed(replace(recording, answers=answers), planner_settings(values), True)

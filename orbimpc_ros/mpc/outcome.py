@@ -48,7 +48,8 @@ class Cause(Word):
     WAITING = 'waiting'  # an input has not come yet
     CLOCK = 'clock'  # simulated time stands still
     DISABLED = 'disabled'
-    AFRESH = 'afresh'  # inputs and plan were forgotten
+    AFRESH = 'afresh'  # inputs and plan were forgotten, but for a goal sent by hand
+    RESET = 'reset'  # the same on request, and what was estimated
     FAILURE = 'failure'  # a callback raised an error
     SHUTDOWN = 'shutdown'
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from builtin_interfaces.msg import Duration
@@ -17,7 +18,9 @@ from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Hazard, Problem
 from orbimpc_ros.ros.messages import Stamp, header, point, pose
 from orbimpc_ros.ros.obstacles import shown
-from orbimpc_ros.world.flight import Flight
+
+if TYPE_CHECKING:  # a planner shows no world
+    from orbimpc_ros.world.flight import Flight
 
 GREEN, BLUE, RED, GREY, ORANGE = (
     (0.1, 0.6, 0.3, 1.0),

@@ -130,7 +130,7 @@ def read_odometry(
     at = _stamp(message.header, frames.world)
     in_body, child = frames.velocity == 'body', frames.body
     if in_body:
-        child = _frame(message.child_frame_id, frames.body, 'child_frame_id')
+        child = _body_frame(message.child_frame_id, frames.body)
     pose, twist = message.pose.pose, message.twist.twist
     linear = _triple(twist.linear, 'twist.linear')
     angular = _triple(twist.angular, 'twist.angular')
@@ -244,6 +244,12 @@ def _frame(found: str, wanted: str, culprit: str) -> str:
     if len(found) > LONGEST_FRAME:
         raise BadInput(culprit, repr(found), f'at most {LONGEST_FRAME} characters')
     return found
+
+
+def _body_frame(found: str, wanted: str) -> str:
+    """Return a body's frame, which a vehicle of many has behind a prefix: ``uav1/base_link``."""
+    plain = found.endswith(f'/{wanted}')
+    return _frame(found, found if plain else wanted, 'child_frame_id')
 
 
 def _triple(vector: Vector3 | Point, culprit: str) -> Array:

@@ -24,7 +24,8 @@ if TYPE_CHECKING:  # the simulator reports without a solver, and starts sooner f
     from orbimpc_ros.mpc.proof.certificate import Certificate, Refutation
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-AFRESH = Reason(Cause.AFRESH, 'starting afresh')  # inputs and plan were forgotten
+AFRESH = Reason(Cause.AFRESH, 'starting afresh')
+RESET = Reason(Cause.RESET, 'reset')
 DISABLED = Reason(Cause.DISABLED, 'disabled')
 INACTIVE = Reason(Cause.DISABLED, 'inactive')  # as a managed node
 ANOTHER_PLAN = 0.01  # unexplained share of the gradient beyond which a plan is no optimum

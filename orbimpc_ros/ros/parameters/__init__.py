@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence, Sized
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
@@ -14,7 +14,9 @@ from rclpy.parameter import Parameter
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters.parameter import Row, Values
 from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner_settings
-from orbimpc_ros.ros.parameters.sim import SIM, SimSettings, sim_settings
+
+if TYPE_CHECKING:
+    from orbimpc_ros.ros.parameters.sim import SIM, SimSettings, sim_settings
 
 __all__ = [
     'PLANNER',
@@ -31,6 +33,15 @@ S = TypeVar('S')
 W = TypeVar('W')
 
 OF_ROS = ('use_sim_time', 'start_type_description_service')
+
+
+def __getattr__(name: str) -> Any:
+    """Return what is the simulator's: a planner does not load its world."""
+    if name not in ('SIM', 'SimSettings', 'sim_settings'):
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    from orbimpc_ros.ros.parameters import sim
+
+    return getattr(sim, name)
 
 
 class Live(Generic[S, W]):
@@ -59,7 +70,7 @@ class Live(Generic[S, W]):
     ) -> None:
         self._node, self._rows = node, rows
         self._settings_of, self._prepare = settings_of, prepare
-        _refuse_unknown(node)
+        _refuse_unknown(node, rows)
         for row in rows:
             _declare(node, row)
         self.settings()
@@ -129,9 +140,13 @@ def _empty(given: Parameter) -> bool:
     return isinstance(given.value, Sized) and not isinstance(given.value, str) and not given.value
 
 
-def _refuse_unknown(node: Node) -> None:
-    # One file may serve both nodes, so a name is unknown only if neither has it.
-    known = {row.name for row in (*PLANNER, *SIM)}.union(OF_ROS)
+def _refuse_unknown(node: Node, rows: Sequence[Row]) -> None:
+    known = {row.name for row in rows}.union(OF_ROS)
+    if not known.issuperset(node._parameter_overrides):
+        # One file may serve both nodes, so a name is unknown only if neither has it.
+        from orbimpc_ros.ros.parameters.sim import SIM
+
+        known.update(row.name for row in (*PLANNER, *SIM))
     for name, given in node._parameter_overrides.items():
         if name.startswith('qos_overrides.'):
             problem = f'{given.value!r} would have no effect'

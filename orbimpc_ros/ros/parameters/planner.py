@@ -113,8 +113,9 @@ PLANNER: tuple[Row, ...] = (
         choices=PROJECTIONS, live=True),
     Row('objective', 'track', 'Whether to be near the goal on average, or to catch it as soon as '
         'it can be', choices=OBJECTIVES, live=True),
-    Row('capture_radius', retrieval().capture_radius, 'The goal is caught within it (objective '
-        'intercept)', 'm', *span(*LIMITS['capture_radius']), live=True),
+    Row('capture_radius', retrieval().capture_radius, 'Within it the goal is caught: by plans '
+        '(objective intercept), and as the topics caught and arrived tell', 'm',
+        *span(*LIMITS['capture_radius']), live=True),
     Row('capture_centred', False, 'Whether plans of a catch lead through the middle of the goal '
         'with a little to spare: they turn gently, which vehicles follow whose turns take time '
         'to begin; otherwise they gain the last centimetre', live=True),
@@ -228,6 +229,7 @@ class PlannerSettings:
         goal_jump_limit: distance from one goal to the next; 0 for no limit [m].
         delay_compensation: whether to plan from the state advanced by the odometry's age.
         capture_radius: within which the goal is caught; 0 where it is not to be [m].
+        goal_radius: within which the goal counts as caught or reached, whatever the objective [m].
         centred: whether plans lead through its middle.
         approach: the cone of headings in which a catch counts.
         wants_attitude: whether goals need an orientation.
@@ -268,6 +270,7 @@ class PlannerSettings:
     goal_jump_limit: float
     delay_compensation: bool
     capture_radius: float
+    goal_radius: float
     centred: bool
     approach: Approach
     wants_attitude: bool
@@ -324,6 +327,7 @@ def planner_settings(values: Values) -> PlannerSettings:
         goal_jump_limit=values['goal_jump_limit'],
         delay_compensation=values['delay_compensation'],
         capture_radius=_capture_radius(values),
+        goal_radius=values['capture_radius'],
         centred=values['capture_centred'],
         approach=approach,
         wants_attitude=problem.wants_attitude or approach.is_the_goals,

@@ -51,6 +51,7 @@ class Received(Generic[T]):
         value: its content.
         at: when it came, on the steady clock [s].
         timed: whether its stamp can be compared with the node's clock.
+        foreign: whether it was compared, and is of another clock.
         run: how many messages of its source, itself the last, came one soon after another.
         moved: the message itself, if it came in another frame.
     """
@@ -59,6 +60,7 @@ class Received(Generic[T]):
     value: T
     at: float
     timed: bool = False
+    foreign: bool = False
     run: int = 1
     moved: Any = None
 
@@ -148,15 +150,42 @@ class Inbox:
                 self.forecast.observe(self.latest['goal'].value)
 
     def forget(self) -> None:
-        """Forget every input and whose clock is whose, as after a reset or when time jumped."""
-        self._drop_all()
+        """Forget every input and whose clock is whose."""
+        self.start_afresh()
+        self.latest.clear()
+        self.forecast.reset()
+
+    def start_afresh(self) -> None:
+        """Forget all but a goal sent by hand, as after a reset or when time jumped."""
+        self._keep_goal_alone()
         self.lookout.forget()
         self.transforms.forget()
         self.timed.clear()
 
-    def _drop_all(self) -> None:
+    def _keep_goal_alone(self) -> None:
+        """Forget odometry and goals, but for one sent by hand, which stays without its stamp.
+
+        A stream sends the next one; if it has stopped, its last one is not to be flown to.
+        """
+        goal = self.latest.get('goal')
         self.latest.clear()
         self.forecast.reset()
+        if goal is not None and goal.run < STREAM:
+            unset = replace(goal.stamp, nanoseconds=0)
+            self._see_anew(replace(goal, stamp=unset, timed=False, foreign=False))
+
+    def _see_anew(self, goal: Received[Sighting]) -> None:
+        """Take a goal for all that was ever seen of it."""
+        self.latest['goal'] = goal
+        self.forecast.reset()
+        self.forecast.observe(goal.value)
+
+    def _date_goal(self) -> None:
+        """Take a goal without a stamp for one that is seen when the latest odometry is."""
+        goal, known = self.latest.get('goal'), self.odometry
+        if goal is None or known is None or goal.stamp.nanoseconds:
+            return
+        self._see_anew(replace(goal, value=replace(goal.value, time=known.value.time)))
 
     @property
     def odometry(self) -> Received[Odometry] | None:
@@ -180,9 +209,9 @@ class Inbox:
             return refusal
         settings, last, came = self.settings, self.latest.get(topic), message
         try:
-            if topic in GOALS:
+            if topic in GOALS and message.header.frame_id:
                 message = self._placed(message)
-            stamp, value = READ[topic](message, settings.problem.dimension, settings.frames)
+            stamp, value = read(topic, message, settings)
             ros.require_past(stamp.nanoseconds, settings.future_tolerance)
             self._require_newer(topic, stamp, last, now)
             if topic in GOALS:
@@ -192,11 +221,14 @@ class Inbox:
             self.refused[f'{topic}: {error.culprit}'] += 1
             return f'{self.names[topic]} refused: {error}'
         # Once timed, always timed: what was held up on the way must not pass for fresh.
-        if abs(ros.since(stamp.nanoseconds)) <= COMPARABLE:
+        apart, unset = abs(ros.since(stamp.nanoseconds)), _is_unset(topic, stamp)
+        if apart <= COMPARABLE and not unset:
             self.timed.add(topic)
+        timed = topic in self.timed and not unset
+        foreign = apart > COMPARABLE and not (timed or unset)  # neither before time starts
         moved = None if message is came else came
-        timed, run = topic in self.timed, self._run(topic, now)
-        self._keep(topic, Received(stamp, value, now, timed, run, moved))
+        run = self._run(topic, now)
+        self._keep(topic, Received(stamp, value, now, timed, foreign, run, moved))
         return ''
 
     def _hear(self, topic: str, message: Any) -> str:
@@ -233,20 +265,30 @@ class Inbox:
             self.displaced = f'the goal stays where it was: {error}'
             return
         _, value = read_sighting(placed, self.settings.problem.dimension, frames)
-        self.latest['goal'], self.displaced = replace(goal, value=value), ''
-        self.forecast.reset()
-        self.forecast.observe(value)
+        self._see_anew(replace(goal, value=replace(value, time=goal.value.time)))
+        self.displaced = ''
 
     def _keep(self, topic: str, received: Received[Any]) -> None:
         if topic in GOALS:
             self.goal_counts[topic] += 1
         else:
             self._end_pairs()
+        last, goal = self.latest.get(topic), self.latest.get('goal')
+        back = last is not None and received.stamp.nanoseconds <= last.stamp.nanoseconds
+        if topic == 'odom' and back:
+            self._keep_goal_alone()
+        first = self.odometry is None
         self.latest[topic] = received
         self._note_pairs()
         if topic == 'goal':
+            # What has no stamp shows where the goal is, not how it moves.
+            if back or (goal is not None and _is_undated(goal)):
+                self.forecast.reset()
             self.forecast.observe(received.value)
+            self._date_goal()
         elif topic == 'odom':
+            if first:
+                self._date_goal()
             self._place_again(received.stamp.nanoseconds)
 
     def _run(self, topic: str, now: float) -> int:
@@ -259,7 +301,7 @@ class Inbox:
     ) -> None:
         if topic == 'odom' and topic in self.timed and stamp.nanoseconds == 0:
             raise BadInput.stating('unset stamp', '0', NOT_SET)
-        if last is None or stamp.nanoseconds > last.stamp.nanoseconds:
+        if last is None or stamp.nanoseconds > last.stamp.nanoseconds or _is_unset(topic, stamp):
             return
         if stamp.nanoseconds == last.stamp.nanoseconds:
             if stamp.nanoseconds == 0:
@@ -268,7 +310,6 @@ class Inbox:
         # Once the last one is stale, an older stamp means that the sender's clock was set back.
         if now - last.at <= self._timeout(topic):
             raise BadInput('reordered stamp', stamp.nanoseconds, INCREASING)
-        self._drop_all()
 
     def _require_near(
         self,
@@ -316,6 +357,11 @@ class Inbox:
         """Return the topics that accompany every odometry message."""
         return [topic for topic, pairing in self.pairings.items() if pairing.constant]
 
+    @property
+    def in_step(self) -> bool:
+        """Return whether goals come with odometry, as from a simulator that waits for answers."""
+        return self._time in self.goal_stamps.values() or bool(self.companions)
+
     def _spoken(self, topic: str) -> bool:
         stamp = self._stamps.get(topic)
         return stamp is not None and stamp >= self._time
@@ -360,7 +406,7 @@ class Inbox:
     @property
     def untimed(self) -> str:
         """Return which sources' stamps are of another clock than this node's, in words."""
-        untimed = [t for t in READ if t in self.latest and not self.latest[t].timed]
+        untimed = [t for t in READ if t in self.latest and self.latest[t].foreign]
         return ', '.join(self.names[topic] for topic in untimed)
 
     def stale_odometry(self, now: float, ros: RosTime = UNKNOWN) -> str:
@@ -405,6 +451,28 @@ class Inbox:
         if path is None or self._goal_age('goal_path', path, now, ros) > self.settings.goal_timeout:
             return None
         return path.value
+
+
+def read(topic: str, message: Any, settings: PlannerSettings) -> tuple[Stamp, Any]:
+    """Return the stamp and the content of an input; a goal without a frame is of the world's.
+
+    Raises:
+        BadInput: it is not acceptable.
+    """
+    frames = settings.frames
+    if topic in GOALS and not message.header.frame_id:
+        frames = replace(frames, world='')
+    return READ[topic](message, settings.problem.dimension, frames)
+
+
+def _is_unset(topic: str, stamp: Stamp) -> bool:
+    """Return whether it is a goal as typed by hand, without a stamp: it holds from its arrival."""
+    return topic == 'goal' and stamp.nanoseconds == 0
+
+
+def _is_undated(goal: Received[Sighting]) -> bool:
+    """Return whether a goal came without a stamp; in simulations the first one has 0 for its."""
+    return goal.stamp.nanoseconds == 0 and goal.value.time > 0.0
 
 
 def require_attitude(value: Sighting | Itinerary, settings: PlannerSettings) -> None:

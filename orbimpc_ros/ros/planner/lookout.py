@@ -23,7 +23,7 @@ UNHURRIED = 0.2  # [s] a shorter period leaves no time to wait for others
 TIE = 0.02  # [s] who measures at such a distance measures at the same time
 NOT_SET = (
     'set header.stamp to the time of measurement (in code get_clock().now().to_msg(), with '
-    'ros2 topic pub "header: auto")'
+    'ros2 topic pub "header: {stamp: now, frame_id: ...}")'
 )
 
 

@@ -12,7 +12,7 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
@@ -30,9 +30,10 @@ from orbimpc_ros.ros.parameters import PLANNER, Live, PlannerSettings, planner_s
 from orbimpc_ros.ros.parameters.sections import warn_of_unused
 from orbimpc_ros.ros.planner.announcer import Announcer
 from orbimpc_ros.ros.planner.compiling import leaving_at_signals, report_compilation
+from orbimpc_ros.ros.planner.events import Events
 from orbimpc_ros.ros.planner.frames import listen_to_transforms
 from orbimpc_ros.ros.planner.health import Condition, Health, condition
-from orbimpc_ros.ros.planner.inbox import NAMED, Inbox
+from orbimpc_ros.ros.planner.inbox import NAMED, STREAM, Inbox
 from orbimpc_ros.ros.planner.lookout import OBSTACLES, PLAN, others
 from orbimpc_ros.ros.planner.mode import ModeChanges
 from orbimpc_ros.ros.planner.neighbours import Neighbours
@@ -47,12 +48,14 @@ from orbimpc_ros.ros.planner.outlet import (
 from orbimpc_ros.ros.planner.summary import doubts, summary
 from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.ros.process import qos, run
-from orbimpc_ros.ros.reports import AFRESH, DISABLED, INACTIVE, Report, prices
+from orbimpc_ros.ros.reports import AFRESH, DISABLED, INACTIVE, RESET, Report, prices
 
+EVENTS = ('arrived', 'caught')  # topics
 # Who is connected is looked at instead: an event handler makes every wait of the node longer.
 NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 GOAL_PATIENCE = 0.1  # [s] to wait for the goal that belongs to an odometry message
-LEADERS_PATIENCE = 10.0  # [s] the same for plans of other vehicles, while simulated time stands
+STANDING_PATIENCE = 1.0  # [s] the same while simulated time stands: who waits sends it again
+LEADERS_PATIENCE = 10.0  # [s] the same for plans of other vehicles
 MARKERS = 10  # messages on obstacles that may wait, for each may matter
 REPEAT = 0.1  # [s] until who asks again is answered again: not for messages that come twice
 WATCH = 0.05  # [s] how often the inputs' age is looked at, at least
@@ -90,11 +93,13 @@ class PlannerNode(Managed):
         if self._settings.halves:
             names['odom'] = ' and '.join(map(self.resolve_topic_name, HALVES))
         self._inbox = Inbox(self._settings, names, avoided)
-        self._ticker = Ticker(self._settings, controller, simulated=self._time.simulated)
+        simulated = self._time.simulated
+        self._ticker = Ticker(self._settings, controller, simulated=simulated, counted=simulated)
         self._stamp = Stamp(0)  # of the last tick
         self._report: Report | None = None  # on it
         self._outlet.engaged = not self._settings.gated
         self._mode_changes = ModeChanges()
+        self._create_events()
         self._health = Health(self, self._condition, self._counts)
         self._create_subscriptions()
         self._create_timers()
@@ -103,7 +108,8 @@ class PlannerNode(Managed):
 
     def activate(self) -> None:
         """Plan and command, of what comes from now on."""
-        self._forget()
+        self._forget_plan()
+        self._inbox.forget()
         self._outlet.forget()
         self._report = None
 
@@ -165,6 +171,12 @@ class PlannerNode(Managed):
         for topic in self._inbox.others:
             self._listen(Path, topic, self.at_work(self._hearing(topic)))
 
+    def _create_events(self) -> None:
+        self._events, self._shown, self._goals_noted = Events(), dict[str, bool](), 0
+        kept = qos(durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._tellers = {name: self.create_publisher(Bool, name, kept) for name in EVENTS}
+        self._tell_events()
+
     def _create_timers(self) -> None:
         period = self._settings.period
         if not self._settings.on_odometry:
@@ -216,6 +228,37 @@ class PlannerNode(Managed):
 
     def _on_goal(self, message: PoseStamped) -> None:
         self._take('goal', message)
+        self._note_goal()
+        self._tell_events()
+
+    def _note_goal(self) -> None:
+        """Let the events know of a goal that has come since the last one they know of."""
+        goal, count = self._inbox.latest.get('goal'), self._inbox.goal_counts['goal']
+        if goal is not None and count != self._goals_noted:
+            self._goals_noted = count
+            self._events.send(goal.value.position, streams=goal.run >= STREAM)
+
+    def _look_for_events(self) -> None:
+        """Look whether the latest odometry shows a goal caught or reached."""
+        self._note_goal()  # the tick may be for one that has just come
+        settings, known, now = self._settings, self._inbox.odometry, self.steady_now()
+        if known is None or self._inbox.missing or self._inbox.stale_goal(now, self._time.now):
+            return
+        goal = self._inbox.targets(np.array([known.value.time]), now, self._time.now)[0]
+        approach, wanted = settings.approach, self._inbox.wanted(now, self._time.now)
+        if approach.is_the_goals and wanted is not None:
+            approach = replace(approach, direction=tuple(wanted[:, 0].tolist()))
+        found = settings.goal_radius, settings.odom_timeout, approach
+        self._events.note(known.value, goal, *found)
+        self._tell_events()
+
+    def _tell_events(self) -> None:
+        """Publish what has happened, or no longer holds, where that is news."""
+        for name, teller in self._tellers.items():
+            holds = getattr(self._events, name)
+            if holds != self._shown.get(name):
+                teller.publish(Bool(data=holds))
+                self._shown[name] = holds
 
     def _on_path(self, message: Path) -> None:
         self._take('goal_path', message)
@@ -281,8 +324,9 @@ class PlannerNode(Managed):
     def _patience_left(self) -> int:
         """Return how many calls an odometry message waits for what belongs to it."""
         leaders = set(self._inbox.lookout.leaders).intersection(self._inbox.companions)
-        long = leaders and self._time.simulated
-        return round((LEADERS_PATIENCE if long else GOAL_PATIENCE) / (0.5 * GOAL_PATIENCE))
+        standing = LEADERS_PATIENCE if leaders else STANDING_PATIENCE
+        patience = standing if self._time.simulated else GOAL_PATIENCE
+        return round(patience / (0.5 * GOAL_PATIENCE))
 
     def _on_patience(self) -> None:
         # On the second call at the soonest: after a stall, what lies waiting gets its turn first.
@@ -310,6 +354,7 @@ class PlannerNode(Managed):
             report = self._ticker.safe(self._inbox, unsafe)
         self._publish(odometry.stamp, report)
         self._answered = odometry.stamp.nanoseconds
+        self._look_for_events()
         self._watch_now()
 
     def _unsafe(self) -> Reason | None:
@@ -435,22 +480,25 @@ class PlannerNode(Managed):
         if not -back <= by <= forth:
             self._start_afresh(f'the clock jumped by {by:.3g} s')
 
-    def _start_afresh(self, why: str) -> None:
-        self.get_logger().warning(f'{AFRESH.words}: {why}')
-        self._forget()
-        self.safe(AFRESH)
+    def _start_afresh(self, why: str, reason: Reason = AFRESH) -> None:
+        self.get_logger().warning(f'{reason.words}: {why}')
+        self._forget_plan()
+        self._inbox.start_afresh()
+        self._events.begin()
+        self._tell_events()
+        self.safe(reason)
 
-    def _forget(self) -> None:
-        """Forget inputs and plan."""
+    def _forget_plan(self) -> None:
         self._patience.cancel()
         self._ticker.start_afresh()
-        self._inbox.forget()
         self._halves = Halves()
         self._answered = -1
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
-        self._start_afresh('asked to')
-        response.success, response.message = True, 'inputs and plan forgotten'
+        self._ticker.forget()
+        self._start_afresh('asked to', RESET)
+        response.success = True
+        response.message = 'plan, estimates and inputs forgotten, but for a goal sent by hand'
         return response
 
     def _on_enable(self, request: Any, response: Any) -> Any:

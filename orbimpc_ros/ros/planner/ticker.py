@@ -30,6 +30,8 @@ from orbimpc_ros.ros.reports import Report
 
 RECENT = 15  # ticks
 LATE = 1.5  # periods from one tick to the next
+LOOK = 1e-4  # [s] that a look at the deadline counts for in lock-step: some take 3e-3
+LONGEST = 0.25  # [s] a deadline counts for at most there, where somebody waits for the answer
 
 
 def prepared(settings: PlannerSettings) -> tuple[PlannerSettings, Controller]:
@@ -66,6 +68,21 @@ def _estimator(settings: PlannerSettings) -> Estimator | None:
         return None
     known = settings.problem, settings.response.speed, settings.velocity_source
     return Estimator(*known, measured=settings.sideslip)
+
+
+class Work:
+    """A clock that goes on by the looks at it, of which a search takes one after each part.
+
+    What it limits is the same on every machine, however busy.
+    """
+
+    def __init__(self) -> None:
+        self._looks = 0
+
+    def __call__(self) -> float:
+        """Return how long the work so far is taken to last [s]."""
+        self._looks += 1
+        return LOOK * self._looks
 
 
 class Timing:
@@ -108,6 +125,7 @@ class Ticker:
         controller: compiled for them.
         simulated: whether time stands still while a tick is computed.
         clock: that deadlines are kept by [s].
+        counted: whether deadlines are kept by work instead while goals come with odometry.
 
     Attributes:
         timing: of its ticks.
@@ -120,9 +138,11 @@ class Ticker:
         *,
         simulated: bool,
         clock: Callable[[], float] = time.perf_counter,
+        counted: bool = False,
     ) -> None:
         self._settings, self._controller, self._simulated = settings, controller, simulated
-        self._clock = clock
+        self._clock, self._counted = clock, counted
+        self._limit: Callable[[], float] = clock  # that the last tick's end is a time of
         self._estimator = _estimator(settings)
         self._end = math.inf  # of the last tick's time [s]
         self.timing = Timing()
@@ -144,6 +164,12 @@ class Ticker:
         self._controller.start_afresh()
         if self._estimator is not None:
             self._estimator.start_afresh()
+
+    def forget(self) -> None:
+        """Forget the plan and the wind; the command in force stays so."""
+        self.start_afresh()
+        if self._estimator is not None:
+            self._estimator.reset()
 
     def planned(self, inbox: Inbox, now: float, ros: RosTime = UNKNOWN) -> Report:
         """Return a tick by a plan, if there is one; nothing in the inbox may be missing.
@@ -173,7 +199,8 @@ class Ticker:
             tick = self._controller.hold(odometry, lost)
         else:
             targets = partial(inbox.targets, now=now, ros=ros)
-            tick = self._ticked(odometry, targets, inbox.wanted(now, ros), begun)
+            self._set_limit(begun, in_step=inbox.in_step)
+            tick = self._ticked(odometry, targets, inbox.wanted(now, ros))
         history.last = sent  # what is commanded now counts once it went out
         if limited:
             tick = replace(tick, reason=_joined(tick.reason, limited))
@@ -194,15 +221,16 @@ class Ticker:
             traffic_stamps=dict(inbox.lookout.stamps),
         )
 
+    def _set_limit(self, begun: float, *, in_step: bool) -> None:
+        self._limit, self._end = self._clock, begun + self._settings.deadline
+        if self._counted and in_step:
+            self._limit, self._end = Work(), min(self._settings.deadline, LONGEST)
+
     def _ticked(
-        self,
-        odometry: Odometry,
-        targets: Callable[[Array], Array],
-        wanted: Array | None,
-        begun: float,
+        self, odometry: Odometry, targets: Callable[[Array], Array], wanted: Array | None
     ) -> Tick:
-        ends, self._end = self._controller.ends(odometry.time), begun + self._settings.deadline
-        late = partial(_is_past, self._clock, self._end)
+        ends = self._controller.ends(odometry.time)
+        late = partial(_is_past, self._limit, self._end)
         return self._controller.tick(odometry, targets(ends), late, targets, wanted)
 
     def proved(self, report: Report, *, catches: bool = False) -> Report:
@@ -233,7 +261,7 @@ class Ticker:
         from orbimpc_ros.mpc.proof.refute import catches_refuted
 
         found = held_in_time(
-            lambda late: [catches_refuted(catch.sought, count, late)], self._clock, self._end
+            lambda late: [catches_refuted(catch.sought, count, late)], self._limit, self._end
         )
         return replace(report, refutation=found)
 
@@ -244,7 +272,7 @@ class Ticker:
         tick, bound = report.tick, plan.lower_bound
         assert tick.case is not None
         known = *tick.case, plan, bound
-        made = held_in_time(lambda late: certificates_for(*known, late), self._clock, self._end)
+        made = held_in_time(lambda late: certificates_for(*known, late), self._limit, self._end)
         if made is None:
             return replace(report, tick=replace(tick, reason=_joined(tick.reason, WORD)))
         plan = replace(plan, proof=replace(plan.proof, checked=True))
@@ -255,7 +283,7 @@ class Ticker:
         from orbimpc_ros.mpc.proof.prove import WORD, held_in_time
         from orbimpc_ros.mpc.proof.refute import refutation_of
 
-        made = held_in_time(lambda late: [refutation_of(sought, late)], self._clock, self._end)
+        made = held_in_time(lambda late: [refutation_of(sought, late)], self._limit, self._end)
         if made is None:
             tick = report.tick
             report = replace(report, tick=replace(tick, reason=_joined(tick.reason, WORD)))

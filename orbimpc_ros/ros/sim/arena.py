@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -21,7 +22,7 @@ from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.physics.failure import EngineFailure
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.markers import traffic_markers, world_markers
-from orbimpc_ros.ros.messages import SECOND, Stamp
+from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.parameters import SimSettings
 from orbimpc_ros.ros.process import DONE, FAILED, Guarded, qos
 from orbimpc_ros.ros.reports import ERROR, OK, WARN, diagnostics, health_message
@@ -58,6 +59,7 @@ class Arena:
     """
 
     def __init__(self, node: Guarded, settings: SimSettings, commands: Subscription) -> None:
+        settings = replace(settings, frames=own_frames(settings.frames, node.get_namespace()))
         self.node, self.settings, self._commands = node, settings, commands
         self.orders = Orders(settings.scenario.model, settings.frames)
         self.refused: Counter[str] = Counter()
@@ -202,6 +204,14 @@ class Arena:
         """Begin again; time goes on, for stamps never go back."""
         self._begin(self.flight.vehicle.time + self.settings.scenario.model.step)
         self._captured.publish(Bool(data=False))
+
+
+def own_frames(frames: Frames, namespace: str) -> Frames:
+    """Return a vehicle's frames: all share a world and /tf, in which each body has its own name."""
+    prefix = namespace.strip('/')
+    if not prefix or frames.body.startswith(f'{prefix}/'):
+        return frames
+    return replace(frames, body=f'{prefix}/{frames.body}')
 
 
 def _airspeeds_of(flight: Flight) -> Airspeeds | None:

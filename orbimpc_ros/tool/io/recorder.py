@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import time
 from collections.abc import Callable, Sequence
@@ -28,6 +29,7 @@ STAMP_ELSEWHERE = {
     **dict.fromkeys(('std_msgs/msg/Bool', 'std_msgs/msg/UInt8MultiArray')),
     'visualization_msgs/msg/MarkerArray': 8,
 }
+AGAIN = 5.0  # [s] until a planner that has not answered is called again
 LEAP = 60 * SECOND  # further off, a stamp is believed once a second one says the same
 
 
@@ -116,15 +118,21 @@ class Recorder:
                 self._listen(topic)
         self._unmet = {name: self._client(name) for name in planners}
         self._clock: Any = None
+        self._called = dict.fromkeys(planners, -math.inf)  # when, on the steady clock [s]
 
     def _client(self, planner: str) -> Client:
         """Return a client of a service that every node has."""
         return self._node.create_client(GetParameters, f'{planner}/get_parameters')
 
     def _meet(self) -> None:
-        """Call planners that have not answered yet; when all have, listen to odometry too."""
+        """Call planners that have not answered yet; when all have, listen to odometry too.
+
+        One that is being configured answers when that is done. Who begins again has lost the call.
+        """
+        now = time.monotonic()
         for name, client in self._unmet.items():
-            if client.service_is_ready():
+            if now - self._called[name] >= AGAIN and client.service_is_ready():
+                self._called[name] = now
                 answer = client.call_async(GetParameters.Request())
                 answer.add_done_callback(lambda _, name=name: self._unmet.pop(name, None))
         while self._held and not self._unmet:

@@ -47,9 +47,13 @@ WORLD = (
     Topic('truth', 'diagnostic_msgs/msg/DiagnosticArray'),
     Topic('world_markers', 'visualization_msgs/msg/MarkerArray'),
 )
+EVENTS = (
+    Topic('arrived', 'std_msgs/msg/Bool', latched=True),
+    Topic('caught', 'std_msgs/msg/Bool', latched=True),
+)
 PROOFS = (Topic('certificate', 'std_msgs/msg/UInt8MultiArray'),)
 NEEDED = 'odom and goal are needed'
-VEHICLE = (*INPUTS, *OUTPUTS, *WORLD, *PROOFS)
+VEHICLE = (*INPUTS, *OUTPUTS, *WORLD, *EVENTS, *PROOFS)
 TYPES = {topic.name.strip('/'): topic.type for topic in (*SHARED, *TREE, *VEHICLE)}
 
 

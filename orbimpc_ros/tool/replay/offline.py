@@ -11,7 +11,7 @@ from typing import Any
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.loop.controller import Tick
-from orbimpc_ros.mpc.outcome import Reason
+from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
@@ -71,10 +71,12 @@ class OfflinePlanner:
         """
         return self._inbox.take(topic, message, now, ros)
 
-    def forget(self) -> None:
-        """Start afresh."""
+    def start_afresh(self, cause: Cause) -> None:
+        """Forget plan and inputs, as the planner does for a cause."""
+        if cause is Cause.RESET:
+            self._ticker.forget()
         self._ticker.start_afresh()
-        self._inbox.forget()
+        self._inbox.start_afresh()
 
     @property
     def stamp(self) -> int | None:

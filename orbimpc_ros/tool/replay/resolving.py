@@ -19,7 +19,7 @@ from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.ros.planner.inbox import GOALS, READ, TRANSFORMS, require_attitude
+from orbimpc_ros.ros.planner.inbox import GOALS, READ, TRANSFORMS, read, require_attitude
 from orbimpc_ros.tool.replay.offline import OfflinePlanner, resolved
 from orbimpc_ros.tool.replay.recording import CLOCK, Input, Messages, RecordedTick, Recording
 
@@ -68,8 +68,8 @@ def replayed(
 def _answer(planner: OfflinePlanner, recorded: RecordedTick) -> Messages:
     answer = recorded.answer
     reason = Reason(answer.cause or Cause.NONE, answer.reason or '')
-    if reason.cause is Cause.AFRESH:
-        planner.forget()
+    if reason.cause in (Cause.AFRESH, Cause.RESET):
+        planner.start_afresh(reason.cause)
     if not answer.planned:
         return planner.be_safe(recorded.stamp, reason)
     if planner.stamp != recorded.stamp:
@@ -139,7 +139,8 @@ def _increasing(inputs: Iterable[Input], settings: PlannerSettings) -> list[Inpu
     """Return the valid inputs, without those that come behind a later stamp or repeat one."""
     good: list[Input] = []
     for each in inputs:
-        if (not good or each.stamp > good[-1].stamp) and acceptable(each, settings):
+        unset = each.topic == 'goal' and each.stamp == 0
+        if (not good or unset or each.stamp > good[-1].stamp) and acceptable(each, settings):
             good.append(each)
     return good
 
@@ -149,10 +150,9 @@ def acceptable(each: Input, settings: PlannerSettings) -> bool:
     if each.topic not in READ:
         return False
     try:
-        frames = settings.frames
         if each.topic in GOALS and settings.tree.exists:  # whether it could be moved is not known
-            frames = replace(frames, world='')
-        _, value = READ[each.topic](each.message, settings.problem.dimension, frames)
+            settings = replace(settings, frames=replace(settings.frames, world=''))
+        _, value = read(each.topic, each.message, settings)
         if each.topic in GOALS:
             require_attitude(value, settings)
     except BadInput:

@@ -14,6 +14,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.loop.goals import families
@@ -126,7 +127,7 @@ class Bank:
             covariances += np.einsum('k,kti,ktj->tij', shares, off, off)
         return Prediction(mean + self._origin, covariances, self.model)
 
-    def _within_speeds(self, places: Array, used: Array, times: Array) -> Array:
+    def _within_speeds(self, places: Array, used: NDArray[np.intp], times: Array) -> Array:
         """Return places no farther from the present ones than the fastest speed seen leads.
 
         Args:
