@@ -277,11 +277,11 @@ def test_weights_over_time_are_the_problems_sums():
 def test_inputs_of_thrust_weigh_more_over_time_unless_their_weight_is_given():
     thrust = {'dimension': 3, 'translation_order': 2}
     timed = {**thrust, 'weights.scaling': 'time'}
-    for given, wanted in (
+    for stated, wanted in (
         ({}, 0.05), (thrust, 0.05), ({'weights.scaling': 'time'}, 0.05), (timed, 50.0),
         ({**timed, 'weights.input': 0.05}, 0.05),
     ):  # fmt: skip
-        assert completed(PLANNER, given)['weights.input'] == wanted
+        assert completed(PLANNER, stated)['weights.input'] == wanted
 
 
 def test_the_configuration_is_the_scenario():

@@ -82,8 +82,8 @@ PLANNER: tuple[Row, ...] = (
         low=TINY, high=1.0, live=True),
     Row('max_rate', 0.0, 'Limit of the body rate; 0 for none, at most pi/step. Without a floor it '
         'limits changes of speed as well: R e1 moves by at most 2 sin(step * max_rate / 2) in a '
-        'step. With a floor it limits the angle of each step, at any speeds. Of thrust in space without '
-        'a floor, cones or a terminal constraint it limits commands alone',
+        'step. With a floor it limits the angle of each step, at any speeds. Of thrust in space '
+        'without a floor, cones or a terminal constraint it limits commands alone',
         'rad/s', 0.0, 1e4, live=True),
     Row('max_acceleration', 0.0, 'Limit of the change of speed (translation_order 1); 0 for none. '
         'From one command to the next the speed changes by at most step * max_acceleration',
