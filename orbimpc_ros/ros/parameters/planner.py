@@ -57,9 +57,9 @@ PLANNER: tuple[Row, ...] = (
     Row('horizon', 5, 'Steps planned ahead', low=1, high=MAX_HORIZON),
     Row('weights.position', 1.0, 'On squared distance to the goal at every step',
         '1/m^2', 0.0, 1e6, live=True),
-    Row('weights.input', 0.05, 'On squared inputs (turning, braking); 50 by default with '
+    Row('weights.input', 0.05, 'On squared inputs (turning, braking); 100 by default with '
         'weights.scaling time at translation_order 2',
-        's^2 or s^4', 0.0, 1e6, live=True, timed_thrust=50.0),
+        's^2 or s^4', 0.0, 1e6, live=True, timed_thrust=100.0),
     Row('weights.length', 0.0, 'On distance flown or thrust spent',
         '1/m', 0.0, 1e6, live=True),
     Row('weights.terminal', 10.0, 'On squared distance to the goal at the last step',

@@ -82,7 +82,8 @@ def _untold(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
     if problem.rotation_order == 2 and not {'response.speed', 'response.rate'} & given.keys():
         found.append(
             'response.speed and response.rate are not given: the vehicle is taken to obey a step '
-            'late; one that obeys at once misses its goal by far, give it lags such as 0.001 [s]'
+            'late; one that obeys at once misses its goal by far: give it lags, such as 0.001 [s], '
+            'and discretisation exact'
         )
     return found
 
