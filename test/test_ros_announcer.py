@@ -127,6 +127,20 @@ def test_what_is_hardly_meant_is_doubted():
     assert doubted(**{'floor.faces': 8, 'floor.shape': 'polygon'}) == []
 
 
+def test_what_only_the_vehicles_maker_knows_is_asked_for():
+    def doubted(**given):
+        return [each.split(' not given')[0] for each in doubts(described(**given), given)]
+
+    thrust = {'translation_order': 2, 'dimension': 3, 'thrust_axis': 'z'}
+    assert doubted(**thrust) == ['max_rate is']
+    for known in (3.84, 0.0):
+        assert doubted(**thrust, max_rate=known, step=0.1) == []
+    torque = {'translation_order': 2, 'dimension': 3, 'rotation_order': 2}
+    assert doubted(**torque) == ['response.speed and response.rate are']
+    for known in (0.0, 0.001):
+        assert doubted(**torque, **{'response.rate': known}) == []
+
+
 @pytest.mark.parametrize(
     ('horizon', 'shape', 'told'),
     [

@@ -24,6 +24,7 @@ from rclpy.parameter import Parameter, parameter_dict_from_yaml_file
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem.scaling import weighed
 from orbimpc_ros.ros.parameters import PLANNER, SIM, planner_settings, sim_settings
+from orbimpc_ros.ros.parameters.parameter import completed
 from orbimpc_ros.ros.parameters.sections import given, unused_sections
 from orbimpc_ros.world.scenario import retrieval, retrieval_problem
 
@@ -271,6 +272,16 @@ def test_weights_over_time_are_the_problems_sums():
     timed = planner_settings({**defaults(PLANNER), 'weights.scaling': 'time', 'forward': 3.0})
     sums = planner_settings({**defaults(PLANNER), 'forward': 3.0})
     assert timed.problem == weighed(sums.problem, 'time') != sums.problem
+
+
+def test_inputs_of_thrust_weigh_more_over_time_unless_their_weight_is_given():
+    thrust = {'dimension': 3, 'translation_order': 2}
+    timed = {**thrust, 'weights.scaling': 'time'}
+    for stated, wanted in (
+        ({}, 0.05), (thrust, 0.05), ({'weights.scaling': 'time'}, 0.05), (timed, 100.0),
+        ({**timed, 'weights.input': 0.05}, 0.05),
+    ):  # fmt: skip
+        assert completed(PLANNER, stated)['weights.input'] == wanted
 
 
 def test_the_configuration_is_the_scenario():

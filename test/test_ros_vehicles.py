@@ -2,6 +2,7 @@
 """The vehicles that the documentation sets up, flown with lags, wind and faults."""
 
 import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,7 @@ def flight(parameters, craft, motion, goal, seconds, band=0.0):
     """Motions at every tick, with the commands, of a vehicle that sets off from a motion."""
     from orbimpc_ros.tool.run.onboard import Planner
 
-    planner, log = Planner(parameters), []
+    planner, log = Planner(parameters, clock=time.process_time), []
     for k in range(round(seconds / planner.period)):
         now = k * planner.period
         velocity = motion.velocity
@@ -89,3 +90,28 @@ def test_a_multirotor_hovers_at_its_goal_in_an_unknown_push():
     log = flight(recipe('multirotor'), craft, start, lambda now: place, 14.0)
     late = [motion.position for now, motion, *_ in log if now > 10.0]
     assert np.max(np.linalg.norm(np.array(late) - place, axis=1)) < 0.1
+
+
+@needs_machine_code
+@pytest.mark.parametrize('boxes', [False, True])
+def test_a_multirotor_whose_rates_are_clipped_comes_to_rest_far_away(boxes):
+    """At 220 deg/s, twice the lags that were given, a fifth heavier: 9 m off, among boxes too."""
+    parameters = recipe('multirotor')
+    rng, place, around = np.random.default_rng(7), np.array([7.0, -4.0, 3.0]), []
+    while boxes and len(around) < 8:
+        middle, half = rng.uniform(0.2, 0.8) * place + rng.uniform(-2.0, 2.0, 3), 0.6
+        if min(np.abs(middle).max(), np.abs(middle - place).max()) > half + 0.6:
+            around.append((middle - half, middle + half))
+    margin = 0.4
+    wide = [float(x) for low, high in around for x in (*(low - margin), *(high + margin))]
+    parameters |= {'obstacles': tuple(wide), 'no_corner_cutting': boxes}
+    craft = Craft(19.6, True, 0.1, 0.1, 1.0 / 1.2, np.array([0.6, -0.4, -9.81]), turns=3.84)
+    start = at_rest(3, fraction=0.6)
+    upright = turned(np.array([0.0, -0.5 * np.pi, 0.0]))
+    start = type(start)(start.position, start.velocity, upright, start.rate, 0.6)
+    log = flight(parameters, craft, start, lambda now: place, 11.0)
+    away = [np.linalg.norm(motion.position - place) for _, motion, *_ in log]
+    assert max(away[80:]) < 0.05
+    assert max(np.linalg.norm(command.body_rate) for *_, command, _ in log) <= 3.84 * (1.0 + 1e-9)
+    for low, high in around:
+        assert not any(np.all((m.position > low) & (m.position < high)) for _, m, *_ in log)

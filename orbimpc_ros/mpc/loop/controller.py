@@ -169,6 +169,7 @@ class Controller:
         centred: bool = False,
     ) -> None:
         self._reserve = number(reserve, 'reserve', 0.0)
+        self._max_rate, problem = problem.max_rate, _planned(problem)
         self.problem, self._safe_kind = problem, safe
         self.response = response or Response()
         self.disturbance, self._velocity_source = disturbance, velocity_source
@@ -584,19 +585,22 @@ class Controller:
         fallback: Fallback = Fallback.NONE,
     ) -> Tick:
         """Return the tick that follows a checked plan, if the command made of it may be sent."""
-        command = command_of(task.problem, task.state, plan)
-        entry = entry_speed(task.problem, task.state) if task.problem.max_acceleration else 0.0
-        wrong = '; '.join(command_violations(task.problem, plan, command, entry))
-        if not wrong and (last_look := flaw(task.problem, command, entry=entry)):
+        problem = task.problem
+        if problem.max_rate != self._max_rate:
+            problem = replace(problem, max_rate=self._max_rate)
+        command = command_of(problem, task.state, plan)
+        entry = entry_speed(problem, task.state) if problem.max_acceleration else 0.0
+        wrong = '; '.join(command_violations(problem, plan, command, entry))
+        if not wrong and (last_look := flaw(problem, command, entry=entry)):
             wrong = f'not sent: {last_look}'
         if wrong:
             return self._rejected(task, wrong)
         if self.response.lags:
             before, self._due = self._due or self.history.last, command
-            command = held_back(task.problem, plan, before, command)
-            if last_look := flaw(task.problem, command, entry=entry):
+            command = held_back(problem, plan, before, command)
+            if last_look := flaw(problem, command, entry=entry):
                 return self._rejected(task, f'not sent: {last_look}')
-        if task.problem.max_acceleration:
+        if problem.max_acceleration:
             self._reached = entry
         known = task.problem, task.goals, reason.cause
         return Tick(status, reason.words, task.state, plan, command, fallback, *known)
@@ -657,6 +661,19 @@ class Controller:
     def _kept(self, step: float) -> tuple[float, float]:
         """Return the lengths of steps whose solvers are kept [s]."""
         return self.problem.step, step
+
+
+def _planned(problem: Problem) -> Problem:
+    """Return the problem that plans solve: thrust in space may turn faster than the vehicle does.
+
+    Commands keep ``max_rate``. Its chord would also limit how fast thrust grows and falls, which
+    no turn does, and among boxes no search is done in time with it.
+    """
+    orders = problem.dimension, problem.rotation_order, problem.inertial
+    limited = problem.floor.exists or problem.has_cones or problem.terminal == 'constraint'
+    if orders != (3, 1, True) or limited:
+        return problem
+    return replace(problem, max_rate=0.0)
 
 
 _Answer = tuple[Plan | None, Status, str]

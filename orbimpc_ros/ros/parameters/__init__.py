@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence, Sized
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from rcl_interfaces.msg import SetParametersResult
@@ -71,8 +72,9 @@ class Live(Generic[S, W]):
         self._node, self._rows = node, rows
         self._settings_of, self._prepare = settings_of, prepare
         _refuse_unknown(node, rows)
+        given = {name: each.value for name, each in node._parameter_overrides.items()}
         for row in rows:
-            _declare(node, row)
+            _declare(node, replace(row, default=row.default_beside(given)))
         self.settings()
         self._install: Callable[[W], None] | None = None
         self._pending: W | None = None

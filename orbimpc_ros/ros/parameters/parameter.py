@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,6 +44,7 @@ class Row:
         choices: words allowed, if the parameter is one of a few.
         live: whether it may change while the node runs.
         words: whether an array is one of words.
+        timed_thrust: the default with ``weights.scaling`` time at translation order 2, if another.
     """
 
     name: str
@@ -55,6 +56,12 @@ class Row:
     choices: tuple[str, ...] = ()
     live: bool = False
     words: bool = False
+    timed_thrust: Value | None = None
+
+    def default_beside(self, given: Values) -> Value:
+        """Return the default where other parameters have values that were given."""
+        timed = (given.get('weights.scaling'), given.get('translation_order')) == ('time', 2)
+        return self.timed_thrust if timed and self.timed_thrust is not None else self.default
 
     @property
     def kind(self) -> Parameter.Type:
@@ -118,6 +125,11 @@ class Row:
             good = bool(np.all((np.asarray(value) >= self.low) & (np.asarray(value) <= self.high)))
         if not good:
             raise BadInput(self.name, value, self.allowed)
+
+
+def completed(rows: Iterable[Row], given: Values) -> dict[str, Any]:
+    """Return the values that were given, and defaults for the rest."""
+    return {row.name: row.default_beside(given) for row in rows} | dict(given)
 
 
 def span(low: float, high: float) -> tuple[float, float]:

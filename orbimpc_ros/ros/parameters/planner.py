@@ -57,8 +57,9 @@ PLANNER: tuple[Row, ...] = (
     Row('horizon', 5, 'Steps planned ahead', low=1, high=MAX_HORIZON),
     Row('weights.position', 1.0, 'On squared distance to the goal at every step',
         '1/m^2', 0.0, 1e6, live=True),
-    Row('weights.input', 0.05, 'On squared inputs (turning, braking)',
-        's^2 or s^4', 0.0, 1e6, live=True),
+    Row('weights.input', 0.05, 'On squared inputs (turning, braking); 100 by default with '
+        'weights.scaling time at translation_order 2',
+        's^2 or s^4', 0.0, 1e6, live=True, timed_thrust=100.0),
     Row('weights.length', 0.0, 'On distance flown or thrust spent',
         '1/m', 0.0, 1e6, live=True),
     Row('weights.terminal', 10.0, 'On squared distance to the goal at the last step',
@@ -81,7 +82,8 @@ PLANNER: tuple[Row, ...] = (
         low=TINY, high=1.0, live=True),
     Row('max_rate', 0.0, 'Limit of the body rate; 0 for none, at most pi/step. Without a floor it '
         'limits changes of speed as well: R e1 moves by at most 2 sin(step * max_rate / 2) in a '
-        'step. With a floor it limits the angle of each step, at any speeds',
+        'step. With a floor it limits the angle of each step, at any speeds. Of thrust in space '
+        'without a floor, cones or a terminal constraint it limits commands alone',
         'rad/s', 0.0, 1e4, live=True),
     Row('max_acceleration', 0.0, 'Limit of the change of speed (translation_order 1); 0 for none. '
         'From one command to the next the speed changes by at most step * max_acceleration',

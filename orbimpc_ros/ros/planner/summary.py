@@ -58,6 +58,7 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
     if rate > BRISK:
         asked = f'{math.radians(rate):.4g} rad/s if {rate:g} deg/s is meant'
         found.append(f'max_rate is {rate:g} rad/s, {math.degrees(rate):.4g} deg/s: {asked}')
+    found += _untold(settings, given)
     if not settings.capture_radius:  # whoever intercepts looks beyond the horizon
         found += _short_sight(settings.problem)
     if given.get('approach.cone', 0.0) and not settings.approach.exists:
@@ -67,6 +68,23 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
         unused = name.removeprefix('floor.') not in settings.problem.floor.parameters
         if unused and given.get(name, DEFAULTS[name].default) != DEFAULTS[name].default:
             found.append(f'{name} is {given[name]:g} and floor.shape {shape}: it has no effect')
+    return found
+
+
+def _untold(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
+    """Say what vehicles that are turned by thrust or torque need, where nobody has stated it."""
+    found, problem = [], settings.problem
+    if settings.frames.thrust_axis == 'z' and problem.inertial and 'max_rate' not in given:
+        found.append(
+            'max_rate is not given: commands may turn by half a turn in a step; give the largest '
+            'body rate that the autopilot allows [rad/s], or 0.0 for none'
+        )
+    if problem.rotation_order == 2 and not {'response.speed', 'response.rate'} & given.keys():
+        found.append(
+            'response.speed and response.rate are not given: the vehicle is taken to obey a step '
+            'late; one that obeys at once misses its goal by far: give it lags, such as 0.001 [s], '
+            'and discretisation exact'
+        )
     return found
 
 

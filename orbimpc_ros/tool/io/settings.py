@@ -23,6 +23,7 @@ from orbimpc_ros.ros.parameters import (
     planner_settings,
     sim_settings,
 )
+from orbimpc_ros.ros.parameters.parameter import completed
 from orbimpc_ros.tool.io import bag, document
 
 ROWS = {row.name: row for row in (*PLANNER, *SIM)}
@@ -137,7 +138,7 @@ def _completed(content: Any, name: str, namespace: str = '') -> Values:
     if namespace and isinstance(content, dict):
         wanted = ('/**', f'{namespace}/')
         content = {key: each for key, each in content.items() if str(key).startswith(wanted)}
-    values: Values = {row.name: row.default for row in ROWS.values()}
+    values: Values = {}
     for given, value in sections(content, name):
         row = ROWS_OF_SIM.get(given) or ROWS.get(given)
         if row is not None:
@@ -146,6 +147,7 @@ def _completed(content: Any, name: str, namespace: str = '') -> Values:
             values[given] = value
         elif not given.startswith('qos_overrides.'):
             raise BadInput.unknown('parameter', given, ROWS, name)
+    values = completed(ROWS.values(), values)
     for own in ROWS_OF_SIM.keys() & values.keys():
         if values[own] == values[own.removeprefix(OF_SIM)]:
             del values[own]

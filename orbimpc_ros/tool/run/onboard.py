@@ -17,6 +17,7 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.markers import traffic_markers
 from orbimpc_ros.ros.messages import SECOND
+from orbimpc_ros.ros.parameters.parameter import completed
 from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner_settings
 from orbimpc_ros.ros.planner.inbox import Inbox
 from orbimpc_ros.ros.planner.ticker import Ticker, prepared
@@ -48,7 +49,7 @@ class Planner:
         pilot: Callable[[PlannerSettings], Controller] | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
-        settings = planner_settings({row.name: row.default for row in PLANNER} | parameters)
+        settings = planner_settings(completed(PLANNER, parameters))
         if patient:
             settings = replace(settings, deadline=PATIENCE)
         self._inbox, self._frames = Inbox(settings), settings.frames
