@@ -5,24 +5,46 @@ A slice is a call of machine code with a budget of work. Here budgets are the sm
 the calls are counted, so that nothing depends on how fast a machine is.
 """
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from problems import floor, goals, state
 
-from orbimpc_ros.mpc.check import floor_margin
+from orbimpc_ros.lab.bench.flights import UP, landings
+from orbimpc_ros.lab.bench.vehicles import lifted
+from orbimpc_ros.mpc.check import floor_margin, violations
+from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.geometry.cells import faces
 from orbimpc_ros.mpc.kernels import COMPILED, annulus
 from orbimpc_ros.mpc.kernels.linear import invert_spd, shift_to_semidefinite
+from orbimpc_ros.mpc.loop.traffic import clearest as clearest_of
 from orbimpc_ros.mpc.model.condensed import Condensed
-from orbimpc_ros.mpc.problem import Floor, Problem
+from orbimpc_ros.mpc.problem import (
+    Ball,
+    Box,
+    Floor,
+    Hazard,
+    Problem,
+    State,
+    Weights,
+    leaving,
+    traffic,
+)
+from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.solve import (
     annulus_newton,
     arc_search,
     cell_tree,
+    disjunctive_bnb,
     hull_riccati,
     request,
+    scouting,
     sector_bnb,
     so3_multipliers,
+    solver,
+    stand_ins,
 )
 from orbimpc_ros.mpc.solve.annulus_newton import AnnulusNewton
 from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch
@@ -254,3 +276,186 @@ def test_a_solver_does_not_count_what_its_method_was_just_in_time_to_tell(monkey
     proof = solver.solve(start, targets, out_of_time=out_of_time).proof
     assert (proof.checked, proof.grounds) == (False, None)
     assert proof.lower_bound > 0.0
+
+
+# --- what comes after the deadline, whoever solved
+
+GRAVITY = np.array([0.0, 0.0, -9.81])
+DESCENT = Problem(
+    3, 1, 2, horizon=8, step=0.9, forward=20.0, weights=Weights(0.0, 0.01, 1.0, 0.0),
+    terminal='constraint', floor=Floor('circle', fraction=0.3), discretisation='exact',
+    tilt=0.26, glide_slope=0.87,
+)  # fmt: skip
+KINDS = {
+    'bodies': (Problem(horizon=12, obstacles=(Box([2, -1], [4, 1]), Ball([3, 2], 1.5))), 0),
+    'hazards': (Problem(horizon=12, max_rate=0.5), 3),
+    'hazards and a floor': (Problem(horizon=10, floor=floor('circle'), max_rate=0.5), 3),
+    'hazards in space': (Problem(3, 1, 2, horizon=8), 3),
+    'hazards of a body that turns': (Problem(2, 2, 1, horizon=8), 2),
+    'hazards and an arrival': (Problem(horizon=10, terminal='constraint'), 2),
+    'hazards and an acceleration': (
+        Problem(horizon=10, floor=floor('circle', 0.3), max_acceleration=0.2), 2
+    ),
+    'a descent': (DESCENT, 0),
+    'faces of a body that turns': (Problem(3, 2, 2, horizon=8, floor=floor('polygon', 0.5, 6)), 0),
+}  # fmt: skip
+
+
+def among(problem, hazards, seed):
+    """Return a state, perhaps inside of a body, and a goal beyond them."""
+    rng, n = np.random.default_rng([77, seed]), problem.dimension
+    if problem.has_cones:
+        at = np.array([3.0, -2.0, 50.0]), 0.5 * UP
+        start = State.at(*at, velocity=[0.5, 0.0, -5.0], attitude=UP, disturbance=GRAVITY)
+        return start, np.zeros((problem.horizon, 3))
+    bodies = [Ball(rng.uniform(0.3, 3.0) * rng.normal(size=n), 1.0) for _ in range(hazards)]
+    moving = tuple(Hazard.drifting(each, 0.3 * rng.normal(size=n)) for each in bodies)
+    rotation = np.eye(n)
+    coasted = rotation if problem.rotation_order == 2 else None
+    start = State.at(np.zeros(n), rotation, coasted=coasted, hazards=moving)
+    return start, np.tile(0.5 * problem.horizon * np.eye(n)[0], (problem.horizon, 1))
+
+
+@pytest.fixture
+def works(monkeypatch):
+    """What is done since the clock was first seen to be late, by kind."""
+    counts = SimpleNamespace(relaxed=0, checked=0, scouted=0)
+
+    def counting(owner, name, kind):
+        known = getattr(owner, name)
+
+        def call(*args, **more):
+            setattr(counts, kind, getattr(counts, kind) + 1)
+            return known(*args, **more)
+
+        monkeypatch.setattr(owner, name, call)
+
+    counting(disjunctive_bnb.Posed, 'relax', 'relaxed')
+    counting(solver, 'violations', 'checked')
+    counting(scouting, 'advance', 'scouted')
+    return counts
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_once_late_little_is_done_and_a_plan_is_checked_or_declared_missing(works, kind):
+    problem, hazards = KINDS[kind]
+    made = Solver(problem, coasting=problem.rotation_order == 2)
+    start, targets = among(problem, hazards, 1)
+    if hazards:
+        made.expect_hazards()
+
+    def solved(limit):
+        """Return how often the clock is looked at that is late from a look on, if it is."""
+        looks = 0
+
+        def out_of_time():
+            nonlocal looks
+            looks += 1
+            if looks == limit:
+                works.relaxed = works.checked = works.scouted = 0
+            return looks >= limit
+
+        try:
+            plan = made.solve(start, targets, out_of_time=out_of_time)
+        except (Infeasible, SolverFailure):
+            plan = None
+        if plan is not None:
+            assert violations(problem, start, targets, plan) == []
+            assert plan.lower_bound <= plan.objective * (1.0 + 1e-9)
+        return looks
+
+    whole = solved(np.inf)
+    assert whole > 2
+    for limit in np.unique(np.geomspace(1, whole, 10).astype(int)):
+        solved(limit)
+        assert works.relaxed <= 2
+        assert works.scouted <= 1
+        # A guess there is none: what was found, four ways straight on, up or there, a few turns.
+        assert works.checked <= 1 + 5 + stand_ins.LATE
+
+
+def test_no_more_than_a_few_turns_are_tried_once_time_is_up():
+    tried, late = [None, 1, None, 2, 3, 4, 5, 6], iter([False, False, False, True, True, True])
+    assert list(stand_ins.in_time(tried, lambda: next(late))) == [1, 2, 3, 4]
+    assert list(stand_ins.in_time(tried, None)) == [1, 2, 3, 4, 5, 6]
+
+
+@pytest.mark.parametrize('hazards', [False, True])
+def test_the_ways_out_of_a_body_are_worked_out_once_for_a_state(monkeypatch, hazards):
+    """Once in natural units, once as posed, for search, recount, check and all that stands in."""
+    ball, asked, inside = Ball([0.2, 0.1], 1.0), [], traffic.inside
+    monkeypatch.setattr(traffic, 'inside', lambda *args: asked.append(args) or inside(*args))
+    shut = Ball([0.0, 0.0], 30.0)  # there is no way out, so that everything is tried
+    bodies = () if hazards else (ball, shut)
+    moving = tuple(Hazard.drifting(each, [0.1, 0.0]) for each in (ball, shut)) * hazards
+    problem = Problem(horizon=6, step=0.5, forward=2.0, obstacles=bodies, max_rate=1.0)
+    start = State.at([0.0, 0.0], np.eye(2), hazards=moving)
+    with pytest.raises((Infeasible, SolverFailure)):
+        Solver(problem).solve(start, np.tile([9.0, 0.0], (6, 1)), out_of_time=lambda: False)
+    assert len(asked) == 2
+
+
+def test_a_state_in_other_units_is_met_by_what_there_is_in_those():
+    problem, body = Problem(horizon=4, step=0.5, forward=4.0), Ball([3.0, 0.0], 1.0)
+    start = State.at([0.5, 0.0], np.eye(2), hazards=(Hazard.drifting(body, [0.0, 0.0]),))
+    units, known = solver.Units.of(problem), traffic.traffic_of(problem, start)
+    assert traffic.traffic_of(replace(problem), start) is known
+    assert traffic.traffic_of(units.problem, units.state(start)).bodies[0].radius == 0.5
+    assert traffic.traffic_of(units.problem, start).bodies[0].radius == 1.0
+
+
+def test_the_clearest_of_few_ways_is_flown_once_time_is_up(monkeypatch):
+    made, assembled = [], clearest_of.assemble
+    monkeypatch.setattr(
+        clearest_of, 'assemble', lambda *args, **more: made.append(1) or assembled(*args, **more)
+    )
+    problem = Problem(horizon=6, step=0.5, forward=2.0, max_rate=1.0)
+    near = Hazard.drifting(Ball([1.2, 0.0], 1.0), [0.0, 0.0])
+    start, targets = State.at([0.0, 0.0], np.eye(2), hazards=(near,)), np.tile([9.0, 0.0], (6, 1))
+    counts, known = [], (problem, start, targets, None, 'thrust_aligned')
+    for out_of_time in (lambda: True, None):
+        made.clear()
+        plan, _ = clearest_of.clearest(*known, out_of_time)
+        assert plan is not None
+        counts.append(len(made))
+    assert counts[0] <= counts[1] / 3
+
+
+def test_escapes_turn_as_fast_as_may_be_and_then_go_straight():
+    """Stepped by hand: by the widest angle with a floor, and by the longest chord without."""
+    rng = np.random.default_rng(8)
+    for shape, n in (('none', 2), ('none', 3), ('circle', 2), ('circle', 3)):
+        problem = Problem(n, horizon=12, floor=floor(shape, 0.4), max_rate=0.5)
+        start, ways = state(rng, problem), leaving.directions(n)
+        for way, z in zip(ways, leaving.escapes(problem, start, ways), strict=True):
+            at = start.rotation[:, 0] / (np.linalg.norm(start.rotation[:, 0]))
+            for k in range(1, 13):
+                if shape == 'none':
+                    left = way - z[k - 1]
+                    share = min(1.0, problem.chord / max(np.linalg.norm(left), 1e-9))
+                    np.testing.assert_allclose(z[k], z[k - 1] + share * left, atol=1e-9)
+                else:
+                    before, after = np.arccos(np.clip([at @ way, z[k] @ way], -1.0, 1.0))
+                    assert after == pytest.approx(max(0.0, before - 0.5), abs=1e-6)
+                    assert np.linalg.norm(z[k]) == pytest.approx(1.0)
+                    at = z[k]
+
+
+def test_trees_of_long_polygons_are_compiled_at_the_start(monkeypatch):
+    expected = []
+    monkeypatch.setattr(Recount, 'expect_choices', lambda _: expected.append(1))
+    Recount(Problem(horizon=30, floor=floor('polygon', 0.5, 6)))
+    assert not expected
+    Recount(Problem(horizon=31, floor=floor('polygon', 0.5, 6)))
+    assert expected
+
+
+def test_a_landing_is_searched_no_further_than_its_gap_needs(monkeypatch):
+    """Many ways to burn cost nearly the same: to the last digit none is proved the best."""
+    monkeypatch.setattr(disjunctive_bnb, 'MAX_NODES', 150)
+    problem = lifted()[1].problem
+    made = Solver(problem, gap_tolerance=1e-3)
+    for each in landings(problem, 3):
+        plan = made.solve(each.state, each.goals)
+        assert plan.status.name == 'OPTIMAL'
+        assert plan.nodes < 150

@@ -263,51 +263,84 @@ def _selected(made, count, beam, fine, swift):
     return taken[:kept]
 
 
-@compiled
-def _traced(z_of, from_of, last):
-    """Return the headings of the way that ends at one of the last places, shape (N, n)."""
-    found, at = np.empty((len(z_of), z_of.shape[2])), last
-    for k in range(len(z_of) - 1, -1, -1):
-        found[k] = z_of[k, at]
-        at = from_of[k, at]
-    return found
+class Trail(NamedTuple):
+    """The places that are kept, and how they were come to.
+
+    Attributes:
+        headings: R_1 e1..R_N e1 by place, shape (N, B, n).
+        origins: the places that they come from, shape (N, B).
+        reached: positions and velocities of the last places, shape (B, 2, n).
+        last: headings there, shape (B, n).
+        units: directions of these, or of the last ones that had any, shape (B, n).
+        costs: so far, shape (B,).
+        counts: how many places there are, shape (1,).
+    """
+
+    headings: Array
+    origins: np.ndarray
+    reached: Array
+    last: Array
+    units: Array
+    costs: Array
+    counts: np.ndarray
+
+
+def begun(start: Array, first: Array, ahead: Array, steps: int, beam: int) -> Trail:
+    """Return a trail of one place.
+
+    Args:
+        start: position and velocity, shape (2, n).
+        first: R_0 e1, shape (n,).
+        ahead: the attitude's axis, shape (n,).
+        steps: N.
+        beam: places that are kept at every step.
+    """
+    n = len(first)
+    headings, origins = np.zeros((steps, beam, n)), np.zeros((steps, beam), np.int64)
+    reached, last, units = np.zeros((beam, 2, n)), np.zeros((beam, n)), np.zeros((beam, n))
+    trail = Trail(headings, origins, reached, last, units, np.zeros(beam), np.ones(1, np.int64))
+    trail.reached[0], trail.last[0], trail.units[0] = start, first, ahead
+    return trail
 
 
 @compiled
-def scout(vehicle, world, start, first, ahead, beam, fine, swift):
-    """Return the headings R_1 e1..R_N e1, shape (N, n), of the best way found, and whether one was.
+def advance(vehicle, world, k, trail, fine, swift):
+    """Fly on by a step; return whether that is possible.
 
     Args:
         vehicle: how it moves.
         world: what it moves in.
-        start: position and velocity, shape (2, n).
-        first: R_0 e1, shape (n,).
-        ahead: the attitude's axis, shape (n,).
-        beam: places that are kept at every step.
+        k: steps so far.
+        trail: moved on.
         fine: size of a cell.
         swift: size of a cell in velocities.
     """
-    steps, n, moves = len(world.goals), len(first), len(vehicle.moves)
-    z_of, from_of = np.zeros((steps, beam, n)), np.zeros((steps, beam), np.int64)
-    y, z, unit = start.copy().reshape(1, 2, n), first.copy().reshape(1, n), ahead.copy()
-    units, cost, room = unit.reshape(1, n), np.zeros(1), beam * moves
+    had, beam, n = trail.counts[0], len(trail.costs), trail.last.shape[1]
+    room = had * len(vehicle.moves)
     made = (
         np.empty(room), np.empty(room), np.empty(room, np.int64), np.empty((room, 2, n)),
         np.empty((room, n)), np.empty((room, 2, n)),
     )  # fmt: skip
-    for k in range(steps):
-        count = _spread(vehicle, world, k, y, z, units, cost, made)
-        if count == 0:
-            return z_of[:, 0], False
-        taken = _selected(made, count, beam, fine, swift)
-        kept = len(taken)
-        y, z, cost = made[3][taken], made[4][taken], made[1][taken]
-        z_of[k, :kept], from_of[k, :kept] = z, made[2][taken]
-        before, units = units, np.empty((kept, n))
-        for b in range(kept):
-            size = np.sqrt((z[b] * z[b]).sum())
-            units[b] = z[b] / size if size > 1e-9 else before[from_of[k, b]]
-    return _traced(z_of, from_of, np.argmin(cost)), True
+    y, z, units = trail.reached[:had], trail.last[:had], trail.units[:had].copy()
+    count = _spread(vehicle, world, k, y, z, units, trail.costs[:had], made)
+    taken = _selected(made, count, beam, fine, swift)
+    trail.counts[0] = len(taken)
+    for b in range(len(taken)):
+        i = taken[b]
+        trail.reached[b], trail.last[b], trail.costs[b] = made[3][i], made[4][i], made[1][i]
+        trail.headings[k, b], trail.origins[k, b] = made[4][i], made[2][i]
+        size = np.sqrt((made[4][i] * made[4][i]).sum())
+        for c in range(n):
+            trail.units[b, c] = made[4][i, c] / size if size > 1e-9 else units[made[2][i], c]
+    return count > 0
+
+
+def traced(trail: Trail) -> Array:
+    """Return the headings R_1 e1..R_N e1, shape (N, n), of the best way to any of the places."""
+    found, at = np.empty_like(trail.headings[:, 0]), int(np.argmin(trail.costs[: trail.counts[0]]))
+    for k in range(len(found) - 1, -1, -1):
+        found[k], at = trail.headings[k, at], trail.origins[k, at]
+    return found
 
 
 @compiled

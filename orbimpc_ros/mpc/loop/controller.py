@@ -351,7 +351,7 @@ class Controller:
         instead = self._clear_way(task, wary, plan)
         if plan is None:
             return (replace(instead, proof=UNPROVED), Status.FEASIBLE, words) if instead else answer
-        instead = instead or clear_instead(*wary.known, plan)
+        instead = instead or clear_instead(*wary.known, plan, task.out_of_time)
         if instead is plan:
             known = is_clear(*task.known, plan)
             return answer if known else _with(answer, 'it turns into a hazard, as every way does')
@@ -377,7 +377,7 @@ class Controller:
         traffic = traffic_of(task.problem, task.state)
         if self._scout is None or traffic is None or task.problem != self.problem:
             return None
-        headings = self._scout.way(task.state, task.goals, traffic)
+        headings = self._scout.way(task.state, task.goals, traffic, task.out_of_time)
         if headings is None:
             return None
         return assemble(*task.known, headings, projection=self._projection, proof=UNPROVED)
@@ -553,7 +553,7 @@ class Controller:
         """Return the tick that follows the clearest way, if there is any that meets all else."""
         known = task.problem, task.state, task.goals
         guess = task.guess or self._shifted(task)
-        plan, apart = clearest(*known, guess, self._projection)
+        plan, apart = clearest(*known, guess, self._projection, task.out_of_time)
         if plan is None:
             return self._without_plan(task.state, status, reason)
         reason = reason.and_so(f'the clearest way is {-apart:.3g} m inside of a hazard')

@@ -14,7 +14,6 @@ Mathematics: docs/mathematics.md, 3.9.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -99,38 +98,28 @@ def climb(problem: Problem, state: State, goals: Array) -> Array:
 
     At full thrust, but for what the state decides and what ``max_rate`` allows without a floor.
     """
-
-    def wanted(k: int, y: Array) -> Array:
-        return _upward(problem, y[0] - goals[max(k - 1, 0)], y[1:])
-
-    return pursuit(problem, state, wanted)
-
-
-def pursuit(problem: Problem, state: State, wanted: Callable[[int, Array], Array]) -> Array:
-    """Return R_0 e1..R_N e1, shape (N + 1, n), that turn to directions as fast as may be.
-
-    At full thrust, but for what the state decides and what ``max_rate`` allows without a floor.
-
-    Args:
-        problem: gives the model and its limits.
-        state: from where.
-        wanted: returns the unit vector to point along, shape (n,), at a step, given position and
-            velocity at its begin, shape (2, n), or the position alone, shape (1, n).
-    """
-    z, decided = np.empty((problem.horizon + 1, problem.dimension)), problem.rotation_order - 1
-    z[0] = state.rotation[:, 0]
-    if decided:
-        z[1] = _coasted(problem, state)
-    pointing = state.attitude[:, 0] if problem.turns_are_angles and not decided else z[decided]
+    z, (given, pointing) = np.empty((problem.horizon + 1, 3)), begun(problem, state)
+    z[: len(given)] = given
     once = step_of(problem.translation, problem.step, problem.forward)
     blown = np.outer(once.blow, state.disturbance)
     y = np.array([state.position, state.velocity][: len(once.push)])
     for k in range(problem.horizon):
-        if k >= decided:
-            pointing = z[k + 1] = _raised(problem, pointing, wanted(k, y))
+        if k + 1 >= len(given):
+            wanted = _upward(problem, y[0] - goals[max(k - 1, 0)], y[1:])
+            pointing = z[k + 1] = _raised(problem, pointing, wanted)
         pushed = np.outer(once.push, z[k]) + np.outer(once.follow, z[k + 1])
         y = once.transition @ y + pushed + blown
     return z
+
+
+def begun(problem: Problem, state: State) -> tuple[Array, Array]:
+    """Return R_0 e1, and at rotation order 2 R_1 e1, in rows, and what later turns begin at."""
+    given = state.rotation[None, :, 0]
+    if problem.rotation_order == 2:
+        given = np.vstack([given, _coasted(problem, state)])
+    elif problem.turns_are_angles:
+        return given, state.attitude[:, 0]
+    return given, given[-1]
 
 
 def _coasted(problem: Problem, state: State) -> Array:
@@ -173,14 +162,19 @@ def _raised(problem: Problem, heading: Array, wanted: Array) -> Array:
 
 def _turned(unit: Array, towards: Array, most: float) -> Array:
     """Return a unit vector turned towards another, by an angle at most."""
+    aside, angle = turn_towards(unit, towards)
+    if angle <= most:
+        return towards
+    return math.cos(most) * unit + math.sin(most) * aside
+
+
+def turn_towards(unit: Array, towards: Array) -> tuple[Array, float]:
+    """Return the unit vector across ``unit`` that it turns to on its way, and the angle [rad]."""
     aside = towards - unit * (unit @ towards)
     if _size(aside) < HEADING_UNDEFINED:  # there, or opposite: about any axis across
         other = np.eye(len(unit))[np.argmin(np.abs(unit))]
         aside = other - unit * (unit @ other)
-    angle = 2.0 * math.atan2(_size(towards - unit), _size(towards + unit))
-    if angle <= most:
-        return towards
-    return np.asarray(math.cos(most) * unit + math.sin(most) * aside / _size(aside))
+    return aside / _size(aside), 2.0 * math.atan2(_size(towards - unit), _size(towards + unit))
 
 
 def _size(vector: Array) -> float:

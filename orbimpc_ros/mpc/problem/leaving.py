@@ -14,18 +14,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.model import dynamics
-from orbimpc_ros.mpc.model.motion import controls
-from orbimpc_ros.mpc.problem.cones import pursuit
+from orbimpc_ros.mpc.model.motion import coasting_controls, control_maps
+from orbimpc_ros.mpc.problem.cones import NOTHING, begun, turn_towards
 from orbimpc_ros.mpc.problem.obstacle import Ball, Box
 from orbimpc_ros.mpc.problem.problem import Problem
 from orbimpc_ros.mpc.problem.state import State
+
+if TYPE_CHECKING:
+    from orbimpc_ros.mpc.problem.traffic import Traffic
 
 DIRECTIONS = 16  # of the plane
 INSIDE = 1e-7  # in units of a step's length: who is deeper begins inside
@@ -78,8 +82,8 @@ def _eased(problem: Problem, state: State, tracks: _Tracks, depth: Array) -> Arr
     held |= _bound_to_enter(problem, state, tracks, depth)
     if not held.any():
         return allowed
-    escapes = [_depths(problem, state, tracks, way) for way in directions(problem.dimension)]
-    best = min(escapes, key=lambda each: _price(each, held))
+    every = _depths(problem, state, tracks, directions(problem.dimension))
+    best = min(every, key=lambda each: _price(each, held))
     if (best[held, -1] > 0.0).any():
         return allowed
     allowed[held] = np.where(best[held] > 0.0, best[held] + SPARE * unit, 0.0)
@@ -98,35 +102,68 @@ def _bound_to_enter(problem: Problem, state: State, tracks: _Tracks, depth: Arra
     near = np.flatnonzero(depth + ways + known * unit + reached > 0.0)
     if len(near):
         some: list[Box | Ball] = [bodies[int(j)] for j in near]
-        way = directions(problem.dimension)[0]  # any
-        depths = _depths(problem, state, _Tracks(some, shifts[near], grown[near]), way)
+        way = directions(problem.dimension)[:1]  # any
+        depths = _depths(problem, state, _Tracks(some, shifts[near], grown[near]), way)[0]
         found[near] = (depths[:, :known] > INSIDE * unit).any(axis=1)
     return found
 
 
-def _depths(problem: Problem, state: State, tracks: _Tracks, way: Array) -> Array:
-    """Return how far inside an escape in a direction is in each step, shape (J, N); 0 outside."""
-    flown = dynamics.translation_rollout(problem, state, escape(problem, state, way))
-    points = controls(problem.translation.degree, problem.step, *flown)
-    weights = np.linspace(0.0, 1.0, points.shape[1])[:, None]
+def _depths(problem: Problem, state: State, tracks: _Tracks, ways: Array) -> Array:
+    """Return how far inside escapes along ways, shape (A, n), are, shape (A, J, N); 0 outside."""
+    headings = escapes(problem, state, ways)[:, None]
+    points = coasting_controls(problem, state) + control_maps(problem) @ headings
+    weights = np.linspace(0.0, 1.0, points.shape[2])[:, None]
     begin, end = tracks.shifts[:, :-1, None], tracks.shifts[:, 1:, None]
-    away = points - begin - weights * (end - begin)
+    away = points - (begin + weights * (end - begin))[:, None]  # (J, A, N, m, n)
     outside = np.array([_outside(*each) for each in zip(tracks.bodies, away, strict=True)])
-    return np.maximum(tracks.grown - outside, 0.0)
+    return np.maximum(tracks.grown - np.moveaxis(outside, 0, 1), 0.0)
 
 
-def escape(problem: Problem, state: State, way: Array) -> Array:
-    """Return R_0 e1..R_N e1, shape (N + 1, n), at full thrust along a unit vector, shape (n,)."""
-    return pursuit(problem, state, lambda _, y: way)
+def ways_out(problem: Problem, state: State, traffic: Traffic) -> Array:
+    """Return escapes to all sides, shape (A, N + 1, n), those that meet the least first.
+
+    Args:
+        problem: gives the model and its limits.
+        state: from where.
+        traffic: what is met.
+    """
+    ways = directions(problem.dimension)
+    tracks = _Tracks(traffic.bodies, traffic.shifts, traffic.grown)
+    met = _depths(problem, state, tracks, ways).sum(axis=(1, 2))
+    return escapes(problem, state, ways)[np.argsort(met, kind='stable')]
+
+
+def escapes(problem: Problem, state: State, ways: Array) -> Array:
+    """Return R_0 e1..R_N e1 at full thrust along unit vectors, shape (A, n): (A, N + 1, n).
+
+    But for what the state decides they turn there evenly, as fast as may be; without a floor
+    along the chord.
+    """
+    given, pointing = begun(problem, state)
+    found = np.empty((len(ways), problem.horizon + 1, problem.dimension))
+    found[:, : len(given)], found[:, len(given) :] = given, ways[:, None]
+    steps = np.arange(1, problem.horizon + 2 - len(given))
+    if not problem.max_rate:
+        return found
+    if not problem.floor.exists:
+        left = ways - pointing
+        sizes = np.maximum(np.linalg.norm(left, axis=1), NOTHING)
+        shares = np.minimum(1.0, steps * problem.chord / sizes[:, None])
+        found[:, len(given) :] = pointing + shares[..., None] * left[:, None]
+        return found
+    unit = pointing / max(float(np.linalg.norm(pointing)), HEADING_UNDEFINED)
+    asides, angles = zip(*(turn_towards(unit, way) for way in ways), strict=True)
+    turned = np.minimum(np.array(angles)[:, None], steps * problem.widest_turn)[..., None]
+    found[:, len(given) :] = np.cos(turned) * unit + np.sin(turned) * np.array(asides)[:, None]
+    return found
 
 
 def _outside(body: Box | Ball, points: Array) -> Array:
-    """Return how far beyond a plane or face the points of steps, (N, m, n), are, shape (N,)."""
+    """Return how far beyond a plane or face the points of steps, (..., m, n), are, shape (...,)."""
     if isinstance(body, Ball):
         return np.asarray(separation(points - body.centre)[1] - body.radius)
-    steps, m, n = points.shape
-    beyond = body.clearances(points.reshape(-1, n)).reshape(steps, m, 2 * n)
-    return np.asarray(beyond.min(axis=1).max(axis=1))
+    beyond = body.clearances(points.reshape(-1, points.shape[-1]))
+    return np.asarray(beyond.reshape(*points.shape[:-1], -1).min(axis=-2).max(axis=-1))
 
 
 def _price(depths: Array, held: np.ndarray) -> tuple[float, int, float]:

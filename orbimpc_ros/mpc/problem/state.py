@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -108,6 +109,11 @@ class State(ByContent):
     def disturbed(self) -> bool:
         """Return whether there is any disturbance."""
         return any(self.disturbance.tolist())
+
+    @cached_property
+    def known(self) -> list[tuple[Any, Any]]:
+        """Return what was worked out of this very state: problems, and what they make of it."""
+        return []
 
 
 def _given(value: ArrayLike | None, shape: tuple[int, ...], culprit: str) -> Array:

@@ -54,7 +54,16 @@ class Traffic(NamedTuple):
 
 
 def traffic_of(problem: Problem, state: State) -> Traffic | None:
-    """Return what is round or moves; None if nothing does."""
+    """Return what is round or moves; None if nothing does. Of a state it is worked out once."""
+    for asked, found in state.known:
+        if asked == problem:
+            return found
+    found = _met(problem, state)
+    state.known.append((problem, found))
+    return found
+
+
+def _met(problem: Problem, state: State) -> Traffic | None:
     balls = {f'obstacle {i}': each for i, each in enumerate(problem.obstacles)}
     still = {name: each for name, each in balls.items() if isinstance(each, Ball)}
     if not still and not state.hazards:

@@ -52,6 +52,7 @@ class Units:
         if self.length == self.time == 1.0:
             return state
         scaled = copy.copy(state)  # checked when it was made: lengths and times say nothing new
+        scaled.__dict__.pop('known', None)
         for name, unit in (
             ('position', 1.0 / self.length),
             ('velocity', self.time / self.length),

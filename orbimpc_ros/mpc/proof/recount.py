@@ -20,6 +20,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.kernels import compiled, inlined
+from orbimpc_ros.mpc.model.condensed import LONGEST
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.pace import entry_speed
@@ -184,7 +185,8 @@ class Recount:
         turned = problem.max_rate and not sectors
         spatial = problem.dimension == 3  # where the cone program may take over
         coned = problem.has_cones or problem.approach.exists
-        return bool(problem.obstacles or turned or spatial or faces or coned)
+        split = floor.shape == 'polygon' and problem.horizon > LONGEST
+        return bool(split or problem.obstacles or turned or spatial or faces or coned)
 
     def _of_choices(
         self, state: State, start: Array, goals: Array, tree: ChoiceGrounds, asked: tuple

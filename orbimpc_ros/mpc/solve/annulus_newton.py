@@ -112,7 +112,8 @@ class AnnulusNewton:
             self._stages.append(self._from_around)
         if self._arcs is not None:
             self._stages.append(self._by_arcs)
-        self._general = General(problem, SETTLED * tolerance)
+        searched = tolerance if self._arcs is None else SETTLED * tolerance
+        self._general = General(problem, searched)
         self._hull = _long_hull(problem, tolerance)
         self._compile()
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -65,17 +66,28 @@ class Disjunction:
         """Return by how much values, shape (K, n), miss each cell, shape (cells, K)."""
         return shortfall(cells, values)
 
+    @cached_property
+    def _sides(self) -> tuple[Array, Array]:
+        return _sides_of(self.cells)
+
     def missed_by(self, values: Array) -> float:
         """Return how far ``values``, shape (len(steps), n), are from satisfying it; <= 0 if so."""
         if self.radius:
             return float(self.radius - np.linalg.norm(values, axis=1).min())
-        return float(shortfall(self.cells, values).max(axis=1).min())
+        offsets, normals = self._sides
+        return float((offsets - normals @ values.T).max(axis=1).min())
 
 
 def shortfall(cells: Sequence[Cell], values: Array) -> Array:
     """Return by how much values, shape (K, n), miss each cell, shape (cells, K); <= 0 inside."""
-    offsets = np.array([cell.offset for cell in cells])
-    return offsets[:, None] - np.array([cell.normal for cell in cells]) @ values.T
+    offsets, normals = _sides_of(cells)
+    return np.asarray(offsets - normals @ values.T)
+
+
+def _sides_of(cells: Sequence[Cell]) -> tuple[Array, Array]:
+    """Return offsets, shape (cells, 1), and normals, shape (cells, n)."""
+    offsets = np.array([[cell.offset] for cell in cells])
+    return offsets, np.array([cell.normal for cell in cells])
 
 
 def disjunctions_of(problem: Problem) -> tuple[Disjunction, ...]:

@@ -52,7 +52,7 @@ from orbimpc_ros.mpc.solve.turns import Turns
 NEAR = 0.05  # a round floor missed by less is worth a dive
 MAX_NODES = 20_000
 HALFWAY = (
-    50.0  # times the tolerance, for descents and traffic: half of the gap that counts as proved
+    50.0  # times the tolerance, where many cells cost alike: half of the gap counted as proved
 )
 
 
@@ -73,7 +73,9 @@ class DisjunctiveSearch:
     ) -> None:
         self.problem = problem
         among = among or len(problem.boxes) < len(problem.obstacles)
-        self.tolerance = (HALFWAY if problem.has_cones or among else 1.0) * tolerance
+        rounded = problem.dimension == 3 and problem.floor.radius > 0.0
+        slow = problem.has_cones or among or rounded
+        self.tolerance = (HALFWAY if slow else 1.0) * tolerance
         self.disjunctions = disjunctions_of(problem)
         self.takes_guess = bool(self.disjunctions) or among  # one relaxation needs none
         self._exchangeable = steps_are_exchangeable(problem)
@@ -149,7 +151,7 @@ class DisjunctiveSearch:
             yield request.guess.x[:, : self.problem.dimension]
         if self.scout is None or request.late:
             return
-        scouted = self.scout.way(request.state, request.goals, traffic)
+        scouted = self.scout.way(request.state, request.goals, traffic, request.out_of_time)
         if scouted is not None:
             yield scouted
 

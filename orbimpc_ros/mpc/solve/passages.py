@@ -132,18 +132,20 @@ class Passages:
         radii = np.maximum(sizes[:, None] + traffic.grown, 0.0)
         self._radii = np.where(self._round[:, None], radii, 0.0)
         self._active = (~self._round)[:, None] | (self._radii > 0.0)
+        self._larger = traffic.grown
         self.choices = list(self._made(traffic))
 
     def _made(self, traffic: Traffic) -> Iterator[Passage]:
-        for j, body in enumerate(traffic.bodies):
+        last = self._maps.shape[1] - 1
+        steps = [(k * (last + 1), rows, rows[last:]) for k, rows in enumerate(self._maps)]
+        sizes = np.stack([self._radii, self._larger, self._spread], axis=-1).tolist()
+        for body, every, known in zip(traffic.bodies, self._free, sizes, strict=True):
             cells = body.cells() if isinstance(body, Box) else round_cells(body.dimension, 1.0)
-            for k, rows in enumerate(self._maps):
-                spread = float(self._spread[j, k])
-                free, radius = self._free[j, k], float(self._radii[j, k])
-                grown = float(traffic.grown[j, k])
-                first, end = k * len(rows), (k + 1) * len(rows) - 1
+            for (first, rows, end), free, (radius, grown, spread) in zip(
+                steps, every, known, strict=True
+            ):
                 yield Passage(rows, free, radius, cells, first, grown, spread)
-                yield Passage(rows[-1:], free[-1:], radius, cells, end, grown)
+                yield Passage(end, free[last:], radius, cells, first + last, grown)
 
     def near(self, headings: Array, within: float) -> dict[int, tuple[float, Array]]:
         """Return, by choice that is missed or nearly so, by how much and where the points are.
@@ -154,19 +156,13 @@ class Passages:
         """
         points = self._free + self._maps @ headings
         short = np.full((*self._radii.shape, 2), -np.inf)
-        flat = ~self._round
         if self._round.any():
             _, apart = separation(points[self._round])
             ends = np.linalg.norm(points[self._round][:, :, -1], axis=-1)
             radii = self._radii[self._round]
             short[self._round] = np.stack([radii - apart, radii - ends], axis=-1)
-        for j in np.flatnonzero(flat):
-            for k in range(points.shape[1]):
-                for i in range(2):
-                    each = self.choices[2 * (j * points.shape[1] + k) + i]
-                    values = points[j, k] if i == 0 else points[j, k, -1:]
-                    missed = each.shortfall(each.cells, values).max(axis=1)
-                    short[j, k, i] = missed.min()
+        for j in np.flatnonzero(~self._round).tolist():
+            short[j] = self._beside(self.choices[2 * j * len(self._maps)].cells, j, points[j])
         found = np.argwhere((short > -within) & self._active[:, :, None])
         steps = points.shape[1]
         return {
@@ -176,6 +172,12 @@ class Passages:
             )
             for j, k, i in found
         }
+
+    def _beside(self, faces: Sequence[Cell], j: int, points: Array) -> Array:
+        """Return by how much steps, shape (N, m, n), and their ends are inside a box, (N, 2)."""
+        offsets = np.array([face.offset for face in faces])
+        beyond = points @ _normals(faces).T - offsets - self._larger[j][:, None, None]
+        return np.stack([-beyond.min(axis=1).max(axis=1), -beyond[:, -1].max(axis=1)], axis=1)
 
     def tangents(self, headings: Array, within: float) -> Iterator[tuple[int, Cell]]:
         """Yield, by choice of a whole step, the cell on whose side a way passes what is near it.

@@ -45,7 +45,7 @@ class Enough(NamedTuple):
 NEVER_ENOUGH = Enough()
 
 
-AFTERWARDS = 50_000  # headings of tangents to count after a deadline: in 5 to 10 ms
+AFTERWARDS = 20_000  # headings of tangents to count after a deadline: in 2 to 5 ms
 
 
 class Request(NamedTuple):

@@ -6,7 +6,7 @@ Mathematics: docs/mathematics.md, 4.12.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -18,8 +18,10 @@ from orbimpc_ros.mpc.kernels.scout import (
     TURNING,
     Craft,
     World,
+    advance,
+    begun,
     flood,
-    scout,
+    traced,
 )
 from orbimpc_ros.mpc.model.cost import input_weight, position_weights, velocity_weight
 from orbimpc_ros.mpc.model.translation import step_of
@@ -64,24 +66,41 @@ class Scout:
         """Return whether there is a scout for a problem, and it is fast on this machine."""
         return COMPILED and self._problem.rotation_order == 1 and len(self._moves) > 0
 
-    def way(self, state: State, goals: Array, traffic: Traffic) -> Array | None:
-        """Return headings R_1 e1..R_N e1, shape (N, n); None if no way was found."""
+    def way(
+        self,
+        state: State,
+        goals: Array,
+        traffic: Traffic,
+        out_of_time: Callable[[], bool] | None = None,
+    ) -> Array | None:
+        """Return headings R_1 e1..R_N e1, shape (N, n); None if no way was found in time."""
         if not self.useful:
             return None
         pairs = [_ball(body) for body in traffic.bodies]
         centres = np.array([centre for centre, _ in pairs])[:, None] + traffic.shifts
         radii = np.array([radius for _, radius in pairs])[:, None] + traffic.grown
-        return self._scouted(state, goals, centres, np.maximum(radii, 0.0))
+        return self._scouted(state, goals, centres, np.maximum(radii, 0.0), out_of_time)
 
-    def _scouted(self, state: State, goals: Array, centres: Array, radii: Array) -> Array | None:
+    def _scouted(
+        self,
+        state: State,
+        goals: Array,
+        centres: Array,
+        radii: Array,
+        out_of_time: Callable[[], bool] | None = None,
+    ) -> Array | None:
         problem, n = self._problem, self._problem.dimension
         start = np.array([state.position, state.velocity])
         vehicle, world = self._vehicle(state), self._world(state, goals, centres, radii)
         cell = CELL * problem.length_unit
         swift = CELL * problem.step * problem.forward if problem.inertial else 1e9
-        known = start, state.rotation[:, 0].copy(), state.attitude[:, 0].copy()
-        headings, found = scout(vehicle, world, *known, BEAM, cell * (1 + (n == 3)), swift)
-        return headings if found else None
+        known = start, state.rotation[:, 0], state.attitude[:, 0]
+        trail = begun(*known, problem.horizon, BEAM)
+        for k in range(problem.horizon):
+            late = out_of_time is not None and out_of_time()
+            if late or not advance(vehicle, world, k, trail, cell * (1 + (n == 3)), swift):
+                return None
+        return traced(trail)
 
     def _vehicle(self, state: State) -> Craft:
         problem = self._problem

@@ -26,7 +26,7 @@ from orbimpc_ros.mpc.proof.grounds import ChoiceGrounds, Grounds, Left, Tangent
 from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.solve.registry import method_among, method_for
 from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Method, Request, countable
-from orbimpc_ros.mpc.solve.stand_ins import straight, turning
+from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
 
 SEARCH_SHARE = 0.01  # a search stops at this share of the gap that counts as proved
 OUTWARD = 1e-9  # relative: bounds are published lower by what plans may miss constraints by
@@ -289,9 +289,10 @@ class Solver:
             yield coordinates(rotations)
 
     def _turning(self, query: _Query, proof: Proof) -> list[Plan]:
-        """Return plans that turn, as far as they pass the check; once late, one of them."""
-        sound = []
-        for rotations in turning(self.problem, query.state, query.goals):
+        """Return plans that turn, as far as they pass the check; once late, of a few, one."""
+        sound = list[Plan]()
+        every = turning(self.problem, query.state, query.goals)
+        for rotations in in_time(every, query.out_of_time):
             plan = self._assembled(query, coordinates(rotations), proof)
             if self._sound(query, plan):
                 sound.append(plan)

@@ -11,7 +11,7 @@ Mathematics: docs/mathematics.md, 7.6.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
@@ -20,7 +20,8 @@ from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, carried, turne
 from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.cones import climb
-from orbimpc_ros.mpc.problem.leaving import directions, escape
+from orbimpc_ros.mpc.problem.leaving import ways_out
+from orbimpc_ros.mpc.problem.traffic import traffic_of
 
 # [rad] over the horizon, positive towards the goal, as far as ``max_rate`` allows.
 TURNS = (0.0, 0.5, -1.5, 1.5, 3.0, -4.0, 5.0, -6.3, 6.3)
@@ -30,6 +31,7 @@ LARGEST = 0.5  # of a heading, in one correction
 MET = 1e-10  # of a step's length
 AT_LIMIT = 1e-9  # of a speed
 SINGULAR = 1e-9
+LATE = 3  # ways that are tried once time is up: a millisecond or two each
 
 
 def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
@@ -66,12 +68,12 @@ def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
         yield upright
 
 
-def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
+def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array | None]:
     """Yield R_1..R_N, shape (N, n, n), that turn; they pass through anything in their way.
 
-    Among hazards away to all sides first, as fast as may be. Then slow and fast ones; with a
-    terminal constraint those between and the fast ones, for arrivals that only full speed leads
-    to, corrected until they meet it.
+    Among hazards away to all sides first, as fast as may be, the clearest before others. Then slow
+    and fast ones; with a terminal constraint those between and the fast ones, for arrivals that
+    only full speed leads to, corrected until they meet it; None for one that cannot be.
 
     Args:
         problem: what is to be solved.
@@ -79,8 +81,9 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
         goals: g_1..g_N, shape (N, n) [m].
     """
     ahead, first = _ahead(problem, state)
-    for way in directions(problem.dimension) if state.hazards else ():
-        rotations = carried(ahead, escape(problem, state, way)[1:])
+    traffic = traffic_of(problem, state) if state.hazards else None
+    for headings in () if traffic is None else ways_out(problem, state, traffic):
+        rotations = carried(ahead, headings[1:])
         if first is not None:
             rotations[0] = first
         yield rotations
@@ -94,11 +97,30 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
                 z[0] = speed * ahead[:, 0] if first is None else first[:, 0]
             met = _corrected(problem, state, goals, z) if arrives else z
             if met is None:
+                yield None
                 continue
             rotations = carried(ahead, met)
             if first is not None:
                 rotations[0] = first
             yield rotations
+
+
+def in_time(
+    ways: Iterable[Array | None], out_of_time: Callable[[], bool] | None
+) -> Iterator[Array]:
+    """Yield those of some ways that there are, as long as there is time: few once it is up.
+
+    Args:
+        ways: as of :func:`turning`.
+        out_of_time: polled before each but the first; None for no end.
+    """
+    late = 0
+    for way in ways:
+        if way is not None:
+            yield way
+        late += out_of_time is not None and out_of_time()
+        if late == LATE:
+            return
 
 
 def _ahead(problem: Problem, state: State) -> tuple[Array, Array | None]:

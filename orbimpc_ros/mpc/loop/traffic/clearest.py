@@ -14,8 +14,9 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from itertools import chain
 from operator import attrgetter
 
 import numpy as np
@@ -26,8 +27,9 @@ from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, Proof, assemble
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.solve.stand_ins import straight, turning
+from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
 
+OutOfTime = Callable[[], bool] | None
 SURE_STEPS = 4  # of a steered plan, that have to be clear
 TOUCHING = 1e-6  # of a step's length
 SAME = 1e-2  # of a step's length: ways that differ by less stay out as far
@@ -65,7 +67,9 @@ def cheapest_clear(
     return None
 
 
-def clear_instead(problem: Problem, state: State, goals: Array, plan: Plan) -> Plan:
+def clear_instead(
+    problem: Problem, state: State, goals: Array, plan: Plan, out_of_time: OutOfTime = None
+) -> Plan:
     """Return the cheapest way that is clear when steered instead of a plan that is not.
 
     Where none is, that way or plan whose first steps stay the farthest out of hazards.
@@ -75,9 +79,10 @@ def clear_instead(problem: Problem, state: State, goals: Array, plan: Plan) -> P
         state: from where, with the hazards.
         goals: g_1..g_N, shape (N, n) [m].
         plan: to be replaced; its bound holds for what takes its place.
+        out_of_time: polled between ways; True ends the search after a few.
     """
     known = problem, state, goals
-    ways = [*_ways(*known, None, plan.projection, plan.proof)]
+    ways = [*_ways(*known, None, plan.projection, plan.proof, out_of_time)]
     found = cheapest_clear(*known, ways)
     if found is not None:
         return found
@@ -86,7 +91,12 @@ def clear_instead(problem: Problem, state: State, goals: Array, plan: Plan) -> P
 
 
 def clearest(
-    problem: Problem, state: State, goals: Array, guess: Plan | None, projection: str
+    problem: Problem,
+    state: State,
+    goals: Array,
+    guess: Plan | None,
+    projection: str,
+    out_of_time: OutOfTime = None,
 ) -> tuple[Plan | None, float]:
     """Return the way that stays out of hazards the most, and how far outside of them it is [m].
 
@@ -100,11 +110,12 @@ def clearest(
         goals: g_1..g_N, shape (N, n) [m].
         guess: a plan from this very state; None for none.
         projection: ``nearest`` or ``thrust_aligned``.
+        out_of_time: polled between ways; True ends the search after a few.
     """
     alone, known = replace(state, hazards=()), (problem, state, goals)
     found = [
         (_room(*known, each, problem.horizon), each)
-        for each in _ways(*known, guess, projection, UNPROVED)
+        for each in _ways(*known, guess, projection, UNPROVED, out_of_time)
         if not violations(problem, alone, goals, each)
     ]
     if not found:
@@ -145,12 +156,13 @@ def _ways(
     guess: Plan | None,
     projection: str,
     proof: Proof,
+    out_of_time: OutOfTime,
 ) -> Iterator[Plan]:
-    """Yield plans that take no search, held against a proof."""
+    """Yield plans that take no search, held against a proof; turns first, which lead aside."""
     if guess is not None:
         yield replace(guess, proof=proof)
     known = problem, state, goals
-    for rotations in (*straight(*known), *turning(*known)):
+    for rotations in in_time(chain(turning(*known), straight(*known)), out_of_time):
         yield assemble(*known, coordinates(rotations), projection=projection, proof=proof)
 
 
