@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,36 @@ def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> 
     module-level ``importorskip`` skips the collection of everything.
     """
     return pytest.Module.from_parent(parent, path=module_path)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption('--jitter', type=float, default=0.0, help='moves starts and goals [m]')
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if size := config.getoption('--jitter', 0.0):
+        _move_what_is_solved(size)
+
+
+def _move_what_is_solved(size: float) -> None:
+    """Move the starts and goals of all solves at random by about so much [m], always alike."""
+    import numpy as np
+
+    from orbimpc_ros.mpc.solve.solver import Solver
+
+    def moving(solve):
+        def moved(self, state, goals, *known, **others):
+            rng = np.random.default_rng(0)
+            try:
+                start = state.position + size * rng.normal(size=state.dimension)
+                goals = np.asarray(goals) + size * rng.normal(size=np.shape(goals))
+            except (AttributeError, TypeError):  # what no solver takes is left to it
+                return solve(self, state, goals, *known, **others)
+            return solve(self, replace(state, position=start), goals, *known, **others)
+
+        return moved
+
+    Solver.solve, Solver.propose = moving(Solver.solve), moving(Solver.propose)
 
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:

@@ -209,9 +209,10 @@ def test_prices_of_limits_add_up_over_the_steps(name, limits):
     assert price == pytest.approx(gained, rel=1e-2)
 
 
-def test_nothing_binds_at_rest_on_the_goal():
+@pytest.mark.parametrize('off', [0.0, 1e-12])
+def test_nothing_binds_at_rest_on_the_goal(off):
     problem, start = Problem(), State.at([0.0, 0.0], np.zeros((2, 2)))
-    targets = np.zeros((5, 2))
+    targets = np.full((5, 2), off)
     told = explained(problem, start, targets, Solver(problem).solve(start, targets))
     assert told.binding == ()
     assert told.unexplained < 1e-3

@@ -65,29 +65,24 @@ def descended(problem, start, targets, rng):
             lambda y: cost(problem, start, targets, headings(y)),
             y, method='SLSQP', bounds=box, constraints=kept, options={'maxiter': 60},
         )  # fmt: skip
-        if (
-            max(np.max(chain @ answer.x - begun - most), np.max(begun - chain @ answer.x - most))
-            < 1e-9
-        ):
-            found.append(answer.fun)
-    return min(found, default=np.inf)
+        y, before = np.clip(answer.x, *np.transpose(box)), entry
+        for k in range(count):  # what it ends with may break the limit by little
+            before = y[k] = np.clip(y[k], max(least, before - most), min(1.0, before + most))
+        found.append(cost(problem, start, targets, headings(y)))
+    return min(found)
 
 
 @needs_machine_code
 def test_another_solver_never_beats_what_is_called_optimal():
-    rng, optimal, compared = np.random.default_rng(61), 0, 0
+    rng = np.random.default_rng(61)
     for _ in range(8):
         problem = limited(rng, *ROUND, 5)
         start, targets = random_start(rng, problem)
         plan = Solver(problem).solve(start, targets)
         other = descended(problem, start, targets, rng)
-        compared += np.isfinite(other)
-        optimal += plan.status == 'optimal'
+        assert plan.status == 'optimal'
         assert plan.lower_bound <= other * (1.0 + 1e-9)
-        if plan.status == 'optimal':
-            assert plan.objective <= other * (1.0 + 1e-4)
-    assert optimal == 8
-    assert compared >= 5
+        assert plan.objective <= other * (1.0 + 1e-4)
 
 
 @needs_machine_code

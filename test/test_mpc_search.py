@@ -3,6 +3,7 @@
 
 import itertools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.cells import round_cells
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
+from orbimpc_ros.mpc.solve import conic, program
 from orbimpc_ros.mpc.solve.branching import (
     inverse_curvatures,
     inverse_hessian,
@@ -178,6 +180,42 @@ def test_a_start_in_a_box_that_cannot_be_left_in_a_step_is_infeasible():
     problem = Problem(obstacles=(big,))
     with pytest.raises(Infeasible):
         Solver(problem).solve(State.at([0.0, 0.0], np.eye(2)), np.zeros((5, 2)))
+
+
+def test_a_box_about_the_place_that_the_state_leads_to_is_chosen_from_before_a_floor():
+    """No choice of headings, of which a round floor leaves ever more, leads out of it."""
+    posed = {'floor': floor('circle', 0.6), 'weights': Weights(1.0, 0.05, 0.0, 10.0)}
+    problem = Problem(3, horizon=2, obstacles=(Box((0.8, -1.0, -1.0), (1.2, 1.0, 0.3)),), **posed)
+    start = State.at(np.zeros(3), np.eye(3))
+    method = DisjunctiveSearch(problem, 1e-6)
+    with pytest.raises(Infeasible):
+        method.solve(Request(start, np.tile([0.9, 0.2, 0.0], (2, 1))))
+
+
+def test_nodes_that_are_solved_but_roughly_are_branched_on(monkeypatch):
+    """As where an interior-point method stalls: the bound is good, the solution nearly."""
+    problem = Problem(
+        3,
+        horizon=2,
+        floor=floor('circle', 0.6),
+        weights=Weights(1.0, 0.05, 0.0, 10.0),
+        obstacles=(Box((1.2, -1.0, -1.0), (1.6, 1.0, 0.3)),),
+    )
+    asked = State.at(np.zeros(3), np.eye(3)), np.tile([1.5, 0.2, 0.1], (2, 1))
+    exact, solver = Solver(problem).solve(*asked), Solver(problem)
+    rng, solves = np.random.default_rng(0), itertools.count()
+
+    def stalling(known, out_of_time):
+        answer = conic.run(known, out_of_time)
+        if next(solves) % 3 == 2 or 'Infeasible' in str(answer.status):
+            return answer
+        x = answer.x + rng.uniform(-3e-7, 3e-7, len(answer.x))
+        return SimpleNamespace(x=x, z=answer.z, status='InsufficientProgress', r_prim=3e-7)
+
+    monkeypatch.setattr(program, 'run', stalling)
+    plan = solver.solve(*asked)
+    assert exact.status == plan.status == 'optimal'
+    assert plan.objective == pytest.approx(exact.objective, rel=1e-5)
 
 
 def test_corners_are_cut_only_where_that_is_allowed():

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from conftest import PATIENCE
 
 from orbimpc_ros.mpc.model.translation import TRANSLATIONS
 from orbimpc_ros.mpc.problem.floor import SHAPES
@@ -127,13 +128,13 @@ def test_the_tutorials_boat_reaches_its_beacon(tmp_path, domain):
             capture_output=True,
             text=True,
             check=False,
-            timeout=60,
+            timeout=PATIENCE,
         )
         assert done.returncode == 0, done.stderr
         assert 'at the beacon' in done.stdout
     finally:
         planner.terminate()
-        assert planner.wait(20) == 0
+        assert planner.wait(PATIENCE) == 0
 
 
 def here():

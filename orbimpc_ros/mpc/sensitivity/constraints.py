@@ -26,6 +26,7 @@ from orbimpc_ros.mpc.model.cost import KINK, length_weights
 from orbimpc_ros.mpc.model.cost import gradients as gradients_of_cost
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.sensitivity.slacks import Slack, slacks_of
 
 ROUNDING = 1e-6  # share of the cost's gradient that counts as nothing
@@ -79,7 +80,8 @@ def explained(problem: Problem, state: State, goals: Array, plan: Plan) -> Expla
     """
     slacks = list(slacks_of(problem, state, goals, plan))
     terms = gradients_of_cost(problem, state, goals, plan)
-    scale = max(sum(map(np.linalg.norm, terms)), ROUNDING * plan.objective, TINY)
+    nothing = ROUNDING * max(plan.objective, Units.of(problem).cost)  # at the goal all vanish
+    scale = max(sum(map(np.linalg.norm, terms)), nothing, TINY)
     gradients = np.array([sum(terms), *(slack.gradient for slack in slacks)])
     gradients = _movable(problem, state, plan, gradients).reshape(len(gradients), -1)
     pull, columns = gradients[0], gradients[1:].T

@@ -109,8 +109,11 @@ class Branching:
         """Return by how much the children of a choice missed by ``by`` may raise the bound.
 
         Of the parts of a round floor's patch the nearer one often holds already, and tells
-        nothing: what is missed of the floor is what finer patches will ask for.
+        nothing: what is missed of the floor is what finer patches will ask for. What the state
+        alone decides comes first: no other choice mends it.
         """
+        if np.isinf(self._curvature[j]).all():
+            return np.inf
         if self._posed.alternatives[j].radius:
             return float(by * by / (2.0 * self._curvature[j].min()))
         return float(gains[0].min())

@@ -266,6 +266,9 @@ class _Run:
         missed = posed.missed(trajectory)
         if not missed:
             self._close(bound)
+            if not relaxed.is_accurate:
+                self._dives.dive(choice, trajectory, posed.round_floors(trajectory))
+                return
             self._best.offer(relaxed.x, trajectory)
             if not posed.turns_in_time(trajectory):
                 self._dives.turn(choice, trajectory)

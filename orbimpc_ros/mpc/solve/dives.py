@@ -145,6 +145,7 @@ class Dives:
         if self._posed.late:
             return None
         try:
-            return self._posed.relax(held, chords, narrow=chords is not None).x
+            relaxed = self._posed.relax(held, chords, narrow=chords is not None)
         except Infeasible:
             return None
+        return relaxed.x if relaxed.is_accurate else None

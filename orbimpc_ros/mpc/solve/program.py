@@ -49,6 +49,7 @@ TINY = 1e-11  # well below the 1e-9 that gaps are measured against at the least
 INERT = 1.0  # an empty slot reads 0 <= 1
 STUCK = ('NumericalError', 'InsufficientProgress')
 NEAR = 1e-9  # on constraints, of an answer that is not accurate otherwise
+ROUGH = 1e-4  # on constraints, of an answer that is good enough to branch on
 FAR = 1.0  # a goal is far from this many horizons on
 
 Cut = tuple[Array, Array, float]  # a row over R_1 e1..R_N e1, a unit normal, an offset
@@ -163,14 +164,15 @@ class Program:
             relaxed = self._solve_in_place(a, b, out_of_time)
         if request.late:
             return relaxed
-        if relaxed.x is None:
+        if not relaxed.is_accurate:
             if cuts:
                 return relaxed
             before = self.multipliers
             anew = self._solve_anew(a, b, self._scale, out_of_time)
             if relaxed.bound > anew.bound:
                 self.multipliers = before
-            return Relaxation(anew.x, max(relaxed.bound, anew.bound), anew.bound)
+            best = relaxed if anew.x is None else anew
+            return Relaxation(best.x, max(relaxed.bound, anew.bound), best.dual_value)
         if relaxed.bound < SMALL * self._scale:
             return self._bound_anew(relaxed, a, b, out_of_time, cuts)
         return relaxed
@@ -206,7 +208,7 @@ class Program:
 
     def _cost(self, relaxed: Relaxation) -> float:
         request = self._request
-        if relaxed.x is None or request is None:
+        if relaxed.x is None or not relaxed.is_accurate or request is None:
             return np.inf
         return trajectory_of(self.problem, request.state, request.goals, relaxed.x).cost
 
@@ -267,11 +269,13 @@ class Program:
             return Relaxation(None, -np.inf)
         proved = certifier.lower_bound(answer, a, b, q, scale, self._largest)
         bound = scale * proved + self._constant
-        if not (status in SOLVED or _is_near(answer)):
+        accurate = status in SOLVED or _is_within(answer, NEAR)
+        if not (accurate or _is_within(answer, ROUGH)):
             return Relaxation(None, bound)
         assert self._request is not None
         x = np.asarray(answer.x)[self._columns]
-        return Relaxation(self._statement.coordinates(x, self._request.state), bound)
+        own = bound if accurate else -np.inf
+        return Relaxation(self._statement.coordinates(x, self._request.state), bound, own)
 
     @property
     def _linear(self) -> int:
@@ -434,12 +438,12 @@ def _statement(problem: Problem, slots: Sequence[Slot], coasting: bool) -> Any:
     return Statement(problem, slots, coasting)
 
 
-def _is_near(answer: Any) -> bool:
+def _is_within(answer: Any, tolerance: float) -> bool:
     """Return whether an answer whose gap would not close satisfies the constraints all the same.
 
     Its bound tells how far from the optimum it is.
     """
-    near = answer.r_prim <= NEAR and np.isfinite(answer.x).all()
+    near = answer.r_prim <= tolerance and np.isfinite(answer.x).all()
     return bool(near and str(answer.status) in STUCK)
 
 

@@ -42,7 +42,8 @@ class Relaxation:
     Attributes:
         x: rotation coordinates of R_1..R_N, shape (N, d); None if the program was not solved.
         bound: no trajectory of this relaxation costs less; -inf if nothing was proved.
-        own: what the multipliers that belong to ``x`` prove, where others prove more.
+        own: what the multipliers that belong to ``x`` prove, where others prove more; -inf where
+            ``x`` is too inaccurate for a parabola to begin there, but good enough to branch on.
         grounds: what the bound rests on; None where that is not known.
     """
 
@@ -55,6 +56,11 @@ class Relaxation:
     def dual_value(self) -> float:
         """Return the value of the dual function whose minimiser is ``x``."""
         return self.bound if self.own is None else self.own
+
+    @property
+    def is_accurate(self) -> bool:
+        """Return whether the program was solved, and as accurately as a solver can."""
+        return self.x is not None and self.dual_value > -np.inf
 
 
 class Multipliers(NamedTuple):
