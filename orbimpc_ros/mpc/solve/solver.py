@@ -135,7 +135,7 @@ class Solver:
         # Imported here: hardly any plan needs it, and starts are spared a tenth of a second.
         from orbimpc_ros.mpc.proof.prove import WORD, certificates_for, held, patient
 
-        known = self.problem, query.state, query.goals, plan, plan.lower_bound
+        known = self.problem, query.state, query.goals, plan, plan.proof.lower_bound
         made = held(lambda: certificates_for(*known, query.out_of_time or patient))
         proof = plan.proof
         reason = proof.reason if made else '; '.join(filter(None, (proof.reason, WORD)))
