@@ -5,6 +5,8 @@ A slice is a call of machine code with a budget of work. Here budgets are the sm
 the calls are counted, so that nothing depends on how fast a machine is.
 """
 
+import itertools
+
 import numpy as np
 import pytest
 from problems import floor, goals, state
@@ -14,11 +16,12 @@ from orbimpc_ros.mpc.geometry.cells import faces
 from orbimpc_ros.mpc.kernels import COMPILED, annulus
 from orbimpc_ros.mpc.kernels.linear import invert_spd, shift_to_semidefinite
 from orbimpc_ros.mpc.model.condensed import Condensed
-from orbimpc_ros.mpc.problem import Floor, Problem
+from orbimpc_ros.mpc.problem import Ball, Box, Floor, Problem, State
 from orbimpc_ros.mpc.solve import (
     annulus_newton,
     arc_search,
     cell_tree,
+    disjunctive_bnb,
     hull_riccati,
     request,
     sector_bnb,
@@ -254,3 +257,18 @@ def test_a_solver_does_not_count_what_its_method_was_just_in_time_to_tell(monkey
     proof = solver.solve(start, targets, out_of_time=out_of_time).proof
     assert (proof.checked, proof.grounds) == (False, None)
     assert proof.lower_bound > 0.0
+
+
+@pytest.mark.skipif(not COMPILED, reason='the search that leaves trees needs numba')
+def test_of_a_search_among_bodies_too_large_to_count_the_first_nodes_are_counted(monkeypatch):
+    problem = Problem(horizon=6, obstacles=(Ball([2.0, 0.1], 0.6), Box([3.4, -1.0], [3.9, 0.4])))
+    start, targets = State.at([0.0, 0.0], np.eye(2)), np.tile([5.0, 0.0], (6, 1))
+    solver, polls = Solver(problem), itertools.count()
+    best = solver.solve(start, targets)
+    for module in (request, disjunctive_bnb):
+        monkeypatch.setattr(module, 'AFTERWARDS', 20 * 6 * 8)
+    plan = solver.solve(start, targets, out_of_time=lambda: next(polls) > 60)
+    assert plan.nodes > 8
+    assert len(plan.proof.grounds.splits) <= 8
+    assert plan.proof.checked
+    assert 0.0 < plan.lower_bound <= best.objective * (1.0 + 1e-9)
