@@ -235,8 +235,8 @@ class Interception:
         if self._centred and self._is_well(best):
             best = self._through_the_middle(hunt, best)
         first = min(bound, best.end)
-        counted = min(counted, first)
-        catch = Catch(self._step * best.end, self._step * first, sought, self._step * counted)
+        known = self._step * min(counted, first)
+        catch = Catch(self._step * best.end, self._step * first, sought, known)
         return best.plan, catch
 
     def _in_view(self, hunt: Hunt) -> tuple[_Attempt, int, int]:
