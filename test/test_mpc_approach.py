@@ -249,7 +249,7 @@ def test_no_trajectory_catches_in_the_cone_before_the_bound():
             assert np.linalg.norm(tick.plan.positions[-1] - goals[tick.plan.horizon - 1]) <= RADIUS
             assert approach_margin(headed, tick.state, tick.plan.rotations[-1, :, 0]) > -1e-6
         else:
-            assert 'approach: no turn meets the cone of a catch before' in tick.reason
+            assert 'approach: found no turn that meets the cone of a catch before' in tick.reason
         for _ in range(200):
             x = turned_at_random(rng, WING, tick.state)
             flown = trajectory_of(WING, tick.state, goals, x).positions[1:]

@@ -5,15 +5,16 @@ A slice is a call of machine code with a budget of work. Here budgets are the sm
 the calls are counted, so that nothing depends on how fast a machine is.
 """
 
+import itertools
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from problems import floor, goals, state
-
 from orbimpc_ros.lab.bench.flights import UP, landings
 from orbimpc_ros.lab.bench.vehicles import lifted
+from problems import floor, goals, state
+
 from orbimpc_ros.mpc.check import floor_margin, violations
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.geometry.cells import faces
@@ -459,3 +460,18 @@ def test_a_landing_is_searched_no_further_than_its_gap_needs(monkeypatch):
         plan = made.solve(each.state, each.goals)
         assert plan.status.name == 'OPTIMAL'
         assert plan.nodes < 150
+
+
+@pytest.mark.skipif(not COMPILED, reason='the search that leaves trees needs numba')
+def test_of_a_search_among_bodies_too_large_to_count_the_first_nodes_are_counted(monkeypatch):
+    problem = Problem(horizon=6, obstacles=(Ball([2.0, 0.1], 0.6), Box([3.4, -1.0], [3.9, 0.4])))
+    start, targets = State.at([0.0, 0.0], np.eye(2)), np.tile([5.0, 0.0], (6, 1))
+    solver, polls = Solver(problem), itertools.count()
+    best = solver.solve(start, targets)
+    for module in (request, disjunctive_bnb):
+        monkeypatch.setattr(module, 'AFTERWARDS', 20 * 6 * 8)
+    plan = solver.solve(start, targets, out_of_time=lambda: next(polls) > 60)
+    assert plan.nodes > 8
+    assert len(plan.proof.grounds.splits) <= 8
+    assert plan.proof.checked
+    assert 0.0 < plan.lower_bound <= best.objective * (1.0 + 1e-9)

@@ -144,6 +144,40 @@ def test_plans_stay_clear_at_all_times(model):
     assert plans >= 2
 
 
+MOTIONS = [(1, 'euler'), (1, 'exact'), (2, 'euler'), (2, 'exact'), (2, 'held')]
+SHAPES = (
+    lambda n: Ball(np.full(n, 0.1) + 0.7 * np.eye(n)[0], 0.2),
+    lambda n: Box(np.full(n, -0.1) + 0.7 * np.eye(n)[0], np.full(n, 0.3) + 0.7 * np.eye(n)[0]),
+)
+
+
+@pytest.mark.parametrize('motion', MOTIONS, ids=str)
+@pytest.mark.parametrize(('n', 'turning'), [*itertools.product((2, 3), (1, 2))])
+def test_who_arrives_passes_bodies_of_all_kinds(n, turning, motion):
+    order, discretisation = motion
+    model = {'dimension': n, 'rotation_order': turning, 'translation_order': order}
+    free = Problem(
+        horizon=6, step=0.7, terminal='constraint', discretisation=discretisation, **model
+    )
+    goals, found = np.tile(np.eye(n)[0] * 1.5, (6, 1)), 0
+    for shape, moves in itertools.product(SHAPES, (False, True)):
+        body = shape(n)
+        hazards = (Hazard.drifting(body, np.full(n, -0.05)),) if moves else ()
+        problem = replace(free, obstacles=() if moves else (body,))
+        coasted = np.eye(n) if turning == 2 else None
+        start = State.at(np.zeros(n), 0.5 * np.eye(n), coasted=coasted, hazards=hazards)
+        polls = itertools.count()
+        try:
+            planner = Solver(problem, coasting=turning == 2)
+            plan = planner.solve(start, goals, None, lambda p=polls: next(p) > 200)
+        except (Infeasible, SolverFailure):
+            continue
+        assert violations(problem, start, goals, plan) == []
+        assert plan.lower_bound <= plan.objective * (1.0 + 1e-9)
+        found += 1
+    assert found
+
+
 def test_the_optimum_is_that_of_a_fine_enumeration():
     """One disc, one step decided, two to choose: fast headings on a grid, each flown on its own."""
     problem = Problem(horizon=3, step=1.0, forward=1.0)

@@ -1,6 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A limit of the change of speed: plans, bounds, prices and commands keep to it."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -18,9 +19,19 @@ from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.plan import UNPROVED, assemble
-from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
+from orbimpc_ros.mpc.problem import (
+    Approach,
+    Ball,
+    Box,
+    Floor,
+    Hazard,
+    Problem,
+    State,
+    Weights,
+)
 from orbimpc_ros.mpc.problem.case import case_of
 from orbimpc_ros.mpc.problem.pace import entry_speed
+from orbimpc_ros.mpc.problem.reach import clear_of_hazards
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve.solver import Solver
 
@@ -149,6 +160,55 @@ def test_every_route_slows_down_in_time_and_its_bound_is_that_without_the_limit(
     assert changes(problem, start, plan).max() <= 0.2 * (1.0 + 1e-5)
     assert changes(problem, start, free).max() > 0.25
     assert plan.lower_bound <= free.objective * (1.0 + 1e-6) <= plan.objective * (1.0 + 1e-5)
+
+
+FAR = {'hazards': (Hazard.drifting(Ball([40.0, 9.0], 1.0), [0.1, 0.3]),)}
+BESIDE = {
+    'far': ({}, FAR),
+    'far, floor': ({'floor': Floor('circle', fraction=0.4), 'max_rate': 1.0}, FAR),
+    'moving': ({}, {'hazards': (Hazard.drifting(Ball([1.2, 1.0], 0.4), [0.0, -0.1]),)}),
+    'moving box': (
+        {'discretisation': 'exact'},
+        {'hazards': (Hazard.drifting(Box([0.9, 0.5], [1.5, 1.2]), [0.0, -0.02]),)},
+    ),
+    'moving, floor': (
+        {'floor': Floor('circle', fraction=0.4), 'max_rate': 1.0},
+        {'hazards': (Hazard.drifting(Ball([1.2, 0.9], 0.4), [0.0, -0.1]),)},
+    ),
+    'discs': ({'obstacles': (Ball([1.2, 0.6], 0.35),)}, {}),
+    'box': ({'obstacles': (Box([0.9, -0.3], [1.5, 0.3]),), 'no_corner_cutting': True}, {}),
+    'approach': ({'approach': Approach(0.4, (1.0, 0.8))}, {}),
+    'glide slope': ({'dimension': 3, 'glide_slope': 0.3}, {}),
+}
+
+
+@pytest.mark.parametrize('name', BESIDE)
+def test_whatever_else_limits_a_plan_it_slows_down_in_time_and_is_no_stand_in(name):
+    model, more = BESIDE[name]
+    if 'floor' in model and not COMPILED:
+        pytest.skip('sectors are searched in machine code: install numba')
+    problem = Problem(horizon=6, max_acceleration=0.25, **model)
+    n = problem.dimension
+    above = np.eye(3)[2] * (1.2 if n == 3 else 0.0)
+    start = State.at(above[:n], 0.6 * np.eye(n), **more)
+    targets = np.tile([2.4, 0.3, 0.0][:n], (6, 1))
+    polls = itertools.count()
+    plan = Solver(problem).solve(start, targets, None, lambda: next(polls) > 400)
+    assert violations(problem, start, targets, plan) == []
+    assert plan.proof.reason == ''  # not what stands in for a plan
+    assert 0.0 < plan.lower_bound <= plan.objective
+    assert plan.objective <= 1.5 * plan.lower_bound
+
+
+def test_what_is_surely_out_of_reach_is_left_out_of_the_search():
+    problem, wanted = Problem(horizon=5), State.at([0.0, 0.0], np.eye(2))
+    moving = [Hazard.drifting(Ball([7.0, 0.0], 1.0), [v, 0.0]) for v in (0.0, -0.15, -0.25)]
+    found = [clear_of_hazards(problem, replace(wanted, hazards=(each,))) for each in moving]
+    assert [len(each.hazards) for each in found] == [0, 0, 1]  # 5 m and 6 m less the way of it
+    near, far = moving[2], moving[0]
+    assert len(clear_of_hazards(problem, replace(wanted, hazards=(far, near))).hazards) == 2
+    grown = replace(far, reserve=1.1)
+    assert len(clear_of_hazards(problem, replace(wanted, hazards=(grown,))).hazards) == 1
 
 
 def _freed(problem):

@@ -28,6 +28,8 @@ from orbimpc_ros.mpc.solve.solver import Solver
         (lambda: Problem(horizon=0), 'horizon'),
         (lambda: Problem(horizon=2.0), 'horizon'),
         (lambda: Problem(step=0.0), 'step'),
+        (lambda: Problem(step=1e-300), 'step'),
+        (lambda: Problem(forward=1e-300), 'forward'),
         (lambda: Problem(step=np.nan), 'step'),
         (lambda: Problem(forward=-1.0), 'forward'),
         (lambda: Problem(forward='fast'), 'forward'),

@@ -465,8 +465,10 @@ def test_a_bound_that_was_not_counted_is_proved_after_the_command():
     assert answered.tick.status == 'optimal'
     word = of_the_methods_word(answered, answered.tick.plan.lower_bound)
     assert word.tick.status == 'feasible'
+    assert (word.values['lower_bound'], word.values['gap']) == (0.0, 1.0)
     report = driven.ticker.proved(word)
     assert report.tick.status == 'optimal'
+    assert report.values['lower_bound'] == answered.values['lower_bound']
     assert report.values['bound_checked'] is True
     assert report.tick.reason == answered.tick.reason
     known = driven.inbox.settings, Stamp(stamp(1.0), FRAMES), report, '/planner'
@@ -483,6 +485,7 @@ def test_a_bound_that_nothing_proves_is_the_methods_word():
     report = driven.ticker.proved(word)
     assert report.tick.status == 'feasible'
     assert report.values['bound_checked'] is False
+    assert report.values['lower_bound'] == 0.0
     assert report.tick.reason == WORD
     assert report.tick.command == answered.tick.command
     left_open = of_the_methods_word(answered, 0.5 * answered.tick.plan.objective)
@@ -544,10 +547,13 @@ def test_what_is_said_of_catches_is_counted_or_refuted_or_the_methods_word():
     driven = still(**CAUGHT)
     answered = driven.tick_again(1.0)
     assert answered.values['catch_checked'] is True  # too far away
-    tick = replace(answered.tick, catch=replace(answered.tick.catch, checked=False))
+    tick = replace(answered.tick, catch=replace(answered.tick.catch, counted=0.1))
     word = replace(answered, tick=tick)
     assert word.values['catch_checked'] is False
-    assert driven.ticker.proved(word, catches=True).values['catch_checked'] is True
+    assert word.values['catch_bound'] == 0.1  # as far as it was counted
+    refuted = driven.ticker.proved(word, catches=True).values
+    assert refuted['catch_checked'] is True
+    assert refuted['catch_bound'] == answered.values['catch_bound'] > 0.1
     end = driven.ticker._end
     driven.ticker._limit = lambda: end
     late = driven.ticker.proved(word, catches=True)

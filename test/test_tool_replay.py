@@ -490,11 +490,12 @@ def test_gaps_that_are_both_left_open_are_not_compared():
 
 def test_whether_there_was_time_for_an_exact_proof_is_not_compared():
     proved = {'status': 'optimal', 'gap': 0.0, 'bound_checked': True}
-    word = {'status': 'feasible', 'gap': 0.0, 'bound_checked': False}
+    word = {'status': 'feasible', 'gap': 1.0, 'bound_checked': False}
     for before, now in ((proved, word), (word, proved)):
         assert not distances(before, now)['status'].differs
-    assert distances(proved, word | {'bound_checked': True})['status'].differs
-    assert distances(proved, word | {'gap': 0.002})['status'].differs
+        assert not distances(before, now)['gap'].differs
+    for quantity in ('status', 'gap'):
+        assert distances(proved, word | {'bound_checked': True})[quantity].differs
     assert distances(proved, word | {'status': 'failed'})['status'].differs
 
 

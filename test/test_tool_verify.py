@@ -3,6 +3,7 @@
 
 import itertools
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf
 from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.mpc.proof.prove import WORD
@@ -111,6 +113,31 @@ def test_a_bound_above_what_a_trajectory_costs_fails(run, monkeypatch):
     code, out, _ = run('verify', HERE / 'golden' / 'disturbed', '--tick', 3)
     assert code == 1
     assert 'DOES NOT HOLD: a trajectory costs' in out
+
+
+def test_a_claim_is_held_against_a_plan_whose_own_bound_proves_nothing(run, monkeypatch):
+    claiming(monkeypatch, 'lower_bound', 1e3)
+    monkeypatch.setattr('orbimpc_ros.mpc.plan.Plan.lower_bound', 0.0)
+    code, out, _ = run('verify', HERE / 'golden' / 'disturbed', '--tick', 3)
+    assert code == 1
+    assert 'DOES NOT HOLD: a trajectory costs' in out
+
+
+@pytest.mark.parametrize('claimed', [{'lower_bound': 1e-3}, {'catch_bound': 3.0}])
+def test_a_claim_about_what_is_not_found_any_more_fails(run, monkeypatch, claimed):
+    (known,) = claimed.items()
+    claiming(monkeypatch, *known)
+    monkeypatch.setattr('orbimpc_ros.tool.replay.report.ticks_of', lost)
+    code, out, _ = run('verify', HERE / 'golden' / 'disturbed', '--tick', 3)
+    assert code == 1
+    assert 'DOES NOT HOLD: ' in out
+    assert ' now\n' in out
+
+
+def lost(*known):
+    """Ticks whose plans are not found again."""
+    for each in ticks_of(*known):
+        yield replace(each, tick=replace(each.tick, plan=None, status=Status.FAILED, catch=None))
 
 
 def bag_of(path, *texts):

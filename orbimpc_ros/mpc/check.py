@@ -308,7 +308,7 @@ def _proof_violations(problem: Problem, state: State, goals: Array, plan: Plan) 
     if not abs(plan.objective - cost) <= SUMMING * cost < math.inf:
         return [f'the objective is {cost:.6g}, not {plan.objective:.6g}']
     # What constraints may be missed by can save as much of the cost.
-    excess = plan.lower_bound - cost
+    excess = plan.proof.lower_bound - cost
     if not excess <= TOLERANCE * (cost + plan.proof.cost_unit) < math.inf:
         return [f'the lower bound exceeds the cost of {cost:.6g} by {excess:.2g}']
     return []

@@ -27,7 +27,8 @@ class Proof:
     """What is known of a plan's distance from the optimum.
 
     Attributes:
-        lower_bound: no trajectory of the problem costs less; -inf where nothing was proved.
+        lower_bound: no trajectory of the problem costs less, by the method's word until it is
+            ``checked``; -inf where nothing was proved.
         nodes: relaxations solved on the way.
         gap_tolerance: relative gap within which a plan counts as proved optimal.
         cost_unit: the natural size of costs of the problem, which rounding is measured against.
@@ -90,8 +91,12 @@ class Plan(ByContent):
 
     @property
     def lower_bound(self) -> float:
-        """Return a cost that no trajectory of the problem undercuts; -inf if none was proved."""
-        return self.proof.lower_bound
+        """Return a cost that no trajectory of the problem undercuts; -inf if none was looked for.
+
+        A bound that nobody but its method has counted is none: no term of the cost is negative.
+        """
+        claimed = self.proof.lower_bound
+        return claimed if self.proof.checked else min(0.0, claimed)
 
     @property
     def nodes(self) -> int:

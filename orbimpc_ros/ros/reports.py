@@ -88,6 +88,18 @@ class Report:
         return catch is not None and (catch.checked or self.refutation is not None)
 
     @property
+    def _catch(self) -> dict[str, object]:
+        """Return when the plan catches the goal, and before when nothing can, from its start [s].
+
+        Before when nothing can is said as far as it was counted again, or refuted.
+        """
+        catch = self.tick.catch
+        if catch is None:
+            return {'earliest_catch': math.nan, 'catch_bound': math.nan}
+        bound = catch.bound if self._catch_checked else catch.counted
+        return {'earliest_catch': catch.time, 'catch_bound': bound}
+
+    @property
     def values(self) -> dict[str, object]:
         """Return the values on the topic ``tick``, by key.
 
@@ -113,7 +125,7 @@ class Report:
             'cause': tick.cause,
             'binding': self.binding,
             'advanced': self.advanced,
-            **_catch(tick),
+            **self._catch,
             'catch_checked': self._catch_checked,
             'disturbance': () if self.disturbance is None else tuple(self.disturbance.tolist()),
             'innovation': math.nan if self.innovation is None else self.innovation,
@@ -125,13 +137,6 @@ class Report:
             'obstacles_left_out': self.left_out,
             'traffic_stamps': self.traffic_stamps,
         }
-
-
-def _catch(tick: Tick) -> dict[str, object]:
-    """Return when the plan catches the goal, and before when nothing can, from its start on [s]."""
-    if tick.catch is None:
-        return {'earliest_catch': math.nan, 'catch_bound': math.nan}
-    return {'earliest_catch': tick.catch.time, 'catch_bound': tick.catch.bound}
 
 
 def _traffic(tick: Tick) -> dict[str, object]:

@@ -183,13 +183,16 @@ def _tick(
     if each.recorded.answer.status == Status.INFEASIBLE:
         return _infeasible(number, each.tick, recorded, args)
     claimed, tick, plan = each.recorded.answer.lower_bound, each.tick, each.tick.plan
-    if claimed is None or claimed <= 0.0 or plan is None or not plan.lower_bound > 0.0:
-        return TickVerdict(number, COST, claimed)
+    row = TickVerdict(number, COST, claimed)
+    if claimed is None or not claimed > 0.0:
+        return row
+    if plan is None:
+        return row._replace(outcome=FAILS, words=f'{FAILS}: it is {tick.status} now')
     assert tick.problem is not None
     assert tick.state is not None
     assert tick.goals is not None
     posed, cost = Case(tick.problem, tick.state, tick.goals), plan.objective
-    known, row = recorded.bounds.get(claimed), TickVerdict(number, COST, claimed)
+    known = recorded.bounds.get(claimed)
     if not _is_about(each.recorded.answer.earliest_catch, tick):
         return _of_the_tracked(row, known, tick)
     if claimed > cost + TOLERANCE * (cost + plan.proof.cost_unit):
@@ -243,9 +246,13 @@ def _catch(
 ) -> Iterator[TickVerdict]:
     """Certify before which time no trajectory catches the goal, where a tick says so."""
     claimed, catch = each.recorded.answer.catch_bound, each.tick.catch
-    if claimed is None or catch is None or not math.isfinite(claimed):
+    if claimed is None or not math.isfinite(claimed):
         return
-    row, sought = TickVerdict(number, CATCH, claimed), catch.sought
+    row = TickVerdict(number, CATCH, claimed)
+    if catch is None:
+        yield row._replace(outcome=FAILS, words=f'{FAILS}: no catch is looked for now')
+        return
+    sought = catch.sought
     count = steps_before(claimed, sought.problem.step)
     if catch.time < claimed * (1.0 - TOLERANCE):
         words = f'{FAILS}: a plan catches it at {catch.time!r}'

@@ -440,7 +440,7 @@ class Controller:
         """Return in words that no catch was found with a heading inside the cone of approach."""
         if not self._approach.exists:
             return ''
-        return f'approach: no turn meets the cone of a catch before {catch.bound:.4g} s'
+        return f'approach: found no turn that meets the cone of a catch before {catch.bound:.4g} s'
 
     def _catcher(self, target: Target) -> Solver:
         """Return the solver of catching the goal; between ends and past the horizon few are."""

@@ -86,14 +86,19 @@ class Catch:
             time [s]; that of the first step past the horizon if none catches it at all. Where a
             catch between two ends is sooner, its time.
         sought: what both are about.
-        checked: whether all that the bound rests on was counted again, by code that shares nothing
-            with the methods; else it is their word.
+        counted: up to when all that the bound rests on was counted again, by code that shares
+            nothing with the methods [s]; beyond that it is their word.
     """
 
     time: float
     bound: float
     sought: Sought
-    checked: bool
+    counted: float
+
+    @property
+    def checked(self) -> bool:
+        """Return whether no part of the bound is the methods' word."""
+        return self.bound <= self.counted
 
 
 def steps_before(bound: float, step: float) -> int:
@@ -218,7 +223,7 @@ class Interception:
         best, bound, counted = self._in_view(hunt)
         near = self._radius < best.miss <= GRAZE * self._radius
         sought = Sought(self._tracked, hunt.state, hunt.goals(self._horizon), self._radius)
-        never = Catch(math.nan, self._step * bound, sought, bound <= counted)
+        never = Catch(math.nan, self._step * bound, sought, self._step * counted)
         if near and 0 < hunt.expected <= self._horizon:
             return best.plan, never
         if best.miss > self._radius:  # not even nearly
@@ -230,7 +235,8 @@ class Interception:
         if self._centred and self._is_well(best):
             best = self._through_the_middle(hunt, best)
         first = min(bound, best.end)
-        catch = Catch(self._step * best.end, self._step * first, sought, first <= counted)
+        known = self._step * min(counted, first)
+        catch = Catch(self._step * best.end, self._step * first, sought, known)
         return best.plan, catch
 
     def _in_view(self, hunt: Hunt) -> tuple[_Attempt, int, int]:
@@ -404,7 +410,7 @@ class Interception:
             astray = defect(self.problem(target), hunt.state, plan, self._lag)
             miss = float(np.linalg.norm(end + astray - goals[-1]))
             if aims is goals:  # what is proved is about the goal itself
-                never = plan.lower_bound > self.enough(target.end).bound
+                never = plan.proof.lower_bound > self.enough(target.end).bound
                 found = _Attempt(plan, target.end, miss, never, plan.proof.checked)
             elif miss < found.miss:
                 found = found._replace(plan=plan, miss=miss)

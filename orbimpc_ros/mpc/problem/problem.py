@@ -34,6 +34,7 @@ from orbimpc_ros.mpc.problem.obstacle import Ball, Box
 
 TERMINALS = ('penalty', 'constraint')
 MAX_HORIZON = 500
+LEAST = 1e-6  # [s] and [m/s]: products of far smaller ones vanish in floats
 MAX_OBSTACLES = 64
 STEEPEST_GLIDE = 1.5  # [rad]: 14 m up for a metre aside
 WIDEST_CONE = 1.4  # [rad] beyond it the cone of a turn is nearly a half-space, and ill-conditioned
@@ -131,8 +132,8 @@ class Problem:
             allowed = f'euler at translation_order {self.translation_order}'
             raise BadInput('discretisation', self.discretisation, allowed)
         whole(self.horizon, 'horizon', 1, MAX_HORIZON)
-        number(self.step, 'step', 0.0, 1e3, above=True)
-        number(self.forward, 'forward', 0.0, 1e3, above=True)
+        number(self.step, 'step', LEAST, 1e3)
+        number(self.forward, 'forward', LEAST, 1e3)
         if self.terminal not in TERMINALS:
             raise BadInput.choice('terminal', self.terminal, TERMINALS)
         # Beyond half a turn in a step the direction of turning is lost.

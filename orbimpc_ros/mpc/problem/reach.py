@@ -7,11 +7,13 @@ Mathematics: docs/mathematics.md, 7.5.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem.obstacle import reserves
 
 BEYOND = 100.0  # times the reach: goals farther away are pulled in to there
 
@@ -36,6 +38,18 @@ def farthest(problem: Problem, speed: float, blown: float, time: float) -> float
     if not problem.inertial:
         return fastest * time
     return speed * time + 0.5 * fastest * time**2
+
+
+def clear_of_hazards(problem: Problem, state: State) -> State:
+    """Return a state without its hazards, if the vehicle can meet none of them in the horizon."""
+    end, far = problem.step * problem.horizon, reach(problem, state)
+    kept = reserves(state.hazards, problem.horizon, problem.step).max(axis=1, initial=0.0)
+    for hazard, reserve in zip(state.hazards, kept.tolist(), strict=True):
+        moved = hazard.moved(np.append(hazard.turns[hazard.turns < end], end))
+        nearest = -float(hazard.body.depth(state.position[None])[0])
+        if nearest <= far + reserve + float(np.linalg.norm(moved, axis=1).max()):
+            return state
+    return replace(state, hazards=())
 
 
 def pulled_in(problem: Problem, state: State, goals: Array) -> tuple[Array, str]:

@@ -363,6 +363,12 @@ class Sides:
     def _most(self) -> int:
         return self._problem.translation.degree + 1
 
+    @property
+    def _within(self) -> slice:
+        """Return which places are those within steps; an arrival's may follow."""
+        count = self._problem.horizon
+        return slice(2 * count, (2 + self._most) * count)
+
     def _none(self, count: int) -> Alternatives:
         """Return choices that are not stated yet."""
         n, (kinds, places, counts) = self._problem.dimension, np.zeros((3, count), np.int64)
@@ -421,14 +427,14 @@ class Sides:
     def _spreads(self, places: Places, centres: Array) -> Array:
         """Return how far apart places of a step get at most, relative to bodies, shape (J, N)."""
         count = self._problem.horizon
-        free = places.free[2 * count :].reshape(count, self._most, -1) - centres
+        free = places.free[self._within].reshape(count, self._most, -1) - centres
         apart = np.linalg.norm(free[:, :, :, None] - free[:, :, None], axis=-1)
         return np.asarray((self._parted + apart).max(axis=(-1, -2)))
 
     @cached_property
     def _parted(self) -> Array:
         """Return how far apart headings get the places of a step, shape (N, m, m)."""
-        maps = self._maps[2 * self._problem.horizon :].reshape(-1, self._most, self._maps.shape[1])
+        maps = self._maps[self._within].reshape(-1, self._most, self._maps.shape[1])
         return np.asarray(np.abs(maps[:, :, None] - maps[:, None]).sum(axis=-1))
 
 

@@ -89,6 +89,18 @@ class ChoiceNodes:
         self.holders += [{**self.holders[t], choice: number} for number in numbers]
         return numbers
 
+    def first(self, most: int) -> ChoiceNodes:
+        """Return the nodes as they were before there were more than so many of them."""
+        ends = [sum(each) for each in zip(self._parts, self._counts, strict=True)]  # of their parts
+        count = max([1, *(end for end in ends if end <= most)])
+        made, kept = ChoiceNodes(apart=self._apart), [end <= count for end in ends[:count]]
+        known = (self.splits, LEAF), (self._parts, 0), (self._counts, 0)
+        made.splits, made._parts, made._counts = (
+            [each if whole else blank for each, whole in zip(numbers, kept, strict=False)]
+            for numbers, blank in known
+        )
+        return made
+
     @property
     def leaves(self) -> list[int]:
         """Return the numbers of the nodes that are not split."""

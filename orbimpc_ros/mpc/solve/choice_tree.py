@@ -79,13 +79,18 @@ class ChoiceTree:
         self._raised += [(t, row, step) for row, step in steps]
         return self._nodes.part(t, branch.split, len(branch.cells))
 
-    def grounds(self) -> Left | None:
-        """Return all that the bound rests on; None where something is not known."""
-        leaves = [self._made(t) for t in self._nodes.leaves]
+    def grounds(self, most: int | None = None) -> Left | None:
+        """Return all that the bound rests on; None where something is not known.
+
+        Args:
+            most: nodes to tell of, the first ones, which prove less; None for all.
+        """
+        nodes = self._nodes if most is None else self._nodes.first(most)
+        leaves = [self._made(t) for t in nodes.leaves]
         known = [leaf for leaf in leaves if leaf is not None]
         if len(known) < len(leaves):
             return None
-        return self._nodes.grounds(self._sides(), known)
+        return nodes.grounds(self._sides(len(nodes.splits)), known)
 
     # --- leaves
 
@@ -154,10 +159,10 @@ class ChoiceTree:
 
     # --- sides
 
-    def _sides(self) -> np.ndarray:
-        """Return levels and sides of all nodes, shape (2, T)."""
+    def _sides(self, count: int) -> np.ndarray:
+        """Return levels and sides of the first nodes, shape (2, T)."""
         told, numbers = [(0, 0)], dict[int, dict[int, int]]()  # of its cells, by choice
-        for j, cell in filter(None, self._cells):
+        for j, cell in filter(None, self._cells[:count]):
             if isinstance(cell, Patch):
                 told.append(_arc(cell) if len(cell.corners) == 2 else self._triangle(j, cell))
                 continue

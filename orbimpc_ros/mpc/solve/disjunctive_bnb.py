@@ -44,7 +44,7 @@ from orbimpc_ros.mpc.solve.passages import Passages
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.posed import Choice, Missed, Posed
 from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed
-from orbimpc_ros.mpc.solve.request import Found, Request
+from orbimpc_ros.mpc.solve.request import AFTERWARDS, Found, Request
 from orbimpc_ros.mpc.solve.scouting import Scout
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 from orbimpc_ros.mpc.solve.turns import Turns
@@ -228,11 +228,13 @@ class _Run:
         tree, root, known = self._tree, self._root, None
         if root is not None and root.bound >= lower - self._tolerance * abs(lower):
             known = root.grounds
-        if known is not None and self._posed.has_patches:
+        if tree is None or (known is not None and self._posed.has_patches):
             return known
-        if tree is None or not self._posed.request.leaves_time_for(TELLING * tree.leaves):
-            return known
-        told = tree.grounds()
+        request = self._posed.request
+        if request.leaves_time_for(TELLING * tree.leaves):
+            told = tree.grounds()
+        else:
+            told = known or tree.grounds(AFTERWARDS // (TELLING * len(request.goals)))
         return known if told is None else told
 
     @property

@@ -10,6 +10,8 @@ Mathematics: docs/mathematics.md, 3.10.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -21,11 +23,17 @@ from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, carried
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.model.cost import length_weights
-from orbimpc_ros.mpc.model.dynamics import adrift
+from orbimpc_ros.mpc.model.dynamics import adrift, translation_rollout
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem import Floor, Problem, State
+from orbimpc_ros.mpc.problem.approach import LEEWAY
+from orbimpc_ros.mpc.problem.cones import relief, slope_sides
 from orbimpc_ros.mpc.problem.pace import WITHIN, entry_speed, first_change_is_decided
-from orbimpc_ros.mpc.solve.registry import method_for
+from orbimpc_ros.mpc.problem.traffic import traffic_of
+from orbimpc_ros.mpc.solve.disjunction import disjunctions_of
+from orbimpc_ros.mpc.solve.passages import Passages
+from orbimpc_ros.mpc.solve.registry import method_among, method_for
+from orbimpc_ros.mpc.solve.relaxation import Point
 from orbimpc_ros.mpc.solve.request import Found, Request
 from orbimpc_ros.mpc.solve.sector_bnb import SectorSearch
 
@@ -36,6 +44,8 @@ except ModuleNotFoundError:
 
 ACCURATE = 1e-9  # of Clarabel
 
+Side = tuple[Array, Array, float]  # what headings add along a normal, that, and how much it takes
+
 
 class PacedSpeeds:
     """Solves problems with a limit of the change of speed that no search knows by itself.
@@ -44,14 +54,18 @@ class PacedSpeeds:
         problem: what to solve.
         tolerance: relative gap at which the search without the limit stops.
         coasting: whether states come with a ``coasted`` rotation.
+        among: whether states will come with hazards.
     """
 
     takes_guess = trusts_guess = True
 
-    def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
+    def __init__(
+        self, problem: Problem, tolerance: float, *, coasting: bool = False, among: bool = False
+    ) -> None:
         self._problem, self._condensed = problem, Condensed(problem)
-        freed = replace(problem, max_acceleration=0.0)
-        self._method = method_for(freed, tolerance, coasting=coasting)
+        freed, made = replace(problem, max_acceleration=0.0), method_among if among else method_for
+        self._method = made(freed, tolerance, coasting=coasting)
+        self._choices = disjunctions_of(replace(problem, floor=Floor()))  # of bodies that stand
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -93,14 +107,22 @@ class PacedSpeeds:
         if first_change_is_decided(self._problem, state):
             return []
         slow = HEADING_UNDEFINED, self._problem.speed_change
-        found = (self._along(request, _directions(state, x[:, :n], each)) for each in slow)
+        beside, aims = list(self._beside(request, x[:, :n])), self._problem.approach
+        ways = [_directions(state, x[:, :n], each) for each in slow]
+        if aims.exists:
+            least = math.cos(aims.cone + LEEWAY)
+            ways = [each for each in ways if each[-1, :n] @ aims.axis(state) >= least]
+        found = (self._along(request, each, beside) for each in ways)
         return [each for each in found if each is not None]
 
-    def _along(self, request: Request, aligned: Array) -> Array | None:
-        """Return the best coordinates sigma_k Q_k, shape (N, d), given those of Q_k."""
+    def _along(self, request: Request, aligned: Array, beside: list[Side]) -> Array | None:
+        """Return the best coordinates sigma_k Q_k, shape (N, d), given those of Q_k.
+
+        Bodies are passed on the sides that they are beside.
+        """
         n = self._problem.dimension
         p, q = self._objective(request, aligned)
-        rows, offsets, cones = self._limits(request, aligned[:, :n])
+        rows, offsets, cones = self._limits(request, aligned[:, :n], beside)
         settings = clarabel.DefaultSettings()
         settings.verbose, settings.max_threads = False, 1
         settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = ACCURATE
@@ -122,17 +144,49 @@ class PacedSpeeds:
         q += parts.turned[:, 0] * (others @ first)
         return parts.hessian * (axes @ axes.T) + parts.turning * (others @ others.T), q
 
-    def _limits(self, request: Request, axes: Array) -> tuple[Array, Array, list[object]]:
+    def _beside(self, request: Request, headings: Array) -> Iterator[Side]:
+        """Yield the half-spaces on whose sides headings, shape (N, n), pass all bodies."""
+        problem, state = self._problem, request.state
+        z = np.vstack([state.rotation[:, 0], headings])
+        positions, _ = translation_rollout(problem, state, z)
+        free = positions[1:] - problem.maps.reach[:, 1:] @ headings
+        for each in self._choices:
+            values = each.values(z, positions)
+            cell = each.cells[int(np.argmin(each.shortfall(each.cells, values).max(axis=1)))]
+            for k in each.steps:
+                reach = problem.maps.reach[k - 1, 1:]
+                yield reach, cell.normal, cell.offset - float(cell.normal @ free[k - 1])
+        traffic = traffic_of(problem, state)
+        if traffic is not None:
+            passages = Passages(problem, state, traffic)
+            for j, cell in passages.tangents(headings, math.inf):
+                for point, normal, least in passages.choices[j].halfspaces(cell):
+                    assert isinstance(point, Point)
+                    yield point.row, normal, least
+
+    def _limits(
+        self, request: Request, axes: Array, beside: list[Side]
+    ) -> tuple[Array, Array, list[object]]:
         """Return rows A, right-hand sides b and cones: b - A sigma is in them."""
         problem, state, count = self._problem, request.state, len(axes)
         least = [problem.floor.least(unit) if problem.floor.exists else 0.0 for unit in axes]
+        if problem.approach.exists:
+            least[-1] = max(least[-1], problem.least_heading)
         chain, eye = np.eye(count) - np.eye(count, k=-1), np.eye(count)
         entry = np.zeros(count)
         entry[0] = entry_speed(problem, state)
         most = WITHIN * problem.speed_change
         rows = [chain, -chain, eye, -eye]
         offsets = [most + entry, most - entry, np.ones(count), -np.array(least)]
-        cones: list[object] = [clarabel.NonnegativeConeT(4 * count)]
+        passed = np.array([-reach * (axes @ normal) for reach, normal, _ in beside])
+        passed = passed.reshape(-1, count)
+        edges = -np.array([each for *_, each in beside])
+        met = np.maximum(passed, 0.0).sum(axis=1) > edges  # others are beside at any speeds
+        rows.append(passed[met])
+        offsets.append(edges[met])
+        cones: list[object] = [clarabel.NonnegativeConeT(4 * count + int(met.sum()))]
+        if problem.glide_slope:
+            self._slope(request, axes, rows, offsets, cones)
         if problem.max_rate and not problem.floor.exists:
             for k in range(count):
                 held = state.rotation[:, 0] if k == 0 else np.zeros(len(axes[0]))
@@ -148,6 +202,18 @@ class PacedSpeeds:
             offsets.append(request.goals[-1] - flown)
             cones.append(clarabel.ZeroConeT(len(flown)))
         return np.vstack(rows), np.concatenate(offsets), cones
+
+    def _slope(self, request: Request, axes: Array, rows: list, offsets: list, cones: list) -> None:
+        """Add the cones of a glide slope, as far as they are not eased."""
+        problem, state = self._problem, request.state
+        sides, eased = slope_sides(problem), relief(problem, state, request.goals).slope
+        reach = problem.maps.reach
+        away = adrift(problem, state) + np.outer(reach[:, 0], state.rotation[:, 0]) - request.goals
+        for k in range(len(axes)):
+            moved = -(reach[k, 1:, None] * axes * sides).T
+            rows += [moved[2:], moved[:2]]
+            offsets += [sides[2] * away[k, 2:] + eased[k], sides[:2] * away[k, :2]]
+            cones.append(clarabel.SecondOrderConeT(3))
 
 
 def _directions(state: State, headings: Array, slow: float) -> Array:

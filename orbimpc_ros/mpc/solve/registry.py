@@ -48,6 +48,10 @@ def method_among(problem: Problem, tolerance: float, *, coasting: bool = False) 
         tolerance: relative gap at which a search stops.
         coasting: whether states come with a ``coasted`` rotation.
     """
+    if problem.max_acceleration:
+        from orbimpc_ros.mpc.solve.paced_speeds import PacedSpeeds
+
+        return PacedSpeeds(problem, tolerance, coasting=coasting, among=True)
     from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch  # may bring CVXPY
 
     return DisjunctiveSearch(problem, tolerance, coasting=coasting, among=True)

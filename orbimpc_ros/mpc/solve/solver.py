@@ -21,6 +21,7 @@ from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.plan import Plan, Proof, assemble
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.feasibility import reason
+from orbimpc_ros.mpc.problem.reach import clear_of_hazards
 from orbimpc_ros.mpc.problem.units import Units
 from orbimpc_ros.mpc.proof.grounds import ChoiceGrounds, Grounds, Left, Tangent
 from orbimpc_ros.mpc.proof.recount import Recount
@@ -34,12 +35,17 @@ NOTHING = Found(None, np.inf, -np.inf, 0)
 
 
 class _Query(NamedTuple):
-    """What a solver is asked, in the units of its caller; see :meth:`Solver.solve`."""
+    """What a solver is asked, in the units of its caller; see :meth:`Solver.solve`.
+
+    Attributes:
+        searched: the state without hazards that are all out of reach: methods know more without.
+    """
 
     state: State
     goals: Array
     guess: Plan | None
     out_of_time: Callable[[], bool] | None
+    searched: State
 
     @property
     def late(self) -> bool:
@@ -107,7 +113,7 @@ class Solver:
             Infeasible: no trajectory satisfies the constraints.
             SolverFailure: no trajectory was found, and none was proved not to exist.
         """
-        query = _Query(state, goals, guess, out_of_time)
+        query = self._query(state, goals, guess, out_of_time)
         plan, hurried = self._checked(query), out_of_time is not None and not self._patient
         return self._proved(query, plan) if plan.is_the_methods_word and not hurried else plan
 
@@ -135,7 +141,7 @@ class Solver:
         # Imported here: hardly any plan needs it, and starts are spared a tenth of a second.
         from orbimpc_ros.mpc.proof.prove import WORD, certificates_for, held, patient
 
-        known = self.problem, query.state, query.goals, plan, plan.lower_bound
+        known = self.problem, query.state, query.goals, plan, plan.proof.lower_bound
         made = held(lambda: certificates_for(*known, query.out_of_time or patient))
         proof = plan.proof
         reason = proof.reason if made else '; '.join(filter(None, (proof.reason, WORD)))
@@ -155,14 +161,24 @@ class Solver:
             Infeasible: the method proved that no trajectory satisfies the constraints.
             SolverFailure: the method found none.
         """
-        query = _Query(state, goals, guess, out_of_time)
+        query = self._query(state, goals, guess, out_of_time)
         found = self._found(query)
         if found.x is None:
             raise SolverFailure(found.reason)
         return self._assembled(query, found.x, self._proof(query, found))
 
+    def _query(
+        self,
+        state: State,
+        goals: Array,
+        guess: Plan | None,
+        out_of_time: Callable[[], bool] | None,
+    ) -> _Query:
+        searched = clear_of_hazards(self.problem, state) if state.hazards else state
+        return _Query(state, goals, guess, out_of_time, searched)
+
     def _found(self, query: _Query) -> Found:
-        state, goals = query.state, query.goals
+        state, goals = query.searched, query.goals
         wanted = (self.problem.horizon, self.problem.dimension)
         if np.shape(goals) != wanted:
             raise BadInput('goals', np.shape(goals), f'an array of shape {wanted}')
@@ -208,7 +224,7 @@ class Solver:
         return self._among
 
     def _usable(self, query: _Query) -> Guess | None:
-        guess, method = query.guess, self._method_for(query.state)
+        guess, method = query.guess, self._method_for(query.searched)
         if guess is None or not method.takes_guess:
             return None
         if method.trusts_guess and not self._sound(query, guess):
@@ -236,7 +252,7 @@ class Solver:
         checked = known == 0.0
         recount = self._recount
         if known and grounds is not None and recount is not None and recount.knows(grounds):
-            again = recount.bound(query.state, query.goals, grounds, cost, known)
+            again = recount.bound(query.searched, query.goals, grounds, cost, known)
             known, checked = max(0.0, min(known, again)), True
         known *= 1.0 - OUTWARD
         return Proof(known, found.nodes, self._tolerance, cost, found.reason, checked, grounds)

@@ -269,7 +269,7 @@ class Ticker:
         """Return a report with what proves a plan's bound, or that it is not proved."""
         from orbimpc_ros.mpc.proof.prove import WORD, certificates_for, held_in_time
 
-        tick, bound = report.tick, plan.lower_bound
+        tick, bound = report.tick, plan.proof.lower_bound
         assert tick.case is not None
         known = *tick.case, plan, bound
         made = held_in_time(lambda late: certificates_for(*known, late), self._limit, self._end)

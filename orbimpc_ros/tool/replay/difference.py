@@ -27,8 +27,9 @@ OBJECTIVE, ROUNDING = 1e-6, 1e-7  # relative, and near zero
 class Tolerances:
     """What two answers may differ by; words must be the same.
 
-    But a bound that cannot be counted again is proved as far as there is time after the command:
-    whether a plan that closes its gap so is ``optimal`` or ``feasible`` is not compared.
+    But a bound that cannot be counted again is proved as far as there is time after the command,
+    and not published without: where it was not, gaps and ``optimal`` or ``feasible`` are not
+    compared.
 
     A plan gives attitudes as directions of thrust. The less thrust, the less it matters where it
     points, and the less exactly that is known: what a turn may differ by is divided by its share.
@@ -71,18 +72,13 @@ class Tolerances:
         allowed = getattr(self, quantity, 0.0)
         if quantity == 'gap' and all(_is_open(each.gap, self.gap) for each in answers):
             return math.inf
-        if quantity == 'status' and any(self._is_a_word(each) for each in answers):
+        if quantity in PROVED and any(each.bound_checked is False for each in answers):
             return math.inf if all(each.status in PLANNED for each in answers) else allowed
         if quantity not in TURNS:
             return allowed
         shares = [share for each in answers for share in each.speed_fraction[1 : self.order + 1]]
         least = min([1.0, *shares])
         return allowed / least if least > 0.0 else math.inf
-
-    def _is_a_word(self, answer: Published) -> bool:
-        """Return whether a plan closes its gap by a bound that is the method's word."""
-        closed = answer.gap is not None and answer.gap <= self.gap
-        return closed and answer.bound_checked is False
 
 
 def _is_open(gap: float | None, proved: float) -> bool:
@@ -91,6 +87,7 @@ def _is_open(gap: float | None, proved: float) -> bool:
 
 UNITS = {'speed': 'm/s', 'force': 'N', 'body_rate': 'rad/s', 'rotation': 'rad'}
 PLANNED = Status.OPTIMAL, Status.FEASIBLE
+PROVED = 'status', 'gap'
 WORDS, TURNS = ('status', 'fallback'), ('body_rate', 'rotation')
 QUANTITIES = (*WORDS, 'speed', 'force', *TURNS, 'objective', 'gap')
 
