@@ -15,6 +15,7 @@ from .stated import StatedProblem
 from .walls import BoxWall
 
 DEEPEST = 100_000
+ROTATED = Fraction(1, 10**6)  # by which columns of rotations may be off
 Ranges = tuple[Any, ...]  # a sector of each step, or its speeds
 
 
@@ -74,7 +75,7 @@ def _heading(posed: StatedProblem) -> tuple[Fraction, Fraction]:
     angle = Fraction(math.atan2(y, x))
     cosine, sine = direction(angle)
     across, along = abs(cosine * y - sine * x) + 4 * TINY, cosine * x + sine * y
-    if along <= 2 * across:
+    if along <= 2 * across or abs(x * x + y * y - 1) > ROTATED:
         raise Refused('state.attitude is no rotation')
     off = across / along  # the tangent of an angle, that is more than the angle
     return angle - off, angle + off

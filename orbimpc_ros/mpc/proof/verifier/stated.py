@@ -54,18 +54,22 @@ class StatedState(NamedTuple):
 
 
 class StatedLimits(NamedTuple):
-    """Of each step its cones, and what they are least at; its speeds, and how much they change.
+    """Of each step its cones; its speeds, and how much they change.
 
     Then tethers, the cone above the goal, and walls.
     """
 
     cones: list[list[limits.Cone]]
-    least: list[Fraction]
     speeds: tuple[Speeds, ...]
     change: Fraction
     tether: limits.Tether | None
     slope: limits.GlideSlope | None
     walls: list[BoxWall | DiscWall]
+
+    @property
+    def least(self) -> list[Fraction]:
+        """Return the greatest of the least speeds of each step's cones."""
+        return [max((each.slowest for each in own), default=ZERO) for own in self.cones]
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,10 +205,8 @@ def _limits(
     places = steps(model, *led) if bodies else []
     decided = state.second if state.coasted is None else state.coasted
     fastest = max(ONE, size_above(decided.pieces(n)[0]))  # what a body rate decides may be longer
-    directed, slowest = limits.cones(stated.get('cones', []), n, made.slowest, horizon)
     return StatedLimits(
-        directed,
-        slowest,
+        limits.cones(stated.get('cones', []), n, horizon),
         *limits.speeds(stated.get('speeds', ANY_SPEED), made.slowest, horizon),
         tied,
         limits.glide_slope(stated['glide_slope'], horizon) if sloping else None,
