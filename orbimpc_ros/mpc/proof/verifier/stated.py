@@ -16,6 +16,8 @@ from .regions import Speeds
 from .walls import BoxWall, DiscWall, wall
 
 MOST_STEPS = 500
+MOST_WALLS = 100_000  # times steps
+ROTATED = 10**6  # within a part of one so small planar matrices have to be of their form
 WEIGHTS = ('position', 'input', 'length', 'terminal', 'attitude', 'arrival')
 STATE = ('position', 'rotation', 'velocity', 'rotation_rate', 'attitude', 'coasted',
          'disturbance', 'wanted')  # fmt: skip
@@ -172,6 +174,9 @@ def _state(stated: Any, n: int, width: int, step: Fraction) -> StatedState:
     def rotation(name: str) -> Vector:
         """Return a matrix column by column, as far as it is seen."""
         columns = Matrix.of(rows(stated[name], f'state.{name}', n, n)).columns
+        (a, b), (c, d) = (each[:2] for each in columns.rows[:2])
+        if n == 2 and max(abs(a - d), abs(b + c)) * ROTATED > columns.unit:
+            raise Refused(f'state.{name} is not [[a, -b], [b, a]]')
         return Vector([x for each in columns.rows for x in each][:width], columns.unit)
 
     def place(name: str) -> Vector:
@@ -202,6 +207,8 @@ def _limits(
     n, horizon = len(state.position), len(model.flown) - 1
     sloping = 'glide_slope' in stated and n == 3
     bodies = items(stated.get('walls', []), 'walls')
+    if len(bodies) * horizon > MOST_WALLS:
+        raise Refused(f'walls are more than {MOST_WALLS} in all steps together')
     places = steps(model, *led) if bodies else []
     decided = state.second if state.coasted is None else state.coasted
     fastest = max(ONE, size_above(decided.pieces(n)[0]))  # what a body rate decides may be longer
