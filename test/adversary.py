@@ -98,7 +98,9 @@ def flight(rng: Rng) -> Flight | None:
     state: dict[str, Any] = {
         'rotation': rotations[0],
         'attitude': nearest(rotations[0]),
-        'position': np.zeros(n) if level or _sometimes(rng, 0.5) else _dyadic(rng.normal(size=n), 2.0**-8),
+        'position': np.zeros(n)
+        if level or _sometimes(rng, 0.5)
+        else _dyadic(rng.normal(size=n), 2.0**-8),
         'disturbance': _dyadic(rng.normal(size=n), 2.0**-8) * _sometimes(rng, 0.3 - 0.3 * level),
         'wanted': problems.rotation(rng, n),
     }
@@ -123,7 +125,15 @@ def flight(rng: Rng) -> Flight | None:
     given['obstacles'] = tuple(_body(rng, places, n) for _ in range(int(rng.integers(3))))
     given['no_corner_cutting'] = _sometimes(rng, 0.3)
     if _sometimes(rng, 0.5):  # one limit alone
-        limits = ['floor', 'max_rate', 'max_acceleration', 'approach', 'tilt', 'glide_slope', 'obstacles']
+        limits = [
+            'floor',
+            'max_rate',
+            'max_acceleration',
+            'approach',
+            'tilt',
+            'glide_slope',
+            'obstacles',
+        ]
         for name in rng.permutation([each for each in limits if given.get(each)])[1:]:
             del given[name]
     radius = 0.0
@@ -155,8 +165,12 @@ def _rotations(rng: Rng, n: int, horizon: int, level: bool) -> np.ndarray:
         q = np.eye(3)
     for k in range(horizon + 1):
         if k:
-            q = q @ (_about_z(rng.uniform(-turn, turn)) if level else problems.rotation(rng, n, turn))
-        slow = float(rng.choice([rng.uniform(), 10.0 ** rng.uniform(-3, 0), 1.0, 0.0][: 3 + (k == 0)]))
+            q = q @ (
+                _about_z(rng.uniform(-turn, turn)) if level else problems.rotation(rng, n, turn)
+            )
+        slow = float(
+            rng.choice([rng.uniform(), 10.0 ** rng.uniform(-3, 0), 1.0, 0.0][: 3 + (k == 0)])
+        )
         rest = rng.uniform() if n == 3 and _sometimes(rng, 0.3) else 1.0
         scale = slow * np.array([1.0, *[rest] * (n - 1)])
         made[k] = _dyadic((1.0 - HAIR) * q * scale)
@@ -190,14 +204,18 @@ def _limits(rng: Rng, problem: Problem, headings: np.ndarray, ahead: np.ndarray)
     if _sometimes(rng, 0.4):
         shape = str(rng.choice(['circle', 'polygon']))
         faces = int(rng.choice([6, 12, 20])) if n == 3 else int(rng.integers(3, 9))
-        beyond = (headings[1:] @ normals(n, faces).T).max(axis=1) if shape == 'polygon' else speeds[1:]
+        beyond = (
+            (headings[1:] @ normals(n, faces).T).max(axis=1) if shape == 'polygon' else speeds[1:]
+        )
         found['floor'] = Floor(shape, faces, float(max(1e-9, beyond.min()) / (1.0 + _loose(rng))))
     if _sometimes(rng, 0.4):
         if 'floor' in found:
             units = headings / np.maximum(speeds, 1e-12)[:, None]
             units[0] = ahead
             before, after = units[:-1], units[1:]
-            turn = 2.0 * np.arctan2(*(np.linalg.norm(each, axis=1) for each in (after - before, after + before)))
+            turn = 2.0 * np.arctan2(
+                *(np.linalg.norm(each, axis=1) for each in (after - before, after + before))
+            )
             turn = turn.max()
         else:
             moved = np.linalg.norm(np.diff(headings, axis=0), axis=1).max()
@@ -321,9 +339,7 @@ def _bracketed(node: dict[str, Any], below: float, above: float) -> list[Part]:
     return [({**node, name: float(node[name] + off)}, i, 2) for i, off in ((1, -below), (0, above))]
 
 
-def _split(
-    drawn: Flight, known: dict[str, Any], rng: Rng
-) -> list[Part]:
+def _split(drawn: Flight, known: dict[str, Any], rng: Rng) -> list[Part]:
     """Return a split, with which of its parts a flight is in, and how many there are; or none."""
     problem, state, _ = drawn.case
     k, off = int(rng.integers(problem.horizon)), 10.0 ** rng.uniform(-6, 0.5) * rng.choice([-1, 1])
@@ -351,12 +367,12 @@ def _lifted(drawn: Flight, known: dict[str, Any]) -> np.ndarray:
         return np.asarray(origins + (angles - origins) % (2.0 * np.pi))
     ahead = drawn.case.state.attitude[:, 0]
     turns = np.diff(np.concatenate([[math.atan2(ahead[1], ahead[0])], angles]))
-    return np.asarray(math.atan2(ahead[1], ahead[0]) + np.cumsum((turns + np.pi) % (2 * np.pi) - np.pi))
+    return np.asarray(
+        math.atan2(ahead[1], ahead[0]) + np.cumsum((turns + np.pi) % (2 * np.pi) - np.pi)
+    )
 
 
-def _beside(
-    drawn: Flight, walls: list[dict[str, Any]], k: int, off: float, rng: Rng
-) -> list[Part]:
+def _beside(drawn: Flight, walls: list[dict[str, Any]], k: int, off: float, rng: Rng) -> list[Part]:
     """Return a split by the sides of a body, where a flight is on one."""
     j, n = int(rng.integers(len(walls))), drawn.case.problem.dimension
     wall, node = walls[j], {'split': k + 1, 'wall': j}
@@ -387,7 +403,9 @@ def _points(drawn: Flight, wall: dict[str, Any], k: int) -> np.ndarray:
     if 'shifts' in wall:
         first, last = np.array(wall['shifts'])[k : k + 2]
         points = points - first - np.linspace(0.0, 1.0, len(points))[:, None] * (last - first)
-    return {'end': points[-1:], 'ends': points[[0, -1]] if k else points[-1:], 'step': points}[wall['of']]
+    return {'end': points[-1:], 'ends': points[[0, -1]] if k else points[-1:], 'step': points}[
+        wall['of']
+    ]
 
 
 def _nearest(points: np.ndarray) -> np.ndarray:
@@ -428,7 +446,10 @@ def _leaf(
     if width == 9:
         made['tops'] = np.abs(some(horizon))
     if _sometimes(rng, 0.4):
-        held = [bool(posed.limits.cones[k]) or region.faces[k] is not None or width == 9 for k in range(horizon)]
+        held = [
+            bool(posed.limits.cones[k]) or region.faces[k] is not None or width == 9
+            for k in range(horizon)
+        ]
         made['shares'] = np.array(held)[:, None] * some(horizon, n)
     if region.rows and _sometimes(rng, 0.7):
         made['presses'] = np.abs(some(len(region.rows)))

@@ -216,7 +216,11 @@ def _least(posed: StatedProblem, region: Region, k: int, slope: list[int], bend:
     steepest = max([steepest, *(least.towards(slope, cone) for cone in cones)])
     steepest += math.floor(UNIT * length) if length else 0
     found = least.over_speeds(steepest, bend, *region.speeds[k])  # a polygon is beyond, too
-    return found if bend or length or not cones else max(found, _least_in_cones(posed, region, k, slope))
+    return (
+        found
+        if bend or length or not cones
+        else max(found, _least_in_cones(posed, region, k, slope))
+    )
 
 
 def _least_in_cones(posed: StatedProblem, region: Region, k: int, share: list[int]) -> int:

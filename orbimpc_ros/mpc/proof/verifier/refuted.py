@@ -42,9 +42,7 @@ def _last_cone(claim: dict[str, Any], n: int) -> list[Cone]:
     return found
 
 
-def _catch(
-    posed: StatedProblem, k: int, radius: Fraction, last: list[Cone]
-) -> StatedProblem:
+def _catch(posed: StatedProblem, k: int, radius: Fraction, last: list[Cone]) -> StatedProblem:
     """Return the problem of a catch at step k: the first k steps, which later ones do not move."""
     held, limits = posed.limits.cones, posed.limits
 
