@@ -89,7 +89,7 @@ def flight(rng: Rng) -> Flight | None:
         'step': step,
         'forward': 3.0 * 2.0 ** int(rng.integers(-1, 2)),
         'discretisation': str(rng.choice(kinds)),
-        'weights': Weights(*(float(10.0 ** rng.uniform(-2, 1)) * _sometimes(rng, 0.5) for _ in range(5))),
+        'weights': Weights(*(10.0 ** rng.uniform(-2, 1) * _sometimes(rng, 0.5) for _ in range(5))),
     }  # fmt: skip
     rotations = _rotations(rng, n, horizon, level)
     if _sometimes(rng, 0.2):  # which a cone of approach has no direction for
@@ -341,7 +341,7 @@ def _bracketed(node: dict[str, Any], below: float, above: float) -> list[Part]:
 
 def _split(drawn: Flight, known: dict[str, Any], rng: Rng) -> list[Part]:
     """Return a split, with which of its parts a flight is in, and how many there are; or none."""
-    problem, state, _ = drawn.case
+    problem = drawn.case.problem
     k, off = int(rng.integers(problem.horizon)), 10.0 ** rng.uniform(-6, 0.5) * rng.choice([-1, 1])
     heading, node = drawn.plan.rotations[k + 1, :, 0], {'split': k + 1}
     speed, kind = float(np.linalg.norm(heading)), int(rng.choice(4, p=[0.4, 0.2, 0.2, 0.2]))
