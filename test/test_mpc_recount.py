@@ -328,3 +328,29 @@ def test_the_top_of_a_slope_is_what_its_singular_values_say(seed):
         sizes = np.linalg.svd(matrix)[1]
         most = sizes[0] + sizes[1] + np.sign(np.linalg.det(-matrix)) * sizes[2]
         assert top_of(matrix.T.ravel()) == pytest.approx(most, rel=1e-11, abs=1e-300)
+
+
+@needs_machine_code
+@pytest.mark.parametrize('kind', ['circle, turn rate', 'boxes that move', 'hull, arrival'])
+def test_arrays_of_other_shapes_or_kinds_prove_nothing_and_are_not_gone_through(kind):
+    case, plan = solved(kind, 1)
+    recount, left = Recount(case.problem), plan.proof.grounds
+    assert recount.bound(case.state, case.goals, left, plan.proof.cost_unit) > -np.inf
+    for name, each in left._asdict().items():
+        if np.size(each) < 2 or name in ('leans', 'ways'):
+            continue
+        short, kinds = each[:-1], each.astype(complex)
+        deep, sparse = each[..., None], np.repeat(each, 2, axis=-1)[..., ::2]
+        for spoilt in (short, kinds, deep, sparse, each.tolist()):
+            other = left._replace(**{name: spoilt})
+            assert recount.bound(case.state, case.goals, other, 1.0) == -np.inf, name
+    assert recount.bound(case.state, case.goals[:-1], left, 1.0) == -np.inf
+
+
+@needs_machine_code
+def test_parts_beyond_all_whole_numbers_prove_nothing():
+    case, plan = solved('polygon, turn rate', 1)
+    known = plan.proof.grounds
+    split = known._replace(splits=changed(known.splits, 0, 0), angles=changed(known.angles, 0, 0.0))
+    beyond = split._replace(parts=changed(known.parts, 0, np.iinfo(np.int64).max))
+    assert Recount(case.problem).bound(case.state, case.goals, beyond, 1.0) == -np.inf

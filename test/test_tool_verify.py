@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf
@@ -156,10 +155,22 @@ def test_certificates_are_taken_from_a_bag(tmp_path, solved):
     assert known == (json.loads(text)['lower_bound'], json.loads(text))
 
 
-@pytest.mark.parametrize('text', ['', '[]', '{"lower_bound": "much"}', '{"refuted": 1}'])
-def test_a_bag_with_what_is_no_certificate_is_bad_input(tmp_path, text):
-    with pytest.raises(BadInput, match='certificate'):
-        _recorded(bag_of(tmp_path / 'run', text), '')
+BROKEN = ['', '[]', '{"lower_bound": "much"}', '{"refuted": 1}', f'{{"lower_bound": {10**400}}}']
+
+
+def test_what_is_no_certificate_leaves_the_others_of_a_bag(tmp_path, solved):
+    text = solved[1].read_text()
+    known = _recorded(bag_of(tmp_path / 'run', *BROKEN, text), '')
+    assert list(known.bounds.values()) == [json.loads(text)]
+    assert len(known.refused) == len(BROKEN)
+
+
+def test_a_message_that_is_no_certificate_fails_and_ends_nothing(run, monkeypatch):
+    recorded = Recorded({}, {}, ('no certificate: it is none',))
+    monkeypatch.setattr('orbimpc_ros.tool.verify._recorded', lambda *_: recorded)
+    code, out, _ = run('verify', HERE / 'golden' / 'disturbed', '--tick', 3)
+    assert code == 1
+    assert '1 DOES NOT HOLD, 1 holds' in out
 
 
 def test_a_recorded_certificate_that_does_not_prove_its_bound_fails(run, tmp_path, monkeypatch):
@@ -204,6 +215,8 @@ def test_a_published_refutation_is_gone_through(run, published):
     code, out, _ = run(*asked)
     assert code == 0
     assert 'no certificate' not in out
+    radius = known['refuted'].get('radius')
+    assert radius is None or f'within {radius!r} m' in out
 
 
 def test_a_published_refutation_that_does_not_refute_fails(run, published):

@@ -75,10 +75,12 @@ class Recorded(NamedTuple):
     Attributes:
         bounds: by the bounds that they claim.
         refutations: by what they are of, as text: all that they state, and how many trees.
+        refused: why messages are no certificates.
     """
 
     bounds: dict[float, Any]
     refutations: dict[str, Any]
+    refused: tuple[str, ...] = ()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -137,13 +139,16 @@ def _verified(tick: int | None, known: Any) -> TickVerdict:
     catch = 'radius' in known.get('refuted', ())
     outcome = HOLDS if verdict.holds else FAILS
     of = CATCH if catch else COST
-    return TickVerdict(tick, of, verdict.claimed, verdict.proved, verdict.leaves, outcome)
+    words = f'{outcome}, within {known["refuted"]["radius"]!r} m' if catch else ''
+    return TickVerdict(tick, of, verdict.claimed, verdict.proved, verdict.leaves, outcome, words)
 
 
 def _bag(path: Path, args: argparse.Namespace) -> Iterator[TickVerdict]:
     from orbimpc_ros.tool.replay.report import ticks_of  # needs ROS, which a file does not
 
     recorded = _recorded(path, args.namespace)
+    for words in recorded.refused:
+        yield TickVerdict(None, COST, outcome=FAILS, words=f'{FAILS}: a message is {words}')
     for number, each in enumerate(ticks_of(path, args.params, args.namespace)):
         if number == 0:
             gc.freeze()  # each full collection would look through all that was imported
@@ -154,7 +159,7 @@ def _bag(path: Path, args: argparse.Namespace) -> Iterator[TickVerdict]:
 
 def _recorded(path: Path, namespace: str) -> Recorded:
     """Return the certificates that a planner published."""
-    found = Recorded({}, {})
+    found, refused = Recorded({}, {}), []
     for each in bag.read(path, {'certificate'}):
         if each.topic != f'{namespace}/certificate':
             continue
@@ -164,9 +169,9 @@ def _recorded(path: Path, namespace: str) -> Recorded:
                 found.refutations[_claim(known)] = known
             else:
                 found.bounds[float(known['lower_bound'])] = known
-        except (verifier.Refused, KeyError, TypeError, ValueError) as error:
-            raise BadInput.stating(str(path), 'certificate refused', str(error)) from None
-    return found
+        except (LookupError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
+            refused.append(f'no certificate: {error}')
+    return found._replace(refused=tuple(refused))
 
 
 def _claim(known: dict[str, Any], trees: int | None = None) -> str:

@@ -115,6 +115,65 @@ class Tangent(NamedTuple):
 
 Left = ChoiceGrounds | Grounds | Tangent  # by a method, of what its bound rests on
 
+
+def is_array(value: object, kind: type, *shape: int) -> bool:
+    """Return whether a value is an array that machine code may go through, of a kind and shape."""
+    return (
+        isinstance(value, np.ndarray)
+        and value.dtype == kind
+        and value.shape == shape
+        and value.flags.c_contiguous
+    )
+
+
+def fits(left: Left, count: int, n: int, width: int) -> bool:
+    """Return whether what a method left is arrays of a problem's kinds and shapes.
+
+    Args:
+        left: by the method.
+        count: N.
+        n: dimension.
+        width: how many coordinates of a rotation the cost sees.
+    """
+    if isinstance(left, Tangent):
+        sizes = (left.point, (count, width)), (left.bends, (count,)), (left.tops, (count,))
+        told = (left.pull, np.shape(left.pull)[:1]), (left.ways, (count, n))
+        return all(is_array(each, float, *shape) for each, shape in (*sizes, *told))
+    nodes = len(left.splits)
+    if not (nodes and is_array(left.parts, np.int64, nodes)):
+        return False
+    if not is_array(left.splits, np.int64, nodes) or (left.parts[left.splits >= 0] >= nodes).any():
+        return False
+    if isinstance(left, Grounds):
+        cells = (left.points, (nodes, count, width)), (left.bends, (nodes, count))
+        along = (left.angles, (nodes,)), (left.origins, (count,))
+        pulls = (
+            (left.pulls, np.shape(left.pulls)[:2]),
+            (left.stiffness, np.shape(left.stiffness)[:1]),
+        )
+        return all(is_array(each, float, *shape) for each, shape in (*cells, *along, *pulls))
+    leaves, rows, words = (
+        len(left.points),
+        len(left.presses),
+        (left.counts, left.levels, left.sides),
+    )
+    tied, leant = (np.shape(each)[1:2] or (0,) for each in (left.tethers, left.leans))
+    numbers = (
+        (left.points, (leaves, count, width)),
+        (left.presses, (rows,)),
+        (left.tethers, (leaves, *tied, n)),
+        (left.leans, (leaves, *leant, n) if np.size(left.leans) else (0, 0, 0)),
+        (left.ways, (leaves, count, n) if np.size(left.ways) else (0, 0, 0)),
+    )
+    return (
+        all(is_array(each, np.int64, nodes) for each in words)
+        and is_array(left.empty, bool, leaves)
+        and is_array(left.ends, np.int64, leaves)
+        and all(is_array(each, np.int64, rows) for each in (left.holders, left.rows))
+        and all(is_array(each, float, *shape) for each, shape in numbers)
+    )
+
+
 UNSPLIT = np.array([LEAF])
 NO_PARTS, NO_ANGLES = np.zeros(1, np.int64), np.zeros(1)
 

@@ -99,7 +99,7 @@ class PartProgram:
         self._owners = np.array([k for k, _ in owned], int)
         self._axes = np.array([cone.axis for _, cone in owned], float).reshape(-1, n)
         self._widths = np.array([cone.least / cone.axis.unit for _, cone in owned], float)
-        slowest = np.array(posed.limits.least, float)
+        slowest = np.maximum(float(posed.floor.slowest), np.array(posed.limits.least, float))
         self._slowest = np.where(self._length > 0.0, float(posed.floor.slowest), slowest)
         # Over SO(3), where nothing else is asked of R_k e1, the orbitope holds it.
         self._directed = posed.width != 9 or bool(owned or self._length.any() or slowest.any())

@@ -25,7 +25,15 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.pace import entry_speed
 from orbimpc_ros.mpc.proof.choices import choices_bound
-from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds, Grounds, Left, Tangent, tangent
+from orbimpc_ros.mpc.proof.grounds import (
+    LEAF,
+    ChoiceGrounds,
+    Grounds,
+    Left,
+    Tangent,
+    fits,
+    tangent,
+)
 from orbimpc_ros.mpc.proof.sides import Sides
 from orbimpc_ros.mpc.proof.slopes import (
     HALF,
@@ -108,20 +116,23 @@ class Recount:
             unit: of the bends, in that of the cost.
             enough: a bound beyond which nothing has to be counted.
         """
+        problem, shape = self._problem, (self._problem.horizon, self._problem.dimension)
+        if goals.shape != shape or not fits(grounds, *shape, self._width):
+            return -np.inf
         start = self._begun(state)
         if isinstance(grounds, ChoiceGrounds):
             return self._of_choices(state, start, goals, grounds, (unit, enough))
         known = self._terms, self._curvature, start, goals - state.position
         if isinstance(grounds, Tangent):
             return self._of_tangent(known, grounds, state.coasted is not None)
-        if (self._width == 9 or self._problem.rotation_order == 2) or (
-            self._problem.dimension == 3 and len(grounds.splits) > 1
+        if (self._width == 9 or problem.rotation_order == 2) or (
+            problem.dimension == 3 and len(grounds.splits) > 1
         ):
             return -np.inf  # of which nothing is split
         if not self._pulls(grounds):
             return -np.inf
-        ahead, limited = state.attitude, self._problem.max_acceleration > 0.0
-        entry = entry_speed(self._problem, state) if limited else 0.0
+        ahead, limited = state.attitude, problem.max_acceleration > 0.0
+        entry = entry_speed(problem, state) if limited else 0.0
         begun = math.atan2(ahead[1, 0], ahead[0, 0]), entry, *self._last(state)
         return float(recounted(*known, begun, grounds, unit, enough))
 
@@ -194,17 +205,12 @@ class Recount:
         """Return what a tree of choices proves; its multipliers are in natural units."""
         if not self._knows_trees:
             return -np.inf
-        count, n = goals.shape
+        count = len(goals)
         always, places = self._sides.always(state, goals), self._sides.places(state)
-        leaves, nodes, rows = len(tree.points), len(tree.splits), len(tree.presses)
-        fits = tree.points.shape == (leaves, count, self._width) and nodes > 0
-        fits &= tree.tethers.shape == (leaves, max(0, count - always.begin), n)
-        if tree.leans.size:
-            fits &= tree.leans.shape == (leaves, len(always.cones.places), n)
-        if tree.ways.size:
-            fits &= tree.ways.shape == (leaves, count, n)
-        wanted = [*[nodes] * 5, *[leaves] * 3, *[rows] * 3, leaves]
-        if not (fits and list(map(len, tree[:-2])) == wanted):
+        nodes, leant = len(tree.splits), len(always.cones.places)
+        if tree.tethers.shape[1] != max(0, count - always.begin):
+            return -np.inf
+        if tree.leans.size and tree.leans.shape[1] != leant:
             return -np.inf
         known = self._sides.standing  # of which a tree without splits has no use
         if nodes > 1:
@@ -219,11 +225,9 @@ class Recount:
     def _of_tangent(self, known: tuple, leaf: Tangent, coasting: bool) -> float:
         """Return what a tangent proves; its numbers are in the problem's own units."""
         terms, curvature, start, goals = known
-        count = len(goals)
-        sizes = (*leaf.point.shape, len(leaf.bends), len(leaf.tops), len(leaf.pull))
-        fits = sizes == (count, self._width, count, count, self._pulled)
-        fits &= leaf.ways.shape == goals.shape
-        if not fits or leaf.stiffness < 0.0 or (leaf.stiffness and not self._pulled):
+        if len(leaf.pull) != self._pulled or not leaf.stiffness >= 0.0:
+            return -np.inf
+        if leaf.stiffness and not self._pulled:
             return -np.inf
         return float(tangents_bound(terms, curvature, start, goals, leaf, coasting))
 

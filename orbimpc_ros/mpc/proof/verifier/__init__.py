@@ -34,7 +34,7 @@ from typing import Any, NamedTuple
 
 from .bound import bounds
 from .exact import rounded_down
-from .reading import Refused, fields, items, number, parsed, read
+from .reading import Refused, Work, fields, items, number, parsed, read
 from .refuted import refuted_by
 from .stated import posed_by
 
@@ -77,17 +77,18 @@ def verified(document: Any) -> Verdict:
            ('limits', 'origins'))  # fmt: skip
     if document['format'] != FORMAT:
         raise Refused(f'format is not {FORMAT!r}')
-    return _refuting(document) if refutes else _bounding(document)
+    work = Work(document)
+    return _refuting(document, work) if refutes else _bounding(document, work)
 
 
-def _refuting(document: dict[str, Any]) -> Verdict:
+def _refuting(document: dict[str, Any], work: Work) -> Verdict:
     claim, origins = document['refuted'], document.get('origins')
     fields(claim, 'refuted', ('trees',), ('radius', 'cone'))
     trees = items(claim['trees'], 'trees')
     problems, found = refuted_by(document, len(trees)), []
     for posed, tree in zip(problems, trees, strict=True):
         begun = origins and items(origins, 'origins')[: posed.horizon]
-        found.append(bounds(posed, tree, begun))
+        found.append(bounds(posed, tree, begun, work))
     whole = next((k for k, each in enumerate(found) if min(each) <= 0), len(found))
     leaves, holds = sum(map(len, found)), whole == len(found)
     if 'radius' not in claim:
@@ -96,10 +97,10 @@ def _refuting(document: dict[str, Any]) -> Verdict:
     return Verdict(rounded_down(claimed), rounded_down(proved), leaves, holds)
 
 
-def _bounding(document: dict[str, Any]) -> Verdict:
+def _bounding(document: dict[str, Any], work: Work) -> Verdict:
     posed = posed_by(document)
     claimed = number(document['lower_bound'], 'lower_bound')
-    found = bounds(posed, document['tree'], document.get('origins'))
+    found = bounds(posed, document['tree'], document.get('origins'), work)
     proved = min(found)
     holds = claimed <= 0 or proved >= claimed - RELATIVE * claimed  # no term of the cost is < 0
     return Verdict(float(claimed), rounded_down(proved), len(found), holds)

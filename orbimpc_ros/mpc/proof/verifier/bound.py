@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 from . import least
 from .cost import Added, hessian, tangent
 from .exact import TINY, UNIT, ZERO, Matrix, Vector, across, lacking, size_above, size_below
-from .reading import Refused, fields, rows, vector, weight
+from .reading import Refused, Work, fields, rows, vector, weight
 from .regions import Region, Side
 from .splits import leaves, root
 from .stated import StatedProblem
@@ -41,12 +41,24 @@ class StatedLeaf(NamedTuple):
     meets: Vector
 
 
-def bounds(posed: StatedProblem, tree: Any, origins: Any) -> list[Fraction]:
+def bounds(posed: StatedProblem, tree: Any, origins: Any, work: Work) -> list[Fraction]:
     """Return the bounds of a tree's leaves, of which all that there is has the least."""
-    found = [bound(posed, leaf, part) for leaf, part in leaves(posed, tree, root(posed, origins))]
+    found = []
+    for leaf, part in leaves(posed, tree, root(posed, origins), work.spend):
+        work.spend(_work(posed, leaf, part))
+        found.append(bound(posed, leaf, part))
     if not found:
         raise Refused('the tree has no leaf')
     return found
+
+
+def _work(posed: StatedProblem, stated: Any, region: Region) -> int:
+    """Return about how many microseconds a leaf takes."""
+    count, around = posed.horizon, sum(map(len, posed.limits.cones))
+    work = 25 * count + 10 * around + count * len(region.rows) + count * count * posed.width // 8
+    bends = stated.get('bends') if isinstance(stated, dict) else None
+    bent = isinstance(bends, list) and any(isinstance(x, (int, float)) and x < 0 for x in bends)
+    return work + bent * count**3 // 4
 
 
 def bound(posed: StatedProblem, stated: Any, region: Region) -> Fraction:
@@ -136,7 +148,7 @@ def slid(posed: StatedProblem, k: int, c: Vector) -> Fraction:
     if slope is None or c[2] > 0:
         raise Refused('slides are not along the glide slope')
     aside = (c[0] * c[0] + c[1] * c[1]) * (slope.cosine + TINY) ** 2
-    if aside > (c[2] * (slope.sine - TINY)) ** 2:
+    if aside > (c[2] * max(ZERO, slope.sine - TINY)) ** 2:
         raise Refused('slides are not along the glide slope')
     return c[2] * slope.eased[k] / (slope.cosine - TINY)
 
@@ -200,23 +212,30 @@ def _least(posed: StatedProblem, region: Region, k: int, slope: list[int], bend:
     if sector is not None and posed.floor.faces and not bend and not length:
         return least.reached(slope, posed.floor, sector)
     steepest = least.around(slope) if sector is None else least.within(slope, sector)
-    steepest = max([steepest, *(least.towards(slope, cone) for cone in posed.limits.cones[k])])
-    # Where cones end, it is flat. What is linear is least around that.
-    slowest, fastest = region.speeds[k]
-    if not (bend or length):
-        slowest = max(slowest, posed.limits.least[k])
+    cones = posed.limits.cones[k]
+    steepest = max([steepest, *(least.towards(slope, cone) for cone in cones)])
     steepest += math.floor(UNIT * length) if length else 0
-    return least.over_speeds(steepest, bend, slowest, fastest)  # a polygon is beyond, too
+    found = least.over_speeds(steepest, bend, *region.speeds[k])  # a polygon is beyond, too
+    return (
+        found
+        if bend or length or not cones
+        else max(found, _least_in_cones(posed, region, k, slope))
+    )
 
 
 def _least_in_cones(posed: StatedProblem, region: Region, k: int, share: list[int]) -> int:
-    """Return the least share . z over what the cones of a step hold, whatever else does."""
-    limits = posed.limits
-    if not limits.cones[k]:
+    """Return the least share . z over what one of the cones of a step holds.
+
+    Where a cone ends, at its least speed, it is flat. What is linear is least around that; but not
+    where anything else holds directions, too: there z may be shorter than the least speed.
+    """
+    if not posed.limits.cones[k]:
         raise Refused('shares have no cone that holds them')
-    steepest = max(least.towards(share, cone) for cone in limits.cones[k])
     slowest, fastest = region.speeds[k]
-    return least.over_speeds(steepest, 0, max(slowest, limits.least[k]), fastest)
+    return max(
+        least.over_speeds(least.towards(share, cone), 0, max(slowest, cone.slowest), fastest)
+        for cone in posed.limits.cones[k]
+    )
 
 
 def _least_decided(posed: StatedProblem, slope: Vector, bend: int) -> Fraction:

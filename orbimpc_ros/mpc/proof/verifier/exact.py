@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -21,6 +22,7 @@ HALF_TURN = math.floor(PI * (1 << FINE))
 TURN = Fraction(math.nextafter(2.0 * math.pi, 7.0))  # a double beyond 2 pi
 NARROW = Fraction(1, 10**9)  # [rad] by which what is treated as below half a turn, or a turn, is
 ZERO, ONE = Fraction(0), Fraction(1)
+MOST = Fraction(sys.float_info.max)
 SHIFTS = (0, *(UNIT >> bits for bits in range(60, -1, -4)))
 
 
@@ -154,7 +156,9 @@ def size_above(x: Vector) -> Fraction:
 
 
 def rounded_down(x: Fraction) -> float:
-    """Return the largest double that is not above a number."""
+    """Return the largest double that is not above a number; -inf below all."""
+    if abs(x) > MOST:
+        return sys.float_info.max if x > 0 else -math.inf
     nearest = float(x)
     return nearest if Fraction(nearest) <= x else math.nextafter(nearest, -math.inf)
 

@@ -40,7 +40,7 @@ def towards(slope: Sequence[int], cone: Cone) -> int:
     On its rim u . d = c, along its axis d, and of what slope and u are across d the product is
     least where these are opposed.
     """
-    (axis, least, square, aside), lowest = cone, around(slope)
+    (axis, least, square, aside, _), lowest = cone, around(slope)
     along = sum(map(mul, slope, axis.numbers))
     if along <= max(least * lowest, least * (lowest + 1)):  # downhill may be in it
         return lowest

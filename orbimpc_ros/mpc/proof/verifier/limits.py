@@ -7,7 +7,7 @@ import math
 from fractions import Fraction
 from typing import Any, NamedTuple
 
-from .exact import NARROW, ONE, PI, TINY, UNIT, ZERO, Vector, direction
+from .exact import NARROW, ONE, PI, TINY, UNIT, ZERO, Vector, direction, size_above, size_below
 from .reading import Refused, fields, items, vector, weight, whole, word
 from .regions import Speeds
 
@@ -29,19 +29,21 @@ class Cone(NamedTuple):
             is what follows.
         square: of that length.
         aside: at least the sine of the angle that this is, times that length.
+        slowest: the least speed; at it the cone ends flat, at z . axis >= cosine x slowest.
     """
 
     axis: Vector
     least: int
     square: int
     aside: int
+    slowest: Fraction = ZERO
 
 
-def cone(axis: Vector, least: Fraction) -> Cone:
+def cone(axis: Vector, least: Fraction, slowest: Fraction = ZERO) -> Cone:
     """Return the cone of u . axis >= least."""
     fine = Vector([UNIT * each for each in axis.numbers], UNIT * axis.unit)
     low, square = math.floor(least * fine.unit), sum(each * each for each in fine.numbers)
-    return Cone(fine, low, square, math.isqrt(max(0, square - low * low)) + 1)
+    return Cone(fine, low, square, math.isqrt(max(0, square - low * low)) + 1, slowest)
 
 
 class Tether(NamedTuple):
@@ -68,26 +70,23 @@ def floor(stated: Any) -> StatedFloor:
     return StatedFloor(shape != 'none', slowest, faces)
 
 
-def cones(
-    stated: Any, n: int, slowest: Fraction, horizon: int
-) -> tuple[list[list[Cone]], list[Fraction]]:
-    """Return the cones that each step's axis is in, and its least speed."""
+def cones(stated: Any, n: int, horizon: int) -> list[list[Cone]]:
+    """Return the cones that each step's axis is in."""
     found: list[list[Cone]] = [[] for _ in range(horizon)]
-    least = [slowest] * horizon
     for each in items(stated, 'cones'):
         fields(each, 'a cone', ('axis', 'angle', 'least', 'steps'))
         angle = weight(each['angle'], 'angle')
         axis = vector(each['axis'], 'axis', n)
         if angle > PI / 2 or not axis:
             raise Refused('a cone is none, or wider than half of space')
-        made = cone(axis, direction(angle)[0] - TINY)
+        cosine, slowest = direction(angle)[0] - TINY, weight(each['least'], 'least')
+        if slowest > 1:
+            raise Refused('a least speed is above 1')
+        size = size_above(axis) if cosine < 0 else size_below(axis)
+        made = cone(axis, cosine * size, slowest)
         for step in items(each['steps'], 'steps'):
-            k = whole(step, 'steps', 1, horizon) - 1
-            found[k].append(made)
-            least[k] = max(least[k], weight(each['least'], 'least'))
-    if max(least) > 1:
-        raise Refused('a least speed is above 1')
-    return found, least
+            found[whole(step, 'steps', 1, horizon) - 1].append(made)
+    return found
 
 
 def speeds(stated: Any, slowest: Fraction, horizon: int) -> tuple[tuple[Speeds, ...], Fraction]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,35 @@ from typing import Any
 from .exact import Vector
 
 LARGEST = 64 << 20  # bytes of a file
+WIDE = re.compile(r'e[+-]?([4-9]\d|\d{3})|\d{40}')  # numbers so small or large, in text, that
+DEAR = 8  # times as much work are products of them
+LEAST_WORK, WORK = 600_000, 18  # allowed for any document, and for each of its characters
 
 
 class Refused(ValueError):
     """What is no certificate, or none that is sound: with the reason, in one line."""
+
+
+class Work:
+    """How much work a document is worth, in about a microsecond each: what is long may take long.
+
+    Args:
+        document: as JSON has it.
+    """
+
+    def __init__(self, document: Any) -> None:
+        try:
+            text = json.dumps(document)
+        except RecursionError:
+            raise Refused('it is nested too deeply') from None
+        self._left = LEAST_WORK + WORK * len(text)
+        self._each = DEAR if WIDE.search(text) else 1
+
+    def spend(self, work: int) -> None:
+        """Refuse what takes more than is left."""
+        self._left -= self._each * work
+        if self._left < 0:
+            raise Refused('it takes more work than a document of its length may')
 
 
 def read(path: str | Path) -> Any:

@@ -30,21 +30,19 @@ def refuted_by(document: dict[str, Any], count: int) -> list[StatedProblem]:
         return [posed]
     whole(count, 'the number of trees', 1, posed.horizon)
     radius, last = weight(claim['radius'], 'radius'), _last_cone(claim, posed.n)
-    return [_catch(posed, k, radius, *last) for k in range(1, count + 1)]
+    return [_catch(posed, k, radius, last) for k in range(1, count + 1)]
 
 
-def _last_cone(claim: dict[str, Any], n: int) -> tuple[list[Cone], Fraction]:
-    """Return the cones that the last heading of a catch is in, and its least speed."""
+def _last_cone(claim: dict[str, Any], n: int) -> list[Cone]:
+    """Return the cones that the last heading of a catch is in."""
     if 'cone' in claim:
         fields(claim['cone'], 'cone', ('axis', 'angle', 'least'))
     stated = [{**claim['cone'], 'steps': [1]}] if 'cone' in claim else []
-    (found,), (least,) = cones(stated, n, ZERO, 1)
-    return found, least
+    (found,) = cones(stated, n, 1)
+    return found
 
 
-def _catch(
-    posed: StatedProblem, k: int, radius: Fraction, last: list[Cone], least: Fraction
-) -> StatedProblem:
+def _catch(posed: StatedProblem, k: int, radius: Fraction, last: list[Cone]) -> StatedProblem:
     """Return the problem of a catch at step k: the first k steps, which later ones do not move."""
     held, limits = posed.limits.cones, posed.limits
 
@@ -61,7 +59,6 @@ def _catch(
         arrives=False,
         limits=limits._replace(
             cones=[*held[: k - 1], held[k - 1] + last],
-            least=[*limits.least[: k - 1], max(limits.least[k - 1], least)],
             speeds=limits.speeds[:k],
         ),
         radius=radius,

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -15,10 +15,13 @@ from .stated import StatedProblem
 from .walls import BoxWall
 
 DEEPEST = 100_000
+ROTATED = Fraction(1, 10**6)  # by which columns of rotations may be off
 Ranges = tuple[Any, ...]  # a sector of each step, or its speeds
 
 
-def leaves(posed: StatedProblem, tree: Any, root: Region) -> Iterator[tuple[Any, Region]]:
+def leaves(
+    posed: StatedProblem, tree: Any, root: Region, spend: Callable[[int], None] = lambda _: None
+) -> Iterator[tuple[Any, Region]]:
     """Yield the leaves of a tree of splits, each with its region; the tree must be complete."""
     waiting = [(tree, root)]
     for _ in range(DEEPEST):
@@ -26,6 +29,7 @@ def leaves(posed: StatedProblem, tree: Any, root: Region) -> Iterator[tuple[Any,
             return
         node, region = waiting.pop()
         if isinstance(node, dict) and 'split' in node:
+            spend((100 if 'wall' in node else 5) * posed.horizon)
             waiting += _parts(posed, node, region)
         else:
             yield node, region
@@ -63,6 +67,8 @@ def root(posed: StatedProblem, origins: Any) -> Region:
         turns = [k * posed.turn for k in range(1, posed.horizon + 1)]
         sectors = tuple(Sector(low - each, high + each) for each in turns)
     elif origins is not None:
+        if posed.n != 2:
+            raise Refused('origins have no use in space')
         starts = vector(origins, 'origins', posed.horizon)
         sectors = tuple(Sector(each, each + TURN) for each in starts)
     return Region(free, sectors, posed.limits.speeds)
@@ -74,7 +80,7 @@ def _heading(posed: StatedProblem) -> tuple[Fraction, Fraction]:
     angle = Fraction(math.atan2(y, x))
     cosine, sine = direction(angle)
     across, along = abs(cosine * y - sine * x) + 4 * TINY, cosine * x + sine * y
-    if along <= 2 * across:
+    if along <= 2 * across or abs(x * x + y * y - 1) > ROTATED:
         raise Refused('state.attitude is no rotation')
     off = across / along  # the tangent of an angle, that is more than the angle
     return angle - off, angle + off

@@ -16,6 +16,8 @@ from .regions import Speeds
 from .walls import BoxWall, DiscWall, wall
 
 MOST_STEPS = 500
+MOST_WALLS = 100_000  # times steps
+ROTATED = 10**6  # within a part of one so small planar matrices have to be of their form
 WEIGHTS = ('position', 'input', 'length', 'terminal', 'attitude', 'arrival')
 STATE = ('position', 'rotation', 'velocity', 'rotation_rate', 'attitude', 'coasted',
          'disturbance', 'wanted')  # fmt: skip
@@ -54,18 +56,22 @@ class StatedState(NamedTuple):
 
 
 class StatedLimits(NamedTuple):
-    """Of each step its cones, and what they are least at; its speeds, and how much they change.
+    """Of each step its cones; its speeds, and how much they change.
 
     Then tethers, the cone above the goal, and walls.
     """
 
     cones: list[list[limits.Cone]]
-    least: list[Fraction]
     speeds: tuple[Speeds, ...]
     change: Fraction
     tether: limits.Tether | None
     slope: limits.GlideSlope | None
     walls: list[BoxWall | DiscWall]
+
+    @property
+    def least(self) -> list[Fraction]:
+        """Return the greatest of the least speeds of each step's cones."""
+        return [max((each.slowest for each in own), default=ZERO) for own in self.cones]
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,6 +174,9 @@ def _state(stated: Any, n: int, width: int, step: Fraction) -> StatedState:
     def rotation(name: str) -> Vector:
         """Return a matrix column by column, as far as it is seen."""
         columns = Matrix.of(rows(stated[name], f'state.{name}', n, n)).columns
+        (a, b), (c, d) = (each[:2] for each in columns.rows[:2])
+        if n == 2 and max(abs(a - d), abs(b + c)) * ROTATED > columns.unit:
+            raise Refused(f'state.{name} is not [[a, -b], [b, a]]')
         return Vector([x for each in columns.rows for x in each][:width], columns.unit)
 
     def place(name: str) -> Vector:
@@ -198,13 +207,13 @@ def _limits(
     n, horizon = len(state.position), len(model.flown) - 1
     sloping = 'glide_slope' in stated and n == 3
     bodies = items(stated.get('walls', []), 'walls')
+    if len(bodies) * horizon > MOST_WALLS:
+        raise Refused(f'walls are more than {MOST_WALLS} in all steps together')
     places = steps(model, *led) if bodies else []
     decided = state.second if state.coasted is None else state.coasted
     fastest = max(ONE, size_above(decided.pieces(n)[0]))  # what a body rate decides may be longer
-    directed, slowest = limits.cones(stated.get('cones', []), n, made.slowest, horizon)
     return StatedLimits(
-        directed,
-        slowest,
+        limits.cones(stated.get('cones', []), n, horizon),
         *limits.speeds(stated.get('speeds', ANY_SPEED), made.slowest, horizon),
         tied,
         limits.glide_slope(stated['glide_slope'], horizon) if sloping else None,
