@@ -58,7 +58,9 @@ class PlanarWay:
         """Return whether ways in a plane hold all of a problem but its obstacles."""
         plain = not (problem.approach.exists or problem.has_cones or problem.max_acceleration)
         spatial = (problem.dimension, problem.rotation_order) == (3, 1)
-        return spatial and plain and problem.turns_are_angles and SectorSearch.solves(_planar(problem))
+        return (
+            spatial and plain and problem.turns_are_angles and SectorSearch.solves(_planar(problem))
+        )
 
     def solve(self, request: Request) -> Found:
         """Return the best trajectory found in the plane, or the general search's."""

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Trajectories that take no search: straight on, straight to the goal, up, and turns that arrive.
+"""Trajectories that take no search: straight on, to the goal, up, and turns that arrive.
 
 A terminal constraint is linear in the headings z_k = R_k e1. What they miss it by is spread over
 them with the least squares of corrections (Newton's method), each heading then brought back to
@@ -36,8 +36,8 @@ def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
     """Yield R_1..R_N, shape (N, n, n), that go straight on, and straight to the goal.
 
     Straight on at the present speed, as slowly as the floor allows, and at full speed; to the goal
-    after turning towards it as fast as ``max_rate`` allows. Where cones limit a descent, straight up
-    as well: what they demand of a state outside is made for that.
+    after a turn as fast as ``max_rate`` allows. Where cones limit a descent, straight up as well:
+    what they demand of a state outside is made for that.
 
     Args:
         problem: what is to be solved.
