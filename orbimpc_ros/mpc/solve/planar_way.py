@@ -21,37 +21,22 @@ from orbimpc_ros.mpc.geometry.orbitopes import coordinates, matrix
 from orbimpc_ros.mpc.geometry.rotations import carried
 from orbimpc_ros.mpc.model.cost import position_weights
 from orbimpc_ros.mpc.model.dynamics import drift
-from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Floor, Problem, State
-from orbimpc_ros.mpc.solve.general import General
-from orbimpc_ros.mpc.solve.request import Found, Guess, Request
+from orbimpc_ros.mpc.solve.request import Guess, Request
 from orbimpc_ros.mpc.solve.sector_bnb import SectorSearch
-
-ALONE = 'no ways but those in the plane of heading and goal were looked at'
 
 
 class PlanarWay:
-    """Solves problems of space with a floor and a turn rate where the last goal alone counts.
-
-    All of such a problem, as that of a catch, is in the plane. The general search, which proves
-    something of space, has its turn where there is no deadline.
+    """Finds ways that turn in a plane, for problems of space with a floor and a turn rate.
 
     Args:
         problem: what to solve; its obstacles are not seen.
         tolerance: relative gap, in the plane, at which a way is good enough.
     """
 
-    takes_guess = trusts_guess = True
-
-    def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
+    def __init__(self, problem: Problem, tolerance: float) -> None:
         self._problem, self._weights = problem, np.sqrt(position_weights(problem))
         self._search = SectorSearch(_planar(problem), tolerance)
-        self._general = General(problem, tolerance)
-
-    @classmethod
-    def solves(cls, problem: Problem) -> bool:
-        """Return whether this method applies to a problem, and is fast on this machine."""
-        return cls.leads(problem) and not problem.obstacles and problem.weights.position == 0.0
 
     @staticmethod
     def leads(problem: Problem) -> bool:
@@ -61,16 +46,6 @@ class PlanarWay:
         return (
             spatial and plain and problem.turns_are_angles and SectorSearch.solves(_planar(problem))
         )
-
-    def solve(self, request: Request) -> Found:
-        """Return the best trajectory found in the plane, or the general search's."""
-        if not request.hurried:
-            return self._general.solve(request)
-        x, guess = self.way(request), request.guess
-        cost = trajectory_of(self._problem, request.state, request.goals, x).cost
-        if guess is not None and guess.cost <= cost:
-            x, cost = guess.x, guess.cost
-        return Found(x, cost, -np.inf, 1, ALONE)
 
     def way(self, request: Request) -> Array:
         """Return the rotation coordinates R_1..R_N of the best way found, shape (N, 9)."""
