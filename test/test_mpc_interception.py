@@ -3,10 +3,12 @@
 
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from continuous import Craft, at_rest, flown
 from problems import floor, rotation
 
 from orbimpc_ros.mpc.check import violations
@@ -27,6 +29,7 @@ from orbimpc_ros.mpc.loop.interception import (
     catching,
 )
 from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.mpc.loop.response import Response
 from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State, Weights
@@ -384,3 +387,35 @@ def test_no_plan_is_made_for_what_is_out_of_reach_nor_again_where_that_cannot_he
     assert np.linalg.norm(ended - goal) <= AIM * RADIUS
     assert any(target.end % 1.0 for target in asked)
     assert max(asked.values()) == 2  # the defect is that of full speed at once
+
+
+@needs_speed
+@pytest.mark.parametrize('bearing', [[-1.0, 0.0, 0.0], [-0.9, 0.3, 0.3], [-0.2, 0.0, 1.0]])
+def test_a_wing_in_space_turns_round_and_catches_a_goal_that_moves(bearing):
+    """Right behind, behind, and above; the searches end after so many polls, on any machine."""
+    plant = Craft(15.0, speed_lag=0.5, rate_lag=0.4, turns=WING.max_rate)
+    controller = Controller(
+        replace(WING, dimension=3, floor=floor('circle', 0.8)),
+        capture_radius=RADIUS,
+        response=Response(speed=0.5, rate=0.4),
+    )
+    motion, drift = at_rest(3, 0.0, 1.0, plant), np.array([0.0, 2.0, -1.0])
+    for k in range(40):
+        here = Odometry(
+            0.5 * k, motion.position, motion.attitude, np.array([15.0, 0.0, 0.0]), motion.rate
+        )
+        planned = controller.settled(here)
+
+        def ahead(times):
+            return 70.0 * np.array(bearing) + np.outer(times, drift)
+
+        late = partial(next, iter([False] * 200), True)
+        tick = controller.tick(planned, ahead(controller.ends(planned.time)), late, ahead)
+        assert tick.plan is not None, tick.reason
+        for part in range(5):
+            command = tick.command
+            motion = flown(plant, motion, command.speed_fraction, command.body_rate, 0.1)
+            goal = ahead(np.array([0.5 * k + 0.1 * (part + 1)]))[0]
+            if np.linalg.norm(motion.position - goal) <= RADIUS:
+                return
+    pytest.fail(f'not caught in {0.5 * (k + 1)} s')

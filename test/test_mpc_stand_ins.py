@@ -93,3 +93,14 @@ def test_an_arrival_at_the_end_of_its_reach_is_met_without_a_search(n):
     targets = np.tile(reached, (3, 1))
     plan = at_once(problem, start, targets)
     assert violations(problem, start, targets, plan) == []
+
+
+def test_what_did_not_come_of_the_search_says_so():
+    problem = Problem(3, horizon=8, floor=floor('circle', 0.9), obstacles=(Box([5] * 3, [6] * 3),))
+    start, targets = State.at(np.zeros(3), np.eye(3)), np.tile([9.0, 2.0, 0.0], (8, 1))
+    solver = Solver(problem)
+    instead = solver.solve(start, targets, out_of_time=lambda: True)
+    assert instead.proof.reason.endswith('a plan that took no search stands in')
+    again = solver.solve(start, targets, instead, out_of_time=lambda: True)
+    assert again.objective == instead.objective
+    assert again.proof.reason == 'the plan before goes on: no better one was found in time'

@@ -17,13 +17,16 @@ from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.outcome import Status
+from orbimpc_ros.mpc.plan import UNPROVED, assemble
 from orbimpc_ros.mpc.problem import Box, Problem, State, Weights
 from orbimpc_ros.mpc.problem.scaling import weighed
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch
+from orbimpc_ros.mpc.solve.planar_way import PlanarWay
 from orbimpc_ros.mpc.solve.request import Enough, Request
 from orbimpc_ros.mpc.solve.sector_bnb import SectorSearch
 from orbimpc_ros.mpc.solve.solver import Solver
+from orbimpc_ros.mpc.solve.stand_ins import straight
 
 needs_machine_code = pytest.mark.skipif(
     not COMPILED, reason='sectors are searched in machine code: install numba'
@@ -298,3 +301,56 @@ def test_horizons_of_many_short_steps_are_proved_as_well(horizon):
     for goal in ([60.0, 20.0], [-40.0, 30.0]):
         goals = np.tile(goal, (horizon, 1))
         assert solver.solve(State.at(np.zeros(2), np.eye(2)), goals).status == 'optimal'
+
+
+@needs_machine_code
+@pytest.mark.parametrize(('shape', 'faces'), [('circle', 4), ('polygon', 12)])
+def test_ways_in_a_plane_hold_every_limit_of_space(shape, faces):
+    rng = np.random.default_rng(57)
+    for order in (1, 1, 2, 2):
+        how = ['euler', 'exact', 'held'][int(rng.integers(order + 1))]
+        made = random_problem(rng, shape, faces, dimension=3, horizon=10)
+        problem = replace(made, translation_order=order, discretisation=how)
+        found = PlanarWay(problem, 1e-5)
+        for away in (None, np.zeros(3), -1.0, 1.0):  # anywhere, here, right behind, right ahead
+            start, targets = random_start(rng, problem)
+            start = replace(start, disturbance=0.2 * problem.forward * rng.normal(size=3) / 1.8)
+            if away is not None:
+                start = replace(start, disturbance=np.zeros(3), velocity=np.zeros(3))
+                targets = start.position + away * 9.0 * start.attitude[:, [0]].T * np.ones((10, 1))
+            way = found.way(Request(start, targets, out_of_time=lambda: True))
+            known = problem, start, targets
+            plan = assemble(*known, way, projection='thrust_aligned', proof=UNPROVED)
+            assert violations(*known, plan) == []
+
+
+@needs_machine_code
+def test_who_turns_in_a_plane_of_space_costs_no_more_than_in_the_plane():
+    rng = np.random.default_rng(58)
+    for _ in range(6):
+        flat = replace(random_problem(rng, 'circle', 4, horizon=10), weights=Weights(1.0, 0.0))
+        start, targets = random_start(rng, flat)
+        best = Solver(flat, gap_tolerance=1e-5).solve(start, targets)
+        tilted = exp(rng.normal(size=3))
+        plane, q = tilted[:, :2], np.eye(3)
+        q[:2, :2] = start.attitude
+        here = State.at(
+            plane @ start.position,
+            np.linalg.norm(start.rotation[:, 0]) * tilted @ q,
+            attitude=tilted @ q,
+        )
+        problem, goals = replace(flat, dimension=3), targets @ plane.T
+        way = PlanarWay(problem, 1e-7).way(Request(here, goals))
+        assert trajectory_of(problem, here, goals, way).cost <= best.objective * (1.0 + 1e-5)
+
+
+@pytest.mark.parametrize('n', [2, 3])
+def test_what_stands_in_turns_round_as_fast_as_it_may(n):
+    problem = Problem(n, horizon=12, step=0.5, floor=floor('circle', 0.9), max_rate=0.4)
+    behind = np.tile(-9.0 * np.eye(n)[0], (12, 1))
+    start = State.at(np.zeros(n), np.eye(n))
+    *_, there = straight(problem, start, behind)
+    known = problem, start, behind
+    plan = assemble(*known, coordinates(there), projection='thrust_aligned', proof=UNPROVED)
+    assert violations(*known, plan) == []
+    assert angles(start, plan)[:11] == pytest.approx(0.2, rel=1e-6)

@@ -6,7 +6,8 @@ already exceeds the optimum. Before a child is solved it inherits its parent's b
 exact dual step (:mod:`orbimpc_ros.mpc.solve.branching`).
 
 A round floor is branched on its cells, and the cells are cut finer where a solution slips below the
-floor. Trajectories come from :mod:`orbimpc_ros.mpc.solve.dives`.
+floor. Trajectories come from :mod:`orbimpc_ros.mpc.solve.dives`, those that turn in space first of
+all from a plane (:mod:`orbimpc_ros.mpc.solve.planar_way`).
 
 Mathematics: docs/mathematics.md, 4.9 and 5.4.
 """
@@ -42,6 +43,7 @@ from orbimpc_ros.mpc.solve.hull_tangent import HullTangent
 from orbimpc_ros.mpc.solve.incumbent import Incumbent, arrives, is_accurate
 from orbimpc_ros.mpc.solve.passages import Passages
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
+from orbimpc_ros.mpc.solve.planar_way import PlanarWay
 from orbimpc_ros.mpc.solve.posed import Choice, Missed, Posed
 from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.request import AFTERWARDS, Found, Request
@@ -86,6 +88,7 @@ class DisjunctiveSearch:
         if self.turns is not None:
             slots += self.turns.slots
         self.program = _program(problem, slots, coasting, among)
+        self._plane = PlanarWay(problem, tolerance) if PlanarWay.leads(problem) else None
         self.scout = Scout(problem) if among else None
         self._tangent = HullTangent(problem) if HullTangent.applies(problem) else None
 
@@ -112,7 +115,8 @@ class DisjunctiveSearch:
             curvature += passages.curvatures(self._inverse)
         branching = Branching(posed, curvature, self._exchangeable)
         run = _Run(posed, branching, self.tolerance, self._tree(posed))
-        return run.run(() if traffic is None else self._ways(request, traffic))
+        planar = [] if self._plane is None else [self._plane.way(request)]
+        return run.run(planar, () if traffic is None else self._ways(request, traffic, planar))
 
     def _tree(self, posed: Posed) -> ChoiceTree | None:
         """Return what notes the grounds of a search; None where its relaxations' are not known."""
@@ -145,10 +149,15 @@ class DisjunctiveSearch:
         tree.solved(0)
         return tree.grounds()
 
-    def _ways(self, request: Request, traffic: Traffic) -> Iterator[Array]:
-        """Yield headings R_1 e1..R_N e1, shape (N, n), of ways to start from: guessed, scouted."""
+    def _ways(self, request: Request, traffic: Traffic, planar: list[Array]) -> Iterator[Array]:
+        """Yield headings R_1 e1..R_N e1, shape (N, n), of ways to start from.
+
+        The guessed one, the one in a plane, whose coordinates are given, and the one scouted.
+        """
         if request.guess is not None:
             yield request.guess.x[:, : self.problem.dimension]
+        for x in planar:
+            yield x[:, : self.problem.dimension]
         if self.scout is None or request.late:
             return
         scouted = self.scout.way(request.state, request.goals, traffic, request.out_of_time)
@@ -202,13 +211,18 @@ class _Run:
         self._open = [_Node(-np.inf, 0, posed.undecided)]
         self._made = 0
 
-    def run(self, ways: Iterable[Array] = ()) -> Found:
+    def run(self, known: Sequence[Array] = (), ways: Iterable[Array] = ()) -> Found:
         """Search, from the best trajectories that pass everything on the same sides as some ways.
 
         Args:
+            known: rotation coordinates, shape (N, d) each, of trajectories that may be legal.
             ways: headings R_1 e1..R_N e1, shape (N, n) each.
         """
         posed, best = self._posed, self._best
+        for x in known:
+            trajectory = posed.flown(x)
+            if not posed.missed(trajectory):
+                best.offer(x, trajectory)
         if self._guided:  # the root first: its bound holds whatever becomes of them
             self._expand(heapq.heappop(self._open))
             for way in ways:

@@ -19,6 +19,7 @@ METHODS = [
     ('sector_bnb', 'SectorSearch'),
     ('annulus_newton', 'AnnulusNewton'),
     ('spatial_bnb', 'SpatialSearch'),
+    ('planar_catch', 'PlanarCatch'),
     ('disjunctive_bnb', 'DisjunctiveSearch'),
 ]
 PACED = ('paced_speeds', 'PacedSpeeds')  # brings Clarabel: only where a limit asks for it

@@ -32,6 +32,8 @@ from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
 SEARCH_SHARE = 0.01  # a search stops at this share of the gap that counts as proved
 OUTWARD = 1e-9  # relative: bounds are published lower by what plans may miss constraints by
 NOTHING = Found(None, np.inf, -np.inf, 0)
+STANDS_IN = 'a plan that took no search stands in'
+GOES_ON = 'the plan before goes on: no better one was found in time'
 
 
 class _Query(NamedTuple):
@@ -134,7 +136,8 @@ class Solver:
             return self._instead(query, found, SolverFailure(found.reason))
         if plan.gap <= self._tolerance:  # not just as near as rounding allows to tell
             return plan
-        return self._cheapest(query, plan.proof, plan.objective) or plan
+        instead = replace(plan.proof, reason=_joined(plan.proof.reason, STANDS_IN))
+        return self._cheapest(query, instead, plan.objective) or plan
 
     def _proved(self, query: _Query, plan: Plan) -> Plan:
         """Return a plan with the proof in exact arithmetic of its bound, if there is one."""
@@ -144,7 +147,7 @@ class Solver:
         known = self.problem, query.state, query.goals, plan, plan.proof.lower_bound
         made = held(lambda: certificates_for(*known, query.out_of_time or patient))
         proof = plan.proof
-        reason = proof.reason if made else '; '.join(filter(None, (proof.reason, WORD)))
+        reason = proof.reason if made else _joined(proof.reason, WORD)
         return replace(plan, proof=replace(proof, checked=made is not None, reason=reason))
 
     def propose(
@@ -200,6 +203,8 @@ class Solver:
             return replace(found, reason=f'no trajectory found in {found.nodes} relaxations')
         if not np.isfinite(found.x).all():  # or what is made of it would end in errors
             return replace(NOTHING, reason='the trajectory found is not finite')
+        if usable is not None and found.x is usable.x and found.gap > self._tolerance:
+            return replace(found, reason=GOES_ON)
         return found
 
     def takes_guess(self, state: State) -> bool:
@@ -275,7 +280,7 @@ class Solver:
 
     def _instead(self, query: _Query, found: Found, failure: OrbimpcError) -> Plan:
         """Return the cheapest of the plans that can stand in for one that was not found."""
-        proof = self._proof(query, found)
+        proof = self._proof(query, replace(found, reason=_joined(found.reason, STANDS_IN)))
         plan = self._cheapest(query, proof, np.inf)
         if plan is not None:
             return plan
@@ -319,6 +324,10 @@ class Solver:
 
 def _objective(plan: Plan) -> float:
     return plan.objective
+
+
+def _joined(*words: str) -> str:
+    return '; '.join(filter(None, words))
 
 
 def _headings(grounds: Left) -> int:

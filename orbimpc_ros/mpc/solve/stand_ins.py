@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Trajectories that take no search: straight on, straight to the goal, up, and turns that arrive.
+"""Trajectories that take no search: straight on, to the goal, up, and turns that arrive.
 
 A terminal constraint is linear in the headings z_k = R_k e1. What they miss it by is spread over
 them with the least squares of corrections (Newton's method), each heading then brought back to
@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, carried, turned_onto
+from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, carried
 from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.cones import climb
@@ -37,8 +37,9 @@ LATE = 3  # ways that are tried once time is up: a millisecond or two each
 def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
     """Yield R_1..R_N, shape (N, n, n), that go straight on, and straight to the goal.
 
-    Straight on at the present speed, as slowly as the floor allows, and at full speed. Where cones
-    limit a descent, straight up as well: what they demand of a state outside is made for that.
+    Straight on at the present speed, as slowly as the floor allows, and at full speed; to the goal
+    after a turn as fast as ``max_rate`` allows. Where cones limit a descent, straight up as well:
+    what they demand of a state outside is made for that.
 
     Args:
         problem: what is to be solved.
@@ -57,7 +58,11 @@ def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
     towards = goals[-1] - adrift(problem, state)[-1]
     distance = float(np.linalg.norm(towards))
     if distance > 0.0:
-        there = np.tile(turned_onto(ahead, towards / distance), (problem.horizon, 1, 1))
+        axis, unit = ahead[:, 0], towards / distance
+        angle = 2.0 * math.atan2(np.linalg.norm(unit - axis), np.linalg.norm(unit + axis))
+        turns = np.arange(problem.horizon) + 2.0 - problem.rotation_order
+        angles = np.minimum(angle, WITHIN * problem.widest_turn * turns)
+        there = carried(ahead, _headings(problem, 1.0, axis, towards, angles))
         if problem.rotation_order == 2:
             there[0] = firsts[-1]
         yield there
@@ -92,7 +97,8 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array | No
     for speed in dict.fromkeys((0.5 * (1.0 + least) if arrives else least, 1.0)):
         for turn in _turns(problem):
             towards = goals[-1] - adrift(problem, state)[-1]
-            z = _headings(problem, speed, ahead[:, 0], towards, turn)
+            angles = turn * np.arange(1.0, problem.horizon + 1.0) / problem.horizon
+            z = _headings(problem, speed, ahead[:, 0], towards, angles)
             if problem.rotation_order == 2:
                 z[0] = speed * ahead[:, 0] if first is None else first[:, 0]
             met = _corrected(problem, state, goals, z) if arrives else z
@@ -147,14 +153,13 @@ def _wanted(problem: Problem, state: State, goals: Array) -> Array:
     return np.array([place, stopped] if problem.inertial else [place])
 
 
-def _headings(problem: Problem, speed: float, axis: Array, towards: Array, turn: float) -> Array:
-    """Return headings, shape (N, n), that turn from an axis in the plane of the goal."""
+def _headings(problem: Problem, speed: float, axis: Array, towards: Array, angles: Array) -> Array:
+    """Return headings, shape (N, n), at angles from an axis in the plane of the goal."""
     aside = towards - axis * (axis @ towards)
     if np.linalg.norm(aside) <= HEADING_UNDEFINED * np.linalg.norm(towards):
         other = np.eye(len(axis))[np.argmin(np.abs(axis))]
         aside = other - axis * (axis @ other)
     aside = aside / np.linalg.norm(aside)
-    angles = turn * np.arange(1.0, problem.horizon + 1.0) / problem.horizon
     units = np.outer(np.cos(angles), axis) + np.outer(np.sin(angles), aside)
     least = [min(1.0, max(speed, problem.floor.least(unit))) for unit in units]
     speeds: Array = np.array(least, dtype=float)
