@@ -47,6 +47,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -73,6 +74,7 @@ LARGEST_CHANGE = 8.0  # of a rotation, |R' - R|_F^2, that of half a turn
 FARTHEST = 4  # times the horizon, to look beyond it
 COARSEST, FINEST = 0.25, 0.0625  # of a step: to what the time of a catch is looked for
 TINY = 1e-9  # [m]
+MEMORY = 256  # problems
 SHARPEST = 0.5 * math.pi  # turn within a step: beyond it the way is a caricature
 
 
@@ -142,7 +144,8 @@ class Hunt:
         farthest: the last end that the goal is known at.
         between: whether it is known between the ends of steps as well.
         pause: between ticks, in steps.
-        expected: the end at which the goal was to be caught so far; 0 if none.
+        expected: the end at which the goal was to be caught so far, not above 0 if none.
+        flown_on: returns the rest of the plan before for a target and its goals, if it holds.
     """
 
     state: State
@@ -152,7 +155,8 @@ class Hunt:
     farthest: int
     between: bool = False
     pause: float = math.inf
-    expected: int = 0
+    expected: float = 0.0
+    flown_on: Callable[[Target, Array], Plan | None] | None = None
 
 
 class Interception:
@@ -166,6 +170,7 @@ class Interception:
 
     Attributes:
         farthest: the last end at which a catch is looked for.
+        problem: returns the problem of :func:`catching` the goal at a :class:`Target`.
     """
 
     def __init__(
@@ -181,17 +186,14 @@ class Interception:
         self._coned = problem.approach.exists
         self._aim = (NARROW if self._coned else AIM) * radius
         self._reach = Reach(problem)
-        self._problems: dict[Target, Problem] = {}
+        self.problem = lru_cache(maxsize=MEMORY)(self._problem)
 
-    def problem(self, target: Target) -> Problem:
-        """Return the problem of :func:`catching` the goal, made when first asked for."""
-        if target not in self._problems:
-            made = catching(self._tracked, self._radius, target.end)
-            if target.narrow:
-                narrower = replace(made.approach, cone=NARROW * made.approach.cone)
-                made = replace(made, approach=narrower)
-            self._problems[target] = made
-        return self._problems[target]
+    def _problem(self, target: Target) -> Problem:
+        """Return the problem of :func:`catching` the goal."""
+        made = catching(self._tracked, self._radius, target.end)
+        if not target.narrow:
+            return made
+        return replace(made, approach=replace(made.approach, cone=NARROW * made.approach.cone))
 
     @property
     def targets(self) -> list[Target]:
@@ -214,7 +216,8 @@ class Interception:
         Where the catch that was flown towards has just been lost, it is the plan of the nearest
         miss, without a time, if that is by little.
         """
-        kept = self._kept(hunt)  # first of all: time may run out
+        rest = self._flown_on(hunt)  # takes no search, whatever time is left
+        kept = rest if rest.miss <= self._radius else self._kept(hunt)
         best, bound, counted = self._in_view(hunt)
         near = self._radius < best.miss <= GRAZE * self._radius
         sought = Sought(self._tracked, hunt.state, hunt.goals(self._horizon), self._radius)
@@ -224,7 +227,7 @@ class Interception:
         if best.miss > self._radius:  # not even nearly
             best = self._sooner(hunt, kept) if kept.plan else self._beyond(hunt)
         if best.plan is None:
-            return None, never
+            return (rest.plan if rest.miss <= GRAZE * self._radius else None), never
         if best.end == int(best.end) and self._is_well(best):
             best = self._within(hunt, best)
         if self._centred and self._is_well(best):
@@ -258,17 +261,29 @@ class Interception:
                 break
         return best, bound, counted
 
+    def _flown_on(self, hunt: Hunt) -> _Attempt:
+        """Return what becomes of the goal when the plan before is flown to its end."""
+        end = hunt.expected
+        whole = end.is_integer()
+        if not (hunt.flown_on and 0.0 < end <= hunt.farthest and (whole or self._may(hunt, end))):
+            return MISSED
+        target, goals = Target(end), hunt.goals(end)
+        plan = hunt.flown_on(target, goals)
+        if plan is None or _first_turn(plan) > max(whole, end / math.ceil(end)) * math.pi:
+            return MISSED
+        return _Attempt(plan, end, float(np.linalg.norm(self._off(hunt, target, plan, goals))))
+
     def _kept(self, hunt: Hunt) -> _Attempt:
         """Try to catch the goal past the horizon when it was to be caught so far."""
-        awaited = self._horizon < hunt.expected <= hunt.farthest
-        return self._surely(hunt, hunt.expected) if awaited else MISSED
+        end = COARSEST * math.ceil(hunt.expected / COARSEST)
+        return self._surely(hunt, end) if end <= hunt.farthest else MISSED
 
     def _beyond(self, hunt: Hunt) -> _Attempt:
         """Try to catch the goal past the horizon.
 
         How much later than so far is doubled until a catch is found, and then halved.
         """
-        missed = max(self._horizon, min(hunt.expected, hunt.farthest))
+        missed = max(self._horizon, min(math.ceil(hunt.expected), hunt.farthest))
         for end in _doubling(missed, hunt.farthest):
             found = self._surely(hunt, end)
             if found.plan is not None:
@@ -279,7 +294,7 @@ class Interception:
     def _sooner(self, hunt: Hunt, found: _Attempt) -> _Attempt:
         """Return a sooner catch than the one found, by twice as much each time, if there is one."""
         for away in (1, 2, 4, 8):
-            sooner = self._surely(hunt, max(self._horizon, found.end - away))
+            sooner = self._surely(hunt, max(self._horizon, math.ceil(found.end) - away))
             if sooner.plan is None:
                 break
             found = sooner
@@ -344,16 +359,20 @@ class Interception:
 
     def _at(self, hunt: Hunt, end: float, near: float) -> _Attempt:
         """Try to catch the goal between the ends of steps, as in :meth:`_attempted`."""
-        share = end / math.ceil(end)
-        allowed = self._turns_within or share >= hunt.pause
-        if not (hunt.between and self._divides and allowed):
+        if not self._may(hunt, end):
             return MISSED
         target, goals = Target(end, narrow=self._coned), hunt.goals(end)
         if self._too_far(hunt.state, goals, self.problem(target))[-1]:
             return NEVER
         found = self._attempted(hunt, target, goals, near)
-        turned = found.plan is not None and _first_turn(found.plan) > share * math.pi
-        return MISSED if turned else found
+        if found.plan is not None and _first_turn(found.plan) > end / math.ceil(end) * math.pi:
+            return MISSED
+        return found
+
+    def _may(self, hunt: Hunt, end: float) -> bool:
+        """Return whether a catch may be looked for between the ends of steps."""
+        allowed = self._turns_within or end / math.ceil(end) >= hunt.pause
+        return hunt.between and self._divides and allowed
 
     def _is_well(self, attempt: _Attempt) -> bool:
         return attempt.miss <= self._aim
