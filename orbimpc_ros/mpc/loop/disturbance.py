@@ -259,4 +259,3 @@ class Estimator:
         self._covariance = left @ self._covariance @ left.T + gain * self._measured @ gain.T
         if np.abs(self._leaning).max() > SHIFT:
             self._doubt()
-

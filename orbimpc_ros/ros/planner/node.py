@@ -441,9 +441,9 @@ class PlannerNode(Managed):
         self.safe(AFRESH)
 
     def _forget(self) -> None:
-        """Forget inputs and plan."""
+        """Forget inputs, plan and wind."""
         self._patience.cancel()
-        self._ticker.start_afresh()
+        self._ticker.forget()
         self._inbox.forget()
         self._halves = Halves()
         self._answered = -1

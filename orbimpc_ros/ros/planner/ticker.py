@@ -145,6 +145,12 @@ class Ticker:
         if self._estimator is not None:
             self._estimator.start_afresh()
 
+    def forget(self) -> None:
+        """Forget the plan and the wind; the command in force stays so."""
+        self.start_afresh()
+        if self._estimator is not None:
+            self._estimator.reset()
+
     def planned(self, inbox: Inbox, now: float, ros: RosTime = UNKNOWN) -> Report:
         """Return a tick by a plan, if there is one; nothing in the inbox may be missing.
 

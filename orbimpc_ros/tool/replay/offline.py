@@ -73,7 +73,7 @@ class OfflinePlanner:
 
     def forget(self) -> None:
         """Start afresh."""
-        self._ticker.start_afresh()
+        self._ticker.forget()
         self._inbox.forget()
 
     @property
