@@ -207,7 +207,7 @@ class Interception:
         Past the horizon any way will do; within it the best one is wanted.
         """
         squared = self._radius**2
-        well = self._aim**2 if end > self._horizon else -math.inf
+        well = self._well(end) ** 2 if end > self._horizon else -math.inf
         return Enough(well, (1.0 + EFFORT) * squared)
 
     def earliest(self, hunt: Hunt) -> tuple[Plan | None, Catch]:
@@ -217,7 +217,7 @@ class Interception:
         miss, without a time, if that is by little.
         """
         rest = self._flown_on(hunt)  # takes no search, whatever time is left
-        kept = rest if rest.miss <= self._radius else self._kept(hunt)
+        kept = rest if rest.miss <= self._radius else self._kept(hunt, rest)
         best, bound, counted = self._in_view(hunt)
         near = self._radius < best.miss <= GRAZE * self._radius
         sought = Sought(self._tracked, hunt.state, hunt.goals(self._horizon), self._radius)
@@ -233,7 +233,8 @@ class Interception:
         if self._centred and self._is_well(best):
             best = self._through_the_middle(hunt, best)
         first = min(bound, best.end)
-        catch = Catch(self._step * best.end, self._step * first, sought, first <= counted)
+        when = best.end if best.miss <= self._radius else math.nan
+        catch = Catch(self._step * when, self._step * first, sought, first <= counted)
         return best.plan, catch
 
     def _in_view(self, hunt: Hunt) -> tuple[_Attempt, int, int]:
@@ -273,10 +274,11 @@ class Interception:
             return MISSED
         return _Attempt(plan, end, float(np.linalg.norm(self._off(hunt, target, plan, goals))))
 
-    def _kept(self, hunt: Hunt) -> _Attempt:
-        """Try to catch the goal past the horizon when it was to be caught so far."""
+    def _kept(self, hunt: Hunt, rest: _Attempt) -> _Attempt:
+        """Try to catch the goal past the horizon when it was to be caught so far, or nearly so."""
         end = COARSEST * math.ceil(hunt.expected / COARSEST)
-        return self._surely(hunt, end) if end <= hunt.farthest else MISSED
+        anew = self._surely(hunt, end) if end <= hunt.farthest else MISSED
+        return anew if anew.plan is not None or rest.miss > GRAZE * self._radius else rest
 
     def _beyond(self, hunt: Hunt) -> _Attempt:
         """Try to catch the goal past the horizon.
@@ -375,7 +377,11 @@ class Interception:
         return hunt.between and self._divides and allowed
 
     def _is_well(self, attempt: _Attempt) -> bool:
-        return attempt.miss <= self._aim
+        return attempt.miss <= self._well(attempt.end)
+
+    def _well(self, end: float) -> float:
+        """Return within what a catch at an end is well within the radius [m]."""
+        return self._aim if end <= self._horizon else NARROW * self._radius
 
     def _travel(self, goals: Array) -> float:
         """Return how far a step takes a vehicle past the goal at most [m]."""
@@ -429,24 +435,25 @@ class Interception:
                 found = found._replace(plan=plan, miss=miss)
             left, change = aims[-1] - end, goals[-1] - astray - aims[-1]
             worth = min(near, miss - WORTH * self._radius)
-            if self._is_well(found) or self._expected(left, change, miss) > worth:
+            if self._is_well(found) or self._expected(target, left, change, miss) > worth:
                 break
             aims = np.concatenate([goals[:-1], aims[-1:] + change])
         return found
 
-    def _expected(self, left: Array, change: Array, miss: float) -> float:
+    def _expected(self, target: Target, left: Array, change: Array, miss: float) -> float:
         """Return how near a plan will come to the goal if what is aimed at changes [m].
 
         To first order, where the last one came as near to its aim as any; no plan for an aim that
         changes by so much, which the defect does then too, is nearer by more than twice that.
 
         Args:
+            target: of both.
             left: from the end of the last plan to what it was aimed at, shape (n,) [m].
             change: of that aim, shape (n,) [m].
             miss: of the last plan, flown [m].
         """
         away, size = math.sqrt(left @ left), math.sqrt(change @ change)
-        if away <= self._aim:  # where any way will do, there may be nearer ones
+        if away <= self._well(target.end):  # where any way will do, there may be nearer ones
             return miss - 2.0 * size
         return float(away + change @ left / max(away, size))
 
