@@ -326,6 +326,9 @@ def test_an_unknown_wind_is_estimated_planned_with_and_told():
     assert 0.0 <= report.values['innovation'] < 1.0
     driven.start_afresh()
     assert driven.tick_again(now + 0.1).disturbance == pytest.approx(wind, abs=0.01)
+    driven.ticker.forget()
+    driven.inbox.forget()
+    assert not driven.tick_again(now + 0.2).disturbance.any()
 
 
 def test_what_is_given_is_planned_with_and_nothing_is_estimated():

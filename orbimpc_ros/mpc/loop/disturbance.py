@@ -170,7 +170,7 @@ class Estimator:
         speed = airspeed(odometry, given + self._estimate[-1], source)
         self._begun = min(1.0, max(least, speed / self._problem.forward))
         if source == 'ground':
-            noise = min(0.5 * (1.0 - least), math.sqrt(self._covariance[-1, -1]))
+            noise = min(1.0 - least, math.sqrt(self._covariance[-1, -1]))
         self._forget(1, noise**2)
         self._estimate[1] = 0.0
 
