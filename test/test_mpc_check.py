@@ -90,6 +90,20 @@ def test_shifted_plan_holds_from_where_the_plan_leads():
     assert np.allclose(moved.rotations[:-1], plan.rotations[1:])
 
 
+def test_the_rest_of_a_plan_turns_no_faster_than_the_vehicle_between_its_steps():
+    """On the chord of a turn as wide as may be, headings turn faster in its middle."""
+    problem = Problem(floor=floor('circle', 0.5), max_rate=0.3, discretisation='exact')
+    start, behind = State.at([0.0, 0.0], np.eye(2)), np.tile([-3.0, 2.0], (5, 1))
+    plan = solved(problem, start, behind)
+    knots = 0.2 + np.arange(1, 6)
+    for off in (-0.05, 0.0, 0.05):
+        here = State.at([0.2, 0.0], exp(np.array([0.06 + off])))
+        moved = shifted(problem, here, behind, plan, knots, projection='nearest')
+        assert violations(problem, here, behind, moved) == []
+        turned = np.arctan2(moved.rotations[1:4, 1, 0], moved.rotations[1:4, 0, 0])
+        np.testing.assert_allclose(turned, 0.3 * knots[:3], atol=0.06)
+
+
 def test_arrays_of_a_plan_are_read_only():
     plan = solved(Problem())
     with pytest.raises(ValueError, match='read-only'):

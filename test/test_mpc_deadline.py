@@ -11,10 +11,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from orbimpc_ros.lab.bench.flights import UP, landings
-from orbimpc_ros.lab.bench.vehicles import lifted
 from problems import floor, goals, state
 
+from benchmarks.bench.flights import UP, landings
+from benchmarks.bench.vehicles import lifted
 from orbimpc_ros.mpc.check import floor_margin, violations
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.geometry.cells import faces

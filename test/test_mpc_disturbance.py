@@ -95,6 +95,39 @@ def test_who_is_met_in_flight_is_not_taken_for_one_at_rest_in_a_wind(velocity_so
     assert off[6] < {'air': 0.3, 'ground': 0.5}[velocity_source]
 
 
+@pytest.mark.parametrize('share', [0.7, 0.85, 1.0])
+@pytest.mark.parametrize('along', [-4.0, 4.0])
+def test_a_wind_along_the_way_is_not_taken_for_airspeed(along, share):
+    """At constant airspeed nothing but the floor and full speed tell them apart, at first."""
+    axis = at_rest(2, 0.3).attitude[:, 0]
+    plant = Craft(15.0, speed_lag=0.8, blown=along * axis)
+    problem = Problem(forward=15.0, floor=Floor('circle', fraction=2.0 / 3.0))
+    estimator, history = Estimator(problem, plant.speed_lag), CommandHistory()
+    motion = at_rest(2, 0.3, share, plant)
+    for k in range(20):
+        estimator.observe(measured(STEP * k, motion), history, np.zeros(2))
+        history.add(Command(share, np.zeros(1), motion.attitude), STEP * k)
+        motion = flown(plant, motion, share, np.zeros(1), STEP)
+    np.testing.assert_allclose(estimator.disturbance, plant.blown, atol=0.6)
+
+
+@pytest.mark.parametrize('step', [0.02, 0.1, 0.5])
+def test_a_wind_that_turns_about_is_followed_within_two_seconds(step):
+    plant, history = PLANTS[0][1], CommandHistory()
+    estimator = Estimator(Problem(forward=plant.forward), plant.speed_lag)
+    motion, rng = at_rest(2, 0.3, 0.9, plant), np.random.default_rng(2)
+    for k in range(round(8.0 / step) + 1):
+        blown = plant.blown if step * k < 6.0 else -plant.blown
+        noise = 0.1 * rng.normal(size=2)
+        estimator.observe(measured(step * k, motion, noise), history, np.zeros(2))
+        rate = np.array([0.4 * math.sin(step * k)])
+        history.add(Command(0.9, rate, motion.attitude), step * k)
+        motion = flown(replace(plant, blown=blown), motion, 0.9, rate, step, 0.002)
+    assert np.linalg.norm(estimator.disturbance + plant.blown) < 0.1 * np.linalg.norm(
+        2 * plant.blown
+    )
+
+
 @pytest.mark.parametrize('believed', [True, False])
 def test_speed_that_is_not_as_commanded_is_no_wind_where_what_is_measured_is_believed(believed):
     """A wing that is told 15 m/s flies 12, and is blown along by a wind besides."""

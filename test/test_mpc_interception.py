@@ -190,6 +190,32 @@ def test_who_means_to_catch_a_goal_does_not_put_it_off():
     assert meant[-1] <= meant[0] + 1.0
 
 
+@needs_speed
+@pytest.mark.parametrize('place', [(35.0, 20.0), (-10.0, 5.0)], ids=['in view', 'beyond'])
+def test_a_catch_is_flown_on_where_there_is_no_time_to_look_for_one(place):
+    """A fifth of a step later, and again; a goal that has moved on too far is not flown at."""
+    wing = replace(WING, discretisation='exact')
+
+    def known(goal, late=None):
+        return np.tile(goal, (8, 1)), late, lambda times: np.tile(goal, (len(times), 1))
+
+    for moved, caught in (0.5, True), (20.0, False):
+        controller = Controller(wing, capture_radius=RADIUS)
+        here = measured([0.0, 0.0], 0.0, 15.0)
+        tick = controller.tick(here, *known(place))
+        meant = tick.catch.time
+        for k in (1, 2):
+            turn, ahead = 0.1 * tick.command.body_rate[0], 1.5 * here.attitude[:, 0]
+            heading = np.arctan2(*here.attitude[::-1, 0]) + turn
+            here = measured(here.position + ahead, heading, 15.0, 0.1 * k)
+            tick = controller.tick(here, *known(np.array(place) - [moved, 0.0], lambda: True))
+            assert not violations(tick.problem, tick.state, tick.goals, tick.plan)
+            if caught:
+                assert tick.catch.time == pytest.approx(meant - 0.1 * k)
+            else:
+                assert np.isnan(tick.catch.time)
+
+
 def test_steps_get_no_longer_where_boxes_would_be_jumped_over():
     box = Box(np.array([5.0, 5.0]), np.array([6.0, 6.0]))
     assert Interception(WING, 2.0).farthest == 32

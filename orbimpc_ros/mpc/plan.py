@@ -6,6 +6,7 @@ Mathematics: docs/mathematics.md, 6.1 and 7.6.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,6 +20,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.grounds import Left
 
 TINY = 1e-12  # a size that has no direction
+WITHIN = 1.0 - 1e-9  # of the widest turn, which rounding is not to exceed
 ROUNDING = 1e-14  # of the cost unit: at the goal the cost vanishes, its rounding does not
 
 
@@ -206,7 +208,8 @@ def shifted(
     """Return the rest of the previous plan, its last rotation held, from a new state.
 
     Between two steps of the previous plan R e1 turns evenly, as its length changes evenly: on the
-    chord a vehicle would slow down. None where the shift does not fit: at rotation order 2 the
+    chord a vehicle would slow down. In the plane, what turns by no more than an angle follows it as
+    well as it can, from where it is. None where the shift does not fit: at rotation order 2 the
     first rotation is given.
 
     Args:
@@ -225,6 +228,8 @@ def shifted(
     moved = later(x, at)
     if not _whole(at):
         moved = _as_long(problem, x, moved, at)
+    if problem.dimension == 2 and problem.turns_are_angles:
+        moved = _followed(problem, state, moved)
     return assemble(problem, state, goals, moved, projection=projection, proof=UNPROVED)
 
 
@@ -239,3 +244,14 @@ def _as_long(problem: Problem, x: Array, moved: Array, at: Array) -> Array:
     if n == 3:
         sizes = np.maximum(found, np.minimum(sizes, problem.floor.radius))
     return np.asarray(moved * np.where(found > 0.0, sizes / np.maximum(found, TINY), 1.0))
+
+
+def _followed(problem: Problem, state: State, x: Array) -> Array:
+    """Return headings, shape (K, 2), turned no farther than the vehicle turns, and as long."""
+    widest, followed = WITHIN * problem.widest_turn, np.zeros_like(x)
+    angle = math.atan2(state.attitude[1, 0], state.attitude[0, 0])
+    for k, (along, aside) in enumerate(x.tolist()):
+        wanted = math.remainder(math.atan2(aside, along) - angle, 2.0 * math.pi)
+        angle += min(max(wanted, -widest), widest)
+        followed[k] = math.cos(angle), math.sin(angle)
+    return followed * np.linalg.norm(x, axis=1, keepdims=True)

@@ -93,17 +93,13 @@ class _Task:
     ``knots`` are the ends of its steps, counted in steps of the plan before, from its start.
     """
 
-    solver: Solver
+    problem: Problem
     state: State
     goals: Array
     knots: Array
     out_of_time: Callable[[], bool] | None = None
     guess: Plan | None = None
-
-    @property
-    def problem(self) -> Problem:
-        """Return what the solver solves."""
-        return self.solver.problem
+    solver: Solver | None = None
 
     @property
     def known(self) -> tuple[Problem, State, Array]:
@@ -408,10 +404,19 @@ class Controller:
             return ahead(now + catching.step * self._counted[: catching.horizon])
 
         def solved(target: Target, goals: Array) -> Plan | bool:
-            chosen = self._catching(free, self._catcher(target), goals)
+            chosen = self._catching(free, interception.problem(target), goals)
+            chosen = self._with(self._catcher(target), chosen)
             tried.append((chosen, _solved(chosen)))
             plan, status, _ = tried[-1][1]
             return plan or status is Status.INFEASIBLE
+
+        def flown_on(target: Target, goals: Array) -> Plan | None:
+            chosen = self._catching(free, interception.problem(target), goals)
+            plan = self._shifted(chosen)
+            if plan is None or violations(*chosen.known, plan):
+                return None
+            tried.append((chosen, (plan, plan.status, 'the catch planned before is flown on')))
+            return plan
 
         farthest = len(task.goals) if ahead is None else interception.farthest
         most = CATCHES_AMONG if task.state.hazards else math.inf
@@ -419,8 +424,10 @@ class Controller:
         def late() -> bool:
             return len(tried) >= most or (task.out_of_time is not None and task.out_of_time())
 
-        expected = max(0, math.ceil((self._catch - now) / task.problem.step - SNAP))
-        known = ahead is not None, pause, expected
+        expected = (self._catch - now) / task.problem.step
+        if abs(expected - round(expected)) <= SNAP:
+            expected = float(round(expected))
+        known = ahead is not None, pause, expected, flown_on
         hunt = Hunt(free.state, goals, solved, late, farthest, *known)
         plan, catch = interception.earliest(hunt)
         words = self._unmet(catch) if plan is None else ''
@@ -450,19 +457,20 @@ class Controller:
             self._catchers[target] = self._made(self._interception.problem(target), enough)
         return self._catchers[target]
 
-    def _catching(self, task: _Task, solver: Solver, goals: Array) -> _Task:
+    def _catching(self, task: _Task, problem: Problem, goals: Array) -> _Task:
         """Return the task of coming close within a number of steps, perhaps of longer ones."""
-        knots, step = task.knots[: len(goals)], solver.problem.step
+        knots, step = task.knots[: len(goals)], problem.step
         if step != task.problem.step:
             each = task.knots[1] - task.knots[0]
             stretched = step / task.problem.step * self._counted[: len(goals)]
             knots = task.knots[0] - each + each * stretched
-        chosen = replace(task, solver=solver, goals=sealed(goals.copy()), knots=knots, guess=None)
-        return (
-            replace(chosen, guess=self._shifted(chosen))
-            if solver.takes_guess(task.state)
-            else chosen
-        )
+        goals = sealed(goals.copy())
+        return replace(task, problem=problem, goals=goals, knots=knots, guess=None, solver=None)
+
+    def _with(self, solver: Solver, task: _Task) -> _Task:
+        """Return a task with its solver, and with a guess where that makes it faster."""
+        guess = self._shifted(task) if solver.takes_guess(task.state) else None
+        return replace(task, solver=solver, guess=guess)
 
     def settled(self, odometry: Odometry) -> Odometry:
         """Return what to plan from: the measurement, moved on by what the vehicle's lags leave."""
@@ -505,8 +513,7 @@ class Controller:
         out_of_time: Callable[[], bool] | None = None,
     ) -> _Task:
         solver = self._solver(len(knots), self._pace)
-        task = _Task(solver, state, goals, knots, out_of_time)
-        return replace(task, guess=self._shifted(task)) if solver.takes_guess(state) else task
+        return self._with(solver, _Task(solver.problem, state, goals, knots, out_of_time))
 
     def hold(self, odometry: Odometry, words: str) -> Tick:
         """Go on without a goal: by the previous plan as long as the fallback allows, then safely.
@@ -561,7 +568,7 @@ class Controller:
 
     def _arrive_softly(self, task: _Task, status: Status, reason: Reason) -> Tick:
         solver = self._solver(len(task.knots), self._pace, soft=True)
-        eased = replace(task, solver=solver, guess=None)
+        eased = replace(task, problem=solver.problem, solver=solver, guess=None)
         eased = replace(eased, guess=self._shifted(eased))
         plan, _, _ = _solved(eased)
         if plan is None:
@@ -693,6 +700,7 @@ def _is_free(task: _Task, plan: Plan) -> bool:
 
 def _solved(task: _Task) -> _Answer:
     """Return a checked plan, or None, with status and reason."""
+    assert task.solver is not None
     try:
         plan = task.solver.solve(task.state, task.goals, task.guess, task.out_of_time)
     except Infeasible as error:

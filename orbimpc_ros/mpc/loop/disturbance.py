@@ -10,11 +10,16 @@ The model of the loop with a constant disturbance w for a state, which makes the
 with v or a what was commanded, along the measured attitude. Measured is the position, and at order
 2 the velocity. Every axis has the same covariance, so that one filter does for all of them.
 
+At order 1 the speed follows its commands from an airspeed that nobody measures who measures the
+velocity over ground: a wind along the axis looks like it. By how much it is off at the start is a
+state, too, which fades with the lag of the speed.
+
 Mathematics: docs/mathematics.md, 7.9.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +33,9 @@ from orbimpc_ros.mpc.problem import Problem
 GIVEN, ESTIMATED = 'given', 'estimated'
 DISTURBANCES = (GIVEN, ESTIMATED)
 GATE = 5.0  # standard deviations: what is farther off is no measurement of the model
-PATIENCE = 5  # measurements in a row that are refused, after which the position is believed
+PATIENCE = 2  # measurements in a row that are refused, after which the position is believed
+SHIFT = 3.0  # standard deviations: measurements that lean to one side by more show another wind
+RECENT = 0.5  # [s] over which they are looked at
 GAP = 2.0  # [s] without odometry, over which nothing is learnt
 LARGEST = 0.8  # of full speed or thrust: what is left steers
 
@@ -87,20 +94,22 @@ class Estimator:
 
     def reset(self) -> None:
         """Forget everything, the disturbance too."""
-        self._estimate = np.zeros((3 if self._problem.inertial else 2, self._problem.dimension))
-        self._covariance = np.diag([*self._measured, self._noise.prior**2])
+        self._estimate = np.zeros((3, self._problem.dimension))
+        self._covariance = np.diag([0.0, 0.0, self._noise.prior**2])
         self.start_afresh()
 
     def start_afresh(self) -> None:
         """Forget where the vehicle was, for instance because the clock jumped."""
         self._last: Odometry | None = None
         self._begun = 0.0  # share of full speed with which the first command found the vehicle
+        self._leaning = np.zeros(self._problem.dimension)  # innovations of late, as if only noise
         self.innovation, self.refused = 0.0, 0
 
     def continue_from(self, other: Estimator) -> None:
         """Take over what another estimator of the same vehicle knows."""
         self._estimate, self._covariance = other._estimate, other._covariance
         self._last, self._begun = other._last, other._begun
+        self._leaning = other._leaning
         self.innovation, self.refused = other.innovation, other.refused
 
     @property
@@ -127,13 +136,14 @@ class Estimator:
             return
         self._last = odometry
         if history.is_empty and not self._problem.inertial:
-            self._begun = self._share(odometry, given)
+            self._begin(odometry, given)
         moved = None if last is None else self._moved(last, odometry, history, given)
         if moved is None:
             self._believe(odometry)
         else:
-            self._predict(moved, odometry.time - last.time)  # type: ignore[union-attr]
-            self._correct(odometry)
+            time = odometry.time - last.time  # type: ignore[union-attr]
+            self._predict(moved, time)
+            self._correct(odometry, time)
 
     def limit(self, given: Array) -> str:
         """Keep the whole disturbance within what the vehicle can work against; tell it if needed.
@@ -150,11 +160,29 @@ class Estimator:
         unit = 'm/s^2' if problem.inertial else 'm/s'
         return f'the disturbance is estimated to be {size:.3g} {unit}, taken as {most:.3g} {unit}'
 
-    def _share(self, odometry: Odometry, given: Array) -> float:
-        """Return the measured share of full airspeed."""
-        whole = given + self._estimate[-1]
-        speed = airspeed(odometry, whole, self._velocity_source)
-        return min(1.0, max(0.0, speed / self._problem.forward))
+    def _begin(self, odometry: Odometry, given: Array) -> None:
+        """Take the measured airspeed for that with which the first command finds the vehicle.
+
+        Over ground it is known as well as the wind is, or as what the vehicle can fly.
+        """
+        least = self._problem.floor.clearance(self._problem.dimension)
+        source, noise = self._velocity_source, self._noise.velocity
+        speed = airspeed(odometry, given + self._estimate[-1], source)
+        self._begun = min(1.0, max(least, speed / self._problem.forward))
+        if source == 'ground':
+            noise = min(1.0 - least, math.sqrt(self._covariance[-1, -1]))
+        self._forget(1, noise**2)
+        self._estimate[1] = 0.0
+
+    def _doubt(self) -> None:
+        """Forget how well the disturbance is known: it has shifted."""
+        self._forget(2, self._noise.prior**2)
+        self._leaning = np.zeros_like(self._leaning)
+
+    def _forget(self, row: int, variance: float) -> None:
+        """Let a part of the state be known by no more than its variance."""
+        self._covariance[row] = self._covariance[:, row] = 0.0
+        self._covariance[row, row] = variance
 
     def _seen(self, odometry: Odometry) -> Array:
         """Return what is measured: the position, and at order 2 the velocity; shape (1 or 2, n)."""
@@ -166,8 +194,8 @@ class Estimator:
         """Take the measurement for the state, which says nothing about the disturbance."""
         seen = self._seen(odometry)
         self._estimate[: len(seen)] = seen
-        known = self._covariance[-1, -1]
-        self._covariance = np.diag([*self._measured, known])
+        for row, variance in enumerate(self._measured):
+            self._forget(row, variance)
         self.innovation, self.refused = 0.0, 0
 
     def _moved(
@@ -194,16 +222,21 @@ class Estimator:
 
     def _predict(self, moved: Array, time: float) -> None:
         """Move the state on by so much, and by itself for a time [s]."""
-        step = _transition(len(self._estimate), time)
+        step, driven = np.eye(3), np.array([0.0, 1.0, 0.0])
+        step[:2, 2] = 0.5 * time * time, time
+        step[0, 1] = driven[0] = time
+        if not self._problem.inertial:
+            fading = math.exp(-time / self._lag) if self._lag else 0.0
+            step[:2, 1:] = [[self._lag * (1.0 - fading), time], [fading, 0.0]]
+            driven = np.array([1.0, 0.0, 0.0])
         self._estimate = step @ self._estimate
         self._estimate[: len(moved)] += moved
-        driven = np.array([*_transition(len(self._estimate) - 1, time)[:, -1], 0.0])
         drift = step[:, -1] * self._noise.drift
         spread = time * (self._noise.model**2 * np.outer(driven, driven) + np.outer(drift, drift))
         self._covariance = step @ self._covariance @ step.T + spread
 
-    def _correct(self, odometry: Odometry) -> None:
-        """Learn from a measurement, unless it is out of the question."""
+    def _correct(self, odometry: Odometry, time: float) -> None:
+        """Learn from a measurement a time [s] after the last, unless it is out of the question."""
         seen = self._seen(odometry)
         count, unit = len(seen), self._problem.forward
         missed = seen - self._estimate[:count]
@@ -212,22 +245,17 @@ class Estimator:
         self.innovation = float(np.sqrt(off.max() / count))
         if self.innovation > GATE:
             self.refused += 1
-            if self.refused >= PATIENCE:
+            if self.refused >= PATIENCE:  # the wind may have shifted as well
                 self._believe(odometry)
+                self._doubt()
             return
-        self.refused = 0
+        self.refused, kept = 0, math.exp(-time / RECENT)
+        latest = missed[-1] / (unit * math.sqrt(spread[-1, -1]))
+        self._leaning = kept * self._leaning + math.sqrt(1.0 - kept**2) * latest
         gain = self._covariance[:, :count] @ np.linalg.inv(spread)
         self._estimate = self._estimate + gain @ missed
-        kept = np.eye(len(gain)) - gain @ np.eye(count, len(gain))
+        left = np.eye(len(gain)) - gain @ np.eye(count, len(gain))
         # Joseph's form: symmetric and positive whatever is rounded.
-        self._covariance = kept @ self._covariance @ kept.T + gain * self._measured @ gain.T
-
-
-def _transition(size: int, time: float) -> Array:
-    """Return the transition over a time [s] of an integrator chain, shape (size, size)."""
-    matrix = np.eye(size)
-    if size > 1:
-        matrix += np.diag(np.full(size - 1, time), 1)
-    if size > 2:
-        matrix[0, 2] = 0.5 * time * time
-    return matrix
+        self._covariance = left @ self._covariance @ left.T + gain * self._measured @ gain.T
+        if np.abs(self._leaning).max() > SHIFT:
+            self._doubt()

@@ -47,6 +47,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -73,6 +74,7 @@ LARGEST_CHANGE = 8.0  # of a rotation, |R' - R|_F^2, that of half a turn
 FARTHEST = 4  # times the horizon, to look beyond it
 COARSEST, FINEST = 0.25, 0.0625  # of a step: to what the time of a catch is looked for
 TINY = 1e-9  # [m]
+MEMORY = 256  # problems
 SHARPEST = 0.5 * math.pi  # turn within a step: beyond it the way is a caricature
 
 
@@ -147,7 +149,8 @@ class Hunt:
         farthest: the last end that the goal is known at.
         between: whether it is known between the ends of steps as well.
         pause: between ticks, in steps.
-        expected: the end at which the goal was to be caught so far; 0 if none.
+        expected: the end at which the goal was to be caught so far, not above 0 if none.
+        flown_on: returns the rest of the plan before for a target and its goals, if it holds.
     """
 
     state: State
@@ -157,7 +160,8 @@ class Hunt:
     farthest: int
     between: bool = False
     pause: float = math.inf
-    expected: int = 0
+    expected: float = 0.0
+    flown_on: Callable[[Target, Array], Plan | None] | None = None
 
 
 class Interception:
@@ -171,6 +175,7 @@ class Interception:
 
     Attributes:
         farthest: the last end at which a catch is looked for.
+        problem: returns the problem of :func:`catching` the goal at a :class:`Target`.
     """
 
     def __init__(
@@ -186,17 +191,14 @@ class Interception:
         self._coned = problem.approach.exists
         self._aim = (NARROW if self._coned else AIM) * radius
         self._reach = Reach(problem)
-        self._problems: dict[Target, Problem] = {}
+        self.problem = lru_cache(maxsize=MEMORY)(self._problem)
 
-    def problem(self, target: Target) -> Problem:
-        """Return the problem of :func:`catching` the goal, made when first asked for."""
-        if target not in self._problems:
-            made = catching(self._tracked, self._radius, target.end)
-            if target.narrow:
-                narrower = replace(made.approach, cone=NARROW * made.approach.cone)
-                made = replace(made, approach=narrower)
-            self._problems[target] = made
-        return self._problems[target]
+    def _problem(self, target: Target) -> Problem:
+        """Return the problem of :func:`catching` the goal."""
+        made = catching(self._tracked, self._radius, target.end)
+        if not target.narrow:
+            return made
+        return replace(made, approach=replace(made.approach, cone=NARROW * made.approach.cone))
 
     @property
     def targets(self) -> list[Target]:
@@ -210,7 +212,7 @@ class Interception:
         Past the horizon any way will do; within it the best one is wanted.
         """
         squared = self._radius**2
-        well = self._aim**2 if end > self._horizon else -math.inf
+        well = self._well(end) ** 2 if end > self._horizon else -math.inf
         return Enough(well, (1.0 + EFFORT) * squared)
 
     def earliest(self, hunt: Hunt) -> tuple[Plan | None, Catch]:
@@ -219,7 +221,8 @@ class Interception:
         Where the catch that was flown towards has just been lost, it is the plan of the nearest
         miss, without a time, if that is by little.
         """
-        kept = self._kept(hunt)  # first of all: time may run out
+        rest = self._flown_on(hunt)  # takes no search, whatever time is left
+        kept = rest if rest.miss <= self._radius else self._kept(hunt, rest)
         best, bound, counted = self._in_view(hunt)
         near = self._radius < best.miss <= GRAZE * self._radius
         sought = Sought(self._tracked, hunt.state, hunt.goals(self._horizon), self._radius)
@@ -229,14 +232,15 @@ class Interception:
         if best.miss > self._radius:  # not even nearly
             best = self._sooner(hunt, kept) if kept.plan else self._beyond(hunt)
         if best.plan is None:
-            return None, never
+            return (rest.plan if rest.miss <= GRAZE * self._radius else None), never
         if best.end == int(best.end) and self._is_well(best):
             best = self._within(hunt, best)
         if self._centred and self._is_well(best):
             best = self._through_the_middle(hunt, best)
         first = min(bound, best.end)
         known = self._step * min(counted, first)
-        catch = Catch(self._step * best.end, self._step * first, sought, known)
+        when = best.end if best.miss <= self._radius else math.nan
+        catch = Catch(self._step * when, self._step * first, sought, known)
         return best.plan, catch
 
     def _in_view(self, hunt: Hunt) -> tuple[_Attempt, int, int]:
@@ -264,17 +268,30 @@ class Interception:
                 break
         return best, bound, counted
 
-    def _kept(self, hunt: Hunt) -> _Attempt:
-        """Try to catch the goal past the horizon when it was to be caught so far."""
-        awaited = self._horizon < hunt.expected <= hunt.farthest
-        return self._surely(hunt, hunt.expected) if awaited else MISSED
+    def _flown_on(self, hunt: Hunt) -> _Attempt:
+        """Return what becomes of the goal when the plan before is flown to its end."""
+        end = hunt.expected
+        whole = end.is_integer()
+        if not (hunt.flown_on and 0.0 < end <= hunt.farthest and (whole or self._may(hunt, end))):
+            return MISSED
+        target, goals = Target(end), hunt.goals(end)
+        plan = hunt.flown_on(target, goals)
+        if plan is None or _first_turn(plan) > max(whole, end / math.ceil(end)) * math.pi:
+            return MISSED
+        return _Attempt(plan, end, float(np.linalg.norm(self._off(hunt, target, plan, goals))))
+
+    def _kept(self, hunt: Hunt, rest: _Attempt) -> _Attempt:
+        """Try to catch the goal past the horizon when it was to be caught so far, or nearly so."""
+        end = COARSEST * math.ceil(hunt.expected / COARSEST)
+        anew = self._surely(hunt, end) if end <= hunt.farthest else MISSED
+        return anew if anew.plan is not None or rest.miss > GRAZE * self._radius else rest
 
     def _beyond(self, hunt: Hunt) -> _Attempt:
         """Try to catch the goal past the horizon.
 
         How much later than so far is doubled until a catch is found, and then halved.
         """
-        missed = max(self._horizon, min(hunt.expected, hunt.farthest))
+        missed = max(self._horizon, min(math.ceil(hunt.expected), hunt.farthest))
         for end in _doubling(missed, hunt.farthest):
             found = self._surely(hunt, end)
             if found.plan is not None:
@@ -285,7 +302,7 @@ class Interception:
     def _sooner(self, hunt: Hunt, found: _Attempt) -> _Attempt:
         """Return a sooner catch than the one found, by twice as much each time, if there is one."""
         for away in (1, 2, 4, 8):
-            sooner = self._surely(hunt, max(self._horizon, found.end - away))
+            sooner = self._surely(hunt, max(self._horizon, math.ceil(found.end) - away))
             if sooner.plan is None:
                 break
             found = sooner
@@ -350,19 +367,27 @@ class Interception:
 
     def _at(self, hunt: Hunt, end: float, near: float) -> _Attempt:
         """Try to catch the goal between the ends of steps, as in :meth:`_attempted`."""
-        share = end / math.ceil(end)
-        allowed = self._turns_within or share >= hunt.pause
-        if not (hunt.between and self._divides and allowed):
+        if not self._may(hunt, end):
             return MISSED
         target, goals = Target(end, narrow=self._coned), hunt.goals(end)
         if self._too_far(hunt.state, goals, self.problem(target))[-1]:
             return NEVER
         found = self._attempted(hunt, target, goals, near)
-        turned = found.plan is not None and _first_turn(found.plan) > share * math.pi
-        return MISSED if turned else found
+        if found.plan is not None and _first_turn(found.plan) > end / math.ceil(end) * math.pi:
+            return MISSED
+        return found
+
+    def _may(self, hunt: Hunt, end: float) -> bool:
+        """Return whether a catch may be looked for between the ends of steps."""
+        allowed = self._turns_within or end / math.ceil(end) >= hunt.pause
+        return hunt.between and self._divides and allowed
 
     def _is_well(self, attempt: _Attempt) -> bool:
-        return attempt.miss <= self._aim
+        return attempt.miss <= self._well(attempt.end)
+
+    def _well(self, end: float) -> float:
+        """Return within what a catch at an end is well within the radius [m]."""
+        return self._aim if end <= self._horizon else NARROW * self._radius
 
     def _travel(self, goals: Array) -> float:
         """Return how far a step takes a vehicle past the goal at most [m]."""
@@ -416,24 +441,25 @@ class Interception:
                 found = found._replace(plan=plan, miss=miss)
             left, change = aims[-1] - end, goals[-1] - astray - aims[-1]
             worth = min(near, miss - WORTH * self._radius)
-            if self._is_well(found) or self._expected(left, change, miss) > worth:
+            if self._is_well(found) or self._expected(target, left, change, miss) > worth:
                 break
             aims = np.concatenate([goals[:-1], aims[-1:] + change])
         return found
 
-    def _expected(self, left: Array, change: Array, miss: float) -> float:
+    def _expected(self, target: Target, left: Array, change: Array, miss: float) -> float:
         """Return how near a plan will come to the goal if what is aimed at changes [m].
 
         To first order, where the last one came as near to its aim as any; no plan for an aim that
         changes by so much, which the defect does then too, is nearer by more than twice that.
 
         Args:
+            target: of both.
             left: from the end of the last plan to what it was aimed at, shape (n,) [m].
             change: of that aim, shape (n,) [m].
             miss: of the last plan, flown [m].
         """
         away, size = math.sqrt(left @ left), math.sqrt(change @ change)
-        if away <= self._aim:  # where any way will do, there may be nearer ones
+        if away <= self._well(target.end):  # where any way will do, there may be nearer ones
             return miss - 2.0 * size
         return float(away + change @ left / max(away, size))
 
