@@ -57,6 +57,7 @@ setup(
         'matplotlib>=3.6',
         'mcap>=1.1',
         'numpy>=1.26',
+        'packaging>=21.0',
         'pillow>=9.0',
         'pyyaml>=6.0',
         'rosbags>=0.10',

@@ -24,7 +24,7 @@ from orbimpc_ros.tool.demo.fleet import resolve
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.content import fields
 from orbimpc_ros.tool.replay.offline import OfflinePlanner, resolved
-from orbimpc_ros.world.fleet import separation
+from orbimpc_ros.world.fleet import separations
 from orbimpc_ros.world.flight import Flight, departure
 from orbimpc_ros.world.vehicle import measured
 
@@ -62,7 +62,7 @@ class Outcome:
     @property
     def apart(self) -> float:
         """The least distance between any two vehicles [m]."""
-        return separation(self.tracks)
+        return min(separations(dict(enumerate(self.tracks))).values(), default=math.inf)
 
 
 def setup(count: int, seed: int, changes: Sequence[str] = ()):

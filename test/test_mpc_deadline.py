@@ -375,7 +375,8 @@ def test_once_late_little_is_done_and_a_plan_is_checked_or_declared_missing(work
         assert works.checked <= 1 + 5 + stand_ins.LATE
 
 
-def test_no_more_than_a_few_turns_are_tried_once_time_is_up():
+def test_no_more_than_a_few_turns_are_tried_once_time_is_up(monkeypatch):
+    monkeypatch.setattr(stand_ins, 'LATE', 3)
     tried, late = [None, 1, None, 2, 3, 4, 5, 6], iter([False, False, False, True, True, True])
     assert list(stand_ins.in_time(tried, lambda: next(late))) == [1, 2, 3, 4]
     assert list(stand_ins.in_time(tried, None)) == [1, 2, 3, 4, 5, 6]

@@ -235,9 +235,10 @@ def test_what_proofs_leave_out_is_stated_and_needs_none_where_it_is_out_of_the_w
 @pytest.mark.parametrize('kind', ['floor', 'polygon and turn rate', 'polygon in space'])
 def test_where_what_proofs_leave_out_matters_words_say_how_much_is_proved(kind):
     case, plan = ahead(kind, 0.1)
-    assert plan.lower_bound > 0.0
+    bound = plan.proof.lower_bound
+    assert bound > 0.0
     with pytest.raises(Unproved, match=r'nothing to split|as accurate'):
-        certificate_of(*case, plan.rotations[1:], plan.lower_bound)
+        certificate_of(*case, plan.rotations[1:], bound)
 
 
 def test_floors_that_the_format_cannot_state_have_no_certificates(monkeypatch):

@@ -28,6 +28,7 @@ PROVIDERS = {
     'mcap': (None, 'mcap'),
     'mpl_toolkits': ('python3-matplotlib', 'matplotlib'),
     'numba': ('python3-numba', None),
+    'packaging': ('python3-packaging', 'packaging'),
     'numpy': ('python3-numpy', 'numpy'),
     'rosbags': ('python3-rosbags-pip', 'rosbags'),
     'scipy': ('python3-scipy', 'scipy'),

@@ -24,7 +24,7 @@ from orbimpc_ros.world.vehicle import Model, launched
 
 PACKAGE = ROOT / 'orbimpc_ros'
 FILES = 15  # from odometry to a command; the mathematics is one of them
-MATHEMATICS = 23  # files of formulas, solvers and checks that a tick of the retrieval calls
+MATHEMATICS = 24  # files of formulas, solvers and checks that a tick of the retrieval calls
 FRAMES = Frames('odom', 'base_link')
 
 

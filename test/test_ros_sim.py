@@ -293,7 +293,7 @@ def test_what_a_planner_takes_to_be_configured_is_not_counted():
     )
     arena = SimpleNamespace(
         node=node,
-        settings=SimpleNamespace(rate=0.0, wait_timeout=120.0),
+        settings=SimpleNamespace(rate=0.0, wait_timeout=120.0, shared_clock=False),
         finished=False,
         planner_on_its_way='/planner',
         readers_lacking='subscribers of odom: 1 (there are 0)',

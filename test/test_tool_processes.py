@@ -10,7 +10,7 @@ import textwrap
 
 import pytest
 from conftest import PATIENCE
-from test_lab_faults import alive, wait_for
+from test_benchmarks_faults import alive, wait_for
 
 pytest.importorskip('rclpy')
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,15 +28,12 @@ from orbimpc_ros.mpc.problem.obstacle import Ball, Box
 from orbimpc_ros.mpc.problem.problem import Problem
 from orbimpc_ros.mpc.problem.state import State
 
-if TYPE_CHECKING:
-    from orbimpc_ros.mpc.problem.traffic import Traffic
-
 DIRECTIONS = 16  # of the plane
 INSIDE = 1e-7  # in units of a step's length: who is deeper begins inside
 SPARE = 1e-3  # of a step's length: what plans may be farther inside than the escape
 
 
-class _Tracks(NamedTuple):
+class Tracks(NamedTuple):
     """Bodies when the plan starts, how far they move, and by how much they count as larger."""
 
     bodies: Sequence[Box | Ball]
@@ -66,15 +63,15 @@ def inside(
     """
     here, grown = state.position[None], strays + kept
     depth = np.array([float(body.depth(here)[0]) for body in bodies])
-    eased = _eased(problem, state, _Tracks(bodies, shifts, grown), depth)
+    eased = _eased(problem, state, Tracks(bodies, shifts, grown), depth)
     if eased.any():
         met = depth > INSIDE * problem.length_unit
-        met |= _bound_to_enter(problem, state, _Tracks(bodies, shifts, -strays), depth)
+        met |= _bound_to_enter(problem, state, Tracks(bodies, shifts, -strays), depth)
         eased[~met] = np.minimum(eased, grown)[~met]
     return eased
 
 
-def _eased(problem: Problem, state: State, tracks: _Tracks, depth: Array) -> Array:
+def _eased(problem: Problem, state: State, tracks: Tracks, depth: Array) -> Array:
     """Return how far inside of bodies as large as they count the escape is, shape (J, N) [m]."""
     allowed, unit = np.zeros(tracks.grown.shape), problem.length_unit
     depth = depth + tracks.grown[:, 0]
@@ -90,7 +87,7 @@ def _eased(problem: Problem, state: State, tracks: _Tracks, depth: Array) -> Arr
     return allowed
 
 
-def _bound_to_enter(problem: Problem, state: State, tracks: _Tracks, depth: Array) -> np.ndarray:
+def _bound_to_enter(problem: Problem, state: State, tracks: Tracks, depth: Array) -> np.ndarray:
     """Return which bodies no plan stays clear of, in the steps that the state decides, (J,)."""
     bodies, shifts, grown = tracks
     found = np.zeros(len(bodies), dtype=bool)
@@ -103,12 +100,12 @@ def _bound_to_enter(problem: Problem, state: State, tracks: _Tracks, depth: Arra
     if len(near):
         some: list[Box | Ball] = [bodies[int(j)] for j in near]
         way = directions(problem.dimension)[:1]  # any
-        depths = _depths(problem, state, _Tracks(some, shifts[near], grown[near]), way)[0]
+        depths = _depths(problem, state, Tracks(some, shifts[near], grown[near]), way)[0]
         found[near] = (depths[:, :known] > INSIDE * unit).any(axis=1)
     return found
 
 
-def _depths(problem: Problem, state: State, tracks: _Tracks, ways: Array) -> Array:
+def _depths(problem: Problem, state: State, tracks: Tracks, ways: Array) -> Array:
     """Return how far inside escapes along ways, shape (A, n), are, shape (A, J, N); 0 outside."""
     headings = escapes(problem, state, ways)[:, None]
     points = coasting_controls(problem, state) + control_maps(problem) @ headings
@@ -119,16 +116,15 @@ def _depths(problem: Problem, state: State, tracks: _Tracks, ways: Array) -> Arr
     return np.maximum(tracks.grown - np.moveaxis(outside, 0, 1), 0.0)
 
 
-def ways_out(problem: Problem, state: State, traffic: Traffic) -> Array:
+def ways_out(problem: Problem, state: State, tracks: Tracks) -> Array:
     """Return escapes to all sides, shape (A, N + 1, n), those that meet the least first.
 
     Args:
         problem: gives the model and its limits.
         state: from where.
-        traffic: what is met.
+        tracks: what is met.
     """
     ways = directions(problem.dimension)
-    tracks = _Tracks(traffic.bodies, traffic.shifts, traffic.grown)
     met = _depths(problem, state, tracks, ways).sum(axis=(1, 2))
     return escapes(problem, state, ways)[np.argsort(met, kind='stable')]
 

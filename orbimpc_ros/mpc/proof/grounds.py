@@ -185,4 +185,5 @@ def tangent(point: Array, bends: Array) -> Grounds:
         point: where the cost's tangent touches, shape (N, d).
         bends: what is added to the curvature of each step, in natural units, shape (N,).
     """
-    return Grounds(UNSPLIT, NO_PARTS, NO_ANGLES, point[None], bends[None], np.zeros(len(point)))
+    touched = np.ascontiguousarray(point[None])
+    return Grounds(UNSPLIT, NO_PARTS, NO_ANGLES, touched, bends[None], np.zeros(len(point)))

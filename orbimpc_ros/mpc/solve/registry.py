@@ -50,9 +50,10 @@ def method_among(problem: Problem, tolerance: float, *, coasting: bool = False) 
         coasting: whether states come with a ``coasted`` rotation.
     """
     if problem.max_acceleration:
-        from orbimpc_ros.mpc.solve.paced_speeds import PacedSpeeds
-
-        return PacedSpeeds(problem, tolerance, coasting=coasting, among=True)
+        place, name = PACED
+        paced = getattr(import_module(f'orbimpc_ros.mpc.solve.{place}'), name)
+        within: Method = paced(problem, tolerance, coasting=coasting, among=True)
+        return within
     from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch  # may bring CVXPY
 
     return DisjunctiveSearch(problem, tolerance, coasting=coasting, among=True)
