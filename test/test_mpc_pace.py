@@ -196,8 +196,9 @@ def test_whatever_else_limits_a_plan_it_slows_down_in_time_and_is_no_stand_in(na
     plan = Solver(problem).solve(start, targets, None, lambda: next(polls) > 400)
     assert violations(problem, start, targets, plan) == []
     assert plan.proof.reason == ''  # not what stands in for a plan
-    assert 0.0 < plan.lower_bound <= plan.objective
-    assert plan.objective <= 1.5 * plan.lower_bound
+    # Without machine code nothing is counted in time, and nothing published.
+    bound = plan.lower_bound if COMPILED else plan.proof.lower_bound
+    assert 0.0 < bound <= plan.objective <= 1.5 * bound
 
 
 def test_what_is_surely_out_of_reach_is_left_out_of_the_search():
