@@ -18,9 +18,12 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[2]))  # of benchmarks, which are not installed
 
 from benchmarks.bench.flights import landings, winged
 from benchmarks.bench.instances import Instance, circling

@@ -16,9 +16,12 @@ import math
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[2]))  # of benchmarks, which are not installed
 
 from benchmarks.bench.vehicles import FULL, RATE, ROUND
 from orbimpc_ros.mpc.errors import OrbimpcError
