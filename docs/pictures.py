@@ -17,13 +17,15 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Circle, Polygon
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.forecast import Hold
 from orbimpc_ros.mpc.geometry.faces import normals
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.forecast import Hold
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve.solver import Solver
+from orbimpc_ros.sim.flight import departure, planned
+from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
 from orbimpc_ros.tool.figures.style import (
     BLUE,
     FAINT,
@@ -35,8 +37,6 @@ from orbimpc_ros.tool.figures.style import (
     in_both_looks,
     paper,
 )
-from orbimpc_ros.world.flight import departure, planned
-from orbimpc_ros.world.scenario import retrieval, retrieval_problem
 
 FOLDER = Path(__file__).parent / 'pictures'
 FRACTION = np.sqrt(0.3)  # the paper's det R > 0.3

@@ -11,10 +11,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from orbimpc_ros.loop.controller import Controller, Tick
+    from orbimpc_ros.loop.odometry import Odometry
     from orbimpc_ros.mpc.command import Command
     from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFailure
-    from orbimpc_ros.mpc.loop.controller import Controller, Tick
-    from orbimpc_ros.mpc.loop.odometry import Odometry
     from orbimpc_ros.mpc.outcome import Fallback, Status
     from orbimpc_ros.mpc.plan import Plan, Proof
     from orbimpc_ros.mpc.problem import (
@@ -32,14 +32,14 @@ if TYPE_CHECKING:
 __version__ = '0.1.0'
 
 _HOMES = {
-    'command': ('Command',),
-    'errors': ('BadInput', 'Infeasible', 'OrbimpcError', 'SolverFailure'),
+    'mpc.command': ('Command',),
+    'mpc.errors': ('BadInput', 'Infeasible', 'OrbimpcError', 'SolverFailure'),
     'loop.controller': ('Controller', 'Tick'),
     'loop.odometry': ('Odometry',),
-    'outcome': ('Fallback', 'Status'),
-    'plan': ('Plan', 'Proof'),
-    'problem': ('Approach', 'Ball', 'Box', 'Floor', 'Hazard', 'Problem', 'State', 'Weights'),
-    'solve.solver': ('Solver',),
+    'mpc.outcome': ('Fallback', 'Status'),
+    'mpc.plan': ('Plan', 'Proof'),
+    'mpc.problem': ('Approach', 'Ball', 'Box', 'Floor', 'Hazard', 'Problem', 'State', 'Weights'),
+    'mpc.solve.solver': ('Solver',),
 }
 
 __all__ = [
@@ -72,7 +72,7 @@ def __getattr__(name: str) -> Any:
     """Return a name of the interface."""
     for home, names in _HOMES.items():
         if name in names:
-            return getattr(import_module(f'orbimpc_ros.mpc.{home}'), name)
+            return getattr(import_module(f'orbimpc_ros.{home}'), name)
     raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
 
 

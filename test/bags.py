@@ -11,10 +11,10 @@ from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.geometry.rotations import exp, from_quaternion
 from orbimpc_ros.ros.parameters import sim_settings
+from orbimpc_ros.sim.vehicle import advance, launched
 from orbimpc_ros.tool.io import bag, settings
 from orbimpc_ros.tool.io.bag.writer import BagWriter
 from orbimpc_ros.tool.io.topics import Topic
-from orbimpc_ros.world.vehicle import advance, launched
 
 
 def check_pictures(folder, *names):

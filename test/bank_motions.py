@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
+from orbimpc_ros.loop.goals.bank import Bank
+from orbimpc_ros.loop.observation import Sighting
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.loop.goals.bank import Bank
-from orbimpc_ros.mpc.loop.observation import Sighting
 
 FAMILIES = ('still', 'velocity', 'swing', 'carrier', 'turn', 'damped')
 START = 1000.0  # [s] the first sighting

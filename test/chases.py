@@ -13,10 +13,10 @@ import numpy as np
 from dubins import Chase, earliest
 from problems import floor
 
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.interception import AIM, Hunt, Interception, Target
+from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.interception import AIM, Hunt, Interception, Target
-from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.request import Enough
 from orbimpc_ros.mpc.solve.solver import Solver

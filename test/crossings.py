@@ -19,14 +19,14 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters import SimSettings, planner_settings, sim_settings
-from orbimpc_ros.ros.sim.commands import Orders
+from orbimpc_ros.sim.commands import Orders
+from orbimpc_ros.sim.fleet import separations
+from orbimpc_ros.sim.flight import Flight, departure
+from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.tool.demo.fleet import resolve
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.content import fields
 from orbimpc_ros.tool.replay.offline import OfflinePlanner, resolved
-from orbimpc_ros.world.fleet import separations
-from orbimpc_ros.world.flight import Flight, departure
-from orbimpc_ros.world.vehicle import measured
 
 
 class Crew(Protocol):

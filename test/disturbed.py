@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from orbimpc_ros.loop.delay import CommandHistory, advanced
+from orbimpc_ros.loop.forecast import Forecast
+from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.command import Command
-from orbimpc_ros.mpc.loop.delay import CommandHistory, advanced
-from orbimpc_ros.mpc.loop.forecast import Forecast
-from orbimpc_ros.mpc.loop.odometry import Odometry
-from orbimpc_ros.world.faults import Delivery, View
-from orbimpc_ros.world.flight import Flight, departure
-from orbimpc_ros.world.scenario import Scenario
+from orbimpc_ros.sim.faults import Delivery, View
+from orbimpc_ros.sim.flight import Flight, departure
+from orbimpc_ros.sim.scenario import Scenario
 
 if TYPE_CHECKING:
-    from orbimpc_ros.mpc.loop.controller import Controller
+    from orbimpc_ros.loop.controller import Controller
 
 HELD = 1.5  # steps that a command is in force, as in the simulator by default
 

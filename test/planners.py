@@ -14,7 +14,7 @@ from nav_msgs.msg import Odometry
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.world.vehicle import Model, launched
+from orbimpc_ros.sim.vehicle import Model, launched
 
 FRAMES = Frames('odom', 'base_link')
 LOST = 10.0  # [s] without an answer: on a busy machine a planner takes a second to answer

@@ -12,10 +12,10 @@ from problems import floor
 from test_mpc_attitude import hull
 from test_mpc_interception import RADIUS, WING, measured, needs_speed, turned_at_random
 
+from orbimpc_ros.loop.controller import Controller
 from orbimpc_ros.mpc.check import approach_margin, violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Approach, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.approach import SLOWEST

@@ -10,11 +10,11 @@ import problems
 import pytest
 from scipy.optimize import minimize
 
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights

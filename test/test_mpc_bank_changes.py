@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from bank_motions import AHEAD, START, drawn, shown, sighted
 
-from orbimpc_ros.mpc.loop.goals.bank import BELIEVED, MEMORY, Bank
-from orbimpc_ros.mpc.loop.observation import Sighting
+from orbimpc_ros.loop.goals.bank import BELIEVED, MEMORY, Bank
+from orbimpc_ros.loop.observation import Sighting
 
 CHANGED = START + 12.0  # [s]
 SOON = 2.0  # [s] within which a change of course is to be known

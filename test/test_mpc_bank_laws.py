@@ -6,9 +6,9 @@ import pytest
 from bank_motions import AHEAD, FAMILIES, START, drawn, shown, sighted
 from scipy.stats import chi2
 
+from orbimpc_ros.loop.goals.bank import Bank
+from orbimpc_ros.loop.observation import Sighting
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.loop.goals.bank import Bank
-from orbimpc_ros.mpc.loop.observation import Sighting
 
 SEEDS = range(10)
 

@@ -9,12 +9,12 @@ import pytest
 from problems import ORDERS, rotation
 from problems import state as state_of
 
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.interception import EFFORT, Interception, steps_before
+from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.interception import EFFORT, Interception, steps_before
-from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Approach, Floor, Problem
 from orbimpc_ros.mpc.proof.reach import Reach

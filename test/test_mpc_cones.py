@@ -10,13 +10,13 @@ import pytest
 from plans import assembled, only_complaint, only_complaint_but_the_cost
 from problems import goals, rotation
 
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible
 from orbimpc_ros.mpc.geometry.cells import cap_cells
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import carried, exp, turned_onto
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.plan import UNPROVED, assemble, shifted
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import case_of

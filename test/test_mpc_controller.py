@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from problems import ORDERS, floor
 
+from orbimpc_ros.loop.controller import FALLBACK_TICKS, Controller
+from orbimpc_ros.loop.forecast import Hold, Itinerary, Sighting, forecast_named
+from orbimpc_ros.loop.odometry import Odometry, state_of
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import command_of, stop
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.loop.controller import FALLBACK_TICKS, Controller
-from orbimpc_ros.mpc.loop.forecast import Hold, Itinerary, Sighting, forecast_named
-from orbimpc_ros.mpc.loop.odometry import Odometry, state_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.solver import Solver
 

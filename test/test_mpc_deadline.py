@@ -15,12 +15,12 @@ from problems import floor, goals, state
 
 from benchmarks.bench.flights import UP, landings
 from benchmarks.bench.vehicles import lifted
+from orbimpc_ros.loop.traffic import clearest as clearest_of
 from orbimpc_ros.mpc.check import floor_margin, violations
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.geometry.cells import faces
 from orbimpc_ros.mpc.kernels import COMPILED, annulus
 from orbimpc_ros.mpc.kernels.linear import invert_spd, shift_to_semidefinite
-from orbimpc_ros.mpc.loop.traffic import clearest as clearest_of
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.problem import (
     Ball,

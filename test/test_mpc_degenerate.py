@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from problems import box, floor, rotation, weights
 
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.safety import may_stop
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import flaw
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.odometry import Odometry
-from orbimpc_ros.mpc.loop.safety import may_stop
 from orbimpc_ros.mpc.plan import UNPROVED, assemble
 from orbimpc_ros.mpc.problem import Floor, Problem, State, Weights
 from orbimpc_ros.mpc.solve.solver import Solver

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from problems import ORDERS, rotation
 
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.delay import CommandHistory, Interval, advanced
+from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.delay import CommandHistory, Interval, advanced
-from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.problem import Problem, Weights
-from orbimpc_ros.world.rope import Rope
+from orbimpc_ros.sim.rope import Rope
 
 
 def command(fraction, rate):

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from continuous import Craft, at_rest, flown, turned
 
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.delay import CommandHistory
+from orbimpc_ros.loop.disturbance import GAP, LARGEST, PATIENCE, Estimator
+from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.response import Response
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.delay import CommandHistory
-from orbimpc_ros.mpc.loop.disturbance import GAP, LARGEST, PATIENCE, Estimator
-from orbimpc_ros.mpc.loop.odometry import Odometry
-from orbimpc_ros.mpc.loop.response import Response
 from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.mpc.problem.scaling import weighed
 

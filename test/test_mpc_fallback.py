@@ -7,11 +7,11 @@ from problems import ORDERS, floor
 from problems import state as random_state
 from test_mpc_controller import flown, odometry
 
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import SolverFailure
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.problem import Box, Floor, Problem, State
 from orbimpc_ros.mpc.problem.reach import pulled_in, reach
 from orbimpc_ros.mpc.solve.solver import Solver

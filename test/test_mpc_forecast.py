@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from orbimpc_ros.mpc.loop.forecast import FORECASTS, Sighting, forecast_named
+from orbimpc_ros.loop.forecast import FORECASTS, Sighting, forecast_named
 
 AHEAD = np.arange(1.0, 6.0)
 

@@ -4,9 +4,9 @@
 import numpy as np
 import pytest
 
+from orbimpc_ros.loop.frames import WINDOW, Witness
+from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.loop.frames import WINDOW, Witness
-from orbimpc_ros.mpc.loop.odometry import Odometry
 
 
 def flight(rng, dimension, count=60, noise=0.0, wind=0.0):

@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from orbimpc_ros.loop import controller as loop
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.traffic import clearest as clearest_of
+from orbimpc_ros.loop.traffic.clearest import clear_instead, is_clear
+from orbimpc_ros.loop.traffic.reserve import keeping, kept
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.loop import controller as loop
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.odometry import Odometry
-from orbimpc_ros.mpc.loop.traffic import clearest as clearest_of
-from orbimpc_ros.mpc.loop.traffic.clearest import clear_instead, is_clear
-from orbimpc_ros.mpc.loop.traffic.reserve import keeping, kept
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.mpc.plan import UNPROVED, assemble

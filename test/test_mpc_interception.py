@@ -11,15 +11,9 @@ import pytest
 from continuous import Craft, at_rest, flown
 from problems import floor, rotation
 
-from orbimpc_ros.mpc.check import violations
-from orbimpc_ros.mpc.command import command_of
-from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.geometry.rotations import exp, log
-from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.defect import defect
-from orbimpc_ros.mpc.loop.interception import (
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.defect import defect
+from orbimpc_ros.loop.interception import (
     AIM,
     EFFORT,
     GRAZE,
@@ -28,14 +22,20 @@ from orbimpc_ros.mpc.loop.interception import (
     Target,
     catching,
 )
-from orbimpc_ros.mpc.loop.odometry import Odometry
-from orbimpc_ros.mpc.loop.response import Response
+from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.response import Response
+from orbimpc_ros.mpc.check import violations
+from orbimpc_ros.mpc.command import command_of
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.rotations import exp, log
+from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State, Weights
 from orbimpc_ros.mpc.solve.solver import Solver
-from orbimpc_ros.world.plant import Plant
-from orbimpc_ros.world.vehicle import Vehicle
+from orbimpc_ros.sim.plant import Plant
+from orbimpc_ros.sim.vehicle import Vehicle
 
 RADIUS = 3.0
 WING = Problem(

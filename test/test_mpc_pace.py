@@ -10,13 +10,13 @@ from problems import floor
 from scipy.optimize import minimize
 from test_mpc_turns import cost, random_problem, random_start
 
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.check import command_violations, violations
 from orbimpc_ros.mpc.command import Command, command_of, flaw
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.plan import UNPROVED, assemble
 from orbimpc_ros.mpc.problem import (

@@ -4,9 +4,9 @@
 import numpy as np
 import pytest
 
+from orbimpc_ros.loop.forecast import Itinerary, forecast_named
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.faces import normals
-from orbimpc_ros.mpc.loop.forecast import Itinerary, forecast_named
 from orbimpc_ros.mpc.problem import (
     Box,
     Floor,

@@ -8,11 +8,11 @@ import pytest
 from continuous import Craft, at_rest, flown
 from problems import floor
 
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import SolverFailure
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.plan import later, shifted
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.scaling import weighed

@@ -9,10 +9,10 @@ import pytest
 from continuous import Craft, at_rest, flown
 from problems import ORDERS, weights
 
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import case_of

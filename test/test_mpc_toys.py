@@ -8,12 +8,12 @@ from scipy.optimize import minimize
 from toy_floor import Eastward
 from toy_model import DRAG, KEPT, Drag
 
+from orbimpc_ros.loop.safety import safe_command
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import Command, flaw
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.loop.safety import safe_command
 from orbimpc_ros.mpc.model.translation import TRANSLATIONS
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.problem.case import case_of

@@ -6,12 +6,12 @@ import math
 import numpy as np
 import pytest
 
+from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.traffic.bodies import MOST, Bodies, Seen
+from orbimpc_ros.loop.traffic.courses import FORGOTTEN, Course, Courses, Distance
+from orbimpc_ros.loop.traffic.nearest import clearance, nearest
+from orbimpc_ros.loop.traffic.track import along, centre
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.loop.odometry import Odometry
-from orbimpc_ros.mpc.loop.traffic.bodies import MOST, Bodies, Seen
-from orbimpc_ros.mpc.loop.traffic.courses import FORGOTTEN, Course, Courses, Distance
-from orbimpc_ros.mpc.loop.traffic.nearest import clearance, nearest
-from orbimpc_ros.mpc.loop.traffic.track import along, centre
 from orbimpc_ros.mpc.problem import MAX_HAZARDS, Ball, Box, Hazard, Problem, State
 
 FASTEST = 50.0

@@ -8,13 +8,13 @@ import pytest
 from problems import floor, goals, state
 from scipy.optimize import minimize
 
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import carried, exp
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import UNPROVED, assemble

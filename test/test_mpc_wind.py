@@ -7,21 +7,21 @@ import numpy as np
 import problems
 import pytest
 
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.delay import Interval, advanced
+from orbimpc_ros.loop.forecast import Hold
+from orbimpc_ros.loop.odometry import Odometry, odd_speed, state_of
+from orbimpc_ros.loop.safety import decided, safe_command
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.delay import Interval, advanced
-from orbimpc_ros.mpc.loop.forecast import Hold
-from orbimpc_ros.mpc.loop.odometry import Odometry, odd_speed, state_of
-from orbimpc_ros.mpc.loop.safety import decided, safe_command
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.problem import Floor, Problem, State
-from orbimpc_ros.world.flight import fly
-from orbimpc_ros.world.rope import Rope
-from orbimpc_ros.world.scenario import Scenario
-from orbimpc_ros.world.vehicle import Model, advance, launched, measured, model_of
+from orbimpc_ros.sim.flight import fly
+from orbimpc_ros.sim.rope import Rope
+from orbimpc_ros.sim.scenario import Scenario
+from orbimpc_ros.sim.vehicle import Model, advance, launched, measured, model_of
 
 UP = exp(np.array([0.0, -0.5 * np.pi, 0.0]))  # the thrust axis to the zenith
 WEIGHT = np.array([0.0, 0.0, -9.81])

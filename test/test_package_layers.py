@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Imports run one way, mpc <- world <- ros <- tool <- benchmarks; maths and physics need no ROS.
+"""Imports run one way, mpc <- loop <- ros, sim <- tool <- benchmarks; mpc and loop need no ROS.
 
-Physics, which world flies, imports nothing of the rest.
+The simulator's engines import nothing of the rest.
 """
 
 import ast
@@ -13,7 +13,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / 'orbimpc_ros'
 MOVABLE = PACKAGE / 'mpc' / 'proof' / 'verifier'
-LAYERS = ('mpc', 'world', 'ros', 'tool')
+LAYERS = ('mpc', 'loop', 'ros', 'tool')
 ROS = ('rclpy', 'rosidl_runtime_py', 'std_msgs', 'geometry_msgs', 'nav_msgs', 'rosbags')
 
 
@@ -70,7 +70,7 @@ def circles(graph):
 
 @pytest.mark.parametrize('layer', LAYERS)
 def test_a_layer_imports_nothing_above_it(layer):
-    above = LAYERS[LAYERS.index(layer) + 1 :] + (('physics',) if layer == 'mpc' else ())
+    above = LAYERS[LAYERS.index(layer) + 1 :] + (('sim',) if layer in ('mpc', 'loop') else ())
     for file in (PACKAGE / layer).rglob('*.py'):
         for name in imports_of(file):
             parts = name.split('.')
@@ -78,15 +78,15 @@ def test_a_layer_imports_nothing_above_it(layer):
             assert parts[0] != 'orbimpc_ros' or parts[1] not in above, f'{file} imports {name}'
 
 
-def test_physics_imports_nothing_of_the_rest():
+def test_engines_import_nothing_of_the_rest():
     """What flies is told by commands alone: engines and planner share no line of code."""
-    for file in (PACKAGE / 'physics').rglob('*.py'):
+    for file in (PACKAGE / 'sim' / 'engines').rglob('*.py'):
         for name in imports_of(file):
             outside = not name.startswith('orbimpc_ros.')
-            assert outside or name.startswith('orbimpc_ros.physics.'), f'{file} imports {name}'
+            assert outside or name.startswith('orbimpc_ros.sim.engines.'), f'{file} imports {name}'
 
 
-@pytest.mark.parametrize('layer', ['mpc', 'world'])
+@pytest.mark.parametrize('layer', ['mpc', 'loop'])
 def test_a_pure_layer_imports_without_ros(layer):
     inside = f'orbimpc_ros.{layer}.'
     modules = sorted(m for m in all_modules() if m.startswith(inside) and '__main__' not in m)
@@ -103,7 +103,7 @@ def test_a_pure_layer_imports_without_ros(layer):
 
 # Of the simulated world a planner needs the model of its vehicle and the ranges of parameters.
 FOREIGN = {
-    'planner': ('ros.sim', 'physics', 'world.engines', 'world.flight', 'world.plant'),
+    'ros.planner': ('sim.node', 'sim.engines', 'sim.engine_vehicle', 'sim.flight', 'sim.plant'),
     'sim': ('ros.planner',),
 }
 
@@ -111,7 +111,7 @@ FOREIGN = {
 @pytest.mark.parametrize('node', FOREIGN)
 def test_a_node_loads_nothing_of_the_other(node):
     pytest.importorskip('rclpy')
-    script = f'import sys, orbimpc_ros.ros.{node}.node; print(*sys.modules)'
+    script = f'import sys, orbimpc_ros.{node}.node; print(*sys.modules)'
     done = subprocess.run(
         [sys.executable, '-c', script], capture_output=True, text=True, check=True
     )

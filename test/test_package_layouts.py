@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import yaml
 
-from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.loop.controller import Controller
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.reports import Report, tick_message
+from orbimpc_ros.sim.flight import departure
+from orbimpc_ros.sim.scenario import retrieval
+from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.tool.io.topics import TYPES
-from orbimpc_ros.world.flight import departure
-from orbimpc_ros.world.scenario import retrieval
-from orbimpc_ros.world.vehicle import measured
 
 pytest.importorskip('rclpy')
 CONFIG = Path(__file__).parents[1] / 'config'

@@ -10,15 +10,15 @@ from dying_engine import FAILURES
 from scipy.integrate import trapezoid
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.physics.engine import Start
-from orbimpc_ros.physics.failure import EngineFailure
-from orbimpc_ros.world import engines
-from orbimpc_ros.world.engines import EnginePlant
-from orbimpc_ros.world.faults import Faults, View
-from orbimpc_ros.world.flight import departure
-from orbimpc_ros.world.rope import fixed
-from orbimpc_ros.world.scenario import Scenario
-from orbimpc_ros.world.vehicle import launched
+from orbimpc_ros.sim import engine_vehicle as engines
+from orbimpc_ros.sim.engine_vehicle import EnginePlant
+from orbimpc_ros.sim.engines.engine import Start
+from orbimpc_ros.sim.engines.failure import EngineFailure
+from orbimpc_ros.sim.faults import Faults, View
+from orbimpc_ros.sim.flight import departure
+from orbimpc_ros.sim.rope import fixed
+from orbimpc_ros.sim.scenario import Scenario
+from orbimpc_ros.sim.vehicle import launched
 
 WIND = np.array([-4.0, 6.0])
 FAR = np.array([1e5, 0.0])
@@ -26,7 +26,7 @@ FAR = np.array([1e5, 0.0])
 
 @pytest.fixture
 def cessna():
-    return pytest.importorskip('orbimpc_ros.physics.cessna')
+    return pytest.importorskip('orbimpc_ros.sim.engines.cessna')
 
 
 def flight_of(heading=0.0, wind=WIND, goal=FAR, **others):
@@ -143,7 +143,7 @@ def test_a_start_that_cannot_be_flown_is_refused(cessna):
 
 def test_an_engine_that_is_missing_is_said_with_the_way_to_get_it(monkeypatch):
     monkeypatch.setitem(__import__('sys').modules, 'jsbsim', None)
-    monkeypatch.delitem(__import__('sys').modules, 'orbimpc_ros.physics.cessna', raising=False)
+    monkeypatch.delitem(__import__('sys').modules, 'orbimpc_ros.sim.engines.cessna', raising=False)
     with pytest.raises(BadInput, match=r"jsbsim is missing; pip install 'jsbsim>="):
         flight_of()
 

@@ -12,16 +12,16 @@ from bags import GOLDEN
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.physics.failure import EngineFailure
-from orbimpc_ros.ros.sim.arena import outcome
+from orbimpc_ros.sim.arena import outcome
+from orbimpc_ros.sim.engine_vehicle import EnginePlant
+from orbimpc_ros.sim.engines.failure import EngineFailure
+from orbimpc_ros.sim.flight import departure
+from orbimpc_ros.sim.rope import Rope
+from orbimpc_ros.sim.scenario import Scenario
+from orbimpc_ros.sim.vehicle import launched
 from orbimpc_ros.tool.demo.rendering import flown_again
 from orbimpc_ros.tool.study import flights as study
 from orbimpc_ros.tool.study.draws import draws_of
-from orbimpc_ros.world.engines import EnginePlant
-from orbimpc_ros.world.flight import departure
-from orbimpc_ros.world.rope import Rope
-from orbimpc_ros.world.scenario import Scenario
-from orbimpc_ros.world.vehicle import launched
 
 STILL, FAR = np.zeros(2), np.array([50.0, 0.0])
 
@@ -29,7 +29,7 @@ STILL, FAR = np.zeros(2), np.array([50.0, 0.0])
 @pytest.fixture
 def hummingbird():
     pytest.importorskip('mujoco')
-    return pytest.importorskip('orbimpc_ros.physics.hummingbird')
+    return pytest.importorskip('orbimpc_ros.sim.engines.hummingbird')
 
 
 def flight_of(rest=FAR, aside=STILL, wind=STILL, **others):
@@ -140,7 +140,7 @@ def test_a_rope_that_would_be_let_go_too_high_is_refused(hummingbird):
 def test_a_library_that_is_missing_is_said_with_the_way_to_get_it(monkeypatch, module):
     pytest.importorskip('mujoco')
     modules = __import__('sys').modules
-    monkeypatch.delitem(modules, 'orbimpc_ros.physics.hummingbird', raising=False)
+    monkeypatch.delitem(modules, 'orbimpc_ros.sim.engines.hummingbird', raising=False)
     monkeypatch.setitem(modules, module, None)
     library = module.partition('.')[0]
     with pytest.raises(BadInput, match=f'vehicle hummingbird: {library} is missing; pip install'):

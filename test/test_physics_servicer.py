@@ -14,16 +14,16 @@ from bags import GOLDEN
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.physics.failure import EngineFailure
+from orbimpc_ros.sim.engine_vehicle import EnginePlant
+from orbimpc_ros.sim.engines.failure import EngineFailure
+from orbimpc_ros.sim.flight import departure
+from orbimpc_ros.sim.rope import fixed
+from orbimpc_ros.sim.scenario import Scenario
+from orbimpc_ros.sim.vehicle import launched
 from orbimpc_ros.tool.demo.rendering import flown_again
 from orbimpc_ros.tool.io import history
 from orbimpc_ros.tool.study import flights as study
 from orbimpc_ros.tool.study.draws import draws_of
-from orbimpc_ros.world.engines import EnginePlant
-from orbimpc_ros.world.flight import departure
-from orbimpc_ros.world.rope import fixed
-from orbimpc_ros.world.scenario import Scenario
-from orbimpc_ros.world.vehicle import launched
 
 REASON = "Basilisk is not installed: pip install 'orbimpc_ros[basilisk]' runs this"
 STILL, AWAY = np.zeros(3), np.array([30.0, -20.0, 10.0])
@@ -33,7 +33,7 @@ FULL = 0.015  # [m/s^2]
 
 @pytest.fixture
 def servicer():
-    return pytest.importorskip('orbimpc_ros.physics.servicer', reason=REASON)
+    return pytest.importorskip('orbimpc_ros.sim.engines.servicer', reason=REASON)
 
 
 def flight_of(goal=AWAY, velocity=STILL, rate=STILL, push=STILL, **others):
@@ -136,7 +136,7 @@ def test_an_error_of_basilisk_is_a_failure(servicer, monkeypatch):
 
 def test_a_library_that_is_missing_is_said_with_the_way_to_get_it(monkeypatch):
     modules = __import__('sys').modules
-    monkeypatch.delitem(modules, 'orbimpc_ros.physics.servicer', raising=False)
+    monkeypatch.delitem(modules, 'orbimpc_ros.sim.engines.servicer', raising=False)
     monkeypatch.setitem(modules, 'Basilisk.architecture', None)
     hint = r"Basilisk is missing; pip install 'bsk>=2.12'"
     with pytest.raises(BadInput, match=f'vehicle servicer: {hint}'):

@@ -6,12 +6,12 @@ import json
 import numpy as np
 import pytest
 
-from orbimpc_ros.mpc.loop.controller import Controller
+from orbimpc_ros.loop.controller import Controller
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.reports import Report, prices, tick_message
-from orbimpc_ros.world.flight import departure
-from orbimpc_ros.world.scenario import retrieval
-from orbimpc_ros.world.vehicle import measured
+from orbimpc_ros.sim.flight import departure
+from orbimpc_ros.sim.scenario import retrieval
+from orbimpc_ros.sim.vehicle import measured
 
 pytest.importorskip('rclpy')
 

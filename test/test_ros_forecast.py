@@ -8,10 +8,10 @@ pytest.importorskip('rclpy')
 
 from nav_msgs.msg import Odometry, Path
 
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.forecast import Itinerary, forecast_named
-from orbimpc_ros.world.flight import fly
-from orbimpc_ros.world.scenario import retrieval, retrieval_problem
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.forecast import Itinerary, forecast_named
+from orbimpc_ros.sim.flight import fly
+from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
 
 LONG = {'exit_when_done': True, 'wait_subscribers': 2}
 

@@ -11,7 +11,7 @@ from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.planner.inbox import Inbox
-from orbimpc_ros.world.vehicle import Model, launched
+from orbimpc_ros.sim.vehicle import Model, launched
 
 FRAMES = Frames('odom', 'base_link')
 

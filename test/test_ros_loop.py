@@ -16,11 +16,11 @@ from rosgraph_msgs.msg import Clock  # noqa: E402
 from std_msgs.msg import Bool  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
-from orbimpc_ros.mpc.loop.controller import Controller  # noqa: E402
-from orbimpc_ros.mpc.loop.forecast import forecast_named  # noqa: E402
+from orbimpc_ros.loop.controller import Controller  # noqa: E402
+from orbimpc_ros.loop.forecast import forecast_named  # noqa: E402
 from orbimpc_ros.ros.process import qos  # noqa: E402
-from orbimpc_ros.world.flight import fly  # noqa: E402
-from orbimpc_ros.world.scenario import retrieval, retrieval_problem  # noqa: E402
+from orbimpc_ros.sim.flight import fly  # noqa: E402
+from orbimpc_ros.sim.scenario import retrieval, retrieval_problem  # noqa: E402
 
 TOPICS = {
     'odom': Odometry,

@@ -13,7 +13,7 @@ from visualization_msgs.msg import Marker
 from orbimpc_ros.ros.markers import plan_markers, world_markers
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.parameters import SIM, sim_settings
-from orbimpc_ros.world.flight import departure
+from orbimpc_ros.sim.flight import departure
 
 STAMP = Stamp(1_500_000_000, Frames('odom', 'base_link'))
 HALF = Floor('polygon', 4, 0.5)

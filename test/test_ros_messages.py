@@ -20,7 +20,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
-from orbimpc_ros.world.vehicle import Model, launched, measured
+from orbimpc_ros.sim.vehicle import Model, launched, measured
 
 FRAMES = Frames('odom', 'base_link')
 STAMP = Stamp(1_700_000_000_123_456_789, FRAMES)

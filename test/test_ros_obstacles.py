@@ -13,9 +13,9 @@ from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import Pose
 from visualization_msgs.msg import Marker, MarkerArray
 
+from orbimpc_ros.loop.traffic.track import centre
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.loop.traffic.track import centre
 from orbimpc_ros.mpc.problem import Ball, Box
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
@@ -24,7 +24,7 @@ from orbimpc_ros.ros.obstacles import read_obstacles, shown, stamp_of
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.planner.inbox import NAMED, Inbox
 from orbimpc_ros.ros.planner.lookout import others
-from orbimpc_ros.world.vehicle import Model, launched
+from orbimpc_ros.sim.vehicle import Model, launched
 
 FRAMES = Frames('odom', 'base_link')
 CUBE, SPHERE, CYLINDER = Marker.CUBE, Marker.SPHERE, Marker.CYLINDER

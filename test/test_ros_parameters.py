@@ -26,7 +26,7 @@ from orbimpc_ros.mpc.problem.scaling import weighed
 from orbimpc_ros.ros.parameters import PLANNER, SIM, planner_settings, sim_settings
 from orbimpc_ros.ros.parameters.parameter import completed
 from orbimpc_ros.ros.parameters.sections import given, unused_sections
-from orbimpc_ros.world.scenario import retrieval, retrieval_problem
+from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
 
 CONFIG = Path(__file__).resolve().parents[1] / 'config' / 'retrieval.yaml'
 DOCUMENTED = {

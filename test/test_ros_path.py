@@ -20,7 +20,7 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.planner.node import PlannerNode
 from orbimpc_ros.ros.process import initialised
-from orbimpc_ros.world.vehicle import Model, launched
+from orbimpc_ros.sim.vehicle import Model, launched
 
 PACKAGE = ROOT / 'orbimpc_ros'
 FILES = 15  # from odometry to a command; the mathematics is one of them
@@ -94,7 +94,7 @@ def files_on_the_way(node, executor):
 def test_a_command_passes_few_files(planner):
     files = files_on_the_way(*planner)
     assert files[0] == 'ros/process.py'  # the guard of every callback
-    mathematics = [f for f in files if f.startswith('mpc/') and not f.startswith('mpc/loop/')]
+    mathematics = [f for f in files if f.startswith('mpc/')]
     way = [f for f in files if f not in mathematics]
     assert len(way) + 1 <= FILES, '\n'.join(way)
     assert len(mathematics) <= MATHEMATICS, '\n'.join(mathematics)

@@ -13,20 +13,20 @@ pytest.importorskip('rclpy')
 from bags import messages_of
 from dying_engine import FAILURES
 
+from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.loop.odometry import Odometry
-from orbimpc_ros.physics.failure import EngineFailure
 from orbimpc_ros.ros.parameters import SIM, sim_settings
+from orbimpc_ros.sim import engine_vehicle as engines
+from orbimpc_ros.sim.engine_vehicle import EnginePlant
+from orbimpc_ros.sim.engines.failure import EngineFailure
+from orbimpc_ros.sim.flight import departure
 from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.demo.arrivals import planned_at_start
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.content import fields
 from orbimpc_ros.tool.io.share import config
 from orbimpc_ros.tool.run.onboard import Planner, tell
-from orbimpc_ros.world import engines
-from orbimpc_ros.world.engines import EnginePlant
-from orbimpc_ros.world.flight import departure
 
 DEFAULTS = {row.name: row.default for row in SIM}
 NEARER = 'rope.center=[350.0, 60.0, 0.0]'  # a short flight
@@ -91,7 +91,7 @@ def test_how_a_goal_moves_is_not_said_where_the_engine_moves_it(change):
 
 def test_a_demo_without_its_engine_says_how_to_get_it(monkeypatch, capsys, tmp_path):
     monkeypatch.setitem(__import__('sys').modules, 'jsbsim', None)
-    monkeypatch.delitem(__import__('sys').modules, 'orbimpc_ros.physics.cessna', raising=False)
+    monkeypatch.delitem(__import__('sys').modules, 'orbimpc_ros.sim.engines.cessna', raising=False)
     assert cli.main(['demo', 'cessna', '--out', str(tmp_path)]) == 2
     out, err = capsys.readouterr()
     hint = "jsbsim is missing; pip install 'jsbsim>=1.2'"

@@ -11,10 +11,10 @@ from nav_msgs.msg import Odometry
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters import SIM, sim_settings
+from orbimpc_ros.sim.plant import Plant
 from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.io import bag
 from orbimpc_ros.tool.io.content import fields
-from orbimpc_ros.world.plant import Plant
 
 DEFAULTS = {row.name: row.default for row in SIM}
 PLANNER = {

@@ -247,7 +247,7 @@ def test_words_that_nobody_would_look_at_are_refused_in_one_line(node, words, sa
 
 
 def test_a_parameter_file_that_is_not_there_is_refused_in_one_line():
-    words = [sys.executable, '-m', 'orbimpc_ros.ros.sim', '--ros-args', '--params-file', 'x.yaml']
+    words = [sys.executable, '-m', 'orbimpc_ros.sim', '--ros-args', '--params-file', 'x.yaml']
     done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
     assert done.stderr == 'x.yaml: no such file; --params-file is to name one\n'

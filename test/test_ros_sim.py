@@ -22,15 +22,15 @@ from lifecycle_msgs.srv import ChangeState
 from nav_msgs.msg import Odometry, Path
 from rosgraph_msgs.msg import Clock
 
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.forecast import forecast_named
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.forecast import forecast_named
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.ros.sim.readers import RECORDED
-from orbimpc_ros.ros.sim.stepping import LockStep
-from orbimpc_ros.world.faults import Faults, View
-from orbimpc_ros.world.scenario import retrieval, retrieval_problem
+from orbimpc_ros.sim.faults import Faults, View
+from orbimpc_ros.sim.readers import RECORDED
+from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
+from orbimpc_ros.sim.stepping import LockStep
 
 DISTURBED = {
     'faults.position_noise': 0.05,

@@ -13,8 +13,8 @@ from geometry_msgs.msg import TwistStamped, WrenchStamped
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
-from orbimpc_ros.ros.sim.commands import Orders
-from orbimpc_ros.world.vehicle import Model
+from orbimpc_ros.sim.commands import Orders
+from orbimpc_ros.sim.vehicle import Model
 
 NOW = 5_000_000_000  # [ns]
 FRAMES = Frames('odom', 'base_link')

@@ -10,12 +10,12 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from orbimpc_ros.loop import controller as controllers
+from orbimpc_ros.loop.safety import CIRCLE_STEPS, safe_command
 from orbimpc_ros.mpc.command import flaw
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.loop import controller as controllers
-from orbimpc_ros.mpc.loop.safety import CIRCLE_STEPS, safe_command
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.mpc.problem.floor import largest_fraction
@@ -28,7 +28,7 @@ from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.planner.inbox import Inbox
 from orbimpc_ros.ros.planner.outlet import refutation_messages, report_messages
 from orbimpc_ros.ros.planner.ticker import Ticker, prepared
-from orbimpc_ros.world.vehicle import Model, launched
+from orbimpc_ros.sim.vehicle import Model, launched
 
 FRAMES = Frames('odom', 'base_link')
 START = 1_700_000_000 * SECOND  # [ns]

@@ -7,8 +7,8 @@ pytest.importorskip('rclpy')
 
 import numpy as np
 
+from orbimpc_ros.loop.controller import Tick
 from orbimpc_ros.mpc.command import stop
-from orbimpc_ros.mpc.loop.controller import Tick
 from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.ros.clock import Drift, Standstill
 from orbimpc_ros.ros.planner.health import condition

@@ -10,8 +10,8 @@ import pytest
 import yaml
 from continuous import Craft, at_rest, flown, turned
 
+from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.loop.odometry import Odometry
 
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
 

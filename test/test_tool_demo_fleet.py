@@ -11,11 +11,11 @@ from bags import check_pictures
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.vehicles import vehicles
+from orbimpc_ros.sim.fleet import members
 from orbimpc_ros.tool.demo import fleet
 from orbimpc_ros.tool.io import bag, history, settings
 from orbimpc_ros.tool.io.bag.writer import BagWriter
 from orbimpc_ros.tool.io.topics import topics_of
-from orbimpc_ros.world.fleet import members
 
 pytest.importorskip('rclpy')
 NAMES = ('/uav1', '/uav2')

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.forecast import forecast_named
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.forecast import forecast_named
-from orbimpc_ros.world.arrival import open_loop
-from orbimpc_ros.world.flight import departure, fly
-from orbimpc_ros.world.rope import fixed
-from orbimpc_ros.world.scenario import dubins, dubins_problem, spacecraft, spacecraft_problem
+from orbimpc_ros.sim.arrival import open_loop
+from orbimpc_ros.sim.flight import departure, fly
+from orbimpc_ros.sim.rope import fixed
+from orbimpc_ros.sim.scenario import dubins, dubins_problem, spacecraft, spacecraft_problem
 
 AHEAD = replace(dubins(), rope=fixed(np.array([3.0, 0.0])), max_ticks=3, arrival_radius=0.1)
 

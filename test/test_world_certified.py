@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.forecast import forecast_named
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.forecast import forecast_named
 from orbimpc_ros.mpc.problem import Floor
-from orbimpc_ros.world.flight import fly
-from orbimpc_ros.world.rope import Rope
-from orbimpc_ros.world.scenario import retrieval, retrieval_problem
-from orbimpc_ros.world.vehicle import launched
+from orbimpc_ros.sim.flight import fly
+from orbimpc_ros.sim.rope import Rope
+from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
+from orbimpc_ros.sim.vehicle import launched
 
 
 def scenario(rng):

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from disturbed import Intake, fly_disturbed
 
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.forecast import forecast_named
+from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import log
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.forecast import forecast_named
-from orbimpc_ros.mpc.loop.odometry import Odometry
-from orbimpc_ros.world.faults import Faults, View
-from orbimpc_ros.world.flight import departure, fly
-from orbimpc_ros.world.rope import Rope
-from orbimpc_ros.world.scenario import retrieval, retrieval3d, retrieval_problem
-from orbimpc_ros.world.vehicle import between, launched, measured
+from orbimpc_ros.sim.faults import Faults, View
+from orbimpc_ros.sim.flight import departure, fly
+from orbimpc_ros.sim.rope import Rope
+from orbimpc_ros.sim.scenario import retrieval, retrieval3d, retrieval_problem
+from orbimpc_ros.sim.vehicle import between, launched, measured
 
 TURN = np.array([0.3])
 

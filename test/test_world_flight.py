@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.forecast import forecast_named
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import log
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.forecast import forecast_named
 from orbimpc_ros.mpc.problem import Approach
-from orbimpc_ros.world.capture import closest_approach, is_headed
-from orbimpc_ros.world.flight import departure, fly
-from orbimpc_ros.world.rope import Rope, fixed
-from orbimpc_ros.world.scenario import retrieval, retrieval_problem
-from orbimpc_ros.world.vehicle import Model, launched
+from orbimpc_ros.sim.capture import closest_approach, is_headed
+from orbimpc_ros.sim.flight import departure, fly
+from orbimpc_ros.sim.rope import Rope, fixed
+from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
+from orbimpc_ros.sim.vehicle import Model, launched
 
 
 @pytest.mark.parametrize('n', [2, 3])

@@ -12,14 +12,14 @@ from scipy.integrate import solve_ivp, trapezoid
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, skew
-from orbimpc_ros.world.airspeed import Airspeeds
-from orbimpc_ros.world.faults import Faults, View
-from orbimpc_ros.world.flight import departure
-from orbimpc_ros.world.gusts import Gusts
-from orbimpc_ros.world.plant import Plant, lagged
-from orbimpc_ros.world.rope import Rope, fixed
-from orbimpc_ros.world.scenario import Scenario
-from orbimpc_ros.world.vehicle import launched, measured
+from orbimpc_ros.sim.airspeed import Airspeeds
+from orbimpc_ros.sim.faults import Faults, View
+from orbimpc_ros.sim.flight import departure
+from orbimpc_ros.sim.gusts import Gusts
+from orbimpc_ros.sim.plant import Plant, lagged
+from orbimpc_ros.sim.rope import Rope, fixed
+from orbimpc_ros.sim.scenario import Scenario
+from orbimpc_ros.sim.vehicle import launched, measured
 
 ORDERS = list(itertools.product((2, 3), (1, 2)))
 

@@ -9,11 +9,11 @@ import pytest
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Box, Problem
-from orbimpc_ros.world.contact import drifter, met
-from orbimpc_ros.world.fleet import LEAST_RING, crossing, separations
-from orbimpc_ros.world.flight import departure
-from orbimpc_ros.world.scenario import retrieval
-from orbimpc_ros.world.vehicle import launched
+from orbimpc_ros.sim.contact import drifter, met
+from orbimpc_ros.sim.fleet import LEAST_RING, crossing, separations
+from orbimpc_ros.sim.flight import departure
+from orbimpc_ros.sim.scenario import retrieval
+from orbimpc_ros.sim.vehicle import launched
 
 
 @pytest.mark.parametrize('dimension', [2, 3])

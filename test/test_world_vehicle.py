@@ -11,7 +11,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, skew
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.world.vehicle import Model, advance, launched, measured, model_of
+from orbimpc_ros.sim.vehicle import Model, advance, launched, measured, model_of
 
 ALL_ORDERS = list(itertools.product((2, 3), (1, 2), (1, 2)))
 

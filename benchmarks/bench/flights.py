@@ -14,15 +14,15 @@ from itertools import islice
 import numpy as np
 
 from benchmarks.bench.instances import SEED, Instance
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.response import Response
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.response import Response
 from orbimpc_ros.mpc.problem import Box, Problem, State
-from orbimpc_ros.world.plant import Plant
-from orbimpc_ros.world.rope import Rope
-from orbimpc_ros.world.vehicle import Vehicle, launched, measured
+from orbimpc_ros.sim.plant import Plant
+from orbimpc_ros.sim.rope import Rope
+from orbimpc_ros.sim.vehicle import Vehicle, launched, measured
 
 CIRCLING, CROSSING = 20.0, 4.0  # [s] of each flight
 GRAVITY = np.array([0.0, 0.0, -9.81])  # [m/s^2]

@@ -9,13 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from orbimpc_ros.loop.controller import Controller, Tick
+from orbimpc_ros.loop.forecast import Hold
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.loop.controller import Controller, Tick
-from orbimpc_ros.mpc.loop.forecast import Hold
 from orbimpc_ros.mpc.problem import Box, Problem, State
-from orbimpc_ros.world.flight import Flight, departure, planned
-from orbimpc_ros.world.scenario import retrieval
+from orbimpc_ros.sim.flight import Flight, departure, planned
+from orbimpc_ros.sim.scenario import retrieval
 
 APPROACH = 20  # ticks from the start to the rope and a first turn around it
 SEED = 1

@@ -11,8 +11,8 @@ import sys
 from typing import Any
 
 from benchmarks.faults.stimulus import SLIP
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.ros.planner import node as planner
 
 sound = Controller.tick

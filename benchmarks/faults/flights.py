@@ -49,7 +49,7 @@ class Flying(Session):
         self.test_node.subscribe(Odometry, 'odom', self._on_odometry)
         kept = qos(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.test_node.subscribe(Bool, 'captured', self._on_captured, kept)
-        self.launch('orbimpc_ros.ros.sim', self._values)
+        self.launch('orbimpc_ros.sim', self._values)
         self.start_planner()
 
     def start_planner(self) -> None:

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 
+from orbimpc_ros.loop.controller import Controller
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.loop.controller import Controller
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.tool.io import document
 

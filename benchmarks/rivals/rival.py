@@ -10,11 +10,11 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from orbimpc_ros.loop.controller import Controller, Tick
+from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.mpc.loop.controller import Controller, Tick
-from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Hazard, State
 from orbimpc_ros.ros.parameters.planner import PlannerSettings

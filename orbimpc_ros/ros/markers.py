@@ -12,15 +12,15 @@ from geometry_msgs.msg import Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from orbimpc_ros.loop.traffic.track import centre, placed
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.loop.traffic.track import centre, placed
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Hazard, Problem
 from orbimpc_ros.ros.messages import Stamp, header, point, pose
 from orbimpc_ros.ros.obstacles import shown
 
 if TYPE_CHECKING:  # a planner shows no world
-    from orbimpc_ros.world.flight import Flight
+    from orbimpc_ros.sim.flight import Flight
 
 GREEN, BLUE, RED, GREY, ORANGE = (
     (0.1, 0.6, 0.3, 1.0),

@@ -36,15 +36,15 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 from std_msgs.msg import Header, UInt8MultiArray
 
+from orbimpc_ros.loop.forecast import Itinerary, Sighting
+from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.traffic.courses import Course
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion, heading, to_quaternion
-from orbimpc_ros.mpc.loop.forecast import Itinerary, Sighting
-from orbimpc_ros.mpc.loop.odometry import Odometry
-from orbimpc_ros.mpc.loop.traffic.courses import Course
 from orbimpc_ros.mpc.plan import Plan
-from orbimpc_ros.world.vehicle import Vehicle, measured
+from orbimpc_ros.sim.vehicle import Vehicle, measured
 
 LARGEST = 1e7  # [m], [m/s], [rad/s], [N]: beyond any vehicle; squares stay far from overflow
 QUATERNION_TOLERANCE = 1e-3  # a unit quaternion may be this far off; it is then normalised

@@ -18,10 +18,10 @@ import numpy as np
 from geometry_msgs.msg import Vector3
 from visualization_msgs.msg import Marker, MarkerArray
 
+from orbimpc_ros.loop.traffic.bodies import Seen
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion
-from orbimpc_ros.mpc.loop.traffic.bodies import Seen
 from orbimpc_ros.mpc.problem import Ball, Box
 from orbimpc_ros.ros.messages import (
     LARGEST,

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from orbimpc_ros.loop.traffic.nearest import clearance
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import margins
-from orbimpc_ros.mpc.loop.traffic.nearest import clearance
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.ros.messages import header
 
 if TYPE_CHECKING:  # the simulator reports without a solver, and starts sooner for it
-    from orbimpc_ros.mpc.loop.controller import Tick
+    from orbimpc_ros.loop.controller import Tick
     from orbimpc_ros.mpc.plan import Plan
     from orbimpc_ros.mpc.proof.certificate import Certificate, Refutation
 

@@ -8,14 +8,14 @@ from collections.abc import Iterable
 from typing import Any
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.world.fleet import Member, crossing, members
+from orbimpc_ros.sim.fleet import Member, crossing, members
 
 
 def vehicles(count: int, seed: int = 0) -> dict[str, dict[str, Any]]:
     """Return the parameters in which the simulators of a fleet differ, by namespace: /uav1, ...
 
     Raises:
-        BadInput: as :func:`orbimpc_ros.world.fleet.members`.
+        BadInput: as :func:`orbimpc_ros.sim.fleet.members`.
     """
     return _named(members(count, seed), seed)
 
@@ -24,7 +24,7 @@ def crossers(count: int, seed: int = 0) -> dict[str, dict[str, Any]]:
     """Return the parameters of vehicles that cross over, as :func:`vehicles` does.
 
     Raises:
-        BadInput: as :func:`orbimpc_ros.world.fleet.crossing`.
+        BadInput: as :func:`orbimpc_ros.sim.fleet.crossing`.
     """
     return _named(crossing(count, seed), seed)
 

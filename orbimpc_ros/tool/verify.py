@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from orbimpc_ros.loop.interception import steps_before
 from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.loop.interception import steps_before
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Approach
 from orbimpc_ros.mpc.problem.case import Case, case_of
@@ -35,7 +35,7 @@ from orbimpc_ros.tool.io import bag, document
 from orbimpc_ros.tool.io.files import write_whole
 
 if TYPE_CHECKING:
-    from orbimpc_ros.mpc.loop.controller import Tick
+    from orbimpc_ros.loop.controller import Tick
     from orbimpc_ros.tool.replay.resolving import ReplayedTick
 
 COST, CATCH = 'cost', 'catch'

@@ -18,20 +18,20 @@ import numpy as np
 from nav_msgs.msg import Path as GoalPath
 from rosgraph_msgs.msg import Clock
 
-from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters import planner_settings, sim_settings
 from orbimpc_ros.ros.reports import DISABLED
+from orbimpc_ros.sim.faults import View
+from orbimpc_ros.sim.flight import Flight, departure
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.bag.writer import BagWriter
 from orbimpc_ros.tool.io.share import config
 from orbimpc_ros.tool.io.topics import TYPES, topics_of
 from orbimpc_ros.tool.replay.accept import serialised
 from orbimpc_ros.tool.replay.offline import OfflinePlanner
-from orbimpc_ros.world.faults import View
-from orbimpc_ros.world.flight import Flight, departure
 
 FLIGHTS = {
     'retrieval': ('retrieval', ()),

@@ -21,11 +21,11 @@ from jobs import Values
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.ros.parameters import SimSettings, sim_settings
 from orbimpc_ros.ros.reports import Report
+from orbimpc_ros.sim.airspeed import Airspeeds
+from orbimpc_ros.sim.flight import Flight, departure
+from orbimpc_ros.sim.plant import Plant
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.run.onboard import Planner, tell
-from orbimpc_ros.world.airspeed import Airspeeds
-from orbimpc_ros.world.flight import Flight, departure
-from orbimpc_ros.world.plant import Plant
 
 ROUNDING = 1e-6  # relative
 

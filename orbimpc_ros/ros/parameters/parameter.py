@@ -14,12 +14,12 @@ from rclpy.exceptions import InvalidTopicNameException
 from rclpy.parameter import Parameter
 from rclpy.validate_topic_name import validate_topic_name
 
+from orbimpc_ros.loop.odometry import SOURCES
 from orbimpc_ros.mpc.arrays import ABOVE_ZERO, Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.loop.odometry import SOURCES
 from orbimpc_ros.mpc.problem import Box, Problem
 from orbimpc_ros.ros.messages import THRUST_AXES, Frames
-from orbimpc_ros.world.vehicle import RANGES, model_of
+from orbimpc_ros.sim.vehicle import RANGES, model_of
 
 Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 Values = Mapping[str, Any]

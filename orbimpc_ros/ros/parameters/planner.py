@@ -7,13 +7,13 @@ import math
 from dataclasses import dataclass, replace
 from enum import Enum
 
+from orbimpc_ros.loop.disturbance import DISTURBANCES, ESTIMATED, GIVEN
+from orbimpc_ros.loop.forecast import FORECASTS
+from orbimpc_ros.loop.response import Response
+from orbimpc_ros.loop.safety import SAFE_COMMANDS, decided
+from orbimpc_ros.loop.traffic.courses import Distance
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.loop.disturbance import DISTURBANCES, ESTIMATED, GIVEN
-from orbimpc_ros.mpc.loop.forecast import FORECASTS
-from orbimpc_ros.mpc.loop.response import Response
-from orbimpc_ros.mpc.loop.safety import SAFE_COMMANDS, decided
-from orbimpc_ros.mpc.loop.traffic.courses import Distance
 from orbimpc_ros.mpc.problem import (
     MAX_HORIZON,
     TERMINALS,
@@ -44,7 +44,7 @@ from orbimpc_ros.ros.parameters.parameter import (
     span,
 )
 from orbimpc_ros.ros.transforms import Stated, stated
-from orbimpc_ros.world.scenario import LIMITS, retrieval
+from orbimpc_ros.sim.scenario import LIMITS, retrieval
 
 PROJECTIONS = ('nearest', 'thrust_aligned')
 OBJECTIVES = ('track', 'intercept')

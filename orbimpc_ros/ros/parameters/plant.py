@@ -11,11 +11,11 @@ import numpy as np
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters.parameter import Row, Value, Values, span
-from orbimpc_ros.world.engines import ENGINES, EnginePlant
-from orbimpc_ros.world.gusts import GUST_RANGES, Gusts
-from orbimpc_ros.world.plant import PLANT_RANGES, Plant
-from orbimpc_ros.world.rope import Rope
-from orbimpc_ros.world.vehicle import Model
+from orbimpc_ros.sim.engine_vehicle import ENGINES, EnginePlant
+from orbimpc_ros.sim.gusts import GUST_RANGES, Gusts
+from orbimpc_ros.sim.plant import PLANT_RANGES, Plant
+from orbimpc_ros.sim.rope import Rope
+from orbimpc_ros.sim.vehicle import Model
 
 VEHICLES = ('discrete', 'continuous', *ENGINES)
 # What of a plant a vehicle in an engine has, too, by its order of translation.

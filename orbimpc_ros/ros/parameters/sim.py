@@ -31,12 +31,12 @@ from orbimpc_ros.ros.parameters.parameter import (
 )
 from orbimpc_ros.ros.parameters.plant import PLANT, moved_by
 from orbimpc_ros.ros.process import LIFE
-from orbimpc_ros.ros.sim.readers import wanted_readers
-from orbimpc_ros.world.contact import drifter
-from orbimpc_ros.world.faults import FAULT_RANGES, NO_FAULTS, Faults
-from orbimpc_ros.world.rope import FASTEST, Rope
-from orbimpc_ros.world.scenario import FINISHES, LIMITS, Scenario, retrieval
-from orbimpc_ros.world.vehicle import Model, launched
+from orbimpc_ros.sim.contact import drifter
+from orbimpc_ros.sim.faults import FAULT_RANGES, NO_FAULTS, Faults
+from orbimpc_ros.sim.readers import wanted_readers
+from orbimpc_ros.sim.rope import FASTEST, Rope
+from orbimpc_ros.sim.scenario import FINISHES, LIMITS, Scenario, retrieval
+from orbimpc_ros.sim.vehicle import Model, launched
 
 SHARE = 0.75  # of command_timeout without a sign of life; the rest is for telling
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from orbimpc_ros.mpc.loop.controller import Tick
+from orbimpc_ros.loop.controller import Tick
 from orbimpc_ros.mpc.outcome import Fallback
 
 FIRST, LONGEST = 10.0, 600.0  # [s] until the same is said again; doubled each time

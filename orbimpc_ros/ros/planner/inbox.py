@@ -10,11 +10,11 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from orbimpc_ros.loop.forecast import Forecast, Itinerary, Sighting, forecast_named
+from orbimpc_ros.loop.goals.bank import Bank
+from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.loop.forecast import Forecast, Itinerary, Sighting, forecast_named
-from orbimpc_ros.mpc.loop.goals.bank import Bank
-from orbimpc_ros.mpc.loop.odometry import Odometry
 from orbimpc_ros.ros.clock import UNKNOWN, RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp, read_itinerary, read_odometry, read_sighting
 from orbimpc_ros.ros.parameters.planner import Ageing, PlannerSettings

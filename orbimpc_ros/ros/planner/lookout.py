@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from orbimpc_ros.loop.traffic.bodies import MOST, Bodies
+from orbimpc_ros.loop.traffic.courses import Courses
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.loop.traffic.bodies import MOST, Bodies
-from orbimpc_ros.mpc.loop.traffic.courses import Courses
 from orbimpc_ros.mpc.problem import Hazard
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp, read_course

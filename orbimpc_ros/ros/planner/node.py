@@ -18,9 +18,9 @@ from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.frames import Witness
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.frames import Witness
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.clock import NodeClock
 from orbimpc_ros.ros.halves import HALVES, Halves, Joined

@@ -17,8 +17,8 @@ from rclpy.publisher import Publisher
 from std_msgs.msg import UInt8MultiArray
 from visualization_msgs.msg import MarkerArray
 
+from orbimpc_ros.loop.controller import Tick
 from orbimpc_ros.mpc.command import Command
-from orbimpc_ros.mpc.loop.controller import Tick
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.ros import messages
@@ -27,7 +27,7 @@ from orbimpc_ros.ros.messages import Stamp
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.process import LIFE, Guarded, qos
 from orbimpc_ros.ros.reports import Report, tick_message
-from orbimpc_ros.world.vehicle import Vehicle, advance, launched, model_of
+from orbimpc_ros.sim.vehicle import Vehicle, advance, launched, model_of
 
 KINDS: dict[str, type] = {
     'plan': Path,

@@ -11,14 +11,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
+from orbimpc_ros.loop.controller import Controller, Tick
+from orbimpc_ros.loop.delay import Interval, advanced
+from orbimpc_ros.loop.disturbance import Estimator
+from orbimpc_ros.loop.interception import FARTHEST, Catch, steps_before
+from orbimpc_ros.loop.odometry import Odometry, along_the_air
+from orbimpc_ros.loop.traffic.nearest import nearest
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command
-from orbimpc_ros.mpc.loop.controller import Controller, Tick
-from orbimpc_ros.mpc.loop.delay import Interval, advanced
-from orbimpc_ros.mpc.loop.disturbance import Estimator
-from orbimpc_ros.mpc.loop.interception import FARTHEST, Catch, steps_before
-from orbimpc_ros.mpc.loop.odometry import Odometry, along_the_air
-from orbimpc_ros.mpc.loop.traffic.nearest import nearest
 from orbimpc_ros.mpc.outcome import Reason
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem.sought import Sought

@@ -83,7 +83,7 @@ def _run_alone(args: argparse.Namespace) -> int:
 
 def _require_engine(vehicle: str) -> None:
     """Refuse a vehicle whose engine is not installed, before anything is started."""
-    from orbimpc_ros.world.engines import ENGINES, class_of
+    from orbimpc_ros.sim.engine_vehicle import ENGINES, class_of
 
     if vehicle in ENGINES:
         class_of(vehicle)
@@ -117,10 +117,10 @@ def report(folder: Path, places: Mapping[str, Path]) -> int:
         folder: takes the pictures.
         places: of the flights' bags, by name.
     """
+    from orbimpc_ros.sim.engine_vehicle import ENGINES
     from orbimpc_ros.tool import figures
     from orbimpc_ros.tool.demo import summary
     from orbimpc_ros.tool.io import history
-    from orbimpc_ros.world.engines import ENGINES
 
     flown = {name: history.of_bag(place / 'bag') for name, place in places.items()}
     for name, each in flown.items():

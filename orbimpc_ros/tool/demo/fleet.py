@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.vehicles import crossers, plans, vehicles
+from orbimpc_ros.sim.fleet import separations
 from orbimpc_ros.tool.io import bag, settings
 from orbimpc_ros.tool.io.files import new_folder, writing_to
 from orbimpc_ros.tool.io.settings import Values
 from orbimpc_ros.tool.io.share import config
-from orbimpc_ros.world.fleet import separations
 
 if TYPE_CHECKING:
     from orbimpc_ros.tool.io.history import History

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from orbimpc_ros.ros.parameters.parameter import boxes_of
-from orbimpc_ros.ros.sim.arena import touched_in_words
+from orbimpc_ros.sim.arena import touched_in_words
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.history import History
 

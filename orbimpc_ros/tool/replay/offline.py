@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+from orbimpc_ros.loop.controller import Tick
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.loop.controller import Tick
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp

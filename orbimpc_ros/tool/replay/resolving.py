@@ -13,8 +13,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
 
+from orbimpc_ros.loop.controller import Tick
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.loop.controller import Tick
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from orbimpc_ros.mpc.loop.controller import Controller
-from orbimpc_ros.mpc.loop.odometry import Odometry
+from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
@@ -22,7 +22,7 @@ from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner
 from orbimpc_ros.ros.planner.inbox import Inbox
 from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.ros.reports import Report
-from orbimpc_ros.world.flight import Flight, perfect_sensor
+from orbimpc_ros.sim.flight import Flight, perfect_sensor
 
 PATIENCE = 60.0  # [s]
 EPOCH = 1_700_000_000 * SECOND

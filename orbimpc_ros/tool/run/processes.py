@@ -86,7 +86,7 @@ class Process(Child):
     """A node in a process.
 
     Args:
-        module: to run, such as ``orbimpc_ros.ros.sim.node``.
+        module: to run, such as ``orbimpc_ros.sim.node``.
         parameters: file of ROS parameters.
         log: takes what the process prints.
         domain: of ROS; this process's by default.

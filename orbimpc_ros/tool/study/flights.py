@@ -12,20 +12,20 @@ from typing import Any
 
 import numpy as np
 
+from orbimpc_ros.loop.controller import Controller, Tick
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.loop.controller import Controller, Tick
 from orbimpc_ros.mpc.outcome import Fallback, Status
-from orbimpc_ros.physics.engine import Guided
-from orbimpc_ros.physics.failure import EngineFailure
 from orbimpc_ros.ros.parameters import sim_settings
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.ticker import prepared
+from orbimpc_ros.sim.airspeed import Airspeeds
+from orbimpc_ros.sim.engine_vehicle import EngineVehicle
+from orbimpc_ros.sim.engines.engine import Guided
+from orbimpc_ros.sim.engines.failure import EngineFailure
+from orbimpc_ros.sim.flight import Flight, departure
+from orbimpc_ros.sim.vehicle import Continuous
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.run.onboard import Planner, tell
-from orbimpc_ros.world.airspeed import Airspeeds
-from orbimpc_ros.world.engines import EngineVehicle
-from orbimpc_ros.world.flight import Flight, departure
-from orbimpc_ros.world.vehicle import Continuous
 
 Row = dict[str, Any]
 OURS, WAYPOINT = 'orbitope', 'waypoint'  # this package's controller, an engine's own guidance

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+from orbimpc_ros.loop.forecast import Itinerary
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.outline import sphere
-from orbimpc_ros.mpc.loop.forecast import Itinerary
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.messages import (
     SECOND,

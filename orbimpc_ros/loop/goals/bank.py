@@ -1,0 +1,376 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""A forecast that fits the goal at hand: a bank of motions, each as likely as its evidence.
+
+Work is shared out so that no sighting costs much: of two, the first is gated, summed up, and pays
+for two tasks that make oscillations better known; with the second all families are fitted anew, and
+it is tested whether the goal changed its course.
+
+Mathematics: docs/mathematics.md, 7.4.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orbimpc_ros.loop.goals import families
+from orbimpc_ros.loop.goals.changes import Changes
+from orbimpc_ros.loop.goals.families import (
+    ACCELERATION,
+    CARRIER,
+    DAMPED,
+    NAMES,
+    OSCILLATING,
+    SWING,
+    TINY,
+    TURN,
+)
+from orbimpc_ros.loop.goals.fits import UNKNOWN, Fits, Noise, Past, Placement
+from orbimpc_ros.loop.goals.spectrum import DRIFTING, FIXED, Spectrum
+from orbimpc_ros.loop.observation import Sighting
+from orbimpc_ros.mpc.arrays import Array, sealed
+
+MEMORY, KEPT = 768, 512  # sightings: as many as are remembered, and as survive when they are full
+BELIEVED = 3  # sightings off the forecast, one after another, that are a new motion
+GATE = 6.0  # standard deviations beyond which a sighting is off the forecast
+AGILE = 5.0  # [m/s^2] acceleration that no motion foretells, yet a goal may have
+LOST = 60.0  # [s] unseen for longer, a goal may do anything
+FAR = 1e7  # [m] what is farther away than that is another goal
+SWINGS_FROM = 6  # sightings
+YOUNG = 16  # sightings up to which each is worked on at once, later every other one
+LIKELY, NEGLIGIBLE = 1e-2, 1e-4  # shares
+BETTER, WORSE = 0.9, 1.02  # ratios of misfits at which a family starts anew from another's
+PATIENCE, MOST_TASKS = 0.4, 6  # [s] of waiting that pays for one more task, and how many at most
+STEPS = 4  # of Gauss-Newton on a closer look
+SPEED_OVER = 0.5  # [s]
+WORTHWHILE = 0.01  # units of the noise that a step should gain
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Where a goal will be, and how well that is known.
+
+    Attributes:
+        positions: shape (N, n) [m].
+        covariances: of the goal itself, without the noise of sightings, shape (N, n, n) [m^2].
+        model: the likeliest motion, one of ``families.NAMES``.
+    """
+
+    positions: Array
+    covariances: Array
+    model: str
+
+    def __post_init__(self) -> None:
+        sealed(self.positions)
+        sealed(self.covariances)
+
+
+class Bank:
+    """Predicts a goal from its sightings by all families of motion at once."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget every sighting."""
+        self._last: float | None = None
+        self._n = 0
+        self._covariances: Array | None = None
+        self._apart: list[tuple[float, Array]] = []  # sightings off the forecast so far
+        self._lately: list[tuple[float, Array]] = []
+        self._fastest = 0.0  # speed seen [m/s]
+        self._waiting: list[Placement] = []
+
+    @property
+    def model(self) -> str:
+        """Return the likeliest motion; empty before the first sighting."""
+        return '' if self._last is None else NAMES[int(np.argmax(self._shares))]
+
+    def observe(self, sighting: Sighting) -> None:
+        """Take in a sighting; one that is not finite, or not newer than the last, says nothing."""
+        time, position = float(sighting.time), np.asarray(sighting.position, dtype=float)
+        if not (math.isfinite(time) and np.isfinite(position).all()):
+            return
+        if self._last is not None and time <= self._last:
+            return
+        if self._last is None or len(position) != self._n or time - self._last > LOST:
+            self._begin(np.array([time]), position[None])
+        else:
+            self._learn(time, position, time - self._last)
+        self._last = time
+
+    def at(self, times: Array) -> Array:
+        """Return where the goal will be at ``times``, shape (N,) [s], as shape (N, n) [m]."""
+        return self.predicted(times).positions
+
+    def predicted(self, times: Array) -> Prediction:
+        """Return where the goal will be at ``times``, shape (N,) [s], and how well that is known.
+
+        The mean and covariance of the families' mixture.
+        """
+        used = np.flatnonzero(self._shares > NEGLIGIBLE)
+        if self._covariances is None:
+            self._covariances = self._fits.covariances(used)
+        shares = self._shares[used] / self._shares[used].sum()
+        rates, dampings = self._fits.rates[used, None], self._fits.dampings[used, None]
+        x = families.columns((times - self._epoch)[None], rates, dampings)
+        places = self._within_speeds(x @ self._fitted[used], used, times)
+        mean = (shares @ places.reshape(len(used), -1)).reshape(len(times), -1)
+        pairs = (x[..., :, None] * x[..., None, :]).reshape(len(used), len(times), -1)
+        within = shares @ (pairs @ self._covariances).reshape(len(used), -1)
+        covariances = within.reshape(len(times), self._n, self._n)
+        if len(used) > 1:
+            off = places - mean
+            covariances += np.einsum('k,kti,ktj->tij', shares, off, off)
+        return Prediction(mean + self._origin, covariances, self.model)
+
+    def _within_speeds(self, places: Array, used: NDArray[np.intp], times: Array) -> Array:
+        """Return places no farther from the present ones than the fastest speed seen leads.
+
+        Args:
+            places: of families, shape (K, N, n) [m].
+            used: their numbers, shape (K,).
+            times: shape (N,) [s].
+        """
+        assert self._last is not None
+        rows = self._fits.rows(self._last - self._epoch)[used, None]
+        now = rows @ self._fitted[used]
+        moved, reach = places - now, self._fastest * np.maximum(times - self._last, 0.0)
+        size = np.linalg.norm(moved, axis=2)
+        share = np.where(size > reach, reach / np.maximum(size, TINY), 1.0)
+        share[:, times <= self._last] = 1.0
+        return np.asarray(now + share[..., None] * moved)
+
+    def _note_speed(self, time: float, position: Array) -> None:
+        """Note how fast the goal has moved lately, over half a second or the last two sightings."""
+        self._lately.append((time, position))
+        while len(self._lately) > 2 and time - self._lately[1][0] >= SPEED_OVER:
+            self._lately.pop(0)
+        begun, place = self._lately[0]
+        if time > begun:
+            speed = math.dist(position, place) / (time - begun)
+            self._fastest = max(self._fastest, min(speed, FAR))
+
+    # --- taking in
+
+    def _learn(self, time: float, position: Array, waited: float) -> None:
+        rows = self._fits.rows(time - self._epoch)
+        if not self._expected(position, rows, waited):
+            self._doubt(time, position)
+            return
+        self._apart = []
+        if self._waiting:
+            self._put_waiting()
+            rows = self._fits.rows(time - self._epoch)
+        self._append(time, position, rows)
+        self._work(waited)
+        if self._count == MEMORY:
+            self._shorten()
+
+    def _doubt(self, time: float, position: Array) -> None:
+        """Keep a sighting off the forecast apart; with some more it is a new motion."""
+        self._apart.append((time, position))
+        if len(self._apart) == BELIEVED:
+            times, seen = zip(*self._apart, strict=True)
+            self._begin(np.array(times), np.array(seen), self._fits.noise())
+
+    def _work(self, waited: float) -> None:
+        """Do what is due after a sighting: of two tasks one, or both where there is time.
+
+        Args:
+            waited: since the sighting before [s].
+        """
+        at_leisure, odd = self._count < YOUNG or waited > PATIENCE, self._count % 2
+        if at_leisure or not odd:
+            for _ in range(min(int(waited / PATIENCE), MOST_TASKS) + (1 if at_leisure else 2)):
+                self._refine()
+        if at_leisure or odd:
+            self._put_waiting()
+            self._conclude()
+            if self._changes.found():
+                self._reconsider()
+
+    def _put_waiting(self) -> None:
+        """Put families where tasks want them, now that a fit to all sightings follows."""
+        for each in self._waiting:
+            self._fits.put(each)
+        self._waiting = []
+
+    def _expected(self, position: Array, rows: Array, waited: float) -> bool:
+        """Return whether any motion that is likely at all has the goal near there.
+
+        Args:
+            position: seen, shape (n,) [m].
+            rows: columns of every family then, shape (K, 7).
+            waited: since the last sighting [s].
+        """
+        if _far(position, self._origin):
+            return False
+        off = (rows[:, None, :] @ self._fitted)[:, 0] - (position - self._origin)
+        spread = self._fits.noises * (1.0 + self._fits.spread(rows))
+        allowed = GATE**2 * (spread + (0.5 * AGILE * waited * waited) ** 2)
+        near = np.sum(off * off, axis=1) <= allowed
+        return bool(np.any(near & (self._shares > LIKELY)))
+
+    def _begin(self, times: Array, seen: Array, noise: Noise = UNKNOWN) -> None:
+        """Start afresh with the first sightings of a motion.
+
+        Args:
+            times: shape (M,) [s].
+            seen: positions, shape (M, n) [m].
+            noise: what is known of it from before.
+        """
+        together = [not _far(each, seen[-1]) for each in seen]
+        times, seen = times[together], seen[together]
+        self._n = seen.shape[1]
+        self._epoch, self._origin = float(times[0]), seen[0].copy()
+        self._times, self._seen = np.zeros(MEMORY), np.zeros((MEMORY, self._n))
+        self._fits, self._changes = Fits(self._n, noise), Changes(self._n)
+        self._spectrum: Spectrum | None = Spectrum(self._n)
+        self._count, self._tasks = 0, 0
+        self._apart, self._waiting = [], []
+        for time, position in zip(times, seen, strict=True):
+            self._append(float(time), position, self._fits.rows(time - self._epoch))
+            self._conclude()
+
+    def _append(self, time: float, position: Array, rows: Array) -> None:
+        self._note_speed(time, position)
+        since, place = time - self._epoch, position - self._origin
+        self._times[self._count], self._seen[self._count] = since, place
+        self._count += 1
+        self._fits.add(rows, place)
+        self._changes.note(since, place)
+
+    def _conclude(self) -> None:
+        """Fit, and weigh the families."""
+        self._fits.solve()
+        best = self._fits.evidence.max()
+        shares = np.exp(self._fits.evidence - best)
+        total = shares.sum()
+        self._shares = shares / total
+        self._changes.weigh(best + math.log(total), self._fits.noise())
+        self._fitted: Array = self._fits.fitted
+        self._covariances = None
+
+    def _reconsider(self) -> None:
+        """Start afresh with a new motion, unless an oscillation explains it on a closer look."""
+        if self._count >= SWINGS_FROM and self._spectrum is not None:
+            self._look_closely()
+        new = self._changes.found()
+        if new:
+            times, seen = self._past()
+            begun = times[-new:] + self._epoch, seen[-new:] + self._origin
+            self._begin(*begun, self._changes.noise(new))
+
+    def _shorten(self) -> None:
+        """Drop the oldest sightings; what is known by now is kept, and not searched for again."""
+        times, seen = (each[-KEPT:].copy() for each in self._past())
+        by, offset = float(times[0]), seen[0].copy()
+        self._times[:KEPT], self._seen[:KEPT] = times - by, seen - offset
+        self._epoch, self._origin = self._epoch + by, self._origin + offset
+        self._count, self._spectrum, self._changes = KEPT, None, Changes(self._n)
+        self._fits.begin_later(by, self._past())
+        self._conclude()
+
+    def _past(self) -> Past:
+        return self._times[: self._count], self._seen[: self._count]
+
+    # --- tasks
+
+    def _refine(self) -> None:
+        """Improve one oscillation, or look for others: one task at a time, to bound the cost."""
+        if self._count < SWINGS_FROM:
+            return
+        self._tasks += 1
+        search = (
+            self._read,
+            self._seek_swing,
+            self._seek_carrier,
+            self._seek_damped,
+            self._seek_turn,
+        )
+        if self._tasks % 2 and self._spectrum is not None:
+            search[self._tasks // 2 % len(search)]()
+        else:
+            self._move()
+
+    def _look_closely(self) -> None:
+        """Do at once what is otherwise done over many sightings."""
+        self._read()
+        self._seek_swing()
+        self._seek_carrier()
+        for _ in range(STEPS):
+            self._put_waiting()
+            self._conclude()
+            for family in OSCILLATING:
+                if self._fits.gain[family] > WORTHWHILE:
+                    self._waiting.append(self._fits.moved(family, self._past()))
+            self._put_waiting()
+            self._seek_damped()
+            self._seek_turn()
+        self._put_waiting()
+        self._conclude()
+
+    def _move(self) -> None:
+        """Move the next oscillation whose fit would gain by it, one just placed before others."""
+        turn, fits = self._tasks // 2 % len(OSCILLATING), self._fits
+        raw = [family for family in OSCILLATING if fits.known[family] > fits.weighed[family]]
+        for family in (*raw, *OSCILLATING[turn:], *OSCILLATING[:turn]):
+            if fits.gain[family] > WORTHWHILE:
+                self._waiting.append(fits.moved(family, self._past()))
+                return
+
+    def _read(self) -> None:
+        if self._spectrum is not None:
+            times, seen = self._past()
+            self._spectrum.add(times[self._spectrum.count :], seen[self._spectrum.count :])
+
+    def _seek_swing(self) -> None:
+        self._seek(SWING, FIXED)
+
+    def _seek_carrier(self) -> None:
+        self._seek(CARRIER, DRIFTING)
+
+    def _seek(self, family: int, middle: int) -> None:
+        """Place a family at the best frequency of the spectrum, where that fits better."""
+        if self._spectrum is None or self._spectrum.count < SWINGS_FROM:
+            return
+        rate, misfit = self._spectrum.best(middle)
+        fits = self._fits
+        if not fits.known[family] or misfit < BETTER * fits.misfit[family]:
+            start = np.zeros_like(fits.coefficients[family])
+            self._waiting.append(fits.placed(family, rate, 0.0, start, self._past()))
+
+    def _seek_damped(self) -> None:
+        """Start a damped swing as a swing, where that fits better."""
+        fits = self._fits
+        if self._worse(DAMPED, SWING):
+            self._start(DAMPED, fits.rates[SWING], fits.coefficients[SWING])
+
+    def _seek_turn(self) -> None:
+        """Start a turn as an acceleration bends, or later as a swing, where that fits better."""
+        fits, middle = self._fits, 0.5 * self._times[self._count - 1]
+        bend = families.arc(self._fitted[ACCELERATION], middle)
+        if bend and middle * bend[0] < 1.0:
+            if self._worse(TURN, ACCELERATION):
+                self._start(TURN, *bend)
+        elif self._worse(TURN, SWING):
+            self._start(TURN, fits.rates[SWING], families.circle(fits.coefficients[SWING]))
+
+    def _worse(self, family: int, other: int) -> bool:
+        fits = self._fits
+        return not fits.known[family] or fits.misfit[family] > WORSE * fits.misfit[other]
+
+    def _start(self, family: int, rate: float, coefficients: Array) -> None:
+        if coefficients[families.COSINE].any():
+            placed = self._fits.placed(family, rate, 0.0, coefficients, self._past())
+            self._waiting.append(placed)
+
+
+def _far(one: Array, other: Array) -> bool:
+    """Return whether two positions are too far apart for one motion."""
+    with np.errstate(over='ignore'):
+        return bool(np.abs(one - other).max() > FAR)

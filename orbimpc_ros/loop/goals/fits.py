@@ -1,0 +1,288 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+r"""Fits of all families to one stretch of sightings, kept up to date by sums.
+
+A family's fit is Bayesian and linear about its present coefficients, frequency and damping: with
+the columns X, the residuals E, its Jacobian B and prior precisions \Gamma relative to the noise,
+A = B'(X'X)B + \Gamma and the step is A^-1 B'X'E. The noise is unknown, with a gamma prior on its
+precision, so evidence and spread have closed forms. Frequency and damping move by Gauss-Newton:
+one family at a time, since its sums must then be made anew.
+
+Mathematics: docs/mathematics.md, 7.4.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orbimpc_ros.loop.goals import families
+from orbimpc_ros.loop.goals.families import (
+    COLUMNS,
+    COSINE,
+    FASTEST,
+    NAMES,
+    OSCILLATING,
+    SINE,
+    SLOWEST,
+    TINY,
+)
+from orbimpc_ros.mpc.arrays import Array
+
+MOST_DAMPED = 2.0  # [1/s]
+BENT_FROM = 5  # sightings: through three any change of course is an acceleration
+# Of a few numbers at a time: to import SciPy's takes longer than all that a flight needs of it.
+log_gamma = np.vectorize(math.lgamma, otypes=[float])
+
+
+Past = tuple[Array, Array]  # times, shape (M,) [s], and positions, shape (M, n) [m]
+
+
+class Placement(NamedTuple):
+    """Where a family is to be put.
+
+    Attributes:
+        family: its number.
+        rate: angular frequency [rad/s].
+        damping: [1/s].
+        coefficients: shape (7, n).
+        gram: products of its columns, summed over sightings, shape (7, 7).
+        moments: their products with the positions, shape (7, n).
+        jacobian: shape (P, 7, n).
+        moved: whether it got there by a step, so that its frequency has its price.
+    """
+
+    family: int
+    rate: float
+    damping: float
+    coefficients: Array
+    gram: Array
+    moments: Array
+    jacobian: Array
+    moved: bool
+
+
+class Noise(NamedTuple):
+    """What is known of the noise of sightings: a gamma distribution of its precision.
+
+    Attributes:
+        share: half as many numbers as would tell as much.
+        scale: half the sum of their squares [m^2].
+    """
+
+    share: float
+    scale: float
+
+    @property
+    def variance(self) -> float:
+        """Return the likeliest variance [m^2]."""
+        return self.scale / self.share
+
+
+UNKNOWN = Noise(1.0, 2e-4)  # 1.4 cm, or ten times less or more
+LEAST = 1e-5  # [m^2] variance that is recalled at least
+RECALLED = 8.0  # most that an earlier motion's noise counts for
+
+
+class Fits:
+    """The families fitted to a stretch of sightings.
+
+    Args:
+        n: dimension.
+        noise: what is known of it from before.
+
+    Attributes:
+        known: which families have been placed, shape (K,).
+        weighed: which have also been moved since, so that their frequency has its price, (K,).
+        rates: angular frequencies, shape (K,) [rad/s].
+        dampings: shape (K,) [1/s].
+        coefficients: about which a fit is linear, shape (K, 7, n).
+        count: of sightings.
+        misfit: sums of squared residuals, with what the priors add, shape (K,) [m^2].
+        evidence: logarithms, shape (K,).
+        noises: variance that each family takes sightings to have, shape (K,) [m^2].
+        gain: what the latest step explains, in units of the noise, shape (K,).
+    """
+
+    def __init__(self, n: int, noise: Noise = UNKNOWN) -> None:
+        self._n, self._layout, self._noise = n, families.layout(n), noise
+        size, rows = len(NAMES), self._layout.used.shape[1]
+        self.known = np.ones(size, dtype=bool)
+        self.known[list(OSCILLATING)] = False
+        self.weighed = self.known.copy()
+        self.rates, self.dampings = np.zeros(size), np.zeros(size)
+        self.coefficients = np.zeros((size, COLUMNS, n))
+        self._jacobian = self._layout.constant.copy()
+        self._transposed = np.ascontiguousarray(
+            self._jacobian.transpose(0, 2, 3, 1).reshape(size, COLUMNS, n * rows)
+        )
+        self._pull = np.zeros((size, rows))  # parameters that the priors draw to zero
+        self._gram = np.zeros((size, COLUMNS, COLUMNS))
+        self._moments = np.zeros((size, COLUMNS, n))
+        self._square, self.count = 0.0, 0
+        self.gain = np.zeros(size)
+        self._step, self._root = np.zeros((size, rows)), np.zeros((size, rows, rows))
+        self.misfit = self.noises = self.evidence = np.zeros(size)
+        self._diagonal = np.arange(rows)
+        precision = np.where(self._layout.used, noise.variance * self._layout.precision, 1.0)
+        self._prior = families.ODDS + 0.5 * np.sum(np.log(precision), axis=1)
+        self._free = precision  # but for the place, which may be anywhere
+        self._free[:, :n] = TINY * noise.variance
+
+    def rows(self, time: float) -> Array:
+        """Return the columns of every family at a time, shape (K, 7)."""
+        return families.columns(np.full(len(NAMES), time), self.rates, self.dampings)
+
+    def add(self, rows: Array, position: Array) -> None:
+        """Add a sighting, given its ``rows``, shape (K, 7)."""
+        self._gram += rows[:, :, None] * rows[:, None, :]
+        self._moments += rows[:, :, None] * position
+        self._square += float(position @ position)
+        self.count += 1
+
+    def placed(
+        self,
+        family: int,
+        rate: float,
+        damping: float,
+        coefficients: Array,
+        past: Past,
+        moved: bool = False,
+    ) -> Placement:
+        """Return a family at a frequency, damping and coefficients, with its sums over the past.
+
+        Args:
+            family: its number.
+            rate: [rad/s].
+            damping: [1/s].
+            coefficients: shape (7, n).
+            past: all sightings.
+            moved: whether it got there by a step.
+        """
+        x = families.columns(past[0], rate, damping)
+        rows = families.jacobian(family, coefficients)
+        return Placement(family, rate, damping, coefficients, x.T @ x, x.T @ past[1], rows, moved)
+
+    def put(self, to: Placement) -> None:
+        """Put a family where it is to be; ``solve`` has to follow."""
+        n, family = self._n, to.family
+        self._gram[family], self._moments[family] = to.gram, to.moments
+        self.rates[family], self.dampings[family] = to.rate, to.damping
+        self.coefficients[family] = to.coefficients
+        self.known[family], self.weighed[family] = True, to.moved
+        self._jacobian[family] = to.jacobian
+        self._transposed[family] = to.jacobian.transpose(1, 2, 0).reshape(COLUMNS, -1)
+        first, last = families.shape_rows(family, n)
+        size = self._noise.variance * families.shape_precision(family, to.rate)
+        self._prior[family] += 0.5 * (last - first) * math.log(size / self._free[family, first])
+        self._free[family, first:last] = size
+        if family != families.TURN:
+            self._pull[family, n : 2 * n] = to.coefficients[families.LINEAR]
+            self._pull[family, first:last] = to.coefficients[COSINE : SINE + 1].ravel()
+
+    def moved(self, family: int, past: Past) -> Placement:
+        """Return a family after a Gauss-Newton step, shortened to where linearity ends."""
+        n, step = self._n, self._step[family]
+        span = float(past[0][-1] - past[0][0]) or 1.0
+        rim = np.abs(step[2 * n : 3 * n + 1]).max() if family == families.TURN else 0.0
+        radius = float(np.linalg.norm(self.coefficients[family, COSINE]))
+        step = step / max(1.0, span * np.abs(step[4 * n :]).max(), 2.0 * rim / max(radius, TINY))
+        rate = min(max(self.rates[family] + step[4 * n], SLOWEST), FASTEST)
+        damping = min(max(self.dampings[family] + step[4 * n + 1], 0.0), MOST_DAMPED)
+        coefficients = families.stepped(family, self.coefficients[family], step)
+        return self.placed(family, rate, damping, coefficients, past, True)
+
+    def begin_later(self, by: float, past: Past) -> None:
+        """Count time from ``by`` later [s], and sum up ``past``, what remains, anew.
+
+        Places may be counted from elsewhere as well: every family is linear in where it is.
+        """
+        kept = families.later(self.fitted, self.rates, self.dampings, by)
+        self.count, self._square = len(past[0]), float(np.sum(past[1] * past[1]))
+        x = families.columns(past[0], 0.0, 0.0)  # of families without a frequency, or none yet
+        self._gram[:], self._moments[:] = x.T @ x, x.T @ past[1]
+        for family in OSCILLATING:
+            if self.known[family]:
+                where = self.rates[family], self.dampings[family], kept[family]
+                self.put(self.placed(family, *where, past, bool(self.weighed[family])))
+
+    def solve(self) -> None:
+        """Fit every family to all sightings so far."""
+        size, rows = self._step.shape
+        flat = self._jacobian.reshape(size, rows, -1)
+        residual = self._moments - self._gram @ self.coefficients
+        normal = flat @ (self._gram @ self._transposed).reshape(size, -1, rows)
+        normal[:, self._diagonal, self._diagonal] += self._free
+        pulled = self._free * self._pull
+        slope = (flat @ residual.reshape(size, -1, 1))[:, :, 0] - pulled
+        factor = np.linalg.cholesky(normal)
+        self._root = np.linalg.inv(factor)
+        white = (self._root @ slope[:, :, None])[:, :, 0]
+        self._step = (white[:, None, :] @ self._root)[:, 0]
+        unexplained = self._square - np.sum(
+            self.coefficients * (self._moments + residual), axis=(1, 2)
+        )
+        explained = np.sum(white * white, axis=1)
+        misfit = unexplained + np.sum(pulled * self._pull, axis=1) - explained
+        self.misfit = np.maximum(misfit, 0.0)
+        share, scale = self._noise
+        self.noises = (scale + 0.5 * self.misfit) / (share + 0.5 * self.count * self._n)
+        spread = np.sum(np.log(factor[:, self._diagonal, self._diagonal]), axis=1)
+        data = data_evidence(self.misfit, self.count * self._n, share, scale)
+        self.evidence = self._prior - spread + data
+        self.evidence[~self.weighed] = -np.inf
+        if self.count < BENT_FROM:
+            self.evidence[families.ACCELERATION] = -np.inf
+        self.gain = np.where(self.known, explained / self.noises, 0.0)
+
+    def noise(self) -> Noise:
+        """Return what the likeliest family has taught of the noise, to be recalled later.
+
+        As many numbers as its parameters take are fitted exactly, and teach nothing.
+        """
+        best = int(np.argmax(self.evidence))
+        left = 0.5 * (self.count * self._n - int(self._layout.used[best].sum()))
+        if left <= 0.0:
+            return self._noise
+        share, scale = self._noise.share + left, self._noise.scale + 0.5 * float(self.misfit[best])
+        kept = min(share, RECALLED)
+        return Noise(kept, kept * max(scale / share, LEAST))
+
+    @property
+    def fitted(self) -> Array:
+        """Return the coefficients with the latest step, shape (K, 7, n)."""
+        size, rows = self._step.shape
+        step = (self._step[:, None, :] @ self._jacobian.reshape(size, rows, -1))[:, 0]
+        return self.coefficients + step.reshape(self.coefficients.shape)
+
+    def spread(self, rows: Array) -> Array:
+        """Return the sum of squares of the spread at ``rows``, (K, 7), per unit of noise, (K,)."""
+        size, count = self._step.shape
+        moved = (rows[:, None, :] @ self._transposed).reshape(size, self._n, count)
+        white = moved @ self._root.transpose(0, 2, 1)
+        return np.sum(white * white, axis=(1, 2))
+
+    def covariances(self, used: NDArray[np.intp]) -> Array:
+        """Return the covariances of the coefficients of ``used`` families, (K, 49, n^2) [m^2]."""
+        white = self._root[used] @ self._jacobian[used].reshape(len(used), self._root.shape[1], -1)
+        full = (self.noises[used, None, None] * white.transpose(0, 2, 1)) @ white
+        shape = (len(used), COLUMNS, self._n, COLUMNS, self._n)
+        return full.reshape(shape).swapaxes(2, 3).reshape(len(used), COLUMNS**2, self._n**2)
+
+
+def data_evidence(
+    misfit: Array, numbers: Array | float, share: Array | float, scale: Array | float
+) -> Array:
+    """Return the part of the evidence that the misfit decides; the noise is integrated out.
+
+    Args:
+        misfit: [m^2].
+        numbers: how many were fitted: sightings times dimensions.
+        share: of the prior of the noise.
+        scale: of the same [m^2].
+    """
+    shape = share + 0.5 * numbers
+    prior = share * np.log(scale) - log_gamma(share) - 0.5 * numbers * math.log(2.0 * math.pi)
+    return prior + log_gamma(shape) - shape * np.log(scale + 0.5 * misfit)

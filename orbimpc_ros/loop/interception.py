@@ -1,0 +1,526 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Interception: the earliest step of a plan that can catch the goal, and that none before it can.
+
+To be near a goal on average is not to touch it. For each step k that the goal is within reach of, a
+problem of k steps asks for the least miss |s_k - g_k|, and next to nothing else:
+
+    minimise |s_k - g_k|^2 + r (|u_0|^2 + ... + |u_{k-1}|^2),
+
+with r so small that the inputs of no trajectory cost more than a share of the squared radius.
+Whatever catches the goal at step k then costs at most (1 + share) radius^2: a greater lower bound
+proves that nothing does. The first step whose plan comes well within the radius is aimed at, or
+else the one whose plan comes closest, if that is within the radius.
+
+Where no step of the horizon has a catch, one is looked for beyond it, by as many steps that are
+longer. A vehicle that cannot stop finds so the way out and back to a goal inside its smallest
+circle. It keeps to the time at which it means to catch the goal, unless it can be sooner: whoever
+looks anew each time for any way that leads there may put it off for ever.
+
+Where the problem has a cone of approach, a catch counts only if its last heading is inside of it:
+then "none catches the goal" means none that is headed as it should be. Well within is then a catch
+that is inside of a narrower cone, too.
+
+A catch that was flown towards, and is then lost by little, is still flown at: the forecast, the
+wind and the model of the vehicle are no better than that, and another pass takes long. So is it
+with a plan: flown by the vehicle it ends where the discrete model does not
+(:mod:`orbimpc_ros.loop.defect`), and is made anew for a goal that is so much nearer.
+
+Who can catch the goal at the end of a step, but not of the one before, can perhaps do it in
+between: steps that are a little shorter are tried, where it is known where the goal is then. Who
+cannot wait for it may pass it in between and be near it at neither end: wherever a step could have
+led past, the times within it are tried in turn, so finely that no radius is jumped over. A
+command is obeyed until the next tick, which may come after the first of these steps. Then none is
+tried but where turns are limited, or take place within a step; and none that would turn by more
+than half a turn until then.
+
+The first catch that there is ends at the rim of what counts as well within, no nearer to the goal
+than full speed leads. So it turns at once and as fast as it may, for a centimetre's sake. A vehicle
+whose turns take time to begin, and to end, swings about such plans. On demand a catch is *centred*:
+it ends at the same time, a little short of that, and heads through the middle of the goal. Then
+there is a little to spare, effort decides, and turns are gentle.
+
+Mathematics: docs/mathematics.md, 7.10.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from operator import attrgetter
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.loop.defect import defect
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.geometry.rotations import log
+from orbimpc_ros.mpc.model.dynamics import drift
+from orbimpc_ros.mpc.plan import Plan
+from orbimpc_ros.mpc.problem import Problem, State, Weights
+from orbimpc_ros.mpc.problem.sought import Sought
+from orbimpc_ros.mpc.proof.reach import Reach
+from orbimpc_ros.mpc.solve.request import Enough
+
+AIM = 0.95  # of the radius, within which the plan of a catch ends
+NARROW = 0.5  # of radius and cone, where a heading is asked for: gusts leave some of it
+GRAZE = 1.5  # radii: a goal missed by no more is still flown at
+SLACK = 0.5  # of that, by which a plan that leads through the middle ends before it
+TRIES = 3  # plans for one end, each for a goal moved by the defect of the one before
+WORTH = 0.01  # of the radius, by which another plan for the same end should come nearer
+EFFORT = 0.1  # of the squared radius: what the inputs of a plan cost at most
+LARGEST_CHANGE = 8.0  # of a rotation, |R' - R|_F^2, that of half a turn
+FARTHEST = 4  # times the horizon, to look beyond it
+COARSEST, FINEST = 0.25, 0.0625  # of a step: to what the time of a catch is looked for
+TINY = 1e-9  # [m]
+MEMORY = 256  # problems
+SHARPEST = 0.5 * math.pi  # turn within a step: beyond it the way is a caricature
+
+
+@dataclass(frozen=True)
+class Catch:
+    """How soon the goal can be caught, as far as it is known.
+
+    Attributes:
+        time: when the plan catches it, from its start [s]; nan if no plan was found that does.
+        bound: no trajectory of the problem's own steps catches it at the end of one before this
+            time [s]; that of the first step past the horizon if none catches it at all. Where a
+            catch between two ends is sooner, its time.
+        sought: what both are about.
+        counted: up to when all that the bound rests on was counted again, by code that shares
+            nothing with the methods [s]; beyond that it is their word.
+    """
+
+    time: float
+    bound: float
+    sought: Sought
+    counted: float
+
+    @property
+    def checked(self) -> bool:
+        """Return whether no part of the bound is the methods' word."""
+        return self.bound <= self.counted
+
+
+def steps_before(bound: float, step: float) -> int:
+    """Return how many steps [s] end before a time [s], but for rounding."""
+    return max(0, math.ceil(bound / step - TINY) - 1)
+
+
+def catching(problem: Problem, radius: float, end: float) -> Problem:
+    """Return the problem of coming as close as possible to the goal at a time.
+
+    Args:
+        problem: what is solved where nothing is to be caught, with the cone of approach.
+        radius: within which the goal is caught [m].
+        end: when, counted in steps of ``problem``. Within a step all are shorter; beyond the
+            horizon as many are longer, and turns within them are integrated, however the shorter
+            ones are.
+    """
+    steps = min(math.ceil(end), problem.horizon)
+    length = problem.step if end == steps else problem.step * end / steps
+    how = 'exact' if end > steps else problem.discretisation
+    change = LARGEST_CHANGE / length**2
+    if problem.rotation_order == 2:
+        change *= 4.0 / length**2  # a change, and back
+    weights = Weights(0.0, EFFORT * radius**2 / (steps * change), 0.0, 1.0)
+    return replace(problem, horizon=steps, step=length, discretisation=how, weights=weights)
+
+
+class Target(NamedTuple):
+    """When a goal is to be caught, counted in steps, and whether inside of the narrower cone."""
+
+    end: float
+    narrow: bool = False
+
+
+@dataclass(frozen=True)
+class Hunt:
+    """What an interception is looked for with, ends being counted in steps from the start.
+
+    Attributes:
+        state: where the plan starts.
+        goals: returns where the goal is at the ends of the steps that lead to an end, shape
+            (N or less, n) [m].
+        solved: returns a checked plan for a :class:`Target` and its goals, or whether it is proved
+            that there is none.
+        late: returns whether time is up; what is found by then counts.
+        farthest: the last end that the goal is known at.
+        between: whether it is known between the ends of steps as well.
+        pause: between ticks, in steps.
+        expected: the end at which the goal was to be caught so far, not above 0 if none.
+        flown_on: returns the rest of the plan before for a target and its goals, if it holds.
+    """
+
+    state: State
+    goals: Callable[[float], Array]
+    solved: Callable[[Target, Array], Plan | bool]
+    late: Callable[[], bool]
+    farthest: int
+    between: bool = False
+    pause: float = math.inf
+    expected: float = 0.0
+    flown_on: Callable[[Target, Array], Plan | None] | None = None
+
+
+class Interception:
+    """Looks for the earliest catch.
+
+    Args:
+        problem: what is solved where no catch is found, with the cone of approach of a catch.
+        radius: within which the goal is caught [m].
+        lag: of the speed [s].
+        centred: whether a catch leads through the middle of the goal, with a little to spare.
+
+    Attributes:
+        farthest: the last end at which a catch is looked for.
+        problem: returns the problem of :func:`catching` the goal at a :class:`Target`.
+    """
+
+    def __init__(
+        self, problem: Problem, radius: float, lag: float = 0.0, *, centred: bool = False
+    ) -> None:
+        self._tracked, self._radius, self._lag = problem, radius, lag
+        self._centred = centred
+        self._step, self._horizon = problem.step, problem.horizon
+        self.farthest = _farthest(problem)
+        self._finest = _finest(problem, radius)
+        self._divides = problem.rotation_order == 1  # at order 2, what coasts does so for a step
+        self._turns_within = problem.max_rate > 0.0 or problem.discretisation != 'euler'
+        self._coned = problem.approach.exists
+        self._aim = (NARROW if self._coned else AIM) * radius
+        self._reach = Reach(problem)
+        self.problem = lru_cache(maxsize=MEMORY)(self._problem)
+
+    def _problem(self, target: Target) -> Problem:
+        """Return the problem of :func:`catching` the goal."""
+        made = catching(self._tracked, self._radius, target.end)
+        if not target.narrow:
+            return made
+        return replace(made, approach=replace(made.approach, cone=NARROW * made.approach.cone))
+
+    @property
+    def targets(self) -> list[Target]:
+        """Return what nearly every search tries: the ends of the steps within the horizon."""
+        kinds = (False, True) if self._coned else (False,)
+        return [Target(end, narrow) for end in range(1, self._horizon + 1) for narrow in kinds]
+
+    def enough(self, end: float) -> Enough:
+        """Return what settles whether the goal is caught at an end.
+
+        Past the horizon any way will do; within it the best one is wanted.
+        """
+        squared = self._radius**2
+        well = self._well(end) ** 2 if end > self._horizon else -math.inf
+        return Enough(well, (1.0 + EFFORT) * squared)
+
+    def earliest(self, hunt: Hunt) -> tuple[Plan | None, Catch]:
+        """Return the plan of the earliest catch, if one is found, and how early one can be.
+
+        Where the catch that was flown towards has just been lost, it is the plan of the nearest
+        miss, without a time, if that is by little.
+        """
+        rest = self._flown_on(hunt)  # takes no search, whatever time is left
+        kept = rest if rest.miss <= self._radius else self._kept(hunt, rest)
+        best, bound, counted = self._in_view(hunt)
+        near = self._radius < best.miss <= GRAZE * self._radius
+        sought = Sought(self._tracked, hunt.state, hunt.goals(self._horizon), self._radius)
+        never = Catch(math.nan, self._step * bound, sought, self._step * counted)
+        if near and 0 < hunt.expected <= self._horizon:
+            return best.plan, never
+        if best.miss > self._radius:  # not even nearly
+            best = self._sooner(hunt, kept) if kept.plan else self._beyond(hunt)
+        if best.plan is None:
+            return (rest.plan if rest.miss <= GRAZE * self._radius else None), never
+        if best.end == int(best.end) and self._is_well(best):
+            best = self._within(hunt, best)
+        if self._centred and self._is_well(best):
+            best = self._through_the_middle(hunt, best)
+        first = min(bound, best.end)
+        known = self._step * min(counted, first)
+        when = best.end if best.miss <= self._radius else math.nan
+        catch = Catch(self._step * when, self._step * first, sought, known)
+        return best.plan, catch
+
+    def _in_view(self, hunt: Hunt) -> tuple[_Attempt, int, int]:
+        """Return the first catch in the horizon, or the nearest miss, and the bound in steps.
+
+        Then up to where that was counted again. Each end before the bound is proved to have no
+        catch by itself: that there is none at an end says nothing of those before it.
+        """
+        bound, counted, best = 1, 1, MISSED
+        goals = hunt.goals(self._horizon)
+        too_far = self._too_far(hunt.state, goals, self._tracked)
+        surely = self._reach.misses(hunt.state, goals, self._radius)
+        travel = self._travel(goals)
+        for end in range(1, self._horizon + 1):
+            attempt = NEVER if too_far[end - 1] else self._tried(hunt, end, goals[:end])
+            if self._is_well(attempt):
+                return attempt, bound, counted
+            bound += bound == end and attempt.never
+            known = attempt.checked or bool(surely[end - 1])
+            counted += counted == end and attempt.never and known
+            if attempt.miss <= self._radius + travel:
+                attempt = min(attempt, self._passing(hunt, end), key=_miss)
+            best = min(best, attempt, key=_miss)
+            if self._is_well(best):
+                break
+        return best, bound, counted
+
+    def _flown_on(self, hunt: Hunt) -> _Attempt:
+        """Return what becomes of the goal when the plan before is flown to its end."""
+        end = hunt.expected
+        whole = end.is_integer()
+        if not (hunt.flown_on and 0.0 < end <= hunt.farthest and (whole or self._may(hunt, end))):
+            return MISSED
+        target, goals = Target(end), hunt.goals(end)
+        plan = hunt.flown_on(target, goals)
+        if plan is None or _first_turn(plan) > max(whole, end / math.ceil(end)) * math.pi:
+            return MISSED
+        return _Attempt(plan, end, float(np.linalg.norm(self._off(hunt, target, plan, goals))))
+
+    def _kept(self, hunt: Hunt, rest: _Attempt) -> _Attempt:
+        """Try to catch the goal past the horizon when it was to be caught so far, or nearly so."""
+        end = COARSEST * math.ceil(hunt.expected / COARSEST)
+        anew = self._surely(hunt, end) if end <= hunt.farthest else MISSED
+        return anew if anew.plan is not None or rest.miss > GRAZE * self._radius else rest
+
+    def _beyond(self, hunt: Hunt) -> _Attempt:
+        """Try to catch the goal past the horizon.
+
+        How much later than so far is doubled until a catch is found, and then halved.
+        """
+        missed = max(self._horizon, min(math.ceil(hunt.expected), hunt.farthest))
+        for end in _doubling(missed, hunt.farthest):
+            found = self._surely(hunt, end)
+            if found.plan is not None:
+                return self._between(hunt, missed, found)
+            missed = end
+        return MISSED
+
+    def _sooner(self, hunt: Hunt, found: _Attempt) -> _Attempt:
+        """Return a sooner catch than the one found, by twice as much each time, if there is one."""
+        for away in (1, 2, 4, 8):
+            sooner = self._surely(hunt, max(self._horizon, math.ceil(found.end) - away))
+            if sooner.plan is None:
+                break
+            found = sooner
+        return found
+
+    def _between(self, hunt: Hunt, missed: float, found: _Attempt) -> _Attempt:
+        """Return the first catch that halving finds between a miss and a catch."""
+        while found.end - missed > 1:
+            middle = (missed + found.end) // 2
+            sooner = self._surely(hunt, middle)
+            if sooner.plan is None:
+                missed = middle
+            else:
+                found = sooner
+        return found
+
+    def _within(self, hunt: Hunt, found: _Attempt) -> _Attempt:
+        """Return the first catch that halving finds within the step at whose end one is found."""
+        away = 0.5
+        while away >= self._finest:
+            sooner = self._at(hunt, found.end - away, self._radius)
+            if self._is_well(sooner):
+                found = sooner
+            away *= 0.5
+        return found
+
+    def _through_the_middle(self, hunt: Hunt, found: _Attempt) -> _Attempt:
+        """Return the catch that leads through the middle of the goal, if there is one.
+
+        It ends at the same time, before the goal by what that is short of it, and a little more.
+        """
+        target, goals = Target(found.end, narrow=self._coned), hunt.goals(found.end)
+        if found.plan is None or len(goals) < 2:  # too late to change much
+            return found
+        passed = np.diff(found.plan.positions[-2:], axis=0)[0] - np.diff(goals[-2:], axis=0)[0]
+        ahead = passed / max(float(np.linalg.norm(passed)), TINY)
+        off = self._off(hunt, target, found.plan, goals)
+        short = max(min(0.0, float(off @ ahead)) - SLACK * self._aim, -AIM * self._radius)
+        before = np.concatenate([goals[:-1], goals[-1:] + short * ahead])
+        through = self._attempted(hunt, target, before, GRAZE * self._radius)
+        if through.plan is None or not self._is_well(through):
+            return found
+        miss = float(np.linalg.norm(self._off(hunt, target, through.plan, goals)))
+        return found._replace(plan=through.plan, miss=miss) if miss <= self._radius else found
+
+    def _off(self, hunt: Hunt, target: Target, plan: Plan, goals: Array) -> Array:
+        """Return how far from the goal a vehicle ends that flies a plan, shape (n,) [m]."""
+        astray = defect(self.problem(target), hunt.state, plan, self._lag)
+        return np.asarray(plan.positions[-1] + astray - goals[-1])
+
+    def _passing(self, hunt: Hunt, end: int) -> _Attempt:
+        """Return the first catch in the step before an end that has none, or the nearest miss.
+
+        Who cannot wait for the goal passes it between the ends of steps.
+        """
+        best = MISSED
+        for away in np.arange(1.0 - self._finest, 0.0, -self._finest):
+            best = min(best, self._at(hunt, float(end - away), GRAZE * self._radius), key=_miss)
+            if self._is_well(best):
+                break
+        return best
+
+    def _at(self, hunt: Hunt, end: float, near: float) -> _Attempt:
+        """Try to catch the goal between the ends of steps, as in :meth:`_attempted`."""
+        if not self._may(hunt, end):
+            return MISSED
+        target, goals = Target(end, narrow=self._coned), hunt.goals(end)
+        if self._too_far(hunt.state, goals, self.problem(target))[-1]:
+            return NEVER
+        found = self._attempted(hunt, target, goals, near)
+        if found.plan is not None and _first_turn(found.plan) > end / math.ceil(end) * math.pi:
+            return MISSED
+        return found
+
+    def _may(self, hunt: Hunt, end: float) -> bool:
+        """Return whether a catch may be looked for between the ends of steps."""
+        allowed = self._turns_within or end / math.ceil(end) >= hunt.pause
+        return hunt.between and self._divides and allowed
+
+    def _is_well(self, attempt: _Attempt) -> bool:
+        return attempt.miss <= self._well(attempt.end)
+
+    def _well(self, end: float) -> float:
+        """Return within what a catch at an end is well within the radius [m]."""
+        return self._aim if end <= self._horizon else NARROW * self._radius
+
+    def _travel(self, goals: Array) -> float:
+        """Return how far a step takes a vehicle past the goal at most [m]."""
+        moved = np.linalg.norm(np.diff(goals, axis=0), axis=1)
+        return self._step * self._tracked.forward + float(moved.max(initial=0.0))
+
+    def _surely(self, hunt: Hunt, end: float) -> _Attempt:
+        """Try to come well within the radius at an end past the horizon."""
+        if end <= self._horizon:
+            return MISSED
+        target, goals = Target(end, narrow=self._coned), hunt.goals(end)
+        if self._too_far(hunt.state, goals, self.problem(target))[-1]:
+            return MISSED
+        attempt = self._attempted(hunt, target, goals, self._radius)
+        return attempt if self._is_well(attempt) else MISSED
+
+    def _tried(self, hunt: Hunt, end: int, goals: Array) -> _Attempt:
+        """Try to catch the goal at an end, given where it is at the steps that lead there.
+
+        What only the wider cone allows is not well within, however close it comes.
+        """
+        near = GRAZE * self._radius
+        if not self._coned:
+            return self._attempted(hunt, Target(end), goals, near)
+        within = self._attempted(hunt, Target(end, narrow=True), goals, near)
+        if self._is_well(within):
+            return within
+        wider = self._attempted(hunt, Target(end), goals, near)
+        wider = wider._replace(miss=max(wider.miss, self._radius))
+        found = min(within, wider, key=_miss)
+        return found._replace(never=wider.never, checked=wider.checked)
+
+    def _attempted(self, hunt: Hunt, target: Target, goals: Array, near: float) -> _Attempt:
+        """Try to catch the goal at an end, less the defect of the plans towards it.
+
+        Plans are made again where they are expected to miss by less than the one before, and by no
+        more than counts as ``near`` [m].
+        """
+        found, aims = MISSED, goals
+        for _ in range(TRIES):
+            plan = not hunt.late() and hunt.solved(target, aims)
+            if isinstance(plan, bool):
+                return NEVER if plan and aims is goals else found
+            end = plan.positions[-1]
+            astray = defect(self.problem(target), hunt.state, plan, self._lag)
+            miss = float(np.linalg.norm(end + astray - goals[-1]))
+            if aims is goals:  # what is proved is about the goal itself
+                never = plan.proof.lower_bound > self.enough(target.end).bound
+                found = _Attempt(plan, target.end, miss, never, plan.proof.checked)
+            elif miss < found.miss:
+                found = found._replace(plan=plan, miss=miss)
+            left, change = aims[-1] - end, goals[-1] - astray - aims[-1]
+            worth = min(near, miss - WORTH * self._radius)
+            if self._is_well(found) or self._expected(target, left, change, miss) > worth:
+                break
+            aims = np.concatenate([goals[:-1], aims[-1:] + change])
+        return found
+
+    def _expected(self, target: Target, left: Array, change: Array, miss: float) -> float:
+        """Return how near a plan will come to the goal if what is aimed at changes [m].
+
+        To first order, where the last one came as near to its aim as any; no plan for an aim that
+        changes by so much, which the defect does then too, is nearer by more than twice that.
+
+        Args:
+            target: of both.
+            left: from the end of the last plan to what it was aimed at, shape (n,) [m].
+            change: of that aim, shape (n,) [m].
+            miss: of the last plan, flown [m].
+        """
+        away, size = math.sqrt(left @ left), math.sqrt(change @ change)
+        if away <= self._well(target.end):  # where any way will do, there may be nearer ones
+            return miss - 2.0 * size
+        return float(away + change @ left / max(away, size))
+
+    def _too_far(self, state: State, goals: Array, problem: Problem) -> np.ndarray:
+        """Return at the end of which steps the goal is out of reach, whatever the headings (7.10b).
+
+        The problem that is tracked tells it of all ends within the horizon at once.
+        """
+        reach = np.abs(problem.maps.reach).sum(axis=1)
+        away = goals - drift(problem, state)
+        return np.asarray(np.sqrt(np.einsum('kc,kc->k', away, away)) > reach + self._radius)
+
+
+def _first_turn(plan: Plan) -> float:
+    """Return the angle that a plan turns by in its first step [rad]."""
+    return float(np.linalg.norm(log(plan.projected[0].T @ plan.projected[1])))
+
+
+class _Attempt(NamedTuple):
+    """A plan that comes as close to the goal at an end as was found, and whether none catches it.
+
+    Without a plan, it misses by infinity, and the end is 0. That none does is ``checked`` where it
+    was counted again.
+    """
+
+    plan: Plan | None = None
+    end: float = 0
+    miss: float = math.inf
+    never: bool = False
+    checked: bool = False
+
+
+MISSED = _Attempt()
+NEVER = _Attempt(never=True)  # too far away, or nothing leads into the cone of approach
+_miss = attrgetter('miss')
+
+
+def _farthest(problem: Problem) -> int:
+    """Return the last end, in steps, at which a catch is looked for.
+
+    Steps get no longer where a box between their ends would not be seen.
+    """
+    if problem.rotation_order == 2 or problem.boxes:
+        return problem.horizon
+    longest = FARTHEST * problem.step
+    if problem.max_rate:
+        longest = min(longest, max(problem.step, SHARPEST / problem.max_rate))
+    return int(problem.horizon * longest / problem.step)
+
+
+def _finest(problem: Problem, radius: float) -> float:
+    """Return the share of a step in which a vehicle flies no farther than a radius [m], bounded."""
+    share = radius / (problem.step * problem.forward)
+    return float(min(COARSEST, max(FINEST, 2.0 ** math.floor(math.log2(share)))))
+
+
+def _doubling(first: int, last: int) -> Iterator[int]:
+    """Return ends after ``first``, twice as far away each, and the last of all."""
+    away = 1
+    while first + away < last:
+        yield first + away
+        away *= 2
+    if first < last:
+        yield last

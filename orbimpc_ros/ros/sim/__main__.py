@@ -1,9 +1,0 @@
-# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""``python -m orbimpc_ros.ros.sim``, the same as the installed executable."""
-
-import sys
-
-from orbimpc_ros.ros.entry import sim
-
-if __name__ == '__main__':
-    sys.exit(sim())

@@ -1,0 +1,191 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""JSBSim's Cessna 172P on its own autopilot.
+
+The aircraft ``c172x`` comes with two autopilots, both of which are on: the altitude hold of
+``c172ap.xml``, and the roll channel of ``systems/Autopilot.xml``, which banks as far as the heading
+is off, by 30 degrees at most, and rolls at 10 degrees a second at most. Both are left as they are.
+
+A turn is commanded by a heading: the one that is off by the bank of a coordinated turn,
+tan(bank) = turn * speed / g. The autopilots leave the throttle alone. It is set to what JSBSim's
+own trim takes at the speed that is commanded, with a share of what the speed is off on top.
+"""
+
+from __future__ import annotations
+
+import math
+
+import jsbsim
+import numpy as np
+
+from orbimpc_ros.sim.engines.engine import Array, Motion, NoStart, Start
+from orbimpc_ros.sim.engines.failure import EngineFailure
+
+FOOT = 0.3048  # [m]
+GRAVITY = 9.80665  # [m/s^2]
+RATE = 120.0  # [Hz] of JSBSim's own scripts for the aircraft
+READ = 6  # steps between two motions that are returned
+HEIGHT = 1000.0  # [ft] above the ground: up to there, turbulence is a tenth of the wind at 20 ft
+EAST, NORTH = 6378137.0 + HEIGHT * FOOT, 6335439.0 + HEIGHT * FOOT  # [m] WGS 84 at 0 N, 0 E
+SPEEDS = (30.0, 34.0, 38.0, 42.0, 46.0, 50.0, 54.0, 58.0)  # [m/s] through the air
+THROTTLES = (0.5558, 0.5707, 0.6022, 0.6410, 0.6824, 0.7233, 0.7650, 0.8052)  # trimmed at them
+CORRECTION = 0.05  # of the throttle, for each m/s that the speed is off
+MILITARY = 3  # turbulence by MIL-F-8785C, Dryden's spectra
+LIGHT = 3.0  # how severe it is above 1,000 ft; with 0 there is none anywhere
+
+
+def _begun(start: Start) -> dict[str, float]:
+    """Return the initial conditions: wings level, in the air that moves."""
+    speed, axis, wind = start.push, start.attitude[:, 0], start.wind
+    heading, over_ground = math.atan2(axis[1], axis[0]), speed * axis + wind
+    return {
+        'simulation/randomseed': start.seed,
+        'ic/h-agl-ft': HEIGHT,
+        'ic/lat-geod-deg': 0.0,
+        'ic/long-gc-deg': 0.0,
+        'ic/psi-true-rad': (0.5 * math.pi - heading) % (2.0 * math.pi),
+        'ic/vw-mag-fps': float(np.linalg.norm(wind)) / FOOT,
+        'ic/vw-dir-deg': math.degrees(math.atan2(wind[0], wind[1])) % 360.0,  # where it blows to
+        'ic/ve-fps': over_ground[0] / FOOT,
+        'ic/vn-fps': over_ground[1] / FOOT,
+        'fcs/throttle-cmd-norm': float(np.interp(speed, SPEEDS, THROTTLES)),
+    }
+
+
+def _engaged(turbulence: float) -> dict[str, float]:
+    """Return what begins once the aircraft is trimmed: both autopilots, and turbulence [m/s]."""
+    return {
+        'atmosphere/turb-type': MILITARY,
+        'atmosphere/turbulence/milspec/severity': LIGHT,
+        'atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps': 10.0 * turbulence / FOOT,
+        'ap/altitude_setpoint': HEIGHT,
+        'ap/altitude_hold': 1.0,
+        'ap/autopilot-roll-on': 1.0,
+        'ap/roll-attitude-mode': 1.0,
+        'guidance/heading-selector-switch': 1.0,
+    }
+
+
+class Cessna:
+    """The aircraft in flight, trimmed at the start.
+
+    Args:
+        start: in the plane, east and north; its gust is the strength of the turbulence.
+
+    Raises:
+        NoStart: there is no level flight at that speed.
+    """
+
+    name = 'jsbsim'
+    tick = 1.0 / RATE
+
+    def __init__(self, start: Start) -> None:
+        self._place = start.position
+        jsbsim.FGJSBBase().debug_lvl = 0  # of all that is made from now on: no banner
+        self._fdm = jsbsim.FGFDMExec(jsbsim.get_default_root_dir())
+        self._fdm.load_model('c172x')
+        self._fdm.set_dt(self.tick)
+        self._set(_begun(start))
+        self._fdm.run_ic()
+        self._set({'propulsion/set-running': -1.0})
+        try:
+            self._set({'simulation/do_simple_trim': 1.0})
+        except jsbsim.TrimFailureError as error:
+            why = f'{self.name}: no level flight at {start.push:g} m/s'
+            raise NoStart('start.speed_fraction', why) from error
+        self._set(_engaged(start.gust))
+
+    def _set(self, values: dict[str, float]) -> None:
+        for name, value in values.items():
+            self._fdm[name] = value
+
+    def steer_to(self, point: Array) -> None:
+        """Have the aircraft's own guidance fly to a waypoint, and no longer obey turns.
+
+        Args:
+            point: east and north, shape (2,) [m].
+        """
+        east, north = np.asarray(point, dtype=float) - self._place
+        self._set(
+            {
+                'guidance/heading-selector-switch': 0.0,
+                'guidance/target_wp_longitude_rad': east / EAST,
+                'guidance/target_wp_latitude_rad': north / NORTH,
+            }
+        )
+
+    def run(self, span: float, push: float, rate: Array) -> list[Motion]:
+        """Fly for a time and return the motions on the way, the last one at its end.
+
+        Args:
+            span: how long, rounded to steps of the engine [s].
+            push: commanded, the speed through the air [m/s].
+            rate: commanded, to the left, shape (1,) [rad/s].
+
+        Raises:
+            EngineFailure: the engine has stopped.
+        """
+        motions, count = [], max(1, round(span * RATE))
+        for k in range(1, count + 1):
+            self._steer(push, float(rate[0]))
+            if not self._fdm.run():
+                raise EngineFailure(f'{self.name}: stopped at t = {self._time:.3f} s')
+            if k % READ == 0 or k == count:
+                motions.append(self.motion())
+        return motions
+
+    def _steer(self, speed: float, turn: float) -> None:
+        fdm, now = self._fdm, self._fdm['velocities/vt-fps'] * FOOT
+        bank = math.atan(turn * now / GRAVITY)  # to the left, where headings go down
+        throttle = np.interp(speed, SPEEDS, THROTTLES) + CORRECTION * (speed - now)
+        fdm['guidance/specified-heading-rad'] = fdm['attitude/psi-rad'] - bank
+        fdm['fcs/throttle-cmd-norm'] = min(max(float(throttle), 0.0), 1.0)
+
+    @property
+    def _time(self) -> float:
+        return float(self._fdm['simulation/sim-time-sec'])
+
+    def motion(self) -> Motion:
+        """Return how the aircraft moves now.
+
+        ``bank`` is to the left; ``turn`` is that of a coordinated turn at this bank, as an
+        instrument shows it: what the tail takes out again after a gust is not in it.
+        """
+        fdm = self._fdm
+        bank, speed = -float(fdm['attitude/phi-rad']), fdm['velocities/vt-fps'] * FOOT
+        way = [EAST * fdm['position/long-gc-rad'], NORTH * fdm['position/lat-geod-rad']]
+        high = (fdm['position/h-agl-ft'] - HEIGHT) * FOOT
+        return Motion(
+            self._time,
+            np.append(self._place + way, high),
+            self._enu('velocities/v-{}-fps'),
+            _attitude(*(fdm[f'attitude/{name}-rad'] for name in ('phi', 'theta', 'psi'))),
+            np.array([fdm[f'velocities/{axis}-rad_sec'] for axis in 'pqr']) * [1.0, -1.0, -1.0],
+            self._enu('atmosphere/total-wind-{}-fps'),
+            speed,
+            {
+                'bank': bank,
+                'turn': GRAVITY * math.tan(bank) / speed,
+                'throttle': float(fdm['fcs/throttle-cmd-norm']),
+            },
+        )
+
+    def _enu(self, name: str) -> Array:
+        """Return a vector of the engine in our axes, in metres."""
+        north, east, down = (self._fdm[name.format(each)] for each in ('north', 'east', 'down'))
+        return FOOT * np.array([east, north, -down])
+
+
+def _attitude(roll: float, pitch: float, compass: float) -> Array:
+    """Return the attitude, body to world, of Euler's angles in the axes of aircraft [rad]."""
+    yaw = 0.5 * math.pi - compass
+    return _about(2, yaw) @ _about(1, -pitch) @ _about(0, roll)
+
+
+def _about(axis: int, angle: float) -> Array:
+    """Return the rotation about an axis by an angle [rad]."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    rotation = np.eye(3)
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    rotation[first, first] = rotation[second, second] = cos
+    rotation[first, second], rotation[second, first] = -sin, sin
+    return rotation

@@ -1,0 +1,342 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""A Hummingbird by RotorPy in MuJoCo, that catches a rope with a hook on its nose.
+
+MuJoCo moves the bodies, the rope among them, and finds the contacts. What the rotors and the air do
+to the vehicle is RotorPy's: the parameters of the AscTec Hummingbird, the wrench on its body, and
+the geometric controller that flies it. All of these are left as they are.
+
+The controller tracks a setpoint, which moves in the plane of flight as it is commanded: forward, at
+a speed, and turning. Nothing else is ours but the shape of the hook, the rope, and the gusts.
+
+The rope hangs from a point above: 25 links on ball joints, and a weight at its end. It is let go
+aside, and swings; MuJoCo's own drag on each link is what wind does to it. Seen from the vehicle it
+is where it crosses the plane of flight, or its end if it is all above.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from rotorpy.controllers.quadrotor_control import SE3Control
+from rotorpy.vehicles.hummingbird_params import quad_params
+from rotorpy.vehicles.multirotor import Multirotor
+
+from orbimpc_ros.sim.engines.engine import Array, Motion, NoStart, Start
+from orbimpc_ros.sim.engines.failure import EngineFailure
+
+STEP = 0.002  # [s] of MuJoCo
+CONTROL = 2  # steps from one command to the rotors to the next
+READ = 5  # commands to the rotors between two motions that are returned
+LINKS, LINK = 25, 0.1  # links and the length of one [m]
+ABOVE = 2.0  # [m] from the plane of flight to where the rope hangs from
+FARTHEST = 1.2  # [m] aside in the plane of flight, where the rope is let go
+FASTEST = 1.5  # [rad/s] turn on the way to a waypoint
+QUICKEST, SHARPEST = 3.0, 6.0  # the setpoint's speed and turn change no faster [m/s^2, rad/s^2]
+NOSE = np.array([0.45, 0.0, 0.0])  # [m] the middle of the hook, in the body
+MEMORY = 1.0  # [s] of gusts
+SIZE = 480, 720  # [px] height and width of pictures
+
+SCENE = """
+<mujoco model="hummingbird and rope">
+  <option timestep="{step}" density="1.2" viscosity="1.8e-5"/>
+  <visual>
+    <global offwidth="960" offheight="640"/>
+    <headlight ambient="0.5 0.5 0.5" diffuse="0.4 0.4 0.4" specular="0 0 0"/>
+  </visual>
+  <asset>
+    <texture type="skybox" builtin="gradient" rgb1="1 1 1" rgb2="0.7 0.8 0.9"
+             width="64" height="64"/>
+  </asset>
+  <default>
+    <default class="vehicle">
+      <geom contype="1" conaffinity="0" fluidshape="ellipsoid" fluidcoef="0 0 0 0 0"/>
+    </default>
+    <default class="link">
+      <joint type="ball" damping="2e-4"/>
+      <geom type="capsule" contype="0" conaffinity="1" fromto="0 0 0 0 0 -{link}" size="0.006"
+            mass="0.005" rgba="0.85 0.45 0.1 1"/>
+    </default>
+  </default>
+  <worldbody>
+    <light pos="0 0 4" dir="0.2 0.3 -1" directional="true" diffuse="0.3 0.3 0.3"/>
+    <geom name="ground" type="plane" size="20 20 0.1" pos="0 0 -2" contype="0" conaffinity="0"
+          rgba="0.8 0.82 0.85 1"/>
+    <body name="vehicle" pos="0 0 0" childclass="vehicle">
+      <freejoint/>
+      <inertial pos="0 0 0" mass="{mass}" diaginertia="{inertia}"/>
+      <geom name="hull" type="ellipsoid" size="0.08 0.08 0.04" rgba="0.2 0.3 0.5 1"/>
+      {rotors}
+      <geom name="hook boom" type="capsule" fromto="0.1 0 0 0.45 0 0" size="0.006"/>
+      <geom name="hook bar" type="capsule" fromto="0.45 -0.15 0 0.45 0.15 0" size="0.01"/>
+    </body>
+    <body name="anchor" pos="{anchor}">{rope}</body>
+  </worldbody>
+</mujoco>
+"""
+ROTOR = '<geom type="cylinder" size="{} 0.01" pos="{} {} 0.02" rgba="0.3 0.3 0.3 0.5"/>'
+WEIGHT = '<geom size="0.015" fromto="0 0 -{} 0 0 -{}" mass="0.03"/>'
+BODY = '<body pos="0 0 {}" childclass="link"><joint/><geom/>{}</body>'
+
+
+def scene(anchor: Array) -> str:
+    """Return the bodies in MuJoCo's words, a rope hanging straight from a point, shape (3,) [m]."""
+    rope = WEIGHT.format(LINK, LINK + 0.02)
+    for k in reversed(range(LINKS)):
+        rope = BODY.format(-LINK if k else 0.0, rope)
+    rotors = [
+        ROTOR.format(quad_params['rotor_radius'], *place[:2])
+        for place in quad_params['rotor_pos'].values()
+    ]
+    return SCENE.format(
+        step=STEP,
+        link=LINK,
+        mass=quad_params['mass'],
+        inertia=' '.join(str(quad_params[name]) for name in ('Ixx', 'Iyy', 'Izz')),
+        rotors='\n      '.join(rotors),
+        anchor=' '.join(map(str, anchor)),
+        rope=rope,
+    )
+
+
+class Hummingbird:
+    """The vehicle in flight and the rope let go; heights are above the plane of flight.
+
+    Args:
+        start: in the plane; the position is that of the hook, and so is that of all motions.
+
+    Raises:
+        NoStart: the rope is to be let go too far aside.
+    """
+
+    name = 'mujoco'
+    tick = STEP * CONTROL
+
+    def __init__(self, start: Start) -> None:
+        aside = start.goal - start.rest
+        if math.hypot(*aside) > FARTHEST:
+            why = f'{self.name}: a rope is let go at most {FARTHEST:g} m aside'
+            raise NoStart('rope.amplitude', why)
+        # What is wrong is raised, and not put in a file.
+        mujoco.set_mju_user_warning(lambda _: None)
+        self._model = mujoco.MjModel.from_xml_string(scene(np.append(start.rest, ABOVE)))
+        self._data = mujoco.MjData(self._model)
+        self._parts = _Parts.of(self._model)
+        self._multirotor = Multirotor(quad_params, control_abstraction='cmd_motor_speeds')
+        self._controller = SE3Control(quad_params)
+        hover = math.sqrt(quad_params['mass'] * 9.81 / (4.0 * quad_params['k_eta']))
+        self._rotors = np.full(4, hover)
+        self._wind, self._gust = start.wind, start.gust
+        self._draw = np.random.default_rng(start.seed)
+        self._blown = start.gust * self._draw.normal(size=2)
+        yaw = math.atan2(start.attitude[1, 0], start.attitude[0, 0])
+        place = np.append(start.position, 0.0) - _turned(yaw) @ NOSE
+        self._setpoint = _Setpoint(place, yaw, start.push, 0.0, 0.0)
+        self._waypoint: Array | None = None
+        self._caught = self._struck = False
+        self._renderer: mujoco.Renderer | None = None
+        self._place(aside)
+
+    def _place(self, aside: Array) -> None:
+        """Put the bodies where they begin: the rope straight, and aside in the plane [m]."""
+        data, setpoint = self._data, self._setpoint
+        half = 0.5 * setpoint.yaw
+        data.qpos[:7] = *setpoint.position, math.cos(half), 0.0, 0.0, math.sin(half)
+        data.qvel[:3] = setpoint.flat['x_dot']
+        axis = np.array([aside[1], -aside[0], 0.0]) / max(math.hypot(*aside), 1e-12)
+        angle = math.atan2(math.hypot(*aside), ABOVE)
+        mujoco.mju_axisAngle2Quat(data.qpos[7:11], axis, angle)
+        mujoco.mj_forward(self._model, data)
+
+    def steer_to(self, point: Array) -> None:
+        """Have the setpoint fly straight to a waypoint, and no longer turn as it is commanded.
+
+        Args:
+            point: where the hook is to be, shape (2,) [m].
+        """
+        self._waypoint = np.append(point, 0.0)
+
+    def run(self, span: float, push: float, rate: Array) -> list[Motion]:
+        """Fly for a time and return the motions on the way, the last one at its end.
+
+        Args:
+            span: how long, rounded to commands to the rotors [s].
+            push: commanded, the speed over ground [m/s].
+            rate: commanded, to the left, shape (1,) [rad/s].
+
+        Raises:
+            EngineFailure: MuJoCo has given up.
+        """
+        motions, count, begun = [], max(1, round(span / self.tick)), self._data.time
+        for k in range(1, count + 1):
+            self._lead(push, float(rate[0]))
+            self._push()
+            for _ in range(CONTROL):
+                mujoco.mj_step(self._model, self._data)
+                self._judge()
+            if k % READ == 0 or k == count:
+                motions.append(self.motion())
+        if any(warning.number for warning in self._data.warning):
+            raise EngineFailure(f'{self.name}: unstable after t = {begun:.3f} s')
+        return motions
+
+    def _lead(self, speed: float, turn: float) -> None:
+        """Move the setpoint on."""
+        before = self._setpoint
+        if self._waypoint is not None:
+            away = self._waypoint - before.position
+            off = math.remainder(math.atan2(away[1], away[0]) - before.yaw, 2.0 * math.pi)
+            turn = min(max(off / self.tick, -FASTEST), FASTEST)
+            speed = min(speed, max(0.0, math.hypot(*away) - NOSE[0]) / self.tick)
+        self._setpoint = before.after(self.tick, speed, turn)
+
+    def _push(self) -> None:
+        """Set what rotors and air do to the vehicle, and the wind on the rope."""
+        data, state = self._data, self._state()
+        wanted = self._controller.update(data.time, state, self._setpoint.flat)
+        fastest = quad_params['rotor_speed_max']
+        speeds = np.clip(wanted['cmd_motor_speeds'], quad_params['rotor_speed_min'], fastest)
+        kept = math.exp(-self.tick / quad_params['tau_m'])
+        self._rotors = speeds + kept * (self._rotors - speeds)
+        kept = math.exp(-self.tick / MEMORY)
+        fresh = self._gust * math.sqrt(1.0 - kept * kept)
+        self._blown = kept * self._blown + fresh * self._draw.normal(size=2)
+        attitude = data.xmat[self._parts.vehicle].reshape(3, 3)
+        past = attitude.T @ (state['v'] - self._air)
+        force, moment = self._multirotor.compute_body_wrench(state['w'], self._rotors, past)
+        data.xfrc_applied[self._parts.vehicle] = *(attitude @ force), *(attitude @ moment)
+        self._model.opt.wind[:] = self._air
+
+    @property
+    def _air(self) -> Array:
+        return np.append(self._wind + self._blown, 0.0)
+
+    def _state(self) -> dict[str, Array]:
+        """Return the state of the vehicle in RotorPy's words."""
+        place, velocity = self._data.qpos[:7], self._data.qvel[:6]
+        return {
+            'x': place[:3].copy(),
+            'v': velocity[:3].copy(),
+            'q': np.roll(place[3:], -1),
+            'w': velocity[3:].copy(),
+        }
+
+    def _judge(self) -> None:
+        """See what has touched the rope, unless that is known: the hook, or something else."""
+        if self._caught or self._struck or not self._data.ncon:
+            return
+        for contact in self._data.contact[: self._data.ncon]:
+            if self._parts.hook.isdisjoint(contact.geom.tolist()):
+                self._struck = True
+            else:
+                self._caught = True
+
+    def motion(self) -> Motion:
+        """Return how the hook moves now."""
+        data, state = self._data, self._state()
+        attitude = data.xmat[self._parts.vehicle].reshape(3, 3).copy()
+        hook = state['x'] + attitude @ NOSE
+        velocity = state['v'] + attitude @ np.cross(state['w'], NOSE)
+        setpoint = self._setpoint
+        return Motion(
+            data.time,
+            hook,
+            velocity,
+            attitude,
+            state['w'],
+            self._air,
+            float(velocity @ _turned(setpoint.yaw)[:, 0]),
+            {
+                'bank': math.acos(min(max(attitude[2, 2], -1.0), 1.0)),
+                'turn': float((attitude @ state['w'])[2]),
+                'off': float(np.linalg.norm(setpoint.position - state['x'])),
+            },
+            self._crossing(),
+            self._caught,
+            self._struck,
+        )
+
+    def picture(self) -> NDArray[np.uint8]:
+        """Return what MuJoCo renders, shape (height, width, 3).
+
+        Raises:
+            Exception: MuJoCo finds no OpenGL; of what kind depends on what is missing.
+        """
+        if self._renderer is None:
+            self._renderer = mujoco.Renderer(self._model, *SIZE)
+        camera = mujoco.MjvCamera()
+        camera.lookat[:] = 0.5 * (self._data.qpos[:3] + self._crossing()) + [0.0, 0.0, 0.3]
+        apart = float(np.linalg.norm(self._data.qpos[:3] - self._crossing()))
+        camera.distance, camera.azimuth, camera.elevation = 3.0 + 0.8 * apart, 60.0, -15.0
+        self._renderer.update_scene(self._data, camera)
+        return self._renderer.render().copy()
+
+    def _crossing(self) -> Array:
+        """Return where the rope crosses the plane of flight, or its end, shape (3,) [m]."""
+        joints = self._data.xanchor[-LINKS:]
+        end = joints[-1] - LINK * self._data.xmat[-1].reshape(3, 3)[:, 2]
+        places = np.vstack([joints, end])
+        below = np.flatnonzero(places[:, 2] <= 0.0)
+        if not below.size:
+            return end
+        upper, lower = places[below[0] - 1], places[below[0]]
+        return lower + (upper - lower) * (lower[2] / (lower[2] - upper[2]))
+
+
+class _Setpoint(NamedTuple):
+    """What the controller tracks: of the vehicle's middle, in the plane of flight.
+
+    Attributes:
+        position: shape (3,) [m].
+        yaw: [rad].
+        speed: along it [m/s].
+        gain: how fast the speed changes [m/s^2].
+        turn: how fast the yaw does [rad/s].
+    """
+
+    position: Array
+    yaw: float
+    speed: float
+    gain: float
+    turn: float
+
+    def after(self, span: float, speed: float, turn: float) -> _Setpoint:
+        """Return it after a short time [s], as near to a speed and a turn as it can get."""
+        gain = min(max((speed - self.speed) / span, -QUICKEST), QUICKEST)
+        most = SHARPEST * span
+        turn = self.turn + min(max(turn - self.turn, -most), most)
+        yaw, speed = self.yaw + turn * span, self.speed + gain * span
+        return _Setpoint(self.position + span * speed * _turned(yaw)[:, 0], yaw, speed, gain, turn)
+
+    @property
+    def flat(self) -> dict[str, Any]:
+        """Return it in RotorPy's words."""
+        ahead, left, _ = _turned(self.yaw).T
+        return {
+            'x': self.position,
+            'x_dot': self.speed * ahead,
+            'x_ddot': self.gain * ahead + self.speed * self.turn * left,
+            'yaw': self.yaw,
+            'yaw_dot': self.turn,
+        }
+
+
+class _Parts(NamedTuple):
+    """Numbers of MuJoCo: of the vehicle's body, and of what is of its hook."""
+
+    vehicle: int
+    hook: frozenset[int]
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel) -> _Parts:
+        hook = frozenset(model.geom(name).id for name in ('hook boom', 'hook bar'))
+        return cls(model.body('vehicle').id, hook)
+
+
+def _turned(yaw: float) -> Array:
+    """Return the rotation about the vertical [rad]."""
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])

@@ -1,0 +1,281 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""A servicing spacecraft in Basilisk that arrives at its client on wheels and thrusters.
+
+Basilisk moves both spacecraft around the Earth, wheels and thrusters included. The flight software
+is Basilisk's as well: the error of the attitude, its feedback in modified Rodrigues parameters, the
+torques of the wheels, and the pulses of the thrusters. Wheels and thrusters are those of Basilisk's
+library: Honeywell's HR12 and Moog's Monarc-1.
+
+The attitude that is tracked turns as it is commanded. Nothing else is ours but the hull, the gains,
+and how far the vehicle is from its drawings, of which the flight software knows nothing: where the
+center of mass is, how strong each thruster is, and where it points.
+
+The axes do not turn; their origin moves along with the client.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from Basilisk.architecture import bskLogging, messaging, sim_model, sys_model_task
+from Basilisk.fswAlgorithms import attTrackingError, mrpFeedback, rwMotorTorque, thrFiringRemainder
+from Basilisk.simulation import (
+    extForceTorque,
+    gravityEffector,
+    reactionWheelStateEffector,
+    simpleNav,
+    spacecraft,
+    thrusterDynamicEffector,
+)
+from Basilisk.utilities import simIncludeRW, simIncludeThruster
+from Basilisk.utilities.RigidBodyKinematics import C2MRP, MRP2C, PRV2C
+
+from orbimpc_ros.sim.engines.engine import Array, Motion, Start
+from orbimpc_ros.sim.engines.failure import EngineFailure
+
+SECOND = 1_000_000_000  # [ns]
+STEP = 0.02  # [s] of the integration, by Runge and Kutta's fourth order
+CONTROL = 0.1  # [s] from one torque of the wheels to the next
+PULSE = 0.5  # [s] from one firing of the thrusters to the next
+READ = 5  # torques between two motions that are returned
+EARTH = 3.986004418e14  # [m^3/s^2]
+ORBIT = 6.878e6  # [m] the client's radius, 500 km up
+MASS = 60.0  # [kg]
+INERTIA = np.diag([4.8, 5.0, 5.2])  # [kg m^2] about a cube of 0.7 m
+AFT = [[-0.35, 0.0, 0.0]]  # [m] where thrusters push forward
+FORCE, BRIEFEST = 0.9, 0.02  # [N, s] of a Monarc-1: its thrust, and its shortest pulse
+MOMENTUM = 12.0  # [N m s] of a wheel, the smallest HR12
+SHARPEST = 0.03  # [rad/s^2] the setpoint turns up no faster: 0.16 N m of the wheels' 0.2
+STIFFNESS = 0.6  # [rad/s] of the feedback, which is damped critically
+OFF_CENTER = 0.005  # [m] deviation of the center of mass along each axis
+OFF_FORCE = 0.02  # deviation of a thruster's force, as a share
+OFF_AXIS = 0.01  # [rad] deviation of a thruster's axis, either way
+
+
+class Servicer:
+    """The spacecraft in flight; its position is that of the middle of its hull.
+
+    Args:
+        start: in space; the goal is the client, which flies on. Its wind is an acceleration, on top
+            of the Earth's; its seed draws how far the vehicle is from its drawings.
+    """
+
+    name = 'basilisk'
+    tick = CONTROL
+
+    def __init__(self, start: Start) -> None:
+        bskLogging.setDefaultLogLevel(bskLogging.BSK_ERROR)
+        draw = np.random.default_rng(start.seed)
+        still, off_center = np.zeros(3), OFF_CENTER * draw.normal(size=3)
+        away = start.position - start.rest
+        self._rest, self._cycles = start.rest, 0
+        self._setpoint = _Setpoint(start.attitude, start.body_rate, still)
+        self._client = _orbiting(still, still, np.eye(3), still, still)
+        self._vehicle = _orbiting(away, start.velocity, start.attitude, start.body_rate, off_center)
+        self._attitude, self._force = messaging.AttRefMsg(), messaging.THRArrayCmdForceMsg()
+        thrusters, self._firing, *kept = _propelled(self._vehicle, self._force, draw)
+        self._wheels, software, *more = _steered(self._vehicle, self._attitude)
+        unknown = extForceTorque.ExtForceTorque()
+        unknown.extForce_N = (MASS * start.wind).tolist()
+        self._vehicle.addDynamicEffector(unknown)
+        bodies = [self._wheels, thrusters, unknown, self._client, self._vehicle]
+        # The software runs a step late, so as to obey at once what it is told between two motions.
+        self._simulation, *most = _simulated(
+            (STEP, 0.0, bodies), (CONTROL, STEP, software), (PULSE, STEP, [self._firing])
+        )
+        self._kept = kept, more, most  # Basilisk points to them, and Python would drop them
+        self._tell(0.0)
+        self._simulation.StepUntilStop(0, -1)
+
+    def run(self, span: float, push: float, rate: Array) -> list[Motion]:
+        """Fly for a time and return the motions on the way, the last one at its end.
+
+        Args:
+            span: how long, rounded to torques of the wheels [s].
+            push: commanded, along the body's x axis [m/s^2].
+            rate: commanded, in the body frame, shape (3,) [rad/s].
+
+        Raises:
+            EngineFailure: Basilisk has given up.
+        """
+        motions, count = [], max(1, round(span / CONTROL))
+        for k in range(1, count + 1):
+            self._tell(push)
+            self._setpoint = self._setpoint.after(CONTROL, rate)
+            self._cycles += 1
+            try:
+                self._simulation.StepUntilStop(self._nanoseconds, -1)
+            except bskLogging.BasiliskError as error:
+                raise EngineFailure(f'{self.name}: {error}') from error
+            if k % READ == 0 or k == count:
+                motions.append(self.motion())
+        return motions
+
+    @property
+    def _nanoseconds(self) -> int:
+        return self._cycles * round(CONTROL * SECOND)
+
+    def _tell(self, push: float) -> None:
+        """Tell the software the attitude to track, and the thrust [m/s^2]."""
+        attitude, rate, gain = self._setpoint
+        self._attitude.write(
+            messaging.AttRefMsgPayload(
+                sigma_RN=C2MRP(attitude.T).tolist(),
+                omega_RN_N=(attitude @ rate).tolist(),
+                domega_RN_N=(attitude @ gain).tolist(),
+            ),
+            self._nanoseconds,
+        )
+        forces = [MASS * push / len(AFT)] * len(AFT)
+        self._force.write(messaging.THRArrayCmdForceMsgPayload(thrForce=forces), self._nanoseconds)
+
+    def motion(self) -> Motion:
+        """Return how the vehicle moves now; ``push`` is what the last pulses come to, evened out.
+
+        ``pointing`` is how far the attitude is from the one that is tracked [rad], ``wheel`` how
+        fast the fastest wheel is [rad/s].
+        """
+        now, client = self._vehicle.scStateOutMsg.read(), self._client.scStateOutMsg.read()
+        attitude = MRP2C(now.sigma_BN).T
+        pulses = np.minimum(self._firing.onTimeOutMsg.read().OnTimeRequest[: len(AFT)], PULSE)
+        speeds = self._wheels.rwSpeedOutMsg.read().wheelSpeeds[:3]
+        return Motion(
+            self._simulation.CurrentNanos / SECOND,
+            self._rest + np.subtract(now.r_BN_N, client.r_BN_N),
+            np.subtract(now.v_BN_N, client.v_BN_N),
+            attitude,
+            np.array(now.omega_BN_B),
+            np.zeros(3),
+            FORCE * float(pulses.sum()) / PULSE / MASS,
+            {
+                'pointing': _angle(attitude.T @ self._setpoint.attitude),
+                'wheel': float(np.abs(speeds).max()),
+            },
+        )
+
+
+class _Setpoint(NamedTuple):
+    """What the software tracks; rates are in the body frame.
+
+    Attributes:
+        attitude: body to world, shape (3, 3).
+        rate: shape (3,) [rad/s].
+        gain: how fast the rate changes, shape (3,) [rad/s^2].
+    """
+
+    attitude: Array
+    rate: Array
+    gain: Array
+
+    def after(self, span: float, rate: Array) -> _Setpoint:
+        """Return it after a short time [s], as near to a rate as it can get."""
+        gain = np.clip((rate - self.rate) / span, -SHARPEST, SHARPEST)
+        turned = span * (self.rate + 0.5 * span * gain)
+        return _Setpoint(self.attitude @ PRV2C(turned).T, self.rate + span * gain, gain)
+
+
+def _angle(rotation: Array) -> float:
+    return 4.0 * math.atan(float(np.linalg.norm(C2MRP(rotation))))
+
+
+def _orbiting(
+    away: Array, velocity: Array, attitude: Array, body_rate: Array, off_center: Array
+) -> Any:
+    """Return a spacecraft around the Earth.
+
+    Args:
+        away: from where the client begins, shape (3,) [m].
+        velocity: relative to the client's, shape (3,) [m/s].
+        attitude: body to world, shape (3, 3).
+        body_rate: shape (3,) [rad/s].
+        off_center: the center of mass, from the middle of the hull, shape (3,) [m].
+    """
+    made, earth = spacecraft.Spacecraft(), gravityEffector.GravBodyData()
+    hub, past = made.hub, attitude @ np.cross(body_rate, off_center)
+    hub.mHub, hub.IHubPntBc_B, hub.r_BcB_B = MASS, INERTIA.tolist(), off_center.tolist()
+    place, speed = np.array([ORBIT, 0.0, 0.0]), np.array([0.0, math.sqrt(EARTH / ORBIT), 0.0])
+    hub.r_CN_NInit = (place + away + attitude @ off_center).tolist()
+    hub.v_CN_NInit = (speed + velocity + past).tolist()
+    hub.sigma_BNInit, hub.omega_BN_BInit = C2MRP(attitude.T).tolist(), body_rate.tolist()
+    earth.planetName, earth.mu, earth.isCentralBody = 'earth', EARTH, True
+    earth.usePointMassGravityModel()
+    made.gravField.gravBodies = spacecraft.GravBodyVector([earth])
+    return made
+
+
+def _propelled(vehicle: Any, force: Any, draw: np.random.Generator) -> list[Any]:
+    """Return a vehicle's thrusters, what fires them, and what these point to.
+
+    Args:
+        vehicle: that gets them.
+        force: tells their forces.
+        draw: how strong each is, and where it points.
+    """
+    factory = simIncludeThruster.thrusterFactory()
+    for place in AFT:
+        axis = [1.0, *(OFF_AXIS * draw.normal(size=2))]
+        thruster = factory.create('MOOG_Monarc_1', place, axis)
+        thruster.thrusterMagDisp = float(OFF_FORCE * draw.normal())
+    thrusters = thrusterDynamicEffector.ThrusterDynamicEffector()
+    factory.addToSpacecraft('thrusters', thrusters, vehicle)
+    firing, config = thrFiringRemainder.thrFiringRemainder(), factory.getConfigMessage()
+    firing.thrMinFireTime, firing.baseThrustState = BRIEFEST, 0
+    firing.thrConfInMsg.subscribeTo(config)
+    firing.thrForceInMsg.subscribeTo(force)
+    thrusters.cmdsInMsg.subscribeTo(firing.onTimeOutMsg)
+    return [thrusters, firing, factory, config]
+
+
+def _steered(vehicle: Any, attitude: Any) -> list[Any]:
+    """Return a vehicle's wheels, the software that turns them, and what these point to.
+
+    Args:
+        vehicle: that gets three of them, one along each axis.
+        attitude: tells what attitude to track.
+    """
+    factory = simIncludeRW.rwFactory()
+    for axis in np.eye(3):
+        factory.create('Honeywell_HR12', axis.tolist(), maxMomentum=MOMENTUM)
+    wheels = reactionWheelStateEffector.ReactionWheelStateEffector()
+    factory.addToSpacecraft('wheels', wheels, vehicle)
+    known, config = messaging.VehicleConfigMsg(), factory.getConfigMessage()
+    known.write(messaging.VehicleConfigMsgPayload(ISCPntB_B=INERTIA.ravel().tolist()))
+    navigation, error = simpleNav.SimpleNav(), attTrackingError.attTrackingError()
+    feedback, torques = mrpFeedback.mrpFeedback(), rwMotorTorque.rwMotorTorque()
+    navigation.scStateInMsg.subscribeTo(vehicle.scStateOutMsg)
+    error.attNavInMsg.subscribeTo(navigation.attOutMsg)
+    error.attRefInMsg.subscribeTo(attitude)
+    feedback.guidInMsg.subscribeTo(error.attGuidOutMsg)
+    feedback.vehConfigInMsg.subscribeTo(known)
+    feedback.rwParamsInMsg.subscribeTo(config)
+    feedback.rwSpeedsInMsg.subscribeTo(wheels.rwSpeedOutMsg)
+    mean = float(np.diag(INERTIA).mean())
+    feedback.K, feedback.P, feedback.Ki = 4.0 * mean * STIFFNESS**2, 2.0 * mean * STIFFNESS, -1.0
+    torques.vehControlInMsg.subscribeTo(feedback.cmdTorqueOutMsg)
+    torques.rwParamsInMsg.subscribeTo(config)
+    torques.controlAxes_B = np.eye(3).ravel().tolist()
+    wheels.rwMotorCmdInMsg.subscribeTo(torques.rwMotorTorqueOutMsg)
+    return [wheels, [navigation, error, feedback, torques], factory, config, known]
+
+
+def _simulated(*tasks: tuple[float, float, list[Any]]) -> list[Any]:
+    """Return a simulation of tasks, ready to begin, and what it points to.
+
+    Args:
+        tasks: how often each runs, from when on [s], and what it does; at one time in this order.
+    """
+    simulation, process = sim_model.SimModel(), sim_model.SysProcess('flight')
+    simulation.addNewProcess(process)
+    kept = [simulation, process]
+    for number, (period, begin, models) in enumerate(tasks):
+        task = sys_model_task.SysModelTask(round(period * SECOND), round(begin * SECOND))
+        for model in models:
+            task.AddNewObject(model, -1)
+        process.addNewTask(task, len(tasks) - number)
+        kept += [task, *models]
+    simulation.assignRemainingProcs()
+    simulation.selfInitSimulation()
+    simulation.resetInitSimulation()
+    return kept

@@ -1,0 +1,216 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Faults between a flight and its planner: noise, losses, delays, lies; all from a seed.
+
+Every tick draws all its chances from the seed and its own number, so that a run repeats exactly,
+one fault does not change the draws of another, and asking twice for a tick gives the same answer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, fields, replace
+from itertools import chain, pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.loop.observation import Sighting
+from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.mpc.arrays import ABOVE_ZERO, Array, within
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.sim.flight import Flight
+from orbimpc_ros.sim.scenario import MAX_TICKS
+from orbimpc_ros.sim.vehicle import Continuous, Vehicle, between, measured
+
+ODOMETRY, GOAL, COMMAND = range(3)  # rows of a tick's chances
+CHANCES = ('dropout', 'reorder', 'duplicate', 'nan')  # columns
+FAULT_RANGES: dict[str, tuple[float, float]] = {  # by attribute
+    'position_noise': (0.0, 1e3),
+    'attitude_noise': (0.0, math.pi),
+    'dropout': (0.0, 1.0),
+    'delay': (0.0, 10.0),
+    'reorder': (0.0, 1.0),
+    'duplicate': (0.0, 1.0),
+    'nan': (0.0, 1.0),
+    'occlusion_length': (0.0, 1e6),
+    'occlusion_period': (ABOVE_ZERO, 1e6),
+    'clock_jump': (-1e6, 1e6),
+    'clock_jump_tick': (0, MAX_TICKS),
+}
+
+
+@dataclass(frozen=True)
+class Faults:
+    """How much of what goes wrong; nothing by default. Shares are of all messages of a kind.
+
+    Attributes:
+        position_noise: standard deviation along each axis, of odometry and goal [m].
+        attitude_noise: standard deviation about each axis, of odometry [rad].
+        dropout: share of odometry, goals and commands that is lost.
+        delay: age of odometry when it comes [s].
+        reorder: share of odometry and goals that comes a tick late, behind a newer one's stamp.
+        duplicate: share of odometry and goals that comes twice.
+        nan: share of odometry and goals with a NaN.
+        occlusion_length: how long the goal is hidden, at a time of its own in each period [s].
+        occlusion_period: [s].
+        clock_jump: what every stamp is off from ``clock_jump_tick`` on [s].
+        clock_jump_tick: steps flown before the clock jumps.
+    """
+
+    position_noise: float = 0.0
+    attitude_noise: float = 0.0
+    dropout: float = 0.0
+    delay: float = 0.0
+    reorder: float = 0.0
+    duplicate: float = 0.0
+    nan: float = 0.0
+    occlusion_length: float = 0.0
+    occlusion_period: float = 10.0
+    clock_jump: float = 0.0
+    clock_jump_tick: int = 0
+
+    def __post_init__(self) -> None:
+        within(self, FAULT_RANGES, 'faults.')
+        if not 0.0 <= self.occlusion_length <= self.occlusion_period:
+            allowed = f'in [0, occlusion_period = {self.occlusion_period:g}]'
+            raise BadInput('faults.occlusion_length', self.occlusion_length, allowed)
+
+    @property
+    def any(self) -> bool:
+        """Return whether anything goes wrong at all."""
+        return any(getattr(self, field.name) != field.default for field in fields(self))
+
+    def jumped(self, ticks: int) -> float:
+        """Return what stamps are off after so many steps [s]."""
+        return self.clock_jump if ticks >= self.clock_jump_tick else 0.0
+
+
+NO_FAULTS = Faults()
+
+
+class Delivery(NamedTuple):
+    """A message that reaches the planner.
+
+    Attributes:
+        content: odometry or a sighting of the goal, at the true time of the measurement.
+        ticks: steps flown when it was sent.
+        age: time from the measurement to the tick that sent it [s].
+        late: whether it comes a tick after that.
+    """
+
+    content: Odometry | Sighting
+    ticks: int
+    age: float = 0.0
+    late: bool = False
+
+    @property
+    def is_odometry(self) -> bool:
+        """Return whether it is odometry, not a sighting."""
+        return isinstance(self.content, Odometry)
+
+    @property
+    def finite(self) -> bool:
+        """Return whether all its numbers are finite."""
+        numbers = [self.content.position]
+        if isinstance(self.content, Odometry):
+            numbers.append(self.content.body_velocity)
+        return all(bool(np.isfinite(each).all()) for each in numbers)
+
+
+class View:
+    """What a planner gets to see of a flight, tick by tick.
+
+    Args:
+        faults: what goes wrong.
+        seed: of all chances.
+        step: between ticks [s].
+    """
+
+    def __init__(self, faults: Faults, seed: int, step: float) -> None:
+        self.faults, self._seed = faults, seed
+        self._past: deque[tuple[Vehicle, ...]] = deque(maxlen=2 + math.ceil(faults.delay / step))
+        self._held_back: list[Delivery] = []
+
+    def of(self, flight: Flight) -> list[Delivery]:
+        """Return what arrives at this tick, in order; to be asked once a tick."""
+        self._past.append(_way(flight))
+        arriving, self._held_back = self._held_back, []
+        draws = _Draws.of(self._seed, flight.ticks)
+        if not self._hidden(flight.elapsed):
+            goal = Sighting(
+                flight.vehicle.time, flight.goal + self._shift(draws, GOAL, flight.goal)
+            )
+            arriving += self._through(draws, GOAL, Delivery(goal, flight.ticks))
+        seen = measured(self._delayed(), flight.scenario.model.velocity_source)
+        odometry = Delivery(self._noisy(draws, seen), flight.ticks, self.faults.delay)
+        return arriving + self._through(draws, ODOMETRY, odometry)
+
+    def command_lost(self, ticks: int) -> bool:
+        """Return whether the command that answers a tick gets lost."""
+        return self._happens(_Draws.of(self._seed, ticks), COMMAND, 'dropout')
+
+    def _noisy(self, draws: _Draws, seen: Odometry) -> Odometry:
+        n = len(seen.body_rate)
+        turned = exp(self.faults.attitude_noise * draws.turn[:n])
+        shift = self._shift(draws, ODOMETRY, seen.position)
+        return replace(seen, position=seen.position + shift, attitude=seen.attitude @ turned)
+
+    def _delayed(self) -> Vehicle:
+        """Return the vehicle as it was ``delay`` ago; before its start it stood there."""
+        past = list(chain.from_iterable(self._past))
+        at = past[-1].time - self.faults.delay
+        for earlier, later in pairwise(past):
+            if earlier.time <= at < later.time:
+                return between(earlier, later, at)
+        return past[-1] if at >= past[-1].time else replace(past[0], time=at)
+
+    def _through(self, draws: _Draws, kind: int, sent: Delivery) -> list[Delivery]:
+        """Return what of a message arrives now: none of it, once or twice."""
+        if self._happens(draws, kind, 'dropout'):
+            return []
+        if self._happens(draws, kind, 'nan'):
+            sent = sent._replace(content=_poisoned(sent.content))
+        copies = [sent] * (2 if self._happens(draws, kind, 'duplicate') else 1)
+        if self._happens(draws, kind, 'reorder'):
+            self._held_back += [each._replace(late=True) for each in copies]
+            return []
+        return copies
+
+    def _happens(self, draws: _Draws, kind: int, fault: str) -> bool:
+        return bool(draws.chances[kind, CHANCES.index(fault)] < getattr(self.faults, fault))
+
+    def _shift(self, draws: _Draws, kind: int, position: Array) -> Array:
+        return self.faults.position_noise * draws.shifts[kind, : len(position)]
+
+    def _hidden(self, elapsed: float) -> bool:
+        """Return whether the goal is occluded."""
+        length, period = self.faults.occlusion_length, self.faults.occlusion_period
+        window, into = divmod(elapsed, period)
+        begin = (period - length) * np.random.default_rng((self._seed, 1, int(window))).uniform()
+        return length > 0.0 and begin <= into < begin + length
+
+
+def _way(flight: Flight) -> tuple[Vehicle, ...]:
+    """Return the vehicle on its way through the last step, as finely as its model moves it."""
+    if isinstance(flight.scenario.model, Continuous) and flight.trail:
+        return flight.trail
+    return (flight.vehicle,)
+
+
+class _Draws(NamedTuple):
+    """A tick's chances: uniform, shape (3, 4), and normal shifts and turns, (2, 3) and (3,)."""
+
+    chances: Array
+    shifts: Array
+    turn: Array
+
+    @classmethod
+    def of(cls, seed: int, ticks: int) -> _Draws:
+        rng = np.random.default_rng((seed, 0, ticks))
+        return cls(rng.uniform(size=(3, 4)), rng.normal(size=(2, 3)), rng.normal(size=3))
+
+
+def _poisoned(content: Odometry | Sighting) -> Odometry | Sighting:
+    return replace(content, position=np.full_like(content.position, np.nan))

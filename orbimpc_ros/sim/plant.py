@@ -1,0 +1,197 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""A vehicle in continuous time, with lags and limits, in moving air."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array, within
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.rotations import exp, nearest
+from orbimpc_ros.sim.gusts import Gusts
+from orbimpc_ros.sim.vehicle import Continuous, Vehicle
+
+SUBSTEP = 0.02  # [s] longest piece of the integration
+CALM = Gusts()
+PLANT_RANGES: dict[str, tuple[float, float]] = {  # by attribute
+    'speed_lag': (0.0, 10.0),
+    'rate_lag': (0.0, 10.0),
+    'max_rate': (0.0, 1e4),
+    'max_acceleration': (0.0, 1e6),
+    'gain': (0.1, 10.0),
+    'drag': (0.0, 1e3),
+    'stall_speed': (0.0, 1e3),
+}
+
+
+@dataclass(frozen=True)
+class Plant(Continuous):
+    """A vehicle in continuous time, pushed along its x axis.
+
+    Both orders of translation take their commands at once and follow them with a first-order lag,
+    and so do both orders of rotation: the orders of a :class:`Model` say what a command means in
+    the steps of a planner, which a vehicle does not know.
+
+    Attributes:
+        speed_lag: time constant of the speed (translation order 1) or the thrust (2) [s].
+        rate_lag: time constant of the body rate [s].
+        max_rate: it turns no faster [rad/s]; 0 for no limit.
+        max_acceleration: its speed changes no faster (order 1) [m/s^2]; 0 for no limit.
+        gain: speed or thrust that it reaches, a share of what is commanded.
+        drag: deceleration by its own velocity (order 2) [1/s].
+        gusts: on top of the steady wind (order 1) or acceleration (2).
+    """
+
+    speed_lag: float = 0.0
+    rate_lag: float = 0.0
+    max_rate: float = 0.0
+    max_acceleration: float = 0.0
+    gain: float = 1.0
+    drag: float = 0.0
+    gusts: Gusts = CALM
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        within(self, PLANT_RANGES)
+        if self.translation_order == 1 and self.drag:
+            raise BadInput('drag', self.drag, '0 at translation_order 1, which commands airspeed')
+        if self.translation_order == 2 and self.max_acceleration:
+            allowed = '0 at translation_order 2, whose thrust is limited by forward'
+            raise BadInput('max_acceleration', self.max_acceleration, allowed)
+
+    def begun(self, vehicle: Vehicle) -> Vehicle:
+        """Return a vehicle at its start, moving as it does in the air that there is then."""
+        wind = self._wind(0.0)
+        if self.translation_order == 2:
+            return vehicle
+        return replace(vehicle, velocity=self._pushed(vehicle) + wind, wind=wind)
+
+    def flown(
+        self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array, elapsed: float
+    ) -> tuple[Vehicle, ...]:
+        """Return the vehicle at short intervals of a time under one command, the last at its end.
+
+        Args:
+            vehicle: where it is.
+            span: how long [s].
+            fraction: commanded share of full speed or thrust, clipped to [0, 1].
+            body_rate: commanded, in the body frame, shape (1,) or (3,) [rad/s].
+            elapsed: time since the start of the flight [s].
+        """
+        wanted = float(np.clip(fraction, 0.0, 1.0)), self._limited(body_rate)
+        count = max(1, math.ceil(span / SUBSTEP - 1e-9))
+        trail, piece = [], span / count
+        for k in range(count):
+            vehicle = self._moved(vehicle, piece, *wanted, elapsed + k * piece)
+            trail.append(vehicle)
+        return tuple(trail)
+
+    def _wind(self, elapsed: float) -> Array:
+        """Return the wind [m/s] or acceleration [m/s^2], shape (n,), at a time since the start."""
+        if not self.gusts.deviation:
+            return self.blown
+        return self.blown + self.gusts.at(elapsed, self.dimension)
+
+    def _limited(self, body_rate: Array) -> Array:
+        size = float(np.linalg.norm(body_rate))
+        if self.max_rate and size > self.max_rate:
+            return body_rate * (self.max_rate / size)
+        return np.array(body_rate, dtype=float)
+
+    def _moved(
+        self, vehicle: Vehicle, dt: float, fraction: float, body_rate: Array, elapsed: float
+    ) -> Vehicle:
+        """Return the vehicle after a short time [s], by Simpson's rule."""
+        now = _Actuated(vehicle.attitude, vehicle.body_rate, vehicle.fraction)
+        begun = self._actuated(now, 0.0, fraction, body_rate)
+        middle = self._actuated(now, 0.5 * dt, fraction, body_rate)
+        end = self._actuated(now, dt, fraction, body_rate)
+        winds = [self._wind(elapsed + after) for after in (0.0, 0.5 * dt, dt)]
+        pushes: list[Array] = [
+            self._pushed(each) + wind
+            for each, wind in zip((begun, middle, end), winds, strict=True)
+        ]
+        if self.translation_order == 1:
+            way, velocity = dt / 6.0 * (pushes[0] + 4.0 * pushes[1] + pushes[2]), pushes[2]
+            wind = winds[2]
+        else:
+            way, velocity = self._accelerated(vehicle.velocity, pushes, dt)
+            wind = vehicle.wind
+        return Vehicle(
+            vehicle.time + dt,
+            vehicle.position + way,
+            velocity,
+            nearest(end.attitude),  # nearest: no drift off SO(n)
+            end.body_rate,
+            end.fraction,
+            wind,
+        )
+
+    def _actuated(self, now: _Actuated, dt: float, fraction: float, body_rate: Array) -> _Actuated:
+        """Return attitude and actuators after a time [s]; the attitude by the mean rate."""
+        lag, apart = self.rate_lag, now.body_rate - body_rate
+        left = math.exp(-dt / lag) if lag else 0.0
+        turned = dt * body_rate + lag * (1.0 - left) * apart
+        limit = self.max_acceleration / (self.forward * self.gain) or math.inf
+        return _Actuated(
+            now.attitude @ exp(turned),
+            body_rate + left * apart,
+            lagged(now.fraction, fraction, self.speed_lag, dt, limit),
+        )
+
+    def _pushed(self, now: _Actuated | Vehicle) -> Array:
+        """Return the airspeed [m/s] or thrust acceleration [m/s^2] as a vector, shape (n,)."""
+        pushed: Array = self.gain * self.forward * now.fraction * now.attitude[:, 0]
+        return pushed
+
+    def _accelerated(
+        self, velocity: Array, pushes: Sequence[Array], dt: float
+    ) -> tuple[Array, Array]:
+        """Return the way [m] and the velocity [m/s] after a time, by Runge and Kutta's method.
+
+        Args:
+            velocity: now, shape (n,) [m/s].
+            pushes: accelerations now, after half the time and at its end, without drag.
+            dt: [s].
+        """
+        first, second, third = pushes
+        a = first - self.drag * velocity
+        b = second - self.drag * (velocity + 0.5 * dt * a)
+        c = second - self.drag * (velocity + 0.5 * dt * b)
+        d = third - self.drag * (velocity + dt * c)
+        way = dt * velocity + dt * dt / 6.0 * (a + b + c)
+        return way, velocity + dt / 6.0 * (a + 2.0 * b + 2.0 * c + d)
+
+
+class _Actuated(NamedTuple):
+    """Where a vehicle points and what its actuators do: fields of a :class:`Vehicle`."""
+
+    attitude: Array
+    body_rate: Array
+    fraction: float
+
+
+def lagged(value: float, wanted: float, lag: float, dt: float, limit: float = math.inf) -> float:
+    """Return a first-order lag's value after ``dt`` [s], exactly.
+
+    Args:
+        value: now.
+        wanted: what it tends to.
+        lag: time constant [s]; 0 for none.
+        dt: [s].
+        limit: largest rate of change [1/s].
+    """
+    apart = wanted - value
+    if math.isfinite(limit):
+        # At its limit as long as it is farther from its aim than limit * lag.
+        ramp = min(dt, max(0.0, abs(apart) / limit - lag))
+        value += math.copysign(limit * ramp, apart)
+        apart, dt = wanted - value, dt - ramp
+        if not dt:
+            return value
+    return wanted - apart * math.exp(-dt / lag) if lag else wanted

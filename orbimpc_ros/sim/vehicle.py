@@ -1,0 +1,336 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""The vehicle as it really moves: on SO(n), turned by body rates, pushed along its x axis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.mpc.arrays import ABOVE_ZERO, Array, frozen, number, within
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.rotations import exp, log, nearest
+from orbimpc_ros.mpc.problem import Problem
+
+RANGES: dict[str, tuple[float, float]] = {  # of a model, by attribute
+    'dimension': (2, 3),
+    'rotation_order': (1, 2),
+    'translation_order': (1, 2),
+    'forward': (ABOVE_ZERO, 1e3),
+    'mass': (ABOVE_ZERO, 1e6),
+}
+
+
+@dataclass(frozen=True)
+class Model:
+    """How a vehicle answers to commands; the fields are named like those of the Problem.
+
+    Attributes:
+        dimension: n, 2 or 3.
+        rotation_order: 1, it turns at the commanded rate at once; 2, from the next step on.
+        translation_order: 1, the forward axis carries a velocity; 2, an acceleration.
+        step: h [s].
+        forward: z, full speed [m/s] (translation order 1) or thrust acceleration [m/s^2] (2).
+        mass: turns a thrust acceleration into a force [kg].
+        failsafe_fraction: share of full speed or thrust while no command is in force; a vehicle
+            that cannot stand still has one.
+        failsafe_rate: turn about the body's z axis meanwhile [rad/s].
+        disturbance: a wind in the world frame [m/s] (translation order 1) or an acceleration
+            [m/s^2] (2), n numbers; none if empty.
+        discretisation: ``euler`` or ``exact``, as in the Problem.
+        source: of the velocity that odometry measures: over ``ground`` or through the ``air``.
+    """
+
+    dimension: int = 2
+    rotation_order: int = 1
+    translation_order: int = 1
+    step: float = 1.0
+    forward: float = 1.0
+    mass: float = 1.0
+    failsafe_fraction: float = 0.0
+    failsafe_rate: float = 0.0
+    disturbance: tuple[float, ...] = ()
+    discretisation: str = 'euler'
+    source: str = 'ground'
+
+    def __post_init__(self) -> None:
+        if self.disturbance:
+            frozen(self.disturbance, (self.dimension,), 'wind')
+        number(self.step, 'step', 0.0, 1e3, above=True)
+        within(self, RANGES)
+        number(self.failsafe_fraction, 'failsafe.fraction', 0.0, 1.0)
+        fastest = np.pi / self.step
+        number(self.failsafe_rate, 'failsafe.rate', -fastest, fastest)
+
+    @property
+    def length_unit(self) -> float:
+        """Return what a step moves it at most, as :attr:`Problem.length_unit` [m]."""
+        return self.step**self.translation_order * self.forward
+
+    @property
+    def velocity_source(self) -> str:
+        """Return whether odometry measures velocity over ``ground`` or through the ``air``."""
+        return self.source
+
+    @property
+    def blown(self) -> Array:
+        """Return the disturbance, shape (n,)."""
+        return np.array(self.disturbance or np.zeros(self.dimension))
+
+    @property
+    def wind(self) -> Array:
+        """Return the velocity of the air, shape (n,) [m/s], which a thrust does not know."""
+        return self.blown if self.translation_order == 1 else np.zeros(self.dimension)
+
+    @property
+    def failsafe_turn(self) -> Array:
+        """Return the body rate while no command is in force, shape (1,) or (3,) [rad/s]."""
+        return np.array([0.0, 0.0, self.failsafe_rate])[-self.rates :]
+
+    @property
+    def rates(self) -> int:
+        """Return how many components a body rate has: 1 in the plane, 3 in space."""
+        return 1 if self.dimension == 2 else 3
+
+    def begun(self, vehicle: Vehicle) -> Vehicle:
+        """Return a vehicle at its start, moving as it does in this model."""
+        return vehicle
+
+    def flown(
+        self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array, elapsed: float
+    ) -> tuple[Vehicle, ...]:
+        """Return the vehicle at equal intervals of a time under one command, the last at its end.
+
+        Args:
+            vehicle: where it is.
+            span: how long [s]; here a step, flown in one piece.
+            fraction: commanded share of full speed or thrust.
+            body_rate: commanded, in the body frame, shape (1,) or (3,) [rad/s].
+            elapsed: time since the start of the flight [s].
+        """
+        del elapsed  # nothing changes with time
+        return (advance(replace(self, step=span), vehicle, fraction, body_rate),)
+
+    def released(self, vehicle: Vehicle) -> Vehicle:
+        """Return the vehicle at the moment from which no command is in force."""
+        return failsafe(self, vehicle)
+
+
+@dataclass(frozen=True)
+class Continuous(Model):
+    """A vehicle in continuous time, which takes commands at once and follows them as it can.
+
+    Attributes:
+        stall_speed: airspeed below which it is counted as stalled [m/s]; it flies on.
+    """
+
+    stall_speed: float = 0.0
+
+    def released(self, vehicle: Vehicle) -> Vehicle:
+        """Return the vehicle once no command is in force: nothing changes at once."""
+        return vehicle
+
+
+def model_of(problem: Problem, mass: float = 1.0) -> Model:
+    """Return the vehicle that a planning problem believes in."""
+    return Model(
+        problem.dimension,
+        problem.rotation_order,
+        problem.translation_order,
+        problem.step,
+        problem.forward,
+        mass,
+        discretisation=problem.discretisation,
+    )
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """The state of a simulated vehicle.
+
+    Attributes:
+        time: since the start of its clock [s].
+        position: s, shape (n,) [m].
+        velocity: p, in the world frame, shape (n,) [m/s]; follows the rest at translation order 1.
+        attitude: Q, body to world, shape (n, n).
+        body_rate: omega, in the body frame, shape (1,) or (3,) [rad/s].
+        fraction: sigma, share of full speed or thrust now applied, in [0, 1].
+        wind: velocity of the air around it, shape (n,) [m/s]; still air if empty.
+        height: how far it is above the plane that it is to fly in [m]; 0 in space.
+    """
+
+    time: float
+    position: Array
+    velocity: Array
+    attitude: Array
+    body_rate: Array
+    fraction: float
+    wind: Array = field(default_factory=lambda: np.zeros(0))
+    height: float = 0.0
+
+    def __post_init__(self) -> None:
+        n = len(np.atleast_1d(self.position))
+        if n not in (2, 3):
+            raise BadInput('start.position', n, '2 or 3 numbers')
+        if not len(self.wind):
+            object.__setattr__(self, 'wind', np.zeros(n))
+        number(self.time, 'start.time')
+        number(self.fraction, 'start.speed_fraction', 0.0, 1.0)
+        for name, shape in (
+            ('position', (n,)),
+            ('velocity', (n,)),
+            ('attitude', (n, n)),
+            ('body_rate', (1 if n == 2 else 3,)),
+            ('wind', (n,)),
+        ):
+            object.__setattr__(self, name, frozen(getattr(self, name), shape, f'start.{name}'))
+
+    @property
+    def airspeed(self) -> float:
+        """Return how fast it moves through the air [m/s]."""
+        return float(np.linalg.norm(self.velocity - self.wind))
+
+    @property
+    def facts(self) -> Mapping[str, float]:
+        """Return what else is known of it, by name."""
+        return {}
+
+    @property
+    def goal(self) -> Array | None:
+        """Return where the goal is, shape (n,) [m], if that is not for the scenario to say."""
+        return None
+
+    @property
+    def caught(self) -> bool | None:
+        """Return whether it has caught the goal, if that is not for distances to say."""
+        return None
+
+    @property
+    def lost(self) -> bool:
+        """Return whether it cannot catch the goal any more."""
+        return False
+
+
+def launched(
+    model: Model,
+    position: Array,
+    attitude: Array,
+    *,
+    fraction: float = 1.0,
+    velocity: Array | None = None,
+    body_rate: Array | None = None,
+    time: float = 0.0,
+) -> Vehicle:
+    """Return a vehicle at its start; velocity (order 2 only) and body rate are zero by default.
+
+    Args:
+        model: how it moves.
+        position: shape (n,) [m].
+        attitude: of the body in the world, shape (n, n).
+        fraction: share of full speed or thrust, in [0, 1].
+        velocity: in the world, shape (n,) [m/s]; at translation order 1 it follows from the rest.
+        body_rate: shape (1,) or (3,) [rad/s].
+        time: at the start [s].
+    """
+    if model.translation_order == 1:
+        velocity = model.forward * fraction * attitude[:, 0] + model.wind
+    elif velocity is None:
+        velocity = np.zeros(model.dimension)
+    rate = np.zeros(model.rates) if body_rate is None else body_rate
+    return Vehicle(time, position, velocity, nearest(attitude), rate, fraction, model.wind)
+
+
+def advance(model: Model, vehicle: Vehicle, fraction: float, body_rate: Array) -> Vehicle:
+    """Return the vehicle one step later: flown from the old values, the command then taken over.
+
+    Args:
+        model: how it answers.
+        vehicle: where it is.
+        fraction: commanded share of full speed or thrust, clipped to [0, 1].
+        body_rate: commanded angular velocity in the body frame, shape (1,) or (3,) [rad/s].
+    """
+    h = model.step
+    pushed = model.forward * vehicle.fraction * vehicle.attitude[:, 0]  # z sigma Q e1
+    turning = body_rate if model.rotation_order == 1 else vehicle.body_rate
+    attitude = nearest(vehicle.attitude @ exp(h * turning))  # nearest: no drift off SO(n)
+    fraction = float(np.clip(fraction, 0.0, 1.0))
+    way, velocity = _moved(model, vehicle, pushed, model.forward * fraction * attitude[:, 0])
+    return Vehicle(
+        vehicle.time + h,
+        vehicle.position + way,
+        velocity,
+        attitude,
+        np.array(body_rate),
+        fraction,
+        model.wind,
+    )
+
+
+def _moved(model: Model, vehicle: Vehicle, old: Array, new: Array) -> tuple[Array, Array]:
+    """Return the way of a step and the velocity at its end, shape (n,) each.
+
+    Args:
+        model: says whether speed or thrust changes at the end of the step, or all the while.
+        vehicle: at its begin.
+        old: speed or thrust at its begin, shape (n,).
+        new: at its end.
+    """
+    h = model.step
+    mean = 0.5 * (old + new) if model.discretisation == 'exact' else old
+    gained = h * (mean + model.blown)
+    if model.translation_order == 1:
+        return gained, new + model.wind
+    way = h * vehicle.velocity
+    if model.discretisation == 'exact':
+        way = way + h * h * (old / 3.0 + new / 6.0 + 0.5 * model.blown)
+    return way, vehicle.velocity + gained
+
+
+def failsafe(model: Model, vehicle: Vehicle) -> Vehicle:
+    """Return the vehicle once no command is in force: by default it stops, there and then.
+
+    At translation order 2 that is to coast: no command takes the velocity away.
+    """
+    velocity = vehicle.velocity
+    if model.translation_order == 1:
+        velocity = model.forward * model.failsafe_fraction * vehicle.attitude[:, 0] + model.wind
+    return replace(
+        vehicle,
+        velocity=velocity,
+        body_rate=model.failsafe_turn,
+        fraction=model.failsafe_fraction,
+    )
+
+
+def between(earlier: Vehicle, later: Vehicle, time: float) -> Vehicle:
+    """Return the vehicle on its way from one step to the next, at ``time`` [s]."""
+    share = (time - earlier.time) / (later.time - earlier.time)
+    turned = log(earlier.attitude.T @ later.attitude)
+    return replace(
+        earlier,
+        time=time,
+        position=earlier.position + share * (later.position - earlier.position),
+        attitude=earlier.attitude @ exp(share * turned),
+        body_rate=turned / (later.time - earlier.time),
+    )
+
+
+def measured(vehicle: Vehicle, velocity_source: str = 'ground') -> Odometry:
+    """Return what perfect odometry says of the vehicle: its twist is in the body frame.
+
+    Args:
+        vehicle: that is measured.
+        velocity_source: whether its velocity is that over ``ground`` or that through the ``air``.
+    """
+    velocity = vehicle.velocity
+    if velocity_source == 'air':
+        velocity = velocity - vehicle.wind
+    return Odometry(
+        vehicle.time,
+        vehicle.position,
+        vehicle.attitude,
+        vehicle.attitude.T @ velocity,
+        vehicle.body_rate,
+    )
