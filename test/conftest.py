@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from orbimpc_ros.ros.entry import PACKAGES
 from orbimpc_ros.tool.run.discovery import claimed, free
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
@@ -115,7 +116,7 @@ class LaunchedProcess:
         files: list[Path],
         remapped: dict,
     ) -> None:
-        runs = [str(module)] if isinstance(module, Path) else ['-m', f'orbimpc_ros.ros.{module}']
+        runs = [str(module)] if isinstance(module, Path) else ['-m', PACKAGES[module]]
         command = [sys.executable, *runs, '--ros-args']
         for file in files:
             command += ['--params-file', str(file)]

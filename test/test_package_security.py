@@ -14,6 +14,8 @@ from xml.etree import ElementTree
 
 import pytest
 
+from orbimpc_ros.ros.entry import PACKAGES
+
 pytest.importorskip('rclpy')
 
 from geometry_msgs.msg import TwistStamped
@@ -202,7 +204,7 @@ def test_where_security_is_asked_for_and_missing_nothing_flies(
         'ROS_SECURITY_STRATEGY': 'Enforce',
         'ROS_SECURITY_KEYSTORE': str(prepare(tmp_path / 'keystore')),
     }
-    words = [sys.executable, '-m', f'orbimpc_ros.ros.{node}']
+    words = [sys.executable, '-m', PACKAGES[node]]
     done = subprocess.run(
         words, env=environment, capture_output=True, text=True, check=False, timeout=60
     )

@@ -10,6 +10,8 @@ import time
 
 import pytest
 
+from orbimpc_ros.ros.entry import PACKAGES
+
 pytest.importorskip('rclpy')
 
 from geometry_msgs.msg import TwistStamped
@@ -239,7 +241,7 @@ def test_a_start_broken_off_is_cleared_away_and_says_why(tmp_path, breaks, code,
 )
 @pytest.mark.parametrize('node', ['planner', 'sim'])
 def test_words_that_nobody_would_look_at_are_refused_in_one_line(node, words, said):
-    command = [sys.executable, '-m', f'orbimpc_ros.ros.{node}', *words]
+    command = [sys.executable, '-m', PACKAGES[node], *words]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
     assert done.stderr.count('\n') == 1, done.stderr

@@ -12,6 +12,8 @@ import pytest
 from conftest import PATIENCE
 from test_benchmarks_faults import alive, wait_for
 
+from orbimpc_ros.ros.entry import PACKAGES
+
 pytest.importorskip('rclpy')
 
 STARTER = """
@@ -36,7 +38,7 @@ def started(tmp_path, domain):
     starters = []
 
     def start(node):
-        words = [sys.executable, str(script), str(tmp_path), f'orbimpc_ros.ros.{node}', str(domain)]
+        words = [sys.executable, str(script), str(tmp_path), PACKAGES[node], str(domain)]
         starter = subprocess.Popen(
             ['sh', '-c', 'trap "" INT; exec "$@"', 'sh', *words], stdout=subprocess.PIPE, text=True
         )

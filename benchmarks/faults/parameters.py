@@ -17,6 +17,7 @@ from benchmarks.faults.injection import recovered
 from benchmarks.faults.monitor import Limits
 from benchmarks.faults.outcome import FaultCase, Outcome
 from benchmarks.faults.session import PATIENCE, Session
+from orbimpc_ros.ros.entry import PACKAGES
 from orbimpc_ros.ros.parameters import PLANNER, SIM, Row
 
 LEAVE = 2.0  # [s] in which a node with nonsense for parameters must have ended
@@ -57,7 +58,7 @@ def _started(session: Session, number: int) -> Outcome:
     row = draw.choice(rows)
     value = nonsense(row, draw)
     begin = time.monotonic()
-    process = session.launch(f'orbimpc_ros.ros.{node}', {row.name: value})
+    process = session.launch(PACKAGES[node], {row.name: value})
     code = process.wait(PATIENCE)  # a busy machine is late, and no more
     took = time.monotonic() - begin
     process.stop()

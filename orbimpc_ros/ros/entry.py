@@ -20,7 +20,7 @@ ROS = (
     *('builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs', 'lifecycle_msgs', 'nav_msgs'),
     *('rcl_interfaces', 'rclpy', 'rosgraph_msgs', 'std_msgs', 'std_srvs', 'visualization_msgs'),
 )
-MODULES = {'planner': 'orbimpc_ros.ros.planner.node', 'sim': 'orbimpc_ros.sim.node'}
+PACKAGES = {'planner': 'orbimpc_ros.ros.planner', 'sim': 'orbimpc_ros.sim'}
 BAD_INPUT = 2  # exit code
 
 
@@ -47,7 +47,7 @@ def _run(node: str) -> int:
     leave_at_signals()
     gc.disable()  # until the node runs: what a start makes is kept
     try:
-        main = import_module(MODULES[node]).main
+        main = import_module(f'{PACKAGES[node]}.node').main
     except ModuleNotFoundError as error:
         line = in_a_line(error)
         if not line:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from orbimpc_ros.ros.entry import PACKAGES
 from orbimpc_ros.ros.parameters import sim_settings
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.settings import Values
@@ -71,7 +72,7 @@ def _vehicles(
 
     def start(node: str, namespace: str) -> Process:
         log = folder / f'{namespace.strip("/")}-{node}.log'.lstrip('-')
-        process = Process(f'orbimpc_ros.ros.{node}', parameters, log, namespace=namespace)
+        process = Process(PACKAGES[node], parameters, log, namespace=namespace)
         started.append(process)
         return process
 
