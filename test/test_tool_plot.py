@@ -10,8 +10,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
 
-from orbimpc_ros.tool import cli, figures, history, plot
-from orbimpc_ros.tool.figures import animation, scene, space, style
+from orbimpc_ros.tool import cli, figures, history, plot, style
+from orbimpc_ros.tool.figures import animation, scene, space
 from orbimpc_ros.tool.figures.charts import story
 from orbimpc_ros.tool.figures.numbers import COMPONENTS, series
 from orbimpc_ros.tool.topics import absent

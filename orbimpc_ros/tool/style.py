@@ -19,7 +19,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.rcsetup import cycler
 from matplotlib.ticker import MaxNLocator
 
-from orbimpc_ros.tool.figures import palette
+from orbimpc_ros.tool import palette
 from orbimpc_ros.tool.files import write_whole
 
 INK, BLUE, SKY, ORANGE, GREEN, RED, GREY, FAINT = (f'C{place}' for place in range(8))
