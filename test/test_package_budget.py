@@ -1,0 +1,33 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Size budget: lines of Python in each folder, words of Markdown."""
+
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+LINES = {
+    'orbimpc_ros': 48_200,
+    'orbimpc_ros/mpc': 29_000,
+    'orbimpc_ros/loop': 4_200,
+    'orbimpc_ros/ros': 6_450,
+    'orbimpc_ros/sim': 3_800,
+    'orbimpc_ros/tool': 8_700,
+    'benchmarks': 5_700,
+    'test': 39_300,
+}
+WORDS = {'docs': 34_000, 'README.md': 900}
+
+
+@pytest.mark.parametrize('folder', LINES)
+def test_a_folder_has_no_more_lines_than_its_budget(folder):
+    files = sorted((ROOT / folder).rglob('*.py'))
+    count = sum(len(file.read_text().splitlines()) for file in files)
+    assert 0 < count <= LINES[folder]
+
+
+@pytest.mark.parametrize('place', WORDS)
+def test_pages_have_no_more_words_than_their_budget(place):
+    pages = [ROOT / place] if place.endswith('.md') else sorted((ROOT / place).rglob('*.md'))
+    count = sum(len(page.read_text().split()) for page in pages)
+    assert 0 < count <= WORDS[place]
