@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.grounds import Left
+from orbimpc_ros.mpc.proof.tree import ProofTree
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,8 @@ class Found:
         nodes: relaxations or local problems solved.
         reason: why there is no trajectory.
         grounds: what the bound rests on, for it to be counted again; None where that is not known.
+        proof: the tree that proves the bound, in the units of the request; None where there is
+            none.
     """
 
     x: Array | None
@@ -114,6 +117,7 @@ class Found:
     nodes: int
     reason: str = ''
     grounds: Left | None = None
+    proof: ProofTree | None = None
 
     @property
     def gap(self) -> float:

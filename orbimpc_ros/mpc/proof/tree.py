@@ -1,0 +1,140 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Trees of a branch and bound, which prove its bound: splits, and multipliers at the leaves.
+
+Node 0 is all trajectories. A split cuts what a *choice* may be into parts, which are its children;
+a leaf has a point where a tangent of the cost touches, and multipliers. The bound of a tree is the
+least of its leaves', whatever their numbers are: see :mod:`orbimpc_ros.mpc.proof.bound`.
+
+Choices are numbered: the heading of step k is k - 1, its speed N + k - 1, and on which side of body
+j it is 2 N + j N + k - 1.
+
+Mathematics: docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.problem.units import Units
+
+# Kinds of nodes: leaves, and what splits cut, into which parts; docs/proofs.md has the table.
+LEAF, ARCS, CUT, SPEED, FACES, PATCHES, QUARTERS, SIDES, EMPTY = range(9)
+POINTS = 4  # control points of a step that a side of a body has rows of, at most
+
+
+class ProofTree(NamedTuple):
+    """A tree in arrays: M nodes, L leaves.
+
+    Attributes:
+        kind: ``LEAF``, ``EMPTY`` (its multipliers alone prove that nothing is in it), or what kind
+            of split, shape (M,).
+        choice: that is split, shape (M,).
+        first: child; the others follow, and all come after their parent; shape (M,).
+        count: of children, shape (M,).
+        at: where angles or speeds are cut, shape (M,).
+        leaf: its row in the arrays below; -1 of splits, and of parts that limits leave nothing of,
+            shape (M,).
+        point: where tangents touch, shape (L, N, d).
+        shor: b_k, curvature of the cost that step k keeps for itself, shape (L, N).
+        press_end: where the multipliers of rows of each leaf end in the arrays below, shape (L,).
+        press_row: 4 (choice - 2 N) + i, of control point i on the side of a choice, shape (P,).
+        press: their multipliers, >= 0, shape (P,).
+        pull: multipliers of an arrival s_N = g_N (and p_N = 0), shape (L, m, n); (0, 0, 0) without.
+        slide: of the glide slope, shape (L, N, 3) or (0, 0, 0).
+        tether: of how far R e1 moves in a step, shape (L, N, n) or (0, 0, 0).
+        share: what of a step's slope is held by the limits on R e1 alone, (L, N, n) or (0, 0, 0).
+        meet: of s_N within a radius of g_N, shape (L, n) or (0, 0).
+        ordered: whether steps that can be exchanged are in the order of their directions.
+        origin: from where these are counted then [rad].
+    """
+
+    kind: np.ndarray
+    choice: np.ndarray
+    first: np.ndarray
+    count: np.ndarray
+    at: Array
+    leaf: np.ndarray
+    point: Array
+    shor: Array
+    press_end: np.ndarray
+    press_row: np.ndarray
+    press: Array
+    pull: Array
+    slide: Array
+    tether: Array
+    share: Array
+    meet: Array
+    ordered: bool = False
+    origin: float = 0.0
+
+    @property
+    def nodes(self) -> int:
+        """Return M."""
+        return len(self.kind)
+
+
+INTEGERS = ('kind', 'choice', 'first', 'count', 'leaf', 'press_end', 'press_row')
+MULTIPLIERS = ('pull', 'slide', 'tether', 'share')
+NOTHING = np.zeros((0, 0, 0))
+
+
+def one(point: Array, shor: Array, **multipliers: Array) -> ProofTree:
+    """Return the tree of a single leaf.
+
+    Args:
+        point: where its tangent touches, shape (N, d).
+        shor: shape (N,).
+        multipliers: other arrays of the leaf, by their names, without the axis of leaves.
+    """
+    root, none = np.zeros(1, np.int64), np.zeros(0, np.int64)
+    tree = ProofTree(
+        root + LEAF, root, root, root, np.zeros(1), root,
+        np.ascontiguousarray(point[None]), np.ascontiguousarray(shor[None]),
+        root, none, np.zeros(0), *[NOTHING] * 4, NOTHING[0],
+    )  # fmt: skip
+    return tree._replace(**{name: value[None] for name, value in multipliers.items()})
+
+
+def in_users_units(tree: ProofTree, units: Units) -> ProofTree:
+    """Return the tree of a problem as it was posed, from that of the same in natural units."""
+    cost, force = units.cost, units.cost / units.length
+    timed = np.array([1.0, units.time])[: tree.pull.shape[1]]
+    return tree._replace(
+        shor=cost * tree.shor,
+        press=force * tree.press,
+        pull=force * tree.pull * timed[:, None],
+        slide=force * tree.slide,
+        tether=cost * tree.tether,
+        share=cost * tree.share,
+        meet=force * tree.meet,
+    )
+
+
+def fits(tree: ProofTree, horizon: int, n: int, width: int, arrives: int) -> bool:
+    """Return whether a tree's arrays are of the kinds and shapes of a problem's.
+
+    Args:
+        tree: of any origin.
+        horizon: N.
+        n: dimension.
+        width: d, how many coordinates of a rotation the cost sees.
+        arrives: m, how many vectors an arrival is about.
+    """
+    nodes, leaves = len(tree.kind), len(tree.point)
+    shapes = dict.fromkeys((*INTEGERS[:5], 'at'), (nodes,))
+    shapes |= {'press_end': (leaves,), 'press_row': np.shape(tree.press)[:1]}
+    shapes |= {'press': np.shape(tree.press)[:1], 'shor': (leaves, horizon)}
+    shapes |= {'point': (leaves, horizon, width), 'meet': (leaves, n)}
+    rows = {'pull': (arrives, n), 'slide': (horizon, 3), 'tether': (horizon, n)}
+    shapes |= {name: (leaves, *rows.get(name, (horizon, n))) for name in MULTIPLIERS}
+    for name, shape in shapes.items():
+        value, kind = getattr(tree, name), np.int64 if name in INTEGERS else np.float64
+        if not (isinstance(value, np.ndarray) and value.dtype == kind):
+            return False
+        optional = name in (*MULTIPLIERS, 'meet') and value.size == 0
+        if not (optional or value.shape == shape) or not value.flags.c_contiguous:
+            return False
+    return nodes > 0
