@@ -25,7 +25,7 @@ from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.planner.inbox import Inbox
 from orbimpc_ros.ros.transforms import TF, TF_STATIC, Rigid, Transforms, stated
-from orbimpc_ros.sim.vehicle import Model, launched
+from orbimpc_ros.sim.vehicle import Model, launched, measured
 from orbimpc_ros.tool.io.bag.writer import BagWriter
 from orbimpc_ros.tool.io.topics import TREE, topics_of
 from orbimpc_ros.tool.replay.offline import OfflinePlanner
@@ -67,7 +67,7 @@ def goal(seconds, x, y, yaw=0.0):
 
 def odometry(seconds):
     stamp = Stamp(round(seconds * SECOND), Frames('odom', 'base_link'))
-    return messages.odometry_message(stamp, launched(Model(), np.zeros(2), np.eye(2)))
+    return messages.odometry_message(stamp, measured(launched(Model(), np.zeros(2), np.eye(2))))
 
 
 def seen(seconds, place, size=(1.0, 1.0, 1.0), kind=Marker.CUBE):

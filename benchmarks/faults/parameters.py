@@ -18,7 +18,8 @@ from benchmarks.faults.monitor import Limits
 from benchmarks.faults.outcome import FaultCase, Outcome
 from benchmarks.faults.session import PATIENCE, Session
 from orbimpc_ros.ros.entry import PACKAGES
-from orbimpc_ros.ros.parameters import PLANNER, SIM, Row
+from orbimpc_ros.ros.parameters import PLANNER, Row
+from orbimpc_ros.sim.parameters import SIM
 
 LEAVE = 2.0  # [s] in which a node with nonsense for parameters must have ended
 BAD_INPUT = 2

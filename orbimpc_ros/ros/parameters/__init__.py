@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence, Sized
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from importlib import import_module
+from typing import Any, Generic, TypeVar
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
@@ -16,33 +17,12 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters.parameter import Row, Values
 from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner_settings
 
-if TYPE_CHECKING:
-    from orbimpc_ros.ros.parameters.sim import SIM, SimSettings, sim_settings
-
-__all__ = [
-    'PLANNER',
-    'SIM',
-    'Live',
-    'PlannerSettings',
-    'Row',
-    'SimSettings',
-    'planner_settings',
-    'sim_settings',
-]
+__all__ = ['PLANNER', 'Live', 'PlannerSettings', 'Row', 'planner_settings']
 
 S = TypeVar('S')
 W = TypeVar('W')
 
 OF_ROS = ('use_sim_time', 'start_type_description_service')
-
-
-def __getattr__(name: str) -> Any:
-    """Return what is the simulator's: a planner does not load its world."""
-    if name not in ('SIM', 'SimSettings', 'sim_settings'):
-        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-    from orbimpc_ros.ros.parameters import sim
-
-    return getattr(sim, name)
 
 
 class Live(Generic[S, W]):
@@ -146,9 +126,8 @@ def _refuse_unknown(node: Node, rows: Sequence[Row]) -> None:
     known = {row.name for row in rows}.union(OF_ROS)
     if not known.issuperset(node._parameter_overrides):
         # One file may serve both nodes, so a name is unknown only if neither has it.
-        from orbimpc_ros.ros.parameters.sim import SIM
-
-        known.update(row.name for row in (*PLANNER, *SIM))
+        simulator = import_module('orbimpc_ros.sim.parameters')
+        known.update(row.name for row in (*PLANNER, *simulator.SIM))
     for name, given in node._parameter_overrides.items():
         if name.startswith('qos_overrides.'):
             problem = f'{given.value!r} would have no effect'

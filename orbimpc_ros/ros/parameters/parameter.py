@@ -17,9 +17,8 @@ from rclpy.validate_topic_name import validate_topic_name
 from orbimpc_ros.loop.odometry import SOURCES
 from orbimpc_ros.mpc.arrays import ABOVE_ZERO, Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.problem import Box, Problem
+from orbimpc_ros.mpc.problem import Box
 from orbimpc_ros.ros.messages import THRUST_AXES, Frames
-from orbimpc_ros.sim.vehicle import RANGES, model_of
 
 Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 Values = Mapping[str, Any]
@@ -27,7 +26,6 @@ Values = Mapping[str, Any]
 FAR = 1e6  # [m]: positions in parameters
 MAX_DURATION = 1e3  # [s]: in parameters
 TINY = 1e-6  # stands for "above zero" in ranges, which are closed
-MODEL = model_of(Problem())
 
 
 @dataclass(frozen=True)
@@ -199,21 +197,15 @@ OBSTACLES = Row('obstacles', (), 'Boxes to stay out of: lower, then upper corner
     'm', -FAR, FAR, live=True)  # fmt: skip
 
 
-def _shared(name: str, description: str, unit: str = '', *, live: bool = False) -> Row:
-    """Return what planner and simulator must agree on: default and range are the vehicle's."""
-    low, high = span(*RANGES[name])
-    return Row(name, getattr(MODEL, name), description, unit, low, high, live=live)
-
-
-VEHICLE = (
-    _shared('dimension', 'Plane (2) or space (3)'),
-    _shared('rotation_order',
-        'Whether inputs are rates (1) or accelerations (2) of the rotation'),
-    _shared('translation_order',
-        'Whether the forward axis carries a velocity (1) or an acceleration (2)'),
-    Row('step', MODEL.step, 'Length of a step', 's', 1e-3, MAX_DURATION),
-    _shared('forward', 'Full speed or thrust acceleration', 'm/s or m/s^2', live=True),
-    _shared('mass', 'Turns a thrust acceleration into a force', 'kg', live=True),
+VEHICLE = (  # what planner and simulator must agree on
+    Row('dimension', 2, 'Plane (2) or space (3)', low=2, high=3),
+    Row('rotation_order', 1,
+        'Whether inputs are rates (1) or accelerations (2) of the rotation', low=1, high=2),
+    Row('translation_order', 1,
+        'Whether the forward axis carries a velocity (1) or an acceleration (2)', low=1, high=2),
+    Row('step', 1.0, 'Length of a step', 's', 1e-3, MAX_DURATION),
+    Row('forward', 1.0, 'Full speed or thrust acceleration', 'm/s or m/s^2', TINY, 1e3, live=True),
+    Row('mass', 1.0, 'Turns a thrust acceleration into a force', 'kg', TINY, FAR, live=True),
     Row('discretisation', 'euler', 'Whether a step pushes along the old axis alone, as in the '
         'paper, or is integrated exactly while that turns', choices=('euler', 'exact')),
     Row('wind', (0.0, 0.0, 0.0), 'Known wind in the world frame, at translation order 2 an '

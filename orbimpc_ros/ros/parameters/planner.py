@@ -41,10 +41,8 @@ from orbimpc_ros.ros.parameters.parameter import (
     disturbance_of,
     frames_of,
     require_topic,
-    span,
 )
 from orbimpc_ros.ros.transforms import Stated, stated
-from orbimpc_ros.sim.scenario import LIMITS, retrieval
 
 PROJECTIONS = ('nearest', 'thrust_aligned')
 OBJECTIVES = ('track', 'intercept')
@@ -115,9 +113,9 @@ PLANNER: tuple[Row, ...] = (
         choices=PROJECTIONS, live=True),
     Row('objective', 'track', 'Whether to be near the goal on average, or to catch it as soon as '
         'it can be', choices=OBJECTIVES, live=True),
-    Row('capture_radius', retrieval().capture_radius, 'Within it the goal is caught: by plans '
+    Row('capture_radius', 0.2, 'Within it the goal is caught: by plans '
         '(objective intercept), and as the topics caught and arrived tell', 'm',
-        *span(*LIMITS['capture_radius']), live=True),
+        TINY, FAR, live=True),
     Row('capture_centred', False, 'Whether plans of a catch lead through the middle of the goal '
         'with a little to spare: they turn gently, which vehicles follow whose turns take time '
         'to begin; otherwise they gain the last centimetre', live=True),

@@ -15,15 +15,9 @@ from typing import Any
 import yaml
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.parameters import (
-    OF_ROS,
-    PLANNER,
-    SIM,
-    Row,
-    planner_settings,
-    sim_settings,
-)
+from orbimpc_ros.ros.parameters import OF_ROS, PLANNER, Row, planner_settings
 from orbimpc_ros.ros.parameters.parameter import completed
+from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.tool.io import bag, document
 
 ROWS = {row.name: row for row in (*PLANNER, *SIM)}

@@ -16,8 +16,9 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.task import Future
 
-from orbimpc_ros.ros.parameters import PLANNER, SIM
+from orbimpc_ros.ros.parameters import PLANNER
 from orbimpc_ros.ros.process import RANGE, attached, qos
+from orbimpc_ros.sim.parameters import SIM
 from orbimpc_ros.tool.io import settings
 from orbimpc_ros.tool.io.content import seconds
 from orbimpc_ros.tool.io.topics import VEHICLE, Topic

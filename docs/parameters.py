@@ -1,12 +1,13 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""``python -m orbimpc_ros.ros.parameters.page``: prints docs/parameters.md from the tables."""
+"""``python docs/parameters.py``: prints docs/parameters.md from the tables."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
-from orbimpc_ros.ros.parameters import PLANNER, SIM, Row
+from orbimpc_ros.ros.parameters import PLANNER, Row
 from orbimpc_ros.ros.parameters.parameter import PROCESS
+from orbimpc_ros.sim.parameters import SIM
 
 PAGE = """\
 # Parameters
