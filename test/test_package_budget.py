@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Size budget: lines of Python in each folder, words of Markdown. What comes later pays for itself."""
+"""Size budget: lines of Python in each folder, words of Markdown."""
 
 from pathlib import Path
 
