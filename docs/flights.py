@@ -14,11 +14,10 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from orbimpc_ros.sim.fleet import vehicles
-from orbimpc_ros.tool import cli, figures
+from orbimpc_ros.tool import cli, figures, history
 from orbimpc_ros.tool.figures.fleet import fleet
-from orbimpc_ros.tool.figures.style import in_both_looks
-from orbimpc_ros.tool.io import history
-from orbimpc_ros.tool.io.history import History
+from orbimpc_ros.tool.history import History
+from orbimpc_ros.tool.style import in_both_looks
 
 DOCS = Path(__file__).resolve().parent
 FLEET = 8  # vehicles

@@ -26,7 +26,7 @@ from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.sim.flight import departure, planned
 from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
-from orbimpc_ros.tool.figures.style import (
+from orbimpc_ros.tool.style import (
     BLUE,
     FAINT,
     INK,

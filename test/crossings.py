@@ -24,9 +24,9 @@ from orbimpc_ros.sim.fleet import separations
 from orbimpc_ros.sim.flight import Flight, departure
 from orbimpc_ros.sim.parameters import SimSettings, sim_settings
 from orbimpc_ros.sim.vehicle import measured
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.bags import fields
 from orbimpc_ros.tool.demo.fleet import resolve
-from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.io.content import fields
 from orbimpc_ros.tool.replay.offline import OfflinePlanner, resolved
 
 

@@ -200,7 +200,7 @@ def test_a_wheel_carries_configuration_and_launch_files(tmp_path):
     placed = run(*pip, 'install', '--no-deps', '--no-index', '--target', site, wheel, cwd=tmp_path)
     assert placed.returncode == 0, placed.stdout + placed.stderr
     script = (
-        'from orbimpc_ros.tool.io import share; print(share.config("retrieval.yaml"))\n'
+        'from orbimpc_ros.tool import settings; print(settings.config("retrieval.yaml"))\n'
         'from orbimpc_ros.tool import cli; cli.main(["--version"])'
     )
     done = run(sys.executable, '-c', script, cwd=tmp_path, PYTHONPATH=str(site))

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool.io import share
+from orbimpc_ros.tool import settings
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ElementTree.parse(ROOT / 'package.xml').getroot()
@@ -172,9 +172,9 @@ def test_it_is_an_ament_python_package():
 
 def test_configuration_is_found():
     for file in (ROOT / 'config').glob('*.yaml'):
-        assert share.config(file.name).read_bytes() == file.read_bytes()
+        assert settings.config(file.name).read_bytes() == file.read_bytes()
     with pytest.raises(BadInput, match=r'nothing\.yaml'):
-        share.config('nothing.yaml')
+        settings.config('nothing.yaml')
 
 
 @pytest.mark.parametrize('node', ['planner', 'sim'])

@@ -16,8 +16,8 @@ from orbimpc_ros.sim.arrival import open_loop
 from orbimpc_ros.sim.flight import departure
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import measured
-from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.io.share import config
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.settings import config
 
 CRAFT = {
     'dimension': 3,

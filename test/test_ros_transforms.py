@@ -26,11 +26,11 @@ from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.planner.inbox import Inbox
 from orbimpc_ros.ros.transforms import TF, TF_STATIC, Rigid, Transforms, stated
 from orbimpc_ros.sim.vehicle import Model, launched, measured
-from orbimpc_ros.tool.io.bag.writer import BagWriter
-from orbimpc_ros.tool.io.topics import TREE, topics_of
+from orbimpc_ros.tool.bags import BagWriter
 from orbimpc_ros.tool.replay.offline import OfflinePlanner
 from orbimpc_ros.tool.replay.recording import recording_of
 from orbimpc_ros.tool.replay.resolving import replayed
+from orbimpc_ros.tool.topics import TREE, topics_of
 
 OTHER = '/uav2/plan'
 QUARTER = math.pi / 2

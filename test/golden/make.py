@@ -27,12 +27,12 @@ from orbimpc_ros.ros.reports import DISABLED
 from orbimpc_ros.sim.faults import View
 from orbimpc_ros.sim.flight import Flight, departure
 from orbimpc_ros.sim.parameters import sim_settings
-from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.io.bag.writer import BagWriter
-from orbimpc_ros.tool.io.share import config
-from orbimpc_ros.tool.io.topics import TYPES, topics_of
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.bags import BagWriter
 from orbimpc_ros.tool.replay.accept import serialised
 from orbimpc_ros.tool.replay.offline import OfflinePlanner
+from orbimpc_ros.tool.settings import config
+from orbimpc_ros.tool.topics import TYPES, topics_of
 
 FLIGHTS = {
     'retrieval': ('retrieval', ()),

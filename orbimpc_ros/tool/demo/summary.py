@@ -11,8 +11,8 @@ import numpy as np
 from orbimpc_ros.ros.parameters.spec import settings_from
 from orbimpc_ros.ros.parameters.vehicle import VehicleParameters
 from orbimpc_ros.sim.arena import touched_in_words
-from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.io.history import History
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.history import History
 
 
 def text(history: History) -> str:

@@ -35,8 +35,8 @@ from typing import Any
 import numpy as np
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool.io import document, settings
-from orbimpc_ros.tool.io.share import config
+from orbimpc_ros.tool import files, settings
+from orbimpc_ros.tool.settings import config
 
 Values = dict[str, Any]
 Rule = Any
@@ -124,7 +124,7 @@ def _file(name: str) -> Path:
 
 def _content(file: Path) -> Values:
     """Return the fields of a study file; those of a parameter file without rules."""
-    content = document.read(str(file))
+    content = files.read(str(file))
     if isinstance(content, dict) and 'draw' not in content:
         names = {name for name, _ in settings.sections(content, str(file))}
         lags = any(name.startswith('response.') for name in names)

@@ -24,7 +24,7 @@ from orbimpc_ros.sim.engines.failure import EngineFailure
 from orbimpc_ros.sim.flight import Flight, departure
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import Continuous
-from orbimpc_ros.tool.io import settings
+from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.run.onboard import Planner, tell
 
 Row = dict[str, Any]
