@@ -21,7 +21,7 @@ Made from the tables that the nodes declare their parameters from: `make docs` w
   radians, times in seconds, in the frames of REP-103 and REP-105.
 - A name that neither node knows is refused, so that no typing error goes unnoticed. One file may
   serve both nodes: names that only the other one knows are passed over.
-- Whether files or the command line win is explained under [troubleshooting](troubleshooting.md).
+- [Operating](operating.md#there-are-no-commands) says whether files or the command line win.
 - Both nodes have ROS's own `use_sim_time`. The planner's is true where `/clock` sets the pace, as
   in the simulator's lock-step; the simulator makes time and ignores it.
 

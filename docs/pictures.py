@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Draws the pictures of docs/explanation.md, light and dark: python docs/pictures.py.
+"""Draws the pictures of docs/concepts.md, light and dark: python docs/pictures.py.
 
 Everything in them is computed by the package, from fixed seeds.
 """
