@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.problem.pace import entry_speed
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 
 END, ENDS, STEP = range(3)  # what of a step is on one side of a body
-NOTHING = np.zeros(0)
+NOTHING: Array = np.zeros(0)
 
 
 class Cone(NamedTuple):
@@ -92,7 +92,8 @@ def limits_of(problem: Problem, state: State, goals: Array) -> Limits:
     plain = not (problem.has_cones or problem.approach.exists or problem.max_acceleration)
     if plain and not (problem.obstacles or state.hazards):
         return NO_LIMITS
-    cones, slope, eased = [], 0.0, NOTHING
+    cones, slope = list[Cone](), 0.0
+    eased: Array = NOTHING
     if problem.has_cones:
         outside = relief(problem, state, goals)
         if problem.tilt:

@@ -154,14 +154,14 @@ class Allowed(NamedTuple):
 
     Attributes:
         n: dimension.
-        count: N.
+        steps: N.
         is_free: whether the first heading is no part of the state.
         solid: faces of a floor in space; 0 without.
         capped: patches of the tilt's cap; 0 without.
     """
 
     n: int
-    count: int
+    steps: int
     is_free: bool
     solid: int
     capped: int
@@ -170,7 +170,7 @@ class Allowed(NamedTuple):
 @generic
 def _is_split_right(allowed, sets, radii, node, at, part, low, high):
     """Return whether a node may be split as it is, given what is known of the choice there."""
-    kind, c, parts, n, count = node[KIND], node[CHOICE], node[CHILDREN], allowed.n, allowed.count
+    kind, c, parts, n, count = node[KIND], node[CHOICE], node[CHILDREN], allowed.n, allowed.steps
     heading, body = c < count, c // count - 2
     if (heading and c == 0 and not allowed.is_free) or not 0 <= c < (2 + len(radii)) * count:
         return False
@@ -216,7 +216,7 @@ def part_of(allowed, root, sets, radii, order, node, at, i, depth, region):
     Returns:
         ``HELD``; ``GONE`` if nothing is left of it; ``WRONG`` if the node is not split right.
     """
-    kind, c, count = node[KIND], node[CHOICE], allowed.count
+    kind, c, count = node[KIND], node[CHOICE], allowed.steps
     part, span = region.part[depth], region.span[depth]
     if not 0 <= c < len(part):
         return WRONG

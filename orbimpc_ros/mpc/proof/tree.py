@@ -13,7 +13,7 @@ Mathematics: docs/proofs.md.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -79,11 +79,18 @@ def one(point: Array, shor: Array, **multipliers: Array) -> ProofTree:
         multipliers: other arrays of the leaf, by their names, without the axis of leaves.
     """
     none = np.zeros(1, np.int64)
-    leaf = np.ascontiguousarray(point[None]), np.ascontiguousarray(shor[None])
-    rows = none, none[:0], np.zeros(0)
-    known = np.zeros((1, 5), np.int64), np.zeros(1), *leaf, *rows
-    tree = ProofTree(*known, *[NOTHING] * 4, np.zeros((0, 0)))
-    return tree._replace(**{name: value[None] for name, value in multipliers.items()})
+    known: dict[str, Any] = dict.fromkeys(('pull', 'slide', 'tether', 'share'), NOTHING)
+    known['meet'] = np.zeros((0, 0))
+    return ProofTree(
+        nodes=np.zeros((1, 5), np.int64),
+        at=np.zeros(1),
+        point=np.ascontiguousarray(point[None]),
+        shor=np.ascontiguousarray(shor[None]),
+        press_end=none,
+        press_row=none[:0],
+        press=np.zeros(0),
+        **known | {name: value[None] for name, value in multipliers.items()},
+    )
 
 
 def in_users_units(tree: ProofTree, units: Units) -> ProofTree:

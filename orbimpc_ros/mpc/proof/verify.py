@@ -122,18 +122,19 @@ def _parts(stated: Stated, tree: Any) -> tuple:
     forces = tree.point[:, :0, : stated.n]
     if known:
         forces = known[0] if len(known) == 1 else np.concatenate(known, axis=1)
-    leaves = Leaves(*tree[2:7], np.ascontiguousarray(forces))
+    rows = tree.press_end, tree.press_row, tree.press
+    leaves = Leaves(tree.point, tree.shor, *rows, np.ascontiguousarray(forces))
     return allowed, Order(tree.ordered, tree.origin), tree.nodes, tree.at, leaves, Sections(*begins)
 
 
 def _in_fractions(tree: ProofTree) -> Any:
-    numbers = {}
+    numbers: dict[str, Any] = {'origin': Fraction(tree.origin)}
     for name, value in tree._asdict().items():
         if isinstance(value, np.ndarray) and value.dtype == float:
             made = np.empty(value.shape, object)
             made.ravel()[:] = [Fraction(each) for each in value.ravel().tolist()]
             numbers[name] = made
-    return tree._replace(origin=Fraction(tree.origin), **numbers)
+    return tree._replace(**numbers)
 
 
 def _verdict(least: Any, leaves: int, what: int) -> float:
