@@ -24,8 +24,9 @@ from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve.solver import Solver
-from orbimpc_ros.sim.flight import departure, planned
-from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
+from orbimpc_ros.sim.world import departure
+from flying import planned
+from scenarios import retrieval, retrieval_problem
 from orbimpc_ros.tool.style import (
     BLUE,
     FAINT,

@@ -12,8 +12,8 @@ from orbimpc_ros.loop.forecast import Forecast
 from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.sim.faults import Delivery, View
-from orbimpc_ros.sim.flight import Flight, departure
-from orbimpc_ros.sim.scenario import Scenario
+from orbimpc_ros.sim.world import Flight, departure
+from orbimpc_ros.sim.world import Scenario
 
 if TYPE_CHECKING:
     from orbimpc_ros.loop.controller import Controller

@@ -18,9 +18,9 @@ from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.problem import Floor, Problem, State
-from orbimpc_ros.sim.flight import fly
-from orbimpc_ros.sim.rope import Rope
-from orbimpc_ros.sim.scenario import Scenario
+from flying import fly
+from orbimpc_ros.sim.world import Rope
+from orbimpc_ros.sim.world import Scenario
 from orbimpc_ros.sim.vehicle import Model, advance, launched, measured, model_of
 
 UP = exp(np.array([0.0, -0.5 * np.pi, 0.0]))  # the thrust axis to the zenith

@@ -14,8 +14,8 @@ import yaml
 from orbimpc_ros.loop.controller import Controller
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.reports import Report, tick_message
-from orbimpc_ros.sim.flight import departure
-from orbimpc_ros.sim.scenario import retrieval
+from orbimpc_ros.sim.world import departure
+from scenarios import retrieval
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.tool.topics import TYPES
 

@@ -9,8 +9,8 @@ import pytest
 from orbimpc_ros.loop.controller import Controller
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.reports import Report, prices, tick_message
-from orbimpc_ros.sim.flight import departure
-from orbimpc_ros.sim.scenario import retrieval
+from orbimpc_ros.sim.world import departure
+from scenarios import retrieval
 from orbimpc_ros.sim.vehicle import measured
 
 pytest.importorskip('rclpy')

@@ -10,8 +10,8 @@ from nav_msgs.msg import Odometry, Path
 
 from orbimpc_ros.loop.controller import Controller
 from orbimpc_ros.loop.forecast import Itinerary, forecast_named
-from orbimpc_ros.sim.flight import fly
-from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
+from flying import fly
+from scenarios import retrieval, retrieval_problem
 
 LONG = {'exit_when_done': True, 'wait_subscribers': 2}
 

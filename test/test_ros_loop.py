@@ -19,8 +19,8 @@ from visualization_msgs.msg import MarkerArray  # noqa: E402
 from orbimpc_ros.loop.controller import Controller  # noqa: E402
 from orbimpc_ros.loop.forecast import forecast_named  # noqa: E402
 from orbimpc_ros.ros.process import qos  # noqa: E402
-from orbimpc_ros.sim.flight import fly  # noqa: E402
-from orbimpc_ros.sim.scenario import retrieval, retrieval_problem  # noqa: E402
+from flying import fly  # noqa: E402
+from scenarios import retrieval, retrieval_problem  # noqa: E402
 
 TOPICS = {
     'odom': Odometry,

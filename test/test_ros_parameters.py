@@ -27,7 +27,7 @@ from orbimpc_ros.ros.parameters import PLANNER, planner_settings
 from orbimpc_ros.ros.parameters.parameter import completed
 from orbimpc_ros.ros.parameters.sections import given, unused_sections
 from orbimpc_ros.sim.parameters import SIM, sim_settings
-from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
+from scenarios import retrieval, retrieval_problem
 
 CONFIG = Path(__file__).resolve().parents[1] / 'config' / 'retrieval.yaml'
 DOCUMENTED = {

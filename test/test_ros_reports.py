@@ -17,8 +17,8 @@ from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.ros.planner.health import condition
 from orbimpc_ros.ros.reports import Report, health_message, tick_message
-from orbimpc_ros.sim.flight import departure
-from orbimpc_ros.sim.scenario import retrieval
+from orbimpc_ros.sim.world import departure
+from scenarios import retrieval
 from orbimpc_ros.sim.vehicle import measured
 
 GOALS = np.tile([4.0, 1.0], (5, 1))

@@ -29,7 +29,7 @@ from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.sim.faults import Faults, View
 from orbimpc_ros.sim.readers import RECORDED
-from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
+from scenarios import retrieval, retrieval_problem
 from orbimpc_ros.sim.stepping import LockStep
 
 DISTURBED = {

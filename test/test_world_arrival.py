@@ -9,10 +9,11 @@ import pytest
 from orbimpc_ros.loop.controller import Controller
 from orbimpc_ros.loop.forecast import forecast_named
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.sim.arrival import open_loop
-from orbimpc_ros.sim.flight import departure, fly
-from orbimpc_ros.sim.rope import fixed
-from orbimpc_ros.sim.scenario import dubins, dubins_problem, spacecraft, spacecraft_problem
+from orbimpc_ros.tool.demo.open_loop import open_loop
+from orbimpc_ros.sim.world import departure
+from flying import fly
+from orbimpc_ros.sim.world import fixed
+from scenarios import dubins, dubins_problem, spacecraft, spacecraft_problem
 
 AHEAD = replace(dubins(), rope=fixed(np.array([3.0, 0.0])), max_ticks=3, arrival_radius=0.1)
 

@@ -10,9 +10,9 @@ from orbimpc_ros.loop.controller import Controller
 from orbimpc_ros.loop.forecast import forecast_named
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Floor
-from orbimpc_ros.sim.flight import fly
-from orbimpc_ros.sim.rope import Rope
-from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
+from flying import fly
+from orbimpc_ros.sim.world import Rope
+from scenarios import retrieval, retrieval_problem
 from orbimpc_ros.sim.vehicle import launched
 
 

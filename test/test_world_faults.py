@@ -13,9 +13,10 @@ from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import log
 from orbimpc_ros.sim.faults import Faults, View
-from orbimpc_ros.sim.flight import departure, fly
-from orbimpc_ros.sim.rope import Rope
-from orbimpc_ros.sim.scenario import retrieval, retrieval3d, retrieval_problem
+from orbimpc_ros.sim.world import departure
+from flying import fly
+from orbimpc_ros.sim.world import Rope
+from scenarios import retrieval, retrieval3d, retrieval_problem
 from orbimpc_ros.sim.vehicle import between, launched, measured
 
 TURN = np.array([0.3])

@@ -12,9 +12,10 @@ from orbimpc_ros.loop.forecast import forecast_named
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import log
 from orbimpc_ros.mpc.problem import Approach
-from orbimpc_ros.sim.flight import departure, fly
-from orbimpc_ros.sim.rope import Rope, fixed
-from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
+from orbimpc_ros.sim.world import departure
+from flying import fly
+from orbimpc_ros.sim.world import Rope, fixed
+from scenarios import retrieval, retrieval_problem
 from orbimpc_ros.sim.vehicle import Model, launched
 
 

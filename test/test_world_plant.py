@@ -12,13 +12,13 @@ from scipy.integrate import solve_ivp, trapezoid
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, skew
-from orbimpc_ros.sim.airspeed import Airspeeds
+from orbimpc_ros.sim.world import Airspeeds
 from orbimpc_ros.sim.faults import Faults, View
-from orbimpc_ros.sim.flight import departure
+from orbimpc_ros.sim.world import departure
 from orbimpc_ros.sim.gusts import Gusts
 from orbimpc_ros.sim.plant import Plant, lagged
-from orbimpc_ros.sim.rope import Rope, fixed
-from orbimpc_ros.sim.scenario import Scenario
+from orbimpc_ros.sim.world import Rope, fixed
+from orbimpc_ros.sim.world import Scenario
 from orbimpc_ros.sim.vehicle import launched, measured
 
 ORDERS = list(itertools.product((2, 3), (1, 2)))

@@ -9,10 +9,10 @@ import pytest
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Box, Problem
-from orbimpc_ros.sim.contact import drifter, met
+from orbimpc_ros.sim.world import drifter, met
 from orbimpc_ros.sim.fleet import LEAST_RING, crossing, separations
-from orbimpc_ros.sim.flight import departure
-from orbimpc_ros.sim.scenario import retrieval
+from orbimpc_ros.sim.world import departure
+from scenarios import retrieval
 from orbimpc_ros.sim.vehicle import launched
 
 

@@ -21,7 +21,7 @@ from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.sim.scenario import retrieval_problem
+from scenarios import retrieval_problem
 from orbimpc_ros.sim.vehicle import measured
 
 FRAMES = Frames('odom', 'base_link')

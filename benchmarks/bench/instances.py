@@ -14,8 +14,9 @@ from orbimpc_ros.loop.forecast import Hold
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Box, Problem, State
-from orbimpc_ros.sim.flight import Flight, departure, planned
-from orbimpc_ros.sim.scenario import retrieval
+from orbimpc_ros.sim.world import Flight, departure
+from flying import planned
+from scenarios import retrieval
 
 APPROACH = 20  # ticks from the start to the rope and a first turn around it
 SEED = 1

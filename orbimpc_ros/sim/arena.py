@@ -23,11 +23,11 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.process import DONE, FAILED, Guarded, qos
 from orbimpc_ros.ros.reports import ERROR, OK, WARN, diagnostics, health_message
-from orbimpc_ros.sim.airspeed import Airspeeds
+from orbimpc_ros.sim.world import Airspeeds
 from orbimpc_ros.sim.commands import Order, Orders
 from orbimpc_ros.sim.engines.failure import EngineFailure
 from orbimpc_ros.sim.faults import Delivery, View
-from orbimpc_ros.sim.flight import Flight, departure
+from orbimpc_ros.sim.world import Flight, departure
 from orbimpc_ros.sim.markers import traffic_markers, world_markers
 from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.readers import Readers

@@ -20,8 +20,8 @@ from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.arrays import ABOVE_ZERO, Array, within
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
-from orbimpc_ros.sim.flight import Flight
-from orbimpc_ros.sim.scenario import MAX_TICKS
+from orbimpc_ros.sim.world import Flight
+from orbimpc_ros.sim.world import MAX_TICKS
 from orbimpc_ros.sim.vehicle import Continuous, Vehicle, between, measured
 
 ODOMETRY, GOAL, COMMAND = range(3)  # rows of a tick's chances

@@ -32,14 +32,15 @@ from orbimpc_ros.ros.parameters.parameter import (
     vector,
 )
 from orbimpc_ros.ros.process import LIFE
-from orbimpc_ros.sim.contact import drifter
+from orbimpc_ros.sim.world import drifter
 from orbimpc_ros.sim.engine_vehicle import ENGINES, EnginePlant
 from orbimpc_ros.sim.faults import FAULT_RANGES, NO_FAULTS, Faults
 from orbimpc_ros.sim.gusts import GUST_RANGES, Gusts
 from orbimpc_ros.sim.plant import PLANT_RANGES, Plant
 from orbimpc_ros.sim.readers import wanted_readers
-from orbimpc_ros.sim.rope import FASTEST, Rope
-from orbimpc_ros.sim.scenario import FINISHES, LIMITS, Scenario, retrieval
+from orbimpc_ros.sim.world import FASTEST, Rope
+from orbimpc_ros.sim.world import FINISHES, LIMITS, Scenario
+from scenarios import retrieval
 from orbimpc_ros.sim.vehicle import Model, launched
 
 SHARE = 0.75  # of command_timeout without a sign of life; the rest is for telling

@@ -21,7 +21,8 @@ from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner
 from orbimpc_ros.ros.planner.inbox import Inbox
 from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.ros.reports import Report
-from orbimpc_ros.sim.flight import Flight, perfect_sensor
+from orbimpc_ros.sim.world import Flight
+from flying import perfect_sensor
 from orbimpc_ros.sim.markers import traffic_markers
 
 PATIENCE = 60.0  # [s]
