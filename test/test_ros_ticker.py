@@ -390,7 +390,7 @@ def test_a_catch_is_headed_along_the_goals_axis_or_the_direction_given():
     for yaw, direction in ((1.0, ()), (-2.0, (np.cos(1.0), np.sin(1.0)))):
         coned = {'approach.cone': 0.3, 'approach.direction': direction}
         driven = Driven(objective='intercept', horizon=8, **coned)
-        driven.ticker._settings = replace(driven.inbox.settings, deadline=np.inf)
+        driven.ticker._settings = replace(driven.inbox.settings, given_deadline=np.inf)
         driven.odometry(0.0, 0.0)
         turned_to(yaw, 0.0, 0.0, driven)
         tick = driven.tick(0.0).tick

@@ -10,27 +10,23 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, number
+from orbimpc_ros.mpc.arrays import ABOVE_ZERO, Array, number
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion
 from orbimpc_ros.mpc.problem import Approach, Hazard
 from orbimpc_ros.ros.messages import QUATERNION_TOLERANCE, Frames
-from orbimpc_ros.ros.parameters.approach import APPROACH, approach_of
-from orbimpc_ros.ros.parameters.parameter import (
+from orbimpc_ros.ros.parameters.spec import (
     FAR,
     MAX_DURATION,
-    OBSTACLES,
-    PROCESS,
-    VEHICLE,
-    Row,
+    TINY,
     Value,
     Values,
-    boxes_of,
-    disturbance_of,
-    frames_of,
-    span,
+    settings_from,
+    specs_of,
     vector,
 )
+from orbimpc_ros.ros.parameters.spec import ParameterSpec as Row
+from orbimpc_ros.ros.parameters.vehicle import VehicleParameters
 from orbimpc_ros.ros.process import LIFE
 from orbimpc_ros.sim.world import drifter
 from orbimpc_ros.sim.engine_vehicle import ENGINES, EnginePlant
@@ -50,6 +46,11 @@ def _triple(vector: Array) -> tuple[float, ...]:
     return tuple([*vector.tolist(), 0.0][:3])
 
 
+def _closed(low: float, high: float) -> tuple[float, float]:
+    """Return a range as parameters have it: closed, so that a small number stands for zero."""
+    return (TINY if low == ABOVE_ZERO else low), high
+
+
 FLOWN = retrieval()  # its numbers are the defaults
 
 VEHICLES = ('discrete', 'continuous', *ENGINES)
@@ -60,12 +61,12 @@ IDEAL = Plant()  # its numbers are the defaults
 
 
 def _row(name: str, attribute: str, description: str, unit: str) -> Row:
-    low, high = span(*PLANT_RANGES[attribute])
+    low, high = _closed(*PLANT_RANGES[attribute])
     return Row(name, getattr(IDEAL, attribute), description, unit, low, high)
 
 
 def _gust_row(name: str, attribute: str, description: str, unit: str) -> Row:
-    low, high = span(*GUST_RANGES[attribute])
+    low, high = _closed(*GUST_RANGES[attribute])
     return Row(name, getattr(IDEAL.gusts, attribute), description, unit, low, high)
 
 
@@ -114,16 +115,13 @@ ROPE = (
 
 ENDING = (
     Row('capture_radius', FLOWN.capture_radius, 'The goal is caught within it',
-        'm', *span(*LIMITS['capture_radius'])),
-    *(replace(row, live=False) for row in APPROACH),
+        'm', *_closed(*LIMITS['capture_radius'])),
     Row('finish', FLOWN.finish, 'Whether to end with the capture, or at max_ticks by arriving',
         choices=FINISHES),
     Row('arrival_radius', FLOWN.arrival_radius, 'At arrival the goal is within it',
-        'm', *span(*LIMITS['arrival_radius'])),
+        'm', *_closed(*LIMITS['arrival_radius'])),
     Row('arrival_speed', FLOWN.arrival_speed, 'At arrival the speed is at most this; 0 for any',
         'm/s', *LIMITS['arrival_speed']),
-    replace(OBSTACLES, description='Boxes that the vehicle must not touch: lower, then upper '
-        'corner of each', live=False),
     Row('traffic', (), 'Balls, in the plane discs, that move evenly, shown on obstacles: where '
         'each is at the start, its velocity, its radius', 'm, m/s', -FAR, FAR),
 )  # fmt: skip
@@ -168,7 +166,7 @@ CONDUCT = (
 
 
 def _fault(name: str, description: str, unit: str = '') -> Row:
-    low, high = span(*FAULT_RANGES[name])
+    low, high = _closed(*FAULT_RANGES[name])
     return Row(f'faults.{name}', getattr(NO_FAULTS, name), description, unit, low, high)
 
 
@@ -187,8 +185,7 @@ FAULTS = (
 )
 
 SIM: tuple[Row, ...] = (
-    *(replace(row, live=False) for row in VEHICLE),
-    *PROCESS,
+    *(replace(row, live=False) for row in specs_of(VehicleParameters)),
     *PLANT,
     Row('clock', 'lockstep', 'lockstep waits for each command, shared also for the /clock that the '
         'vehicles of a fleet have in common; wall runs in real time',
@@ -265,7 +262,7 @@ def sim_settings(values: Values) -> SimSettings:
         wait_for=wanted_readers(values['wait_for']),
         wait_timeout=values['wait_timeout'] or math.inf,
         seed=values['seed'],
-        frames=frames_of(values),
+        frames=settings_from(VehicleParameters, values).message_frames(),
     )
 
 
@@ -274,7 +271,12 @@ def _faults(values: Values) -> Faults:
 
 
 def _scenario(values: Values) -> Scenario:
-    n, known = values['dimension'], disturbance_of(values).tolist()
+    vehicle = settings_from(VehicleParameters, values)
+    n, known = vehicle.dimension, vehicle.known_disturbance().tolist()
+
+    def of(name: str, size: int = n) -> Array:
+        return vector(values[name], name, size)
+
     steps = Model(
         n,
         values['rotation_order'],
@@ -289,21 +291,21 @@ def _scenario(values: Values) -> Scenario:
         source=values['velocity_source'],
     )
     rope = Rope(
-        vector(values, 'rope.center', n),
-        vector(values, 'rope.amplitude', n),
+        of('rope.center'),
+        of('rope.amplitude'),
         values['rope.frequency'],
-        vector(values, 'rope.phase', n),
-        vector(values, 'rope.velocity', n),
+        of('rope.phase'),
+        of('rope.velocity'),
     )
     model = _moved_by(values, steps, rope)
-    frames = frames_of(values)
+    frames = vehicle.message_frames()
     start = launched(
         model,
-        vector(values, 'start.position', n),
+        of('start.position'),
         frames.turned(_orientation(values['start.orientation'], n)),
         fraction=values['start.speed_fraction'],
-        velocity=vector(values, 'start.velocity', n),
-        body_rate=frames.turned(vector(values, 'start.body_rate', 3))[-model.rates :],
+        velocity=of('start.velocity'),
+        body_rate=frames.turned(of('start.body_rate', 3))[-model.rates :],
     )
     ending = ('capture_radius', 'max_ticks', 'finish', 'arrival_radius', 'arrival_speed')
     known_ends = {name: values[name] for name in ending}
@@ -312,9 +314,9 @@ def _scenario(values: Values) -> Scenario:
         start,
         rope,
         **known_ends,
-        obstacles=boxes_of(values),
+        obstacles=vehicle.boxes(),
         traffic=_traffic(values),
-        approach=_approach(values),
+        approach=_approach(vehicle),
         rope_length=values['rope.length'],
     )
 
@@ -390,12 +392,12 @@ def _traffic(values: Values) -> tuple[Hazard, ...]:
     return tuple(drifter(row[:n], row[n:-1], float(row[-1])) for row in rows)
 
 
-def _approach(values: Values) -> Approach:
+def _approach(vehicle: VehicleParameters) -> Approach:
     """Return the cone in which a catch counts; the goal's orientation is that of the world."""
-    known, n = approach_of(values), values['dimension']
+    known = vehicle.approach_of_a_catch()
     if not known.is_the_goals:
         return known
-    own = frames_of(values).turned(np.eye(3))[:n, 0]
+    own = vehicle.message_frames().turned(np.eye(3))[: vehicle.dimension, 0]
     return replace(known, direction=tuple(own.tolist()))
 
 

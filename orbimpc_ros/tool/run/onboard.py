@@ -16,8 +16,8 @@ from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND
-from orbimpc_ros.ros.parameters.parameter import completed
 from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner_settings
+from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.ros.planner.inbox import Inbox
 from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.ros.reports import Report
@@ -52,7 +52,7 @@ class Planner:
     ) -> None:
         settings = planner_settings(completed(PLANNER, parameters))
         if patient:
-            settings = replace(settings, deadline=PATIENCE)
+            settings = replace(settings, given_deadline=PATIENCE)
         self._inbox, self._frames = Inbox(settings), settings.frames
         controller = prepared(settings)[1] if pilot is None else pilot(settings)
         self._ticker = Ticker(settings, controller, simulated=True, clock=clock)
