@@ -301,11 +301,6 @@ def touched(boxes: Sequence[Box], start: Array, end: Array, grazed: float = 0.0)
     return frozenset(k for k, box in enumerate(boxes) if _crosses(box, start, end, grazed))
 
 
-def drifter(position: Array, velocity: Array, radius: float) -> Hazard:
-    """Return a ball that moves evenly from a position [m] at the start, with a velocity [m/s]."""
-    return Hazard.drifting(Ball(position, radius), velocity)
-
-
 def met(
     traffic: Sequence[Hazard],
     flown: tuple[Array, Array],
