@@ -320,6 +320,6 @@ def test_a_recording_with_tf_is_answered_as_it_was(tmp_path):
     assert [tick.refusals for tick in ticks] == [()] * 3
     found = [tick.messages['cmd_vel'].twist.angular.z for tick in ticks]
     np.testing.assert_allclose(found, expected, atol=1e-9)
-    untold = replace(known, tree=replace(known.tree, heard=False))
+    untold = replace(known, tf=False)
     (refused,) = next(iter(replayed(recording, untold, simulated=False))).refusals
     assert refused.startswith('goal refused: header.frame_id')
