@@ -60,7 +60,7 @@ mutants: $(VENV)/.installed-test
 
 docs: $(VENV)/.installed-demo
 	$(SAY) 'Parameters and pictures'
-	$(BIN)/python -m orbimpc_ros.ros.parameters.page > docs/parameters.new
+	$(BIN)/python docs/parameters.py > docs/parameters.new
 	mv docs/parameters.new docs/parameters.md
 	$(BIN)/python docs/pictures.py
 

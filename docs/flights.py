@@ -13,7 +13,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from orbimpc_ros.ros.vehicles import vehicles
+from orbimpc_ros.sim.fleet import vehicles
 from orbimpc_ros.tool import cli, figures, history
 from orbimpc_ros.tool.figures.fleet import fleet
 from orbimpc_ros.tool.history import History

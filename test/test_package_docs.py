@@ -4,6 +4,7 @@
 import importlib.util
 import os
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -32,7 +33,7 @@ def blocks(page, language):
 
 def test_the_parameters_are_those_of_the_nodes():
     pytest.importorskip('rclpy')
-    from orbimpc_ros.ros.parameters.page import page
+    page = runpy.run_path(str(DOCS / 'parameters.py'))['page']
 
     assert (DOCS / 'parameters.md').read_text() == page(), 'make docs'
 

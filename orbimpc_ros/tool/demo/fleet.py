@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.vehicles import crossers, plans, vehicles
-from orbimpc_ros.sim.fleet import separations
+from orbimpc_ros.sim.fleet import crossers, plans, separations, vehicles
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.files import new_folder, writing_to
 from orbimpc_ros.tool.settings import Values, config
