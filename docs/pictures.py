@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Draws the pictures of docs/explanation.md, light and dark: python docs/pictures.py.
+"""Draws the pictures of docs/concepts.md, light and dark: python docs/pictures.py.
 
 Everything in them is computed by the package, from fixed seeds.
 """
@@ -26,7 +26,7 @@ from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.sim.flight import departure, planned
 from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
-from orbimpc_ros.tool.figures.style import (
+from orbimpc_ros.tool.style import (
     BLUE,
     FAINT,
     INK,

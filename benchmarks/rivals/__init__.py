@@ -10,7 +10,7 @@ from pathlib import Path
 from orbimpc_ros.loop.controller import Controller
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.tool.io import document
+from orbimpc_ros.tool.files import read
 
 RIVALS = {
     'pursuit': ('guidance', 'PurePursuit'),
@@ -66,5 +66,5 @@ def tuned_of(study: str) -> Tuned:
     files = [TUNED / f'{name}.yaml' for name in (LIKE.get(study, study), study)]
     known: Tuned = {}
     for file in files:
-        known |= document.read(str(file)) if file.is_file() else {}
+        known |= read(str(file)) if file.is_file() else {}
     return known
