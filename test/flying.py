@@ -1,24 +1,82 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The closed loop of controller and vehicle with faults in between, without ROS."""
+"""The closed loop of controller and vehicle without ROS, with faults in between if wanted."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
+from orbimpc_ros.loop.controller import Controller, Tick
 from orbimpc_ros.loop.delay import CommandHistory, advanced
-from orbimpc_ros.loop.forecast import Forecast
+from orbimpc_ros.loop.forecast import Forecast, Sighting
 from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.sim.faults import Delivery, View
-from orbimpc_ros.sim.flight import Flight, departure
-from orbimpc_ros.sim.scenario import Scenario
-
-if TYPE_CHECKING:
-    from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.sim.vehicle import measured
+from orbimpc_ros.sim.world import Flight, Scenario, departure
 
 HELD = 1.5  # steps that a command is in force, as in the simulator by default
+
+
+@dataclass(frozen=True)
+class Log:
+    """What a whole flight came to.
+
+    Attributes:
+        flights: its states, one more than ticks.
+        ticks: what the controller made of each but the last.
+    """
+
+    flights: tuple[Flight, ...]
+    ticks: tuple[Tick, ...]
+
+    @property
+    def captured(self) -> bool:
+        """Return whether the goal was caught."""
+        return self.flights[-1].captured
+
+    @property
+    def misses(self) -> Array:
+        """Return the least distance to the goal during each step, shape (ticks,) [m]."""
+        return np.array([flight.miss for flight in self.flights[1:]])
+
+
+Sensor = Callable[[Flight], tuple[Sighting, Odometry]]
+
+
+def perfect_sensor(flight: Flight) -> tuple[Sighting, Odometry]:
+    """Return what is seen of a flight without noise: its goal and its vehicle."""
+    source = flight.scenario.model.velocity_source
+    return Sighting(flight.vehicle.time, flight.goal), measured(flight.vehicle, source)
+
+
+def fly(
+    controller: Controller, scenario: Scenario, forecast: Forecast, sensor: Sensor = perfect_sensor
+) -> Log:
+    """Close the loop of controller and vehicle until the goal is caught or the steps run out.
+
+    The simulator and the planner do the same over DDS; this is the loop without ROS.
+    """
+    flights, ticks = [departure(scenario)], []
+    while not flights[-1].over:
+        tick = planned(controller, flights[-1], forecast, sensor)
+        command = tick.command
+        ticks.append(tick)
+        flights.append(flights[-1].after(command.speed_fraction, command.body_rate))
+    return Log(tuple(flights), tuple(ticks))
+
+
+def planned(
+    controller: Controller, flight: Flight, forecast: Forecast, sensor: Sensor = perfect_sensor
+) -> Tick:
+    """Return a controller's tick on what is seen of a flight just now."""
+    sighting, odometry = sensor(flight)
+    forecast.observe(sighting)
+    ahead = controller.problem.step * np.arange(1, controller.remaining + 1)
+    return controller.tick(odometry, forecast.at(sighting.time + ahead))
 
 
 class Intake:
