@@ -12,7 +12,7 @@ from bags import check_pictures
 
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.ros.messages import SECOND
-from orbimpc_ros.sim.fleet import members, vehicles
+from orbimpc_ros.sim.fleet import vehicles
 from orbimpc_ros.tool import bags, history, settings
 from orbimpc_ros.tool.bags import BagWriter
 from orbimpc_ros.tool.demo import fleet
@@ -122,11 +122,11 @@ def test_only_a_fleet_has_vehicles(tmp_path):
 def test_ropes_are_drawn_from_the_seed_alone():
     assert vehicles(3) == vehicles(3)
     assert vehicles(3) != vehicles(3, seed=1)
-    few, many = members(3), members(8)
-    for one, other in zip(few, many, strict=False):
-        assert one.rope.frequency == other.rope.frequency
-        assert np.array_equal(one.rope.phase, other.rope.phase)
-    frequencies = {member.rope.frequency for member in many}
+    few, many = vehicles(3), vehicles(8)
+    for name, one in few.items():
+        for drawn in ('rope.frequency', 'rope.phase'):
+            assert one[drawn] == many[name][drawn]
+    frequencies = {each['rope.frequency'] for each in many.values()}
     assert len(frequencies) == 8
     assert vehicles(2, 2**31 - 1)['/uav1']['seed'] == 0  # the largest there is, and on
     assert all(0.02 <= frequency <= 0.3 for frequency in frequencies)
