@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from benchmarks.bench.duel import OURS
+from benchmarks.bench.interleaved import OURS
 from benchmarks.bench.picture import side_by_side
-from benchmarks.bench.rows import LATE, BenchRow
+from benchmarks.bench.results import LATE, BenchRow
 from orbimpc_ros.tool import figures, settings
 from orbimpc_ros.tool.demo.arrivals import column, planned_at_start, table, title
 from orbimpc_ros.tool.demo.fleet import resolve
