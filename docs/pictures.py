@@ -1,11 +1,12 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Draws the pictures of docs/explanation.md, light and dark: python docs/pictures.py.
+"""Draws the pictures of docs/concepts.md, light and dark: python docs/pictures.py.
 
 Everything in them is computed by the package, from fixed seeds.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -17,6 +18,11 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Circle, Polygon
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
+sys.path.append(str(Path(__file__).parents[1] / 'test'))
+
+from flying import planned
+from scenarios import retrieval, retrieval_problem
+
 from orbimpc_ros.loop.controller import Controller
 from orbimpc_ros.loop.forecast import Hold
 from orbimpc_ros.mpc.geometry.faces import normals
@@ -24,8 +30,7 @@ from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve.solver import Solver
-from orbimpc_ros.sim.flight import departure, planned
-from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
+from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool.style import (
     BLUE,
     FAINT,

@@ -10,7 +10,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.geometry.rotations import exp, from_quaternion
-from orbimpc_ros.ros.parameters import sim_settings
+from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import advance, launched
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import BagWriter

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from continuous import Craft, Motion, at_rest, flown, turned
+from scenarios import dubins_problem, spacecraft_problem
 
 from orbimpc_ros.loop.controller import Controller
 from orbimpc_ros.loop.delay import CommandHistory
@@ -14,7 +15,6 @@ from orbimpc_ros.loop.response import Response
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Floor, Problem
-from orbimpc_ros.sim.scenario import dubins_problem, spacecraft_problem
 
 LONG = 6.0  # [s] twenty time constants: by then lags are over
 LAGS = [(0.3, 0.3), (0.2, 0.3), (0.3, 0.1), (0.0, 0.2), (0.3, 0.0)]

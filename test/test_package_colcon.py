@@ -122,7 +122,7 @@ def test_the_tool_runs_in_a_sourced_workspace_as_its_pages_say(workspace):
     tool = prefix(workspace) / 'lib' / NAME / 'orbimpc'
     done = run(*sourced(workspace, tool, '--version'), cwd=workspace)
     assert done.stdout == 'orbimpc_ros 0.1.0\n', done.stderr
-    for page in ('look.md', 'replay.md'):
+    for page in ('recording.md', 'getting_started.md'):
         assert f'ros2 run {NAME} orbimpc' in (ROOT / 'docs' / page).read_text()
 
 

@@ -36,7 +36,7 @@ class Watched:
             still = Odometry(START + now, np.zeros(2), np.eye(2), np.zeros(2), np.zeros(1))
             for topic, message in (
                 ('goal', messages.goal_message(stamp, goal(now))),
-                ('odom', messages.measurement_message(stamp, still)),
+                ('odom', messages.odometry_message(stamp, still)),
             ):
                 assert self.inbox.take(topic, message, now, RosTime(stamp.nanoseconds)) == ''
         return self.ticker.planned(self.inbox, now, RosTime(stamp.nanoseconds))

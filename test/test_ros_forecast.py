@@ -6,12 +6,12 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from flying import fly
 from nav_msgs.msg import Odometry, Path
+from scenarios import retrieval, retrieval_problem
 
 from orbimpc_ros.loop.controller import Controller
 from orbimpc_ros.loop.forecast import Itinerary, forecast_named
-from orbimpc_ros.sim.flight import fly
-from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
 
 LONG = {'exit_when_done': True, 'wait_subscribers': 2}
 

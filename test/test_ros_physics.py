@@ -16,11 +16,11 @@ from dying_engine import FAILURES
 from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.ros.parameters import SIM, sim_settings
 from orbimpc_ros.sim import engine_vehicle as engines
 from orbimpc_ros.sim.engine_vehicle import EnginePlant
 from orbimpc_ros.sim.engines.failure import EngineFailure
-from orbimpc_ros.sim.flight import departure
+from orbimpc_ros.sim.parameters import SIM, sim_settings
+from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import cli, settings
 from orbimpc_ros.tool.bags import fields
 from orbimpc_ros.tool.run.onboard import Planner, tell

@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.parameters import SIM, sim_settings
+from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.sim.plant import Plant
 from orbimpc_ros.tool import bags, cli
 from orbimpc_ros.tool.bags import fields

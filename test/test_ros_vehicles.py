@@ -15,7 +15,7 @@ from orbimpc_ros.mpc.kernels import COMPILED
 
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
 
-PAGE = Path(__file__).parents[1] / 'docs' / 'vehicles.md'
+PAGE = Path(__file__).parents[1] / 'docs' / 'vehicle.md'
 BLOCK = re.compile(r'^```yaml\n(.*?)^```', re.DOTALL | re.MULTILINE)
 needs_machine_code = pytest.mark.skipif(not COMPILED, reason='takes minutes without numba')
 

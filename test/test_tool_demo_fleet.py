@@ -10,8 +10,7 @@ import pytest
 from bags import check_pictures
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.vehicles import vehicles
-from orbimpc_ros.sim.fleet import members
+from orbimpc_ros.sim.fleet import members, vehicles
 from orbimpc_ros.tool import bags, demo, history, settings, summary
 from orbimpc_ros.tool.bags import BagWriter
 from orbimpc_ros.tool.topics import topics_of

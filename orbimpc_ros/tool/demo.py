@@ -112,7 +112,7 @@ def fleet(
     Raises:
         BadInput: too many vehicles, an unknown name, or a value that is not allowed.
     """
-    from orbimpc_ros.ros.vehicles import crossers, plans, vehicles
+    from orbimpc_ros.sim.fleet import crossers, plans, vehicles
     from orbimpc_ros.tool import settings
 
     file = settings.config(f'{scenario}.yaml')

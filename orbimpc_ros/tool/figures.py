@@ -16,7 +16,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.ros.parameters import sim_settings
+from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.history import History
 from orbimpc_ros.tool.style import (
@@ -117,7 +117,7 @@ def paths(flown: Mapping[str, History]) -> Figure:
     for axes in charts:
         axes.set_xlabel('time [s]')
     handles = dict(zip(*legend.get_legend_handles_labels()[::-1], strict=True))
-    figure.legend(handles.values(), handles.keys(), loc='outside lower center', ncols=9)
+    figure.legend(handles.values(), handles.keys(), loc='outside lower center', ncols=6)
     headline(figure, story(flown))
     return figure
 

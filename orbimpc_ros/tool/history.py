@@ -12,11 +12,11 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from orbimpc_ros.loop.capture import closest_approach
 from orbimpc_ros.loop.observation import Sighting
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.messages import Frames, Stamp, pushed, read_odometry, read_sighting
-from orbimpc_ros.sim.capture import closest_approach
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import fields, point, seconds
 

@@ -16,15 +16,10 @@ import yaml
 
 from orbimpc_ros import install
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.parameters import (
-    OF_ROS,
-    PLANNER,
-    SIM,
-    Row,
-    planner_settings,
-    sim_settings,
-)
-from orbimpc_ros.ros.parameters.parameter import completed
+from orbimpc_ros.ros.parameters import PLANNER, planner_settings
+from orbimpc_ros.ros.parameters.dynamic import OF_ROS
+from orbimpc_ros.ros.parameters.spec import ParameterSpec, completed
+from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.tool import bags, files
 
 ROWS = {row.name: row for row in (*PLANNER, *SIM)}
@@ -198,7 +193,7 @@ def _change(given: str) -> tuple[str, Any]:
     return name, _typed(row, files.parse(word, f'--set {name}'))
 
 
-def _typed(row: Row, value: Any) -> Any:
+def _typed(row: ParameterSpec, value: Any) -> Any:
     """Return a value as the parameter's type; a whole number may stand for a float."""
     kind = type(row.default)
     if kind is tuple and isinstance(value, list):
@@ -210,13 +205,13 @@ def _typed(row: Row, value: Any) -> Any:
     return value
 
 
-def _word(row: Row, value: Any) -> str:
+def _word(row: ParameterSpec, value: Any) -> str:
     if not isinstance(value, str):
         raise BadInput(row.name, value, row.allowed)
     return value
 
 
-def _float(row: Row, value: Any) -> float:
+def _float(row: ParameterSpec, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise BadInput(row.name, value, row.allowed)
     return float(value)

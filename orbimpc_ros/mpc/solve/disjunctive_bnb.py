@@ -282,11 +282,10 @@ class _Run:
         missed = posed.missed(trajectory)
         if not missed:
             self._close(bound)
+            self._best.offer(relaxed.x, trajectory)
             if not relaxed.is_accurate:
                 self._dives.dive(choice, trajectory, posed.round_floors(trajectory))
-                return
-            self._best.offer(relaxed.x, trajectory)
-            if not posed.turns_in_time(trajectory):
+            elif not posed.turns_in_time(trajectory):
                 self._dives.turn(choice, trajectory)
             return
         if (self._best.x is None and not self._guided) or self._is_nearly_round(missed):

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,10 @@ from std_msgs.msg import UInt8MultiArray
 from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.loop.controller import Tick
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command
+from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.model.dynamics import translation_rollout
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.ros import messages
@@ -27,7 +29,6 @@ from orbimpc_ros.ros.messages import Stamp
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.process import LIFE, Guarded, qos
 from orbimpc_ros.ros.reports import Report, tick_message
-from orbimpc_ros.sim.vehicle import Vehicle, advance, launched, model_of
 
 KINDS: dict[str, type] = {
     'plan': Path,
@@ -110,7 +111,7 @@ def _path(settings: PlannerSettings, stamp: Stamp, report: Report) -> Path | Non
     if not settings.avoid or tick.state is None:
         return None
     flown = obeyed(problem, tick.state, tick.command)
-    poses = [messages.pose(v.position, stamp.frames.own(v.attitude)) for v in flown]
+    poses = [messages.pose(place, stamp.frames.own(attitude)) for place, attitude in flown]
     return messages.path_message(stamp, problem.step, poses, start)
 
 
@@ -134,16 +135,18 @@ def _markers(problem: Problem, stamp: Stamp, tick: Tick) -> MarkerArray | None:
     return plan_markers(stamp, problem, tick.plan, () if tick.state is None else tick.state.hazards)
 
 
-def obeyed(problem: Problem, state: State, command: Command) -> list[Vehicle]:
-    """Return where a vehicle will be that obeys one command for a horizon: N + 1 states."""
-    known = tuple(state.disturbance.tolist())
-    model = replace(model_of(problem), disturbance=known)
-    fraction = min(1.0, float(np.linalg.norm(state.rotation[:, 0])))
-    placed = model, state.position, state.attitude
-    flown = [launched(*placed, fraction=fraction, velocity=state.velocity)]
-    for _ in range(problem.horizon):
-        flown.append(advance(model, flown[-1], command.speed_fraction, command.body_rate))
-    return flown
+def obeyed(problem: Problem, state: State, command: Command) -> list[tuple[Array, Array]]:
+    """Return N + 1 positions and attitudes of a vehicle that obeys one command for a horizon."""
+    turn = exp(problem.step * command.body_rate)
+    attitudes = [state.attitude]
+    for step in range(problem.horizon):  # of second order, it turns from the second step on
+        still = step == 0 and problem.rotation_order == 2
+        attitudes.append(attitudes[-1] if still else attitudes[-1] @ turn)
+    fractions = np.full(problem.horizon + 1, command.speed_fraction)
+    fractions[0] = min(1.0, float(np.linalg.norm(state.rotation[:, 0])))
+    headings = fractions[:, None] * np.array(attitudes)[:, :, 0]
+    positions, _ = translation_rollout(problem, state, headings)
+    return list(zip(positions, attitudes, strict=True))
 
 
 class Outlet:

@@ -54,7 +54,7 @@ class OfflinePlanner:
         self._inbox = Inbox(settings, others=tuple(avoided))
         # Simulated: what a tick takes is given, not measured.
         self._ticker = Ticker(
-            *prepared(replace(settings, deadline=deadline)),
+            *prepared(replace(settings, given_deadline=deadline)),
             simulated=True,
             clock=clock or time.perf_counter,
         )

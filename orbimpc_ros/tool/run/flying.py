@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from orbimpc_ros.ros.entry import PACKAGES
-from orbimpc_ros.ros.parameters import sim_settings
+from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.run import discovery, processes
 from orbimpc_ros.tool.run.pacer import Pacer

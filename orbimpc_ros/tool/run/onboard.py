@@ -15,14 +15,15 @@ from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
-from orbimpc_ros.ros.markers import traffic_markers
 from orbimpc_ros.ros.messages import SECOND
-from orbimpc_ros.ros.parameters.parameter import completed
 from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner_settings
+from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.ros.planner.inbox import Inbox
 from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 from orbimpc_ros.ros.reports import Report
-from orbimpc_ros.sim.flight import Flight, perfect_sensor
+from orbimpc_ros.sim.markers import traffic_markers
+from orbimpc_ros.sim.vehicle import measured
+from orbimpc_ros.sim.world import Flight
 
 PATIENCE = 60.0  # [s]
 EPOCH = 1_700_000_000 * SECOND
@@ -51,7 +52,7 @@ class Planner:
     ) -> None:
         settings = planner_settings(completed(PLANNER, parameters))
         if patient:
-            settings = replace(settings, deadline=PATIENCE)
+            settings = replace(settings, given_deadline=PATIENCE)
         self._inbox, self._frames = Inbox(settings), settings.frames
         controller = prepared(settings)[1] if pilot is None else pilot(settings)
         self._ticker = Ticker(settings, controller, simulated=True, clock=clock)
@@ -67,7 +68,7 @@ class Planner:
 
     def odometry(self, now: float, measured: Odometry) -> None:
         """Hear where the vehicle is at a time [s]."""
-        self._take('odom', messages.measurement_message(self._stamp(now), measured), now)
+        self._take('odom', messages.odometry_message(self._stamp(now), measured), now)
 
     def traffic(self, now: float, flight: Flight, margin: float) -> None:
         """Hear where the traffic around a flight is, each ball larger by a margin [m]."""
@@ -113,11 +114,10 @@ def tell(planner: Planner, flight: Flight, ahead: int, margin: float = 0.0) -> N
         ahead: steps of the goal's future.
         margin: by which the balls in the traffic are told to be larger than they are [m].
     """
-    sighting, odometry = perfect_sensor(flight)
     now, step, rope = flight.vehicle.time, flight.scenario.model.step, flight.scenario.rope
     if flight.scenario.traffic:
         planner.traffic(now, flight, margin)
     if ahead:
         planner.goals(now, step, [rope.at(flight.elapsed + k * step) for k in range(ahead + 1)])
-    planner.goal(now, sighting.position)
-    planner.odometry(now, odometry)
+    planner.goal(now, flight.goal)
+    planner.odometry(now, measured(flight.vehicle, flight.scenario.model.velocity_source))

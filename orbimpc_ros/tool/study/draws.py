@@ -107,7 +107,7 @@ def _require_sound(draws: Draws, name: str) -> None:
     try:
         settings.changed(draws.of(0, 0), ())
     except (AttributeError, IndexError, KeyError, StopIteration, TypeError, ValueError) as error:
-        rules = 'the rules of docs/study.md'
+        rules = 'the rules of docs/recording.md'
         raise BadInput(f'{name}: draw', f'{type(error).__name__}: {error}', rules) from None
 
 

@@ -1,0 +1,98 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""``python docs/parameters.py``: prints docs/parameters.md from the tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from orbimpc_ros.ros.parameters import PLANNER
+from orbimpc_ros.ros.parameters.spec import ParameterSpec
+from orbimpc_ros.ros.parameters.vehicle import PROCESS
+from orbimpc_ros.sim.parameters import SIM
+
+PAGE = """\
+# Parameters
+
+Made from the tables that the nodes declare their parameters from: `make docs` writes it anew.
+
+- *live* parameters of the planner can be changed while it runs; an invalid change is rejected with
+  a reason. All others are set at the start, as are all of the simulator's. `ros2 param describe`
+  shows the same.
+- Decimal numbers need a decimal point: to ROS `1` is not `1.0`. Lengths are in metres, angles in
+  radians, times in seconds, in the frames of REP-103 and REP-105.
+- A name that neither node knows is refused, so that no typing error goes unnoticed. One file may
+  serve both nodes: names that only the other one knows are passed over.
+- [Operating](operating.md#there-are-no-commands) says whether files or the command line win.
+- Both nodes have ROS's own `use_sim_time`. The planner's is true where `/clock` sets the pace, as
+  in the simulator's lock-step; the simulator makes time and ignores it.
+
+## What planner and simulator must agree on
+
+{both}
+
+## What each of them has
+
+{process}
+
+## Planner
+
+{planner}
+
+## Simulator
+
+{sim}
+"""
+HEAD = ('parameter', 'default', 'allowed', 'unit', 'live', 'meaning')
+
+
+def page() -> str:
+    """Return the page on parameters, in Markdown."""
+    own = {row.name for row in PROCESS}
+    shared = {row.name for row in PLANNER} & {row.name for row in SIM}
+    return PAGE.format(
+        both=_table(row for row in PLANNER if row.name in shared - own),
+        process=_table(PROCESS),
+        planner=_table(row for row in PLANNER if row.name not in shared),
+        sim=_table(row for row in SIM if row.name not in shared),
+    )
+
+
+def _table(rows: Iterable[ParameterSpec]) -> str:
+    lines = [HEAD, ('---',) * len(HEAD), *map(_cells, rows)]
+    return '\n'.join(f'| {" | ".join(cells)} |' for cells in lines)
+
+
+def _cells(row: ParameterSpec) -> tuple[str, ...]:
+    live = 'yes' if row.live else ''
+    return f'`{row.name}`', _default(row), _allowed(row), row.unit, live, row.description
+
+
+def _default(row: ParameterSpec) -> str:
+    if row.default == '':
+        return 'empty'
+    if isinstance(row.default, bool):
+        return str(row.default).lower()
+    if isinstance(row.default, tuple):
+        return ', '.join(_decimal(float(each)) for each in row.default) or 'none'
+    return _decimal(row.default) if isinstance(row.default, float) else str(row.default)
+
+
+def _decimal(number: float) -> str:
+    """Return a number as ROS takes it for a decimal one."""
+    text = f'{number:.6g}'
+    return text if '.' in text or 'e' in text else f'{text}.0'
+
+
+def _allowed(row: ParameterSpec) -> str:
+    if row.choices:
+        return ', '.join(f'`{choice}`' for choice in row.choices)
+    if row.words or isinstance(row.default, (bool, str)):
+        return row.allowed.replace(' | ', ', ')
+    if isinstance(row.default, int):
+        return f'whole, {row.low:.0f} to {row.high:.0f}'
+    span = f'{row.low:g} to {row.high:g}'
+    return f'decimals, {span}' if isinstance(row.default, tuple) else span
+
+
+if __name__ == '__main__':
+    print(page(), end='')

@@ -1,0 +1,345 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""The simulated world: a swinging rope, boxes, traffic, and a flight among them, step by step."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from orbimpc_ros.loop.capture import closest_approach, is_headed
+from orbimpc_ros.mpc.arrays import Array, frozen
+from orbimpc_ros.mpc.check import TOLERANCE
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.problem import Approach, Ball, Box, Hazard
+from orbimpc_ros.sim.vehicle import Model, Vehicle
+
+FINISHES = ('capture', 'arrival')
+ROUNDING = 1e-6  # of the stall speed
+
+
+@dataclass(frozen=True)
+class Rope:
+    """A rope at g(t) = center + velocity t + amplitude * sin(2 pi f t + phase), axis by axis.
+
+    Attributes:
+        center: shape (n,) [m].
+        amplitude: shape (n,) [m].
+        frequency: f [Hz].
+        phase: shape (n,) [rad].
+        velocity: of the middle of the swing, shape (n,) [m/s]; zero if empty.
+    """
+
+    center: Array
+    amplitude: Array
+    frequency: float
+    phase: Array
+    velocity: Array = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        n = len(np.atleast_1d(self.center))
+        if not len(self.velocity):
+            object.__setattr__(self, 'velocity', np.zeros(n))
+        for name in ('center', 'amplitude', 'phase', 'velocity'):
+            object.__setattr__(self, name, frozen(getattr(self, name), (n,), f'rope.{name}'))
+
+    def at(self, time: float) -> Array:
+        """Return g(t), shape (n,) [m]."""
+        angle = 2.0 * np.pi * self.frequency * time + self.phase
+        return self.center + self.velocity * time + self.amplitude * np.sin(angle)
+
+
+def fixed(point: Array) -> Rope:
+    """Return a goal that stays at a point, shape (n,) [m]."""
+    still = np.zeros(len(point))
+    return Rope(point, still, 0.0, still)
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A vehicle, its start and its goal.
+
+    Attributes:
+        model: how the vehicle answers to commands.
+        start: where it is at the start; its time is the start's.
+        rope: the goal, swinging or fixed.
+        capture_radius: the goal counts as caught within it [m].
+        max_ticks: steps after which the flight ends.
+        finish: ``capture``, it ends as soon as the goal is caught; ``arrival``, it ends after
+            ``max_ticks`` and has to be at the goal then.
+        arrival_radius: how far from the goal a vehicle that has arrived may be [m].
+        arrival_speed: and how fast [m/s]; 0 for any speed.
+        obstacles: boxes; who touches one has not done the job.
+        traffic: balls that move, each evenly from the start on; who touches one has not either.
+        approach: who is headed elsewhere at a capture has not done it either; its direction is
+            given where there is a cone.
+        rope_length: the rope hangs so far [m], half of it above the plane of flight, for vehicles
+            that may leave it.
+    """
+
+    model: Model
+    start: Vehicle
+    rope: Rope
+    capture_radius: float
+    max_ticks: int
+    finish: str = 'capture'
+    arrival_radius: float = 0.05
+    arrival_speed: float = 0.0
+    obstacles: tuple[Box, ...] = ()
+    traffic: tuple[Hazard, ...] = ()
+    approach: Approach = field(default_factory=Approach)
+    rope_length: float = 0.0
+
+    def __post_init__(self) -> None:
+        n = self.model.dimension
+        self.approach.validate(n)
+        if self.approach.is_the_goals:
+            raise BadInput('approach.direction', [], f'{n} numbers')
+        if len(self.start.position) != n:
+            raise BadInput('start.position', self.start.position.tolist(), f'{n} numbers')
+        if len(self.rope.center) != n:
+            raise BadInput('rope.center', self.rope.center.tolist(), f'{n} numbers')
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A scenario after some steps.
+
+    Attributes:
+        scenario: what is flown.
+        vehicle: where it is now.
+        ticks: steps flown.
+        miss: least distance to the goal during the last step [m]; infinite before the first.
+        missed_at: when that was [s].
+        headed: whether it was within the cone of approach then.
+        trail: the vehicle on its way through the last step, at its end last.
+        touched: numbers of the boxes, and on from there of the balls in the traffic, that it has
+            been in so far, farther than the tolerance of plans.
+    """
+
+    scenario: Scenario
+    vehicle: Vehicle
+    ticks: int = 0
+    miss: float = np.inf
+    missed_at: float = np.nan
+    headed: bool = False
+    trail: tuple[Vehicle, ...] = ()
+    touched: frozenset[int] = frozenset()
+
+    @property
+    def elapsed(self) -> float:
+        """Return the time since the start [s]: the rope's own time."""
+        return self.vehicle.time - self.scenario.start.time
+
+    @property
+    def goal(self) -> Array:
+        """Return where the goal is now, shape (n,) [m]."""
+        return self.goal_of(self.vehicle)
+
+    def goal_of(self, vehicle: Vehicle) -> Array:
+        """Return where the goal is at the time of a vehicle of this flight, shape (n,) [m]."""
+        if vehicle.goal is not None:
+            return vehicle.goal
+        return self.scenario.rope.at(vehicle.time - self.scenario.start.time)
+
+    @property
+    def _place(self) -> Array:
+        """Return where the vehicle is, and how far past the rope's ends, shape (n + 1,) [m]."""
+        height = self.vehicle.height
+        past = max(0.0, abs(height) - 0.5 * self.scenario.rope_length)
+        return np.append(self.vehicle.position, math.copysign(past, height))
+
+    @property
+    def _place_of_goal(self) -> Array:
+        return np.append(self.goal, 0.0)
+
+    @property
+    def distance(self) -> float:
+        """Return how far the goal is now [m]."""
+        return float(np.linalg.norm(self.vehicle.position - self.goal))
+
+    @property
+    def speed(self) -> float:
+        """Return how fast the vehicle is now [m/s]."""
+        return float(np.linalg.norm(self.vehicle.velocity))
+
+    @property
+    def captured(self) -> bool:
+        """Return whether the job is done: the goal caught by the last step, or arrived at.
+
+        Who has touched a box, or a ball in the traffic, has not done it.
+        """
+        if self.touched:
+            return False
+        if self.scenario.finish == 'arrival':
+            return self._arrived
+        return self.near and self.headed
+
+    @property
+    def near(self) -> bool:
+        """Return whether the goal came within the capture radius in the last step.
+
+        Where an engine judges, it is whether the goal has been caught.
+        """
+        judged = self.vehicle.caught
+        return self.miss <= self.scenario.capture_radius if judged is None else judged
+
+    @property
+    def _arrived(self) -> bool:
+        fastest = self.scenario.arrival_speed or np.inf
+        near = self.distance <= self.scenario.arrival_radius and self.speed <= fastest
+        return near and self._out_of_ticks
+
+    @property
+    def _out_of_ticks(self) -> bool:
+        return self.ticks >= self.scenario.max_ticks
+
+    @property
+    def over(self) -> bool:
+        """Return whether the goal is caught or lost, or the steps are used up."""
+        return self.captured or self.vehicle.lost or self._out_of_ticks
+
+    def after(self, fraction: float, body_rate: Array, held: float = np.inf) -> Flight:
+        """Return the flight one step later, the command taken over as the vehicle's model says.
+
+        Args:
+            fraction: commanded share of full speed or thrust.
+            body_rate: commanded, shape (1,) or (3,) [rad/s].
+            held: how long into the step the command is in force [s]; after that the vehicle
+                does as its model has it without one: by default it stops.
+        """
+        step = self.scenario.model.step
+        if held >= step:
+            later = self._flown(step, fraction, body_rate)
+        else:
+            later = self._cut_short(max(0.0, held), fraction, body_rate)
+        return replace(later, ticks=self.ticks + 1)
+
+    def _cut_short(self, held: float, fraction: float, body_rate: Array) -> Flight:
+        model = self.scenario.model
+        obeyed = self._flown(held, fraction, body_rate) if held > 0.0 else self
+        safe = replace(obeyed, vehicle=model.released(obeyed.vehicle))
+        rest = safe._flown(model.step - held, model.failsafe_fraction, model.failsafe_turn)
+        if held <= 0.0:
+            return rest
+        nearest = min((obeyed, rest), key=lambda flight: flight.miss)
+        trail = obeyed.trail + rest.trail
+        kept = {name: getattr(nearest, name) for name in ('miss', 'missed_at', 'headed')}
+        return replace(rest, trail=trail, **kept)
+
+    def _flown(self, span: float, fraction: float, body_rate: Array) -> Flight:
+        """Return the flight after a time [s] under one command, its goal swinging on."""
+        trail = self.scenario.model.flown(self.vehicle, span, fraction, body_rate, self.elapsed)
+        miss, missed_at, headed = np.inf, np.nan, False
+        before = self
+        for vehicle in trail:
+            now = replace(before, vehicle=vehicle)
+            near, share = closest_approach(
+                (before._place, now._place), (before._place_of_goal, now._place_of_goal)
+            )
+            if near < miss and not (before.vehicle.caught or before.vehicle.lost):
+                begun = before.vehicle.time
+                miss, missed_at = near, begun + share * (vehicle.time - begun)
+                ends = before.vehicle.attitude[:, 0], vehicle.attitude[:, 0]
+                headed = is_headed(self.scenario.approach, ends, share)
+            before = replace(now, touched=now.touched | before._touched(now))
+        return replace(before, miss=miss, missed_at=missed_at, headed=headed, trail=trail)
+
+    def _touched(self, now: Flight) -> frozenset[int]:
+        boxes, way = self.scenario.obstacles, (self.vehicle.position, now.vehicle.position)
+        grazed = TOLERANCE * self.scenario.model.length_unit  # as far as plans may lead inside
+        balls = met(self.scenario.traffic, way, (self.elapsed, now.elapsed), grazed)
+        return touched(boxes, *way, grazed) | {len(boxes) + number for number in balls}
+
+
+def departure(scenario: Scenario, time: float | None = None) -> Flight:
+    """Return the flight before its first step; ``time`` [s] moves the start on the clock."""
+    start = scenario.model.begun(scenario.start)
+    if time is not None:
+        start = replace(start, time=time)
+    return Flight(replace(scenario, start=start), start)
+
+
+@dataclass(frozen=True)
+class Airspeeds:
+    """What airspeeds there were so far.
+
+    Attributes:
+        stall_speed: below which a vehicle has stalled [m/s]; 0 for none.
+        least: [m/s]; infinite before anything was seen.
+        stalls: how often it fell below the stall speed.
+        stalled: whether it was below when last seen.
+    """
+
+    stall_speed: float
+    least: float = math.inf
+    stalls: int = 0
+    stalled: bool = False
+
+    def seeing(self, vehicles: Iterable[Vehicle]) -> Airspeeds:
+        """Return the record once these, in order of time, are seen as well."""
+        seen = self
+        for vehicle in vehicles:
+            speed = vehicle.airspeed
+            stalled = speed < self.stall_speed * (1.0 - ROUNDING)
+            stalls = seen.stalls + (stalled and not seen.stalled)
+            seen = replace(seen, least=min(seen.least, speed), stalls=stalls, stalled=stalled)
+        return seen
+
+
+def touched(boxes: Sequence[Box], start: Array, end: Array, grazed: float = 0.0) -> frozenset[int]:
+    """Return the numbers of the boxes whose inside a straight way leads through.
+
+    Args:
+        boxes: counted from 0.
+        start: of the way, shape (n,) [m].
+        end: of the way, shape (n,) [m].
+        grazed: depth that does not count [m].
+    """
+    return frozenset(k for k, box in enumerate(boxes) if _crosses(box, start, end, grazed))
+
+
+def met(
+    traffic: Sequence[Hazard],
+    flown: tuple[Array, Array],
+    times: tuple[float, float],
+    grazed: float = 0.0,
+) -> frozenset[int]:
+    """Return the numbers of the balls that a straight way leads into while they move on evenly.
+
+    Args:
+        traffic: balls, counted from 0.
+        flown: the ends of the way, each of shape (n,) [m].
+        times: when the vehicle is there, since the start [s].
+        grazed: depth that does not count [m].
+    """
+    if not traffic:
+        return frozenset()
+    places = np.array([_middle(each) for each in traffic])
+    velocities = np.array([each.shifts[1] / each.times[1] for each in traffic])
+    radii = np.array([each.body.radius for each in traffic if isinstance(each.body, Ball)])
+    radii = np.maximum(0.0, radii - grazed)
+    away = flown[0] - places - times[0] * velocities
+    drift = flown[1] - flown[0] - (times[1] - times[0]) * velocities
+    squared = np.einsum('ji,ji->j', drift, drift)
+    share = -np.einsum('ji,ji->j', away, drift) / np.where(squared > 0.0, squared, 1.0)
+    nearest = away + np.clip(share, 0.0, 1.0)[:, None] * drift
+    return frozenset(np.flatnonzero(np.einsum('ji,ji->j', nearest, nearest) < radii**2).tolist())
+
+
+def _middle(ball: Hazard) -> Array:
+    assert isinstance(ball.body, Ball)
+    return ball.body.centre
+
+
+def _crosses(box: Box, start: Array, end: Array, grazed: float) -> bool:
+    """Return whether a way is between both faces of every axis at one and the same time."""
+    way, low, high = end - start, box.minimum + grazed, box.maximum - grazed
+    moves = way != 0.0
+    if not ((low < start) & (start < high))[~moves].all() or (low >= high).any():
+        return False
+    shares = np.array([low - start, high - start])[:, moves] / way[moves]
+    begin, finish = shares.min(axis=0).max(initial=0.0), shares.max(axis=0).min(initial=1.0)
+    return bool(begin < finish or not moves.any())
