@@ -202,6 +202,13 @@ def test_requirements_are_least_ratios_and_most_of_everything_else():
     assert 'met' in table.text([BenchRow('p', OURS, 1, p50_ms=2.0, required={'p50_ms': 3.0})])
 
 
+@pytest.mark.parametrize(('most', 'code'), [(1.0, 1), (3.0, 0)])
+def test_a_requirement_that_is_missed_fails_the_run(run, monkeypatch, most, code):
+    row = BenchRow('p', OURS, 1, p50_ms=2.0, required={'p50_ms': most})
+    monkeypatch.setattr(bench, 'contested', lambda *_: [row])
+    assert run('--only', 'square')[0] == code
+
+
 def test_growth_is_the_exponent_of_n():
     rows = [BenchRow(f'SE(2) hull N={n}', OURS, 1, p50_ms=0.1 * n**1.5) for n in (5, 10, 50)]
     (row,) = growth(rows)

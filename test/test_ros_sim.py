@@ -29,8 +29,8 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.sim.faults import Faults, View
-from orbimpc_ros.sim.readers import RECORDED
-from orbimpc_ros.sim.stepping import LockStep
+from orbimpc_ros.sim.pacing import LockStep
+from orbimpc_ros.sim.waiting import Waiting
 
 DISTURBED = {
     'faults.position_noise': 0.05,
@@ -255,7 +255,11 @@ def stamp_of(message):
 def test_whoever_is_waited_for_hears_a_flight_whole(launch, domain):
     """As somebody who comes late to record a flight that takes a tenth of a second."""
     launch('planner', LONG)
-    asked = {'wait_for': RECORDED, 'max_ticks': STEPS, 'wait_timeout': 60.0}
+    asked = {
+        'wait_for': 'odom, goal, cmd_vel, rotation, plan, tick',
+        'max_ticks': STEPS,
+        'wait_timeout': 60.0,
+    }
     sim = launch('sim', asked)
     with contextlib.closing(Observer(domain)) as late:
         late.until(lambda: 'waits for readers: 1 of odom (there are 0)' in sim.output, 'waiting')
@@ -288,17 +292,21 @@ def test_what_a_planner_takes_to_be_configured_is_not_counted():
     """The first start compiles for minutes on a small computer."""
     now, lines = [0.0], []
     logger = SimpleNamespace(info=lines.append, fatal=lines.append)
+    planner = SimpleNamespace(node_namespace='/', node_name='planner')
+    readers_of_goals = []
     node = SimpleNamespace(
-        steady_now=lambda: now[0], get_logger=lambda: logger, every=lambda *_: None, exit_code=None
+        steady_now=lambda: now[0],
+        get_logger=lambda: logger,
+        every=lambda *_: None,
+        exit_code=None,
+        count_publishers=lambda _: 1,
+        get_publishers_info_by_topic=lambda _: [planner],
+        get_subscriptions_info_by_topic=lambda _: readers_of_goals,
     )
-    arena = SimpleNamespace(
-        node=node,
-        settings=SimpleNamespace(rate=0.0, wait_timeout=120.0, shared_clock=False),
-        finished=False,
-        planner_on_its_way='/planner',
-        readers_lacking='subscribers of odom: 1 (there are 0)',
-    )
-    pace = LockStep(arena)
+    end = SimpleNamespace(topic_name='/goal', get_subscription_count=lambda: 0)
+    settings = SimpleNamespace(rate=0.0, wait_timeout=120.0, shared_clock=False)
+    waiting = Waiting(node, end, 1, {}, end, end)
+    pace = LockStep(SimpleNamespace(node=node, settings=settings, waiting=waiting, finished=False))
 
     def look_until(end):
         while now[0] < end:
@@ -307,7 +315,7 @@ def test_what_a_planner_takes_to_be_configured_is_not_counted():
         return node.exit_code
 
     assert look_until(900.0) is None
-    arena.planner_on_its_way = ''
+    readers_of_goals.append(planner)
     assert look_until(1019.0) is None
     assert look_until(1021.0) == 1
     assert [line.split()[:3] for line in lines] == [

@@ -1,6 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A fleet over DDS: pairs of processes in namespaces, with one clock, in one bag."""
 
+import itertools
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -9,10 +10,12 @@ import numpy as np
 import pytest
 from bags import check_pictures
 
-from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.sim.fleet import members, vehicles
+from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
+from orbimpc_ros.ros.messages import SECOND
+from orbimpc_ros.sim.fleet import vehicles
 from orbimpc_ros.tool import bags, demo, history, settings, summary
 from orbimpc_ros.tool.bags import BagWriter
+from orbimpc_ros.tool.run import pacer
 from orbimpc_ros.tool.topics import topics_of
 
 pytest.importorskip('rclpy')
@@ -29,6 +32,24 @@ def flown(tmp_path_factory):
     """Return the finished process of a fleet of two, twice as fast as usual, and its folder."""
     out = tmp_path_factory.mktemp('fleet')
     return run('--vehicles', '2', '--set', 'forward=2', '--out', str(out)), out / 'fleet'
+
+
+def test_the_clock_of_a_fleet_waits_for_every_command(monkeypatch):
+    """However long one takes: a slow machine makes a flight long, and nobody flies blind."""
+    wall, sent = itertools.count(), []  # a second passes between two looks
+    monkeypatch.setattr(pacer, 'time', SimpleNamespace(monotonic=lambda: float(next(wall))))
+    recorder = SimpleNamespace(latest={}, publish_clock=sent.append)
+    clock = pacer.Pacer(recorder, 10.0, 0.5)
+    for uav1, uav2 in ((None, None), (10.0, None), (10.0, None), (10.0, 10.0), (10.5, 10.0)):
+        stamps = {'/uav1/cmd_vel': uav1, '/uav2/cmd_vel': uav2}
+        recorder.latest |= {k: round(v * SECOND) for k, v in stamps.items() if v is not None}
+        clock.look(NAMES)
+    assert sent == [10.0, 10.0, 10.0, 10.5, 10.5]
+    clock.look(NAMES[:1])  # the other one has landed
+    assert sent[-1] == 11.0
+    monkeypatch.setattr(pacer, 'time', SimpleNamespace(monotonic=lambda: 100.0))
+    with pytest.raises(OrbimpcError, match='/uav1, /uav2: no command for'):
+        clock.look(NAMES)
 
 
 def test_every_rope_is_caught(flown):
@@ -100,11 +121,11 @@ def test_only_a_fleet_has_vehicles(tmp_path):
 def test_ropes_are_drawn_from_the_seed_alone():
     assert vehicles(3) == vehicles(3)
     assert vehicles(3) != vehicles(3, seed=1)
-    few, many = members(3), members(8)
-    for one, other in zip(few, many, strict=False):
-        assert one.rope.frequency == other.rope.frequency
-        assert np.array_equal(one.rope.phase, other.rope.phase)
-    frequencies = {member.rope.frequency for member in many}
+    few, many = vehicles(3), vehicles(8)
+    for name, one in few.items():
+        for drawn in ('rope.frequency', 'rope.phase'):
+            assert one[drawn] == many[name][drawn]
+    frequencies = {each['rope.frequency'] for each in many.values()}
     assert len(frequencies) == 8
     assert vehicles(2, 2**31 - 1)['/uav1']['seed'] == 0  # the largest there is, and on
     assert all(0.02 <= frequency <= 0.3 for frequency in frequencies)

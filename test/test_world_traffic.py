@@ -10,7 +10,7 @@ from scenarios import retrieval
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Ball, Box, Hazard, Problem
-from orbimpc_ros.sim.fleet import LEAST_RING, crossing, separations
+from orbimpc_ros.sim.fleet import LEAST_RING, crossers, separations
 from orbimpc_ros.sim.vehicle import launched
 from orbimpc_ros.sim.world import departure, met
 
@@ -57,19 +57,21 @@ def test_who_touches_traffic_has_not_caught_anything():
 
 
 def test_a_crossing_leads_from_a_ring_through_its_middle():
-    fleet = crossing(8, 3)
-    for member in fleet:
-        goal = member.rope.at(0.0)
-        np.testing.assert_array_equal(goal, member.rope.at(17.0))
-        assert np.linalg.norm(member.position) > LEAST_RING - 1.0
-        assert np.linalg.norm(0.5 * (member.position + goal)) < 1.0
-        way = goal - member.position
-        assert member.heading == pytest.approx(math.atan2(way[1], way[0]))
-    starts = {m: (np.array([0.0, 1.0]), np.tile(fleet[m].position, (2, 1))) for m in range(8)}
-    assert min(separations(starts).values()) > 1.5
-    np.testing.assert_array_equal(crossing(8, 3)[2].position, fleet[2].position)
+    fleet = [*crossers(8, 3).values()]
+    places = np.array([each['start.position'][:2] for each in fleet])
+    for each, place in zip(fleet, places, strict=True):
+        goal = np.array(each['rope.center'][:2])
+        assert not any((*each['rope.amplitude'], each['rope.frequency']))
+        assert np.linalg.norm(place) > LEAST_RING - 1.0
+        assert np.linalg.norm(0.5 * (place + goal)) < 1.0
+        way = goal - place
+        *_, z, w = each['start.orientation']
+        assert 2.0 * math.atan2(z, w) == pytest.approx(math.atan2(way[1], way[0]))
+    apart = np.linalg.norm(places[:, None] - places, axis=-1)
+    assert apart[~np.eye(8, dtype=bool)].min() > 1.5
+    assert crossers(8, 3) == crossers(8, 3)
     with pytest.raises(BadInput, match='vehicles'):
-        crossing(65)
+        crossers(65)
 
 
 def test_vehicles_are_apart_as_looking_often_finds_them():

@@ -46,9 +46,9 @@ class Flying(Session):
         ]  # fmt: skip
         self._values = settings.resolve(config('retrieval.yaml'), changes) | {'use_sim_time': False}
         self._poses: list[tuple[float, float, float]] = []
-        self.test_node.subscribe(Odometry, 'odom', self._on_odometry)
+        self.subscribe(Odometry, 'odom', self._on_odometry)
         kept = qos(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.test_node.subscribe(Bool, 'captured', self._on_captured, kept)
+        self.subscribe(Bool, 'captured', self._on_captured, kept)
         self.launch('orbimpc_ros.sim', self._values)
         self.start_planner()
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped, TransformStamped
+from harness import KEPT
 from nav_msgs.msg import Odometry
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -18,7 +19,6 @@ from benchmarks.faults import stimulus
 from benchmarks.faults.flood import HELD_UP, Pause
 from benchmarks.faults.monitor import Limits
 from benchmarks.faults.session import Place, Session
-from benchmarks.test_node import KEPT
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.ros.transforms import TF
@@ -74,7 +74,6 @@ class Harness(Session):
         self._begun = self._due = time.monotonic()
         self.frozen_at = 0.0
         self.pauses: list[Pause] = []
-        self.node = self.test_node.node
         self.odometry: Any = self.node.create_publisher(Odometry, 'odom', qos(KEPT))
         self.goal = self.node.create_publisher(PoseStamped, 'goal', qos(KEPT))
         self._transforms: Any = None
@@ -116,7 +115,7 @@ class Harness(Session):
                 self._due = max(self._due + 1.0 / RATE, now)
                 self._feed()
             wait = min(self._due, end) - time.monotonic()
-            self.test_node.spin_once(wait)
+            self.spin_once(wait)
 
     def until_planned(self) -> None:
         """Feed a healthy planner until it commands to move."""
@@ -155,12 +154,3 @@ class Harness(Session):
         request = SetParameters.Request(parameters=parameters)
         results = self.call(SetParameters, '/planner/set_parameters', request).results
         return [result.reason for result in results if not result.successful]
-
-    def call(self, kind: Any, name: str, request: Any) -> Any:
-        """Return the response of a service of the planner."""
-        client = self.node.create_client(kind, name)
-        self.until(client.service_is_ready, name)
-        future = client.call_async(request)
-        self.until(future.done, name)
-        self.node.destroy_client(client)
-        return future.result()

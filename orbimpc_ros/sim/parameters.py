@@ -30,8 +30,8 @@ from orbimpc_ros.ros.process import LIFE
 from orbimpc_ros.sim.engine_vehicle import ENGINES, EnginePlant
 from orbimpc_ros.sim.faults import Faults
 from orbimpc_ros.sim.plant import Gusts, Plant
-from orbimpc_ros.sim.readers import wanted_readers
 from orbimpc_ros.sim.vehicle import Model, Vehicle, launched
+from orbimpc_ros.sim.waiting import wanted_readers
 from orbimpc_ros.sim.world import FINISHES, Rope, Scenario
 
 SHARE = 0.75  # of command_timeout without a sign of life; the rest is for reporting it

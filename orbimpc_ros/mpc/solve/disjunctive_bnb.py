@@ -171,7 +171,7 @@ def _program(problem: Problem, slots: Sequence[Slot], coasting: bool, among: boo
         return SO3Multipliers(problem, slots, coasting=coasting)
     if PlaceProgram.solves(problem):
         return PlaceProgram(problem, slots)
-    from orbimpc_ros.mpc.solve.program import Program  # brings CVXPY, half of a start-up
+    from orbimpc_ros.mpc.solve.program import Program  # takes Clarabel
 
     return Program(problem, slots, coasting=coasting)
 

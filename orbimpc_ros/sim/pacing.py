@@ -11,48 +11,19 @@ from rosgraph_msgs.msg import Clock
 
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.process import FAILED, qos
-from orbimpc_ros.sim.arena import DEPTH, Arena
 from orbimpc_ros.sim.commands import Order
 from orbimpc_ros.sim.faults import Delivery
+from orbimpc_ros.sim.simulation import DEPTH, FlightSimulation
 
 LOOK = 0.02  # [s] how often to look whether anybody is there, or has gone
 SETTLED = 0.1  # [s] lock-step: a planner that is asked nothing still has to take in the goal
 RESEND = 0.5  # [s] lock-step: ask again without an answer; first messages may be lost
 PATIENCE = 20.0  # [s] lock-step: give up without an answer
-SILENT = 2.0  # [s] of waiting are not worth a word
 SHORTEST_TIMEOUT = 1.5  # steps: the shortest timeouts of a planner
 NO_ANSWER = (
     'an answer to the odometry on cmd_vel, which takes a planner with trigger: odom '
     '(a timer waits for time to go on, and time for the answer); its /diagnostics may say more'
 )
-
-
-class Waiting:
-    """The wait before a flight: says what for, as soon as it lasts and whenever that changes."""
-
-    def __init__(self, arena: Arena) -> None:
-        self._arena = arena
-        self.restart()
-
-    def restart(self) -> None:
-        """Wait anew."""
-        self._since, self._said = self._arena.node.steady_now(), ''
-        self._counted_from = self._since
-
-    def discount(self) -> None:
-        """Leave out of account how long it has lasted so far."""
-        self._counted_from = self._arena.node.steady_now()
-
-    @property
-    def lasted(self) -> float:
-        """Return for how long it has lasted, as far as that counts [s]."""
-        return self._arena.node.steady_now() - self._counted_from
-
-    def say(self, awaited: str) -> None:
-        """Say what is waited for, if that is news."""
-        if self._arena.node.steady_now() - self._since > SILENT and awaited != self._said:
-            self._said = awaited
-            self._arena.node.get_logger().info(f'waits for {awaited}')
 
 
 class LockStep:
@@ -68,26 +39,27 @@ class LockStep:
     shared clock it is not shown before that clock has come to it.
     """
 
-    def __init__(self, arena: Arena) -> None:
-        self._arena, self._waiting = arena, Waiting(arena)
-        self._paced = arena.settings.rate > 0.0
+    def __init__(self, simulation: FlightSimulation) -> None:
+        self._simulation, self._node = simulation, simulation.node
+        self._settings, self._waiting = simulation.settings, simulation.waiting
+        self._paced = self._settings.rate > 0.0
         self._shared = math.inf  # what the shared clock shows, if there is one [ns]
-        if arena.settings.shared_clock:
+        if self._settings.shared_clock:
             self._shared = -math.inf
-            arena.node.create_subscription(
-                Clock, '/clock', arena.node.at_work(self._on_clock), qos(DEPTH)
+            self._node.create_subscription(
+                Clock, '/clock', self._node.at_work(self._on_clock), qos(DEPTH)
             )
         self.restart()
-        arena.node.every(LOOK, self.look)
+        self._node.every(LOOK, self.look)
         if self._paced:
-            self._warn_of_slowness(1.0 / arena.settings.rate)
-            arena.node.every(arena.settings.scenario.model.step / arena.settings.rate, self._on_due)
+            self._warn_of_slowness(1.0 / self._settings.rate)
+            self._node.every(self._settings.scenario.model.step / self._settings.rate, self._on_due)
 
     def _warn_of_slowness(self, steps: float) -> None:
         if steps >= SHORTEST_TIMEOUT:
-            took = steps * self._arena.settings.scenario.model.step
+            took = steps * self._settings.scenario.model.step
             wanted = f"set the planner's odom_timeout and goal_timeout to more than {took:g} s"
-            self._arena.node.get_logger().warning(f'a step takes {took:g} s at this rate: {wanted}')
+            self._node.get_logger().warning(f'a step takes {took:g} s at this rate: {wanted}')
 
     def restart(self) -> None:
         """Ask anew as soon as everybody is there."""
@@ -100,17 +72,17 @@ class LockStep:
         self._heard = -np.inf  # when the last command came, in simulated time [s]
         self._sent: list[Delivery] = []
         self._held_back: list[Delivery] = []  # odometry that follows
-        self._progress = self._asked_at = self._arena.node.steady_now()
+        self._progress = self._asked_at = self._node.steady_now()
         self._waiting.restart()
 
     @property
     def now(self) -> int:
         """Return the simulated time [ns], which jumps where faults make it."""
-        return round((self._arena.flight.vehicle.time + self._arena.jump) * SECOND)
+        return round((self._simulation.flight.vehicle.time + self._simulation.jump) * SECOND)
 
     def look(self) -> None:
         """Start when everybody is there; ask again or give up when no answer comes."""
-        if self._arena.finished:
+        if self._simulation.finished:
             return
         if not self._begun:
             self._begin_or_wait()
@@ -120,44 +92,35 @@ class LockStep:
             self._keep_asking()
 
     def _begin_or_wait(self) -> None:
-        coming = self._arena.planner_on_its_way
-        if coming:  # its first start compiles, for as long as that takes
-            self._waiting.discount()
-            self._waiting.say(f'{coming} to be configured: it may be compiling machine code')
-            return
-        absent = self._arena.readers_lacking or self._arena.planner_lacking
+        absent = self._waiting.for_all()
         if not absent:
             self._begun = True
             self._ask_when_due()
-        elif self._waiting.lasted > self._arena.settings.wait_timeout:
+        elif self._waiting.lasted > self._settings.wait_timeout:
             self._give_up(absent, self._waiting.lasted)
-        else:
-            self._waiting.say(absent)
 
     def _keep_asking(self) -> None:
-        now = self._arena.node.steady_now()
+        now = self._node.steady_now()
         if self._awaited is None:
             if now - self._asked_at > SETTLED:
                 self._fly_on()
-        elif now - self._progress > min(PATIENCE, self._arena.settings.wait_timeout):
-            self._give_up(self._arena.planner_lacking or NO_ANSWER, now - self._progress)
+        elif now - self._progress > min(PATIENCE, self._settings.wait_timeout):
+            self._give_up(self._waiting.planner_lacking or NO_ANSWER, now - self._progress)
         elif now - self._asked_at > RESEND:
             self._send()
 
     def _give_up(self, awaited: str, waited: float) -> None:
-        self._arena.node.get_logger().fatal(
-            f'waited {waited:.0f} s in vain for {awaited}: giving up'
-        )
-        self._arena.node.exit_code = FAILED
+        self._node.get_logger().fatal(f'waited {waited:.0f} s in vain for {awaited}: giving up')
+        self._node.exit_code = FAILED
 
     def _on_due(self) -> None:
-        if self._begun and not self._asking and not self._arena.finished:
+        if self._begun and not self._asking and not self._simulation.finished:
             self._ask()
 
     def _ask(self) -> None:
         self._asking = True
-        self._progress = self._arena.node.steady_now()
-        self._sent = self._arena.view.of(self._arena.flight)
+        self._progress = self._node.steady_now()
+        self._sent = self._simulation.view.of(self._simulation.flight)
         self._awaited = self._to_be_answered()
         self._send()
 
@@ -168,35 +131,35 @@ class LockStep:
             self._goal_sent |= sent.finite and not sent.is_odometry
             if sent.is_odometry and sent.finite and sent.content.time > self._newest:
                 self._newest = sent.content.time
-                fresh = self._arena.stamp_of(sent, self.now)
+                fresh = self._simulation.stamp_of(sent, self.now)
         return fresh if self._goal_sent else None
 
     def _send(self) -> None:
-        self._asked_at = self._arena.node.steady_now()
-        apart = self._arena.settings.faults.any
+        self._asked_at = self._node.steady_now()
+        apart = self._settings.faults.any
         self._held_back = [sent for sent in self._sent if apart and sent.is_odometry]
-        self._arena.show(self.now, [s for s in self._sent if not (apart and s.is_odometry)])
+        self._simulation.show(self.now, [s for s in self._sent if not (apart and s.is_odometry)])
 
     def _follow_up(self) -> None:
-        if self._arena.node.steady_now() - self._asked_at >= 0.5 * LOOK:
-            self._arena.deliver(self.now, self._held_back)
+        if self._node.steady_now() - self._asked_at >= 0.5 * LOOK:
+            self._simulation.deliver(self.now, self._held_back)
             self._held_back = []
 
     def on_order(self) -> None:
         """Fly a step if this is the answer awaited."""
-        order, flight = self._arena.orders.latest, self._arena.flight
-        if self._arena.finished or order is None or order.stamp != self._awaited:
+        order, flight = self._simulation.orders.latest, self._simulation.flight
+        if self._simulation.finished or order is None or order.stamp != self._awaited:
             return
-        if not self._arena.view.command_lost(flight.ticks):
+        if not self._simulation.view.command_lost(flight.ticks):
             self._order, self._heard = order, flight.vehicle.time
         self._fly_on()
 
     def _fly_on(self) -> None:
-        if self._arena.flight.over:
-            self._arena.finish(self.now)
+        if self._simulation.flight.over:
+            self._simulation.finish(self.now)
             return
-        held = self._heard + self._arena.settings.command_timeout - self._arena.flight.vehicle.time
-        self._arena.fly(self._order, held)
+        held = self._heard + self._settings.command_timeout - self._simulation.flight.vehicle.time
+        self._simulation.fly(self._order, held)
         self._asking, self._awaited = False, None
         if not self._paced:
             self._ask_when_due()
@@ -207,9 +170,9 @@ class LockStep:
 
     def _ask_when_due(self) -> None:
         """Ask, unless a step is under way or the shared clock has not come to the next one."""
-        half = 0.5 * self._arena.settings.scenario.model.step * SECOND  # rounding is less
+        half = 0.5 * self._settings.scenario.model.step * SECOND  # rounding is less
         due = self.now <= self._shared + half
-        if due and self._begun and not self._asking and not self._arena.finished:
+        if due and self._begun and not self._asking and not self._simulation.finished:
             self._ask()
 
 
@@ -223,11 +186,12 @@ class RealTime:
     busy, living planners miss signs of life, too: the command is in force again with the next one.
     """
 
-    def __init__(self, arena: Arena) -> None:
-        self._arena, self._waiting = arena, Waiting(arena)
+    def __init__(self, simulation: FlightSimulation) -> None:
+        self._simulation, self._node = simulation, simulation.node
+        self._settings, self._waiting = simulation.settings, simulation.waiting
         self.restart()
-        arena.node.every(LOOK, self.look)
-        arena.node.every(arena.settings.scenario.model.step, self.on_time)
+        self._node.every(LOOK, self.look)
+        self._node.every(self._settings.scenario.model.step, self.on_time)
 
     def restart(self) -> None:
         """Wait for subscribers, then for a first command."""
@@ -235,22 +199,22 @@ class RealTime:
         self._order: Order | None = None
         self._until = -np.inf  # when the command in force ends, on the steady clock [s]
         self._ends = -np.inf  # when it would have ended, had the planner not been missed [s]
-        self._begun = self._arena.node.steady_now()  # this step
+        self._begun = self._node.steady_now()  # this step
         self._latched = False
         self._waiting.restart()
 
     @property
     def now(self) -> int:
         """Return the time of ROS [ns], which jumps where faults make it."""
-        now: int = self._arena.node.get_clock().now().nanoseconds
-        return now + round(self._arena.jump * SECOND)
+        now: int = self._node.get_clock().now().nanoseconds
+        return now + round(self._simulation.jump * SECOND)
 
     def on_order(self) -> None:
         """Put a command in force."""
-        if self._arena.view.command_lost(self._arena.flight.ticks):
+        if self._simulation.view.command_lost(self._simulation.flight.ticks):
             return
-        self._order, self._latched = self._arena.orders.latest, False
-        self._until = self._arena.node.steady_now() + self._arena.settings.command_timeout
+        self._order, self._latched = self._simulation.orders.latest, False
+        self._until = self._node.steady_now() + self._settings.command_timeout
 
     def on_life(self, event: Any) -> None:
         """Stop, or go on, as signs of life from the planner cease or come again."""
@@ -260,44 +224,36 @@ class RealTime:
             self._resume()  # the one that was missed; a new one would not lessen the missed ones
 
     def _resume(self) -> None:
-        if self._latched and self._arena.node.steady_now() < self._ends:
+        if self._latched and self._node.steady_now() < self._ends:
             self._latched, self._until = False, self._ends
-            self._arena.node.get_logger().info('the planner lives: its command is in force again')
+            self._node.get_logger().info('the planner lives: its command is in force again')
 
     def look(self) -> None:
         """Stop when the command in force has ended."""
-        if not self._latched and self._arena.node.steady_now() >= self._until:
-            self._stop(f'no command for {self._arena.settings.command_timeout:g} s')
+        if not self._latched and self._node.steady_now() >= self._until:
+            self._stop(f'no command for {self._settings.command_timeout:g} s')
 
     def _stop(self, reason: str) -> None:
         """Say why the vehicle is to be stopped, even where it already is for another reason."""
-        if self._order is None or self._arena.finished:
+        if self._order is None or self._simulation.finished:
             return
         self._ends = self._until
-        self._latched, self._until = True, min(self._until, self._arena.node.steady_now())
-        model = self._arena.settings.scenario.model
+        self._latched, self._until = True, min(self._until, self._node.steady_now())
+        model = self._settings.scenario.model
         share, turn = model.failsafe_fraction, model.failsafe_rate
         kept = f'failsafe at {share:g} of full speed or thrust, {turn:g} rad/s'
-        self._arena.warn(self.now, f'{reason}: {kept if share or turn else "stopped"}')
-
-    @property
-    def _ready(self) -> bool:
-        """Return whether every reader is there, or was."""
-        absent = '' if self._begins else self._arena.readers_lacking
-        if absent:
-            self._waiting.say(absent)
-        self._begins = not absent
-        return self._begins
+        self._simulation.warn(self.now, f'{reason}: {kept if share or turn else "stopped"}')
 
     def on_time(self) -> None:
         """Fly a step, unless nobody has commanded yet, and show where it led."""
-        if self._arena.finished or not self._ready:
+        self._begins = self._begins or not self._waiting.for_readers()
+        if self._simulation.finished or not self._begins:
             return
         if self._order is not None:
-            self._arena.fly(self._order, self._until - self._begun)
-        if self._arena.finished:
+            self._simulation.fly(self._order, self._until - self._begun)
+        if self._simulation.finished:
             return
-        self._begun = self._arena.node.steady_now()
-        self._arena.show(self.now, self._arena.view.of(self._arena.flight))
-        if self._arena.flight.over:
-            self._arena.finish(self.now)
+        self._begun = self._node.steady_now()
+        self._simulation.show(self.now, self._simulation.view.of(self._simulation.flight))
+        if self._simulation.flight.over:
+            self._simulation.finish(self.now)

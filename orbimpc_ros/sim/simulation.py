@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The simulated world over DDS: a flight in progress, and the messages that show it."""
+"""A simulated flight over DDS: it goes on step by step, and is shown on topics."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from orbimpc_ros.sim.engines.failure import EngineFailure
 from orbimpc_ros.sim.faults import Delivery, View
 from orbimpc_ros.sim.markers import traffic_markers, world_markers
 from orbimpc_ros.sim.parameters import SimSettings
-from orbimpc_ros.sim.readers import Readers
 from orbimpc_ros.sim.vehicle import Continuous, measured
+from orbimpc_ros.sim.waiting import Waiting
 from orbimpc_ros.sim.world import Airspeeds, Flight, departure
 
 try:
@@ -40,7 +40,7 @@ except ImportError:  # the PyPI wheels of ROS have no tf2
 DEPTH = 10  # in lock-step no message may push another out
 
 
-class Arena:
+class FlightSimulation:
     """A flight, shown on topics, that goes on a step at a time.
 
     Args:
@@ -53,6 +53,7 @@ class Arena:
         view: what a planner gets to see of it.
         orders: the commands that have come.
         refused: commands refused so far, by topic and field.
+        waiting: for whoever is to be there before it begins.
         finished: whether the flight has ended.
         airspeeds: of the flight so far, if its vehicle is one in continuous time.
     """
@@ -60,11 +61,18 @@ class Arena:
     def __init__(self, node: Guarded, settings: SimSettings, commands: Subscription) -> None:
         body = own_frame(settings.child_frame_id, node.get_namespace())
         settings = replace(settings, child_frame_id=body)
-        self.node, self.settings, self._commands = node, settings, commands
+        self.node, self.settings = node, settings
         self.orders = Orders(settings.scenario.model, settings.frames)
         self.refused: Counter[str] = Counter()
         self._create_publishers()
-        self._readers = Readers(node, settings.wait_for, 'cmd_vel')
+        self.waiting = Waiting(
+            node,
+            self._odometry,
+            settings.wait_subscribers,
+            settings.wait_for,
+            self._goal,
+            commands,
+        )
         self._begin(settings.begin)
 
     def _begin(self, time: float) -> None:
@@ -96,26 +104,6 @@ class Arena:
     @property
     def _has_own_clock(self) -> bool:
         return self.settings.lockstep and not self.settings.shared_clock
-
-    @property
-    def readers_lacking(self) -> str:
-        """Return which readers of the flight are not there yet, in words; empty if all are."""
-        count, wanted = self._odometry.get_subscription_count(), self.settings.wait_subscribers
-        if count < wanted:
-            return f'subscribers of odom: {wanted} (there are {count})'
-        return self._readers.lacking(self.node.steady_now())
-
-    @property
-    def planner_lacking(self) -> str:
-        """Return what of a planner is not there yet, in words; empty if all of it is."""
-        if not self._goal.get_subscription_count():
-            return 'a subscriber of goal'
-        return '' if self._commands.get_publisher_count() else 'a planner on cmd_vel'
-
-    @property
-    def planner_on_its_way(self) -> str:
-        """Return the name of a planner that is being configured; empty if none is."""
-        return self._readers.planner_without(self._goal.topic_name)
 
     @property
     def jump(self) -> float:
