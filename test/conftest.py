@@ -18,6 +18,12 @@ os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     # A shell has its background jobs ignore SIGINT, and these all that they start; tests send it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+# Fixtures of tests that start processes or meet others over DDS.
+PROCESSES = {'domain', 'launch', 'observer', 'observers', 'shared', 'workspace', 'default_context'}
+FLIGHTS = {
+    *('test_ros_crossing', 'test_ros_flights', 'test_ros_missions', 'test_ros_physics'),
+    *('test_ros_plant', 'test_ros_vehicles', 'test_package_colcon'),
+}  # modules of whole flights and installations
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -32,6 +38,22 @@ def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption('--jitter', type=float, default=0.0, help='moves starts and goals [m]')
+    parser.addoption('--quick', action='store_true', help='pure tests, one case of each')
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """With ``--quick`` keep the first case of each test that starts no process and flies little."""
+    if not config.getoption('--quick', default=False):
+        return
+    first, rest = {}, []
+    for item in items:
+        pure = not PROCESSES.intersection(item.fixturenames) and item.path.stem not in FLIGHTS
+        law = (item.path, item.originalname)
+        if pure and first.setdefault(law, item) is item:
+            continue
+        rest.append(item)
+    config.hook.pytest_deselected(items=rest)
+    items[:] = first.values()
 
 
 def pytest_configure(config: pytest.Config) -> None:

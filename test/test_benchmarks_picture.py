@@ -3,9 +3,9 @@
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from benchmarks.bench.duel import OURS
+from benchmarks.bench.interleaved import OURS
 from benchmarks.bench.picture import side_by_side
-from benchmarks.bench.rows import LATE, BenchRow
+from benchmarks.bench.results import LATE, BenchRow
 
 TIMES = '\N{MULTIPLICATION SIGN}'
 

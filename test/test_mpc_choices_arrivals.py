@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from counting import changed, counted, mutants, said, solved
 
-from benchmarks.bench.contests import CONTESTS
+from benchmarks.bench.problems import CONTESTS
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Approach, Box, Floor, Problem, State, Weights

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from benchmarks.bench.rows import LATE, BenchRow
+from benchmarks.bench.results import LATE, BenchRow
 from orbimpc_ros.tool.style import BLUE, INK, ORANGE, headline, in_both_looks
 
 LEGEND = {

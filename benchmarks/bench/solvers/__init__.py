@@ -33,7 +33,7 @@ class Solution:
     relaxed: bool = False
 
 
-class Contender(Protocol):
+class Solver(Protocol):
     """A solver set up for one problem. Only :meth:`solve` is timed."""
 
     def solve(self, state: State, goals: Array) -> None:

@@ -11,7 +11,7 @@ import warnings
 import cvxpy as cp
 import numpy as np
 
-from benchmarks.bench.contenders.contender import Solution
+from benchmarks.bench.solvers import Solution
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Problem, State

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.bench.contenders.contender import Declined
+from benchmarks.bench.solvers import Declined
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.model.condensed import Condensed

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from pyscipopt import SCIP_PARAMSETTING, Model, quicksum
 
-from benchmarks.bench.contenders.contender import Solution
-from benchmarks.bench.contenders.planar import BigM, CondensedPlanar, slope_of
+from benchmarks.bench.solvers import Solution
+from benchmarks.bench.solvers.planar import BigM, CondensedPlanar, slope_of
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem, State
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 
-from benchmarks.bench.contenders.contender import Solution
+from benchmarks.bench.solvers import Solution
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.plan import Plan, shifted
 from orbimpc_ros.mpc.problem import Problem, State

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from benchmarks import collector
-from benchmarks.bench.contenders.contender import Contender, Declined, Solution
 from benchmarks.bench.instances import Instance
+from benchmarks.bench.solvers import Declined, Solution, Solver
 from orbimpc_ros.mpc.arrays import Array
 
 OURS = 'orbimpc'
@@ -38,8 +38,8 @@ class Samples:
         return 1e-3 * sum(self.times.values())
 
 
-def duel(
-    contenders: Mapping[str, Contender],
+def interleaved_run(
+    solvers: Mapping[str, Solver],
     instances: Sequence[Instance],
     *,
     warm_up: int,
@@ -53,20 +53,20 @@ def duel(
     cache. Who has used up ``budget`` [s] stops taking part, and all but we meet the first of
     ``every`` so many instances only.
     """
-    samples = {name: Samples() for name in contenders}
-    for name, contender in contenders.items():
+    samples = {name: Samples() for name in solvers}
+    for name, contender in solvers.items():
         _warm(contender, instances[0], samples[name], warm_up)
     with collector.paused():
         for i, instance in enumerate(instances):
-            for name in list(contenders)[:: 1 if i % 2 else -1]:
+            for name in list(solvers)[:: 1 if i % 2 else -1]:
                 meets = name == OURS or i % every == 0
                 if meets and not samples[name].refused and samples[name].spent < budget:
-                    _run(contenders[name], instance, samples[name], i)
+                    _run(solvers[name], instance, samples[name], i)
             show(i + 1)
     return samples
 
 
-def _warm(contender: Contender, instance: Instance, into: Samples, count: int) -> None:
+def _warm(contender: Solver, instance: Instance, into: Samples, count: int) -> None:
     """Solve an instance a few times, but not for long."""
     end = time.perf_counter() + WARM
     for _ in range(count):
@@ -74,7 +74,7 @@ def _warm(contender: Contender, instance: Instance, into: Samples, count: int) -
             _run(contender, instance, into, None)
 
 
-def _run(contender: Contender, instance: Instance, into: Samples, number: int | None) -> None:
+def _run(contender: Solver, instance: Instance, into: Samples, number: int | None) -> None:
     begin = time.perf_counter()
     try:
         contender.solve(*instance)

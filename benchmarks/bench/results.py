@@ -1,21 +1,29 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Rows of the result: what `orbimpc bench` prints and writes."""
+"""Results: rows in a file that is whole after each of them, a table, a picture."""
 
 from __future__ import annotations
 
+import itertools
+import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from operator import attrgetter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.bench.duel import OURS, Samples, differences, percentiles
+from benchmarks.bench.interleaved import OURS, Samples, differences, percentiles
+from benchmarks.machine import machine, versions
+from orbimpc_ros.tool.files import write_whole
 
 OWN = ('note', 'beaten', 'failed', 'capped')  # fields that the file does not have
 LATE = 'ticks late by over a period'  # what rows of many planners count, besides their times
 HULLS = 'SE(2) hull N='  # how the problems begin whose time is looked at over N
 SAME = 1e-4  # relative: objectives closer than this agree
+HEAD = ('', 'n', 'p50 ms', 'p99 ms', 'gap', 'objective', 'x p50', 'x p99', '')
+WIDTHS = (22, 5, 8, 8, 6, 10, 7, 7, 7)
 
 
 @dataclass(frozen=True)
@@ -81,7 +89,7 @@ class BenchRow:
         return bool(value >= limit if name.startswith('ratio') else value <= limit)
 
 
-def of_duel(
+def rows_of(
     problem: str,
     samples: Mapping[str, Samples],
     required: Mapping[str, Mapping[str, float]],
@@ -171,3 +179,81 @@ def growth(rows: Sequence[BenchRow]) -> list[BenchRow]:
     title = f'SE(2) hull N={sizes[0]:.0f}..{sizes[-1]:.0f}: exponent of N'
     wanted = {'objective': 1.1}
     return [BenchRow(title, OURS, len(rows), objective=float(slope), required=wanted)]
+
+
+def table(rows: Sequence[BenchRow]) -> str:
+    """Return the table; ``x`` are multiples of our time on the same instances."""
+    lines = [_aligned(HEAD)]
+    for problem, group in itertools.groupby(rows, attrgetter('problem')):
+        lines.append(problem)
+        for row in group:
+            lines += [_aligned(_cells(row)), *(f'    {note}' for note in _notes(row))]
+    return '\n'.join(lines)
+
+
+def _aligned(cells: Sequence[str]) -> str:
+    name, *others = zip(cells, WIDTHS, strict=True)
+    return ''.join([name[0].ljust(name[1]), *(c.rjust(width) for c, width in others)]).rstrip()
+
+
+def _cells(row: BenchRow) -> tuple[str, ...]:
+    verdict = ('MISSED' if row.missed else 'met') if row.required and row.measured else ''
+    return (
+        f'  {row.contender}',
+        str(row.n) if row.n else '-',
+        _number(row.p50_ms, '.3g'),
+        _number(row.p99_ms, '.3g'),
+        _number(row.worst_gap, '.0e'),
+        _number(row.objective, '.5g'),
+        _number(row.ratio_p50, '.1f'),
+        _number(row.ratio_p99, '.1f'),
+        verdict,
+    )
+
+
+def _notes(row: BenchRow) -> Iterator[str]:
+    if row.required:
+        yield 'required: ' + ', '.join(f'{_short(k)} {v:g}' for k, v in row.required.items())
+    if row.note:
+        yield row.note
+
+
+def _number(value: float, form: str) -> str:
+    return '-' if math.isnan(value) else format(value, form)
+
+
+def _short(name: str) -> str:
+    """Return a field's limit as words: ratio_p50 becomes ``x p50 >=``."""
+    if name.startswith('ratio_'):
+        return f'x {name.removeprefix("ratio_")} >='
+    return f'{name.replace("_ms", " ms").replace("worst_", "")} <='
+
+
+class Result:
+    """What has been measured so far, on disk from the first row on.
+
+    Args:
+        file: takes the rows as JSON; None for nowhere.
+        picture: takes a PNG at the end; None for none.
+    """
+
+    def __init__(self, file: Path | None, picture: Path | None) -> None:
+        self._file, self._picture = file, picture
+        self._head = {'machine': machine(), 'versions': versions()}
+        self.rows: list[BenchRow] = []
+
+    def add(self, rows: Sequence[BenchRow]) -> None:
+        """Keep rows: whatever happens later, they are in the file."""
+        self.rows += rows
+        if self._file is not None:
+            content = {**self._head, 'rows': [row.as_json() for row in self.rows]}
+            text = json.dumps(content, indent=1, allow_nan=False) + '\n'
+            write_whole(self._file, lambda new: new.write_text(text))
+
+    def close(self) -> None:
+        """Print the table and draw the picture of what there is."""
+        print(table(self.rows))
+        if self._picture is not None and self.rows:
+            from benchmarks.bench.picture import draw
+
+            draw(self.rows, self._picture)

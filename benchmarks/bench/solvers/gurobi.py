@@ -14,8 +14,8 @@ import gurobipy as gp
 import numpy as np
 from gurobipy import GRB
 
-from benchmarks.bench.contenders.contender import Declined, Solution
-from benchmarks.bench.contenders.planar import BigM, CondensedPlanar, slope_of
+from benchmarks.bench.solvers import Declined, Solution
+from benchmarks.bench.solvers.planar import BigM, CondensedPlanar, slope_of
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem, State
 
