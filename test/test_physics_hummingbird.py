@@ -17,7 +17,7 @@ from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.simulation import outcome
 from orbimpc_ros.sim.vehicle import launched
 from orbimpc_ros.sim.world import Rope, Scenario, departure
-from orbimpc_ros.tool.demo.rendering import flown_again
+from orbimpc_ros.tool.rendering import flown_again
 from orbimpc_ros.tool.study import flights as study
 from orbimpc_ros.tool.study.draws import draws_of
 
