@@ -7,6 +7,7 @@ import numpy as np
 import problems
 import pytest
 from flying import fly
+from scenarios import model_of
 
 from orbimpc_ros.loop.controller import Controller
 from orbimpc_ros.loop.delay import Interval, advanced
@@ -19,7 +20,7 @@ from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.problem import Floor, Problem, State
-from orbimpc_ros.sim.vehicle import Model, advance, launched, measured, model_of
+from orbimpc_ros.sim.vehicle import Model, advance, launched, measured
 from orbimpc_ros.sim.world import Rope, Scenario
 
 UP = exp(np.array([0.0, -0.5 * np.pi, 0.0]))  # the thrust axis to the zenith

@@ -12,7 +12,6 @@ from orbimpc_ros.loop.odometry import Odometry
 from orbimpc_ros.mpc.arrays import Array, frozen, number
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log, nearest
-from orbimpc_ros.mpc.problem import Problem
 
 
 @dataclass(frozen=True)
@@ -126,19 +125,6 @@ class Continuous(Model):
     def released(self, vehicle: Vehicle) -> Vehicle:
         """Return the vehicle once no command is in force: nothing changes at once."""
         return vehicle
-
-
-def model_of(problem: Problem, mass: float = 1.0) -> Model:
-    """Return the vehicle that a planning problem believes in."""
-    return Model(
-        problem.dimension,
-        problem.rotation_order,
-        problem.translation_order,
-        problem.step,
-        problem.forward,
-        mass,
-        discretisation=problem.discretisation,
-    )
 
 
 @dataclass(frozen=True)
