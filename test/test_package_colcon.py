@@ -199,6 +199,7 @@ def test_a_wheel_carries_configuration_and_launch_files(tmp_path):
     assert version == 'orbimpc_ros 0.1.0'
     assert (site / 'share' / NAME / 'launch' / 'fleet.launch.py').is_file()
     assert (site / NAME / 'py.typed').is_file()
+    assert (site / NAME / 'sim' / 'engines' / 'hummingbird.xml').is_file()
     # The folder is shared with other packages' executables: nothing there is named planner or sim.
     scripts = {each.name for each in (site / 'bin').iterdir()}
     assert scripts == {'orbimpc', 'orbimpc-planner', 'orbimpc-sim'}

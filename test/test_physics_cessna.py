@@ -12,8 +12,8 @@ from scipy.integrate import trapezoid
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.sim import engine_vehicle as engines
 from orbimpc_ros.sim.engine_vehicle import EnginePlant
+from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.engines.engine import Start
-from orbimpc_ros.sim.engines.failure import EngineFailure
 from orbimpc_ros.sim.faults import Faults, View
 from orbimpc_ros.sim.vehicle import launched
 from orbimpc_ros.sim.world import Scenario, departure, fixed

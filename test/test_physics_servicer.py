@@ -15,11 +15,11 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.sim.engine_vehicle import EnginePlant
-from orbimpc_ros.sim.engines.failure import EngineFailure
+from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.vehicle import launched
 from orbimpc_ros.sim.world import Scenario, departure, fixed
 from orbimpc_ros.tool import history
-from orbimpc_ros.tool.demo.rendering import flown_again
+from orbimpc_ros.tool.rendering import flown_again
 from orbimpc_ros.tool.study import flights as study
 from orbimpc_ros.tool.study.draws import draws_of
 

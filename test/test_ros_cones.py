@@ -8,6 +8,8 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
 
+from open_loop import open_loop
+
 from orbimpc_ros.loop.controller import Controller
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters import PLANNER, planner_settings
@@ -16,7 +18,6 @@ from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.demo.open_loop import open_loop
 from orbimpc_ros.tool.settings import config
 
 CRAFT = {

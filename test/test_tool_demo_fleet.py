@@ -13,9 +13,8 @@ from bags import check_pictures
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.sim.fleet import vehicles
-from orbimpc_ros.tool import bags, history, settings
+from orbimpc_ros.tool import bags, demo, history, settings, summary
 from orbimpc_ros.tool.bags import BagWriter
-from orbimpc_ros.tool.demo import fleet
 from orbimpc_ros.tool.run import pacer
 from orbimpc_ros.tool.topics import topics_of
 
@@ -133,7 +132,7 @@ def test_ropes_are_drawn_from_the_seed_alone():
 
 
 def test_what_is_set_holds_for_every_vehicle():
-    values, own = fleet.resolve(3, ['rope.frequency=0.25', 'seed=7'])
+    values, own = demo.fleet(3, ['rope.frequency=0.25', 'seed=7'])
     assert values['rope.frequency'] == 0.25
     assert all('rope.frequency' not in each for each in own.values())
     assert own == {
@@ -141,11 +140,11 @@ def test_what_is_set_holds_for_every_vehicle():
         for name, each in vehicles(3, 7).items()
     }
     with pytest.raises(BadInput, match='clock'):
-        fleet.resolve(3, ['clock=lockstep'])
+        demo.fleet(3, ['clock=lockstep'])
 
 
 def test_a_fleets_parameters_are_read_back_by_namespace():
-    values, own = fleet.resolve(3, [])
+    values, own = demo.fleet(3, [])
     text = settings.text(values, own)
     for name, each in own.items():
         read = settings.read(text, name)
@@ -161,10 +160,10 @@ def test_a_collision_is_called_one(capsys):
         )
         for name, way in ways.items()
     }
-    assert not fleet._clear(flown)
+    assert not demo.clearance(flown)
     assert 'COLLISION     /uav1 and /uav2 within 0.0' in capsys.readouterr().out
     flown['/uav2'].times += 5.0
-    assert fleet._clear(flown)
+    assert demo.clearance(flown)
 
 
 def test_an_answer_after_the_next_question_is_late(tmp_path):
@@ -174,4 +173,4 @@ def test_an_answer_after_the_next_question_is_late(tmp_path):
             if answered is not None:
                 writer.write('/uav1/cmd_vel', stamp, bytes(20), answered)
     # Numbers 2 and 4. Not the first, asked before there was any answer, nor the last.
-    assert fleet.late(tmp_path / 'bag') == {'/uav1': 2}
+    assert summary.late(tmp_path / 'bag') == {'/uav1': 2}

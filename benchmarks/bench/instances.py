@@ -183,7 +183,7 @@ def _wing(problem: Problem, rng: np.random.Generator) -> tuple[Plant, Vehicle, R
         step=problem.step,
         forward=problem.forward,
         disturbance=tuple((rng.uniform(0.0, 5.0) * blowing).tolist()),
-        source='air',
+        velocity_source='air',
         speed_lag=0.8,
         rate_lag=0.3,
         max_rate=problem.max_rate,

@@ -14,7 +14,8 @@ import numpy as np
 from orbimpc_ros.install import command_for_extra
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.sim.engines.engine import Engine, Motion, NoStart, Start, checked
+from orbimpc_ros.sim.engines import NoStart
+from orbimpc_ros.sim.engines.engine import Engine, Motion, Start, checked
 from orbimpc_ros.sim.vehicle import Continuous, Vehicle
 from orbimpc_ros.sim.world import Rope, fixed
 

@@ -24,7 +24,7 @@ from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.process import DONE, FAILED, Guarded, qos
 from orbimpc_ros.ros.reports import ERROR, OK, WARN, diagnostics, health_message
 from orbimpc_ros.sim.commands import Order, Orders
-from orbimpc_ros.sim.engines.failure import EngineFailure
+from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.faults import Delivery, View
 from orbimpc_ros.sim.markers import traffic_markers, world_markers
 from orbimpc_ros.sim.parameters import SimSettings

@@ -32,7 +32,7 @@ class Model:
         disturbance: a wind in the world frame [m/s] (translation order 1) or an acceleration
             [m/s^2] (2), n numbers; none if empty.
         discretisation: ``euler`` or ``exact``, as in the Problem.
-        source: of the velocity that odometry measures: over ``ground`` or through the ``air``.
+        velocity_source: of odometry: over ``ground`` or through the ``air``.
     """
 
     dimension: int = 2
@@ -45,7 +45,7 @@ class Model:
     failsafe_rate: float = 0.0
     disturbance: tuple[float, ...] = ()
     discretisation: str = 'euler'
-    source: str = 'ground'
+    velocity_source: str = 'ground'
 
     def __post_init__(self) -> None:
         if self.disturbance:
@@ -57,11 +57,6 @@ class Model:
     def length_unit(self) -> float:
         """Return what a step moves it at most, as :attr:`Problem.length_unit` [m]."""
         return self.step**self.translation_order * self.forward
-
-    @property
-    def velocity_source(self) -> str:
-        """Return whether odometry measures velocity over ``ground`` or through the ``air``."""
-        return self.source
 
     @property
     def blown(self) -> Array:
@@ -103,8 +98,19 @@ class Model:
         return (advance(replace(self, step=span), vehicle, fraction, body_rate),)
 
     def released(self, vehicle: Vehicle) -> Vehicle:
-        """Return the vehicle at the moment from which no command is in force."""
-        return failsafe(self, vehicle)
+        """Return the vehicle once no command is in force: by default it stops, there and then.
+
+        At translation order 2 that is to coast: no command takes the velocity away.
+        """
+        velocity = vehicle.velocity
+        if self.translation_order == 1:
+            velocity = self.forward * self.failsafe_fraction * vehicle.attitude[:, 0] + self.wind
+        return replace(
+            vehicle,
+            velocity=velocity,
+            body_rate=self.failsafe_turn,
+            fraction=self.failsafe_fraction,
+        )
 
 
 @dataclass(frozen=True)
@@ -275,22 +281,6 @@ def _moved(model: Model, vehicle: Vehicle, old: Array, new: Array) -> tuple[Arra
     if model.discretisation == 'exact':
         way = way + h * h * (old / 3.0 + new / 6.0 + 0.5 * model.blown)
     return way, vehicle.velocity + gained
-
-
-def failsafe(model: Model, vehicle: Vehicle) -> Vehicle:
-    """Return the vehicle once no command is in force: by default it stops, there and then.
-
-    At translation order 2 that is to coast: no command takes the velocity away.
-    """
-    velocity = vehicle.velocity
-    if model.translation_order == 1:
-        velocity = model.forward * model.failsafe_fraction * vehicle.attitude[:, 0] + model.wind
-    return replace(
-        vehicle,
-        velocity=velocity,
-        body_rate=model.failsafe_turn,
-        fraction=model.failsafe_fraction,
-    )
 
 
 def between(earlier: Vehicle, later: Vehicle, time: float) -> Vehicle:

@@ -8,4 +8,21 @@ here knows of a planner: nothing of the rest of the package is imported.
 
 import os
 
+
+class EngineFailure(Exception):
+    """An engine did what no vehicle can: it stopped, went back in time, or lost its numbers."""
+
+
+class NoStart(Exception):
+    """An engine cannot begin so.
+
+    Attributes:
+        culprit: the parameter that is to blame.
+    """
+
+    def __init__(self, culprit: str, why: str) -> None:
+        super().__init__(why)
+        self.culprit = culprit
+
+
 os.environ.setdefault('MUJOCO_GL', 'egl')  # read when MuJoCo is imported: it needs no display

@@ -17,8 +17,8 @@ import math
 import jsbsim
 import numpy as np
 
-from orbimpc_ros.sim.engines.engine import Array, Motion, NoStart, Start
-from orbimpc_ros.sim.engines.failure import EngineFailure
+from orbimpc_ros.sim.engines import EngineFailure, NoStart
+from orbimpc_ros.sim.engines.engine import Array, Motion, Start
 
 FOOT = 0.3048  # [m]
 GRAVITY = 9.80665  # [m/s^2]

@@ -10,21 +10,9 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from orbimpc_ros.sim.engines.failure import EngineFailure
+from orbimpc_ros.sim.engines import EngineFailure
 
 Array = NDArray[np.floating]
-
-
-class NoStart(Exception):
-    """An engine cannot begin so.
-
-    Attributes:
-        culprit: the parameter that is to blame.
-    """
-
-    def __init__(self, culprit: str, why: str) -> None:
-        super().__init__(why)
-        self.culprit = culprit
 
 
 class Start(NamedTuple):
