@@ -126,16 +126,6 @@ def test_the_tool_runs_in_a_sourced_workspace_as_its_pages_say(workspace):
         assert f'ros2 run {NAME} orbimpc' in (ROOT / 'docs' / page).read_text()
 
 
-@pytest.mark.usefixtures('uncompiled')
-def test_the_installed_tool_flies_a_demo(workspace, tmp_path):
-    pytest.importorskip('rclpy')
-    tool = prefix(workspace) / 'lib' / NAME / 'orbimpc'
-    words = (tool, 'demo', 'dubins', '--set', 'floor.shape=none', '--out', tmp_path)
-    done = run(*sourced(workspace, *words), cwd=workspace)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert 'arrived       yes' in done.stdout
-
-
 LAUNCH_TESTING = """
 import importlib.util
 import pytest

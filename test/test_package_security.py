@@ -101,17 +101,6 @@ def test_nothing_is_granted_twice_or_by_wildcard(policy):
     assert not any(set('*?[') & set(element.text or '') for element in policy.iter())
 
 
-def test_nobody_may_set_parameters_or_switch_a_node(policy):
-    asked = {s.text for rules in policy.iter('services') if rules.get('request') for s in rules}
-    assert asked == {'planner/get_parameters'}
-
-
-def test_only_the_planner_commands_and_only_the_vehicle_says_where_it_is(policy):
-    for topic, speaker in (('/cmd_vel', 'planner'), ('/cmd_thrust', 'planner'), ('/odom', 'sim')):
-        for node in ('planner', 'sim', 'recorder'):
-            assert (topic in granted(policy, node)['publisher']) == (node == speaker)
-
-
 RECORD = """
     import sys
     from pathlib import Path
