@@ -11,8 +11,7 @@ from functools import partial
 from typing import Any
 
 from benchmarks.faults import injection
-from benchmarks.faults.fixtures import Fixtures
-from benchmarks.faults.harness import STEP, Harness
+from benchmarks.faults.harness import STEP, Fixtures, Harness
 from benchmarks.faults.injection import AFTER
 from benchmarks.faults.outcome import FaultCase, Outcome
 from benchmarks.faults.stimulus import Spoiled

@@ -11,12 +11,10 @@ from functools import partial
 from std_msgs.msg import Bool
 
 from benchmarks.faults import injection, stimulus
-from benchmarks.faults.fixtures import Fixtures
-from benchmarks.faults.harness import STEP, Harness
+from benchmarks.faults.harness import PATIENCE, STEP, Fixtures, Harness
 from benchmarks.faults.injection import AFTER, MIDWAY, START, Expected
 from benchmarks.faults.inputs import GOAL
 from benchmarks.faults.outcome import FaultCase, Outcome
-from benchmarks.faults.session import PATIENCE
 from benchmarks.faults.stimulus import Spoiled, shifted, with_field
 from orbimpc_ros.ros.process import qos
 
