@@ -150,7 +150,7 @@ BLAME = {
     'Straight': 'broken: went from t = 2.000 s to 2.000 s',
     'Slow': 'broken: its clock is at 2.500 s, and not at 3.000 s',
     'Reset': 'broken: went from t = 2.000 s to 1.000 s',
-    'Poisoned': 'broken: numbers that are none, after t = 2.000 s',
+    'Poisoned': 'broken: numbers that are not finite, after t = 2.000 s',
     'Stopping': 'broken: stopped at t = 2.000 s',
 }
 

@@ -118,7 +118,9 @@ def test_a_seed_brings_the_same_vehicle_again(servicer):
 
 def test_numbers_that_are_none_are_a_failure(servicer):
     flight = flown(flight_of(), 5.0)[-1]
-    with pytest.raises(EngineFailure, match=r'basilisk: numbers that are none, after t = 5.000 s'):
+    with pytest.raises(
+        EngineFailure, match=r'basilisk: numbers that are not finite, after t = 5.000 s'
+    ):
         flight.after(0.0, np.full(3, np.nan))
 
 

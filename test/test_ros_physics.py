@@ -195,7 +195,7 @@ def test_a_planner_whose_engine_has_failed_stops_once_odometry_is_stale(monkeypa
 @pytest.mark.parametrize(
     ('failure', 'blame'),
     [
-        ('Poisoned', 'broken: numbers that are none, after t = 2.000 s'),
+        ('Poisoned', 'broken: numbers that are not finite, after t = 2.000 s'),
         ('Stopping', 'broken: stopped at t = 2.000 s'),
     ],
 )

@@ -103,7 +103,7 @@ def boxes(count: int) -> tuple[Box, ...]:
 
 
 def winged(problem: Problem, count: int) -> list[Instance]:
-    """Return consecutive ticks of a wing that follows drifting, swinging goals in winds it knows.
+    """Return consecutive ticks of a wing that follows drifting, swinging goals in known winds.
 
     It lags behind its commands, and its goals are slower than it can fly: after the approach it
     circles. Every flight has a wind and a goal of its own.

@@ -119,7 +119,7 @@ PLANNER: dict[str, Any] = {
 
 
 class Harness(Session):
-    """Feeds a planner at a steady rate and hears all that it says, until closed.
+    """Feeds a planner at a steady rate and records all that it publishes, until closed.
 
     Args:
         place: of the planner.
@@ -278,7 +278,7 @@ class Fixtures(AbstractContextManager['Fixtures']):
         return harness
 
     def clear(self) -> None:
-        """Close the shared harnesses; whoever asks for one gets a new one."""
+        """Close the shared harnesses; new ones are made on demand."""
         self._shared.clear()
         self._stack.close()
 

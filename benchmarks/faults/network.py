@@ -111,7 +111,7 @@ def _moves(harness: Harness, log: Path, since: float) -> list[float]:
 
 
 FAULT_CASES = (
-    FaultCase('qos', 'a quality of service that does not match: told', REPORT, _mismatch, 's'),
+    FaultCase('qos', 'a quality of service that does not match: reported', REPORT, _mismatch, 's'),
     FaultCase('sources', 'two publishers of odometry', 1.0 + MEET / STEP, _two_sources),
     FaultCase(
         'flood',

@@ -50,12 +50,12 @@ def _transforms(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
 def _counted(harness: Harness, outcome: Outcome, spoiled: Spoiled) -> Outcome:
     """Return the outcome, a failure if the planner does not say which transforms it lacked."""
 
-    def told() -> bool:
+    def reported() -> bool:
         names = [name for each in harness.monitor.health for name in each.values]
         return any(f'{spoiled.name} transform' in name for name in names)
 
-    harness.spin(PATIENCE, told)
-    failure = '' if told() else f'no {spoiled.name} transform counted'
+    harness.spin(PATIENCE, reported)
+    failure = '' if reported() else f'no {spoiled.name} transform counted'
     return replace(outcome, failure=failure)
 
 
@@ -65,8 +65,8 @@ def _twists(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
     for seed in injection.SEEDS if long else injection.SEEDS[:1]:
         with fixtures.harness(seed=seed) as harness:
             begin = injection.inject(harness, MIDWAY, partial(setattr, harness, 'spoiled', spoiled))
-            told = harness.until_first(harness.monitor.first_complaint, begin, DOUBT) - begin
-            outcome = Outcome(f'{spoiled.name}, {MIDWAY}', harness.monitor.broken(), told)
+            reported = harness.until_first(harness.monitor.first_complaint, begin, DOUBT) - begin
+            outcome = Outcome(f'{spoiled.name}, {MIDWAY}', harness.monitor.broken(), reported)
             yield injection.recovered(harness, outcome)
 
 
@@ -101,7 +101,6 @@ def _spoken(harness: Harness) -> int:
 
 FAULT_CASES = (
     FaultCase('transforms', 'transforms missing, stale, extrapolated', 1.0, _transforms),
-    FaultCase('twist', 'velocities in the wrong frame: told', TURNED, _twists, 's'),
-    FaultCase('mode', 'a mode that flips at 10 Hz: told, silent where not engaged', REPORT, _modes,
-              's'),
-)  # fmt: skip
+    FaultCase('twist', 'velocities in the wrong frame: reported', TURNED, _twists, 's'),
+    FaultCase('mode', 'a mode that flips at 10 Hz: reported, else silent', REPORT, _modes, 's'),
+)

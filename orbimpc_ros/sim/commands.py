@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The commands a simulated vehicle gets: twist, joined by thrust at translation order 2."""
+"""The commands to a simulated vehicle: a twist, and a thrust at translation order 2."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Order:
 
 
 class Orders:
-    """Makes orders of messages; at translation order 2 of two messages with the same stamp.
+    """Turns messages into orders, at translation order 2 two messages with the same stamp.
 
     Args:
         model: of the vehicle.

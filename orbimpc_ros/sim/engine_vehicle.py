@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Vehicles that an engine moves: somebody else's physics behind the simulator of this package."""
+"""Vehicles that are moved by an engine: the physics of another library in this simulator."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ ENGINES = {
 
 @dataclass(frozen=True)
 class EngineVehicle(Vehicle):
-    """The state of a vehicle in an engine, which keeps all that is not here.
+    """The state of a vehicle in an engine; the engine holds the rest of it.
 
     Attributes:
         engine: that has it; it goes on with the last state alone.
@@ -66,7 +66,7 @@ class EngineVehicle(Vehicle):
 
     @property
     def facts(self) -> Mapping[str, float]:
-        """Return what else the engine knows of it, and its height."""
+        """Return its height, and what else the engine reports."""
         more = {} if self.motion is None else self.motion.facts
         return {'height': self.height, **more}
 
@@ -78,12 +78,12 @@ class EngineVehicle(Vehicle):
 
     @property
     def caught(self) -> bool | None:
-        """Return whether it has caught the goal, if the engine judges that."""
+        """Return whether it has caught the goal, where the engine decides that."""
         return None if self.motion is None else self.motion.caught
 
     @property
     def lost(self) -> bool:
-        """Return whether it cannot catch the goal any more, as the engine judges."""
+        """Return whether the goal can no longer be caught, as the engine decides."""
         return self.motion is not None and self.motion.lost
 
 
@@ -164,7 +164,7 @@ class EnginePlant(Continuous):
         return tuple(self._read(engine, each, vehicle.time - elapsed) for each in motions)
 
     def _read(self, engine: Engine, motion: Motion, begun: float) -> EngineVehicle:
-        """Return what a motion is to a planner, the engine having begun at a time [s]."""
+        """Return the state that a planner sees of a motion; the engine began at a time [s]."""
         n, height, rate = self.dimension, 0.0, motion.body_rate
         attitude = motion.attitude
         if n == 2:

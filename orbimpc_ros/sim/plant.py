@@ -32,7 +32,7 @@ class Gusts:
     Attributes:
         deviation: standard deviation along each axis [m/s], or [m/s^2] at translation order 2.
         memory: correlation time [s].
-        seed: of all chances.
+        seed: of the process.
     """
 
     deviation: float = 0.0
@@ -77,8 +77,8 @@ class Plant(Continuous):
     """A vehicle in continuous time, pushed along its x axis.
 
     Both orders of translation take their commands at once and follow them with a first-order lag,
-    and so do both orders of rotation: the orders of a :class:`Model` say what a command means in
-    the steps of a planner, which a vehicle does not know.
+    and so do both orders of rotation: the orders of a :class:`Model` define what a command means
+    in the steps of a planner, which a vehicle does not have.
 
     Attributes:
         speed_lag: time constant of the speed (translation order 1) or the thrust (2) [s].

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The vehicle as it really moves: on SO(n), turned by body rates, pushed along its x axis."""
+"""The true motion of a vehicle: on SO(n), turned by body rates, pushed along its x axis."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Model:
 
     @property
     def wind(self) -> Array:
-        """Return the velocity of the air, shape (n,) [m/s], which a thrust does not know."""
+        """Return the velocity of the air, shape (n,) [m/s]; zero at translation order 2."""
         return self.blown if self.translation_order == 1 else np.zeros(self.dimension)
 
     @property
@@ -114,7 +114,7 @@ class Model:
 
 @dataclass(frozen=True)
 class Continuous(Model):
-    """A vehicle in continuous time, which takes commands at once and follows them as it can.
+    """A vehicle in continuous time, which follows commands from the moment that they come.
 
     Attributes:
         stall_speed: airspeed below which it is counted as stalled [m/s]; it flies on.
@@ -175,22 +175,22 @@ class Vehicle:
 
     @property
     def facts(self) -> Mapping[str, float]:
-        """Return what else is known of it, by name."""
+        """Return further figures of it, by name."""
         return {}
 
     @property
     def goal(self) -> Array | None:
-        """Return where the goal is, shape (n,) [m], if that is not for the scenario to say."""
+        """Return where the goal is, shape (n,) [m]; None where the scenario decides that."""
         return None
 
     @property
     def caught(self) -> bool | None:
-        """Return whether it has caught the goal, if that is not for distances to say."""
+        """Return whether it has caught the goal; None where its distance decides that."""
         return None
 
     @property
     def lost(self) -> bool:
-        """Return whether it cannot catch the goal any more."""
+        """Return whether it can no longer catch the goal."""
         return False
 
 
@@ -253,7 +253,7 @@ def _moved(model: Model, vehicle: Vehicle, old: Array, new: Array) -> tuple[Arra
     """Return the way of a step and the velocity at its end, shape (n,) each.
 
     Args:
-        model: says whether speed or thrust changes at the end of the step, or all the while.
+        model: decides whether speed or thrust changes at the end of the step, or all the while.
         vehicle: at its begin.
         old: speed or thrust at its begin, shape (n,).
         new: at its end.
@@ -283,7 +283,7 @@ def between(earlier: Vehicle, later: Vehicle, time: float) -> Vehicle:
 
 
 def measured(vehicle: Vehicle, velocity_source: str = 'ground') -> Odometry:
-    """Return what perfect odometry says of the vehicle: its twist is in the body frame.
+    """Return perfect odometry of the vehicle; its twist is in the body frame.
 
     Args:
         vehicle: that is measured.
