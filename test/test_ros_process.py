@@ -190,15 +190,18 @@ def test_a_start_broken_off_is_cleared_away_and_says_why(tmp_path, breaks, code,
 
 
 @pytest.mark.parametrize(
-    ('words', 'said'),
+    ('node', 'words', 'said'),
     [
-        (['--params-file', 'x.yaml'], 'x.yaml is not behind --ros-args; allowed: --ros-args'),
-        (['--help'], 'allowed: --ros-args, then arguments of ROS, such as --params-file FILE'),
-        (['--ros-args', '-p', 'step:=0.1', '--', 'boat.yaml'], 'boat.yaml'),
-        (['--ros-args', '--params', 'x.yaml'], '--params x.yaml; allowed: .* --params-file FILE'),
+        ('planner', ['--params-file', 'x.yaml'], 'x.yaml is not behind --ros-args; allowed: --ros'),
+        (
+            'planner',
+            ['--help'],
+            'allowed: --ros-args, then arguments of ROS, such as --params-file',
+        ),
+        ('planner', ['--ros-args', '-p', 'step:=0.1', '--', 'boat.yaml'], 'boat.yaml'),
+        ('sim', ['--ros-args', '--params', 'x.yaml'], '--params x.yaml; allowed: .* --params-file'),
     ],
 )
-@pytest.mark.parametrize('node', ['planner', 'sim'])
 def test_words_that_nobody_would_look_at_are_refused_in_one_line(node, words, said):
     command = [sys.executable, '-m', PACKAGES[node], *words]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
@@ -218,8 +221,13 @@ def test_a_parameter_file_that_is_not_there_is_refused_in_one_line():
 BACKGROUND = ('sh', '-c', 'trap "" INT; exec "$@"', 'sh')
 
 
-@pytest.mark.parametrize('imported', ['numpy', 'rclpy.node', 'orbimpc_ros.ros.parameters'])
-@pytest.mark.parametrize('node', ['planner', 'sim'])
+@pytest.mark.parametrize(
+    ('node', 'imported'),
+    [
+        *(('planner', each) for each in ('numpy', 'rclpy.node', 'orbimpc_ros.ros.parameters')),
+        ('sim', 'orbimpc_ros.ros.parameters'),
+    ],
+)
 def test_a_signal_during_the_start_ends_it_without_a_word(node, imported):
     """Told by what Python says it has imported; the last is followed by the node's own start."""
     script = f'import sys; from orbimpc_ros.ros.entry import {node}; sys.exit({node}())'
