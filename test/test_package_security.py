@@ -179,8 +179,9 @@ def keystore(folder):
     return folder
 
 
-@pytest.mark.parametrize('prepare', [keystore, lambda folder: folder], ids=['keys', 'no keys'])
-@pytest.mark.parametrize('node', ['planner', 'sim'])
+@pytest.mark.parametrize(
+    ('node', 'prepare'), [('planner', keystore), ('sim', lambda folder: folder)]
+)
 def test_where_security_is_asked_for_and_missing_nothing_flies(
     observer, domain, tmp_path, node, prepare
 ):
@@ -209,7 +210,7 @@ def test_where_security_is_asked_for_and_missing_nothing_flies(
 
 @pytest.mark.parametrize(
     ('place', 'peers', 'warnings'),
-    [('SUBNET', '10.0.0.7', 2), ('LOCALHOST', '', 0), ('OFF', '', 0)],
+    [('SUBNET', '10.0.0.7', 2), ('LOCALHOST', '', 0)],
 )
 def test_a_node_warns_where_other_machines_may_join(domain, tmp_path, place, peers, warnings):
     environment = {
