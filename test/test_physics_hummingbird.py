@@ -134,17 +134,6 @@ def test_a_rope_that_would_be_let_go_too_high_is_refused(hummingbird):
         flight_of(aside=[1.0, 1.0])
 
 
-@pytest.mark.parametrize('module', ['mujoco', 'rotorpy.vehicles.multirotor'])
-def test_a_library_that_is_missing_is_said_with_the_way_to_get_it(monkeypatch, module):
-    pytest.importorskip('mujoco')
-    modules = __import__('sys').modules
-    monkeypatch.delitem(modules, 'orbimpc_ros.sim.engines.hummingbird', raising=False)
-    monkeypatch.setitem(modules, module, None)
-    library = module.partition('.')[0]
-    with pytest.raises(BadInput, match=f'vehicle hummingbird: {library} is missing; pip install'):
-        flight_of()
-
-
 def test_a_recorded_flight_can_be_flown_again(hummingbird):
     flights = list(flown_again(GOLDEN / 'rope'))
     assert flights[-1].captured

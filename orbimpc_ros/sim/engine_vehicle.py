@@ -145,14 +145,7 @@ class EnginePlant(Continuous):
     def flown(
         self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array, elapsed: float
     ) -> tuple[Vehicle, ...]:
-        """Return the vehicle on its way through a time under one command, the last at its end.
-
-        Args:
-            vehicle: the last one that the engine has shown: it cannot go back.
-            span: how long [s].
-            fraction: commanded share of full speed.
-            body_rate: commanded, shape (1,) or (3,) [rad/s].
-            elapsed: time since the start of the flight [s].
+        """Return the vehicle at the intervals of its engine; see :meth:`Model.flown`.
 
         Raises:
             EngineFailure: the engine has failed.

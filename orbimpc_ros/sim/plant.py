@@ -116,15 +116,7 @@ class Plant(Continuous):
     def flown(
         self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array, elapsed: float
     ) -> tuple[Vehicle, ...]:
-        """Return the vehicle at short intervals of a time under one command, the last at its end.
-
-        Args:
-            vehicle: where it is.
-            span: how long [s].
-            fraction: commanded share of full speed or thrust, clipped to [0, 1].
-            body_rate: commanded, in the body frame, shape (1,) or (3,) [rad/s].
-            elapsed: time since the start of the flight [s].
-        """
+        """Return the vehicle at short intervals; see :meth:`Model.flown`."""
         wanted = float(np.clip(fraction, 0.0, 1.0)), self._limited(body_rate)
         count = max(1, math.ceil(span / SUBSTEP - 1e-9))
         trail, piece = [], span / count

@@ -114,12 +114,7 @@ class Cessna:
         )
 
     def run(self, span: float, push: float, rate: Array) -> list[Motion]:
-        """Fly for a time and return the motions on the way, the last one at its end.
-
-        Args:
-            span: how long, rounded to steps of the engine [s].
-            push: commanded, the speed through the air [m/s].
-            rate: commanded, to the left, shape (1,) [rad/s].
+        """Fly for a time rounded to steps, at a speed through the air; see :meth:`Engine.run`.
 
         Raises:
             EngineFailure: the engine has stopped.

@@ -125,12 +125,7 @@ class Hummingbird:
         self._waypoint = np.append(point, 0.0)
 
     def run(self, span: float, push: float, rate: Array) -> list[Motion]:
-        """Fly for a time and return the motions on the way, the last one at its end.
-
-        Args:
-            span: how long, rounded to commands to the rotors [s].
-            push: commanded, the speed over ground [m/s].
-            rate: commanded, to the left, shape (1,) [rad/s].
+        """Fly for a time rounded to rotor commands, at a speed over ground; see :meth:`Engine.run`.
 
         Raises:
             EngineFailure: MuJoCo has given up.

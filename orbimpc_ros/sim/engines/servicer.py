@@ -90,12 +90,7 @@ class Servicer:
         self._simulation.StepUntilStop(0, -1)
 
     def run(self, span: float, push: float, rate: Array) -> list[Motion]:
-        """Fly for a time and return the motions on the way, the last one at its end.
-
-        Args:
-            span: how long, rounded to torques of the wheels [s].
-            push: commanded, along the body's x axis [m/s^2].
-            rate: commanded, in the body frame, shape (3,) [rad/s].
+        """Fly for a time rounded to torques of the wheels; see :meth:`Engine.run`.
 
         Raises:
             EngineFailure: Basilisk has given up.
