@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scenarios import model_of
 
 from orbimpc_ros.loop.odometry import state_of
 from orbimpc_ros.mpc.arrays import Array
@@ -14,7 +15,7 @@ from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.solver import Solver
-from orbimpc_ros.sim.vehicle import Vehicle, advance, measured, model_of
+from orbimpc_ros.sim.vehicle import Vehicle, advance, measured
 from orbimpc_ros.sim.world import Scenario
 
 

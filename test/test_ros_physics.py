@@ -18,7 +18,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.sim import engine_vehicle as engines
 from orbimpc_ros.sim.engine_vehicle import EnginePlant
-from orbimpc_ros.sim.engines.failure import EngineFailure
+from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import cli, settings
@@ -195,7 +195,7 @@ def test_a_planner_whose_engine_has_failed_stops_once_odometry_is_stale(monkeypa
 @pytest.mark.parametrize(
     ('failure', 'blame'),
     [
-        ('Poisoned', 'broken: numbers that are none, after t = 2.000 s'),
+        ('Poisoned', 'broken: numbers that are not finite, after t = 2.000 s'),
         ('Stopping', 'broken: stopped at t = 2.000 s'),
     ],
 )

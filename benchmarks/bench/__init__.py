@@ -74,7 +74,7 @@ def _files(args: argparse.Namespace) -> tuple[Path | None, Path | None]:
 def measured(
     wanted: list[str], quick: bool, before: Sequence[BenchRow]
 ) -> Iterator[list[BenchRow]]:
-    """Yield the rows of each measurement as it is done; of one that fails, a row that says why.
+    """Yield the rows of each measurement as it is done; of one that fails, a row with the reason.
 
     Args:
         wanted: names of problems.

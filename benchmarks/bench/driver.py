@@ -36,7 +36,7 @@ class RoundTrip:
     Attributes:
         sent: when it was published [s].
         latency: until the command was there [s]; infinite while it is not.
-        solve_ms: what the planner says its tick took [ms]; NaN while it has not said so.
+        solve_ms: what its tick took, as the planner reports [ms]; NaN before it does.
     """
 
     sent: float

@@ -103,7 +103,7 @@ def boxes(count: int) -> tuple[Box, ...]:
 
 
 def winged(problem: Problem, count: int) -> list[Instance]:
-    """Return consecutive ticks of a wing that follows drifting, swinging goals in winds it knows.
+    """Return consecutive ticks of a wing that follows drifting, swinging goals in known winds.
 
     It lags behind its commands, and its goals are slower than it can fly: after the approach it
     circles. Every flight has a wind and a goal of its own.
@@ -183,7 +183,7 @@ def _wing(problem: Problem, rng: np.random.Generator) -> tuple[Plant, Vehicle, R
         step=problem.step,
         forward=problem.forward,
         disturbance=tuple((rng.uniform(0.0, 5.0) * blowing).tolist()),
-        source='air',
+        velocity_source='air',
         speed_lag=0.8,
         rate_lag=0.3,
         max_rate=problem.max_rate,

@@ -81,7 +81,9 @@ def _run(contender: Solver, instance: Instance, into: Samples, number: int | Non
     except Declined as refusal:
         into.refused = str(refusal)
         return
-    except Exception as error:  # who breaks must not take the others down: the table says so
+    except (
+        Exception
+    ) as error:  # a solver that breaks must not end the run: the table has the reason
         into.refused = f'failed: {type(error).__name__}: {error}'
         return
     elapsed = time.perf_counter() - begin

@@ -142,7 +142,7 @@ def _wings() -> list[Comparison]:
     ]  # fmt: skip
 
 
-def _lifted() -> list[Comparison]:
+def lifted() -> list[Comparison]:
     """Return the comparisons under gravity, where CVXPY solves the relaxation: a bound, no plan."""
     craft: dict[str, Any] = {'dimension': 3, 'translation_order': 2, 'forward': 20.0}
     steps: dict[str, Any] = {'horizon': 20, 'step': 0.2, 'discretisation': 'exact'}
@@ -246,4 +246,4 @@ def _sizes() -> list[Comparison]:
     return [*hulls, *strewn]
 
 
-COMPARISONS = (*_planar(), *_dubins(), *_space(), *_sizes(), *_wings(), *_lifted())
+COMPARISONS = (*_planar(), *_dubins(), *_space(), *_sizes(), *_wings(), *lifted())

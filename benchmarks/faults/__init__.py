@@ -20,7 +20,7 @@ from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.tool.files import require_writable
 
 if TYPE_CHECKING:
-    from benchmarks.faults.fixtures import Fixtures
+    from benchmarks.faults.harness import Fixtures
     from benchmarks.faults.outcome import FaultCase, MatrixRow, Outcome
 
 DEFAULT_SOAK = 30.0  # [min]
@@ -86,7 +86,7 @@ def tried(cases: Sequence[FaultCase], long: bool, executor: str = 'wait_set') ->
         long: whether to try each at several moments.
         executor: of the nodes.
     """
-    from benchmarks.faults.fixtures import Fixtures
+    from benchmarks.faults.harness import Fixtures
     from benchmarks.faults.outcome import MatrixRow, table
 
     rows = [MatrixRow(case) for case in cases]

@@ -10,8 +10,8 @@ from nav_msgs.msg import Odometry
 from rclpy.qos import DurabilityPolicy
 from std_msgs.msg import Bool
 
+from benchmarks.faults.harness import PATIENCE, Place, Session
 from benchmarks.faults.monitor import STILL, Limits
-from benchmarks.faults.session import PATIENCE, Place, Session
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.settings import config

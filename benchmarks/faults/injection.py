@@ -9,8 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from benchmarks.faults.fixtures import Fixtures
-from benchmarks.faults.harness import STEP, Harness
+from benchmarks.faults.harness import STEP, Fixtures, Harness
 from benchmarks.faults.monitor import Monitor
 from benchmarks.faults.outcome import Outcome
 from benchmarks.faults.stimulus import Spoiled

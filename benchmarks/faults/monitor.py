@@ -66,10 +66,10 @@ class Limits:
 
 @dataclass
 class Monitor:
-    """Hears everything that a planner says.
+    """Records everything that a planner publishes.
 
     Times are of the monotonic clock, of when a message was sent: how long it lay with a judge who
-    was held up says nothing about the planner.
+    was held up is not the planner's delay.
 
     Attributes:
         limits: of commands.

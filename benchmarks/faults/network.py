@@ -18,9 +18,8 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy
 
 from benchmarks.faults import injection
-from benchmarks.faults.fixtures import Fixtures
 from benchmarks.faults.flood import excused, pauses
-from benchmarks.faults.harness import STEP, Harness
+from benchmarks.faults.harness import STEP, Fixtures, Harness
 from benchmarks.faults.injection import AFTER
 from benchmarks.faults.outcome import FaultCase, Outcome
 from orbimpc_ros.ros.process import qos
@@ -112,7 +111,7 @@ def _moves(harness: Harness, log: Path, since: float) -> list[float]:
 
 
 FAULT_CASES = (
-    FaultCase('qos', 'a quality of service that does not match: told', REPORT, _mismatch, 's'),
+    FaultCase('qos', 'a quality of service that does not match: reported', REPORT, _mismatch, 's'),
     FaultCase('sources', 'two publishers of odometry', 1.0 + MEET / STEP, _two_sources),
     FaultCase(
         'flood',

@@ -13,13 +13,11 @@ from functools import partial
 from typing import Any
 
 from benchmarks.faults import injection
-from benchmarks.faults.fixtures import Fixtures
 from benchmarks.faults.flights import LATCH, Flying
-from benchmarks.faults.harness import RATE, STEP, Harness
+from benchmarks.faults.harness import PATIENCE, RATE, STEP, Fixtures, Harness
 from benchmarks.faults.injection import SLOW
 from benchmarks.faults.inputs import ODOMETRY
 from benchmarks.faults.outcome import FaultCase, Outcome
-from benchmarks.faults.session import PATIENCE
 from benchmarks.faults.stimulus import SLIP, Spoiled, with_field
 
 FAREWELLS = 3  # safe commands at the end

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The simulator node: flies a scenario on the commands it gets, in lock-step or in real time."""
+"""The simulator node: a scenario flown on the commands it receives, in lock-step or real time."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class SimNode(Managed):
         self._flown = True
 
     def _create_subscriptions(self) -> Subscription:
-        """Subscribe to commands; return the subscription to ``cmd_vel``: every planner has it."""
+        """Subscribe to commands; return the subscription to those that every planner sends."""
         velocity, _ = (
             self.create_subscription(kind, topic, self.at_work(callback), qos(DEPTH))
             for kind, topic, callback in (
@@ -85,7 +85,7 @@ class SimNode(Managed):
             self._simulation.warn(self._pace.now, f'{topic} refused: {error}')
 
     def _watch_life(self, heard: Callable[[Any], None], lease: float) -> None:
-        """Call back when DDS hears, or misses, signs of life from who promises them on cmd_vel."""
+        """Call back when DDS hears, or misses, signs of life of the publisher of cmd_vel."""
         # A planner that promises none does not match, which is no fault.
         events = SubscriptionEventCallbacks(
             liveliness=self.at_work(heard), incompatible_qos=lambda _event: None

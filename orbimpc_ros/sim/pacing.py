@@ -15,7 +15,7 @@ from orbimpc_ros.sim.commands import Order
 from orbimpc_ros.sim.faults import Delivery
 from orbimpc_ros.sim.simulation import DEPTH, FlightSimulation
 
-LOOK = 0.02  # [s] how often to look whether anybody is there, or has gone
+LOOK = 0.02  # [s] between looks at who is there
 SETTLED = 0.1  # [s] lock-step: a planner that is asked nothing still has to take in the goal
 RESEND = 0.5  # [s] lock-step: ask again without an answer; first messages may be lost
 PATIENCE = 20.0  # [s] lock-step: give up without an answer
@@ -62,7 +62,7 @@ class LockStep:
             self._node.get_logger().warning(f'a step takes {took:g} s at this rate: {wanted}')
 
     def restart(self) -> None:
-        """Ask anew as soon as everybody is there."""
+        """Start again as soon as planner and readers are there."""
         self._begun = False
         self._asking = False  # whether a step waits for a command
         self._awaited: int | None = None  # stamp of the odometry to be answered [ns]
@@ -81,7 +81,7 @@ class LockStep:
         return round((self._simulation.flight.vehicle.time + self._simulation.jump) * SECOND)
 
     def look(self) -> None:
-        """Start when everybody is there; ask again or give up when no answer comes."""
+        """Start once planner and readers are there; send again, or give up, without an answer."""
         if self._simulation.finished:
             return
         if not self._begun:
@@ -234,7 +234,7 @@ class RealTime:
             self._stop(f'no command for {self._settings.command_timeout:g} s')
 
     def _stop(self, reason: str) -> None:
-        """Say why the vehicle is to be stopped, even where it already is for another reason."""
+        """Stop the vehicle, and report why, even where it has been stopped for another reason."""
         if self._order is None or self._simulation.finished:
             return
         self._ends = self._until

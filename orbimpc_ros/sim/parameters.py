@@ -230,7 +230,7 @@ class SimSettings(VehicleParameters):
             self.failsafe_rate,
             disturbance=tuple(known) if any(known) else (),
             discretisation=self.discretisation,
-            source=self.velocity_source,
+            velocity_source=self.velocity_source,
         )
         if self.vehicle == 'discrete':
             return discrete

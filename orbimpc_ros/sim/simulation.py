@@ -24,7 +24,7 @@ from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.process import DONE, FAILED, Guarded, qos
 from orbimpc_ros.ros.reports import ERROR, OK, WARN, diagnostics, health_message
 from orbimpc_ros.sim.commands import Order, Orders
-from orbimpc_ros.sim.engines.failure import EngineFailure
+from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.faults import Delivery, View
 from orbimpc_ros.sim.markers import traffic_markers, world_markers
 from orbimpc_ros.sim.parameters import SimSettings
@@ -50,7 +50,7 @@ class FlightSimulation:
 
     Attributes:
         flight: now.
-        view: what a planner gets to see of it.
+        view: the messages of it that reach a planner.
         orders: the commands that have come.
         refused: commands refused so far, by topic and field.
         waiting: for whoever is to be there before it begins.
@@ -107,7 +107,7 @@ class FlightSimulation:
 
     @property
     def jump(self) -> float:
-        """Return what stamps are off just now, by the faults [s]."""
+        """Return how far off stamps are now, by the faults [s]."""
         return self.settings.faults.jumped(self.flight.ticks)
 
     def stamp_of(self, sent: Delivery, now: int) -> int:
@@ -118,7 +118,7 @@ class FlightSimulation:
         return now - round((age + jump) * SECOND)
 
     def show(self, at: int, seen: Sequence[Delivery]) -> None:
-        """Publish what is seen of the flight at ``at`` [ns]: clock, goals, odometry."""
+        """Publish the flight at ``at`` [ns]: clock, markers, goals, odometry."""
         now = Stamp(at, self.settings.frames)
         if self._has_own_clock:
             self._time.publish(Clock(clock=messages.time_message(at)))
@@ -150,7 +150,7 @@ class FlightSimulation:
         return messages.goal_path_message(stamp, step, [rope.at(time) for time in times])
 
     def fly(self, order: Order | None, held: float) -> None:
-        """Fly a step on an order that is in force for ``held`` [s] of it; on none, stand.
+        """Fly a step on an order that is in force for ``held`` [s] of it; without one, stand.
 
         An engine that fails ends the flight, and this node.
         """
@@ -166,12 +166,12 @@ class FlightSimulation:
             self.airspeeds = self.airspeeds.seeing(self.flight.trail)
 
     def warn(self, at: int, text: str) -> None:
-        """Say, stamped ``at`` [ns], what is wrong."""
+        """Report what is wrong, stamped ``at`` [ns]."""
         self.node.get_logger().warning(text, throttle_duration_sec=1.0)
         self._diagnose(at, ERROR, text, dict(self.refused))
 
     def finish(self, at: int) -> None:
-        """Say, stamped ``at`` [ns], how the flight ended; leave, or hold until a restart."""
+        """Report how the flight ended, stamped ``at`` [ns]; then exit, or wait for a restart."""
         flight = self.flight
         self.finished = True
         self._captured.publish(Bool(data=flight.captured))
@@ -208,7 +208,7 @@ def _airspeeds_of(flight: Flight) -> Airspeeds | None:
 
 
 def truth_message(at: int, name: str, flight: Flight, airspeeds: Airspeeds) -> DiagnosticArray:
-    """Return what a simulated vehicle really does, which its odometry need not show.
+    """Return the true state of a simulated vehicle, which odometry may not show.
 
     Args:
         at: the stamp [ns].
@@ -236,7 +236,7 @@ def truth_message(at: int, name: str, flight: Flight, airspeeds: Airspeeds) -> D
 
 
 def touched_in_words(numbers: Collection[int], boxes: int) -> str:
-    """Return which boxes and balls are meant, counted from 1.
+    """Return the names of boxes and balls, counted from 1.
 
     Args:
         numbers: of obstacles, those of balls after those of the boxes.

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The wait before a flight: for its planner, and for those who are to hear it from the start."""
+"""The wait before a flight for its planner, and for recorders and viewers."""
 
 from __future__ import annotations
 
@@ -73,15 +73,15 @@ class Waiting:
 
     @property
     def lasted(self) -> float:
-        """Return for how long it has lasted, but for the configuration of a planner [s]."""
+        """Return how long it has lasted, the configuration of a planner left out [s]."""
         return self._node.steady_now() - self._counted_from
 
     def for_readers(self) -> str:
-        """Return which readers are missing, in words; empty if none is."""
+        """Return which readers are missing; empty if none is."""
         return self._announce(self._readers_lacking())
 
     def for_all(self) -> str:
-        """Return what is missing of planner and readers, in words; empty if nothing is."""
+        """Return what is missing of planner and readers; empty if nothing is."""
         coming = self._planner_being_configured()
         if coming:  # its first start compiles, for as long as that takes
             self._counted_from = self._node.steady_now()
@@ -90,7 +90,7 @@ class Waiting:
 
     @property
     def planner_lacking(self) -> str:
-        """Return what is missing of a planner, in words; empty if nothing is."""
+        """Return what is missing of a planner; empty if nothing is."""
         if not self._goal.get_subscription_count():
             return 'a subscriber of goal'
         return '' if self._commands.get_publisher_count() else 'a planner on cmd_vel'

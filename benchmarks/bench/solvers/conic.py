@@ -22,7 +22,7 @@ class Resolve:
 
     Args:
         problem: what to solve; its floor and boxes are left out.
-        solver: by the name that CVXPY knows it by.
+        solver: by its name in CVXPY.
     """
 
     def __init__(self, problem: Problem, *, solver: str = cp.CLARABEL) -> None:

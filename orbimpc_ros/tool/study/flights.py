@@ -18,8 +18,8 @@ from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.ticker import prepared
 from orbimpc_ros.sim.engine_vehicle import EngineVehicle
+from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.engines.engine import Guided
-from orbimpc_ros.sim.engines.failure import EngineFailure
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import Continuous
 from orbimpc_ros.sim.world import Airspeeds, Flight, departure
