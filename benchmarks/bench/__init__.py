@@ -62,7 +62,7 @@ def _wanted(only: list[str] | None) -> list[str]:
 
 
 def _files(args: argparse.Namespace) -> tuple[Path | None, Path | None]:
-    """Return where rows and picture go, after a look whether they can be written."""
+    """Return where rows and picture go, which must be writable."""
     file = Path(args.json).resolve() if args.json else None
     picture = Path(args.picture).resolve() if args.picture else file and file.with_suffix('.png')
     for name, path in (('--json', file), ('--picture', picture)):
@@ -101,7 +101,7 @@ def _measurements(
 
 
 def compared(comparison: Comparison, quick: bool) -> list[BenchRow]:
-    """Return the rows of one comparison; who is not installed is listed as absent."""
+    """Return the rows of one comparison; solvers that are not installed are listed as absent."""
     cap, count = QUICK_CAP if quick else CAP, comparison.counts[0 if quick else 1]
     solvers, absent = _solvers(comparison, cap)
     instances = comparison.instances(comparison.problem, count)
@@ -119,7 +119,7 @@ def compared(comparison: Comparison, quick: bool) -> list[BenchRow]:
 
 
 def _solvers(comparison: Comparison, cap: float) -> tuple[dict[str, Solver], list[BenchRow]]:
-    """Return who takes part, and rows of who is not installed."""
+    """Return the solvers that take part, and rows of those that are not installed."""
     found = {name: _solver(comparison, name, cap) for name in (OURS, *comparison.rivals)}
     absent = [
         BenchRow(

@@ -32,7 +32,7 @@ SEED = 1
 CIRCLING, CROSSING = 20.0, 4.0  # [s] of each flight
 GRAVITY = np.array([0.0, 0.0, -9.81])  # [m/s^2]
 UP = exp(np.array([0.0, -0.5 * math.pi, 0.0]))  # the thrust axis points upwards
-SHORT = 8  # steps that a pilot looks ahead who is not to be slow
+SHORT = 8  # steps that a controller plans among boxes, so as not to be slow
 
 
 class Instance(NamedTuple):
@@ -131,7 +131,7 @@ def landings(problem: Problem, count: int) -> list[Instance]:
 
 
 def spread(count: int) -> tuple[Box, ...]:
-    """Return boxes in space, in the way of whoever flies 10 m along x, the same for every count."""
+    """Return boxes in space, in the way of a flight of 10 m along x, the same for every count."""
     rng = np.random.default_rng(SEED)
     middles = rng.uniform([1.5, -0.8, -1.6], [8.0, 0.8, 0.4], size=(16, 3))
     half = rng.uniform(0.4, 1.0, size=(16, 3))
@@ -152,7 +152,7 @@ def _of_flights(
 
 
 def _flown(problem: Problem, plant: Plant, vehicle: Vehicle, goal: Rope) -> Iterator[Instance]:
-    """Yield tick after tick of a flight; its pilot has the horizon, or a short one among boxes."""
+    """Yield tick after tick of a flight; the controller has a shorter horizon among boxes."""
     pilot = replace(problem, horizon=SHORT) if problem.obstacles else problem
     controller = Controller(
         pilot,

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Side by side: every contender on the same instance before the next instance comes."""
+"""The interleaved run: every solver on the same instance before the next instance comes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WARM = 1.0  # [s] after which no further warm-up begins
 
 @dataclass
 class Samples:
-    """What one contender did, by instance.
+    """The results of one solver, by instance.
 
     Attributes:
         times: solve times [ms].
@@ -47,11 +47,11 @@ def interleaved_run(
     show: Callable[[int], None],
     every: int = 1,
 ) -> dict[str, Samples]:
-    """Return what each contender did on each instance, after a warm-up on the first one.
+    """Return the results of each solver on each instance, after a warm-up on the first one.
 
-    The order alternates from instance to instance, so that nobody always comes second to a warm
-    cache. Who has used up ``budget`` [s] stops taking part, and all but we meet the first of
-    ``every`` so many instances only.
+    The order alternates from instance to instance, so that no solver always comes second to a
+    warm cache. A solver that has used up ``budget`` [s] stops taking part, and all but ours meet
+    only the first of ``every`` so many instances.
     """
     samples = {name: Samples() for name in solvers}
     for name, contender in solvers.items():

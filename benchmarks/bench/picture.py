@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The picture: our time against everybody's, problem by problem, on a logarithmic axis."""
+"""The picture: the times of all solvers, problem by problem, on a logarithmic axis."""
 
 from __future__ import annotations
 

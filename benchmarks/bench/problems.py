@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The problems that are solved side by side, by whom, and what is required of us.
+"""The problems that are solved side by side, by whom, and what is required.
 
 Everybody gets the same problem, the same instances, the same relative gap and one thread. Solvers
 that state a minimum speed and a turn rate as what they are, not convex, take a minute for a tick of
@@ -86,11 +86,11 @@ class Comparison:
     every: int = 1
 
     def budget(self, cap: float) -> float:
-        """Return how long a contender takes part [s], given the time limit of a solve."""
+        """Return how long a solver takes part [s], given the time limit of a solve."""
         return cap if self.every == 1 else SEVERAL * cap
 
     def solver(self, name: str, cap: float) -> Solver:
-        """Return a contender set up for the problem.
+        """Return a solver set up for the problem.
 
         Raises:
             ImportError: it is not installed.

@@ -28,7 +28,7 @@ WIDTHS = (22, 5, 8, 8, 6, 10, 7, 7, 7)
 
 @dataclass(frozen=True)
 class BenchRow:
-    """One contender on one problem; what was not measured is NaN, in JSON null.
+    """One solver on one problem; what was not measured is NaN, in JSON null.
 
     Attributes:
         problem: what was solved.
@@ -95,7 +95,7 @@ def rows_of(
     required: Mapping[str, Mapping[str, float]],
     gap: float = 0.0,
 ) -> list[BenchRow]:
-    """Return a row per contender, ours first; objectives agree that are no farther than ``gap``."""
+    """Return a row per solver, ours first; objectives agree that are no farther than ``gap``."""
     ours, same = samples[OURS], max(SAME, gap)
     return [
         _row(problem, name, (each, ours), required.get(name), same)
@@ -143,12 +143,12 @@ def _largest(gaps: list[float]) -> float:
 
 
 def _relaxed(samples: Samples) -> bool:
-    """Return whether a contender solves the relaxation: what it finds is a bound."""
+    """Return whether a solver solves the relaxation: its result is a bound."""
     return any(each.relaxed for each in samples.solutions.values())
 
 
 def _note(theirs: Samples, ours: Samples, same: float) -> str:
-    """Return what has to be said about its objectives and its time limit."""
+    """Return remarks on its objectives and its time limit."""
     if theirs is ours:
         return theirs.refused
     apart, notes = differences(theirs, ours), []

@@ -116,7 +116,7 @@ def _try_all(rows: Sequence[MatrixRow], fixtures: Fixtures, long: bool) -> None:
 
 
 def _outcomes(case: FaultCase, fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
-    """Yield a row's outcomes; a planner that is past help ends the row, not the matrix."""
+    """Yield a row's outcomes; a planner that cannot be recovered ends the row, not the matrix."""
     from benchmarks.faults.outcome import Outcome
 
     try:

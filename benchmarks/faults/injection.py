@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Injection of faults: the times at which they set in, and the reactions that follow."""
+"""Injection of faults: the times at which they begin, and the reactions that follow."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def _mismatch(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
 
 
 def _two_sources(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
-    """A second publisher of odometry: whom to believe?"""
+    """A second publisher of odometry: neither may be believed."""
     for harness, when in injection.harnesses(fixtures, long, injection.TIMES[1:]):
         injection.until_due(harness, when)
         second = harness.node.create_publisher(Odometry, 'odom', qos())

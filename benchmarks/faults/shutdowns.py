@@ -104,7 +104,7 @@ def _hung(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
 
 
 def _silenced(flying: Flying, number: int, case: str) -> Outcome:
-    """Send a planner in flight a signal that lets it say nothing more; is the vehicle stopped?"""
+    """Silence a planner in flight by a signal; return whether the vehicle is stopped in time."""
     flying.until_moving()
     flying.spin(flying.draw.uniform(0.5, 1.5))
     begin = time.monotonic()

@@ -58,7 +58,7 @@ def transform_at(stamp: int) -> TransformStamped:
 
 @dataclass(frozen=True)
 class Spoiled:
-    """A fault of what comes in.
+    """A fault of the inputs.
 
     Attributes:
         name: of the fault.

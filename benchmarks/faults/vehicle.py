@@ -48,7 +48,7 @@ def _transforms(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
 
 
 def _counted(harness: Harness, outcome: Outcome, spoiled: Spoiled) -> Outcome:
-    """Return the outcome, a failure if the planner does not say which transforms it lacked."""
+    """Return the outcome, a failure if the planner does not report which transforms it lacked."""
 
     def reported() -> bool:
         names = [name for each in harness.monitor.health for name in each.values]

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The interface of a contender, and its refusal to take part."""
+"""The interface of a solver, and its refusal to take part."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from orbimpc_ros.mpc.problem import State
 
 
 class Declined(OrbimpcError):
-    """A contender cannot take a problem, such as one beyond the size its licence allows."""
+    """A solver cannot take a problem, such as one beyond the size its licence allows."""
 
 
 @dataclass(frozen=True)

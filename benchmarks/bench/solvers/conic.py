@@ -18,7 +18,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 
 
 class Resolve:
-    """The relaxed problem as the paper states it, in CVXPY's words.
+    """The relaxed problem as the paper states it, in CVXPY.
 
     Args:
         problem: what to solve; its floor and boxes are left out.
