@@ -13,9 +13,9 @@ import numpy as np
 from dubins import Chase, earliest
 from problems import floor
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.interception import AIM, Hunt, Interception, Target
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.planner import Planner
+from orbimpc_ros.loop.intercept import AIM, InterceptQuery, Interception, Target
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.request import Enough
@@ -109,7 +109,7 @@ def goals(chase, step, count):
 
 def catch(chase, step, horizon, approach=None, *, between=False):
     """The catch of a controller's first tick, at ends of steps or ``between`` them."""
-    controller = Controller(
+    controller = Planner(
         problem(chase, step, horizon),
         capture_radius=radius(chase, step),
         approach=approach,
@@ -153,7 +153,7 @@ def soonest(chase, step, horizon, deadline):
     def solved(target, places):
         return _solver(interception, target, near).solve(start, places, None, deadline())
 
-    hunt = Hunt(start, places, solved, lambda: False, horizon, between=True)
+    hunt = InterceptQuery(start, places, solved, lambda: False, horizon, between=True)
     return interception.earliest(hunt)[1]
 
 

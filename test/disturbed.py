@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from orbimpc_ros.loop.delay import CommandHistory, advanced
-from orbimpc_ros.loop.forecast import Forecast
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.compensation import CommandHistory, advanced
+from orbimpc_ros.loop.goal.motion import Forecast
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.sim.faults import Delivery, View
 from orbimpc_ros.sim.flight import Flight, departure
 from orbimpc_ros.sim.scenario import Scenario
 
 if TYPE_CHECKING:
-    from orbimpc_ros.loop.controller import Controller
+    from orbimpc_ros.loop.planner import Planner
 
 HELD = 1.5  # steps that a command is in force, as in the simulator by default
 
@@ -51,7 +51,7 @@ class Intake:
 
 
 def fly_disturbed(
-    controller: Controller,
+    controller: Planner,
     scenario: Scenario,
     forecast: Forecast,
     view: View,
@@ -87,7 +87,7 @@ def fly_disturbed(
     return flight
 
 
-def _answer(controller: Controller, odometry: Odometry, forecast: Forecast) -> Command:
+def _answer(controller: Planner, odometry: Odometry, forecast: Forecast) -> Command:
     ahead = controller.problem.step * np.arange(1, controller.remaining + 1)
     return controller.tick(odometry, forecast.at(odometry.time + ahead)).command
 

@@ -9,9 +9,9 @@ import pytest
 from problems import ORDERS, rotation
 from problems import state as state_of
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.interception import EFFORT, Interception, steps_before
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.planner import Planner
+from orbimpc_ros.loop.intercept import EFFORT, Interception, steps_before
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
@@ -42,7 +42,7 @@ def jumping(rng):
 
 def hunted(problem, goals, **given):
     """Return the catch of a first tick from the origin along x at full speed, and its state."""
-    tick = Controller(problem, capture_radius=RADIUS, **given).tick(measured(), goals)
+    tick = Planner(problem, capture_radius=RADIUS, **given).tick(measured(), goals)
     return tick.catch, tick.state
 
 

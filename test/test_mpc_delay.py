@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from problems import ORDERS, rotation
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.delay import CommandHistory, Interval, advanced
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.planner import Planner
+from orbimpc_ros.loop.compensation import CommandHistory, Interval, advanced
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Problem, Weights
@@ -155,7 +155,7 @@ class Flown:
         rng = np.random.default_rng(seed)
         self.delay, self.compensated = delay, compensated
         self.rope = Rope([2.0, 0.0], [1.5, 1.0], rng.uniform(0.05, 0.07), rng.uniform(0, 6.28, 2))
-        self.controller = Controller(
+        self.controller = Planner(
             Problem(horizon=8, step=STEP, weights=Weights(1.0, 0.01, 0.0, 10.0))
         )
         self.position, self.attitude = np.zeros(2), exp(rng.uniform(-3.0, 3.0, 1))

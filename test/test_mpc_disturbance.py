@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from continuous import Craft, at_rest, flown, turned
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.delay import CommandHistory
-from orbimpc_ros.loop.disturbance import GAP, LARGEST, PATIENCE, Estimator
-from orbimpc_ros.loop.odometry import Odometry
-from orbimpc_ros.loop.response import Response
+from orbimpc_ros.loop.planner import Planner
+from orbimpc_ros.loop.compensation import CommandHistory
+from orbimpc_ros.loop.compensation import Estimator, GAP, LARGEST, PATIENCE
+from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.compensation import Response
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Floor, Problem
@@ -250,7 +250,7 @@ def flight(estimated, *, inertial, time=60.0):
         problem = Problem(horizon=12, step=0.5, forward=full, floor=Floor('circle', 4, 2.0 / 3.0))
     problem = weighed(problem, 'time')
     kept = {'disturbance': given, 'response': Response(*lags), 'gap_tolerance': 1e-2}
-    controller = Controller(problem, **kept)
+    controller = Planner(problem, **kept)
     estimator, speed, ahead = Estimator(problem, lags[0]), np.zeros(n), np.zeros(n)
     speed[0] = 0.0 if inertial else 12.5
     ahead[0] = 1.0 if inertial else 30.0

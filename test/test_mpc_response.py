@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from continuous import Craft, Motion, at_rest, flown, turned
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.delay import CommandHistory
-from orbimpc_ros.loop.odometry import Odometry
-from orbimpc_ros.loop.response import Response
+from orbimpc_ros.loop.planner import Planner
+from orbimpc_ros.loop.compensation import CommandHistory
+from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.compensation import Response
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Floor, Problem
@@ -80,7 +80,7 @@ def test_half_a_step_of_a_lag_is_in_the_euler_model():
 
 def test_no_lag_changes_nothing():
     odometry = measured(1.0, at_rest(2))
-    assert Controller(Problem()).settled(odometry) is odometry
+    assert Planner(Problem()).settled(odometry) is odometry
 
 
 @pytest.mark.parametrize('name', ['speed', 'rate'])
@@ -109,7 +109,7 @@ def test_the_applied_thrust_follows_what_was_commanded():
 
 def arrived(problem, plant, motion, goal, response):
     """Fly to an arrival; return the miss [m], the speed left [m/s] and the ticks."""
-    controller = Controller(problem, shrinking=True, response=response)
+    controller = Planner(problem, shrinking=True, response=response)
     ticks, time = [], 0.0
     for _ in range(problem.horizon):
         odometry = controller.settled(measured(time, motion))
@@ -156,7 +156,7 @@ def test_a_vehicle_that_obeys_at_once_is_sent_what_is_due_now(rotation_order):
     problem = Problem(
         rotation_order=rotation_order, translation_order=2, horizon=8, floor=Floor('circle', 4, 0.3)
     )
-    prompt, plain = (Controller(problem, response=Response(lag, lag)) for lag in (1e-9, 0.0))
+    prompt, plain = (Planner(problem, response=Response(lag, lag)) for lag in (1e-9, 0.0))
     position, sent, planned = np.zeros(2), [], []
     for k in range(4):
         odometry = Odometry(float(k), position, np.eye(2), np.array([0.3 * k, 0.0]), np.zeros(1))

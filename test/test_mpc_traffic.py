@@ -6,11 +6,11 @@ import math
 import numpy as np
 import pytest
 
-from orbimpc_ros.loop.odometry import Odometry
-from orbimpc_ros.loop.traffic.bodies import MOST, Bodies, Seen
-from orbimpc_ros.loop.traffic.courses import FORGOTTEN, Course, Courses, Distance
-from orbimpc_ros.loop.traffic.nearest import clearance, nearest
-from orbimpc_ros.loop.traffic.track import along, centre
+from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.traffic import Bodies, MOST, ObservedBody
+from orbimpc_ros.loop.traffic import AgentTrajectory, Courses, Distance, FORGOTTEN
+from orbimpc_ros.loop.traffic import clearance, nearest
+from orbimpc_ros.loop.traffic import along, centre
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import MAX_HAZARDS, Ball, Box, Hazard, Problem, State
 
@@ -23,7 +23,7 @@ def disc(x, y, radius=0.5):
 
 
 def seen(time, body, name='a/0', lifetime=math.inf):
-    return Seen(name, time, body, lifetime)
+    return ObservedBody(name, time, body, lifetime)
 
 
 def at(hazard, time):
@@ -132,7 +132,7 @@ def test_a_track_is_followed_from_any_time_and_beyond_both_ends():
 
 def heard(time=0.0, step=0.2, count=6, speed=1.0):
     times = time + step * np.arange(count)
-    course = Course(time, times, np.column_stack([speed * (times - time), 0.0 * times]))
+    course = AgentTrajectory(time, times, np.column_stack([speed * (times - time), 0.0 * times]))
     courses = Courses(('/b/plan',))
     courses.hear('/b/plan', course)
     return courses
@@ -150,7 +150,7 @@ def test_a_vehicle_flies_its_plan_and_then_on_at_the_distance_asked_for():
 def test_who_is_silent_is_covered_flying_on_and_stopped_anywhere_since(seed):
     rng = np.random.default_rng([72, seed])
     times = np.cumsum(rng.uniform(0.1, 0.4, 6))
-    course = Course(times[0], times, np.cumsum(rng.uniform(-1.0, 1.0, (6, 2)), axis=0))
+    course = AgentTrajectory(times[0], times, np.cumsum(rng.uniform(-1.0, 1.0, (6, 2)), axis=0))
     courses = Courses(('/b/plan',))
     courses.hear('/b/plan', course)
     now = times[0] + rng.uniform(0.5001, 0.5 + FORGOTTEN)

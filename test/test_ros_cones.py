@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
 
-from orbimpc_ros.loop.controller import Controller
+from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters import PLANNER, planner_settings, sim_settings
 from orbimpc_ros.ros.planner.summary import summary
@@ -79,7 +79,7 @@ def test_a_landing_keeps_its_limits_and_every_tick_is_bounded():
     """On the vehicle in continuous time with its lags; what a demo does over DDS."""
     values = settings.resolve(config('lander.yaml'))
     chosen, flight = planner_settings(values), departure(sim_settings(values).scenario)
-    controller = Controller(
+    controller = Planner(
         chosen.problem,
         shrinking=True,
         gap_tolerance=chosen.gap_tolerance,

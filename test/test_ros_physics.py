@@ -13,7 +13,7 @@ pytest.importorskip('rclpy')
 from bags import messages_of
 from dying_engine import FAILURES
 
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.ros.parameters import SIM, sim_settings

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip('rclpy')
 
 from orbimpc_ros.loop import controller as controllers
-from orbimpc_ros.loop.safety import CIRCLE_STEPS, safe_command
+from orbimpc_ros.loop.fallback import CIRCLE_STEPS, safe_command
 from orbimpc_ros.mpc.command import flaw
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.geometry.rotations import exp

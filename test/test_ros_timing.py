@@ -7,7 +7,7 @@ pytest.importorskip('rclpy')
 
 import numpy as np
 
-from orbimpc_ros.loop.controller import Tick
+from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.mpc.command import stop
 from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.ros.clock import Drift, Standstill
@@ -57,7 +57,7 @@ def test_ticks_that_come_late_are_counted():
 
 
 def reported(status, reason='', fallback=Fallback.NONE):
-    return Report(Tick(status, reason, None, None, stop(np.eye(2)), fallback))
+    return Report(Decision(status, reason, None, None, stop(np.eye(2)), fallback))
 
 
 def safe(reason):

@@ -10,7 +10,7 @@ import pytest
 import yaml
 from continuous import Craft, at_rest, flown, turned
 
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.kernels import COMPILED
 
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.forecast import forecast_named
+from orbimpc_ros.loop.planner import Planner
+from orbimpc_ros.loop.goal.forecast import forecast_named
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.sim.arrival import open_loop
 from orbimpc_ros.sim.flight import departure, fly
@@ -72,7 +72,7 @@ def test_the_spacecraft_arrives_at_rest_by_its_first_plan(projection):
 
 
 def test_the_dubins_car_arrives_re_planning():
-    controller = Controller(dubins_problem('polygon'), shrinking=True)
+    controller = Planner(dubins_problem('polygon'), shrinking=True)
     log = fly(controller, dubins(), forecast_named('hold'))
     assert log.captured
     assert len(log.ticks) == 20

@@ -14,8 +14,8 @@ from itertools import islice
 import numpy as np
 
 from benchmarks.bench.instances import SEED, Instance
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.response import Response
+from orbimpc_ros.loop.planner import Planner
+from orbimpc_ros.loop.compensation import Response
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
@@ -82,7 +82,7 @@ def _of_flights(
 def _flown(problem: Problem, plant: Plant, vehicle: Vehicle, goal: Rope) -> Iterator[Instance]:
     """Yield tick after tick of a flight; its pilot has the horizon, or a short one among boxes."""
     pilot = replace(problem, horizon=SHORT) if problem.obstacles else problem
-    controller = Controller(
+    controller = Planner(
         pilot,
         gap_tolerance=1e-2,
         disturbance=plant.blown,

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.loop.controller import Controller, Tick
-from orbimpc_ros.loop.forecast import Hold
+from orbimpc_ros.loop.planner import Decision, Planner
+from orbimpc_ros.loop.goal.forecast import Hold
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Box, Problem, State
@@ -45,10 +45,10 @@ def circling(problem: Problem, count: int) -> list[Instance]:
     ]
 
 
-def around(problem: Problem, count: int) -> list[tuple[Flight, Tick]]:
+def around(problem: Problem, count: int) -> list[tuple[Flight, Decision]]:
     """Return a flight around the swinging rope tick by tick, the approach skipped."""
     flight = departure(replace(retrieval(), max_ticks=APPROACH + count))
-    controller, forecast, flown = Controller(problem), Hold(), []
+    controller, forecast, flown = Planner(problem), Hold(), []
     for _ in range(APPROACH + count):
         tick = planned(controller, flight, forecast)
         flown.append((flight, tick))

@@ -11,14 +11,14 @@ import sys
 from typing import Any
 
 from benchmarks.faults.stimulus import SLIP
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.planner import Planner
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros.planner import node as planner
 
-sound = Controller.tick
+sound = Planner.tick
 
 
-def tick(self: Controller, odometry: Odometry, *rest: Any, **more: Any) -> Any:
+def tick(self: Planner, odometry: Odometry, *rest: Any, **more: Any) -> Any:
     """Plan, unless the odometry slips."""
     if odometry.body_velocity[1] > 0.5 * SLIP:
         raise ArithmeticError('slipped')
@@ -26,5 +26,5 @@ def tick(self: Controller, odometry: Odometry, *rest: Any, **more: Any) -> Any:
 
 
 if __name__ == '__main__':
-    Controller.tick = tick  # type: ignore[method-assign]
+    Planner.tick = tick  # type: ignore[method-assign]
     sys.exit(planner.main())

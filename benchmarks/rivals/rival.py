@@ -10,8 +10,8 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.loop.controller import Controller, Tick
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.planner import Decision, Planner
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
@@ -65,7 +65,7 @@ class Sight(NamedTuple):
         return math.atan2(self.state.attitude[1, 0], self.state.attitude[0, 0])
 
 
-class Rival(Controller, ABC):
+class Rival(Planner, ABC):
     """Flies a planar vehicle of orders (1, 1).
 
     Args:
@@ -100,8 +100,8 @@ class Rival(Controller, ABC):
         out_of_time: Callable[[], bool] | None = None,
         ahead: Callable[[Array], Array] | None = None,
         wanted: Array | None = None,
-    ) -> Tick:
-        """Return the command that it steers; see :meth:`Controller.tick`."""
+    ) -> Decision:
+        """Return the command that it steers; see :meth:`Planner.tick`."""
         assert ahead is not None
         state = self._state(odometry)
         self._begin(odometry)
@@ -110,7 +110,7 @@ class Rival(Controller, ABC):
         command = self._limited(state, *self.steered(self._led(sight)))
         known = self.problem, np.array(goals)
         return self._finish(
-            Tick(Status.FEASIBLE, '', state, None, command, problem=known[0], goals=known[1])
+            Decision(Status.FEASIBLE, '', state, None, command, problem=known[0], goals=known[1])
         )
 
     def _led(self, sight: Sight) -> Sight:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from orbimpc_ros.loop.forecast import Forecast, Sighting
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.goal.motion import Forecast, GoalObservation
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.problem import Problem
@@ -21,7 +21,8 @@ from orbimpc_ros.sim.scenario import Scenario
 from orbimpc_ros.sim.vehicle import Vehicle, measured
 
 if TYPE_CHECKING:  # the simulator flies without a solver, and starts sooner for it
-    from orbimpc_ros.loop.controller import Tick
+    from orbimpc_ros.loop.planner import Decision, Snapshot
+    from orbimpc_ros.mpc.command import Command
 
 
 @dataclass(frozen=True)
@@ -193,7 +194,7 @@ class Log:
     """
 
     flights: tuple[Flight, ...]
-    ticks: tuple[Tick, ...]
+    ticks: tuple[Decision, ...]
 
     @property
     def captured(self) -> bool:
@@ -207,7 +208,7 @@ class Log:
 
 
 class Pilot(Protocol):
-    """What flies a vehicle: the controller of this package, or another to compare it with.
+    """What flies a vehicle: the planner of this package, or another to compare it with.
 
     Attributes:
         problem: gives the step.
@@ -219,17 +220,20 @@ class Pilot(Protocol):
     def remaining(self) -> int:
         """Return how many steps ahead it looks."""
 
-    def tick(self, odometry: Odometry, goals: Array) -> Tick:
+    def step(self, snapshot: Snapshot) -> Decision:
         """Return what to do next, given goals g_1..g_N, shape (``remaining``, n) [m]."""
 
+    def sent(self, command: Command) -> None:
+        """Take note of a command that was sent."""
 
-Sensor = Callable[[Flight], tuple[Sighting, Odometry]]
+
+Sensor = Callable[[Flight], tuple[GoalObservation, Odometry]]
 
 
-def perfect_sensor(flight: Flight) -> tuple[Sighting, Odometry]:
+def perfect_sensor(flight: Flight) -> tuple[GoalObservation, Odometry]:
     """Return what is seen of a flight without noise: its goal and its vehicle."""
     source = flight.scenario.model.velocity_source
-    return Sighting(flight.vehicle.time, flight.goal), measured(flight.vehicle, source)
+    return GoalObservation(flight.vehicle.time, flight.goal), measured(flight.vehicle, source)
 
 
 def fly(
@@ -250,9 +254,13 @@ def fly(
 
 def planned(
     pilot: Pilot, flight: Flight, forecast: Forecast, sensor: Sensor = perfect_sensor
-) -> Tick:
-    """Return a controller's tick on what is seen of a flight just now."""
+) -> Decision:
+    """Return a pilot's decision on what is seen of a flight just now."""
     sighting, odometry = sensor(flight)
     forecast.observe(sighting)
     ahead = pilot.problem.step * np.arange(1, pilot.remaining + 1)
-    return pilot.tick(odometry, forecast.at(sighting.time + ahead))
+    from orbimpc_ros.loop.planner import Snapshot
+
+    decision = pilot.step(Snapshot(odometry, forecast.at(sighting.time + ahead)))
+    pilot.sent(decision.command)
+    return decision

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from orbimpc_ros.loop.observation import Sighting
+from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.mpc.arrays import Array, frozen, number
 
 FASTEST = 1e3  # [Hz]
@@ -61,7 +61,7 @@ class TrueMotion:
     def __init__(self, rope: Rope) -> None:
         self._rope = rope
 
-    def observe(self, sighting: Sighting) -> None:
+    def observe(self, sighting: GoalObservation) -> None:
         """Learn nothing new."""
 
     def at(self, times: Array) -> Array:

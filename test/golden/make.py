@@ -18,7 +18,7 @@ import numpy as np
 from nav_msgs.msg import Path as GoalPath
 from rosgraph_msgs.msg import Clock
 
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp

@@ -33,7 +33,7 @@ import missions
 import numpy as np
 from airframe import Airframe, Motion
 
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros.messages import measurement_message
 from orbimpc_ros.tool.run.onboard import Planner
 

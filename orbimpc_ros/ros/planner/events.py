@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Approach
 from orbimpc_ros.sim.capture import closest_approach, is_headed
