@@ -1,6 +1,6 @@
 # make demo   sets up .venv and catches the swinging rope over ROS 2
 # make test   sets up .venv and runs lint, types and tests
-# make long   judges random problems, flights and mutants of the check: hours (docs/testing.md)
+# make long   judges random problems, flights and mutants of the check: hours (CONTRIBUTING.md)
 # make docs   writes the table of parameters and draws the pictures of docs/ anew
 #
 # PYTHON=... picks the interpreter, VENV=... the environment, PINS=... what pip is to keep to,
@@ -60,7 +60,7 @@ mutants: $(VENV)/.installed-test
 
 docs: $(VENV)/.installed-demo
 	$(SAY) 'Parameters and pictures'
-	$(BIN)/python -m orbimpc_ros.ros.parameters.page > docs/parameters.new
+	$(BIN)/python docs/parameters.py > docs/parameters.new
 	mv docs/parameters.new docs/parameters.md
 	$(BIN)/python docs/pictures.py
 

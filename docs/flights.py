@@ -13,16 +13,15 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from orbimpc_ros.ros.vehicles import vehicles
-from orbimpc_ros.tool import cli, figures
+from orbimpc_ros.sim.fleet import vehicles
+from orbimpc_ros.tool import cli, figures, history
 from orbimpc_ros.tool.figures.fleet import fleet
-from orbimpc_ros.tool.figures.style import in_both_looks
-from orbimpc_ros.tool.io import history
-from orbimpc_ros.tool.io.history import History
+from orbimpc_ros.tool.history import History
+from orbimpc_ros.tool.style import in_both_looks
 
 DOCS = Path(__file__).resolve().parent
 FLEET = 8  # vehicles
-OBSTACLES = {  # as on the page that shows it, docs/look.md
+OBSTACLES = {  # as on the page that shows it, docs/recording.md
     'obstacles': '[1.5, -1.0, 2.5, 0.6, 4.0, 0.2, 5.0, 3.0, 6.5, -2.0, 7.0, 1.0]',
     'rope.center': '[9.0, 0.0, 0.0]',
     'no_corner_cutting': 'true',

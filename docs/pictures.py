@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Draws the pictures of docs/explanation.md, light and dark: python docs/pictures.py.
+"""Draws the pictures of docs/concepts.md, light and dark: python docs/pictures.py.
 
 Everything in them is computed by the package, from fixed seeds.
 """
@@ -16,9 +16,9 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Circle, Polygon
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-
 from orbimpc_ros.loop.controller import Controller
 from orbimpc_ros.loop.forecast import Hold
+
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Floor, Problem, State
@@ -26,7 +26,7 @@ from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.sim.flight import departure, planned
 from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
-from orbimpc_ros.tool.figures.style import (
+from orbimpc_ros.tool.style import (
     BLUE,
     FAINT,
     INK,

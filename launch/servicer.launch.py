@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The servicing spacecraft in Basilisk: ros2 launch orbimpc_ros servicer.launch.py."""
 
-from orbimpc_ros.ros.launching import flight
+from orbimpc_ros.tool.launching import flight
 
 
 def generate_launch_description():

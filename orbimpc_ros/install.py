@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""How to install what is missing, without breaking what is there.
+"""Where this copy is installed, and how to install what is missing without breaking ROS.
 
 An extra is named by the packages in it: this distribution is on no index, so that
 ``orbimpc_ros[view]`` would be looked for in vain. Where NumPy 1 is installed, as ROS 2 Jazzy's
@@ -19,7 +19,7 @@ def command(*packages: str) -> str:
     """Return the command that installs packages."""
     words = ['pip', 'install']
     if version('numpy').startswith('1.'):
-        file = _constraints()
+        file = shared(CONSTRAINTS)
         words += ['numpy<2'] if file is None else ['--constraint', str(file)]
     return shlex.join([*words, *packages])
 
@@ -47,10 +47,14 @@ def _extras(names: set[str]) -> str:
     return f'[{",".join(sorted(names))}]' if names else ''
 
 
-def _constraints() -> Path | None:
-    """Return the file of constraints: in a clone, or where the package was installed."""
+def shared(name: str) -> Path | None:
+    """Return the path of a file that is installed with the package, such as ``package.xml``.
+
+    Every way of installing puts ``share/orbimpc_ros`` beside some parent of the package; in a
+    clone the parent itself holds the file.
+    """
     for folder in Path(__file__).resolve().parents:
         for root in (folder / 'share' / NAME, folder):
-            if (root / CONSTRAINTS).is_file():
-                return root / CONSTRAINTS
+            if (root / 'package.xml').is_file() and (root / name).is_file():
+                return root / name
     return None

@@ -10,11 +10,11 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.geometry.rotations import exp, from_quaternion
-from orbimpc_ros.ros.parameters import sim_settings
+from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import advance, launched
-from orbimpc_ros.tool.io import bag, settings
-from orbimpc_ros.tool.io.bag.writer import BagWriter
-from orbimpc_ros.tool.io.topics import Topic
+from orbimpc_ros.tool import bags, settings
+from orbimpc_ros.tool.bags import BagWriter
+from orbimpc_ros.tool.topics import Topic
 
 
 def check_pictures(folder, *names):
@@ -30,7 +30,7 @@ def check_pictures(folder, *names):
 def messages_of(folder):
     """Return the messages in a bag by topic and stamp [ns]; the first under each."""
     found = defaultdict(dict)
-    for message in bag.read(folder / 'bag'):
+    for message in bags.read(folder / 'bag'):
         found[message.topic[1:]].setdefault(message.stamp, message.content)
     return found
 
@@ -44,7 +44,7 @@ def attitude(message):
 
 
 def values_of(folder):
-    return settings.read(bag.notes(folder / 'bag')['parameters'])
+    return settings.read(bags.notes(folder / 'bag')['parameters'])
 
 
 def check_rollout(folder, tolerance=1e-6):
@@ -98,8 +98,8 @@ GOLDEN = Path(__file__).parent / 'golden'
 
 def rewritten(source, target, change=lambda each: each, notes=None):
     """Copy a bag of ours, each message as ``change`` returns it, or left out for None."""
-    kept = [new for new in map(change, bag.raw(source)) if new is not None]
-    return write(target, kept, bag.notes(source) if notes is None else notes)
+    kept = [new for new in map(change, bags.raw(source)) if new is not None]
+    return write(target, kept, bags.notes(source) if notes is None else notes)
 
 
 def write(target, messages, notes):
@@ -118,7 +118,7 @@ def ros2_bag(source, target, storage, mode='none', skip=()):
     writer.set_compression(CompressionMode[mode.upper()], CompressionFormat.ZSTD)
     with writer:
         topics = {}
-        for each in bag.raw(source):
+        for each in bags.raw(source):
             if each.topic in skip:
                 continue
             if each.topic not in topics:

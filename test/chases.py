@@ -13,8 +13,8 @@ import numpy as np
 from dubins import Chase, earliest
 from problems import floor
 
+from orbimpc_ros.loop.intercept import AIM, Interception, InterceptQuery, Target
 from orbimpc_ros.loop.planner import Planner
-from orbimpc_ros.loop.intercept import AIM, InterceptQuery, Interception, Target
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Problem, State

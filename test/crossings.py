@@ -18,14 +18,15 @@ import numpy as np
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp
-from orbimpc_ros.ros.parameters import SimSettings, planner_settings, sim_settings
+from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.sim.commands import Orders
 from orbimpc_ros.sim.fleet import separations
 from orbimpc_ros.sim.flight import Flight, departure
+from orbimpc_ros.sim.parameters import SimSettings, sim_settings
 from orbimpc_ros.sim.vehicle import measured
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.bags import fields
 from orbimpc_ros.tool.demo.fleet import resolve
-from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.io.content import fields
 from orbimpc_ros.tool.replay.offline import OfflinePlanner, resolved
 
 
@@ -173,7 +174,7 @@ def _is_there(flight: Flight) -> bool:
 
 def _shown(flight: Flight, sim: SimSettings, at: int) -> tuple[Any, Any]:
     stamp = Stamp(at, sim.frames)
-    odometry = messages.measurement_message(stamp, measured(flight.vehicle))
+    odometry = messages.odometry_message(stamp, measured(flight.vehicle))
     return odometry, messages.goal_message(stamp, flight.goal)
 
 

@@ -10,7 +10,7 @@ import pytest
 from orbimpc_ros.tool import view
 
 GOLDEN = Path(__file__).parent / 'golden'
-INSTALL = "pip install 'orbimpc_ros[view]', or with numpy 1 as docs/look.md says"
+INSTALL = "pip install 'orbimpc_ros[view]', or with numpy 1 as docs/recording.md says"
 needs_rerun = pytest.mark.skipif(not view.installed(), reason=f'needs rerun-sdk: {INSTALL}')
 
 

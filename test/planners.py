@@ -14,7 +14,7 @@ from nav_msgs.msg import Odometry
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.sim.vehicle import Model, launched
+from orbimpc_ros.sim.vehicle import Model, launched, measured
 
 FRAMES = Frames('odom', 'base_link')
 LOST = 10.0  # [s] without an answer: on a busy machine a planner takes a second to answer
@@ -24,7 +24,7 @@ QUICK = {'trigger': 'odom', 'step': 0.1, 'odom_timeout': 0.8}
 def odometry(seconds, model=None):
     model = model or Model()
     vehicle = launched(model, np.zeros(2), np.eye(2))
-    return messages.odometry_message(Stamp(round(seconds * 1e9), FRAMES), vehicle)
+    return messages.odometry_message(Stamp(round(seconds * 1e9), FRAMES), measured(vehicle))
 
 
 def goal(seconds):

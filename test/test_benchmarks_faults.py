@@ -29,7 +29,8 @@ from benchmarks.faults.monitor import HeardCommand, Limits, Monitor
 from benchmarks.faults.outcome import FaultCase, MatrixRow, Outcome, table
 from benchmarks.faults.parameters import nonsense
 from benchmarks.faults.soak import Soak
-from orbimpc_ros.ros.parameters import PLANNER, SIM
+from orbimpc_ros.ros.parameters import PLANNER
+from orbimpc_ros.sim.parameters import SIM
 from orbimpc_ros.tool import cli
 
 LIMITS = Limits(speed=1.0, rate=3.0)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from bank_motions import AHEAD, START, drawn, shown, sighted
 
-from orbimpc_ros.loop.goal.bank import BELIEVED, Bank, MEMORY
+from orbimpc_ros.loop.goal.bank import BELIEVED, MEMORY, Bank
 from orbimpc_ros.loop.goal.motion import GoalObservation
 
 CHANGED = START + 12.0  # [s]

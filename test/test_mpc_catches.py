@@ -9,8 +9,8 @@ import pytest
 from problems import ORDERS, rotation
 from problems import state as state_of
 
-from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.intercept import EFFORT, Interception, steps_before
+from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from problems import ORDERS, floor
 
-from orbimpc_ros.loop.planner import FALLBACK_TICKS, Planner
 from orbimpc_ros.loop.goal.forecast import Hold, forecast_named
 from orbimpc_ros.loop.goal.motion import GoalObservation, GoalTrajectory
+from orbimpc_ros.loop.planner import FALLBACK_TICKS, Planner
 from orbimpc_ros.loop.state import Odometry, state_of
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import command_of, stop

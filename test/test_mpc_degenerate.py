@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from problems import box, floor, rotation, weights
 
+from orbimpc_ros.loop.fallback import may_stop
 from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.loop.fallback import may_stop
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import flaw
 from orbimpc_ros.mpc.errors import BadInput

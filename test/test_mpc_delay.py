@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from problems import ORDERS, rotation
 
-from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.compensation import CommandHistory, Interval, advanced
+from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp

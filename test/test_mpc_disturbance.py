@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 from continuous import Craft, at_rest, flown, turned
 
+from orbimpc_ros.loop.compensation import (
+    GAP,
+    LARGEST,
+    PATIENCE,
+    CommandHistory,
+    Estimator,
+    Response,
+)
 from orbimpc_ros.loop.planner import Planner
-from orbimpc_ros.loop.compensation import CommandHistory
-from orbimpc_ros.loop.compensation import Estimator, GAP, LARGEST, PATIENCE
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.loop.compensation import Response
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Floor, Problem

@@ -4,8 +4,7 @@
 import numpy as np
 import pytest
 
-from orbimpc_ros.loop.state import VelocityFrameCheck, WINDOW
-from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.state import WINDOW, Odometry, VelocityFrameCheck
 from orbimpc_ros.mpc.geometry.rotations import exp
 
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from orbimpc_ros.loop import controller as loop
+from orbimpc_ros.loop.fallback import clear_instead, is_clear
 from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.loop.traffic import clearest as clearest_of
-from orbimpc_ros.loop.fallback import clear_instead, is_clear
 from orbimpc_ros.loop.traffic import achieved_clearance, with_clearance
+from orbimpc_ros.loop.traffic import clearest as clearest_of
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
@@ -353,8 +353,13 @@ def test_as_much_of_a_reserve_counts_as_the_plan_before_keeps():
     plan = Solver(problem).solve(start, goals)
     found = achieved_clearance(problem, replace(start, hazards=hazards), plan, 0.6)
     assert found.tolist() == pytest.approx([0.0, 0.2, 0.6])
-    assert achieved_clearance(problem, replace(start, hazards=hazards), None, 0.6).tolist() == [0.0] * 3
-    asked = [each.reserve for each in with_clearance(replace(start, hazards=hazards), found).hazards]
+    assert (
+        achieved_clearance(problem, replace(start, hazards=hazards), None, 0.6).tolist()
+        == [0.0] * 3
+    )
+    asked = [
+        each.reserve for each in with_clearance(replace(start, hazards=hazards), found).hazards
+    ]
     assert asked == pytest.approx(found.tolist())
 
 
@@ -703,7 +708,7 @@ def test_a_catch_that_is_clear_needs_no_search_among_hazards(monkeypatch):
 def test_what_may_be_faster_counts_as_larger_until_it_is_seen_again():
     disc = replace(Hazard.drifting(Ball([6.0, 0.0], 1.0), [0.0, 0.0]), reserve=0.4, unsure=1.5)
     start = State.at([0.0, 0.0], np.eye(2), hazards=(disc,))
-    achieved_clearance = traffic_of(BOAT, start).kept[0]
+    kept = traffic_of(BOAT, start).kept[0]
     np.testing.assert_allclose(kept, [0.0, 0.85, 1.7, 2.55, 0.4, 0.4, 0.4, 0.4])
     units = Units.of(BOAT)
     assert units.state(start).hazards[0].unsure * units.length / units.time == pytest.approx(1.5)

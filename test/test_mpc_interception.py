@@ -11,11 +11,18 @@ import pytest
 from continuous import Craft, at_rest, flown
 from problems import floor, rotation
 
+from orbimpc_ros.loop.compensation import Response, defect
+from orbimpc_ros.loop.intercept import (
+    AIM,
+    EFFORT,
+    GRAZE,
+    Interception,
+    InterceptQuery,
+    Target,
+    catching,
+)
 from orbimpc_ros.loop.planner import Planner
-from orbimpc_ros.loop.compensation import defect
-from orbimpc_ros.loop.intercept import AIM, EFFORT, GRAZE, InterceptQuery, Interception, Target, catching
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.loop.compensation import Response
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.errors import BadInput
@@ -400,7 +407,9 @@ def test_no_plan_is_made_for_what_is_out_of_reach_nor_again_where_that_cannot_he
     def goals(end):
         return np.tile(goal, (min(int(np.ceil(end)), WING.horizon), 1))
 
-    plan, catch = wing.earliest(InterceptQuery(start, goals, solved, lambda: False, 32, between=True))
+    plan, catch = wing.earliest(
+        InterceptQuery(start, goals, solved, lambda: False, 32, between=True)
+    )
     ended = plan.positions[-1] + defect(wing.problem(Target(catch.time / 0.5)), start, plan, 0.8)
     assert np.linalg.norm(ended - goal) <= AIM * RADIUS
     assert any(target.end % 1.0 for target in asked)

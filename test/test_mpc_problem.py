@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 
-from orbimpc_ros.loop.goal.motion import GoalTrajectory
 from orbimpc_ros.loop.goal.forecast import forecast_named
+from orbimpc_ros.loop.goal.motion import GoalTrajectory
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.problem import (

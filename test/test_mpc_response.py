@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from continuous import Craft, Motion, at_rest, flown, turned
 
+from orbimpc_ros.loop.compensation import CommandHistory, Response
 from orbimpc_ros.loop.planner import Planner
-from orbimpc_ros.loop.compensation import CommandHistory
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.loop.compensation import Response
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Floor, Problem

@@ -7,10 +7,19 @@ import numpy as np
 import pytest
 
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.loop.traffic import Bodies, MOST, ObservedBody
-from orbimpc_ros.loop.traffic import AgentTrajectory, Courses, Distance, FORGOTTEN
-from orbimpc_ros.loop.traffic import clearance, nearest
-from orbimpc_ros.loop.traffic import along, centre
+from orbimpc_ros.loop.traffic import (
+    FORGOTTEN,
+    MOST,
+    AgentTrajectory,
+    Bodies,
+    Courses,
+    Distance,
+    ObservedBody,
+    along,
+    centre,
+    clearance,
+    nearest,
+)
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import MAX_HAZARDS, Ball, Box, Hazard, Problem, State
 

@@ -7,11 +7,11 @@ import numpy as np
 import problems
 import pytest
 
-from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.compensation import Interval, advanced
-from orbimpc_ros.loop.goal.forecast import Hold
-from orbimpc_ros.loop.state import Odometry, odd_speed, state_of
 from orbimpc_ros.loop.fallback import decided, safe_command
+from orbimpc_ros.loop.goal.forecast import Hold
+from orbimpc_ros.loop.planner import Planner
+from orbimpc_ros.loop.state import Odometry, odd_speed, state_of
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp

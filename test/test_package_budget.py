@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Size budget: lines of Python in each folder, words of Markdown. What comes later pays for itself."""
+"""Size budget: lines of Python in each folder, words of Markdown."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 LINES = {
     'orbimpc_ros': 48_200,
-    'orbimpc_ros/mpc': 25_000,
+    'orbimpc_ros/mpc': 29_000,
     'orbimpc_ros/loop': 4_200,
     'orbimpc_ros/ros': 6_450,
     'orbimpc_ros/sim': 3_800,
@@ -16,7 +16,7 @@ LINES = {
     'benchmarks': 5_700,
     'test': 39_300,
 }
-WORDS = {'docs': 65_000, 'README.md': 2_960}
+WORDS = {'docs': 34_000, 'README.md': 900}
 
 
 @pytest.mark.parametrize('folder', LINES)

@@ -122,7 +122,7 @@ def test_the_tool_runs_in_a_sourced_workspace_as_its_pages_say(workspace):
     tool = prefix(workspace) / 'lib' / NAME / 'orbimpc'
     done = run(*sourced(workspace, tool, '--version'), cwd=workspace)
     assert done.stdout == 'orbimpc_ros 0.1.0\n', done.stderr
-    for page in ('look.md', 'replay.md'):
+    for page in ('recording.md', 'getting_started.md'):
         assert f'ros2 run {NAME} orbimpc' in (ROOT / 'docs' / page).read_text()
 
 
@@ -200,7 +200,7 @@ def test_a_wheel_carries_configuration_and_launch_files(tmp_path):
     placed = run(*pip, 'install', '--no-deps', '--no-index', '--target', site, wheel, cwd=tmp_path)
     assert placed.returncode == 0, placed.stdout + placed.stderr
     script = (
-        'from orbimpc_ros.tool.io import share; print(share.config("retrieval.yaml"))\n'
+        'from orbimpc_ros.tool import settings; print(settings.config("retrieval.yaml"))\n'
         'from orbimpc_ros.tool import cli; cli.main(["--version"])'
     )
     done = run(sys.executable, '-c', script, cwd=tmp_path, PYTHONPATH=str(site))

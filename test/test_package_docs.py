@@ -1,9 +1,10 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The documentation is true: tables, links, commands, and the tutorial's own vehicle over DDS."""
+"""The documentation is true: tables, links, commands, and the page's own vehicle over DDS."""
 
 import importlib.util
 import os
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -32,7 +33,7 @@ def blocks(page, language):
 
 def test_the_parameters_are_those_of_the_nodes():
     pytest.importorskip('rclpy')
-    from orbimpc_ros.ros.parameters.page import page
+    page = runpy.run_path(str(DOCS / 'parameters.py'))['page']
 
     assert (DOCS / 'parameters.md').read_text() == page(), 'make docs'
 
@@ -62,7 +63,7 @@ def test_commands_of_the_tool_exist(page):
 
 
 def test_the_pictures_can_still_be_drawn():
-    from orbimpc_ros.tool.figures.style import look
+    from orbimpc_ros.tool.style import look
 
     spec = importlib.util.spec_from_file_location('pictures', DOCS / 'pictures.py')
     pictures = importlib.util.module_from_spec(spec)
@@ -71,11 +72,11 @@ def test_the_pictures_can_still_be_drawn():
         with look():
             assert draw().axes, name
         for look_of in (name, f'{name}-dark'):
-            assert f'pictures/{look_of}.png' in (DOCS / 'explanation.md').read_text()
+            assert f'pictures/{look_of}.png' in (DOCS / 'concepts.md').read_text()
 
 
-def test_the_tutorials_problem_is_solved(tmp_path, capsys):
-    (text,) = (t for t in blocks(DOCS / 'tutorial.md', 'yaml') if t.startswith('dimension'))
+def test_the_problem_of_the_first_page_is_solved(tmp_path, capsys):
+    (text,) = (t for t in blocks(DOCS / 'getting_started.md', 'yaml') if t.startswith('dimension'))
     (tmp_path / 'problem.yaml').write_text(text)
     assert cli.main(['solve', str(tmp_path / 'problem.yaml')]) == 0
     assert yaml.safe_load(capsys.readouterr().out)['status'] == 'optimal'
@@ -93,7 +94,7 @@ def registries():
 
 @pytest.mark.parametrize(
     'page',
-    [DOCS / 'library.md', DOCS / 'tutorial.md', ROOT / 'README.md'],
+    [DOCS / 'library.md', DOCS / 'getting_started.md', ROOT / 'README.md'],
     ids=lambda page: page.name,
 )
 @pytest.mark.usefixtures('registries')
@@ -107,10 +108,12 @@ def test_python_that_needs_no_ros_runs(page, tmp_path, monkeypatch, capsys):
         assert 'optimal' in out or ('feasible' in out and WORD in out), out
 
 
-def test_the_tutorials_boat_reaches_its_beacon(tmp_path, domain):
+def test_the_first_pages_boat_reaches_its_beacon(tmp_path, domain):
     pytest.importorskip('rclpy')
-    (boat,) = (t for t in blocks(DOCS / 'tutorial.md', 'python') if 'rclpy' in t)
-    (parameters,) = (t for t in blocks(DOCS / 'tutorial.md', 'yaml') if t.startswith('planner'))
+    (boat,) = (t for t in blocks(DOCS / 'getting_started.md', 'python') if 'rclpy' in t)
+    (parameters,) = (
+        t for t in blocks(DOCS / 'getting_started.md', 'yaml') if t.startswith('planner')
+    )
     (tmp_path / 'boat.py').write_text(boat)
     (tmp_path / 'boat.yaml').write_text(parameters)
     environment = here() | {'ROS_DOMAIN_ID': str(domain)}

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Imports run one way, mpc <- loop <- ros, sim <- tool <- benchmarks; mpc and loop need no ROS.
+"""Imports run one way, mpc <- loop <- ros <- sim <- tool <- benchmarks; mpc and loop need no ROS.
 
 The simulator's engines import nothing of the rest.
 """
@@ -13,7 +13,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / 'orbimpc_ros'
 MOVABLE = PACKAGE / 'mpc' / 'proof' / 'verifier'
-LAYERS = ('mpc', 'loop', 'ros', 'tool')
+LAYERS = ('mpc', 'loop', 'ros', 'sim', 'tool')
 ROS = ('rclpy', 'rosidl_runtime_py', 'std_msgs', 'geometry_msgs', 'nav_msgs', 'rosbags')
 
 
@@ -70,7 +70,7 @@ def circles(graph):
 
 @pytest.mark.parametrize('layer', LAYERS)
 def test_a_layer_imports_nothing_above_it(layer):
-    above = LAYERS[LAYERS.index(layer) + 1 :] + (('sim',) if layer in ('mpc', 'loop') else ())
+    above = LAYERS[LAYERS.index(layer) + 1 :]
     for file in (PACKAGE / layer).rglob('*.py'):
         for name in imports_of(file):
             parts = name.split('.')
@@ -101,22 +101,21 @@ def test_a_pure_layer_imports_without_ros(layer):
     assert done.stdout.strip() == '[]'
 
 
-# Of the simulated world a planner needs the model of its vehicle and the ranges of parameters.
-FOREIGN = {
-    'ros.planner': ('sim.node', 'sim.engines', 'sim.engine_vehicle', 'sim.flight', 'sim.plant'),
-    'sim': ('ros.planner',),
-}
+# What a node's process must not load, but for the packages that lie above its own.
+FOREIGN = {'ros.planner': ('sim', 'tool'), 'sim': ('ros.planner', 'tool')}
 
 
 @pytest.mark.parametrize('node', FOREIGN)
-def test_a_node_loads_nothing_of_the_other(node):
+def test_a_node_loads_nothing_of_the_other_nor_of_the_tool(node):
     pytest.importorskip('rclpy')
     script = f'import sys, orbimpc_ros.{node}.node; print(*sys.modules)'
     done = subprocess.run(
         [sys.executable, '-c', script], capture_output=True, text=True, check=True
     )
+    loaded = done.stdout.split()
     for name in FOREIGN[node]:
-        assert f'orbimpc_ros.{name}' not in done.stdout
+        above = f'orbimpc_ros.{name}'
+        assert not [each for each in loaded if each == above or each.startswith(f'{above}.')]
 
 
 def test_no_modules_import_each_other_in_a_circle():

@@ -17,7 +17,7 @@ from orbimpc_ros.ros.reports import Report, tick_message
 from orbimpc_ros.sim.flight import departure
 from orbimpc_ros.sim.scenario import retrieval
 from orbimpc_ros.sim.vehicle import measured
-from orbimpc_ros.tool.io.topics import TYPES
+from orbimpc_ros.tool.topics import TYPES
 
 pytest.importorskip('rclpy')
 CONFIG = Path(__file__).parents[1] / 'config'

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool.io import share
+from orbimpc_ros.tool import settings
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ElementTree.parse(ROOT / 'package.xml').getroot()
@@ -125,7 +125,9 @@ def test_what_rosdep_would_install_by_pip_comes_from_the_requirements():
     """pip may not touch Ubuntu 24.04's own Python: what it would bring is for an environment."""
     lines = (ROOT / 'requirements-jazzy.txt').read_text().splitlines()
     given = {re.split(r'[<>=]', line)[0] for line in lines if not line.startswith('#')}
-    (skipped,) = re.findall(r"--skip-keys '([^']+)'", (ROOT / 'README.md').read_text())
+    (skipped,) = re.findall(
+        r"--skip-keys '([^']+)'", (ROOT / 'docs' / 'getting_started.md').read_text()
+    )
     by_pip = {key for key in depends() if key.endswith('-pip')}
     assert by_pip | {'python3-numba'} == set(skipped.split()) <= depends()
     for module, (key, _) in PROVIDERS.items():
@@ -172,9 +174,9 @@ def test_it_is_an_ament_python_package():
 
 def test_configuration_is_found():
     for file in (ROOT / 'config').glob('*.yaml'):
-        assert share.config(file.name).read_bytes() == file.read_bytes()
+        assert settings.config(file.name).read_bytes() == file.read_bytes()
     with pytest.raises(BadInput, match=r'nothing\.yaml'):
-        share.config('nothing.yaml')
+        settings.config('nothing.yaml')
 
 
 @pytest.mark.parametrize('node', ['planner', 'sim'])

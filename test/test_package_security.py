@@ -116,8 +116,8 @@ RECORD = """
     import sys
     from pathlib import Path
     from orbimpc_ros.tool.run.processes import Interruptions
-    from orbimpc_ros.tool.io.recorder import Recorder
-    from orbimpc_ros.tool.io.topics import topics_of
+    from orbimpc_ros.tool.run.recorder import Recorder
+    from orbimpc_ros.tool.topics import topics_of
 
     with Interruptions() as interruptions:
         recorder = Recorder(Path(sys.argv[1]), topics_of(), {})

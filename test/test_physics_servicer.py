@@ -20,8 +20,8 @@ from orbimpc_ros.sim.flight import departure
 from orbimpc_ros.sim.rope import fixed
 from orbimpc_ros.sim.scenario import Scenario
 from orbimpc_ros.sim.vehicle import launched
+from orbimpc_ros.tool import history
 from orbimpc_ros.tool.demo.rendering import flown_again
-from orbimpc_ros.tool.io import history
 from orbimpc_ros.tool.study import flights as study
 from orbimpc_ros.tool.study.draws import draws_of
 

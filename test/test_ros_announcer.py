@@ -7,10 +7,11 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from orbimpc_ros.mpc.problem import Floor
-from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.planner.announcer import FIRST, KINDS, MANY, Announcer
 from orbimpc_ros.ros.planner.summary import doubts, summary
+
+from orbimpc_ros.mpc.problem import Floor
+from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 
 
 class Console:

@@ -6,13 +6,14 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from orbimpc_ros.ros.planner.inbox import Inbox
+from orbimpc_ros.ros.planner.ticker import Ticker, prepared
+
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.planner.inbox import Inbox
-from orbimpc_ros.ros.planner.ticker import Ticker, prepared
 
 FRAMES = Frames('odom', 'base_link')
 START = 1_700_000_000  # [s]
@@ -36,7 +37,7 @@ class Watched:
             still = Odometry(START + now, np.zeros(2), np.eye(2), np.zeros(2), np.zeros(1))
             for topic, message in (
                 ('goal', messages.goal_message(stamp, goal(now))),
-                ('odom', messages.measurement_message(stamp, still)),
+                ('odom', messages.odometry_message(stamp, still)),
             ):
                 assert self.inbox.take(topic, message, now, RosTime(stamp.nanoseconds)) == ''
         return self.ticker.planned(self.inbox, now, RosTime(stamp.nanoseconds))

@@ -8,15 +8,17 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
 
+from orbimpc_ros.ros.planner.summary import summary
+
 from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.parameters import PLANNER, planner_settings, sim_settings
-from orbimpc_ros.ros.planner.summary import summary
+from orbimpc_ros.ros.parameters import PLANNER, planner_settings
 from orbimpc_ros.sim.arrival import open_loop
 from orbimpc_ros.sim.flight import departure
+from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import measured
-from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.io.share import config
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.settings import config
 
 CRAFT = {
     'dimension': 3,

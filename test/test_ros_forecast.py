@@ -8,9 +8,9 @@ pytest.importorskip('rclpy')
 
 from nav_msgs.msg import Odometry, Path
 
-from orbimpc_ros.loop.planner import Planner
-from orbimpc_ros.loop.goal.motion import GoalTrajectory
 from orbimpc_ros.loop.goal.forecast import forecast_named
+from orbimpc_ros.loop.goal.motion import GoalTrajectory
+from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.sim.flight import fly
 from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
 

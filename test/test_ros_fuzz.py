@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip('rclpy')
 
 from nav_msgs.msg import Path
+from orbimpc_ros.ros.planner.inbox import Inbox
 from planners import QUICK, Bench
 from std_srvs.srv import Trigger
 
@@ -17,8 +18,7 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.planner.inbox import Inbox
-from orbimpc_ros.sim.vehicle import Model, launched
+from orbimpc_ros.sim.vehicle import Model, launched, measured
 
 FRAMES = Frames('odom', 'base_link')
 NUMBERS = (
@@ -66,7 +66,7 @@ def poisoned(draw, message, most=4):
 
 def odometry(draw, at):
     vehicle = launched(Model(), np.array([draw.gauss(0, 3), draw.gauss(0, 3)]), np.eye(2))
-    return poisoned(draw, messages.odometry_message(Stamp(at, FRAMES), vehicle))
+    return poisoned(draw, messages.odometry_message(Stamp(at, FRAMES), measured(vehicle)))
 
 
 def goal(draw, at):
@@ -115,7 +115,8 @@ def test_whatever_comes_is_taken_whole_or_refused_whole(part):
 
 def test_covariances_are_not_read():
     """Many drivers mean "unknown" by NaN there."""
-    message = messages.odometry_message(Stamp(1, FRAMES), launched(Model(), np.zeros(2), np.eye(2)))
+    start = launched(Model(), np.zeros(2), np.eye(2))
+    message = messages.odometry_message(Stamp(1, FRAMES), measured(start))
     message.pose.covariance[:] = np.full(36, np.nan)
     message.twist.covariance[:] = np.full(36, np.inf)
     _, read = messages.read_odometry(message, 2, FRAMES)

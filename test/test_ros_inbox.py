@@ -6,12 +6,13 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from orbimpc_ros.ros.planner.inbox import Inbox
+
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.planner.inbox import Inbox
-from orbimpc_ros.sim.vehicle import Model, launched
+from orbimpc_ros.sim.vehicle import Model, launched, measured
 
 FRAMES = Frames('odom', 'base_link')
 
@@ -21,7 +22,8 @@ def stamp(seconds):
 
 
 def odometry(seconds):
-    return messages.odometry_message(stamp(seconds), launched(Model(), np.zeros(2), np.eye(2)))
+    start = launched(Model(), np.zeros(2), np.eye(2))
+    return messages.odometry_message(stamp(seconds), measured(start))
 
 
 def goal(seconds, x=5.0):

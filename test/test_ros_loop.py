@@ -16,8 +16,8 @@ from rosgraph_msgs.msg import Clock  # noqa: E402
 from std_msgs.msg import Bool  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
-from orbimpc_ros.loop.planner import Controller  # noqa: E402
 from orbimpc_ros.loop.goal.forecast import forecast_named  # noqa: E402
+from orbimpc_ros.loop.planner import Controller  # noqa: E402
 from orbimpc_ros.ros.process import qos  # noqa: E402
 from orbimpc_ros.sim.flight import fly  # noqa: E402
 from orbimpc_ros.sim.scenario import retrieval, retrieval_problem  # noqa: E402

@@ -36,7 +36,7 @@ def odometry_message(n=2, rng=None):
         velocity=rng.normal(size=n),
         body_rate=rng.normal(size=model.rates),
     )
-    return messages.odometry_message(STAMP, vehicle), vehicle
+    return messages.odometry_message(STAMP, measured(vehicle)), vehicle
 
 
 def goal_message():
@@ -71,7 +71,7 @@ def test_a_body_that_pushes_along_z_is_turned_on_the_way_in_and_back_on_the_way_
         turning = odometry.attitude @ odometry.body_rate
         meant = measured(vehicle)
         np.testing.assert_allclose(turning, own @ meant.body_rate, atol=1e-12)
-        again = messages.measurement_message(stamp, odometry)
+        again = messages.odometry_message(stamp, odometry)
         for part in ('pose.pose.orientation', 'twist.twist.linear', 'twist.twist.angular'):
             for axis in 'xyz':
                 wanted = attrgetter(f'{part}.{axis}')(message)

@@ -39,8 +39,9 @@ def test_a_mission_is_one_line_and_its_commands_keep_their_limits(missions, name
 
 def test_what_is_drawn_is_not_told_to_the_planner(missions):
     """It hears of its surroundings by odometry and goals alone: the wind moves it all the same."""
-    from orbimpc_ros.ros.parameters import planner_settings, sim_settings
-    from orbimpc_ros.tool.io import settings
+    from orbimpc_ros.ros.parameters import planner_settings
+    from orbimpc_ros.sim.parameters import sim_settings
+    from orbimpc_ros.tool import settings
     from orbimpc_ros.tool.run.onboard import Planner
 
     values, drawn = missions.jobs.drawn('fixed_wing', 1, 0, SHORT)
@@ -57,10 +58,10 @@ def test_what_is_drawn_is_not_told_to_the_planner(missions):
 
 def test_a_multirotor_hears_of_the_boxes_and_keeps_clear_of_them(missions):
     """Told of none, it flies through: the simulator judges by its own."""
-    from orbimpc_ros.ros.parameters import sim_settings
-    from orbimpc_ros.tool.io import settings
-    from orbimpc_ros.tool.io.share import config
+    from orbimpc_ros.sim.parameters import sim_settings
+    from orbimpc_ros.tool import settings
     from orbimpc_ros.tool.run.onboard import Planner
+    from orbimpc_ros.tool.settings import config
 
     values = settings.resolve(config('multirotor.yaml'), ('max_ticks=25',))
     touched = {}

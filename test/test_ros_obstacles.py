@@ -11,6 +11,8 @@ pytest.importorskip('rclpy')
 
 from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import Pose
+from orbimpc_ros.ros.planner.inbox import NAMED, Inbox
+from orbimpc_ros.ros.planner.lookout import others
 from visualization_msgs.msg import Marker, MarkerArray
 
 from orbimpc_ros.loop.traffic import centre
@@ -22,9 +24,7 @@ from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import Frames, Stamp, header
 from orbimpc_ros.ros.obstacles import read_obstacles, shown, stamp_of
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.planner.inbox import NAMED, Inbox
-from orbimpc_ros.ros.planner.lookout import others
-from orbimpc_ros.sim.vehicle import Model, launched
+from orbimpc_ros.sim.vehicle import Model, launched, measured
 
 FRAMES = Frames('odom', 'base_link')
 CUBE, SPHERE, CYLINDER = Marker.CUBE, Marker.SPHERE, Marker.CYLINDER
@@ -332,7 +332,7 @@ def goal(seconds):
 
 def odometry(seconds):
     vehicle = launched(Model(), np.zeros(2), np.eye(2))
-    return messages.odometry_message(Stamp(round(seconds * 1e9), FRAMES), vehicle)
+    return messages.odometry_message(Stamp(round(seconds * 1e9), FRAMES), measured(vehicle))
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.planner.node import PlannerNode
 from orbimpc_ros.ros.process import initialised
-from orbimpc_ros.sim.vehicle import Model, launched
+from orbimpc_ros.sim.vehicle import Model, launched, measured
 
 PACKAGE = ROOT / 'orbimpc_ros'
 FILES = 15  # from odometry to a command; the mathematics is one of them
@@ -84,7 +84,7 @@ def files_on_the_way(node, executor):
                 sent, now = time.monotonic(), time.time_ns()
                 # The goal's stamp is older: odometry that has its goal waits for nothing.
                 goal.publish(messages.goal_message(Stamp(now - 1, FRAMES), np.array([5.0, 0.5])))
-                odometry.publish(messages.odometry_message(Stamp(now, FRAMES), vehicle))
+                odometry.publish(messages.odometry_message(Stamp(now, FRAMES), measured(vehicle)))
             executor.spin_once(timeout_sec=0.02)
     finally:
         sys.setprofile(None)
@@ -113,7 +113,9 @@ def test_what_is_watched_waits_for_commands_and_not_the_other_way_round(planner,
     node._on_goal(messages.goal_message(Stamp(time.time_ns(), FRAMES), np.array([5.0, 0.5])))
     for later in (0.0, 0.02, 0.04):  # an odometry message each 20 ms; it is watched each 50 ms
         shown[0] = 100.0 + later
-        node._on_odometry(messages.odometry_message(Stamp(time.time_ns(), FRAMES), vehicle))
+        node._on_odometry(
+            messages.odometry_message(Stamp(time.time_ns(), FRAMES), measured(vehicle))
+        )
     assert done == ['begin', 'look', 'begin', 'begin', 'look']
 
 

@@ -16,17 +16,16 @@ from dying_engine import FAILURES
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.ros.parameters import SIM, sim_settings
 from orbimpc_ros.sim import engine_vehicle as engines
 from orbimpc_ros.sim.engine_vehicle import EnginePlant
 from orbimpc_ros.sim.engines.failure import EngineFailure
 from orbimpc_ros.sim.flight import departure
-from orbimpc_ros.tool import cli
+from orbimpc_ros.sim.parameters import SIM, sim_settings
+from orbimpc_ros.tool import cli, settings
+from orbimpc_ros.tool.bags import fields
 from orbimpc_ros.tool.demo.arrivals import planned_at_start
-from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.io.content import fields
-from orbimpc_ros.tool.io.share import config
 from orbimpc_ros.tool.run.onboard import Planner, tell
+from orbimpc_ros.tool.settings import config
 
 DEFAULTS = {row.name: row.default for row in SIM}
 NEARER = 'rope.center=[350.0, 60.0, 0.0]'  # a short flight

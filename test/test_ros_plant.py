@@ -10,11 +10,10 @@ from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.parameters import SIM, sim_settings
+from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.sim.plant import Plant
-from orbimpc_ros.tool import cli
-from orbimpc_ros.tool.io import bag
-from orbimpc_ros.tool.io.content import fields
+from orbimpc_ros.tool import bags, cli
+from orbimpc_ros.tool.bags import fields
 
 DEFAULTS = {row.name: row.default for row in SIM}
 PLANNER = {
@@ -126,7 +125,7 @@ def test_a_bag_tells_how_slow_a_vehicle_became(tmp_path, capsys):
     changes = [f'--set={name}={value}' for name, value in WING.items() if name != 'exit_when_done']
     assert cli.main(['demo', 'retrieval', '--out', str(tmp_path), *changes]) == 0
     (folder,) = tmp_path.glob('*/bag')
-    recorded = bag.of_vehicle(folder, '', ('goal', 'odom', 'truth'))
+    recorded = bags.of_vehicle(folder, '', ('goal', 'odom', 'truth'))
     said = [message for topic, message in recorded if topic == 'truth']
     last = fields(said[-1])
     assert last['least_airspeed'] == min(fields(each)['least_airspeed'] for each in said)

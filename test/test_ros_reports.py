@@ -11,11 +11,11 @@ pytest.importorskip('rclpy')
 import yaml
 from conftest import ROOT
 from diagnostic_msgs.msg import DiagnosticStatus
+from orbimpc_ros.ros.planner.health import condition
 
 from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.problem import Floor, Problem
-from orbimpc_ros.ros.planner.health import condition
 from orbimpc_ros.ros.reports import Report, health_message, tick_message
 from orbimpc_ros.sim.flight import departure
 from orbimpc_ros.sim.scenario import retrieval

@@ -22,8 +22,8 @@ from lifecycle_msgs.srv import ChangeState
 from nav_msgs.msg import Odometry, Path
 from rosgraph_msgs.msg import Clock
 
-from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.goal.forecast import forecast_named
+from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos

@@ -10,6 +10,10 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from orbimpc_ros.ros.planner.inbox import Inbox
+from orbimpc_ros.ros.planner.outlet import refutation_messages, report_messages
+from orbimpc_ros.ros.planner.ticker import Ticker, prepared
+
 from orbimpc_ros.loop import controller as controllers
 from orbimpc_ros.loop.fallback import CIRCLE_STEPS, safe_command
 from orbimpc_ros.mpc.command import flaw
@@ -25,10 +29,7 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.planner.inbox import Inbox
-from orbimpc_ros.ros.planner.outlet import refutation_messages, report_messages
-from orbimpc_ros.ros.planner.ticker import Ticker, prepared
-from orbimpc_ros.sim.vehicle import Model, launched
+from orbimpc_ros.sim.vehicle import Model, launched, measured
 
 FRAMES = Frames('odom', 'base_link')
 START = 1_700_000_000 * SECOND  # [ns]
@@ -45,7 +46,7 @@ class Driven:
 
     def odometry(self, at, now, position=(0.0, 0.0)):
         vehicle = launched(Model(), np.array(position), np.eye(2))
-        message = messages.odometry_message(Stamp(stamp(at), FRAMES), vehicle)
+        message = messages.odometry_message(Stamp(stamp(at), FRAMES), measured(vehicle))
         assert self.inbox.take('odom', message, now, RosTime(stamp(now))) == ''
 
     def goal(self, at, now, x=5.0):
@@ -138,7 +139,9 @@ def test_stamps_of_another_clock_say_nothing_of_the_delay():
     driven = Driven()
     vehicle = launched(Model(), np.zeros(2), np.eye(2))
     for seconds in (1.0, 1.1):
-        message = messages.odometry_message(Stamp(round(seconds * SECOND), FRAMES), vehicle)
+        message = messages.odometry_message(
+            Stamp(round(seconds * SECOND), FRAMES), measured(vehicle)
+        )
         driven.inbox.take('odom', message, seconds, RosTime(stamp(seconds)))
         driven.goal(seconds, seconds)
         assert driven.tick(seconds + 0.05).advanced == 0.0
@@ -388,7 +391,7 @@ def test_a_catch_is_headed_along_the_goals_axis_or_the_direction_given():
     for yaw, direction in ((1.0, ()), (-2.0, (np.cos(1.0), np.sin(1.0)))):
         coned = {'approach.cone': 0.3, 'approach.direction': direction}
         driven = Driven(objective='intercept', horizon=8, **coned)
-        driven.ticker._settings = replace(driven.inbox.settings, deadline=np.inf)
+        driven.ticker._settings = replace(driven.inbox.settings, given_deadline=np.inf)
         driven.odometry(0.0, 0.0)
         turned_to(yaw, 0.0, 0.0, driven)
         tick = driven.tick(0.0).tick

@@ -6,13 +6,13 @@ import pytest
 pytest.importorskip('rclpy')
 
 import numpy as np
+from orbimpc_ros.ros.planner.health import condition
+from orbimpc_ros.ros.planner.ticker import Timing
 
 from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.mpc.command import stop
 from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.ros.clock import Drift, Standstill
-from orbimpc_ros.ros.planner.health import condition
-from orbimpc_ros.ros.planner.ticker import Timing
 from orbimpc_ros.ros.reports import ERROR, OK, WARN, Report
 
 

@@ -10,6 +10,7 @@ pytest.importorskip('rclpy')
 
 from conftest import PATIENCE
 from nav_msgs.msg import Path
+from orbimpc_ros.ros.planner.ticker import Ticker
 from planners import QUICK, Bench, told
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import ReliabilityPolicy
@@ -20,7 +21,6 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.obstacles import shown
 from orbimpc_ros.ros.planner.node import PlannerNode
-from orbimpc_ros.ros.planner.ticker import Ticker
 from orbimpc_ros.ros.process import initialised, qos
 
 OTHER = '/uav2/plan'

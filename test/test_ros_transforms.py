@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip('rclpy')
 
 from geometry_msgs.msg import PoseStamped, Transform, TransformStamped
+from orbimpc_ros.ros.planner.inbox import Inbox
 from rclpy.serialization import serialize_message
 from rosbags.typesys import Stores, get_typestore
 from visualization_msgs.msg import Marker, MarkerArray
@@ -23,14 +24,13 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.planner.inbox import Inbox
 from orbimpc_ros.ros.transforms import TF, TF_STATIC, Rigid, Transforms, stated
-from orbimpc_ros.sim.vehicle import Model, launched
-from orbimpc_ros.tool.io.bag.writer import BagWriter
-from orbimpc_ros.tool.io.topics import TREE, topics_of
+from orbimpc_ros.sim.vehicle import Model, launched, measured
+from orbimpc_ros.tool.bags import BagWriter
 from orbimpc_ros.tool.replay.offline import OfflinePlanner
 from orbimpc_ros.tool.replay.recording import recording_of
 from orbimpc_ros.tool.replay.resolving import replayed
+from orbimpc_ros.tool.topics import TREE, topics_of
 
 OTHER = '/uav2/plan'
 QUARTER = math.pi / 2
@@ -67,7 +67,7 @@ def goal(seconds, x, y, yaw=0.0):
 
 def odometry(seconds):
     stamp = Stamp(round(seconds * SECOND), Frames('odom', 'base_link'))
-    return messages.odometry_message(stamp, launched(Model(), np.zeros(2), np.eye(2)))
+    return messages.odometry_message(stamp, measured(launched(Model(), np.zeros(2), np.eye(2))))
 
 
 def seen(seconds, place, size=(1.0, 1.0, 1.0), kind=Marker.CUBE):
@@ -320,6 +320,6 @@ def test_a_recording_with_tf_is_answered_as_it_was(tmp_path):
     assert [tick.refusals for tick in ticks] == [()] * 3
     found = [tick.messages['cmd_vel'].twist.angular.z for tick in ticks]
     np.testing.assert_allclose(found, expected, atol=1e-9)
-    untold = replace(known, tree=replace(known.tree, heard=False))
+    untold = replace(known, tf=False)
     (refused,) = next(iter(replayed(recording, untold, simulated=False))).refusals
     assert refused.startswith('goal refused: header.frame_id')

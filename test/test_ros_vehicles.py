@@ -15,7 +15,7 @@ from orbimpc_ros.mpc.kernels import COMPILED
 
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
 
-PAGE = Path(__file__).parents[1] / 'docs' / 'vehicles.md'
+PAGE = Path(__file__).parents[1] / 'docs' / 'vehicle.md'
 BLOCK = re.compile(r'^```yaml\n(.*?)^```', re.DOTALL | re.MULTILINE)
 needs_machine_code = pytest.mark.skipif(not COMPILED, reason='takes minutes without numba')
 
@@ -51,8 +51,9 @@ def flight(parameters, craft, motion, goal, seconds, band=0.0):
 
 @pytest.mark.parametrize('name', ['rover', 'fixed wing', 'multirotor'])
 def test_a_recipe_is_a_vehicle_without_doubts(name):
-    from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
     from orbimpc_ros.ros.planner.summary import doubts
+
+    from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 
     given = recipe(name)
     settings = planner_settings({row.name: row.default for row in PLANNER} | given)

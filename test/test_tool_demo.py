@@ -14,8 +14,7 @@ import pytest
 from bags import check_pictures, check_rollout
 from rosbags.rosbag2 import Reader
 
-from orbimpc_ros.tool import demo
-from orbimpc_ros.tool.io import bag, history
+from orbimpc_ros.tool import bags, demo, history
 
 pytest.importorskip('rclpy')
 EVERY_TICK = ('odom', 'goal', 'cmd_vel', 'rotation', 'plan', 'plan_markers', 'tick')
@@ -68,7 +67,7 @@ def test_a_retrieval_that_is_not_the_papers_is_flown_alone():
 def test_the_bag_holds_every_topic_complete(flown):
     _, folder = flown
     stamps = defaultdict(set)
-    for message in bag.read(folder / 'bag'):
+    for message in bags.read(folder / 'bag'):
         stamps[message.topic].add(message.stamp)
     for name in (*EVERY_TICK, 'clock'):
         assert stamps[f'/{name}'] == stamps['/odom'], name
@@ -81,7 +80,7 @@ def test_the_bag_holds_every_topic_complete(flown):
 
 def test_the_bag_keeps_simulated_time(flown):
     _, folder = flown
-    messages = list(bag.read(folder / 'bag'))
+    messages = list(bags.read(folder / 'bag'))
     for message in messages:
         if message.topic in ('/odom', '/plan', '/tick'):
             stamp = message.content.header.stamp
@@ -112,7 +111,7 @@ def test_what_is_not_caught_is_a_failure_with_a_bag(tmp_path):
     assert done.returncode == 1
     assert 'captured      no' in done.stdout
     assert 'Traceback' not in done.stderr
-    assert len([m for m in bag.read(tmp_path / 'retrieval' / 'bag') if m.topic == '/tick']) == 3
+    assert len([m for m in bags.read(tmp_path / 'retrieval' / 'bag') if m.topic == '/tick']) == 3
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
@@ -126,7 +125,7 @@ def test_an_interrupted_demo_leaves_a_readable_bag_and_no_process(tmp_path, numb
     _, err = child.communicate(timeout=20)
     assert child.returncode != 0
     assert b'Traceback' not in err
-    assert isinstance(list(bag.read(tmp_path / 'retrieval' / 'bag')), list)
+    assert isinstance(list(bags.read(tmp_path / 'retrieval' / 'bag')), list)
     assert not [pid for pid in nodes if alive(pid)]
 
 

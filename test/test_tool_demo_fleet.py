@@ -10,12 +10,11 @@ import pytest
 from bags import check_pictures
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.vehicles import vehicles
-from orbimpc_ros.sim.fleet import members
+from orbimpc_ros.sim.fleet import members, vehicles
+from orbimpc_ros.tool import bags, history, settings
+from orbimpc_ros.tool.bags import BagWriter
 from orbimpc_ros.tool.demo import fleet
-from orbimpc_ros.tool.io import bag, history, settings
-from orbimpc_ros.tool.io.bag.writer import BagWriter
-from orbimpc_ros.tool.io.topics import topics_of
+from orbimpc_ros.tool.topics import topics_of
 
 pytest.importorskip('rclpy')
 NAMES = ('/uav1', '/uav2')
@@ -59,7 +58,7 @@ def test_one_bag_holds_every_vehicle_from_its_first_step_on(flown):
 def test_bodies_of_a_fleet_have_frames_of_their_own_in_one_world(flown):
     """As on the one /tf; planners obey, and answer in the frame of their vehicle."""
     found = {}
-    for topic, content in ((each.topic, each.content) for each in bag.read(flown[1] / 'bag')):
+    for topic, content in ((each.topic, each.content) for each in bags.read(flown[1] / 'bag')):
         if topic.endswith(('/odom', '/cmd_vel')):
             frame = getattr(content, 'child_frame_id', content.header.frame_id)
             found.setdefault(topic, set()).add(frame)

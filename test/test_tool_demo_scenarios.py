@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from bags import check_pictures, check_rollout, messages_of
 
-from orbimpc_ros.ros.parameters import planner_settings, sim_settings
+from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.sim import scenario as scenarios
-from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.io.share import config
+from orbimpc_ros.sim.parameters import sim_settings
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.settings import config
 
 pytest.importorskip('rclpy')
 NUMBER = r'(\d+\.\d+e[-+]\d+)'

@@ -10,15 +10,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from benchmarks.bench.duel import OURS
 from benchmarks.bench.picture import side_by_side
 from benchmarks.bench.rows import LATE, BenchRow
-from orbimpc_ros.tool import figures
+from orbimpc_ros.tool import figures, settings
 from orbimpc_ros.tool.demo.arrivals import column, planned_at_start, table, title
 from orbimpc_ros.tool.demo.fleet import resolve
 from orbimpc_ros.tool.figures.dubins import determinant
 from orbimpc_ros.tool.figures.fleet import fleet
 from orbimpc_ros.tool.figures.snapshots import PANELS, chosen_ticks
-from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.io.history import History, Planned
-from orbimpc_ros.tool.io.share import config
+from orbimpc_ros.tool.history import History, Planned
+from orbimpc_ros.tool.settings import config
 
 TIMES = '\N{MULTIPLICATION SIGN}'
 

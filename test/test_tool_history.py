@@ -7,12 +7,11 @@ from bags import GOLDEN, rewritten
 from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool import figures
+from orbimpc_ros.tool import figures, settings
+from orbimpc_ros.tool.bags import BagWriter
 from orbimpc_ros.tool.demo import summary
-from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.io.bag.writer import BagWriter
-from orbimpc_ros.tool.io.history import History, Planned, of_bag
-from orbimpc_ros.tool.io.topics import Topic
+from orbimpc_ros.tool.history import History, Planned, of_bag
+from orbimpc_ros.tool.topics import Topic
 
 
 def history(distances, captured, **changes):

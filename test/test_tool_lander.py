@@ -12,8 +12,7 @@ from bags import check_pictures, messages_of
 
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
 
-from orbimpc_ros.tool import figures
-from orbimpc_ros.tool.io import history
+from orbimpc_ros.tool import figures, history
 
 GOLDEN = Path(__file__).parent / 'golden'
 

@@ -10,12 +10,11 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
 
-from orbimpc_ros.tool import cli, figures, plot
-from orbimpc_ros.tool.figures import animation, scene, space, style
+from orbimpc_ros.tool import cli, figures, history, plot, style
+from orbimpc_ros.tool.figures import animation, scene, space
 from orbimpc_ros.tool.figures.charts import story
 from orbimpc_ros.tool.figures.numbers import COMPONENTS, series
-from orbimpc_ros.tool.io import history
-from orbimpc_ros.tool.io.topics import absent
+from orbimpc_ros.tool.topics import absent
 
 GOLDEN = Path(__file__).parent / 'golden'
 STILL = {'trajectory.png', 'data.png', 'solver.png'}

@@ -21,9 +21,9 @@ from rcl_interfaces.srv import GetParameters
 
 from orbimpc_ros.ros.messages import SECOND, header
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.tool.io import bag
-from orbimpc_ros.tool.io.recorder import AGAIN, LEAP, Recorder, Stamps, carried
-from orbimpc_ros.tool.io.topics import topics_of
+from orbimpc_ros.tool import bags
+from orbimpc_ros.tool.run.recorder import AGAIN, LEAP, Recorder, Stamps, carried
+from orbimpc_ros.tool.topics import topics_of
 
 PATIENCE = 20.0  # [s]
 KIND = 'nav_msgs/msg/Odometry'
@@ -31,8 +31,8 @@ SCRIPT = """
     import sys
     from pathlib import Path
     from orbimpc_ros.tool.run.processes import Interruptions
-    from orbimpc_ros.tool.io.recorder import Recorder
-    from orbimpc_ros.tool.io.topics import topics_of
+    from orbimpc_ros.tool.run.recorder import Recorder
+    from orbimpc_ros.tool.topics import topics_of
 
     with Interruptions() as interruptions:
         recorder = Recorder(Path(sys.argv[1]), topics_of(), {'parameters': '{}'}, planners=())
@@ -70,23 +70,23 @@ def told(recorder, observer, tmp_path):
 def test_after_sigterm_the_bag_is_closed_and_whole(recorder, told, tmp_path, capsys):
     recorder.send_signal(signal.SIGTERM)
     assert recorder.wait(PATIENCE) == 0
-    stamps = [message.stamp for message in bag.read(tmp_path / 'bag')]
+    stamps = [message.stamp for message in bags.read(tmp_path / 'bag')]
     assert capsys.readouterr().err == ''
     assert stamps == sorted(stamps)
     assert told // 2 < len(stamps) <= told
-    assert bag.notes(tmp_path / 'bag') == {'parameters': '{}'}
+    assert bags.notes(tmp_path / 'bag') == {'parameters': '{}'}
 
 
 def test_after_sigkill_the_bag_is_read_up_to_its_last_chunk(recorder, told, tmp_path, capsys):
     recorder.kill()
     recorder.wait(PATIENCE)
-    stamps = [message.stamp for message in bag.read(tmp_path / 'bag')]
+    stamps = [message.stamp for message in bags.read(tmp_path / 'bag')]
     err = capsys.readouterr().err
     assert err.count('\n') == 1
     assert f'was not closed: read up to its last chunk, {len(stamps)} messages' in err
     assert stamps == [k * SECOND // 100 for k in range(len(stamps))]
     assert told // 2 < len(stamps) <= told
-    assert bag.notes(tmp_path / 'bag') == {'parameters': '{}'}
+    assert bags.notes(tmp_path / 'bag') == {'parameters': '{}'}
     words = [sys.executable, '-m', 'orbimpc_ros.tool.cli', 'replay', str(tmp_path / 'bag')]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert done.returncode == 2
@@ -107,7 +107,7 @@ def test_the_order_of_sending_is_kept(domain, observer, tmp_path, monkeypatch):
     while recorder.counts['/odom'] < len(stamps) and time.monotonic() < end:
         recorder.spin(0.1)
     recorder.close()
-    found = sorted(bag.read(tmp_path / 'bag'), key=lambda message: message.sent)
+    found = sorted(bags.read(tmp_path / 'bag'), key=lambda message: message.sent)
     assert [message.content.header.stamp.sec for message in found] == stamps
     assert [message.stamp // SECOND for message in found] == stamps
     assert all(begun <= message.sent <= time.time_ns() for message in found)

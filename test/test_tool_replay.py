@@ -23,8 +23,7 @@ from orbimpc_ros.mpc.geometry.rotations import from_quaternion
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause
 from orbimpc_ros.ros.parameters import planner_settings
-from orbimpc_ros.tool import cli
-from orbimpc_ros.tool.io import bag, settings
+from orbimpc_ros.tool import bags, cli, settings
 from orbimpc_ros.tool.replay.difference import Tolerances, comparisons
 from orbimpc_ros.tool.replay.recording import Published, published, recording_of
 from orbimpc_ros.tool.replay.report import ticks_of
@@ -136,7 +135,7 @@ def test_the_script_makes_the_same_bag_every_time(tmp_path):
         words = [sys.executable, '-c', script, str(GOLDEN), str(tmp_path / place)]
         subprocess.run(words, check=True)
     one, two = (
-        [(r.topic, r.type, r.stamp, r.sent) for r in bag.raw(tmp_path / place / 'faulty')]
+        [(r.topic, r.type, r.stamp, r.sent) for r in bags.raw(tmp_path / place / 'faulty')]
         for place in ('one', 'two')
     )
     assert one == two  # what is in them may differ in the last bit of a sum
@@ -256,7 +255,7 @@ def test_a_goal_that_the_planner_never_saw_is_left_out(replay, tmp_path):
     from geometry_msgs.msg import PoseStamped
 
     source, path = GOLDEN / 'faulty', tmp_path / 'bag'
-    raw = bag.raw(source)
+    raw = bags.raw(source)
     answered = {each.stamp for each in recording_of(source).answers if each.answer.solved}
     late = [each for each in raw if each.topic == '/goal' and each.stamp > 10_000_000_000]
     seen = ((each, deserialize_message(each.data, PoseStamped)) for each in late)
@@ -266,7 +265,7 @@ def test_a_goal_that_the_planner_never_saw_is_left_out(replay, tmp_path):
     message.header.stamp.sec, message.header.stamp.nanosec = goal.stamp // 10**9 - 1, 999_999_999
     message.pose.position.x += 2.0
     lost = goal._replace(data=serialize_message(message), sent=goal.sent - 1)
-    write(path, [lost, *raw], bag.notes(source))
+    write(path, [lost, *raw], bags.notes(source))
     assert replay(path)[0] == 0
 
 
@@ -275,7 +274,7 @@ def test_of_several_goals_in_a_row_the_newest_are_those_that_were_taken(replay, 
     from geometry_msgs.msg import PoseStamped
 
     source, path = GOLDEN / 'obstacles', tmp_path / 'bag'
-    raw, lost = bag.raw(source), []
+    raw, lost = bags.raw(source), []
     for each in raw:
         if each.topic == '/goal' and each.stamp > 0:
             for before in (2, 1):
@@ -286,7 +285,7 @@ def test_of_several_goals_in_a_row_the_newest_are_those_that_were_taken(replay, 
                 message.pose.position.x += before
                 data = serialize_message(message)
                 lost.append(each._replace(data=data, sent=each.sent - before))
-    write(path, [*raw, *lost], bag.notes(source))
+    write(path, [*raw, *lost], bags.notes(source))
     code, out, _ = replay(path)
     assert code == 0, out
     assert f'inputs        {2 * len(answered(source)) + len(lost)}, 0 refused' in out
@@ -309,10 +308,10 @@ def test_a_goal_is_known_by_its_stamp_however_early_it_was_sent(replay, tmp_path
 
 
 def test_an_answer_that_is_repeated_counts_once(replay, tmp_path):
-    raw, path = bag.raw(RETRIEVAL), tmp_path / 'bag'
+    raw, path = bags.raw(RETRIEVAL), tmp_path / 'bag'
     answers = [each for each in raw if each.topic in ('/cmd_vel', '/tick', '/rotation')]
     again = [each._replace(sent=each.sent + 10_000_000) for each in answers]
-    write(path, [*raw, *again], bag.notes(RETRIEVAL))
+    write(path, [*raw, *again], bags.notes(RETRIEVAL))
     code, out, _ = replay(path)
     assert code == 0
     assert 'replayed      26 ticks' in out
@@ -346,12 +345,12 @@ def halved(each):
 
 
 def test_odometry_in_halves_is_replayed(replay, tmp_path):
-    notes = bag.notes(RETRIEVAL)
+    notes = bags.notes(RETRIEVAL)
     values = settings.read(notes['parameters'])
     notes['parameters'] = settings.text(
         values | {'odometry': 'pose_twist', 'velocity_frame': 'world'}
     )
-    halves = [half for each in bag.raw(RETRIEVAL) for half in halved(each)]
+    halves = [half for each in bags.raw(RETRIEVAL) for half in halved(each)]
     code, out, _ = replay(write(tmp_path / 'bag', halves, notes))
     assert code == 0, out
     assert 'differences   none' in out
@@ -369,7 +368,7 @@ def test_inputs_without_an_answer_are_counted_and_in_lock_step_too_many(replay, 
 
 
 def test_a_timer_may_leave_inputs_without_an_answer(replay, tmp_path):
-    notes = bag.notes(RETRIEVAL)
+    notes = bags.notes(RETRIEVAL)
     notes['parameters'] = notes['parameters'].replace('trigger: odom', 'trigger: timer')
     path = rewritten(RETRIEVAL, tmp_path / 'bag', only_first, notes)
     code, out, _ = replay(path)
@@ -568,23 +567,23 @@ def test_a_bad_wish_is_one_line(replay, words, culprit):
 
 def test_update_accepts_with_the_same_inputs(replay, tmp_path):
     path = rewritten(RETRIEVAL, tmp_path / 'bag')
-    before = {each for each in bag.raw(path) if each.topic in ('/odom', '/goal', '/clock')}
+    before = {each for each in bags.raw(path) if each.topic in ('/odom', '/goal', '/clock')}
     code, out, _ = replay(path, '--update', '--set', 'weights.input=0.1')
     assert code == 0
     assert out.splitlines()[-1] == f'accepted      {path}'
-    assert {each for each in bag.raw(path) if each.topic in ('/odom', '/goal', '/clock')} == before
-    assert settings.read(bag.notes(path)['parameters'])['weights.input'] == 0.1
+    assert {each for each in bags.raw(path) if each.topic in ('/odom', '/goal', '/clock')} == before
+    assert settings.read(bags.notes(path)['parameters'])['weights.input'] == 0.1
     assert replay(path)[0] == 0
     assert os.listdir(tmp_path) == ['bag']  # nothing is left behind
-    assert {each.topic for each in bag.raw(path)} == {each.topic for each in bag.raw(RETRIEVAL)}
+    assert {each.topic for each in bags.raw(path)} == {each.topic for each in bags.raw(RETRIEVAL)}
 
 
 def test_an_update_that_changes_nothing_changes_nothing(replay, tmp_path):
     path = rewritten(GOLDEN / 'faulty', tmp_path / 'bag')
     assert replay(path, '--update')[0] == 0
-    before = bag.raw(path)
+    before = bags.raw(path)
     assert replay(path, '--update')[0] == 0
-    after = bag.raw(path)
+    after = bags.raw(path)
     # Sums of floating-point numbers may differ in the last bit with where arrays lie in memory.
     assert [(r.topic, r.type, r.stamp, r.sent) for r in after] == [
         (r.topic, r.type, r.stamp, r.sent) for r in before
@@ -616,7 +615,7 @@ def test_what_cannot_be_replaced_stays(replay, tmp_path):
 def params(tmp_path_factory):
     """Return the retrieval's parameters as a file."""
     file = tmp_path_factory.mktemp('params') / 'mine.yaml'
-    file.write_text(bag.notes(RETRIEVAL)['parameters'])
+    file.write_text(bags.notes(RETRIEVAL)['parameters'])
     return file
 
 

@@ -18,7 +18,7 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.tool.io import bag, settings
+from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.replay.difference import Tolerances, comparisons
 from orbimpc_ros.tool.replay.recording import published, recording_of, stamp_of
 
@@ -49,7 +49,7 @@ class Player:
         self.observer.until(self.service.service_is_ready, 'the planner')
 
     def play(self, before=lambda answer: None):
-        inputs = sorted((m for m in bag.raw(self.path) if m.topic in INPUTS), key=lambda m: m.sent)
+        inputs = sorted((m for m in bags.raw(self.path) if m.topic in INPUTS), key=lambda m: m.sent)
         for recorded in self.recording.answers:
             before(recorded)
             due = [each for each in inputs if each.sent <= recorded.sent]
@@ -115,7 +115,7 @@ def planner(launch, tmp_path):
 
     def start(path):
         file = tmp_path / 'parameters.yaml'
-        file.write_text(bag.notes(path)['parameters'])
+        file.write_text(bags.notes(path)['parameters'])
         values = settings.of_bag(path)
         assert values['trigger'] == 'odom'
         return launch('planner', {'use_sim_time': True}, str(file.with_suffix('')))
@@ -151,7 +151,7 @@ def test_a_faulty_bag_flies_over_dds_as_it_is_replayed(planner, observer):
 
 
 def test_the_interface_names_the_types():
-    from orbimpc_ros.tool.io.topics import TYPES
+    from orbimpc_ros.tool.topics import TYPES
 
     for topic, kind in {**INPUTS, **OUTPUTS}.items():
         package, _, name = TYPES[topic.strip('/')].split('/')

@@ -16,8 +16,8 @@ from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.obstacles import shown
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.sim.vehicle import Model, launched
-from orbimpc_ros.tool.io.content import fields
+from orbimpc_ros.sim.vehicle import Model, launched, measured
+from orbimpc_ros.tool.bags import fields
 from orbimpc_ros.tool.replay.offline import OfflinePlanner, resolved
 from orbimpc_ros.tool.replay.recording import Input, RecordedTick, Recording, published
 from orbimpc_ros.tool.replay.resolving import replayed
@@ -47,7 +47,7 @@ def inputs(second):
         'obstacles': seen(second, (0.5 * second + 1.5, 1.6 - 0.3 * second)),
         OTHER: messages.goal_path_message(stamp, 1.0, away),
         'goal': messages.goal_message(stamp, np.array([9.0, 0.0])),
-        'odom': messages.odometry_message(stamp, vehicle),
+        'odom': messages.odometry_message(stamp, measured(vehicle)),
     }
     sent = second * SECOND
     return [Input(t, sent, sent + k * MILLISECOND, m) for k, (t, m) in enumerate(found.items())]

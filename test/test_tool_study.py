@@ -18,10 +18,10 @@ from dying_engine import FAILURES
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.parameters import planner_settings, sim_settings
-from orbimpc_ros.tool import cli, study
-from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.io.share import config
+from orbimpc_ros.ros.parameters import planner_settings
+from orbimpc_ros.sim.parameters import sim_settings
+from orbimpc_ros.tool import cli, settings, study
+from orbimpc_ros.tool.settings import config
 from orbimpc_ros.tool.study import flights, results
 from orbimpc_ros.tool.study.draws import draws_of
 from orbimpc_ros.tool.study.flights import OURS, Job, flown

@@ -17,10 +17,10 @@ from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.mpc.proof.prove import WORD
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import cli
-from orbimpc_ros.tool.io.bag.writer import BagWriter
-from orbimpc_ros.tool.io.topics import Topic
+from orbimpc_ros.tool.bags import BagWriter
 from orbimpc_ros.tool.replay import recording
 from orbimpc_ros.tool.replay.report import ticks_of
+from orbimpc_ros.tool.topics import Topic
 from orbimpc_ros.tool.verify import Recorded, _recorded
 
 STORE = get_typestore(Stores.ROS2_JAZZY)

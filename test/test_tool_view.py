@@ -11,7 +11,7 @@ from drawing import GOLDEN, INSTALL, Drawing, needs_rerun
 from orbimpc_ros.mpc.problem import Ball, Box, Hazard, Problem, State
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import cli, view
-from orbimpc_ros.tool.io.content import fields
+from orbimpc_ros.tool.bags import fields
 
 
 @needs_rerun
@@ -164,7 +164,7 @@ def test_the_goal_leaves_a_trail(drawn):
 
 
 def test_what_the_planner_would_refuse_is_not_drawn(drawn):
-    from orbimpc_ros.tool.io import settings
+    from orbimpc_ros.tool import settings
     from orbimpc_ros.tool.view.scene import Scene
 
     _, flight = drawn['retrieval']

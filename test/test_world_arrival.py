@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.goal.forecast import forecast_named
+from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.sim.arrival import open_loop
 from orbimpc_ros.sim.flight import departure, fly

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.goal.forecast import forecast_named
+from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Floor
 from orbimpc_ros.sim.flight import fly

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from disturbed import Intake, fly_disturbed
 
-from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.goal.forecast import forecast_named
+from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import log

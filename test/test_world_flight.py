@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orbimpc_ros.loop.planner import Planner
+from orbimpc_ros.loop.capture import closest_approach, is_headed
 from orbimpc_ros.loop.goal.forecast import forecast_named
+from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import log
 from orbimpc_ros.mpc.problem import Approach
-from orbimpc_ros.sim.capture import closest_approach, is_headed
 from orbimpc_ros.sim.flight import departure, fly
 from orbimpc_ros.sim.rope import Rope, fixed
 from orbimpc_ros.sim.scenario import retrieval, retrieval_problem

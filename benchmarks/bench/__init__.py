@@ -17,7 +17,7 @@ from benchmarks.bench.result import Result
 from benchmarks.bench.rows import HULLS, BenchRow, growth, of_duel
 from orbimpc_ros.install import command
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool.io.files import require_writable
+from orbimpc_ros.tool.files import require_writable
 from orbimpc_ros.tool.run.progress import ProgressLine
 
 WARM_UP = 3  # instances solved before the clock counts

@@ -22,6 +22,7 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.sim.scenario import retrieval_problem
+from orbimpc_ros.sim.vehicle import measured
 
 FRAMES = Frames('odom', 'base_link')
 POINTS = 100  # of the flight around the rope that is replayed
@@ -118,7 +119,7 @@ class Driver:
         self._count += 1
         self._stamp = max(self._stamp + 1, time.time_ns())
         goal.publish(messages.goal_message(Stamp(self._stamp - AHEAD, FRAMES), flight.goal))
-        message = messages.odometry_message(Stamp(self._stamp, FRAMES), flight.vehicle)
+        message = messages.odometry_message(Stamp(self._stamp, FRAMES), measured(flight.vehicle))
         self._ticks[i][self._stamp] = RoundTrip(time.monotonic())
         odometry.publish(message)
 

@@ -14,8 +14,8 @@ from itertools import islice
 import numpy as np
 
 from benchmarks.bench.instances import SEED, Instance
-from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.compensation import Response
+from orbimpc_ros.loop.planner import Planner, Snapshot
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
@@ -90,16 +90,17 @@ def _flown(problem: Problem, plant: Plant, vehicle: Vehicle, goal: Rope) -> Iter
         response=Response(plant.speed_lag, plant.rate_lag),
     )
     now = Command(vehicle.fraction, np.zeros(plant.rates), vehicle.attitude)
-    controller.history.add(now, vehicle.time)  # odometry does not show a thrust
+    controller.sent(now, vehicle.time)  # odometry does not show a thrust
     ahead = problem.step * np.arange(1.0, problem.horizon + 1.0)
     while True:
-        odometry = controller.settled(measured(vehicle, plant.velocity_source))
-        goals = np.array([goal.at(odometry.time + each) for each in ahead])
-        tick = controller.tick(odometry, goals[: pilot.horizon])
-        if tick.state is not None:
-            yield Instance(tick.state, goals)
-        command = tick.command
-        controller.history.add(command, vehicle.time)
+        odometry = measured(vehicle, plant.velocity_source)
+        led = controller.lead
+        goals = np.array([goal.at(odometry.time + led + each) for each in ahead])
+        decision = controller.step(Snapshot(odometry, goals[: pilot.horizon]))
+        if decision.state is not None:
+            yield Instance(decision.state, goals)
+        command = decision.command
+        controller.sent(command, vehicle.time)
         flown = command.speed_fraction, command.body_rate, vehicle.time
         vehicle = plant.flown(vehicle, problem.step, *flown)[-1]
 

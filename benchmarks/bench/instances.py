@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.loop.planner import Decision, Planner
 from orbimpc_ros.loop.goal.forecast import Hold
+from orbimpc_ros.loop.planner import Decision, Planner
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Box, Problem, State

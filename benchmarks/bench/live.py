@@ -103,7 +103,7 @@ def _driven(
 @contextmanager
 def _running(nodes: Mapping[str, str], executor: str, folder: Path) -> Iterator[list[Process]]:
     """Run a node on the paper's UAV problem in each namespace; all are stopped at the end."""
-    from orbimpc_ros.tool.io import settings
+    from orbimpc_ros.tool import settings
 
     file, processes = folder / 'planner.yaml', list[Process]()
     settings.write(file, PARAMETERS, executor=executor)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from benchmarks.bench.rows import LATE, BenchRow
-from orbimpc_ros.tool.figures.style import BLUE, INK, ORANGE, headline, in_both_looks
+from orbimpc_ros.tool.style import BLUE, INK, ORANGE, headline, in_both_looks
 
 LEGEND = {
     BLUE: 'this package: median to 99th percentile',

@@ -10,7 +10,7 @@ from pathlib import Path
 from benchmarks.bench import table
 from benchmarks.bench.rows import BenchRow
 from benchmarks.machine import machine, versions
-from orbimpc_ros.tool.io.files import write_whole
+from orbimpc_ros.tool.files import write_whole
 
 
 class Result:

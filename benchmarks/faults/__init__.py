@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from benchmarks.machine import machine
 from orbimpc_ros.install import command_for_extra
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
-from orbimpc_ros.tool.io.files import require_writable
+from orbimpc_ros.tool.files import require_writable
 
 if TYPE_CHECKING:
     from benchmarks.faults.fixtures import Fixtures

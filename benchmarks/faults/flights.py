@@ -13,8 +13,8 @@ from std_msgs.msg import Bool
 from benchmarks.faults.monitor import STILL, Limits
 from benchmarks.faults.session import PATIENCE, Place, Session
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.io.share import config
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.settings import config
 
 LATCH = 0.2  # [s] command_timeout
 FLIGHT = 16  # steps until the usual capture

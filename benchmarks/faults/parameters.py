@@ -18,14 +18,16 @@ from benchmarks.faults.monitor import Limits
 from benchmarks.faults.outcome import FaultCase, Outcome
 from benchmarks.faults.session import PATIENCE, Session
 from orbimpc_ros.ros.entry import PACKAGES
-from orbimpc_ros.ros.parameters import PLANNER, SIM, Row
+from orbimpc_ros.ros.parameters import PLANNER
+from orbimpc_ros.ros.parameters.spec import ParameterSpec
+from orbimpc_ros.sim.parameters import SIM
 
 LEAVE = 2.0  # [s] in which a node with nonsense for parameters must have ended
 BAD_INPUT = 2
 SETS = (4, 200)  # short, long
 
 
-def nonsense(row: Row, draw: random.Random) -> Any:
+def nonsense(row: ParameterSpec, draw: random.Random) -> Any:
     """Return a value that a parameter must not have."""
     wrong: list[Any] = [math.nan, math.inf, -math.inf, 'nonsense']
     if row.choices:

@@ -16,7 +16,7 @@ from geometry_msgs.msg import TwistStamped
 from benchmarks.faults.monitor import Limits, Monitor
 from benchmarks.test_node import TestNode
 from orbimpc_ros.mpc.errors import OrbimpcError
-from orbimpc_ros.tool.io import settings
+from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.run.processes import Process
 
 Some = TypeVar('Some', bound='Session')

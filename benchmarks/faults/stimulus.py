@@ -42,7 +42,7 @@ def odometry_at(seconds: float, stamp: int) -> Odometry:
         np.array([SPEED, 0.0]),
         np.array([turn]),
     )
-    return messages.measurement_message(Stamp(stamp, FRAMES), seen)
+    return messages.odometry_message(Stamp(stamp, FRAMES), seen)
 
 
 def goal_at(seconds: float, stamp: int) -> PoseStamped:

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 
-from orbimpc_ros.loop.planner import Planner
+from benchmarks.rivals.rival import Rival
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.tool.io import document
+from orbimpc_ros.tool.files import read
 
 RIVALS = {
     'pursuit': ('guidance', 'PurePursuit'),
@@ -42,7 +42,7 @@ def class_of(name: str) -> type:
 
 def pilot(
     name: str, settings: PlannerSettings, study: str, tuned: Mapping[str, float] | None = None
-) -> Planner:
+) -> Rival:
     """Return a rival.
 
     Args:
@@ -57,7 +57,7 @@ def pilot(
     if settings.problem.dimension != 2:
         raise BadInput('--controllers', name, 'orbitope where dimension is 3')
     given = tuned_of(study).get(name, {}) if tuned is None else tuned
-    made: Planner = class_of(name)(settings, given)
+    made: Rival = class_of(name)(settings, given)
     return made
 
 
@@ -66,5 +66,5 @@ def tuned_of(study: str) -> Tuned:
     files = [TUNED / f'{name}.yaml' for name in (LIKE.get(study, study), study)]
     known: Tuned = {}
     for file in files:
-        known |= document.read(str(file)) if file.is_file() else {}
+        known |= read(str(file)) if file.is_file() else {}
     return known

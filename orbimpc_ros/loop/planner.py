@@ -136,6 +136,11 @@ class Decision(ByContent):
     left_out: int = 0
 
     @property
+    def planned(self) -> bool:
+        """Return whether it came of odometry and goals, be it by the plan before."""
+        return self.cause in (Cause.NONE, Cause.GOAL, Cause.HORIZON, Cause.COMMAND)
+
+    @property
     def case(self) -> Case | None:
         """Return what the plan solves; None without a plan."""
         if self.problem is None or self.state is None or self.goals is None:
@@ -320,6 +325,11 @@ class Planner:
     # --- steps of the horizon
 
     @property
+    def lead(self) -> float:
+        """Return by how long a plan starts ahead of the vehicle, for its lags [s]."""
+        return self._compensator.response.lead(self.problem)
+
+    @property
     def remaining(self) -> int:
         """Return the steps left to plan a step after the last decision."""
         return self._steps(self._memory.flown + (self._memory.last is not None))[0]
@@ -371,7 +381,7 @@ class Planner:
         age, timeout = snapshot.odometry_age, self._timeouts[0]
         return Reason(Cause.ODOMETRY, f'odometry is {age:.2f} s old') if age > timeout else None
 
-    def lost_goal(self, snapshot: Snapshot) -> str:
+    def _lost_goal(self, snapshot: Snapshot) -> str:
         """Return why no goal can be planned for; empty if one can."""
         if snapshot.goal is None:
             return 'there is no goal'
@@ -395,7 +405,7 @@ class Planner:
             return self._safe(snapshot.odometry, Status.FAILED, unsafe or WAITING)
         start = self._compensator.start(snapshot.odometry, snapshot.latency, now)
         hazards, left_out = self._hazards(snapshot, start.odometry)
-        lost = self.lost_goal(snapshot)
+        lost = self._lost_goal(snapshot)
         if lost:
             decision = self._hold(start.odometry, hazards, lost)
         else:

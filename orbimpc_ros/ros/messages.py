@@ -44,7 +44,6 @@ from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion, heading, to_quaternion
 from orbimpc_ros.mpc.plan import Plan
-from orbimpc_ros.sim.vehicle import Vehicle, measured
 
 LARGEST = 1e7  # [m], [m/s], [rad/s], [N]: beyond any vehicle; squares stay far from overflow
 QUATERNION_TOLERANCE = 1e-3  # a unit quaternion may be this far off; it is then normalised
@@ -400,12 +399,7 @@ def goal_path_message(stamp: Stamp, step: float, positions: Sequence[Array]) -> 
     return path_message(stamp, step, (Pose(position=point(each)) for each in positions))
 
 
-def odometry_message(stamp: Stamp, vehicle: Vehicle) -> OdometryMessage:
-    """Return what perfect odometry says of a simulated vehicle."""
-    return measurement_message(stamp, measured(vehicle))
-
-
-def measurement_message(stamp: Stamp, odometry: Odometry) -> OdometryMessage:
+def odometry_message(stamp: Stamp, odometry: Odometry) -> OdometryMessage:
     """Return a measurement as an Odometry message."""
     message = OdometryMessage(
         header=header(stamp.nanoseconds, stamp.frames.world), child_frame_id=stamp.frames.body

@@ -20,9 +20,7 @@ from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.markers import traffic_markers, world_markers
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
-from orbimpc_ros.ros.parameters import SimSettings
 from orbimpc_ros.ros.process import DONE, FAILED, Guarded, qos
 from orbimpc_ros.ros.reports import ERROR, OK, WARN, diagnostics, health_message
 from orbimpc_ros.sim.airspeed import Airspeeds
@@ -30,8 +28,10 @@ from orbimpc_ros.sim.commands import Order, Orders
 from orbimpc_ros.sim.engines.failure import EngineFailure
 from orbimpc_ros.sim.faults import Delivery, View
 from orbimpc_ros.sim.flight import Flight, departure
+from orbimpc_ros.sim.markers import traffic_markers, world_markers
+from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.readers import Readers
-from orbimpc_ros.sim.vehicle import Continuous
+from orbimpc_ros.sim.vehicle import Continuous, measured
 
 try:
     from tf2_ros import TransformBroadcaster
@@ -143,7 +143,7 @@ class Arena:
             name = f'{self.node.get_fully_qualified_name()}: truth'
             self._truth.publish(truth_message(at, name, self.flight, self.airspeeds))
         if TransformBroadcaster is not None:
-            shown = messages.odometry_message(now, self.flight.vehicle)
+            shown = messages.odometry_message(now, measured(self.flight.vehicle))
             self._transforms.sendTransform(_transform(shown))
         self.deliver(at, seen)
 
@@ -152,7 +152,7 @@ class Arena:
         for sent in seen:
             stamp = Stamp(self.stamp_of(sent, at), self.settings.frames)
             if isinstance(sent.content, Odometry):
-                self._odometry.publish(messages.measurement_message(stamp, sent.content))
+                self._odometry.publish(messages.odometry_message(stamp, sent.content))
             else:
                 self._goal.publish(messages.goal_message(stamp, sent.content.position))
 

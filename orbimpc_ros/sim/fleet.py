@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from orbimpc_ros.loop.capture import closest_approach
 from orbimpc_ros.mpc.arrays import Array, whole
-from orbimpc_ros.sim.capture import closest_approach
 from orbimpc_ros.sim.rope import Rope, fixed
 
 MOST = 64  # vehicles
@@ -70,6 +71,51 @@ def _crosser(place: float, number: int, seed: int, ring: float) -> Member:
     start, goal = rng.uniform(-ASTRAY, ASTRAY, (2, 2)) + np.array([outwards, -outwards])
     x, y = goal - start
     return Member(start, math.atan2(y, x), fixed(goal))
+
+
+def vehicles(count: int, seed: int = 0) -> dict[str, dict[str, Any]]:
+    """Return the parameters in which the simulators of a fleet differ, by namespace: /uav1, ...
+
+    Raises:
+        BadInput: as :func:`members`.
+    """
+    return _named(members(count, seed), seed)
+
+
+def crossers(count: int, seed: int = 0) -> dict[str, dict[str, Any]]:
+    """Return the parameters of vehicles that cross over, as :func:`vehicles` does.
+
+    Raises:
+        BadInput: as :func:`crossing`.
+    """
+    return _named(crossing(count, seed), seed)
+
+
+def plans(namespaces: Iterable[str]) -> tuple[str, ...]:
+    """Return the topics of the plans of vehicles in namespaces."""
+    return tuple(f'{namespace}/plan' for namespace in namespaces)
+
+
+def _named(fleet: Iterable[Member], seed: int) -> dict[str, dict[str, Any]]:
+    found = enumerate(fleet, start=1)
+    return {f'/uav{number}': _parameters(member, seed + number) for number, member in found}
+
+
+def _parameters(member: Member, seed: int) -> dict[str, Any]:
+    half = 0.5 * member.heading
+    return {
+        'rope.center': _triple(member.rope.center),
+        'rope.amplitude': _triple(member.rope.amplitude),
+        'rope.frequency': member.rope.frequency,
+        'rope.phase': _triple(member.rope.phase),
+        'start.position': _triple(member.position),
+        'start.orientation': (0.0, 0.0, math.sin(half), math.cos(half)),
+        'seed': seed % 2**31,
+    }
+
+
+def _triple(vector: Array) -> tuple[float, ...]:
+    return (*vector.tolist(), 0.0)
 
 
 def separations(tracks: Mapping[str, tuple[Array, Array]]) -> dict[tuple[str, str], float]:

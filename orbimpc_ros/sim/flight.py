@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from orbimpc_ros.loop.capture import closest_approach, is_headed
 from orbimpc_ros.loop.goal.motion import Forecast, GoalObservation
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.sim.capture import closest_approach, is_headed
 from orbimpc_ros.sim.contact import met, touched
 from orbimpc_ros.sim.scenario import Scenario
 from orbimpc_ros.sim.vehicle import Vehicle, measured

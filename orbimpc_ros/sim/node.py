@@ -15,10 +15,11 @@ from std_srvs.srv import Trigger
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.lifecycle import Managed
-from orbimpc_ros.ros.parameters import SIM, Live, sim_settings
+from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
 from orbimpc_ros.ros.parameters.sections import warn_of_unused
 from orbimpc_ros.ros.process import qos, run
 from orbimpc_ros.sim.arena import DEPTH, Arena
+from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.sim.stepping import LockStep, RealTime
 
 REFUSALS_SHOWN = 1.0  # [s] between diagnostics of refused commands
@@ -30,7 +31,7 @@ class SimNode(Managed):
     def __init__(self) -> None:
         # It makes the time: under simulated time it would wait for itself.
         super().__init__('sim', [Parameter('use_sim_time', value=False)])
-        self._live = Live(self, SIM, sim_settings, lambda settings: settings)
+        self._live = DynamicParameters(self, SIM, sim_settings, lambda settings: settings)
         warn_of_unused(self)
 
     def configure(self) -> None:

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool.io.files import WRITABLE, require_writable, why, writing_to
+from orbimpc_ros.tool.files import WRITABLE, require_writable, why, writing_to
 
 if TYPE_CHECKING:
     from orbimpc_ros.mpc.arrays import Array
-    from orbimpc_ros.tool.io.history import History
+    from orbimpc_ros.tool.history import History
 
 ANIMATION = 'animation.gif'
 FRAME, LAST = 80, 2500  # [ms] that frames are shown
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Draw a flight; nothing is written unless everything can be."""
-    from orbimpc_ros.tool.io import history
+    from orbimpc_ros.tool import history
 
     flight = history.of_bag(Path(args.bag), args.namespace)
     if len(flight.times) < 2:
@@ -86,7 +86,7 @@ def made_here(file: Path) -> bool:
     """Return whether a picture says that orbimpc has made it."""
     from PIL import Image, UnidentifiedImageError
 
-    from orbimpc_ros.tool.figures.style import MAKER
+    from orbimpc_ros.tool.style import MAKER
 
     try:
         with Image.open(file) as image:
@@ -101,8 +101,8 @@ def write_gif(frames: Sequence[Array], file: Path) -> None:
     import numpy as np
     from PIL import Image
 
-    from orbimpc_ros.tool.figures.style import MAKER
-    from orbimpc_ros.tool.io.files import write_whole
+    from orbimpc_ros.tool.files import write_whole
+    from orbimpc_ros.tool.style import MAKER
 
     # One palette for all frames: colours must not flicker.
     palette = Image.new('P', (1, 1))

@@ -18,8 +18,8 @@ from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof.prove import WORD, OutOfTime, Unproved, certificate_for
 from orbimpc_ros.mpc.proof.refute import refutation_of
 from orbimpc_ros.mpc.solve.solver import Solver
-from orbimpc_ros.tool.io import document
-from orbimpc_ros.tool.io.files import write_whole
+from orbimpc_ros.tool import files
+from orbimpc_ros.tool.files import write_whole
 
 LIMIT = 30.0  # [s]
 
@@ -57,7 +57,7 @@ def _seconds(word: str) -> float:
 
 def run(args: argparse.Namespace) -> int:
     """Solve the problem and print its plan."""
-    case = case_of(document.read(args.file))
+    case = case_of(files.read(args.file))
     solver = Solver(case.problem, projection=args.projection, patient=True)
     if case.state.hazards:
         solver.expect_hazards()

@@ -31,8 +31,8 @@ from orbimpc_ros.mpc.proof import verifier
 from orbimpc_ros.mpc.proof.certificate import Certificate, Refutation, statement
 from orbimpc_ros.mpc.proof.prove import Unproved, certificates_for
 from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of, stated
-from orbimpc_ros.tool.io import bag, document
-from orbimpc_ros.tool.io.files import write_whole
+from orbimpc_ros.tool import bags, files
+from orbimpc_ros.tool.files import write_whole
 
 if TYPE_CHECKING:
     from orbimpc_ros.loop.planner import Decision
@@ -117,7 +117,7 @@ def _file(path: Path, args: argparse.Namespace) -> TickVerdict:
     except verifier.Refused as error:
         raise BadInput.stating('certificate', 'refused', str(error)) from None
     if args.problem:
-        case = case_of(document.read(args.problem))
+        case = case_of(files.read(args.problem))
         if not _is_of(known, case):
             raise BadInput.stating('certificate', 'refused', f'it is not of {args.problem}')
     return row
@@ -160,7 +160,7 @@ def _bag(path: Path, args: argparse.Namespace) -> Iterator[TickVerdict]:
 def _recorded(path: Path, namespace: str) -> Recorded:
     """Return the certificates that a planner published."""
     found, refused = Recorded({}, {}), []
-    for each in bag.read(path, {'certificate'}):
+    for each in bags.read(path, {'certificate'}):
         if each.topic != f'{namespace}/certificate':
             continue
         try:

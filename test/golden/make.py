@@ -22,16 +22,17 @@ from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp
-from orbimpc_ros.ros.parameters import planner_settings, sim_settings
+from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.ros.reports import DISABLED
 from orbimpc_ros.sim.faults import View
 from orbimpc_ros.sim.flight import Flight, departure
-from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.io.bag.writer import BagWriter
-from orbimpc_ros.tool.io.share import config
-from orbimpc_ros.tool.io.topics import TYPES, topics_of
+from orbimpc_ros.sim.parameters import sim_settings
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.bags import BagWriter
 from orbimpc_ros.tool.replay.accept import serialised
 from orbimpc_ros.tool.replay.offline import OfflinePlanner
+from orbimpc_ros.tool.settings import config
+from orbimpc_ros.tool.topics import TYPES, topics_of
 
 FLIGHTS = {
     'retrieval': ('retrieval', ()),
@@ -134,7 +135,7 @@ class Loop:
         for sent in arriving:
             stamp = Stamp(round(sent.content.time * SECOND), self._sim.frames)
             if isinstance(sent.content, Odometry):
-                topic, message = 'odom', messages.measurement_message(stamp, sent.content)
+                topic, message = 'odom', messages.odometry_message(stamp, sent.content)
             else:
                 topic, message = 'goal', messages.goal_message(stamp, sent.content.position)
             if self._hostile and self._draw.uniform() < 0.1:

@@ -40,7 +40,7 @@ import crossings
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.process import attached, qos
-from orbimpc_ros.tool.io import settings
+from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.run.discovery import claimed
 from orbimpc_ros.tool.run.processes import Process
 

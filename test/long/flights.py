@@ -34,7 +34,7 @@ import numpy as np
 from airframe import Airframe, Motion
 
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.ros.messages import measurement_message
+from orbimpc_ros.ros import messages
 from orbimpc_ros.tool.run.onboard import Planner
 
 ROUNDING = 1e-6  # relative
@@ -186,7 +186,7 @@ def measurement(motion: Motion, velocity: np.ndarray) -> Odometry:
 
 def odometry_message(stamp: Any, motion: Motion, velocity: np.ndarray) -> Any:
     """What odometry says of a motion, given its velocity in the body's axes [m/s]."""
-    return measurement_message(stamp, measurement(motion, velocity))
+    return messages.odometry_message(stamp, measurement(motion, velocity))
 
 
 def fly(flight: AirFlight) -> AirLog:

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.io.share import config
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.settings import config
 
 Values = dict[str, Any]
 MARGIN = 0.4  # [m] by which boxes are larger for the planner, as in config/multirotor.yaml

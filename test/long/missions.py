@@ -19,12 +19,12 @@ import numpy as np
 from jobs import Values
 
 from orbimpc_ros.mpc.outcome import Status
-from orbimpc_ros.ros.parameters import SimSettings, sim_settings
 from orbimpc_ros.ros.reports import Report
 from orbimpc_ros.sim.airspeed import Airspeeds
 from orbimpc_ros.sim.flight import Flight, departure
+from orbimpc_ros.sim.parameters import SimSettings, sim_settings
 from orbimpc_ros.sim.plant import Plant
-from orbimpc_ros.tool.io import settings
+from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.run.onboard import Planner, tell
 
 ROUNDING = 1e-6  # relative

@@ -20,8 +20,8 @@ import jobs
 import numpy as np
 from missions import Outcome, Tally, record
 
-from orbimpc_ros.tool.io import bag, history
-from orbimpc_ros.tool.io.history import History
+from orbimpc_ros.tool import bags, history
+from orbimpc_ros.tool.history import History
 from orbimpc_ros.tool.run.flying import fly
 
 
@@ -37,7 +37,7 @@ def row(
     with (place / 'run.log').open('w') as log, redirect_stdout(log), redirect_stderr(log):
         fly(values, place)
     flown = history.of_bag(place / 'bag')
-    tally = told(flown, bag.of_vehicle(place / 'bag', '', ('cmd_vel', 'odom', 'goal')))
+    tally = told(flown, bags.of_vehicle(place / 'bag', '', ('cmd_vel', 'odom', 'goal')))
     missed, speed = flown.missed
     outcome = Outcome(
         flown.captured,

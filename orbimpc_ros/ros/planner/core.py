@@ -16,7 +16,7 @@ from dataclasses import replace
 from orbimpc_ros.loop.planner import Planner, Snapshot
 from orbimpc_ros.loop.proving import proved
 from orbimpc_ros.mpc.command import Command
-from orbimpc_ros.mpc.outcome import Reason
+from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.clock import UNKNOWN, RosTime
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
@@ -182,14 +182,14 @@ class Core:
         snapshot = self.inputs.snapshot(now, ros, stop=stop, taking=taking)
         if fresh:
             snapshot = replace(snapshot, odometry_age=0.0)
-        if self.planner.unsafe(snapshot):
-            return Report(self.planner.step(snapshot))
         self._set_limit(begun)
         at = None if ros.nanoseconds is None else ros.nanoseconds / SECOND + taking
         decision = self.planner.step(snapshot, at, self._is_late)
+        if not decision.planned:
+            return Report(decision)
         took = self._clock() - begun
         self.timing.took(took, self.settings.deadline, self.settings.period)
-        solved = not self.planner.lost_goal(snapshot)
+        solved = decision.cause is not Cause.GOAL
         return Report(decision, 1e3 * took if solved else 0.0, **self.inputs.heard)
 
     def proved(self, report: Report, *, catches: bool = False) -> Report:

@@ -11,11 +11,10 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.ros.parameters.parameter import Row
 from orbimpc_ros.ros.parameters.planner import PLANNER, Ageing, PlannerSettings
 
 BRISK = 2.0 * math.pi  # [rad/s] a turn in a second: above it, numbers tend to be degrees
-DEFAULTS: Mapping[str, Row] = {row.name: row for row in PLANNER}
+DEFAULTS = {spec.name: spec.default for spec in PLANNER}
 
 
 def summary(settings: PlannerSettings, simulated: bool) -> str:
@@ -66,7 +65,7 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
         found.append(f'{asked}: it has no effect')
     for name in ('floor.fraction', 'floor.faces'):
         unused = name.removeprefix('floor.') not in settings.problem.floor.parameters
-        if unused and given.get(name, DEFAULTS[name].default) != DEFAULTS[name].default:
+        if unused and given.get(name, DEFAULTS[name]) != DEFAULTS[name]:
             found.append(f'{name} is {given[name]:g} and floor.shape {shape}: it has no effect')
     return found
 

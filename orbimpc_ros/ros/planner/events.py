@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from orbimpc_ros.loop.capture import closest_approach, is_headed
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Approach
-from orbimpc_ros.sim.capture import closest_approach, is_headed
 
 STAY = 1.0  # [s] within the radius, after which the vehicle has arrived
 

@@ -30,7 +30,8 @@ from orbimpc_ros.ros.clock import NodeClock
 from orbimpc_ros.ros.halves import HALVES, Halves, Joined
 from orbimpc_ros.ros.lifecycle import Managed
 from orbimpc_ros.ros.messages import SECOND, Stamp
-from orbimpc_ros.ros.parameters import PLANNER, Live, PlannerSettings, planner_settings
+from orbimpc_ros.ros.parameters import PLANNER, PlannerSettings, planner_settings
+from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
 from orbimpc_ros.ros.parameters.sections import warn_of_unused
 from orbimpc_ros.ros.planner.compiling import leaving_at_signals, report_compilation
 from orbimpc_ros.ros.planner.core import Core, planner_of
@@ -89,7 +90,7 @@ class PlannerNode(Managed):
         super().__init__('planner')
         self._logged: dict[str, float] = {}  # when each line was logged last [s]
         report_compilation(self._warn)
-        self._live = Live(self, PLANNER, planner_settings, planner_of)
+        self._live = DynamicParameters(self, PLANNER, planner_settings, planner_of)
         step = self.get_parameter('step').value
         self._time = NodeClock(self, step, self.at_work(self._on_jump))
         warn_of_unused(self)

@@ -13,11 +13,11 @@ from nav_msgs.msg import Path
 from std_msgs.msg import UInt8MultiArray
 from visualization_msgs.msg import MarkerArray
 
-from orbimpc_ros.loop.compensation import Interval, advanced
 from orbimpc_ros.loop.planner import Decision
-from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command
+from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.model.dynamics import translation_rollout
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.kept import kept
 from orbimpc_ros.ros import messages
@@ -134,11 +134,14 @@ def _markers(problem: Problem, stamp: Stamp, decision: Decision) -> MarkerArray 
 
 
 def obeyed(problem: Problem, state: State, command: Command) -> list[tuple[Array, Array]]:
-    """Return where a vehicle will be that obeys one command: N + 1 positions and attitudes."""
-    body, rate = state.attitude.T @ state.velocity, command.body_rate
-    if not problem.inertial:
-        body = command.speed_fraction * problem.forward * np.eye(problem.dimension)[0]
-    begun = Odometry(0.0, state.position.copy(), state.attitude.copy(), body, rate.copy())
-    blown, held = state.disturbance, Interval(problem.step, command, command)
-    steps = (advanced(problem, begun, [held] * k, blown, 'air') for k in range(problem.horizon + 1))
-    return [(each.position, each.attitude) for each in steps]
+    """Return N + 1 positions and attitudes of a vehicle that obeys one command for a horizon."""
+    turn = exp(problem.step * command.body_rate)
+    attitudes = [state.attitude]
+    for step in range(problem.horizon):  # of second order, it turns from the second step on
+        still = step == 0 and problem.rotation_order == 2
+        attitudes.append(attitudes[-1] if still else attitudes[-1] @ turn)
+    fractions = np.full(problem.horizon + 1, command.speed_fraction)
+    fractions[0] = min(1.0, float(np.linalg.norm(state.rotation[:, 0])))
+    headings = fractions[:, None] * np.array(attitudes)[:, :, 0]
+    positions, _ = translation_rollout(problem, state, headings)
+    return list(zip(positions, attitudes, strict=True))

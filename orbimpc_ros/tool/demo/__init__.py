@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool.io.files import new_folder, writing_to
+from orbimpc_ros.tool.files import new_folder, writing_to
 
 if TYPE_CHECKING:
-    from orbimpc_ros.tool.io.history import History
-    from orbimpc_ros.tool.io.settings import Values
+    from orbimpc_ros.tool.history import History
+    from orbimpc_ros.tool.settings import Values
 
 SCENARIOS = (
     'retrieval',
@@ -98,8 +98,8 @@ def _flights(scenario: str, changes: list[str]) -> dict[str, Values]:
     Raises:
         BadInput: an unknown name, or a value or combination that is not allowed.
     """
-    from orbimpc_ros.tool.io import settings
-    from orbimpc_ros.tool.io.share import config
+    from orbimpc_ros.tool import settings
+    from orbimpc_ros.tool.settings import config
 
     variants = VARIANTS.get(scenario, {'': ()})
     if any(scenario == 'retrieval' or each.startswith('floor.shape=') for each in changes):
@@ -118,9 +118,8 @@ def report(folder: Path, places: Mapping[str, Path]) -> int:
         places: of the flights' bags, by name.
     """
     from orbimpc_ros.sim.engine_vehicle import ENGINES
-    from orbimpc_ros.tool import figures
+    from orbimpc_ros.tool import figures, history
     from orbimpc_ros.tool.demo import summary
-    from orbimpc_ros.tool.io import history
 
     flown = {name: history.of_bag(place / 'bag') for name, place in places.items()}
     for name, each in flown.items():

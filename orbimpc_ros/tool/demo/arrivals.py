@@ -8,13 +8,14 @@ from collections.abc import Mapping
 
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.ros.parameters import planner_settings, sim_settings
+from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.ros.parameters.planner import PROJECTIONS
 from orbimpc_ros.sim.arrival import Arrival, OpenLoop, open_loop
+from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.scenario import Scenario
-from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.io.history import History
-from orbimpc_ros.tool.io.settings import Values
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.history import History
+from orbimpc_ros.tool.settings import Values
 
 
 def opened(values: Values) -> dict[str, OpenLoop]:

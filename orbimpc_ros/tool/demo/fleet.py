@@ -16,15 +16,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.vehicles import crossers, plans, vehicles
-from orbimpc_ros.sim.fleet import separations
-from orbimpc_ros.tool.io import bag, settings
-from orbimpc_ros.tool.io.files import new_folder, writing_to
-from orbimpc_ros.tool.io.settings import Values
-from orbimpc_ros.tool.io.share import config
+from orbimpc_ros.sim.fleet import crossers, plans, separations, vehicles
+from orbimpc_ros.tool import bags, settings
+from orbimpc_ros.tool.files import new_folder, writing_to
+from orbimpc_ros.tool.settings import Values, config
 
 if TYPE_CHECKING:
-    from orbimpc_ros.tool.io.history import History
+    from orbimpc_ros.tool.history import History
 VEHICLES = {'fleet': 4, 'crossing': 8}
 DRAWN = {'fleet': vehicles, 'crossing': crossers}
 
@@ -71,11 +69,10 @@ def resolve(
 
 def report(folder: Path, namespaces: tuple[str, ...]) -> int:
     """Sum up a fleet's flights from their bag, draw them, and return the exit code."""
-    from orbimpc_ros.tool import figures
+    from orbimpc_ros.tool import figures, history
     from orbimpc_ros.tool.demo import summary
     from orbimpc_ros.tool.figures.fleet import fleet
-    from orbimpc_ros.tool.figures.style import look
-    from orbimpc_ros.tool.io import history
+    from orbimpc_ros.tool.style import look
 
     path, picture = folder / 'bag', folder / figures.TRAJECTORY
     flown = {name: history.of_bag(path, name) for name in namespaces}
@@ -112,7 +109,7 @@ def late(path: Path) -> dict[str, int]:
     """
     asked: defaultdict[str, dict[int, int]] = defaultdict(dict)
     answered: defaultdict[str, dict[int, int]] = defaultdict(dict)
-    for message in bag.raw(path):
+    for message in bags.raw(path):
         namespace, _, topic = message.topic.rpartition('/')
         if topic == 'odom':
             asked[namespace][message.stamp] = message.sent

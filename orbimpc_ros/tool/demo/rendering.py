@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from orbimpc_ros.ros.messages import SECOND
-from orbimpc_ros.ros.parameters import sim_settings
 from orbimpc_ros.sim.commands import Orders
 from orbimpc_ros.sim.engine_vehicle import EngineVehicle
 from orbimpc_ros.sim.engines.engine import Depicted
 from orbimpc_ros.sim.flight import Flight, departure
-from orbimpc_ros.tool.io import bag, settings
+from orbimpc_ros.sim.parameters import sim_settings
+from orbimpc_ros.tool import bags, settings
 
 RENDERED = 'rendered.gif'
 LATER = 2**62  # [ns] after any flight
@@ -34,7 +34,7 @@ def flown_again(path: Path) -> Iterator[Flight]:
     flight, given = departure(told.scenario, told.begin), {}
     orders = Orders(told.scenario.model, told.frames)
     take = {'cmd_vel': orders.take_twist, 'cmd_thrust': orders.take_force}
-    for topic, message in bag.of_vehicle(path, '', (*take, 'goal', 'odom')):
+    for topic, message in bags.of_vehicle(path, '', (*take, 'goal', 'odom')):
         if topic in take and take[topic](message, LATER) and orders.latest:
             given[orders.latest.stamp] = orders.latest
     yield flight

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from orbimpc_ros.ros.parameters.parameter import boxes_of
+from orbimpc_ros.ros.parameters.spec import settings_from
+from orbimpc_ros.ros.parameters.vehicle import VehicleParameters
 from orbimpc_ros.sim.arena import touched_in_words
-from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.io.history import History
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.history import History
 
 
 def text(history: History) -> str:
@@ -68,7 +69,7 @@ def _touched(history: History) -> dict[str, str]:
     found, values = history.truth.get('touched'), settings.of_sim(history.values)
     if not (values['obstacles'] or values['traffic']) or not isinstance(found, list):
         return {}
-    boxes = len(boxes_of(values))
+    boxes = len(settings_from(VehicleParameters, values).boxes())
     return {'touched': touched_in_words(found, boxes) or f'no {"box" if boxes else "ball"}'}
 
 

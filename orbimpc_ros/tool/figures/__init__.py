@@ -16,8 +16,8 @@ from orbimpc_ros.tool.figures.retrieval import retrieval
 from orbimpc_ros.tool.figures.retrieval3d import retrieval3d
 from orbimpc_ros.tool.figures.snapshots import moments
 from orbimpc_ros.tool.figures.spacecraft import spacecraft
-from orbimpc_ros.tool.figures.style import look, save
-from orbimpc_ros.tool.io.history import History
+from orbimpc_ros.tool.history import History
+from orbimpc_ros.tool.style import look, save
 
 __all__ = [
     'TRAJECTORY',

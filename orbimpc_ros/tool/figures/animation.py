@@ -17,8 +17,8 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.tool.figures import space
 from orbimpc_ros.tool.figures.charts import draw_distance, draw_speed, story
 from orbimpc_ros.tool.figures.scene import boxes, draw_obstacles, flown_path, mark_start, swing
-from orbimpc_ros.tool.figures.style import BLUE, GREEN, GREY, INK, ORANGE, headline, look
-from orbimpc_ros.tool.io.history import History, Planned
+from orbimpc_ros.tool.history import History, Planned
+from orbimpc_ros.tool.style import BLUE, GREEN, GREY, INK, ORANGE, headline, look
 
 SIZE, DOTS_PER_INCH = (9.0, 5.4), 100
 WIDE = 2.0  # as a ratio of sides

@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from orbimpc_ros.tool.figures.scene import cross, star
-from orbimpc_ros.tool.figures.style import BLUE, GREEN, INK, RED
-from orbimpc_ros.tool.io.history import History
+from orbimpc_ros.tool.history import History
+from orbimpc_ros.tool.style import BLUE, GREEN, INK, RED
 
 
 def draw_over_time(distance: Axes, speed: Axes, history: History) -> None:

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.tool.figures.scene import draw_headings, draw_obstacles, mark_start, star
-from orbimpc_ros.tool.figures.style import BLUE, RED, headline, whole_seconds
-from orbimpc_ros.tool.io.history import History
+from orbimpc_ros.tool.history import History
+from orbimpc_ros.tool.style import BLUE, RED, headline, whole_seconds
 
 COLORS = (BLUE, RED)
 LINES = ('-', '--')

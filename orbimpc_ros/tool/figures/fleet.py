@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from orbimpc_ros.tool.figures.scene import draw_headings, draw_swing, flown_path, star
-from orbimpc_ros.tool.figures.style import GREEN, INK, ORANGE, RED, halo, headline
-from orbimpc_ros.tool.io.history import History
+from orbimpc_ros.tool.history import History
+from orbimpc_ros.tool.style import GREEN, INK, ORANGE, RED, halo, headline
 
 EVERY = 5  # ticks from one arrow to the next
 POINTS = 600  # in time

@@ -15,7 +15,8 @@ from orbimpc_ros.tool.figures import space
 from orbimpc_ros.tool.figures.charts import story
 from orbimpc_ros.tool.figures.numbers import steps, tilts
 from orbimpc_ros.tool.figures.spacecraft import FLOWN, PLANNED
-from orbimpc_ros.tool.figures.style import (
+from orbimpc_ros.tool.history import History
+from orbimpc_ros.tool.style import (
     FAINT,
     GREEN,
     INK,
@@ -24,7 +25,6 @@ from orbimpc_ros.tool.figures.style import (
     headline,
     whole_seconds,
 )
-from orbimpc_ros.tool.io.history import History
 
 VIEW = (14.0, -55.0)
 AROUND = np.linspace(0.0, 2.0 * np.pi, 73)

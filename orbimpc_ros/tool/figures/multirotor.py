@@ -15,8 +15,8 @@ from orbimpc_ros.tool.figures import space
 from orbimpc_ros.tool.figures.charts import story
 from orbimpc_ros.tool.figures.numbers import applied, steps, tilts
 from orbimpc_ros.tool.figures.scene import boxes, draw_box, star
-from orbimpc_ros.tool.figures.style import BLUE, GREY, INK, ORANGE, SKY, headline
-from orbimpc_ros.tool.io.history import History
+from orbimpc_ros.tool.history import History
+from orbimpc_ros.tool.style import BLUE, GREY, INK, ORANGE, SKY, headline
 
 VIEW = (28.0, -66.0)
 SHARE = 0.08  # of the flight's extent: the length of full thrust

@@ -12,8 +12,8 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.tool.figures.charts import story
-from orbimpc_ros.tool.figures.style import BLUE, GREEN, INK, ORANGE, RED, headline, whole_seconds
-from orbimpc_ros.tool.io.history import History
+from orbimpc_ros.tool.history import History
+from orbimpc_ros.tool.style import BLUE, GREEN, INK, ORANGE, RED, headline, whole_seconds
 
 TITLES = {
     'positions': 'Position in the world',

@@ -21,14 +21,14 @@ from orbimpc_ros.tool.figures.scene import (
     end_box,
     mark_capture,
 )
-from orbimpc_ros.tool.figures.style import (
+from orbimpc_ros.tool.history import History
+from orbimpc_ros.tool.style import (
     BLUE,
     INK,
     RED,
     SKY,
     headline,
 )
-from orbimpc_ros.tool.io.history import History
 
 
 def retrieval(flown: Mapping[str, History]) -> Figure:

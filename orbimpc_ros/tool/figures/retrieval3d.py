@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from orbimpc_ros.tool.figures import space
 from orbimpc_ros.tool.figures.charts import draw_over_time, story
 from orbimpc_ros.tool.figures.scene import boxes, flown_path, star, swing
-from orbimpc_ros.tool.figures.style import INK, ORANGE, SKY, headline, paper
-from orbimpc_ros.tool.io.history import History
+from orbimpc_ros.tool.history import History
+from orbimpc_ros.tool.style import INK, ORANGE, SKY, headline, paper
 
 VIEW = (24.0, -62.0)
 

@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Rectangle
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.ros.parameters import sim_settings
-from orbimpc_ros.tool.figures.style import FAINT, GREEN, GREY, INK, ORANGE, RED, halo, paper
-from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.io.history import History
+from orbimpc_ros.sim.parameters import sim_settings
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.history import History
+from orbimpc_ros.tool.style import FAINT, GREEN, GREY, INK, ORANGE, RED, halo, paper
 
 
 def flown_path(history: History) -> Array:

@@ -19,8 +19,8 @@ from orbimpc_ros.tool.figures.scene import (
     draw_swing,
     end_box,
 )
-from orbimpc_ros.tool.figures.style import BLUE, GREEN, GREY, INK, ORANGE, RED, headline
-from orbimpc_ros.tool.io.history import Encounter, History
+from orbimpc_ros.tool.history import Encounter, History
+from orbimpc_ros.tool.style import BLUE, GREEN, GREY, INK, ORANGE, RED, headline
 
 PANELS = 9
 

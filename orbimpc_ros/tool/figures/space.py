@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.tool.figures.style import BLUE, FAINT, GREEN, GREY, INK, RED, paper
+from orbimpc_ros.tool.style import BLUE, FAINT, GREEN, GREY, INK, RED, paper
 
 Axes3D = Any  # mpl_toolkits has no types
 FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))

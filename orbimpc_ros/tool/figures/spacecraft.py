@@ -14,13 +14,13 @@ from orbimpc_ros.tool.figures import space
 from orbimpc_ros.tool.figures.charts import story
 from orbimpc_ros.tool.figures.numbers import applied, steps
 from orbimpc_ros.tool.figures.scene import boxes
-from orbimpc_ros.tool.figures.style import (
+from orbimpc_ros.tool.history import History
+from orbimpc_ros.tool.style import (
     BLUE,
     ORANGE,
     headline,
     whole_seconds,
 )
-from orbimpc_ros.tool.io.history import History
 
 VIEW = (18.0, -70.0)
 PLANNED: dict[str, Any] = {'color': ORANGE, 'lw': 3.5, 'alpha': 0.6}

@@ -7,14 +7,13 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool.io import bag, settings
-from orbimpc_ros.tool.io.bag.raw import Raw, store
-from orbimpc_ros.tool.io.bag.writer import BagWriter
-from orbimpc_ros.tool.io.files import replacing
-from orbimpc_ros.tool.io.settings import Values
-from orbimpc_ros.tool.io.topics import TYPES, Topic, topics_of
+from orbimpc_ros.tool import bags, settings
+from orbimpc_ros.tool.bags import BagWriter, Raw, store
+from orbimpc_ros.tool.files import replacing
 from orbimpc_ros.tool.replay.recording import OUTPUTS, Recording
 from orbimpc_ros.tool.replay.resolving import ReplayedTick
+from orbimpc_ros.tool.settings import Values
+from orbimpc_ros.tool.topics import TYPES, Topic, topics_of
 
 
 def accept(recording: Recording, replayed: Sequence[ReplayedTick], values: Values) -> None:
@@ -29,14 +28,14 @@ def accept(recording: Recording, replayed: Sequence[ReplayedTick], values: Value
         BadInput: the bag is not one of our recorder's, or cannot be replaced.
     """
     path = recording.path
-    if not path.is_dir() or 'parameters' not in bag.notes(path):
+    if not path.is_dir() or 'parameters' not in bags.notes(path):
         raise BadInput.stating(str(path), 'not a bag of orbimpc', 'the folder of one is needed')
-    held = bag.raw(path)
+    held = bags.raw(path)
     kept = [each for each in held if not _replaced(each, recording)]
     # What was not recorded, such as markers, stays out.
     wanted = {each.topic for each in held}
     fresh = [each for each in _serialised(recording, replayed) if each.topic in wanted]
-    notes = bag.notes(path)
+    notes = bags.notes(path)
     if values != settings.of_bag(path, recording.namespace):
         notes['parameters'] = _text(values, recording)
     with replacing(path) as folder, BagWriter(folder, _topics(kept, recording), notes) as writer:

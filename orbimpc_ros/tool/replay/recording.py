@@ -19,9 +19,8 @@ from orbimpc_ros.mpc.outcome import Cause
 from orbimpc_ros.ros.halves import HALVES, Halves
 from orbimpc_ros.ros.messages import SECOND, pushed
 from orbimpc_ros.ros.obstacles import stamp_of as stamp_of_markers
-from orbimpc_ros.tool.io import bag, topics
-from orbimpc_ros.tool.io.bag import Message
-from orbimpc_ros.tool.io.content import fields, point
+from orbimpc_ros.tool import bags, topics
+from orbimpc_ros.tool.bags import Message, fields, point
 
 CLOCK = 'clock'
 TREE = tuple(topic.name for topic in topics.TREE)
@@ -223,7 +222,7 @@ def recording_of(path: Path, namespace: str = '', others: Sequence[str] = ()) ->
         BadInput: no bag, or not one with odometry, a goal and the planner's answers.
     """
     wanted = {other.rpartition('/')[2] for other in (*others, *TREE)}
-    found = list(bag.read(path, {CLOCK, *INPUTS, *COMPARED, *wanted}))
+    found = list(bags.read(path, {CLOCK, *INPUTS, *COMPARED, *wanted}))
     own: dict[str, list[Message]] = defaultdict(list)
     for each in found:
         before, _, name = each.topic.rpartition('/')

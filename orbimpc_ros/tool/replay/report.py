@@ -13,7 +13,7 @@ from pathlib import Path
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters import PlannerSettings, planner_settings
-from orbimpc_ros.tool.io import settings
+from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.replay.accept import accept
 from orbimpc_ros.tool.replay.coverage import Coverage, coverage
 from orbimpc_ros.tool.replay.difference import UNITS, Comparison, compared, shown

@@ -150,8 +150,9 @@ def acceptable(each: Input, settings: PlannerSettings) -> bool:
     if each.topic not in READ:
         return False
     try:
-        if each.topic in GOALS and settings.tree.exists:  # whether it could be moved is not known
-            settings = replace(settings, frames=replace(settings.frames, world=''))
+        # Whether a goal of another frame could be moved is not known.
+        if each.topic in GOALS and (settings.tf or settings.transforms):
+            settings = replace(settings, frame_id='')
         _, value = read(each.topic, each.message, settings)
         if each.topic in GOALS:
             require_attitude(value, settings)

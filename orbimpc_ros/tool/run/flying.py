@@ -11,16 +11,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from orbimpc_ros.ros.entry import PACKAGES
-from orbimpc_ros.ros.parameters import sim_settings
-from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.io.settings import Values
+from orbimpc_ros.sim.parameters import sim_settings
+from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.run import discovery, processes
 from orbimpc_ros.tool.run.pacer import Pacer
 from orbimpc_ros.tool.run.processes import Interruptions, Process
 from orbimpc_ros.tool.run.progress import ProgressLine
+from orbimpc_ros.tool.settings import Values
 
 if TYPE_CHECKING:
-    from orbimpc_ros.tool.io.recorder import Recorder
+    from orbimpc_ros.tool.run.recorder import Recorder
 
 SPIN = 0.05  # [s]
 # A simulator that ends with its flight, and begins once planner and recorder hear it.
@@ -91,8 +91,8 @@ def _vehicles(
 
 @contextmanager
 def _recorder(namespaces: tuple[str, ...], folder: Path, parameters: str) -> Iterator[Recorder]:
-    from orbimpc_ros.tool.io.recorder import Recorder
-    from orbimpc_ros.tool.io.topics import topics_of
+    from orbimpc_ros.tool.run.recorder import Recorder
+    from orbimpc_ros.tool.topics import topics_of
 
     planners = [f'{namespace}/planner' for namespace in namespaces]
     notes = {'parameters': parameters}

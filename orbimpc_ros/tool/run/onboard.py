@@ -14,13 +14,13 @@ from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
-from orbimpc_ros.ros.markers import traffic_markers
 from orbimpc_ros.ros.messages import SECOND
-from orbimpc_ros.ros.parameters.parameter import completed
 from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner_settings
+from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.reports import Report
 from orbimpc_ros.sim.flight import Flight, perfect_sensor
+from orbimpc_ros.sim.markers import traffic_markers
 
 PATIENCE = 60.0  # [s]
 EPOCH = 1_700_000_000 * SECOND
@@ -49,7 +49,7 @@ class Onboard:
     ) -> None:
         settings = planner_settings(completed(PLANNER, parameters))
         if patient:
-            settings = replace(settings, deadline=PATIENCE)
+            settings = replace(settings, given_deadline=PATIENCE)
         planner = planner_of(settings)[1] if pilot is None else pilot(settings)
         self._core, self.period = Core(settings, planner, clock=clock), settings.period
 
@@ -63,7 +63,7 @@ class Onboard:
 
     def odometry(self, now: float, measured: Odometry) -> None:
         """Hear where the vehicle is at a time [s]."""
-        self._take('odom', messages.measurement_message(self._stamp(now), measured), now)
+        self._take('odom', messages.odometry_message(self._stamp(now), measured), now)
 
     def traffic(self, now: float, flight: Flight, margin: float) -> None:
         """Hear where the traffic around a flight is, each ball larger by a margin [m]."""

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros.messages import SECOND
-from orbimpc_ros.tool.io.recorder import Recorder
+from orbimpc_ros.tool.run.recorder import Recorder
 
 AGAIN = 0.2  # [s] from one message of the same time to the next; the first may be lost
 PATIENCE = 60.0  # [s] for the answers to a step

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from orbimpc_ros import __version__
 from orbimpc_ros.mpc.arrays import whole
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool.io.files import new_folder, writing_to
+from orbimpc_ros.tool.files import new_folder, writing_to
 
 if TYPE_CHECKING:
     from orbimpc_ros.tool.study.draws import Draws

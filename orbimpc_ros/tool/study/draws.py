@@ -35,8 +35,8 @@ from typing import Any
 import numpy as np
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool.io import document, settings
-from orbimpc_ros.tool.io.share import config
+from orbimpc_ros.tool import files, settings
+from orbimpc_ros.tool.settings import config
 
 Values = dict[str, Any]
 Rule = Any
@@ -107,7 +107,7 @@ def _require_sound(draws: Draws, name: str) -> None:
     try:
         settings.changed(draws.of(0, 0), ())
     except (AttributeError, IndexError, KeyError, StopIteration, TypeError, ValueError) as error:
-        rules = 'the rules of docs/study.md'
+        rules = 'the rules of docs/recording.md'
         raise BadInput(f'{name}: draw', f'{type(error).__name__}: {error}', rules) from None
 
 
@@ -124,7 +124,7 @@ def _file(name: str) -> Path:
 
 def _content(file: Path) -> Values:
     """Return the fields of a study file; those of a parameter file without rules."""
-    content = document.read(str(file))
+    content = files.read(str(file))
     if isinstance(content, dict) and 'draw' not in content:
         names = {name for name, _ in settings.sections(content, str(file))}
         lags = any(name.startswith('response.') for name in names)

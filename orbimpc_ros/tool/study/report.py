@@ -13,9 +13,9 @@ from matplotlib.ticker import PercentFormatter
 from scipy import stats
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.tool.figures.style import BLUE, GREEN, GREY, INK, ORANGE, RED, SKY, in_both_looks
 from orbimpc_ros.tool.study.draws import Draws
 from orbimpc_ros.tool.study.flights import OURS, Row
+from orbimpc_ros.tool.style import BLUE, GREEN, GREY, INK, ORANGE, RED, SKY, in_both_looks
 
 Rows = Mapping[str, Sequence[Row]]  # by controller, flights in the same order
 DEGREES = 180.0 / math.pi

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
-from orbimpc_ros.tool.io.files import why
+from orbimpc_ros.tool.files import why
 from orbimpc_ros.tool.study.flights import Job, Row, flown
 
 PATIENCE = 5.0  # [s] for a scheduler to answer, and for its first worker

@@ -17,7 +17,7 @@ from uuid import uuid4
 
 from orbimpc_ros.install import command_for_extra
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
-from orbimpc_ros.tool.io.files import require_writable, why
+from orbimpc_ros.tool.files import require_writable, why
 
 if TYPE_CHECKING:
     import rerun as rr

@@ -11,8 +11,8 @@ import rerun as rr
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool.figures.palette import RED, rgb
-from orbimpc_ros.tool.io.content import point
+from orbimpc_ros.tool.bags import point
+from orbimpc_ros.tool.palette import RED, rgb
 
 CUBE = 1  # type of a Marker; every other body is round
 TRANSPARENT = rr.components.FillMode.TransparentFillMajorWireframe

@@ -16,11 +16,12 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.task import Future
 
-from orbimpc_ros.ros.parameters import PLANNER, SIM
+from orbimpc_ros.ros.parameters import PLANNER
 from orbimpc_ros.ros.process import RANGE, attached, qos
-from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.io.content import seconds
-from orbimpc_ros.tool.io.topics import VEHICLE, Topic
+from orbimpc_ros.sim.parameters import SIM
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.bags import seconds
+from orbimpc_ros.tool.topics import VEHICLE, Topic
 from orbimpc_ros.tool.view.scene import Scene
 
 SPIN = 0.05  # [s]

@@ -9,7 +9,7 @@ from typing import Any
 
 import rerun as rr
 
-from orbimpc_ros.tool.io import bag, settings
+from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.view.scene import Scene
 
 
@@ -40,4 +40,4 @@ def read(path: Path, namespace: str) -> RecordedFlight:
         BadInput: no bag, or one without odometry and goal of this vehicle.
     """
     values = settings.of_bag(path, namespace) or settings.read('{}')
-    return RecordedFlight(bag.of_vehicle(path, namespace), values)
+    return RecordedFlight(bags.of_vehicle(path, namespace), values)

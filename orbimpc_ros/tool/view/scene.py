@@ -25,9 +25,9 @@ from orbimpc_ros.ros.messages import (
     read_sighting,
 )
 from orbimpc_ros.ros.parameters import planner_settings
-from orbimpc_ros.tool.figures.palette import BLUE, GREEN, GREY, ORANGE, RED, SKY, rgb
-from orbimpc_ros.tool.io import settings
-from orbimpc_ros.tool.io.content import attitude, fields, seconds
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.bags import attitude, fields, seconds
+from orbimpc_ros.tool.palette import BLUE, GREEN, GREY, ORANGE, RED, SKY, rgb
 from orbimpc_ros.tool.view.around import around
 from orbimpc_ros.tool.view.layout import THRUST, TICK, TIMELINE, WORLD, blueprint, eye
 

@@ -14,17 +14,13 @@ from typing import Any
 
 import yaml
 
+from orbimpc_ros import install
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.parameters import (
-    OF_ROS,
-    PLANNER,
-    SIM,
-    Row,
-    planner_settings,
-    sim_settings,
-)
-from orbimpc_ros.ros.parameters.parameter import completed
-from orbimpc_ros.tool.io import bag, document
+from orbimpc_ros.ros.parameters import PLANNER, planner_settings
+from orbimpc_ros.ros.parameters.dynamic import OF_ROS
+from orbimpc_ros.ros.parameters.spec import ParameterSpec, completed
+from orbimpc_ros.sim.parameters import SIM, sim_settings
+from orbimpc_ros.tool import bags, files
 
 ROWS = {row.name: row for row in (*PLANNER, *SIM)}
 OF_SIM = 'sim.'
@@ -32,6 +28,18 @@ PLANNED = {row.name for row in PLANNER}
 ROWS_OF_SIM = {f'{OF_SIM}{row.name}': row for row in SIM if row.name in PLANNED}  # may differ
 Values = dict[str, Any]
 EMPTY: Mapping[str, Values] = MappingProxyType({})
+
+
+def config(name: str) -> Path:
+    """Return the path of a file of parameters under ``config/``.
+
+    Raises:
+        BadInput: no such file.
+    """
+    found = install.shared(f'config/{name}')
+    if found is None:
+        raise BadInput.stating(f'configuration {name}', 'missing', 'install it under config/')
+    return found
 
 
 def resolve(file: Path, changes: Sequence[str] = ()) -> Values:
@@ -44,7 +52,7 @@ def resolve(file: Path, changes: Sequence[str] = ()) -> Values:
     Raises:
         BadInput: an unknown name, or a value or combination that is not allowed.
     """
-    return changed(_completed(document.read(str(file)), str(file)), changes)
+    return changed(_completed(files.read(str(file)), str(file)), changes)
 
 
 def changed(values: Values, changes: Sequence[str]) -> Values:
@@ -115,7 +123,7 @@ def of_bag(path: Path, namespace: str = '') -> Values | None:
     Raises:
         BadInput: no bag, or notes that are none.
     """
-    noted = bag.notes(path).get('parameters')
+    noted = bags.notes(path).get('parameters')
     return None if noted is None else read(noted, namespace, f'{path}: parameters')
 
 
@@ -130,7 +138,7 @@ def read(written: str, namespace: str = '', name: str = 'parameters') -> Values:
     Raises:
         BadInput: not parameters, an unknown name, or a value of another type.
     """
-    return _completed(document.parse(written, name), name, namespace)
+    return _completed(files.parse(written, name), name, namespace)
 
 
 def _completed(content: Any, name: str, namespace: str = '') -> Values:
@@ -182,10 +190,10 @@ def _change(given: str) -> tuple[str, Any]:
     row = ROWS_OF_SIM.get(name) or ROWS.get(name)
     if row is None:
         raise BadInput.unknown('parameter', name, ROWS, '--set')
-    return name, _typed(row, document.parse(word, f'--set {name}'))
+    return name, _typed(row, files.parse(word, f'--set {name}'))
 
 
-def _typed(row: Row, value: Any) -> Any:
+def _typed(row: ParameterSpec, value: Any) -> Any:
     """Return a value as the parameter's type; a whole number may stand for a float."""
     kind = type(row.default)
     if kind is tuple and isinstance(value, list):
@@ -197,13 +205,13 @@ def _typed(row: Row, value: Any) -> Any:
     return value
 
 
-def _word(row: Row, value: Any) -> str:
+def _word(row: ParameterSpec, value: Any) -> str:
     if not isinstance(value, str):
         raise BadInput(row.name, value, row.allowed)
     return value
 
 
-def _float(row: Row, value: Any) -> float:
+def _float(row: ParameterSpec, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise BadInput(row.name, value, row.allowed)
     return float(value)

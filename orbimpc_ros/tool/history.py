@@ -12,13 +12,13 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from orbimpc_ros.loop.capture import closest_approach
 from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.messages import Frames, Stamp, pushed, read_odometry, read_sighting
-from orbimpc_ros.sim.capture import closest_approach
-from orbimpc_ros.tool.io import bag, settings
-from orbimpc_ros.tool.io.content import fields, point, seconds
+from orbimpc_ros.tool import bags, settings
+from orbimpc_ros.tool.bags import fields, point, seconds
 
 T = TypeVar('T')
 WANTED = ('captured', 'cmd_thrust', 'goal', 'odom', 'plan', 'tick', 'truth')
@@ -174,7 +174,7 @@ def of_bag(path: Path, namespace: str = '') -> History:
         BadInput: no bag, or one without odometry and goal.
     """
     values = settings.of_bag(path, namespace) or settings.read('{}')
-    found = _by_topic(bag.of_vehicle(path, namespace, WANTED))
+    found = _by_topic(bags.of_vehicle(path, namespace, WANTED))
     frames = Frames(thrust_axis=values['thrust_axis'])
     measured = _valid(read_odometry, found['odom'], frames)
     sighted = _valid(read_sighting, found['goal'], frames)

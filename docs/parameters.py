@@ -1,12 +1,14 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""``python -m orbimpc_ros.ros.parameters.page``: prints docs/parameters.md from the tables."""
+"""``python docs/parameters.py``: prints docs/parameters.md from the tables."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
-from orbimpc_ros.ros.parameters import PLANNER, SIM, Row
-from orbimpc_ros.ros.parameters.parameter import PROCESS
+from orbimpc_ros.ros.parameters import PLANNER
+from orbimpc_ros.ros.parameters.spec import ParameterSpec
+from orbimpc_ros.ros.parameters.vehicle import PROCESS
+from orbimpc_ros.sim.parameters import SIM
 
 PAGE = """\
 # Parameters
@@ -20,7 +22,7 @@ Made from the tables that the nodes declare their parameters from: `make docs` w
   radians, times in seconds, in the frames of REP-103 and REP-105.
 - A name that neither node knows is refused, so that no typing error goes unnoticed. One file may
   serve both nodes: names that only the other one knows are passed over.
-- Whether files or the command line win is explained under [troubleshooting](troubleshooting.md).
+- [Operating](operating.md#there-are-no-commands) says whether files or the command line win.
 - Both nodes have ROS's own `use_sim_time`. The planner's is true where `/clock` sets the pace, as
   in the simulator's lock-step; the simulator makes time and ignores it.
 
@@ -55,17 +57,17 @@ def page() -> str:
     )
 
 
-def _table(rows: Iterable[Row]) -> str:
+def _table(rows: Iterable[ParameterSpec]) -> str:
     lines = [HEAD, ('---',) * len(HEAD), *map(_cells, rows)]
     return '\n'.join(f'| {" | ".join(cells)} |' for cells in lines)
 
 
-def _cells(row: Row) -> tuple[str, ...]:
+def _cells(row: ParameterSpec) -> tuple[str, ...]:
     live = 'yes' if row.live else ''
     return f'`{row.name}`', _default(row), _allowed(row), row.unit, live, row.description
 
 
-def _default(row: Row) -> str:
+def _default(row: ParameterSpec) -> str:
     if row.default == '':
         return 'empty'
     if isinstance(row.default, bool):
@@ -81,7 +83,7 @@ def _decimal(number: float) -> str:
     return text if '.' in text or 'e' in text else f'{text}.0'
 
 
-def _allowed(row: Row) -> str:
+def _allowed(row: ParameterSpec) -> str:
     if row.choices:
         return ', '.join(f'`{choice}`' for choice in row.choices)
     if row.words or isinstance(row.default, (bool, str)):

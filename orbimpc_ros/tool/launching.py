@@ -38,7 +38,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.autopilots import TOPICS
 from orbimpc_ros.ros.parameters.sections import given
 from orbimpc_ros.ros.process import RANGE
-from orbimpc_ros.ros.vehicles import vehicles
+from orbimpc_ros.sim.fleet import vehicles
 from orbimpc_ros.sim.readers import RECORDED
 
 AUTO = 'auto'

@@ -4,35 +4,35 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from array import array
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, number
+from orbimpc_ros.mpc.arrays import ABOVE_ZERO, Array, number
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion
 from orbimpc_ros.mpc.problem import Approach, Hazard
 from orbimpc_ros.ros.messages import QUATERNION_TOLERANCE, Frames
-from orbimpc_ros.ros.parameters.approach import APPROACH, approach_of
-from orbimpc_ros.ros.parameters.parameter import (
+from orbimpc_ros.ros.parameters.spec import (
     FAR,
     MAX_DURATION,
-    OBSTACLES,
-    PROCESS,
-    VEHICLE,
-    Row,
+    TINY,
+    Value,
     Values,
-    boxes_of,
-    disturbance_of,
-    frames_of,
-    span,
+    settings_from,
+    specs_of,
     vector,
 )
-from orbimpc_ros.ros.parameters.plant import PLANT, moved_by
+from orbimpc_ros.ros.parameters.spec import ParameterSpec as Row
+from orbimpc_ros.ros.parameters.vehicle import VehicleParameters
 from orbimpc_ros.ros.process import LIFE
 from orbimpc_ros.sim.contact import drifter
+from orbimpc_ros.sim.engine_vehicle import ENGINES, EnginePlant
 from orbimpc_ros.sim.faults import FAULT_RANGES, NO_FAULTS, Faults
+from orbimpc_ros.sim.gusts import GUST_RANGES, Gusts
+from orbimpc_ros.sim.plant import PLANT_RANGES, Plant
 from orbimpc_ros.sim.readers import wanted_readers
 from orbimpc_ros.sim.rope import FASTEST, Rope
 from orbimpc_ros.sim.scenario import FINISHES, LIMITS, Scenario, retrieval
@@ -45,7 +45,58 @@ def _triple(vector: Array) -> tuple[float, ...]:
     return tuple([*vector.tolist(), 0.0][:3])
 
 
+def _closed(low: float, high: float) -> tuple[float, float]:
+    """Return a range as parameters have it: closed, so that a small number stands for zero."""
+    return (TINY if low == ABOVE_ZERO else low), high
+
+
 FLOWN = retrieval()  # its numbers are the defaults
+
+VEHICLES = ('discrete', 'continuous', *ENGINES)
+# What of a plant a vehicle in an engine has, too, by its order of translation.
+OF_ENGINES = {1: ('gust', 'stall_speed', 'odom_rate'), 2: ('odom_rate',)}
+OF_GOAL = ('goal_path_steps', 'rope.frequency', 'rope.velocity')  # unknown where an engine moves it
+IDEAL = Plant()  # its numbers are the defaults
+
+
+def _row(name: str, attribute: str, description: str, unit: str) -> Row:
+    low, high = _closed(*PLANT_RANGES[attribute])
+    return Row(name, getattr(IDEAL, attribute), description, unit, low, high)
+
+
+def _gust_row(name: str, attribute: str, description: str, unit: str) -> Row:
+    low, high = _closed(*GUST_RANGES[attribute])
+    return Row(name, getattr(IDEAL.gusts, attribute), description, unit, low, high)
+
+
+COMMON = (  # of the planner, too: with a discrete vehicle they are the planner's alone
+    _row('max_rate', 'max_rate', 'The vehicle turns no faster; 0 for no limit', 'rad/s'),
+    _row('max_acceleration', 'max_acceleration',
+        'The speed changes no faster (translation order 1); 0 for no limit', 'm/s^2'),
+)  # fmt: skip
+
+CONTINUOUS = (  # where one has no meaning it is refused
+    _row('response.speed', 'speed_lag', 'Lag of speed or thrust, first order', 's'),
+    _row('response.rate', 'rate_lag', 'Lag of the body rate, first order', 's'),
+    _gust_row('gust', 'deviation', 'Standard deviation of gusts along each axis, on top of wind',
+        'm/s or m/s^2'),
+    _gust_row('gust_time', 'memory', 'Correlation time of gusts', 's'),
+    _row('drag', 'drag', 'Deceleration by the own velocity (translation order 2)', '1/s'),
+    _row('gain', 'gain', 'Speed or thrust that is reached, a share of what is commanded', ''),
+    _row('stall_speed', 'stall_speed', 'Airspeed below which a vehicle is counted as stalled on '
+        'the topic truth; it flies on', 'm/s'),
+    Row('odom_rate', 0.0, 'Odometry, goals and ticks of the simulator in a second of its time; '
+        '0 for one in each step', 'Hz', 0.0, 1e3),
+)  # fmt: skip
+
+PLANT = (
+    Row('vehicle', VEHICLES[0], 'Whether the vehicle moves in the steps that the planner '
+        'believes in, or in continuous time, with lags and limits, in wind, or in an engine: '
+        'cessna is that of JSBSim, hummingbird that of RotorPy in MuJoCo, servicer a spacecraft in '
+        'Basilisk', choices=VEHICLES),
+    *COMMON,
+    *CONTINUOUS,
+)  # fmt: skip
 
 ROPE = (
     Row('rope.center', _triple(FLOWN.rope.center), 'Middle of the swing: x, y, z',
@@ -63,16 +114,13 @@ ROPE = (
 
 ENDING = (
     Row('capture_radius', FLOWN.capture_radius, 'The goal is caught within it',
-        'm', *span(*LIMITS['capture_radius'])),
-    *(replace(row, live=False) for row in APPROACH),
+        'm', *_closed(*LIMITS['capture_radius'])),
     Row('finish', FLOWN.finish, 'Whether to end with the capture, or at max_ticks by arriving',
         choices=FINISHES),
     Row('arrival_radius', FLOWN.arrival_radius, 'At arrival the goal is within it',
-        'm', *span(*LIMITS['arrival_radius'])),
+        'm', *_closed(*LIMITS['arrival_radius'])),
     Row('arrival_speed', FLOWN.arrival_speed, 'At arrival the speed is at most this; 0 for any',
         'm/s', *LIMITS['arrival_speed']),
-    replace(OBSTACLES, description='Boxes that the vehicle must not touch: lower, then upper '
-        'corner of each', live=False),
     Row('traffic', (), 'Balls, in the plane discs, that move evenly, shown on obstacles: where '
         'each is at the start, its velocity, its radius', 'm, m/s', -FAR, FAR),
 )  # fmt: skip
@@ -117,7 +165,7 @@ CONDUCT = (
 
 
 def _fault(name: str, description: str, unit: str = '') -> Row:
-    low, high = span(*FAULT_RANGES[name])
+    low, high = _closed(*FAULT_RANGES[name])
     return Row(f'faults.{name}', getattr(NO_FAULTS, name), description, unit, low, high)
 
 
@@ -136,8 +184,7 @@ FAULTS = (
 )
 
 SIM: tuple[Row, ...] = (
-    *(replace(row, live=False) for row in VEHICLE),
-    *PROCESS,
+    *(replace(row, live=False) for row in specs_of(VehicleParameters)),
     *PLANT,
     Row('clock', 'lockstep', 'lockstep waits for each command, shared also for the /clock that the '
         'vehicles of a fleet have in common; wall runs in real time',
@@ -214,7 +261,7 @@ def sim_settings(values: Values) -> SimSettings:
         wait_for=wanted_readers(values['wait_for']),
         wait_timeout=values['wait_timeout'] or math.inf,
         seed=values['seed'],
-        frames=frames_of(values),
+        frames=settings_from(VehicleParameters, values).message_frames(),
     )
 
 
@@ -223,7 +270,12 @@ def _faults(values: Values) -> Faults:
 
 
 def _scenario(values: Values) -> Scenario:
-    n, known = values['dimension'], disturbance_of(values).tolist()
+    vehicle = settings_from(VehicleParameters, values)
+    n, known = vehicle.dimension, vehicle.known_disturbance().tolist()
+
+    def of(name: str, size: int = n) -> Array:
+        return vector(values[name], name, size)
+
     steps = Model(
         n,
         values['rotation_order'],
@@ -238,21 +290,21 @@ def _scenario(values: Values) -> Scenario:
         source=values['velocity_source'],
     )
     rope = Rope(
-        vector(values, 'rope.center', n),
-        vector(values, 'rope.amplitude', n),
+        of('rope.center'),
+        of('rope.amplitude'),
         values['rope.frequency'],
-        vector(values, 'rope.phase', n),
-        vector(values, 'rope.velocity', n),
+        of('rope.phase'),
+        of('rope.velocity'),
     )
-    model = moved_by(values, steps, rope)
-    frames = frames_of(values)
+    model = _moved_by(values, steps, rope)
+    frames = vehicle.message_frames()
     start = launched(
         model,
-        vector(values, 'start.position', n),
+        of('start.position'),
         frames.turned(_orientation(values['start.orientation'], n)),
         fraction=values['start.speed_fraction'],
-        velocity=vector(values, 'start.velocity', n),
-        body_rate=frames.turned(vector(values, 'start.body_rate', 3))[-model.rates :],
+        velocity=of('start.velocity'),
+        body_rate=frames.turned(of('start.body_rate', 3))[-model.rates :],
     )
     ending = ('capture_radius', 'max_ticks', 'finish', 'arrival_radius', 'arrival_speed')
     known_ends = {name: values[name] for name in ending}
@@ -261,11 +313,72 @@ def _scenario(values: Values) -> Scenario:
         start,
         rope,
         **known_ends,
-        obstacles=boxes_of(values),
+        obstacles=vehicle.boxes(),
         traffic=_traffic(values),
-        approach=_approach(values),
+        approach=_approach(vehicle),
         rope_length=values['rope.length'],
     )
+
+
+def _moved_by(values: Values, model: Model, rope: Rope) -> Model:
+    """Return how the simulated vehicle moves: the discrete model, a plant, or an engine.
+
+    Args:
+        values: a full set of the simulator's parameters.
+        model: the discrete one, with the orders, speed, mass, failsafe and wind of a plant, too.
+        rope: the goal, which some engines move themselves.
+
+    Raises:
+        BadInput: a value, or a combination, is not allowed.
+    """
+    kind = values['vehicle']
+    _refuse_unused(values, _kept_by(kind))
+    if kind == 'discrete':
+        return model
+    common = {each.name: getattr(model, each.name) for each in fields(Model)}
+    if values['odom_rate']:
+        common['step'] = 1.0 / values['odom_rate']
+    common['stall_speed'] = values['stall_speed']
+    if kind in ENGINES:
+        _refuse_goals_of(values, kind)
+        chance = {'turbulence': values['gust'], 'seed': values['seed']}
+        return EnginePlant(**common, engine=kind, **chance, rope=rope)
+    return Plant(
+        **common,
+        speed_lag=values['response.speed'],
+        rate_lag=values['response.rate'],
+        max_rate=values['max_rate'],
+        max_acceleration=values['max_acceleration'],
+        gain=values['gain'],
+        drag=values['drag'],
+        gusts=Gusts(values['gust'], values['gust_time'], values['seed']),
+    )
+
+
+def _kept_by(kind: str) -> Collection[str]:
+    """Return what of a plant a kind of vehicle has."""
+    if kind in ENGINES:
+        return OF_ENGINES[ENGINES[kind].translation_order]
+    return [row.name for row in CONTINUOUS] if kind == 'continuous' else ()
+
+
+def _refuse_unused(values: Values, kept: Collection[str]) -> None:
+    """Refuse what a vehicle does not have, beside what is kept: it would have no effect."""
+    for row in CONTINUOUS:
+        if row.name not in kept and not np.array_equal(values[row.name], row.default):
+            allowed = f'{_shown(row.default)} with vehicle: {values["vehicle"]}'
+            raise BadInput(row.name, _shown(values[row.name]), allowed)
+
+
+def _refuse_goals_of(values: Values, kind: str) -> None:
+    """Refuse what says how a goal moves that the engine of a vehicle moves itself."""
+    for name in OF_GOAL if ENGINES[kind].moves_goal else ():
+        if np.any(values[name]):
+            raise BadInput(name, _shown(values[name]), f'0 with vehicle: {kind}')
+
+
+def _shown(value: Value) -> object:
+    return list(value) if isinstance(value, (tuple, array)) else value
 
 
 def _traffic(values: Values) -> tuple[Hazard, ...]:
@@ -278,12 +391,12 @@ def _traffic(values: Values) -> tuple[Hazard, ...]:
     return tuple(drifter(row[:n], row[n:-1], float(row[-1])) for row in rows)
 
 
-def _approach(values: Values) -> Approach:
+def _approach(vehicle: VehicleParameters) -> Approach:
     """Return the cone in which a catch counts; the goal's orientation is that of the world."""
-    known, n = approach_of(values), values['dimension']
+    known = vehicle.approach_of_a_catch()
     if not known.is_the_goals:
         return known
-    own = frames_of(values).turned(np.eye(3))[:n, 0]
+    own = vehicle.message_frames().turned(np.eye(3))[: vehicle.dimension, 0]
     return replace(known, direction=tuple(own.tolist()))
 
 

@@ -19,8 +19,8 @@ from matplotlib.patheffects import withStroke
 from matplotlib.rcsetup import cycler
 from matplotlib.ticker import MaxNLocator
 
-from orbimpc_ros.tool.figures import palette
-from orbimpc_ros.tool.io.files import write_whole
+from orbimpc_ros.tool import palette
+from orbimpc_ros.tool.files import write_whole
 
 INK, BLUE, SKY, ORANGE, GREEN, RED, GREY, FAINT = (f'C{place}' for place in range(8))
 PRINT = (

@@ -1,0 +1,149 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""A node's parameters: declared from a table, checked as a whole, changed whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence, Sized
+from dataclasses import replace
+from importlib import import_module
+from typing import Any, Generic, TypeVar
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.ros.parameters.planner import PLANNER
+from orbimpc_ros.ros.parameters.spec import ParameterSpec, Values
+
+S = TypeVar('S')
+W = TypeVar('W')
+
+OF_ROS = ('use_sim_time', 'start_type_description_service')
+
+
+class DynamicParameters(Generic[S, W]):
+    """A node's parameters as settings: declared, checked, and kept up to date.
+
+    Args:
+        node: that has the parameters.
+        specs: its table.
+        settings_of: makes settings of values, or raises BadInput.
+        prepare: makes of settings what the node works with, or raises BadInput; it must not
+            change anything, for the change may still be refused.
+
+    Raises:
+        BadInput: a parameter is unknown or its value is not allowed.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        specs: Sequence[ParameterSpec],
+        settings_of: Callable[[Values], S],
+        prepare: Callable[[S], W],
+    ) -> None:
+        self._node, self._specs = node, specs
+        self._settings_of, self._prepare = settings_of, prepare
+        _refuse_unknown(node, specs)
+        given = {name: each.value for name, each in node._parameter_overrides.items()}
+        for spec in specs:
+            _declare(node, replace(spec, default=spec.default_beside(given)))
+        self.settings()
+        self._install: Callable[[W], None] | None = None
+        self._pending: W | None = None
+        node.add_pre_set_parameters_callback(self._typed)
+        node.add_on_set_parameters_callback(self._on_set)
+        node.add_post_set_parameters_callback(self._on_changed)
+
+    def settings(self) -> S:
+        """Return the settings as they are now."""
+        return self._settings_of(self._values())
+
+    def prepared(self) -> W:
+        """Return what is made of the settings as they are now."""
+        return self._prepare(self.settings())
+
+    def keep(self, install: Callable[[W], None]) -> None:
+        """From now on install what is made of changed settings, once a change is certain."""
+        self._install = install
+
+    def release(self) -> None:
+        """From now on only check changes."""
+        self._install = None
+
+    def _values(self) -> dict[str, Any]:
+        return {spec.name: self._node.get_parameter(spec.name).value for spec in self._specs}
+
+    def _typed(self, changes: list[Parameter]) -> list[Parameter]:
+        """Return changes with empty lists of the parameters' types, which YAML's [] has not."""
+        arrays = {spec.name: spec.kind for spec in self._specs if isinstance(spec.default, tuple)}
+        return [
+            Parameter(each.name, arrays[each.name], [])
+            if each.name in arrays and _empty(each)
+            else each
+            for each in changes
+        ]
+
+    def _on_set(self, changes: list[Parameter]) -> SetParametersResult:
+        try:
+            settings = self._settings_of(self._merged(changes))
+            self._pending = None if self._install is None else self._prepare(settings)
+        except BadInput as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        except Exception as error:  # a raising callback would end the node from afar
+            return SetParametersResult(successful=False, reason=f'{type(error).__name__}: {error}')
+        return SetParametersResult(successful=True)
+
+    def _merged(self, changes: list[Parameter]) -> dict[str, Any]:
+        values = self._values()
+        for change in changes:
+            if change.name == 'use_sim_time':
+                if change.value == self._node.get_parameter('use_sim_time').value:
+                    continue
+                raise BadInput('use_sim_time', change.value, 'set at the start only')
+            if change.name in values:
+                values[change.name] = change.value
+        return values
+
+    def _on_changed(self, _changes: list[Parameter]) -> None:
+        if self._install is not None and self._pending is not None:
+            self._install(self._pending)
+        self._pending = None
+
+
+def _empty(given: Parameter) -> bool:
+    return isinstance(given.value, Sized) and not isinstance(given.value, str) and not given.value
+
+
+def _refuse_unknown(node: Node, specs: Sequence[ParameterSpec]) -> None:
+    known = {spec.name for spec in specs}.union(OF_ROS)
+    if not known.issuperset(node._parameter_overrides):
+        # One file may serve both nodes, so a name is unknown only if neither has it.
+        simulator = import_module('orbimpc_ros.sim.parameters')
+        known.update(spec.name for spec in (*PLANNER, *simulator.SIM))
+    for name, given in node._parameter_overrides.items():
+        if name.startswith('qos_overrides.'):
+            problem = f'{given.value!r} would have no effect'
+            hint = 'leave it out: qualities of service are fixed'
+            raise BadInput.stating(f'parameter {name}', problem, hint)
+        if name not in known:
+            raise BadInput.unknown('parameter', name, sorted(known))
+
+
+def _declare(node: Node, spec: ParameterSpec) -> None:
+    empty = spec.default == ()
+    default = spec.kind if empty else spec.default
+    descriptor = spec.descriptor
+    descriptor.read_only &= not empty
+    try:
+        node.declare_parameter(spec.name, default, descriptor)
+    except (InvalidParameterTypeException, InvalidParameterValueException):
+        given = node._parameter_overrides[spec.name].value
+        raise BadInput(spec.name, given, spec.allowed) from None
+    if empty and node.get_parameter_or(spec.name).type_ == Parameter.Type.NOT_SET:
+        # rclpy takes an undeclared [] for bytes, so that the type has to be given apart.
+        node.set_parameters([Parameter(spec.name, spec.kind, [])])
+    if empty:  # what is read-only could not be given its type
+        node.set_descriptor(spec.name, spec.descriptor)

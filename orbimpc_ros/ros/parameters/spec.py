@@ -1,0 +1,175 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Parameters as the fields of a settings class: each is one line, from which all else follows.
+
+A field made by :func:`parameter` has the parameter's name, default, range and meaning; its
+descriptor, its check, its row in docs/parameters.md and its place in the settings are made of that.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, TypeVar
+
+import numpy as np
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.parameter import Parameter
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import BadInput
+
+Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
+Values = Mapping[str, Any]
+S = TypeVar('S')
+
+FAR = 1e6  # [m]: positions in parameters
+MAX_DURATION = 1e3  # [s]: in parameters
+TINY = 1e-6  # stands for "above zero" in ranges, which are closed
+
+
+@dataclass(frozen=True)
+class ParameterSpec:
+    """One parameter.
+
+    Attributes:
+        name: as ROS knows it.
+        default: its type is the parameter's; tuples are arrays of doubles, or of words.
+        description: one sentence.
+        unit: of the value; empty for none.
+        low: least value allowed, of every element of an array.
+        high: greatest.
+        choices: words allowed, if the parameter is one of a few.
+        live: whether it may change while the node runs.
+        words: whether an array is one of words.
+        timed_thrust: the default with ``weights.scaling`` time at translation order 2, if another.
+    """
+
+    name: str
+    default: Value
+    description: str
+    unit: str = ''
+    low: float = -math.inf
+    high: float = math.inf
+    choices: tuple[str, ...] = ()
+    live: bool = False
+    words: bool = False
+    timed_thrust: Value | None = None
+
+    def default_beside(self, given: Values) -> Value:
+        """Return the default where other parameters have values that were given."""
+        timed = (given.get('weights.scaling'), given.get('translation_order')) == ('time', 2)
+        return self.timed_thrust if timed and self.timed_thrust is not None else self.default
+
+    @property
+    def kind(self) -> Parameter.Type:
+        """Return the ROS type."""
+        if self.words:
+            return Parameter.Type.STRING_ARRAY
+        if isinstance(self.default, tuple):
+            return Parameter.Type.DOUBLE_ARRAY
+        return Parameter.Type.from_parameter_value(self.default)
+
+    @property
+    def allowed(self) -> str:
+        """Return what is allowed, in words."""
+        if self.choices:
+            return ' | '.join(self.choices)
+        if isinstance(self.default, bool):
+            return 'true | false'
+        if isinstance(self.default, str):
+            return 'text'
+        if self.words:
+            return 'a list of words'
+        span = f'in [{self.low:g}, {self.high:g}]'
+        if isinstance(self.default, tuple):
+            return f'doubles {span}, each with a decimal point'
+        if isinstance(self.default, int):
+            return f'an integer {span}'
+        return f'a double {span}, with a decimal point'
+
+    @property
+    def descriptor(self) -> ParameterDescriptor:
+        """Return the ROS descriptor."""
+        described = ParameterDescriptor(
+            name=self.name,
+            type=self.kind.value,
+            description=self.description + (f' [{self.unit}]' if self.unit else ''),
+            additional_constraints=self.allowed,
+            read_only=not self.live,
+        )
+        if isinstance(self.default, float):
+            span = FloatingPointRange(from_value=self.low, to_value=self.high)
+            described.floating_point_range = [span]
+        elif isinstance(self.default, int) and not isinstance(self.default, bool):
+            described.integer_range = [
+                IntegerRange(from_value=int(self.low), to_value=int(self.high))
+            ]
+        return described
+
+    def check(self, value: Any) -> None:
+        """Check a value's range.
+
+        Raises:
+            BadInput: out of range, not finite or none of the choices.
+        """
+        if self.choices and value not in self.choices:
+            raise BadInput.choice(self.name, value, self.choices)
+        if self.words:
+            good = all(isinstance(each, str) for each in value)
+        elif isinstance(self.default, (bool, str)):
+            good = True
+        else:
+            good = bool(np.all((np.asarray(value) >= self.low) & (np.asarray(value) <= self.high)))
+        if not good:
+            raise BadInput(self.name, value, self.allowed)
+
+
+def parameter(name: str, default: Value, description: str, *range_: Any, **more: Any) -> Any:
+    """Return a field of a settings class that is a parameter; arguments as of ParameterSpec."""
+    spec = ParameterSpec(name, default, description, *range_, **more)
+    return field(default=default, metadata={'parameter': spec})
+
+
+def specs_of(settings: type) -> tuple[ParameterSpec, ...]:
+    """Return the table of a settings class: its parameters in their order."""
+    return tuple(
+        each.metadata['parameter'] for each in fields(settings) if 'parameter' in each.metadata
+    )
+
+
+def settings_from(settings: type[S], values: Values) -> S:
+    """Return settings with these values, each in its range.
+
+    Args:
+        settings: a class whose fields are parameters.
+        values: of all of its parameters, by name; others are passed over.
+
+    Raises:
+        BadInput: a value out of range.
+    """
+    held = {}
+    for each in fields(settings):  # type: ignore[arg-type]
+        if 'parameter' in each.metadata:
+            spec = each.metadata['parameter']
+            value = values[spec.name]
+            spec.check(value)
+            held[each.name] = tuple(value) if isinstance(spec.default, tuple) else value
+    return settings(**held)
+
+
+def completed(specs: Iterable[ParameterSpec], given: Values) -> dict[str, Any]:
+    """Return the values that were given, and defaults for the rest."""
+    return {spec.name: spec.default_beside(given) for spec in specs} | dict(given)
+
+
+def vector(numbers: tuple[float, ...], name: str, dimension: int) -> Array:
+    """Return the first n of x, y, z: in the plane z may be left out.
+
+    Raises:
+        BadInput: fewer or more numbers; ``name`` is the parameter's.
+    """
+    if not dimension <= len(numbers) <= 3:
+        wanted = '3 numbers' if dimension == 3 else '2 or 3 numbers'
+        raise BadInput(name, list(numbers), wanted)
+    return np.array(numbers[:dimension], dtype=float)

@@ -1,0 +1,449 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Bags as rosbag2 has them: MCAP read and written with checksums, SQLite and compressed ones read.
+
+MCAP goes through the ``mcap`` library, which knows when each message was sent, checks checksums and
+reads a file whose recorder was killed; all else through ``rosbags``.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, NamedTuple, cast
+
+import lz4.frame
+import numpy as np
+import yaml
+import zstandard
+from mcap.exceptions import EndOfFile
+from mcap.records import Channel, Chunk, McapRecord, Metadata, Schema
+from mcap.records import Message as McapMessage
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.rotations import from_quaternion
+from orbimpc_ros.tool import files, topics
+from orbimpc_ros.tool.files import opened
+from orbimpc_ros.tool.topics import Topic
+
+METADATA = 'metadata.yaml'
+METADATA_VERSION = 9
+NOTES = 'orbimpc_ros'  # the MCAP record with the recorder's notes
+HASH = 'topic_type_hash'
+WRITTEN_CHUNK = 1 << 16  # [bytes]: what a recorder that is killed may lose
+LARGEST_FILE = 1 << 30  # [bytes]
+LARGEST_CHUNK = 1 << 25  # [bytes] of a chunk, decompressed, and of any other record
+LARGEST_CONTENT = 1 << 28  # [bytes] of the messages that are read
+LATEST = 2**63  # [ns]: stamps in metadata
+ALLOWED = 'an intact rosbag2 bag of at most 1 GiB is needed'
+NEEDED = "a bag's folder, .mcap or .db3 file is needed"
+FOREVER = {'sec': 9223372036, 'nsec': 854775807}
+
+
+class Raw(NamedTuple):
+    """A serialised message.
+
+    Attributes:
+        topic: it came on.
+        type: of the message.
+        stamp: under which it was recorded [ns].
+        sent: when it was sent; the stamp if that is not known [ns].
+        data: in CDR.
+    """
+
+    topic: str
+    type: str
+    stamp: int
+    sent: int
+    data: bytes
+
+
+class Message(NamedTuple):
+    """A decoded message.
+
+    Attributes:
+        topic: it came on.
+        stamp: under which it was recorded [ns].
+        type: of the message.
+        content: decoded.
+        sent: when it was sent; the stamp if that is not known [ns].
+    """
+
+    topic: str
+    stamp: int
+    type: str
+    content: Any
+    sent: int
+
+
+# --- the content of messages, from bags and from DDS alike
+
+
+def seconds(message: Any) -> float:
+    """Return the stamp of a message with a header [s]."""
+    return message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+
+
+def point(vector: Any) -> Array:
+    """Return a Point or Vector3, shape (3,)."""
+    return np.array([vector.x, vector.y, vector.z])
+
+
+def attitude(q: Any) -> Array:
+    """Return a Quaternion as a rotation, shape (3, 3)."""
+    return from_quaternion(np.array([q.w, q.x, q.y, q.z]), 3)
+
+
+def fields(message: Any) -> dict[str, Any]:
+    """Return the values of a DiagnosticArray's first status by key, numbers as numbers."""
+    return {pair.key: _value(pair.value) for pair in message.status[0].values}
+
+
+def _value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
+# --- reading
+
+
+@lru_cache(maxsize=1)
+def store() -> Any:
+    """Return the message types of ROS 2 Jazzy."""
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def read(path: Path, names: Collection[str] = ()) -> Iterator[Message]:
+    """Yield the messages of a bag (folder, .mcap or .db3) in the order of their stamps.
+
+    Args:
+        path: of the bag.
+        names: of the topics wanted, in whatever namespace; by default all that we know.
+
+    Raises:
+        BadInput: missing, damaged, too large, of another version, or not a bag.
+    """
+    for each in raw(path):
+        if not names or each.topic.rpartition('/')[2] in names:
+            with _reading(path):
+                content = store().deserialize_cdr(each.data, each.type)
+            yield Message(each.topic, each.stamp, each.type, content, each.sent)
+
+
+def of_vehicle(path: Path, namespace: str, names: Collection[str] = ()) -> list[tuple[str, Any]]:
+    """Return one vehicle's messages, topics named without its namespace, in the order of stamps.
+
+    Args:
+        path: of the bag.
+        namespace: of the vehicle, such as ``/uav1``.
+        names: of the topics wanted; by default all that we know.
+
+    Raises:
+        BadInput: no bag, or one without odometry and goal of this vehicle.
+    """
+    found = list(read(path, names))
+    there = {message.topic for message in found}
+    for topic in ('odom', 'goal'):
+        if f'{namespace}/{topic}' not in there:
+            raise topics.absent(path, f'{namespace}/{topic}', there)
+    parted = ((*message.topic.rpartition('/'), message.content) for message in found)
+    return [(name, content) for before, _, name, content in parted if before == namespace]
+
+
+def raw(path: Path) -> list[Raw]:
+    """Return the messages on the topics that we know, in the order of their stamps, as bytes.
+
+    A bag whose recorder was killed is read up to its last complete chunk, and a line says so.
+
+    Raises:
+        BadInput: missing, damaged, too large, of another version, or not a bag.
+    """
+    files, closed = _files(path)
+    found, size = list[Raw](), 0
+    with _reading(path):
+        plain_mcap = files and files[0].suffix == '.mcap' and not _compression(path)
+        for each in _of_mcap(files, closed) if plain_mcap else _of_rosbags(path):
+            size += len(each.data)
+            if size > LARGEST_CONTENT:
+                raise BadInput.stating(str(path), f'{size} bytes of messages', ALLOWED)
+            found.append(each)
+    if not closed:
+        cut = f'{path} was not closed: read up to its last chunk, {len(found)} messages'
+        print(f'orbimpc: {cut}', file=sys.stderr)
+    return sorted(found, key=lambda each: each.stamp)
+
+
+def notes(path: Path) -> dict[str, str]:
+    """Return what our recorder has noted in a bag; empty if it is not one of ours.
+
+    Raises:
+        BadInput: no bag, or damaged.
+    """
+    files, closed = _files(path)
+    with _reading(path):
+        if files and files[0].suffix == '.mcap':
+            for record in _records(files[0], closed):
+                if isinstance(record, Metadata) and record.name == NOTES:
+                    return record.metadata
+                if isinstance(record, McapMessage):
+                    break
+        found = _information(path).get('custom_data') if (path / METADATA).exists() else None
+        return {str(name): str(text) for name, text in (found or {}).items()}
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Blame the bag, in one line, for whatever a decoder of damaged bytes raises."""
+    try:
+        yield
+    except BadInput:
+        raise
+    except Exception as error:
+        raise BadInput.stating(str(path), f'unreadable ({error!r})', ALLOWED) from None
+
+
+def _files(path: Path) -> tuple[list[Path], bool]:
+    """Return a bag's files, and whether its recorder came to close it."""
+    if not path.is_dir():
+        if path.suffix not in ('.mcap', '.db3'):
+            raise BadInput.stating(str(path), 'no bag' if path.exists() else 'missing', NEEDED)
+        files, closed = [path], path.suffix == '.db3' or (path.parent / METADATA).exists()
+    elif (path / METADATA).exists():
+        with _reading(path / METADATA):
+            names = _information(path)['relative_file_paths']
+            files, closed = [path / Path(name).name for name in names], True
+    else:
+        files, closed = sorted([*path.glob('*.mcap'), *path.glob('*.db3')]), False
+        if not files:
+            raise BadInput.stating(str(path), f'without {METADATA} and .mcap', NEEDED)
+    for file in files:
+        with opened(file, LARGEST_FILE):
+            pass
+    return files, closed
+
+
+def _information(path: Path) -> dict[str, Any]:
+    found = files.read(str(path / METADATA), LATEST)['rosbag2_bagfile_information']
+    if not 1 <= found['version'] <= METADATA_VERSION:
+        raise BadInput(f'{path}: version', found['version'], f'1 to {METADATA_VERSION}')
+    return cast(dict[str, Any], found)
+
+
+def _compression(path: Path) -> bool:
+    """Return whether rosbag2 has compressed a bag's files or messages, outside of the storage."""
+    described = path.is_dir() and (path / METADATA).exists()
+    mode = _information(path).get('compression_mode') if described else None
+    return (mode or 'none').lower() != 'none'
+
+
+def _of_rosbags(path: Path) -> Iterator[Raw]:
+    with Reader(path) as reader:
+        wanted = [c for c in reader.connections if topics.known(c.topic, c.msgtype)]
+        for each in wanted:
+            _require_type(each.topic, each.msgtype, each.digest or each.msgdef.data)
+        for each, stamp, data in reader.messages(wanted) if wanted else ():
+            yield Raw(each.topic, each.msgtype, stamp, stamp, bytes(data))
+
+
+def _of_mcap(files: Sequence[Path], closed: bool) -> Iterator[Raw]:
+    """Yield the known messages of MCAP files in the order in which they were written."""
+    for file in files:
+        schemas: dict[int, Schema] = {}
+        known: dict[int, tuple[str, str]] = {}
+        for record in _records(file, closed):
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel):
+                schema = schemas[record.schema_id]
+                if topics.known(record.topic, schema.name):
+                    if record.message_encoding != 'cdr':
+                        raise BadInput(
+                            f'encoding of {record.topic}', record.message_encoding, 'cdr'
+                        )
+                    text = schema.data.decode() if schema.encoding == 'ros2msg' else ''
+                    _require_type(record.topic, schema.name, record.metadata.get(HASH) or text)
+                    known[record.id] = record.topic, schema.name
+            elif isinstance(record, McapMessage) and record.channel_id in known:
+                stamp, sent = record.log_time, record.publish_time or record.log_time
+                yield Raw(*known[record.channel_id], stamp, sent, record.data)
+
+
+def _records(file: Path, closed: bool) -> Iterator[McapRecord]:
+    """Yield the records of an MCAP file; one that was not closed may end anywhere."""
+    with opened(file, LARGEST_FILE) as stream:
+        reader = StreamReader(
+            cast(IO[bytes], stream),
+            emit_chunks=True,
+            validate_crcs=True,
+            record_size_limit=LARGEST_CHUNK,
+        )
+        try:
+            for record in reader.records:
+                if isinstance(record, Chunk):
+                    yield from breakup_chunk(_decompressed(record), validate_crc=True)
+                else:
+                    yield record
+        except EndOfFile:
+            if closed:
+                raise BadInput.stating(str(file), 'damaged (cut off)', ALLOWED) from None
+
+
+def _decompressed(chunk: Chunk) -> Chunk:
+    """Return a chunk decompressed, unless it is of another size than it claims, or too large."""
+    size, data = chunk.uncompressed_size, chunk.data
+    largest = min(size, LARGEST_CHUNK) + 1
+    if chunk.compression == 'zstd':
+        data = zstandard.ZstdDecompressor().stream_reader(data).read(largest)
+    elif chunk.compression == 'lz4':
+        data = lz4.frame.LZ4FrameDecompressor().decompress(data, largest)
+    if len(data) != size:
+        raise ValueError(f'a chunk of {size} bytes, {LARGEST_CHUNK} allowed, has {len(data)}')
+    return replace(chunk, compression='', data=data)
+
+
+@lru_cache(maxsize=256)
+def _require_type(topic: str, kind: str, definition: str) -> None:
+    """Refuse a message type, by its text or its hash, that is not ours; an unknown one is trusted.
+
+    Raises:
+        BadInput: its bytes would be read as something else.
+    """
+    if definition.startswith('RIHS01_'):
+        same = definition == store().hash_rihs01(kind)
+    else:
+        found = get_types_from_msg(definition, kind) if definition else {}
+        ours = store().fielddefs  # of each type constants, which are not sent, and fields
+        same = all(name in ours and found[name][1] == ours[name][1] for name in found)
+    if not same:
+        hint = "ROS 2 Jazzy's is needed"
+        raise BadInput.stating(topic, f'another version of {kind}', hint)
+
+
+# --- writing
+
+
+class BagWriter:
+    """Writes a new MCAP bag, which ``ros2 bag`` reads.
+
+    Args:
+        folder: created; the MCAP file in it has its name.
+        listed: topics of the bag, also those on which nothing comes.
+        notes: kept in the bag, by name.
+    """
+
+    def __init__(self, folder: Path, listed: Sequence[Topic], notes: Mapping[str, str]) -> None:
+        folder.mkdir(parents=True)
+        self.folder, self._topics, self._notes = folder, listed, dict(notes)
+        self._counts = dict.fromkeys((topic.name for topic in listed), 0)
+        self._first, self._last = LATEST, 0
+        self._stream = (folder / f'{folder.name}.mcap').open('wb')
+        self._writer = McapWriter(
+            self._stream, WRITTEN_CHUNK, compression=CompressionType.ZSTD, enable_data_crcs=True
+        )
+        self._writer.start(profile='ros2', library='orbimpc_ros')
+        # Also here: metadata.yaml is written only when the bag is closed.
+        self._writer.add_metadata(NOTES, self._notes)
+        self._channels = {topic.name: self._channel(topic) for topic in listed}
+
+    def _channel(self, topic: Topic) -> int:
+        text, _ = store().generate_msgdef(topic.type, ros_version=2)
+        schema = self._writer.register_schema(topic.type, 'ros2msg', text.encode())
+        about = {
+            'offered_qos_profiles': yaml.safe_dump([_qos(topic)]),
+            HASH: store().hash_rihs01(topic.type),
+        }
+        return self._writer.register_channel(topic.name, 'cdr', schema, about)
+
+    def write(self, topic: str, stamp: int, data: bytes, sent: int | None = None) -> None:
+        """Append a serialised message.
+
+        Args:
+            topic: it came on.
+            stamp: to record it under [ns].
+            data: in CDR.
+            sent: when it was sent [ns], if that is known.
+        """
+        self._first, self._last = min(self._first, stamp), max(self._last, stamp)
+        self._counts[topic] += 1
+        sent = stamp if sent is None else sent
+        self._writer.add_message(self._channels[topic], stamp, data, sent, self._counts[topic])
+        self._stream.flush()  # complete chunks outlive the recorder, however it ends
+
+    def close(self) -> None:
+        """Write the index and the metadata; a second call does nothing."""
+        if self._stream.closed:
+            return
+        self._writer.finish()
+        self._stream.close()
+        text = yaml.safe_dump({'rosbag2_bagfile_information': self._metadata()}, sort_keys=False)
+        (self.folder / METADATA).write_text(text)
+
+    def _metadata(self) -> dict[str, Any]:
+        file, begin = f'{self.folder.name}.mcap', min(self._first, self._last)
+        start, duration = {'nanoseconds_since_epoch': begin}, {'nanoseconds': self._last - begin}
+        count = sum(self._counts.values())
+        return {
+            'version': METADATA_VERSION,
+            'storage_identifier': 'mcap',
+            'starting_time': dict(start),
+            'duration': dict(duration),
+            'message_count': count,
+            'topics_with_message_count': [self._topic_metadata(topic) for topic in self._topics],
+            'compression_format': '',
+            'compression_mode': '',
+            'relative_file_paths': [file],
+            'files': [
+                {'path': file, 'starting_time': start, 'duration': duration, 'message_count': count}
+            ],
+            'custom_data': self._notes or None,
+            'ros_distro': 'jazzy',
+        }
+
+    def _topic_metadata(self, topic: Topic) -> dict[str, Any]:
+        about = {
+            'name': topic.name,
+            'type': topic.type,
+            'serialization_format': 'cdr',
+            'offered_qos_profiles': [_qos(topic)],
+            'type_description_hash': store().hash_rihs01(topic.type),
+        }
+        return {'topic_metadata': about, 'message_count': self._counts[topic.name]}
+
+    def __enter__(self) -> BagWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _qos(topic: Topic) -> dict[str, Any]:
+    """Return the profile of the interface: reliable, depth 1; a player publishes with it."""
+    return {
+        'history': 'keep_last',
+        'depth': 1,
+        'reliability': 'reliable',
+        'durability': 'transient_local' if topic.latched else 'volatile',
+        'deadline': dict(FOREVER),
+        'lifespan': dict(FOREVER),
+        'liveliness': 'automatic',
+        'liveliness_lease_duration': dict(FOREVER),
+        'avoid_ros_namespace_conventions': False,
+    }

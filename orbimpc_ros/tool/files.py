@@ -1,0 +1,279 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Files that users name: what cannot be read or written ends in one line."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import yaml
+
+from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
+
+LARGEST = 1 << 20  # [bytes] of a document
+MOST_VALUES = 30_000  # of a YAML document, which is slow to parse
+LONGEST = 4096  # characters of an unquoted word; converting numbers takes their length squared
+MAX_NUMBER = 1e12  # beyond it arithmetic on squares loses what a plan is about
+ALLOWED = 'a JSON or YAML mapping is needed'
+WRITABLE = 'a folder to write to is needed'
+
+
+def why(error: OSError) -> str:
+    """Return in a few words why a file or folder cannot be used."""
+    if isinstance(error, FileNotFoundError):
+        return 'no such file'
+    words = error.strerror or str(error)
+    return words[:1].lower() + words[1:]
+
+
+@contextmanager
+def opened(path: Path, largest: int) -> Iterator[BinaryIO]:
+    """Open a regular file to read; FIFOs and devices, which could block for ever, are refused.
+
+    Args:
+        path: of the file; it may be a link.
+        largest: size allowed [bytes].
+
+    Raises:
+        BadInput: not there, not readable, not a regular file, or too large.
+    """
+    try:
+        size = path.stat().st_size
+        if not path.is_file():
+            problem = 'a folder' if path.is_dir() else 'not a regular file'
+            raise BadInput.stating(str(path), problem, 'a regular file is needed')
+        if size > largest:
+            raise BadInput.stating(str(path), f'{size} bytes', f'at most {largest} bytes are read')
+        stream = path.open('rb')
+    except OSError as error:
+        raise BadInput.stating(str(path), why(error), 'a readable file is needed') from None
+    with stream:
+        yield stream
+
+
+# --- documents
+
+
+class StrictLoader(yaml.SafeLoader):
+    """YAML's safe subset without aliases, which can blow up, and without duplicate keys."""
+
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self._count = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """Compose a node, unless it is an alias or there are too many."""
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.composer.ComposerError(None, None, 'aliases are not accepted')
+        self._count += 1
+        if self._count > MOST_VALUES:
+            raise yaml.composer.ComposerError(None, None, f'more than {MOST_VALUES} values')
+        return super().compose_node(parent, index)
+
+    def compose_scalar_node(self, anchor: Any) -> Any:
+        """Compose a word, a number or a text, unless it is an absurdly long number."""
+        node = super().compose_scalar_node(anchor)
+        if node.style is None and len(node.value) > LONGEST:
+            raise yaml.composer.ComposerError(None, None, f'a word longer than {LONGEST}')
+        return node
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Hashable, Any]:
+        """Construct a mapping, unless a key comes twice."""
+        _unique([(self.construct_object(key, deep=True), None) for key, _ in node.value])
+        return super().construct_mapping(node, deep)
+
+
+# YAML 1.1 takes 1e-3 for a string; JSON and YAML 1.2 know that it is a number.
+StrictLoader.add_implicit_resolver(
+    'tag:yaml.org,2002:float',
+    re.compile(r'^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$'),
+    list('-+0123456789'),
+)
+
+
+def read(source: str, largest: float = MAX_NUMBER) -> Any:
+    """Return the content of a JSON or YAML file, or of standard input for ``-``.
+
+    Args:
+        source: the file's path.
+        largest: magnitude allowed of numbers.
+
+    Raises:
+        BadInput: not readable, larger than 1 MiB, malformed.
+    """
+    name = 'standard input' if source == '-' else source
+    try:
+        if source == '-':
+            raw = sys.stdin.buffer.read(LARGEST + 1)
+        else:
+            with opened(Path(source), LARGEST) as stream:
+                raw = stream.read()
+        if len(raw) > LARGEST:
+            raise BadInput.stating(name, 'too large', f'at most {LARGEST} bytes are read')
+        return parse(raw.decode(), name, largest)
+    except UnicodeDecodeError:
+        raise BadInput.stating(name, 'not UTF-8', 'UTF-8 text is needed') from None
+
+
+def parse(text: str, name: str, largest: float = MAX_NUMBER) -> Any:
+    """Return the content of JSON or YAML text.
+
+    Args:
+        text: the document.
+        name: where it comes from, for the message.
+        largest: magnitude allowed of numbers.
+
+    Raises:
+        BadInput: malformed.
+    """
+    try:
+        content = _content(text)
+        _require_plain(content, largest)
+    except BadInput:
+        raise
+    except yaml.YAMLError as error:
+        mark = getattr(error, 'problem_mark', None)
+        where = f' in line {mark.line + 1}' if mark else ''
+        problem = f'malformed{where} ({getattr(error, "problem", None) or error})'
+        raise BadInput.stating(name, problem, ALLOWED) from None
+    except (RecursionError, ValueError, TypeError) as error:
+        raise BadInput.stating(name, f'malformed ({error})', ALLOWED) from None
+    return content
+
+
+def _content(text: str) -> Any:
+    if text.lstrip().startswith('{'):
+        try:
+            return json.loads(text, object_pairs_hook=_unique)
+        except json.JSONDecodeError:
+            pass  # YAML's flow style
+    return yaml.load(text, StrictLoader)
+
+
+def _unique(pairs: list[tuple[Any, Any]]) -> dict[str, Any]:
+    """Return a mapping, unless a key comes twice."""
+    ((key, count),) = Counter(str(key) for key, _ in pairs).most_common(1) or [('', 0)]
+    if count > 1:
+        raise BadInput.stating(f'field {key}', 'given twice', 'give every field once')
+    return dict(pairs)
+
+
+def _require_plain(value: Any, largest: float, path: str = '') -> None:
+    """Require mappings with names, lists and scalars, with numbers of sane size."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            if not isinstance(key, str):
+                raise BadInput.stating(f'field {key!r}', 'not a name', 'names are needed as keys')
+            _require_plain(inner, largest, f'{path}.{key}' if path else key)
+    elif isinstance(value, list):
+        for inner in value:
+            _require_plain(inner, largest, path)
+    elif isinstance(value, (int, float)) and abs(value) > largest:
+        raise BadInput(path, str(value), f'finite, of a magnitude of at most {largest:g}')
+    elif value is not None and not isinstance(value, (str, int, float)):
+        raise BadInput(path, str(value), 'numbers, words, lists and mappings')
+
+
+# --- results
+
+
+def require_writable(culprit: str, file: Path) -> None:
+    """See to it before the work that its result can be written, as far as can be known by then.
+
+    Args:
+        culprit: what names the file, such as an option.
+        file: to write, or to replace.
+
+    Raises:
+        BadInput: it is a folder, or nothing can be written beside it.
+    """
+    if file.is_dir():
+        raise BadInput.stating(f'{culprit} {file}', 'a folder', 'a file is needed')
+    try:
+        with tempfile.TemporaryFile(dir=file.parent):
+            pass
+    except OSError as error:
+        raise BadInput.stating(f'{culprit} {file}', why(error), WRITABLE) from None
+
+
+def new_folder(out: str, name: str) -> Path:
+    """Create ``out/name``, or ``out/name-2`` and so on: what is there stays.
+
+    Raises:
+        BadInput: it cannot be created.
+    """
+    for number in range(1, 10_000):
+        folder = Path(out).resolve() / (name if number == 1 else f'{name}-{number}')
+        try:
+            folder.mkdir(parents=True)
+            return folder
+        except FileExistsError:
+            if not folder.is_dir():
+                break
+        except OSError as error:
+            raise BadInput.stating(f'--out {out}', why(error), WRITABLE) from None
+    raise BadInput.stating(f'--out {out}', 'not a folder', WRITABLE)
+
+
+@contextmanager
+def writing_to(folder: Path) -> Iterator[None]:
+    """Report a disk that takes no more as the failure of the job that writes into a folder.
+
+    Raises:
+        OrbimpcError: in one line; what was written before stays.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise OrbimpcError(f'{folder}: {why(error)}') from None
+
+
+def write_whole(file: Path, write: Callable[[Path], object]) -> None:
+    """Write a file whole or not at all.
+
+    Args:
+        file: to write; what is there is replaced at once.
+        write: fills the file whose path it is given.
+
+    Raises:
+        OSError: the disk does not take it; nothing has changed.
+    """
+    new = file.with_name(f'.{file.name}.new')
+    try:
+        write(new)
+        new.replace(file)
+    finally:
+        new.unlink(missing_ok=True)
+
+
+@contextmanager
+def replacing(folder: Path) -> Iterator[Path]:
+    """Give a new folder to fill, which takes the place of ``folder`` when all went well.
+
+    Until then nothing has changed; at no moment are both gone.
+
+    Raises:
+        BadInput: ``folder`` is a link, or cannot be replaced.
+    """
+    if folder.is_symlink():
+        raise BadInput.stating(str(folder), 'a link', 'give the folder itself')
+    try:
+        with tempfile.TemporaryDirectory(prefix=f'.{folder.name}-', dir=folder.parent) as place:
+            new, old = Path(place) / 'new' / folder.name, Path(place) / 'old'
+            new.parent.mkdir()
+            yield new
+            folder.rename(old)
+            try:
+                new.rename(folder)
+            except BaseException:
+                old.rename(folder)
+                raise
+    except OSError as error:
+        raise BadInput.stating(str(folder), why(error), WRITABLE) from None

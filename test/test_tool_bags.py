@@ -1,0 +1,312 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Bags: what is written is read back, by us and by rosbags; what is damaged is refused."""
+
+import os
+import random
+import shutil
+import sqlite3
+import struct
+
+import pytest
+import yaml
+import zstandard
+from bags import GOLDEN, rewritten, ros2_bag
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag2 import Reader
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.tool import bags, cli
+from orbimpc_ros.tool.bags import BagWriter, store
+from orbimpc_ros.tool.topics import Topic
+
+BOOL, CLOCK = 'std_msgs/msg/Bool', 'rosgraph_msgs/msg/Clock'
+TOPICS = (Topic('/captured', BOOL, latched=True), Topic('/clock', CLOCK))
+
+
+def serialised(value):
+    return bytes(store().serialize_cdr(store().types[BOOL](data=value), BOOL))
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Return a bag of five messages."""
+    path = tmp_path / 'run'
+    with BagWriter(path, TOPICS, {'parameters': 'a: 1\n'}) as writer:
+        for k in range(5):
+            stamp = 1_000_000_000 * (k + 1)
+            writer.write('/captured', stamp, serialised(k == 4), stamp + 7)
+    return path
+
+
+@pytest.fixture(scope='module')
+def small(tmp_path_factory):
+    """Return a bag of three ticks."""
+
+    def early(each):
+        return each if each.stamp < 3_000_000_000 else None
+
+    return rewritten(GOLDEN / 'retrieval', tmp_path_factory.mktemp('small') / 'bag', early)
+
+
+def content(path):
+    """Return all that a bag holds."""
+    return bags.notes(path), [repr(message) for message in bags.read(path)], bags.raw(path)
+
+
+def refusal(path):
+    """Return the message with which a bag is refused; empty if it is read."""
+    try:
+        content(path)
+    except BadInput as error:
+        return str(error)
+    return ''
+
+
+def assert_refused(path, culprit=''):
+    line = refusal(path)
+    assert str(path) in line
+    assert culprit in line
+    assert '\n' not in line
+
+
+# --- written and read
+
+
+def test_what_is_written_is_read(folder):
+    found = list(bags.read(folder))
+    assert [m.stamp for m in found] == [1_000_000_000 * (k + 1) for k in range(5)]
+    assert [m.sent - m.stamp for m in found] == [7] * 5
+    assert [m.content.data for m in found] == [False] * 4 + [True]
+    assert {(m.topic, m.type) for m in found} == {('/captured', BOOL)}
+    assert bags.notes(folder) == {'parameters': 'a: 1\n'}
+
+
+def test_rosbags_reads_the_file_and_its_metadata(folder):
+    metadata = yaml.safe_load((folder / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
+    assert metadata['storage_identifier'] == 'mcap'
+    assert metadata['starting_time']['nanoseconds_since_epoch'] == 1_000_000_000
+    assert metadata['duration']['nanoseconds'] == 4_000_000_000
+    for path in (folder, folder / 'run.mcap'):
+        with Reader(path) as reader:
+            assert {c.topic: c.msgcount for c in reader.connections} == {
+                '/captured': 5,
+                '/clock': 0,
+            }
+            assert all(c.msgdef.data for c in reader.connections)
+            assert len(list(reader.messages())) == 5
+
+
+@pytest.mark.parametrize('mode', ['none', 'file', 'message'])
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_every_form_of_rosbag2_is_read(small, tmp_path, storage, mode):
+    path = ros2_bag(small, tmp_path / 'bag', storage, mode)
+    expected = sorted((each.topic, each.data) for each in bags.raw(small))
+    assert sorted((each.topic, each.data) for each in bags.raw(path)) == expected
+    assert bags.notes(path) == {}
+
+
+def test_an_empty_bag_is_a_bag(tmp_path):
+    writer = BagWriter(tmp_path / 'run', TOPICS, {})
+    writer.close()
+    writer.close()  # does nothing
+    assert content(tmp_path / 'run') == ({}, [], [])
+
+
+def test_a_bag_is_never_overwritten(folder):
+    with pytest.raises(FileExistsError):
+        BagWriter(folder, TOPICS, {})
+
+
+def test_unknown_topics_and_types_are_not_decoded(tmp_path):
+    listed = (Topic('/captured', CLOCK), Topic('/elsewhere', BOOL), Topic('/uav1/captured', BOOL))
+    with BagWriter(tmp_path / 'run', listed, {}) as writer:
+        for topic in listed:
+            writer.write(topic.name, 1, serialised(True))
+    assert [m.topic for m in bags.read(tmp_path / 'run')] == ['/uav1/captured']
+
+
+# --- damaged
+
+
+def flipped(data, draw):
+    damaged = bytearray(data)
+    damaged[draw.randrange(len(damaged))] ^= 1 << draw.randrange(8)
+    return bytes(damaged)
+
+
+def cut(data, draw):
+    return data[: draw.randrange(len(data))]
+
+
+def spliced(data, draw):
+    a, b = sorted(draw.randrange(len(data)) for _ in range(2))
+    return data[:a] + draw.randbytes(min(40, b - a)) + data[b:]
+
+
+@pytest.mark.parametrize('damage', [flipped, cut, spliced])
+def test_a_damaged_mcap_file_is_read_right_or_refused(small, tmp_path, damage):
+    path, draw, refused = tmp_path / 'bag', random.Random(1), 0
+    shutil.copytree(small, path)
+    before, intact = bags.raw(path), (path / 'bag.mcap').read_bytes()
+    for _ in range(60):
+        (path / 'bag.mcap').write_bytes(damage(intact, draw))
+        line = refusal(path)
+        assert line or bags.raw(path) == before
+        refused += bool(line)
+    assert refused > 20
+
+
+@pytest.mark.parametrize('name', ['bag.db3', 'metadata.yaml'])
+def test_damage_to_what_has_no_checksum_ends_in_one_line_or_in_nothing(small, tmp_path, name):
+    path, draw = ros2_bag(small, tmp_path / 'bag', 'sqlite3'), random.Random(5)
+    intact = (path / name).read_bytes()
+    for k in range(60):
+        (path / name).write_bytes((flipped, cut, spliced)[k % 3](intact, draw))
+        assert '\n' not in refusal(path)
+
+
+def test_the_command_ends_in_one_line(small, tmp_path, capsys):
+    path = tmp_path / 'bag'
+    shutil.copytree(small, path)
+    (path / 'bag.mcap').write_bytes((path / 'bag.mcap').read_bytes()[:-500])
+    for words in (['replay', path], ['plot', path, '-o', tmp_path], ['replay', tmp_path / 'a\x1b']):
+        assert cli.main([str(word) for word in words]) == cli.BAD_INPUT
+        out, err = capsys.readouterr()
+        assert (out, err.count('\n')) == ('', 1)
+        assert '\x1b' not in err
+
+
+def test_a_bag_without_its_end_is_read_up_to_its_last_chunk(tmp_path, capsys):
+    path = tmp_path / 'bag'
+    path.mkdir()
+    data = (GOLDEN / 'retrieval' / 'retrieval.mcap').read_bytes()
+    before, counts = bags.raw(GOLDEN / 'retrieval'), set()
+    for length in range(6000, len(data), 9973):
+        (path / 'bag.mcap').write_bytes(data[:length])
+        found = bags.raw(path)
+        assert found == before[: len(found)]
+        counts.add(len(found))
+        assert bags.notes(path) == bags.notes(GOLDEN / 'retrieval')
+        message = capsys.readouterr().err
+        assert message.count('\n') == 1
+        cut_off = f'{path} was not closed: read up to its last chunk, {len(found)} messages'
+        assert cut_off in message
+    assert len(counts) > 1
+    chunk = data.index(b'zstd') + 100
+    (path / 'bag.mcap').write_bytes(data[:chunk] + bytes([data[chunk] ^ 1]) + data[chunk + 1 : -99])
+    assert_refused(path)
+
+
+# --- too large, or no bag at all
+
+
+@pytest.mark.parametrize('name', ['LARGEST_FILE', 'LARGEST_CHUNK', 'LARGEST_CONTENT'])
+def test_sizes_are_capped(small, monkeypatch, name):
+    monkeypatch.setattr(bags, name, 10)
+    assert_refused(small)
+
+
+@pytest.mark.parametrize(('claimed', 'held'), [(8, 100), (8, 1 << 28), (1 << 33, 1 << 28)])
+def test_a_chunk_that_misstates_its_size_is_refused(tmp_path, claimed, held):
+    bomb = zstandard.ZstdCompressor().compress(bytes(held))
+    body = struct.pack('<QQQI', 0, 0, claimed, 0) + struct.pack('<I', 4) + b'zstd'
+    body += struct.pack('<Q', len(bomb)) + bomb
+    record = b'\x06' + struct.pack('<Q', len(body)) + body
+    header = b'\x01' + struct.pack('<Q', 8) + bytes(8)
+    (tmp_path / 'bag.mcap').write_bytes(b'\x89MCAP0\r\n' + header + record)
+    assert_refused(tmp_path)
+
+
+METADATA = {
+    'empty': '',
+    'a list': '[1, 2]',
+    'another version': 'rosbag2_bagfile_information: {version: 10}',
+    'files that are none': 'rosbag2_bagfile_information: {version: 9, relative_file_paths: 3}',
+    'a missing file': 'rosbag2_bagfile_information: {version: 9, relative_file_paths: [no.mcap]}',
+    'aliases': 'a: &a [l]\nb: &b [*a, *a]',
+    'deep': '[' * 100_000,
+    'binary': b'\xff\xfe',
+}
+
+
+@pytest.mark.parametrize('text', METADATA.values(), ids=METADATA)
+def test_bad_metadata_is_refused(small, tmp_path, text):
+    path = tmp_path / 'bag'
+    shutil.copytree(small, path)
+    (path / 'metadata.yaml').write_bytes(text if isinstance(text, bytes) else text.encode())
+    assert_refused(path)
+
+
+def test_fifos_and_devices_do_not_block(tmp_path):
+    os.mkfifo(tmp_path / 'bag.mcap')
+    (tmp_path / 'zero.mcap').symlink_to('/dev/zero')
+    for path in (tmp_path, tmp_path / 'bag.mcap', tmp_path / 'zero.mcap'):
+        assert_refused(path, 'not a regular file')
+
+
+def test_what_is_no_bag_is_refused(tmp_path):
+    assert_refused(tmp_path / 'nowhere', 'missing')
+    assert_refused(tmp_path / 'nowhere.mcap', 'no such file; a readable file is needed')
+    (tmp_path / 'notes.txt').write_text('no bag')
+    assert_refused(tmp_path / 'notes.txt', 'no bag')
+    assert_refused(tmp_path, 'without metadata.yaml and .mcap')
+    (tmp_path / 'bag.db3').write_bytes(b'')
+    assert_refused(tmp_path / 'bag.db3')
+
+
+def test_tables_that_are_no_bags_are_refused(tmp_path):
+    with sqlite3.connect(tmp_path / 'bag.db3') as database:
+        database.execute('CREATE TABLE other (id)')
+    assert_refused(tmp_path / 'bag.db3')
+
+
+# --- types
+
+
+def mcap_of(folder, definition, data, encoding='cdr', kind=BOOL, topic='/captured', **about):
+    with (folder / 'bag.mcap').open('wb') as stream:
+        writer = McapWriter(stream)
+        writer.start(profile='ros2', library='test')
+        schema = writer.register_schema(kind, 'ros2msg', definition.encode())
+        channel = writer.register_channel(topic, encoding, schema, about)
+        writer.add_message(channel, 1, data, 1)
+        writer.finish()
+    return folder
+
+
+TRUE = b'\x00\x01\x00\x00\x01'
+
+
+@pytest.mark.parametrize(
+    ('definition', 'about'),
+    [
+        ('bool data\nfloat64 certainty\n', {}),
+        ('bool data', {'topic_type_hash': 'RIHS01_' + 64 * '0'}),
+        ('bool data\n' + '=' * 80 + '\nMSG: std_msgs/Odd\nint32[[ x', {}),
+        ('\x00', {}),
+    ],
+)
+def test_a_type_of_another_version_is_refused(tmp_path, definition, about):
+    """A field more: its bytes would be read as something else."""
+    with pytest.raises(BadInput, match=r'another version|unreadable'):
+        bags.raw(mcap_of(tmp_path, definition, TRUE, **about))
+
+
+def test_definitions_as_ros_writes_them_are_accepted(tmp_path):
+    """With comments, constants and other spaces, as a hash, or not at all."""
+    text = 'uint8 LOW=1  # a constant\n\n# a comment\nbool   data # true or false\n'
+    for definition, about in ((text, {}), ('', {}), (text, {'h': store().hash_rihs01(BOOL)})):
+        (found,) = bags.read(mcap_of(tmp_path, definition, TRUE, **about))
+        assert found.content.data is True
+
+
+@pytest.mark.parametrize('data', [b'', b'\x00\x01\x00\x00', b'\x00\x09\x00\x00\x01'])
+def test_a_message_that_does_not_decode_is_refused(tmp_path, data):
+    kind = 'geometry_msgs/msg/PoseStamped'
+    text, _ = store().generate_msgdef(kind, ros_version=2)
+    assert_refused(mcap_of(tmp_path, text, data, kind=kind, topic='/goal'), 'unreadable')
+
+
+def test_another_encoding_is_refused(tmp_path):
+    with pytest.raises(BadInput, match='cdr'):
+        bags.raw(mcap_of(tmp_path, 'bool data', TRUE, encoding='json'))
