@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from dubins import Chase, earliest
 from problems import floor
+from stepping import Stepped
 
 from orbimpc_ros.loop.intercept import AIM, Interception, InterceptQuery, Target
-from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Problem, State
@@ -109,7 +109,7 @@ def goals(chase, step, count):
 
 def catch(chase, step, horizon, approach=None, *, between=False):
     """The catch of a controller's first tick, at ends of steps or ``between`` them."""
-    controller = Planner(
+    controller = Stepped(
         problem(chase, step, horizon),
         capture_radius=radius(chase, step),
         approach=approach,

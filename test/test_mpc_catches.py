@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from problems import ORDERS, rotation
 from problems import state as state_of
+from stepping import Stepped
 
 from orbimpc_ros.loop.intercept import EFFORT, Interception, steps_before
-from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
@@ -42,7 +42,7 @@ def jumping(rng):
 
 def hunted(problem, goals, **given):
     """Return the catch of a first tick from the origin along x at full speed, and its state."""
-    tick = Planner(problem, capture_radius=RADIUS, **given).tick(measured(), goals)
+    tick = Stepped(problem, capture_radius=RADIUS, **given).tick(measured(), goals)
     return tick.catch, tick.state
 
 

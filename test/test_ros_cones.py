@@ -9,8 +9,8 @@ import pytest
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
 
 from orbimpc_ros.ros.planner.summary import summary
+from stepping import Stepped
 
-from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters import PLANNER, planner_settings
 from orbimpc_ros.sim.arrival import open_loop
@@ -81,7 +81,7 @@ def test_a_landing_keeps_its_limits_and_every_tick_is_bounded():
     """On the vehicle in continuous time with its lags; what a demo does over DDS."""
     values = settings.resolve(config('lander.yaml'))
     chosen, flight = planner_settings(values), departure(sim_settings(values).scenario)
-    controller = Planner(
+    controller = Stepped(
         chosen.problem,
         shrinking=True,
         gap_tolerance=chosen.gap_tolerance,

@@ -12,8 +12,8 @@ import yaml
 from conftest import ROOT
 from diagnostic_msgs.msg import DiagnosticStatus
 from orbimpc_ros.ros.planner.health import condition
+from stepping import Stepped
 
-from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.ros.reports import Report, health_message, tick_message
@@ -26,7 +26,7 @@ PROBLEM = Problem(floor=Floor('circle', fraction=0.5))
 
 
 def planned():
-    return Planner(PROBLEM).tick(measured(departure(retrieval()).vehicle), GOALS)
+    return Stepped(PROBLEM).tick(measured(departure(retrieval()).vehicle), GOALS)
 
 
 @pytest.mark.parametrize(
@@ -39,7 +39,7 @@ def test_a_status_is_named_as_diagnostic_updater_names_it(node, name, vehicle):
 
 
 def test_levels_get_worse_from_a_proved_plan_to_the_safe_command():
-    safe = Planner(PROBLEM).safe(np.eye(2), Reason(Cause.ODOMETRY, 'odometry is old'))
+    safe = Stepped(PROBLEM).safe(np.eye(2), Reason(Cause.ODOMETRY, 'odometry is old'))
     proved, unsafe = Report(planned()), Report(safe)
     asked = [
         condition([], '', proved, []),
@@ -59,7 +59,7 @@ def test_margins_on_tick_are_those_of_the_plan_and_none_without_one():
     fractions = report.tick.plan.speed_fraction[1:]
     assert margins['floor'] == pytest.approx(fractions.min() - 0.5)
     assert margins['hull'] == pytest.approx(1.0 - fractions.max(), abs=1e-6)
-    safe = Planner(PROBLEM).safe(np.eye(2), Reason(Cause.ODOMETRY, 'odometry is old'))
+    safe = Stepped(PROBLEM).safe(np.eye(2), Reason(Cause.ODOMETRY, 'odometry is old'))
     assert Report(safe).values['margins'] == {}
 
 

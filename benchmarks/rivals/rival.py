@@ -99,7 +99,7 @@ class Rival(ABC):
         """Return the share of full speed and the body rate [rad/s], still to be limited."""
 
     def step(
-        self, snapshot: Snapshot, now: float | None = None, _late: Late | None = None
+        self, snapshot: Snapshot, now: float | None = None, late: Late | None = None
     ) -> Decision:
         """Return the command that it steers; see :meth:`Planner.step`."""
         assert snapshot.odometry is not None
