@@ -26,7 +26,7 @@ EXTRAS_DEMO = [ros,fast]
 EXTRAS_TEST = [ros,fast,study,test,view]
 endif
 
-.PHONY: demo test long proofs flights mutants docs clean help
+.PHONY: demo test lint pytest long proofs flights mutants docs clean help
 .DELETE_ON_ERROR:
 
 help:
@@ -36,12 +36,16 @@ demo: $(VENV)/.installed-demo
 	$(SAY) 'Catching the rope: planner and simulator as two processes over DDS'
 	$(BIN)/orbimpc demo retrieval
 
-test: $(VENV)/.installed-test
+test: lint pytest
+
+lint: $(VENV)/.installed-test
 	$(SAY) 'Lint (ruff)'
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(SAY) 'Types (mypy)'
 	$(BIN)/mypy
+
+pytest: $(VENV)/.installed-test
 	$(SAY) 'Tests (pytest)'
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile $(PYTEST_FLAGS)
 

@@ -52,7 +52,6 @@ setup(
     python_requires='>=3.10',
     install_requires=[
         'clarabel>=0.9',
-        'cvxpy>=1.7',
         'lz4>=3.1',
         'matplotlib>=3.6',
         'mcap>=1.1',
@@ -67,7 +66,7 @@ setup(
     extras_require={
         # Apart from the others: 250 MB, and it wants a Matplotlib and a Pillow of its own.
         'basilisk': ['bsk>=2.12'],
-        'bench': ['casadi', 'gurobipy', 'pyscipopt', 'qoco'],
+        'bench': ['casadi', 'cvxpy>=1.7', 'gurobipy', 'pyscipopt', 'qoco'],
         'fast': ['numba>=0.59'],
         'mutation': ['mutmut>=3.8,<4'],
         # MuJoCo 4.0 takes no other core than its own.
@@ -86,6 +85,7 @@ setup(
             'colcon-package-selection',
             'colcon-ros',
             'colcon-test-result',
+            'cvxpy>=1.7',
             'hypothesis',
             'jsbsim>=1.2',
             'mujoco==4.0.0; python_version >= "3.11"',

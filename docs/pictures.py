@@ -6,6 +6,7 @@ Everything in them is computed by the package, from fixed seeds.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -16,16 +17,20 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Circle, Polygon
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.forecast import Hold
 
+sys.path.append(str(Path(__file__).parents[1] / 'test'))
+
+from flying import planned
+from scenarios import retrieval, retrieval_problem
+
+from orbimpc_ros.loop.goal.forecast import Hold
+from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.sensitivity.constraints import explained
 from orbimpc_ros.mpc.solve.solver import Solver
-from orbimpc_ros.sim.flight import departure, planned
-from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
+from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool.style import (
     BLUE,
     FAINT,
@@ -225,7 +230,7 @@ def draw_slope(axes: Axes) -> None:
 def draw_prices(axes: Axes) -> None:
     """Draw what hull and floor cost at every tick of the retrieval, up to the capture."""
     problem, flight = retrieval_problem(), departure(retrieval())
-    controller, forecast, bills = Controller(problem), Hold(), []
+    controller, forecast, bills = Planner(problem), Hold(), []
     while not flight.over:
         tick = planned(controller, flight, forecast)
         prices = explained(problem, tick.state, tick.goals, tick.plan).binding

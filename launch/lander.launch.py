@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The lander: ros2 launch orbimpc_ros lander.launch.py."""
+"""The former name of ros2 launch orbimpc_ros flight.launch.py scenario:=lander."""
 
 from orbimpc_ros.tool.launching import flight
 

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The multirotor among boxes: ros2 launch orbimpc_ros multirotor.launch.py."""
+"""The former name of ros2 launch orbimpc_ros flight.launch.py scenario:=multirotor."""
 
 from orbimpc_ros.tool.launching import flight
 

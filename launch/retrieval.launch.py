@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The UAV retrieval: ros2 launch orbimpc_ros retrieval.launch.py."""
+"""The former name of ros2 launch orbimpc_ros flight.launch.py scenario:=retrieval."""
 
 from orbimpc_ros.tool.launching import flight
 

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The spacecraft: ros2 launch orbimpc_ros spacecraft.launch.py."""
+"""The former name of ros2 launch orbimpc_ros flight.launch.py scenario:=spacecraft."""
 
 from orbimpc_ros.tool.launching import flight
 

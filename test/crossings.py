@@ -21,9 +21,9 @@ from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.sim.commands import Orders
 from orbimpc_ros.sim.fleet import separations
-from orbimpc_ros.sim.flight import Flight, departure
 from orbimpc_ros.sim.parameters import SimSettings, sim_settings
 from orbimpc_ros.sim.vehicle import measured
+from orbimpc_ros.sim.world import Flight, departure
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.bags import fields
 from orbimpc_ros.tool.demo.fleet import resolve

@@ -18,8 +18,8 @@ from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Ball, Box, Hazard, State
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters import planner_settings
-from orbimpc_ros.sim.flight import departure
 from orbimpc_ros.sim.parameters import sim_settings
+from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.run.onboard import EPOCH, Onboard, tell
 from orbimpc_ros.tool.study import flights

@@ -158,7 +158,8 @@ def test_a_vehicle_with_body_rates_keeps_them_from_the_first_step_that_it_can():
     """At rotation order 2 the state decides where R_1 points."""
     problem = lander(rotation_order=2)
     leaning = UPRIGHT @ exp(np.array([0.0, 0.5, 0.0]))
-    start = falling([9.0, -7.0, 15.0], attitude=leaning, coasted=leaning)
+    sinking = [0.0, 0.0, -2.0]  # from rest, steps without thrust come, which has no direction
+    start = falling([9.0, -7.0, 15.0], sinking, attitude=leaning, coasted=leaning)
     plan = Solver(problem, coasting=True).solve(start, PAD)
     assert tilts(plan)[1:].max() <= 0.2 + 1e-5
     assert relief(problem, start, PAD).tilt[0] > 0.1

@@ -30,7 +30,7 @@ def bound(problem, rng):
 
 def answer(program):
     """What Clarabel says of a bound program, and the numbers that it says it of."""
-    a, b = program._a_0, program._b
+    a, b = program._a, program._b
     program._solver.update(q=program._q, A=a, b=b)
     return run(program._solver, None), a, b
 

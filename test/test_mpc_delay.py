@@ -11,7 +11,7 @@ from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Problem, Weights
-from orbimpc_ros.sim.rope import Rope
+from orbimpc_ros.sim.world import Rope
 
 
 def command(fraction, rate):

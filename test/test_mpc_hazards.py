@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from stepping import Stepped
 
+from orbimpc_ros.loop import fallback as clearest_of
 from orbimpc_ros.loop.fallback import clear_instead, is_clear
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.loop.task import Task
 from orbimpc_ros.loop.traffic import achieved_clearance, with_clearance
-from orbimpc_ros.loop import fallback as clearest_of
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure

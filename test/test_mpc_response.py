@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from continuous import Craft, Motion, at_rest, flown, turned
+from scenarios import dubins_problem, spacecraft_problem
 from stepping import Stepped
 
 from orbimpc_ros.loop.compensation import CommandHistory, Compensator, Response
@@ -13,7 +14,6 @@ from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Floor, Problem
-from orbimpc_ros.sim.scenario import dubins_problem, spacecraft_problem
 
 LONG = 6.0  # [s] twenty time constants: by then lags are over
 LAGS = [(0.3, 0.3), (0.2, 0.3), (0.3, 0.1), (0.0, 0.2), (0.3, 0.0)]

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from scenarios import retrieval
 from stepping import Stepped
 
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.reports import Report, tick_message
-from orbimpc_ros.sim.flight import departure
-from orbimpc_ros.sim.scenario import retrieval
 from orbimpc_ros.sim.vehicle import measured
+from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool.topics import TYPES
 
 pytest.importorskip('rclpy')

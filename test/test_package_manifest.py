@@ -22,7 +22,6 @@ STANDARD = sys.stdlib_module_names
 PROVIDERS = {
     'PIL': ('python3-pil', 'pillow'),
     'clarabel': ('python3-cvxpy-pip', 'clarabel'),
-    'cvxpy': ('python3-cvxpy-pip', 'cvxpy'),
     'lz4': (None, 'lz4'),
     'matplotlib': ('python3-matplotlib', 'matplotlib'),
     'mcap': (None, 'mcap'),
@@ -131,8 +130,8 @@ def test_what_rosdep_would_install_by_pip_comes_from_the_requirements():
     by_pip = {key for key in depends() if key.endswith('-pip')}
     assert by_pip | {'python3-numba'} == set(skipped.split()) <= depends()
     for module, (key, _) in PROVIDERS.items():
-        # CVXPY brings Clarabel, MCAP its two compressors.
-        if (key is None or key in skipped) and module not in ('clarabel', 'lz4', 'zstandard'):
+        # MCAP brings its two compressors.
+        if (key is None or key in skipped) and module not in ('lz4', 'zstandard'):
             assert module in given
     assert given <= set(PROVIDERS)
 

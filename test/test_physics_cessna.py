@@ -15,10 +15,8 @@ from orbimpc_ros.sim.engine_vehicle import EnginePlant
 from orbimpc_ros.sim.engines.engine import Start
 from orbimpc_ros.sim.engines.failure import EngineFailure
 from orbimpc_ros.sim.faults import Faults, View
-from orbimpc_ros.sim.flight import departure
-from orbimpc_ros.sim.rope import fixed
-from orbimpc_ros.sim.scenario import Scenario
 from orbimpc_ros.sim.vehicle import launched
+from orbimpc_ros.sim.world import Scenario, departure, fixed
 
 WIND = np.array([-4.0, 6.0])
 FAR = np.array([1e5, 0.0])

@@ -15,10 +15,8 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.sim.arena import outcome
 from orbimpc_ros.sim.engine_vehicle import EnginePlant
 from orbimpc_ros.sim.engines.failure import EngineFailure
-from orbimpc_ros.sim.flight import departure
-from orbimpc_ros.sim.rope import Rope
-from orbimpc_ros.sim.scenario import Scenario
 from orbimpc_ros.sim.vehicle import launched
+from orbimpc_ros.sim.world import Rope, Scenario, departure
 from orbimpc_ros.tool.demo.rendering import flown_again
 from orbimpc_ros.tool.study import flights as study
 from orbimpc_ros.tool.study.draws import draws_of

@@ -16,10 +16,8 @@ from orbimpc_ros.mpc.geometry.rotations import exp, log
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.sim.engine_vehicle import EnginePlant
 from orbimpc_ros.sim.engines.failure import EngineFailure
-from orbimpc_ros.sim.flight import departure
-from orbimpc_ros.sim.rope import fixed
-from orbimpc_ros.sim.scenario import Scenario
 from orbimpc_ros.sim.vehicle import launched
+from orbimpc_ros.sim.world import Scenario, departure, fixed
 from orbimpc_ros.tool import history
 from orbimpc_ros.tool.demo.rendering import flown_again
 from orbimpc_ros.tool.study import flights as study

@@ -5,13 +5,13 @@ import json
 
 import numpy as np
 import pytest
+from scenarios import retrieval
 from stepping import Stepped
 
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.reports import Report, prices, tick_message
-from orbimpc_ros.sim.flight import departure
-from orbimpc_ros.sim.scenario import retrieval
 from orbimpc_ros.sim.vehicle import measured
+from orbimpc_ros.sim.world import departure
 
 pytest.importorskip('rclpy')
 

@@ -13,11 +13,11 @@ from stepping import Stepped
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters import PLANNER, planner_settings
-from orbimpc_ros.sim.arrival import open_loop
-from orbimpc_ros.sim.flight import departure
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import measured
+from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.demo.open_loop import open_loop
 from orbimpc_ros.tool.settings import config
 
 CRAFT = {

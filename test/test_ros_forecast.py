@@ -6,13 +6,13 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from flying import fly
 from nav_msgs.msg import Odometry, Path
+from scenarios import retrieval, retrieval_problem
 
 from orbimpc_ros.loop.goal.forecast import forecast_named
 from orbimpc_ros.loop.goal.motion import GoalTrajectory
 from orbimpc_ros.loop.planner import Planner
-from orbimpc_ros.sim.flight import fly
-from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
 
 LONG = {'exit_when_done': True, 'wait_subscribers': 2}
 

@@ -36,7 +36,7 @@ sys.exit(service.run())
 def test_every_scenario_can_be_launched():
     configs = FILES[0].parents[1] / 'config'
     by_demo = {'crossing'}  # each of its vehicles avoids the others
-    launched = {f.name.split('.')[0] for f in FILES} - {'vehicle'} | set(TOPICS) | by_demo
+    launched = {f.name.split('.')[0] for f in FILES} - {'vehicle', 'flight'} | set(TOPICS) | by_demo
     assert launched == {f.stem for f in configs.glob('*.yaml')}
 
 
@@ -71,7 +71,7 @@ def test_a_launch_file_starts_planner_and_simulator(file, launched):
     description = launched(file)
     assert [n.node_executable for n in nodes_in(description.entities)] == ['planner', 'sim']
     arguments = {argument.name for argument in description.get_launch_arguments()}
-    assert arguments == EVERYWHERE | {'clock', 'use_sim_time'}
+    assert arguments == EVERYWHERE | {'scenario', 'clock', 'use_sim_time'}
 
 
 def test_a_planner_takes_the_topics_of_its_autopilot(launched):
@@ -104,9 +104,9 @@ def test_a_fleet_is_as_large_as_asked_for(launched):
     arguments = {argument.name for argument in description.get_launch_arguments()}
     assert arguments == EVERYWHERE | {'vehicles', 'seed'}
     context = LaunchContext()
-    context.launch_configurations.update(vehicles='3', seed='0', namespace='team', record='true')
-    *_, file = (a for a in description.get_launch_arguments() if a.name == 'params_file')
-    context.launch_configurations['params_file'] = file.default_value[0].perform(context)
+    context.launch_configurations.update(
+        vehicles='3', seed='0', namespace='team', record='true', params_file=''
+    )
     *_, late = (e for e in description.entities if isinstance(e, OpaqueFunction))
     nodes = nodes_in(late.execute(context))
     assert [node.node_executable for node in nodes] == ['planner'] * 3 + ['sim'] * 3
@@ -159,7 +159,9 @@ def recorder(tmp_path, monkeypatch):
 def test_a_recording_has_the_flight_from_its_first_step(recorder, domain, monkeypatch, tmp_path):
     topics = ['/car/odom', '/car/goal', '/car/cmd_vel', '/car/tick', '/car/plan', '/car/rotation']
     recorder(RECORDER.format(python=sys.executable, topics=topics))
-    done = launched_with('dubins', ['namespace:=car', 'record:=true'], domain, monkeypatch)
+    done = launched_with(
+        'flight', ['scenario:=dubins', 'namespace:=car', 'record:=true'], domain, monkeypatch
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     heard = json.loads((tmp_path / 'bag.json').read_text())
     begun = {topic: sorted({*stamps})[:5] for topic, stamps in heard.items()}
@@ -228,7 +230,7 @@ def test_defaults_of_arguments_can_be_read(file, launched):
 @pytest.mark.parametrize(
     ('name', 'words', 'said'),
     [
-        ('dubins', ['namespace:=car'], '[car.sim]: arrived'),
+        ('flight', ['scenario:=dubins', 'namespace:=car'], '[car.sim]: arrived'),
         ('fleet', ['vehicles:=1', 'namespace:=team'], '[team.uav1.sim]: captured'),
     ],
 )

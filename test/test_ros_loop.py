@@ -9,18 +9,18 @@ import pytest
 rclpy = pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from flying import fly  # noqa: E402
 from geometry_msgs.msg import PoseStamped, QuaternionStamped, TwistStamped  # noqa: E402
 from nav_msgs.msg import Odometry, Path  # noqa: E402
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
+from scenarios import retrieval, retrieval_problem  # noqa: E402
 from std_msgs.msg import Bool  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
 from orbimpc_ros.loop.goal.forecast import forecast_named  # noqa: E402
 from orbimpc_ros.loop.planner import Controller  # noqa: E402
 from orbimpc_ros.ros.process import qos  # noqa: E402
-from orbimpc_ros.sim.flight import fly  # noqa: E402
-from orbimpc_ros.sim.scenario import retrieval, retrieval_problem  # noqa: E402
 
 TOPICS = {
     'odom': Odometry,

@@ -12,9 +12,9 @@ from visualization_msgs.msg import Marker
 
 from orbimpc_ros.ros.markers import plan_markers
 from orbimpc_ros.ros.messages import Frames, Stamp
-from orbimpc_ros.sim.flight import departure
 from orbimpc_ros.sim.markers import world_markers
 from orbimpc_ros.sim.parameters import SIM, sim_settings
+from orbimpc_ros.sim.world import departure
 
 STAMP = Stamp(1_500_000_000, Frames('odom', 'base_link'))
 HALF = Floor('polygon', 4, 0.5)

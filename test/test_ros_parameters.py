@@ -20,6 +20,7 @@ from rcl_interfaces.srv import (
     SetParametersAtomically,
 )
 from rclpy.parameter import Parameter, parameter_dict_from_yaml_file
+from scenarios import retrieval, retrieval_problem
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem.scaling import weighed
@@ -27,7 +28,6 @@ from orbimpc_ros.ros.parameters import PLANNER, planner_settings
 from orbimpc_ros.ros.parameters.sections import given, unused_sections
 from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.sim.parameters import SIM, sim_settings
-from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
 
 CONFIG = Path(__file__).resolve().parents[1] / 'config' / 'retrieval.yaml'
 DOCUMENTED = {

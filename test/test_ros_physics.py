@@ -19,8 +19,8 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.sim import engine_vehicle as engines
 from orbimpc_ros.sim.engine_vehicle import EnginePlant
 from orbimpc_ros.sim.engines.failure import EngineFailure
-from orbimpc_ros.sim.flight import departure
 from orbimpc_ros.sim.parameters import SIM, sim_settings
+from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import cli, settings
 from orbimpc_ros.tool.bags import fields
 from orbimpc_ros.tool.demo.arrivals import planned_at_start

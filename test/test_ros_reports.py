@@ -12,14 +12,14 @@ import yaml
 from conftest import ROOT
 from diagnostic_msgs.msg import DiagnosticStatus
 from orbimpc_ros.ros.planner.health import condition
+from scenarios import retrieval
 from stepping import Stepped
 
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.ros.reports import Report, health_message, tick_message
-from orbimpc_ros.sim.flight import departure
-from orbimpc_ros.sim.scenario import retrieval
 from orbimpc_ros.sim.vehicle import measured
+from orbimpc_ros.sim.world import departure
 
 GOALS = np.tile([4.0, 1.0], (5, 1))
 PROBLEM = Problem(floor=Floor('circle', fraction=0.5))

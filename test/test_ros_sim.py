@@ -15,12 +15,13 @@ from conftest import Observer, new_domain
 pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from disturbed import fly_disturbed
+from flying import fly_disturbed
 from geometry_msgs.msg import PoseStamped, QuaternionStamped, TwistStamped
 from lifecycle_msgs.msg import Transition, TransitionEvent
 from lifecycle_msgs.srv import ChangeState
 from nav_msgs.msg import Odometry, Path
 from rosgraph_msgs.msg import Clock
+from scenarios import retrieval, retrieval_problem
 
 from orbimpc_ros.loop.goal.forecast import forecast_named
 from orbimpc_ros.loop.planner import Planner
@@ -29,7 +30,6 @@ from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.sim.faults import Faults, View
 from orbimpc_ros.sim.readers import RECORDED
-from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
 from orbimpc_ros.sim.stepping import LockStep
 
 DISTURBED = {

@@ -24,7 +24,7 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.transforms import TF, TF_STATIC, Rigid, Transforms, stated
+from orbimpc_ros.ros.transforms import TF, TF_STATIC, Transforms, between, inverse, matrix, stated
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 from orbimpc_ros.tool.bags import BagWriter
 from orbimpc_ros.tool.replay.offline import OfflinePlanner
@@ -84,29 +84,24 @@ def target(box, seconds=1.0):
 # --- laws
 
 
-def rigids(seed):
-    rng = np.random.default_rng(seed)
-    return [Rigid(exp(rng.normal(size=3)), rng.normal(size=3)) for _ in range(3)]
-
-
 @pytest.mark.parametrize('seed', range(5))
-def test_transforms_form_a_group_and_are_interpolated_from_one_end_to_the_other(seed):
-    a, b, c = rigids(seed)
+def test_transforms_have_inverses_and_are_interpolated_from_one_end_to_the_other(seed):
+    rng = np.random.default_rng(seed)
+    a, b = (matrix(exp(rng.normal(size=3)), rng.normal(size=3)) for _ in range(2))
+    third = between(a, b, 0.3)
     for left, right in (
-        ((a @ b) @ c, a @ (b @ c)),
-        (a @ a.inverse, Rigid(np.eye(3), np.zeros(3))),
-        (a.towards(b, 0.0), a),
-        (a.towards(b, 1.0), b),
-        (a.towards(b, 0.3).inverse @ a.towards(b, 0.3), Rigid(np.eye(3), np.zeros(3))),
+        (inverse(a) @ a, np.eye(4)),
+        (between(a, b, 0.0), a),
+        (between(a, b, 1.0), b),
+        (between(b, a, 0.7), third),
+        (third[:3, :3] @ third[:3, :3].T, np.eye(3)),
     ):
-        np.testing.assert_allclose(left.rotation, right.rotation, atol=1e-12)
-        np.testing.assert_allclose(left.translation, right.translation, atol=1e-12)
+        np.testing.assert_allclose(left, right, atol=1e-12)
 
 
 def test_roll_pitch_and_yaw_are_about_fixed_axes_as_in_tf():
-    found = stated(f'map odom 1 2 3 {QUARTER} 0 {QUARTER}').rigid
-    np.testing.assert_allclose(found.rotation @ [0, 1, 0], [0, 0, 1], atol=1e-12)
-    np.testing.assert_allclose(found.placed(np.zeros(3)), [1, 2, 3])
+    found = stated(f'map odom 1 2 3 {QUARTER} 0 {QUARTER}').matrix
+    np.testing.assert_allclose(found @ [0, 1, 0, 1], [1, 2, 4, 1], atol=1e-12)
 
 
 def test_frames_are_joined_through_what_they_have_in_common():
@@ -115,7 +110,7 @@ def test_frames_are_joined_through_what_they_have_in_common():
     known.hear(TF, tf(1.0, 'earth', 'odom', (100.0, 5.0, 0.0), QUARTER))
     known.hear(TF_STATIC, tf(0.0, 'map', 'rope', (0.0, 7.0, 0.0)))
     found = known.between('odom', 'rope', SECOND)
-    np.testing.assert_allclose(found.placed(np.zeros(3)), [2.0, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(found[:3, 3], [2.0, 0.0, 0.0], atol=1e-12)
 
 
 # --- what comes in another frame

@@ -7,10 +7,10 @@ import sys
 
 import numpy as np
 import pytest
+import scenarios
 from bags import check_pictures, check_rollout, messages_of
 
 from orbimpc_ros.ros.parameters import planner_settings
-from orbimpc_ros.sim import scenario as scenarios
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.settings import config

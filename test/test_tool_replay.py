@@ -478,6 +478,18 @@ def test_objectives_are_compared_relative_but_near_zero():
     assert not distances({'objective': 0.0}, {'objective': 1e-8})['objective'].differs
 
 
+def test_what_is_left_unproved_objectives_may_differ_by():
+    for left, apart, differs in (
+        (2e-5, 1e-5, False),
+        (2e-5, 3e-5, True),
+        (math.inf, 9e-5, False),
+        (math.inf, 2e-4, True),  # by no more than what counts as proved, 1e-4
+        (math.nan, 1e-5, True),
+    ):
+        before, now = ({'objective': each, 'gap': left} for each in (1.0, 1.0 + apart))
+        assert distances(before, now)['objective'].differs == differs
+
+
 def test_gaps_that_are_both_left_open_are_not_compared():
     """They say where a search ended, which rounding decides; that no proof was found, they say."""
     assert not distances({'gap': 0.5}, {'gap': 0.002})['gap'].differs

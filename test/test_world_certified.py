@@ -5,15 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from flying import fly
+from scenarios import retrieval, retrieval_problem
 
 from orbimpc_ros.loop.goal.forecast import forecast_named
 from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Floor
-from orbimpc_ros.sim.flight import fly
-from orbimpc_ros.sim.rope import Rope
-from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
 from orbimpc_ros.sim.vehicle import launched
+from orbimpc_ros.sim.world import Rope
 
 
 def scenario(rng):

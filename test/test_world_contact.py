@@ -6,9 +6,8 @@ import pytest
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Box
-from orbimpc_ros.sim.contact import touched
-from orbimpc_ros.sim.flight import departure
 from orbimpc_ros.sim.parameters import sim_settings
+from orbimpc_ros.sim.world import departure, touched
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.settings import config
 

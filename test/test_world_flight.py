@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from flying import fly
+from scenarios import retrieval, retrieval_problem
 
 from orbimpc_ros.loop.capture import closest_approach, is_headed
 from orbimpc_ros.loop.goal.forecast import forecast_named
@@ -12,10 +14,8 @@ from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import log
 from orbimpc_ros.mpc.problem import Approach
-from orbimpc_ros.sim.flight import departure, fly
-from orbimpc_ros.sim.rope import Rope, fixed
-from orbimpc_ros.sim.scenario import retrieval, retrieval_problem
 from orbimpc_ros.sim.vehicle import Model, launched
+from orbimpc_ros.sim.world import Rope, departure, fixed
 
 
 @pytest.mark.parametrize('n', [2, 3])

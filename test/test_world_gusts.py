@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from orbimpc_ros.sim.gusts import Gusts
+from orbimpc_ros.sim.plant import Gusts
 
 LONG = 10_000.0  # [s]
 

@@ -14,6 +14,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from nav_msgs.msg import Odometry
+from scenarios import retrieval_problem
 
 from benchmarks.bench.instances import around
 from benchmarks.test_node import TestNode
@@ -21,7 +22,6 @@ from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.process import qos
-from orbimpc_ros.sim.scenario import retrieval_problem
 from orbimpc_ros.sim.vehicle import measured
 
 FRAMES = Frames('odom', 'base_link')

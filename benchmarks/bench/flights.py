@@ -21,8 +21,8 @@ from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Box, Problem, State
 from orbimpc_ros.sim.plant import Plant
-from orbimpc_ros.sim.rope import Rope
 from orbimpc_ros.sim.vehicle import Vehicle, launched, measured
+from orbimpc_ros.sim.world import Rope
 
 CIRCLING, CROSSING = 20.0, 4.0  # [s] of each flight
 GRAVITY = np.array([0.0, 0.0, -9.81])  # [m/s^2]

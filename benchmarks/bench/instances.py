@@ -8,14 +8,15 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from flying import planned
+from scenarios import retrieval
 
 from orbimpc_ros.loop.goal.forecast import Hold
 from orbimpc_ros.loop.planner import Decision, Planner
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Box, Problem, State
-from orbimpc_ros.sim.flight import Flight, departure, planned
-from orbimpc_ros.sim.scenario import retrieval
+from orbimpc_ros.sim.world import Flight, departure
 
 APPROACH = 20  # ticks from the start to the rope and a first turn around it
 SEED = 1

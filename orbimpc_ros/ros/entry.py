@@ -14,7 +14,7 @@ import sys
 from importlib import import_module
 
 # What the tool and the general methods need beside ROS, NumPy and SciPy.
-OTHERS = ('clarabel', 'cvxpy', 'matplotlib', 'mcap', 'rosbags')
+OTHERS = ('clarabel', 'matplotlib', 'mcap', 'rosbags')
 # What comes with ROS, or from PyPI with the extra of that name.
 ROS = (
     *('builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs', 'lifecycle_msgs', 'nav_msgs'),

@@ -1,23 +1,22 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Frames to one another: what ``/tf`` and stated transforms tell, and messages moved by them.
+"""Transforms between frames, from ``/tf`` or stated, and messages moved by them.
 
-A transform says how a child frame lies in its parent: p_parent = R p_child + t. Those of
-``/tf_static`` and those that are stated hold for ever. Those of ``/tf`` hold for their stamps, in
-between (interpolated) and for a while after the last one; before the first one nothing is known.
-Nothing here depends on when a message came, but for the order of messages, so that a recording
-shows the same.
+A transform is a matrix, shape (4, 4), that takes points of a child frame to its parent. Those of
+``/tf_static`` and stated ones hold for ever; those of ``/tf`` hold for their stamps, interpolated
+in between, and for a while after the last one. Only the order in which messages come matters, not
+when, so that a recording gives the same; tf2's own buffer is not needed, and PyPI has none.
 """
 
 from __future__ import annotations
 
-from collections import deque
+from bisect import bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from geometry_msgs.msg import Pose
-from std_msgs.msg import Header
+from geometry_msgs.msg import PoseStamped, Transform
+from nav_msgs.msg import Path
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
@@ -39,54 +38,18 @@ MOST_FRAMES = 1024
 ON = 'tf: true (of /tf) or transforms (stated)'
 
 
-@dataclass(frozen=True)
-class Rigid:
-    """How a frame lies in another.
-
-    Attributes:
-        rotation: shape (3, 3).
-        translation: shape (3,) [m].
-    """
-
-    rotation: Array
-    translation: Array
-
-    def __matmul__(self, other: Rigid) -> Rigid:
-        """Return how a frame lies that is ``other`` in this one."""
-        return Rigid(self.rotation @ other.rotation, self.placed(other.translation))
-
-    def placed(self, position: Array) -> Array:
-        """Return a position, shape (3,) [m], of the frame in the other."""
-        return np.asarray(self.rotation @ position + self.translation)
-
-    @property
-    def inverse(self) -> Rigid:
-        """Return how the other frame lies in this one."""
-        return Rigid(self.rotation.T, -self.rotation.T @ self.translation)
-
-    def towards(self, other: Rigid, share: float) -> Rigid:
-        """Return what is a share of the way to another: even turn, straight line."""
-        turn = log(self.rotation.T @ other.rotation)
-        way = other.translation - self.translation
-        return Rigid(self.rotation @ exp(share * turn), self.translation + share * way)
-
-
-IDENTITY = Rigid(np.eye(3), np.zeros(3))
-
-
-@dataclass(frozen=True)
-class Stated:
-    """A transform that is stated, and holds for ever.
+class Stated(NamedTuple):
+    """A stated transform.
 
     Attributes:
         parent: frame.
         child: frame.
-        rigid: how the child lies in the parent.
+        matrix: from the child to the parent, shape (4, 4).
     """
 
     parent: str
     child: str
-    rigid: Rigid
+    matrix: Array
 
 
 def stated(words: str) -> Stated:
@@ -104,86 +67,86 @@ def stated(words: str) -> Stated:
     if parent == child or not np.isfinite(numbers).all():
         raise BadInput('transforms', words, form)
     roll, pitch, yaw = (exp(turn) for turn in np.diag(numbers[3:]))
-    return Stated(parent, child, Rigid(yaw @ pitch @ roll, numbers[:3]))
+    return Stated(parent, child, matrix(yaw @ pitch @ roll, numbers[:3]))
 
 
-class Placed(NamedTuple):
-    """A pose moved to another frame, with the fields of a stamped message that are read."""
+def matrix(rotation: Array, translation: Array) -> Array:
+    """Return a rotation, shape (3, 3), and a translation, shape (3,) [m], as one matrix."""
+    made = np.eye(4)
+    made[:3, :3], made[:3, 3] = rotation, translation
+    return made
 
-    header: Header
-    pose: Pose
+
+def inverse(transform: Array) -> Array:
+    """Return the matrix from the parent to the child."""
+    back = transform[:3, :3].T
+    return matrix(back, -back @ transform[:3, 3])
 
 
-class PlacedPath(NamedTuple):
-    """A path moved to another frame, with the fields of a nav_msgs/Path that are read."""
-
-    header: Header
-    poses: list[Placed]
+def between(first: Array, then: Array, share: float) -> Array:
+    """Return the transform a share of the way from one to another: even turn, straight line."""
+    turn = log(first[:3, :3].T @ then[:3, :3])
+    way = then[:3, 3] - first[:3, 3]
+    return matrix(first[:3, :3] @ exp(share * turn), first[:3, 3] + share * way)
 
 
 @dataclass
 class _Edge:
-    """What is known of how a frame lies in its parent.
+    """The transform of a frame to its parent.
 
     Attributes:
         parent: frame.
-        fixed: how, if it holds for ever.
-        samples: else how at stamps [ns], as geometry_msgs/Transform, the latest last.
+        fixed: the matrix, if it holds for ever.
+        samples: stamps [ns] and transforms of ``/tf``, the latest last.
     """
 
     parent: str
-    fixed: Rigid | None = None
-    samples: deque[tuple[int, Any]] = field(default_factory=lambda: deque(maxlen=MOST_SAMPLES))
+    fixed: Array | None = None
+    samples: list[tuple[int, Transform]] = field(default_factory=list)
 
-    def note(self, stamp: int, transform: Any) -> None:
+    def note(self, stamp: int, transform: Transform) -> None:
         """Take in a sample, if it is later than the last."""
         if self.samples and stamp <= self.samples[-1][0]:
             return
         self.samples.append((stamp, transform))
-        while stamp - self.samples[0][0] > KEPT:
-            self.samples.popleft()
+        old = bisect_right(self.samples, stamp - KEPT - 1, key=lambda sample: sample[0])
+        del self.samples[: max(old, len(self.samples) - MOST_SAMPLES)]
 
-    def at(self, stamp: int, patience: float, name: str) -> Rigid:
-        """Return how it lies at a stamp [ns]; at its latest for a stamp of 0, as in tf2.
+    def at(self, stamp: int, patience: float, name: str) -> Array:
+        """Return the matrix at a stamp [ns]; the latest one for a stamp of 0, as in tf2.
 
         Raises:
             BadInput: the stamp is before the first sample or too long after the last.
         """
         if self.fixed is not None:
             return self.fixed
-        later = None
-        for at, transform in reversed(self.samples):
-            if at <= stamp or stamp == 0:
-                return self._between((at, transform), later, stamp, patience, name)
-            later = at, transform
-        before = (self.samples[0][0] - stamp) / SECOND
-        problem = f'{name} is known from {before:.3g} s later on only'
-        raise BadInput.stating('extrapolated transform', problem, 'give stamps within its history')
-
-    @staticmethod
-    def _between(
-        first: tuple[int, Any], then: tuple[int, Any] | None, stamp: int, patience: float, name: str
-    ) -> Rigid:
-        (at, transform), age = first, (stamp - first[0]) / SECOND
-        begin = Rigid(*read_transform(transform, name))
-        if then is not None and stamp:
-            end = Rigid(*read_transform(then[1], name))
-            return begin.towards(end, (stamp - at) / (then[0] - at))
-        if age > patience:
+        stamp = stamp or self.samples[-1][0]
+        k = bisect_right(self.samples, stamp, key=lambda sample: sample[0])
+        if k == 0:
+            before = (self.samples[0][0] - stamp) / SECOND
+            problem = f'{name} is known from {before:.3g} s later on only'
+            hint = 'give stamps within its history'
+            raise BadInput.stating('extrapolated transform', problem, hint)
+        at, transform = self.samples[k - 1]
+        found = matrix(*read_transform(transform, name))
+        if k < len(self.samples):
+            later, transform = self.samples[k]
+            then = matrix(*read_transform(transform, name))
+            return between(found, then, (stamp - at) / (later - at))
+        if (age := (stamp - at) / SECOND) > patience:
             problem = f'{name} is {age:.3g} s older than the message'
-            raise BadInput.stating(
-                'stale transform', problem, f'at most transform_timeout, {patience:g} s'
-            )
-        return begin
+            hint = f'at most transform_timeout, {patience:g} s'
+            raise BadInput.stating('stale transform', problem, hint)
+        return found
 
 
 class Transforms:
-    """The frames that are known, and messages moved from one to another.
+    """The known transforms, and messages moved by them.
 
     Args:
-        stated: transforms that hold for ever.
+        stated: those that are stated.
         patience: for how long the last of ``/tf`` holds [s].
-        listening: whether ``/tf`` is heard.
+        listening: whether there is a subscription to ``/tf``.
     """
 
     def __init__(self, stated: Iterable[Stated], patience: float, listening: bool) -> None:
@@ -191,8 +154,8 @@ class Transforms:
         self.adopt(stated, patience, listening)
 
     def adopt(self, stated: Iterable[Stated], patience: float, listening: bool) -> None:
-        """Take over other transforms that are stated, and another patience."""
-        self._stated = {each.child: _Edge(each.parent, each.rigid) for each in stated}
+        """Replace the stated transforms and the patience."""
+        self._stated = {each.child: _Edge(each.parent, each.matrix) for each in stated}
         self._patience, self._listening = patience, listening
 
     def forget(self) -> None:
@@ -200,7 +163,7 @@ class Transforms:
         self._edges = {child: each for child, each in self._edges.items() if each.fixed is not None}
 
     def hear(self, topic: str, message: Any) -> None:
-        """Take in a tf2_msgs/TFMessage; most of it concerns nobody here, and is not looked at.
+        """Take in a tf2_msgs/TFMessage.
 
         Raises:
             BadInput: a transform has no valid stamp or frame, or there are too many frames.
@@ -213,7 +176,7 @@ class Transforms:
             if known is None and len(self._edges) >= MOST_FRAMES:
                 raise BadInput('frames', 'one more', f'at most {MOST_FRAMES}')
             if topic == TF_STATIC:
-                fixed = Rigid(*read_transform(each.transform, f'{parent} -> {child}'))
+                fixed = matrix(*read_transform(each.transform, f'{parent} -> {child}'))
                 self._edges[child] = _Edge(parent, fixed)
                 continue
             if known is None or known.parent != parent or known.fixed is not None:
@@ -221,10 +184,10 @@ class Transforms:
             known.note(nanoseconds(each.header.stamp, 'header.stamp'), each.transform)
 
     def moved(self, message: Any, frame: str, at: int | None = None) -> Any:
-        """Return what can be read of a message as of another frame than its own.
+        """Return the poses of a message in another frame: a Path for a Path, else a PoseStamped.
 
         Args:
-            message: a PoseStamped, a Path, or anything with a header and a pose.
+            message: a Path, or anything with a header and a pose.
             frame: to move it to.
             at: for which moment [ns]; the message's stamp by default.
 
@@ -235,48 +198,50 @@ class Transforms:
         if not (self._listening or self._stated):
             raise BadInput('header.frame_id', repr(found), f'{frame!r}; for others, {ON}')
         stamp = nanoseconds(message.header.stamp, 'header.stamp')
-        rigid, head = self.between(frame, found, stamp if at is None else at), header(stamp, frame)
+        move, head = self.between(frame, found, stamp if at is None else at), header(stamp, frame)
         if hasattr(message, 'poses'):
-            return PlacedPath(head, [Placed(p.header, _moved(p, rigid)) for p in message.poses])
-        return Placed(head, _moved(message, rigid))
+            return Path(
+                header=head, poses=[_moved(each, move, each.header) for each in message.poses]
+            )
+        return _moved(message, move, head)
 
-    def between(self, target: str, source: str, stamp: int) -> Rigid:
-        """Return how a frame lies in another, at a stamp [ns].
+    def between(self, target: str, source: str, stamp: int) -> Array:
+        """Return the matrix from one frame to another at a stamp [ns], shape (4, 4).
 
         Raises:
             BadInput: no transform leads from one to the other, or none of that moment.
         """
-        up, down = self._line(source), self._line(target)
+        up, down = self._ancestry(source), self._ancestry(target)
         common = next((each for each in up if each in down), None)
         if common is None:
             hint = ON if not self._listening else 'publish it on /tf, or state it in transforms'
             raise BadInput.stating('missing transform', f'none from {source} to {target}', hint)
-        rise, fall = (self._climbed(line[: line.index(common)], stamp) for line in (up, down))
-        return fall.inverse @ rise
+        rise, fall = (self._product(line[: line.index(common)], stamp) for line in (up, down))
+        return inverse(fall) @ rise
+
+    def _ancestry(self, frame: str) -> list[str]:
+        """Return a frame, its parent, and so on to the root; once around a circle."""
+        line = [frame]
+        while (edge := self._edge(line[-1])) is not None and edge.parent not in line:
+            line.append(edge.parent)
+        return line
 
     def _edge(self, child: str) -> _Edge | None:
         return self._stated.get(child) or self._edges.get(child)
 
-    def _line(self, frame: str) -> list[str]:
-        """Return a frame and what it lies in, and that again, to the root; once around a circle."""
-        line, edge = [frame], self._edge(frame)
-        while edge is not None and edge.parent not in line:
-            line.append(edge.parent)
-            edge = self._edge(edge.parent)
-        return line
-
-    def _climbed(self, children: list[str], stamp: int) -> Rigid:
-        """Return how the first of a line lies in the parent of the last."""
-        rigid = IDENTITY
+    def _product(self, children: list[str], stamp: int) -> Array:
+        """Return the matrix from the first of a line to the parent of the last."""
+        product = np.eye(4)
         for child in children:
             edge = self._edge(child)
             assert edge is not None
-            rigid = edge.at(stamp, self._patience, f'{edge.parent} -> {child}') @ rigid
-        return rigid
+            product = edge.at(stamp, self._patience, f'{edge.parent} -> {child}') @ product
+        return product
 
 
-def _moved(message: Any, rigid: Rigid) -> Pose:
+def _moved(message: Any, move: Array, head: Any) -> PoseStamped:
     """Return the pose of a valid message elsewhere."""
     _, seen = read_sighting(message, 3, Frames())
     assert seen.attitude is not None
-    return pose(rigid.placed(seen.position), rigid.rotation @ seen.attitude)
+    place = move[:3, :3] @ seen.position + move[:3, 3]
+    return PoseStamped(header=head, pose=pose(place, move[:3, :3] @ seen.attitude))

@@ -20,18 +20,17 @@ from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
+from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.process import DONE, FAILED, Guarded, qos
 from orbimpc_ros.ros.reports import ERROR, OK, WARN, diagnostics, health_message
-from orbimpc_ros.sim.airspeed import Airspeeds
 from orbimpc_ros.sim.commands import Order, Orders
 from orbimpc_ros.sim.engines.failure import EngineFailure
 from orbimpc_ros.sim.faults import Delivery, View
-from orbimpc_ros.sim.flight import Flight, departure
 from orbimpc_ros.sim.markers import traffic_markers, world_markers
 from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.readers import Readers
 from orbimpc_ros.sim.vehicle import Continuous, measured
+from orbimpc_ros.sim.world import Airspeeds, Flight, departure
 
 try:
     from tf2_ros import TransformBroadcaster
@@ -59,7 +58,8 @@ class Arena:
     """
 
     def __init__(self, node: Guarded, settings: SimSettings, commands: Subscription) -> None:
-        settings = replace(settings, frames=own_frames(settings.frames, node.get_namespace()))
+        body = own_frame(settings.child_frame_id, node.get_namespace())
+        settings = replace(settings, child_frame_id=body)
         self.node, self.settings, self._commands = node, settings, commands
         self.orders = Orders(settings.scenario.model, settings.frames)
         self.refused: Counter[str] = Counter()
@@ -206,12 +206,10 @@ class Arena:
         self._captured.publish(Bool(data=False))
 
 
-def own_frames(frames: Frames, namespace: str) -> Frames:
-    """Return a vehicle's frames: all share a world and /tf, in which each body has its own name."""
+def own_frame(body: str, namespace: str) -> str:
+    """Return a body's frame: vehicles share a world and /tf, where each body has its own name."""
     prefix = namespace.strip('/')
-    if not prefix or frames.body.startswith(f'{prefix}/'):
-        return frames
-    return replace(frames, body=f'{prefix}/{frames.body}')
+    return body if not prefix or body.startswith(f'{prefix}/') else f'{prefix}/{body}'
 
 
 def _airspeeds_of(flight: Flight) -> Airspeeds | None:

@@ -15,8 +15,8 @@ from orbimpc_ros.install import command_for_extra
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.sim.engines.engine import Engine, Motion, NoStart, Start, checked
-from orbimpc_ros.sim.rope import Rope, fixed
 from orbimpc_ros.sim.vehicle import Continuous, Vehicle
+from orbimpc_ros.sim.world import Rope, fixed
 
 
 class Kind(NamedTuple):

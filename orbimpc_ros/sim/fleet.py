@@ -13,7 +13,7 @@ import numpy as np
 
 from orbimpc_ros.loop.capture import closest_approach
 from orbimpc_ros.mpc.arrays import Array, whole
-from orbimpc_ros.sim.rope import Rope, fixed
+from orbimpc_ros.sim.world import Rope, fixed
 
 MOST = 64  # vehicles
 RING = 1.5  # [m] from the middle to each start

@@ -11,7 +11,7 @@ from orbimpc_ros.loop.traffic import centre, placed
 from orbimpc_ros.ros.markers import BLUE, GREY, LINE, ORANGE, RED, arrow, marker
 from orbimpc_ros.ros.messages import Stamp, point, pose
 from orbimpc_ros.ros.obstacles import shown
-from orbimpc_ros.sim.flight import Flight
+from orbimpc_ros.sim.world import Flight
 
 
 def world_markers(stamp: Stamp, flight: Flight) -> MarkerArray:

@@ -9,18 +9,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.mpc.arrays import ABOVE_ZERO, Array, frozen, number, within
+from orbimpc_ros.mpc.arrays import Array, frozen, number
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log, nearest
 from orbimpc_ros.mpc.problem import Problem
-
-RANGES: dict[str, tuple[float, float]] = {  # of a model, by attribute
-    'dimension': (2, 3),
-    'rotation_order': (1, 2),
-    'translation_order': (1, 2),
-    'forward': (ABOVE_ZERO, 1e3),
-    'mass': (ABOVE_ZERO, 1e6),
-}
 
 
 @dataclass(frozen=True)
@@ -58,9 +50,6 @@ class Model:
     def __post_init__(self) -> None:
         if self.disturbance:
             frozen(self.disturbance, (self.dimension,), 'wind')
-        number(self.step, 'step', 0.0, 1e3, above=True)
-        within(self, RANGES)
-        number(self.failsafe_fraction, 'failsafe.fraction', 0.0, 1.0)
         fastest = np.pi / self.step
         number(self.failsafe_rate, 'failsafe.rate', -fastest, fastest)
 

@@ -6,7 +6,7 @@ Needs ROS 2's launch, which PyPI does not have: only launch files import this mo
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
@@ -42,10 +42,11 @@ from orbimpc_ros.sim.fleet import vehicles
 from orbimpc_ros.sim.readers import RECORDED
 
 AUTO = 'auto'
+SEVERAL = ('crossing', 'fleet')  # files for several vehicles
 AWAITED = 'awaited'  # launch configuration: the readers that the simulator waits for
 
 
-def flight(scenario: str) -> LaunchDescription:
+def flight(scenario: str = 'retrieval') -> LaunchDescription:
     """Return planner and simulator of a scenario; the launch ends when the flight does."""
     clock, asked = LaunchConfiguration('clock'), LaunchConfiguration('use_sim_time')
     in_lockstep = EqualsSubstitution(clock, 'lockstep')
@@ -60,19 +61,16 @@ def flight(scenario: str) -> LaunchDescription:
         },
     )
     arguments = [
-        *_arguments(scenario),
-        DeclareLaunchArgument('namespace', default_value='', description='of both nodes'),
-        DeclareLaunchArgument(
-            'clock',
-            default_value='lockstep',
-            choices=['lockstep', 'wall'],
-            description='simulated time as fast as it goes, or real time',
+        _argument('scenario', scenario, 'what flies: a file in config/', _scenarios()),
+        *_common("the scenario's", 'both nodes'),
+        _argument(
+            'clock', 'lockstep', 'simulated time as fast as it goes, or real', ('lockstep', 'wall')
         ),
-        DeclareLaunchArgument(
+        _argument(
             'use_sim_time',
-            default_value=AUTO,
-            choices=[AUTO, 'true', 'false', 'True', 'False'],
-            description='of the planner; the simulator makes the time, auto: in lock-step alone',
+            AUTO,
+            'of the planner; auto: in lock-step alone, where the simulator makes the time',
+            (AUTO, 'true', 'false', 'True', 'False'),
         ),
     ]
     prepare, recorder = OpaqueFunction(function=_prepare_flight), _recorder()
@@ -86,59 +84,47 @@ def fleet() -> LaunchDescription:
     It flies in real time: simulators cannot share one /clock.
     """
     arguments = [
-        *_arguments('fleet'),
-        DeclareLaunchArgument('vehicles', default_value='4', description='how many'),
-        DeclareLaunchArgument('seed', default_value='0', description='of the ropes'),
-        DeclareLaunchArgument('namespace', default_value='', description='of the whole fleet'),
+        *_common('config/fleet.yaml', 'the whole fleet'),
+        _argument('vehicles', '4', 'how many'),
+        _argument('seed', '0', 'of the ropes'),
     ]
-    check, members = (OpaqueFunction(function=each) for each in (_check_file, _members))
-    return LaunchDescription([*arguments, check, _reach(), members])
+    return LaunchDescription([*arguments, _reach(), OpaqueFunction(function=_members)])
 
 
 def vehicle() -> LaunchDescription:
     """Return a planner alone, on the topics of a vehicle's autopilot and with parameters for it."""
     arguments = [
-        DeclareLaunchArgument(
-            'autopilot', choices=list(TOPICS), description='what flies or drives'
-        ),
-        DeclareLaunchArgument(
-            'params_file', default_value='', description="by default autopilot's"
-        ),
-        DeclareLaunchArgument('namespace', default_value='', description='of the planner'),
-        DeclareLaunchArgument(
-            'dry_run',
-            default_value='false',
-            choices=['true', 'false'],
-            description='plan and report, and command nothing',
-        ),
+        _argument('autopilot', None, 'what flies or drives', TOPICS),
+        _argument('params_file', '', "by default autopilot's"),
+        _argument('namespace', '', 'of the planner'),
+        _switch('dry_run', 'false', 'plan and report, and command nothing'),
     ]
     return LaunchDescription([*arguments, _reach(), OpaqueFunction(function=_pilot)])
+
+
+def _prepare_flight(context: LaunchContext) -> None:
+    """Check the parameters, and settle for whom the simulator waits."""
+    asked = context.launch_configurations
+    _settle_file(asked, asked['scenario'])
+    outer = f'/{asked["namespace"].strip("/")}'.rstrip('/')
+    _check_pace(asked, f'{outer}/planner')
+    asked[AWAITED] = _awaited(asked, f'{outer}/sim')
 
 
 def _pilot(context: LaunchContext) -> list[Action]:
     """Return the planner, now that the autopilot is known."""
     asked = context.launch_configurations
-    asked['params_file'] = asked['params_file'] or _config(asked['autopilot'])
-    _check_file(context)
+    _settle_file(asked, asked['autopilot'])
     topics = list(TOPICS[asked['autopilot']].items())
     planner = _node('planner', {'dry_run': _flag('dry_run')}, remappings=topics)
     return [planner, *_ending([], [planner])]
 
 
-def _check_file(context: LaunchContext) -> None:
-    """Refuse a parameter file that is not there: launch itself would go on with defaults."""
-    file = context.launch_configurations['params_file']
+def _settle_file(asked: dict[str, str], default: str) -> None:
+    """Fill in the parameter file, and refuse one that is not there: launch itself would go on."""
+    file = asked['params_file'] = asked['params_file'] or str(_configs() / f'{default}.yaml')
     if not Path(file).is_file():
         raise BadInput.stating(file, 'no such file', 'params_file is to name one of parameters')
-
-
-def _prepare_flight(context: LaunchContext) -> None:
-    """Check the parameters, and settle for whom the simulator waits."""
-    _check_file(context)
-    asked = context.launch_configurations
-    outer = f'/{asked["namespace"].strip("/")}'.rstrip('/')
-    _check_pace(asked, f'{outer}/planner')
-    asked[AWAITED] = _awaited(asked, f'{outer}/sim')
 
 
 def _check_pace(asked: Mapping[str, str], name: str) -> None:
@@ -157,8 +143,9 @@ def _awaited(asked: Mapping[str, str], name: str) -> str:
 
 def _members(context: LaunchContext) -> list[Action]:
     """Return the nodes of a fleet, now that the arguments are known."""
-    count, seed = (int(context.launch_configurations[name]) for name in ('vehicles', 'seed'))
-    outer = context.launch_configurations['namespace'].strip('/')
+    asked = context.launch_configurations
+    _settle_file(asked, 'fleet')
+    count, seed, outer = int(asked['vehicles']), int(asked['seed']), asked['namespace'].strip('/')
     outer = f'/{outer}' if outer else ''
     planners, sims, recorder = [], [], _recorder()
     for namespace, own in vehicles(count, seed).items():
@@ -168,7 +155,7 @@ def _members(context: LaunchContext) -> list[Action]:
         settings = {
             'clock': 'wall',
             'exit_when_done': _flag('exit_when_done'),
-            'wait_for': _awaited(context.launch_configurations, f'{where}/sim'),
+            'wait_for': _awaited(asked, f'{where}/sim'),
             **plain,
         }
         sims.append(_node('sim', settings, where))
@@ -228,24 +215,33 @@ def _ending(sims: Sequence[Node], others: Sequence[ExecuteProcess]) -> list[Acti
     ]
 
 
-def _arguments(scenario: str) -> list[DeclareLaunchArgument]:
-    default = _config(scenario)
+def _common(file: str, whose: str) -> list[DeclareLaunchArgument]:
+    """Return the arguments of everything that is simulated."""
     return [
-        DeclareLaunchArgument('params_file', default_value=default, description='of all nodes'),
-        DeclareLaunchArgument(
-            'exit_when_done',
-            default_value='true',
-            choices=['true', 'false'],
-            description='end with the flight, or wait for a reset',
-        ),
-        DeclareLaunchArgument(
-            'record',
-            default_value='false',
-            choices=['true', 'false'],
-            description='all topics by ros2 bag record, which flights wait for; into this folder',
-        ),
+        _argument('params_file', '', f'of all nodes; by default {file}'),
+        _argument('namespace', '', f'of {whose}'),
+        _switch('exit_when_done', 'true', 'end with the flight, or wait for a reset'),
+        _switch('record', 'false', 'all topics by ros2 bag record into this folder'),
     ]
 
 
-def _config(name: str) -> str:
-    return str(Path(get_package_share_directory('orbimpc_ros')) / 'config' / f'{name}.yaml')
+def _switch(name: str, default: str, description: str) -> DeclareLaunchArgument:
+    return _argument(name, default, description, ('true', 'false'))
+
+
+def _argument(
+    name: str, default: str | None, description: str, choices: Iterable[str] | None = None
+) -> DeclareLaunchArgument:
+    known = None if choices is None else list(choices)
+    return DeclareLaunchArgument(
+        name, default_value=default, description=description, choices=known
+    )
+
+
+def _configs() -> Path:
+    return Path(get_package_share_directory('orbimpc_ros')) / 'config'
+
+
+def _scenarios() -> list[str]:
+    """Return the names of the files that have one vehicle and its world."""
+    return sorted({file.stem for file in _configs().glob('*.yaml')} - {*TOPICS, *SEVERAL})

@@ -25,8 +25,8 @@ from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.ros.reports import DISABLED
 from orbimpc_ros.sim.faults import View
-from orbimpc_ros.sim.flight import Flight, departure
 from orbimpc_ros.sim.parameters import sim_settings
+from orbimpc_ros.sim.world import Flight, departure
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.bags import BagWriter
 from orbimpc_ros.tool.replay.accept import serialised

@@ -20,10 +20,9 @@ from jobs import Values
 
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.ros.reports import Report
-from orbimpc_ros.sim.airspeed import Airspeeds
-from orbimpc_ros.sim.flight import Flight, departure
 from orbimpc_ros.sim.parameters import SimSettings, sim_settings
 from orbimpc_ros.sim.plant import Plant
+from orbimpc_ros.sim.world import Airspeeds, Flight, departure
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.run.onboard import Onboard, tell
 

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-r"""The orbitopes conv SO(2) and conv SO(3): coordinates, membership, constraints.
+r"""The orbitopes conv SO(2) and conv SO(3): coordinates and membership.
 
 A matrix R of conv SO(n) is held in the coordinates the programs optimise over:
 
@@ -14,14 +14,10 @@ Mathematics: docs/mathematics.md, 2.1 to 2.3.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
-
-if TYPE_CHECKING:
-    import cvxpy as cp
 
 MEMBERSHIP_TOLERANCE = 1e-6  # how far outside conv SO(n) a rotation from a file may be rounded
 
@@ -88,15 +84,3 @@ def margin(rotation: Array) -> Array:
     s3 = singular[..., 2] * np.where(np.linalg.det(rotation) < 0.0, -1.0, 1.0)
     # The other three sign patterns never exceed this one when s1 >= s2 >= |s3|.
     return 1.0 - (s1 + s2 - s3)
-
-
-def constraints(x: cp.Expression, n: int) -> list[cp.Constraint]:
-    """Return CVXPY constraints that put the rows of ``x``, shape (K, d), in conv SO(n)."""
-    import cvxpy as cp
-
-    if n == 2:
-        return [cp.SOC(np.ones(x.shape[0]), x.T)]
-    constant, linear = lmi_parts()
-    # One product for a whole matrix: CVXPY compiles that much faster than sixteen sums.
-    entries = x @ linear.T + np.tile(constant, (x.shape[0], 1))
-    return [cp.reshape(entries[k], (4, 4), order='C') >> 0 for k in range(x.shape[0])]

@@ -9,7 +9,7 @@ r"""The objective, term by term: weights per step, value and gradient.
 with the arrival weight w, and with lambda_k the share of a step that R_k e_1 pushes for: all of it,
 and none for k = N; where thrust moves on a chord, half for the first and the last. All but the
 length is quadratic; ``condensed`` has that part as a function of the thrust axes alone,
-``solve.statement`` the whole in CVXPY. The check evaluates the objective by itself.
+``solve.statement`` the whole as a cone program. The check evaluates the objective by itself.
 
 Mathematics: docs/mathematics.md, 1.2.
 """

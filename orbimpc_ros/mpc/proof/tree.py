@@ -13,7 +13,7 @@ Mathematics: docs/proofs.md.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,14 +29,12 @@ class ProofTree(NamedTuple):
     """A tree in arrays: M nodes, L leaves.
 
     Attributes:
-        kind: ``LEAF``, ``EMPTY`` (its multipliers alone prove that nothing is in it), or what kind
-            of split, shape (M,).
-        choice: that is split, shape (M,).
-        first: child; the others follow, and all come after their parent; shape (M,).
-        count: of children, shape (M,).
+        nodes: of each its kind, ``LEAF``, ``EMPTY`` (its multipliers alone prove that nothing is in
+            it) or that of a split; which choice is split; the first of its children, which the
+            others follow, all of them after their parent; how many these are; and the row of a
+            leaf in the arrays below, -1 of splits, and of parts that limits leave nothing of;
+            shape (M, 5).
         at: where angles or speeds are cut, shape (M,).
-        leaf: its row in the arrays below; -1 of splits, and of parts that limits leave nothing of,
-            shape (M,).
         point: where tangents touch, shape (L, N, d).
         shor: b_k, curvature of the cost that step k keeps for itself, shape (L, N).
         press_end: where the multipliers of rows of each leaf end in the arrays below, shape (L,).
@@ -51,12 +49,8 @@ class ProofTree(NamedTuple):
         origin: from where these are counted then [rad].
     """
 
-    kind: np.ndarray
-    choice: np.ndarray
-    first: np.ndarray
-    count: np.ndarray
+    nodes: np.ndarray
     at: Array
-    leaf: np.ndarray
     point: Array
     shor: Array
     press_end: np.ndarray
@@ -70,15 +64,10 @@ class ProofTree(NamedTuple):
     ordered: bool = False
     origin: float = 0.0
 
-    @property
-    def nodes(self) -> int:
-        """Return M."""
-        return len(self.kind)
 
-
-INTEGERS = ('kind', 'choice', 'first', 'count', 'leaf', 'press_end', 'press_row')
+INTEGERS = 'nodes', 'press_end', 'press_row'
 MULTIPLIERS = ('pull', 'slide', 'tether', 'share')
-NOTHING = np.zeros((0, 0, 0))
+NOTHING = np.zeros((0, 0, 0))  # of multipliers that are not used
 
 
 def one(point: Array, shor: Array, **multipliers: Array) -> ProofTree:
@@ -89,13 +78,19 @@ def one(point: Array, shor: Array, **multipliers: Array) -> ProofTree:
         shor: shape (N,).
         multipliers: other arrays of the leaf, by their names, without the axis of leaves.
     """
-    root, none = np.zeros(1, np.int64), np.zeros(0, np.int64)
-    tree = ProofTree(
-        root + LEAF, root, root, root, np.zeros(1), root,
-        np.ascontiguousarray(point[None]), np.ascontiguousarray(shor[None]),
-        root, none, np.zeros(0), *[NOTHING] * 4, NOTHING[0],
-    )  # fmt: skip
-    return tree._replace(**{name: value[None] for name, value in multipliers.items()})
+    none = np.zeros(1, np.int64)
+    known: dict[str, Any] = dict.fromkeys(('pull', 'slide', 'tether', 'share'), NOTHING)
+    known['meet'] = np.zeros((0, 0))
+    return ProofTree(
+        nodes=np.zeros((1, 5), np.int64),
+        at=np.zeros(1),
+        point=np.ascontiguousarray(point[None]),
+        shor=np.ascontiguousarray(shor[None]),
+        press_end=none,
+        press_row=none[:0],
+        press=np.zeros(0),
+        **known | {name: value[None] for name, value in multipliers.items()},
+    )
 
 
 def in_users_units(tree: ProofTree, units: Units) -> ProofTree:
@@ -123,8 +118,8 @@ def fits(tree: ProofTree, horizon: int, n: int, width: int, arrives: int) -> boo
         width: d, how many coordinates of a rotation the cost sees.
         arrives: m, how many vectors an arrival is about.
     """
-    nodes, leaves = len(tree.kind), len(tree.point)
-    shapes = dict.fromkeys((*INTEGERS[:5], 'at'), (nodes,))
+    nodes, leaves = len(tree.nodes), len(tree.point)
+    shapes = {'nodes': (nodes, 5), 'at': (nodes,)}
     shapes |= {'press_end': (leaves,), 'press_row': np.shape(tree.press)[:1]}
     shapes |= {'press': np.shape(tree.press)[:1], 'shor': (leaves, horizon)}
     shapes |= {'point': (leaves, horizon, width), 'meet': (leaves, n)}

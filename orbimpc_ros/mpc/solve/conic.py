@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Clarabel on data that CVXPY compiled, and what its multipliers prove.
+"""Clarabel on the data of a cone program, and what its multipliers prove.
 
 For the program
 
@@ -43,7 +43,7 @@ def solver_for(data: dict[str, Any], tolerance: float) -> clarabel.DefaultSolver
     """Return Clarabel set up on compiled data; its A, b and q may be updated in place.
 
     Args:
-        data: from ``cvxpy.Problem.get_problem_data(cvxpy.CLARABEL)``.
+        data: P, c, A, b and the sizes of cones, ``dims``, as a program is stated.
         tolerance: on feasibility and on the gap.
     """
     return clarabel.DefaultSolver(
@@ -185,7 +185,7 @@ def _raise_to_psd(triangles: Array, order: int) -> None:
 
 
 def _cones(dims: Any) -> list:
-    """Return Clarabel's cones in the order in which CVXPY stacks the rows."""
+    """Return Clarabel's cones in the order of the rows."""
     cones: list = []
     if dims.zero:
         cones.append(clarabel.ZeroConeT(dims.zero))

@@ -171,7 +171,7 @@ def _program(problem: Problem, slots: Sequence[Slot], coasting: bool, among: boo
         return SO3Multipliers(problem, slots, coasting=coasting)
     if PlaceProgram.solves(problem):
         return PlaceProgram(problem, slots)
-    from orbimpc_ros.mpc.solve.program import Program  # brings CVXPY, half of a start-up
+    from orbimpc_ros.mpc.solve.program import Program  # takes Clarabel
 
     return Program(problem, slots, coasting=coasting)
 
@@ -282,11 +282,10 @@ class _Run:
         missed = posed.missed(trajectory)
         if not missed:
             self._close(bound)
+            self._best.offer(relaxed.x, trajectory)
             if not relaxed.is_accurate:
                 self._dives.dive(choice, trajectory, posed.round_floors(trajectory))
-                return
-            self._best.offer(relaxed.x, trajectory)
-            if not posed.turns_in_time(trajectory):
+            elif not posed.turns_in_time(trajectory):
                 self._dives.turn(choice, trajectory)
             return
         if (self._best.x is None and not self._guided) or self._is_nearly_round(missed):

@@ -27,8 +27,7 @@ class General:
     def solve(self, request: Request) -> Found:
         """Solve as :class:`orbimpc_ros.mpc.solve.disjunctive_bnb.DisjunctiveSearch` does."""
         if self._search is None:
-            # It may bring CVXPY, half of a start-up.
-            from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch
+            from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch  # takes Clarabel
 
             self._search = DisjunctiveSearch(self._problem, self._tolerance)
         return self._search.solve(request)

@@ -147,7 +147,7 @@ class PlaceProgram:
         if request.hurried:
             return Relaxation(None, bound)
         if self._general is None:
-            from orbimpc_ros.mpc.solve.program import Program  # brings CVXPY, half of a start-up
+            from orbimpc_ros.mpc.solve.program import Program  # takes Clarabel
 
             self._general = Program(self.problem, self._slots)
         try:

@@ -54,6 +54,6 @@ def method_among(problem: Problem, tolerance: float, *, coasting: bool = False) 
         paced = getattr(import_module(f'orbimpc_ros.mpc.solve.{place}'), name)
         within: Method = paced(problem, tolerance, coasting=coasting, among=True)
         return within
-    from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch  # may bring CVXPY
+    from orbimpc_ros.mpc.solve.disjunctive_bnb import DisjunctiveSearch  # may take Clarabel
 
     return DisjunctiveSearch(problem, tolerance, coasting=coasting, among=True)

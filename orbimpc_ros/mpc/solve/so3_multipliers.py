@@ -126,7 +126,7 @@ class SO3Multipliers:
         return refutable or self.problem.terminal == 'constraint' or self.problem.horizon > EASY
 
     def _build_general(self) -> Relaxed:
-        from orbimpc_ros.mpc.solve.program import Program  # brings CVXPY, half of a start-up
+        from orbimpc_ros.mpc.solve.program import Program  # takes Clarabel
 
         self._general = Program(self.problem, self._slots, coasting=self._coasting)
         return self._general

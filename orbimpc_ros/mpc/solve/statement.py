@@ -1,5 +1,16 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The relaxed problem in CVXPY, term by term as the paper has it, R_k in conv SO(n).
+"""The relaxed problem as the data of a cone program, R_k in conv SO(n).
+
+Rows read A x + s = b with s in a cone: zeros first, then what is not negative, second-order cones,
+and semidefinite ones. Variables are x_0..x_N, the rotation coordinates; the displacements
+v_k = s_k - d_k from d_k, where the disturbance alone takes s_0; for an inertial vehicle the
+velocities p_0..p_N, less what the disturbance adds to them; and, where a length or a tilt needs
+them, t_1..t_N with t_k >= |R_k e1|. With those, the state is in b, but for the axes of cones and a
+coasted rotation, and the goals are in the linear cost: q_k |s_k - g_k|^2 = q_k |v_k|^2 +
+pull_k . v_k + a constant, pull_k = -2 q_k (g_k - d_k).
+
+In space, where neither inputs nor the attitude have a weight, cost and limits see the thrust axes
+alone: they take the place of the rotations, and balls that of the orbitopes.
 
 Mathematics: docs/mathematics.md, 4.8.
 """
@@ -7,15 +18,16 @@ Mathematics: docs/mathematics.md, 4.8.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.orbitopes import constraints, coordinate_count, coordinates
+from orbimpc_ros.mpc.geometry.orbitopes import coordinate_count, coordinates, lmi_parts
+from orbimpc_ros.mpc.geometry.rotations import carried
 from orbimpc_ros.mpc.model.cost import (
     attitude_weight,
     input_weight,
@@ -24,261 +36,159 @@ from orbimpc_ros.mpc.model.cost import (
     velocity_weight,
 )
 from orbimpc_ros.mpc.model.dynamics import adrift, input_map
-from orbimpc_ros.mpc.model.translation import Step, step_of
+from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.cones import relief, slope_sides
 from orbimpc_ros.mpc.solve.disjunction import Slot
+from orbimpc_ros.mpc.solve.relaxation import NO_CONES, NO_PULL
 
-try:
-    import cvxpy as cp
-except ModuleNotFoundError:
-    raise BadInput.without('cvxpy') from None
+ORDER = 4  # of the matrices S(R)
+TINY = 1e-300
+INERT = 1.0  # an empty slot reads 0 <= 1
+
+Part = tuple[np.ndarray, np.ndarray, Any]  # rows counted from 0, columns, values or one for all
+
+
+class Duals(NamedTuple):
+    """The multipliers of what a program has beside orbitopes and half-spaces.
+
+    Attributes:
+        pull: of an arrival, shape (m n,).
+        leans: of the cones of a first turn, tilt, glide slope and approach, shape (C, n).
+        props: of least headings along the axes of a tilt or an approach, >= 0, shape (P,).
+        ways: along which lengths are at least what they count, shape (N, n).
+        tethers: of R_{k+1} e1 - R_k e1, where chords are limited, shape (K, n).
+    """
+
+    pull: Array
+    leans: Array
+    props: Array
+    ways: Array
+    tethers: Array
+
+
+class _Rows:
+    """The rows of a matrix, kind by kind, as they are written down."""
+
+    def __init__(self) -> None:
+        self._entries: list[tuple[np.ndarray, np.ndarray, Array]] = []
+        self._b: list[Array] = []
+        self.count = 0
+
+    def add(self, offsets: Array, *parts: Part) -> np.ndarray:
+        """Add rows with their right-hand sides, shape (K,), and return their numbers."""
+        numbers = self.count + np.arange(len(offsets))
+        for rows, columns, values in parts:
+            spread = np.broadcast_to(np.asarray(values, dtype=float), np.shape(columns)).ravel()
+            kept = spread != 0.0
+            rows = np.broadcast_to(rows, np.shape(columns)).ravel()
+            self._entries.append((numbers[rows][kept], np.ravel(columns)[kept], spread[kept]))
+        self._b.append(np.asarray(offsets, dtype=float))
+        self.count += len(offsets)
+        return numbers
+
+    def matrix(self, columns: int) -> tuple[sparse.csc_matrix, Array]:
+        """Return A and b."""
+        rows, places, values = (np.concatenate(each) for each in zip(*self._entries, strict=True))
+        shape = (self.count, columns)
+        return sparse.csc_matrix((values, (rows, places)), shape=shape), np.concatenate(self._b)
 
 
 class Statement:
-    """The convex program of a problem in CVXPY, parametrised by state and goals.
-
-    Variables are the rotation coordinates x_k of R_k and the displacements v_k = s_k - d_k from
-    d_k, where the disturbance alone takes s_0; velocities, too, are without what it adds to them.
-    With those, the state stands on right-hand sides only, and the goals in linear terms of the
-    cost: q_k |s_k - g_k|^2 = q_k |v_k|^2 + pull_k . v_k + a constant, pull_k = -2 q_k (g_k - d_k).
-
-    Each slot is one linear row over R_k e1 or v_k that a search may fill with a half-space; here
-    its coefficients are placeholders that keep a place in the compiled matrix.
+    """The cone program of a problem, parametrised by state and goals.
 
     Args:
         problem: what to solve.
-        slots: what half-spaces will be put on.
-        coasting: whether R_1 = rho * (the coasted rotation) with rho in [0, 1] free.
+        slots: rows over R_k e1 or v_k that a search may fill with half-spaces.
+        coasting: whether R_1 = rho times the coasted rotation, rho in [0, 1] free.
+
+    Attributes:
+        data: of the program without a state, as :func:`~.conic.solver_for` takes it.
+        x: columns of x_1..x_N, shape (N, width).
+        moved: columns of v_1..v_N, shape (N, n).
+        last: columns of p_N, shape (n,) or (0,).
+        chords: how many turns a chord bounds.
+        slots: row and entries of each slot.
     """
 
-    def __init__(self, problem: Problem, slots: Sequence[Slot], coasting: bool) -> None:
-        n, steps, d = problem.dimension, problem.horizon, coordinate_count(problem.dimension)
-        self.problem, self.coasting = problem, coasting
-        self.x = cp.Variable((steps + 1) * d, name='R')
-        self.moved = cp.Variable(steps * n, name='s - s_0')
-        self.pull = cp.Parameter(steps * n)
-        self.fraction = cp.Variable(name='thrust fraction')
-        self.along, self.across = cp.Variable(name='along Q_0 e1'), cp.Variable(n)
-        self._rotations = cp.reshape(self.x, (steps + 1, d), order='C')
-        self._displacements = cp.reshape(self.moved, (steps, n), order='C')
-        self._headings = self._rotations[:, :n]
-        self._first = cp.Parameter(d)
-        self._second = cp.Parameter(d)
-        self._velocity = cp.Parameter(n)
-        self._arrival, self._stopped = cp.Parameter(n), cp.Parameter(n)
-        self._chords = self._chord_parameter()
-        self._eased = cp.Parameter(steps) if problem.tilt else None
-        self._sloped = [cp.Parameter(steps) for _ in range(n)] if problem.glide_slope else []
-        self.towards, self.aside = cp.Variable(name='along the approach'), cp.Variable(n)
-        self._steep = cp.Variable(steps, name='|R e1| or the floor')
-        self._velocities: cp.Variable | None = None
-        self.lengths: cp.Variable | None = None
-        self.slots = tuple(slots)
-        self._offsets = cp.Parameter(len(slots)) if slots else None
-        flown = [*self._rotation_constraints(), *self._translation_constraints()]
-        cost, epigraph = self._cost()
-        self.program = cp.Problem(
-            cp.Minimize(cost), [*flown, *self._limits(), *epigraph, *self._slot_rows()]
-        )
+    def __init__(
+        self, problem: Problem, slots: Sequence[Slot] = (), *, coasting: bool = False
+    ) -> None:
+        self.problem, self._coasting = problem, coasting and problem.rotation_order == 2
+        n, steps = problem.dimension, problem.horizon
+        self._decided = problem.rotation_order - 1
+        axial = problem.weights.input == problem.weights.attitude == 0.0 and not self._decided
+        self.width = n if axial else coordinate_count(n)
+        self._lengths = length_weights(problem)[1:]
+        sized = bool(self._lengths.any() or problem.tilt)
+        self._columns = 0
+        self._x = self._block(steps + 1, self.width)
+        self._z, self.x = self._x[:, :n], self._x[1:]
+        self.moved = self._block(steps, n)
+        self._p = self._block((steps + 1) * problem.inertial, n)
+        self._t = self._block(steps * sized, 1)[:, 0]
+        self._rho = self._block(int(self._coasting), 1)[:, 0]
+        self._along = self._block(int(problem.first_turn_is_a_cone), 1)[:, 0]
+        self._towards = self._block(int(problem.approach.exists), 1)[:, 0]
+        self.last = self._p[-1] if problem.inertial else np.zeros(0, int)
+        begin = int(problem.turns_are_angles)  # such a first turn begins at an attitude
+        self.chords = max(0, steps - begin) if problem.max_rate else 0
+        self.slots: list[tuple[int, np.ndarray]] = []
+        self.data = self._stated(slots)
 
-    def values(self, state: State, goals: Array) -> Array:
-        """Return what a state and goals g_1..g_N, shape (N, n), put on right-hand sides."""
-        known = {
-            self._first: coordinates(state.rotation),
-            self._second: coordinates(state.rotation + self.problem.step * state.rotation_rate),
-            self._velocity: state.velocity,
-            self._arrival: goals[-1] - adrift(self.problem, state)[-1],
-            self._stopped: -self.problem.maps.hastened[-1, 0] * state.disturbance,
-        }
-        if self.problem.has_cones:
-            known |= self._cone_values(state, goals)
-        if self._chords is not None:
-            known[self._chords] = np.full(self._chords.size, self.problem.chord)
-        return np.concatenate([known[parameter] for parameter in self._parameters()])
+    def _block(self, count: int, size: int) -> np.ndarray:
+        """Return the numbers of new columns, shape (count, size)."""
+        first, self._columns = self._columns, self._columns + count * size
+        return first + np.arange(count * size).reshape(count, size)
 
-    def _cone_values(self, state: State, goals: Array) -> dict[cp.Parameter, Array]:
-        """Return what is demanded of a state, and where the cone's tip is in displacements."""
+    # --- state and goals
+
+    def put(self, state: State, goals: Array) -> tuple[Array, Array]:
+        """Return the entries of A and b for a state and goals g_1..g_N, shape (N, n)."""
+        problem, a, b = self.problem, self.data['A'].data.copy(), self.data['b'].copy()
+        origins = adrift(problem, state)
+        b[self._first] = coordinates(state.rotation)[: self.width]
+        if self._coasting:
+            assert state.coasted is not None
+            a[self._coasted] = -coordinates(state.coasted)
+        elif self._decided:
+            b[self._second] = coordinates(state.rotation + problem.step * state.rotation_rate)
+        if problem.inertial:
+            b[self._velocity] = state.velocity
+        if problem.terminal == 'constraint':
+            stopped = -problem.maps.hastened[-1, 0] * state.disturbance
+            b[self._arrival] = [*(goals[-1] - origins[-1]), *stopped][: len(self._arrival)]
+        b[self._tied] = problem.chord
+        if problem.has_cones:
+            self._put_cones(b, state, goals, origins)
+        if problem.first_turn_is_a_cone:
+            a[self._turned] = state.attitude[:, 0]
+        if problem.approach.exists:
+            axis = problem.approach.axis(state)
+            a[self._approached], a[self._least[1]] = axis, -axis
+        return a, b
+
+    def _put_cones(self, b: Array, state: State, goals: Array, origins: Array) -> None:
+        """Put what is demanded of a state, and where the cone's tip is in displacements, in b."""
         eased = relief(self.problem, state, goals)
-        known = {} if self._eased is None else {self._eased: eased.tilt}
-        if self._sloped:
-            sides = slope_sides(self.problem) * (adrift(self.problem, state) - goals)
-            sides[:, -1] += eased.slope
-            known |= dict(zip(self._sloped, sides.T, strict=True))
-        return known
+        if self.problem.tilt:
+            b[self._tilted] = eased.tilt
+        if self.problem.glide_slope:
+            sides = slope_sides(self.problem) * (origins - goals)
+            b[self._sloped], b[self._sloped + 1] = sides[:, 2] + eased.slope, sides[:, 0]
+            b[self._sloped + 2] = sides[:, 1]
 
-    def compiled(self, values: Array | None = None, offsets: Array | None = None) -> dict[str, Any]:
-        """Return Clarabel's data for :meth:`values` and offsets of slots; both zero by default."""
-        ends = np.cumsum([parameter.size for parameter in self._parameters()])
-        values = np.zeros(ends[-1]) if values is None else values
-        for parameter, value in zip(self._parameters(), np.split(values, ends), strict=False):
-            parameter.value = value
-        self.pull.value = np.zeros(self.pull.size)
-        if self._offsets is not None:
-            self._offsets.value = np.zeros(len(self.slots)) if offsets is None else offsets
-        return self.program.get_problem_data(cp.CLARABEL, enforce_dpp=True)[0]
-
-    @property
-    def width(self) -> int:
-        """Return the coordinates of a rotation."""
-        return coordinate_count(self.problem.dimension)
+    def narrow(self, b: Array, chords: Array) -> None:
+        """Put chords, shape (chords,), in b."""
+        b[self._tied] = chords
 
     def coordinates(self, x: Array, state: State) -> Array:
-        """Return rotation coordinates, shape (N, d), of x_1..x_N: these are."""
-        return x
+        """Return rotation coordinates, shape (N, d), of x_1..x_N, shape (N, width)."""
+        rotations = self.width == coordinate_count(self.problem.dimension)
+        return x if rotations else coordinates(carried(state.attitude, x))
 
-    @property
-    def size(self) -> int:
-        """Return the length of :meth:`values`."""
-        return sum(parameter.size for parameter in self._parameters())
-
-    def _parameters(self) -> list[cp.Parameter]:
-        known = {p.id for p in self.program.parameters()}
-        candidates = [self._first, self._second, self._velocity, self._arrival, self._stopped]
-        candidates += [*([] if self._eased is None else [self._eased]), *self._sloped]
-        if self._chords is not None:
-            candidates.append(self._chords)
-        return [p for p in candidates if p.id in known]
-
-    @property
-    def arrival(self) -> slice:
-        """Return which of :meth:`values` say where s_N has to be, and then p_N."""
-        known = self._parameters()
-        first = next((i for i, p in enumerate(known) if p is self._arrival), len(known))
-        ends = np.cumsum([0, *(p.size for p in known)])
-        count = self.problem.dimension * (1 + self.problem.inertial)
-        return slice(int(ends[first]), int(ends[first]) + count * (first < len(known)))
-
-    @property
-    def chords(self) -> int:
-        """Return how many turns a chord bounds: the last of :meth:`values`."""
-        return 0 if self._chords is None else self._chords.size
-
-    def _chord_parameter(self) -> cp.Parameter | None:
-        """With a floor the first turn is measured from an attitude, not from R_0 e1."""
-        count = self.problem.horizon - int(self.problem.turns_are_angles)
-        return cp.Parameter(count) if self.problem.max_rate > 0.0 and count > 0 else None
-
-    def _rotation_constraints(self) -> list[cp.Constraint]:
-        problem, x = self.problem, self._rotations
-        given: list[cp.Constraint] = [x[0] == self._first]
-        if problem.rotation_order == 1:
-            return given + constraints(x[1:], problem.dimension)
-        if self.coasting:
-            placeholder = np.ones(coordinate_count(problem.dimension))
-            given += [x[1] == self.fraction * placeholder, self.fraction >= 0, self.fraction <= 1]
-        else:
-            given.append(x[1] == self._second)
-        free = constraints(x[2:], problem.dimension) if problem.horizon > 1 else []
-        return given + free
-
-    def _translation_constraints(self) -> list[cp.Constraint]:
-        """The model's steps y_{k+1} = A y_k + b R_k e1 + c R_{k+1} e1, with v for positions."""
-        problem = self.problem
-        once = step_of(problem.translation, problem.step, problem.forward)
-        a, (flown, pushed), rows = once.transition, self._pushes(once), []
-        if problem.inertial:
-            velocity = cp.Variable((problem.horizon + 1, problem.dimension), name='p')
-            self._velocities = velocity
-            rows = [
-                velocity[0] == self._velocity,
-                velocity[1:] == a[1, 1] * velocity[:-1] + pushed,
-            ]
-            flown = a[0, 1] * velocity[:-1] + flown
-        moved = self._displacements
-        rows.append(moved[0] == flown[0])
-        if problem.horizon > 1:
-            rows.append(moved[1:] == moved[:-1] + flown[1:])
-        if problem.terminal == 'constraint':
-            rows.append(moved[-1] == self._arrival)
-            if self._velocities is not None:
-                rows.append(self._velocities[-1] == self._stopped)
-        return rows
-
-    def _pushes(self, once: Step) -> list[Any]:
-        """Return what thrust adds to the first and to the last part of y in each step."""
-        before, after = self._headings[:-1], self._headings[1:]
-        terms = [
-            [
-                each * axes
-                for each, axes in ((once.push[i], before), (once.follow[i], after))
-                if each
-            ]
-            for i in (0, -1)
-        ]
-        return [sum(some) if some else 0.0 for some in terms]
-
-    def _limits(self) -> list[cp.Constraint]:
-        """|(R_{k+1} - R_k) e1| <= the chords, the cone of a first turn by an angle, and others."""
-        limits = self._first_turn() if self.problem.first_turn_is_a_cone else []
-        limits += self._approached() if self.problem.approach.exists else []
-        limits += [] if self._eased is None else self._tilted(self._eased)
-        if self._sloped:
-            x, y, z = slope_sides(self.problem)
-            moved = self._displacements
-            aside = [x * moved[:, 0] + self._sloped[0], y * moved[:, 1] + self._sloped[1]]
-            limits.append(cp.SOC(z * moved[:, 2] + self._sloped[2], cp.vstack(aside)))
-        if self._chords is not None:
-            begin = int(self.problem.turns_are_angles)
-            turned = self._headings[begin + 1 :] - self._headings[begin:-1]
-            limits.append(cp.SOC(self._chords, turned.T))
-        return limits
-
-    def _first_turn(self) -> list[cp.Constraint]:
-        """|R_1 e1 - rho Q_0 e1| <= rho sin(h omega) for some rho >= 0: the cone around Q_0 e1."""
-        problem = self.problem
-        placeholder = np.ones(problem.dimension)
-        widest = math.sin(problem.step * problem.max_rate)
-        return [
-            self.across == self._headings[1] - self.along * placeholder,
-            cp.SOC(widest * self.along, self.across),
-        ]
-
-    def _approached(self) -> list[cp.Constraint]:
-        """|R_N e1 - rho d| <= rho sin(cone) for some rho >= 0: the cone around d."""
-        placeholder = np.ones(self.problem.dimension)
-        return [
-            self.aside == self._headings[-1] - self.towards * placeholder,
-            cp.SOC(math.sin(self.problem.approach.cone) * self.towards, self.aside),
-        ]
-
-    def _tilted(self, eased: cp.Parameter) -> list[cp.Constraint]:
-        """z_3 >= cos(tilt) t for some t >= |z|, and of at least the floor: |z| itself, if need be.
-
-        Where a floor is in force, that is the hull of the headings allowed.
-        """
-        up, least = self._headings[1:, -1], self.problem.floor.clearance(self.problem.dimension)
-        rows: list[cp.Constraint] = [
-            cp.SOC(self._steep, self._headings[1:].T),
-            up - math.cos(self.problem.tilt) * self._steep >= -eased,
-        ]
-        return rows if least == 0.0 else [*rows, self._steep >= least]
-
-    def _slot_rows(self) -> list[cp.Constraint]:
-        if self._offsets is None:
-            return []
-        seen = {'heading': self._headings, 'position': self._displacements}
-        ones = np.ones(self.problem.dimension)
-        picked = [seen[s.on][s.step - (s.on == 'position')] @ ones for s in self.slots]
-        return [cp.hstack(picked) >= self._offsets]
-
-    def slot_variables(self, slot: int) -> tuple[cp.Variable, range]:
-        """Return the variable that a slot is a row over, and which of its entries."""
-        n, wanted = self.problem.dimension, self.slots[slot]
-        if wanted.on == 'heading':
-            start = wanted.step * coordinate_count(n)
-            return self.x, range(start, start + n)
-        return self.moved, range((wanted.step - 1) * n, wanted.step * n)
-
-    def last_velocity(self, column_of: Mapping[int, int]) -> np.ndarray:
-        """Return the columns of p_N, given where each variable begins; none without inertia."""
-        if self._velocities is None:
-            return np.zeros(0, int)
-        count, n = self._velocities.shape  # column by column, as CVXPY has all matrices
-        return column_of[self._velocities.id] + count * np.arange(1, n + 1) - 1
-
-    def largest(self, speed: float, spin: float) -> dict[cp.Variable, Array]:
-        """Return the most that each entry of each variable can be in a plan from a state.
+    def largest(self, speed: float, spin: float) -> Array:
+        """Return the most that each variable can be in a plan from a state.
 
         Entries of matrices in conv SO(n) are at most 1; what moves adds that up.
 
@@ -286,52 +196,241 @@ class Statement:
             speed: |p_0| at translation order 2 [m/s].
             spin: the largest entry of W_0 at rotation order 2 [1/s].
         """
-        problem, n, flown = self.problem, self.problem.dimension, self.problem.maps
+        problem, flown = self.problem, self.problem.maps
+        most: Array = np.ones(self._columns)
+        entry = 1.0 + problem.step * spin * self._decided
+        most[self._x] = entry
+        most[self._t] = 1.0
+        most[self._t[: self._decided]] = math.sqrt(problem.dimension) * entry
         moved = flown.drift[:, 0] * speed + flown.reach.sum(axis=1)
-        pushed = flown.carried[:, 0] * speed + flown.pushed.sum(axis=1)
-        angle = problem.step * problem.max_rate if problem.first_turn_is_a_cone else 0.0
-        rho, farthest = 1.0 / math.cos(angle), 1.0 / math.cos(problem.approach.cone)
-        each = {
-            self.x: np.full(self.x.size, 1.0 + problem.step * spin),
-            self.moved: np.repeat(moved, n),
-            self.fraction: np.ones(1),
-            self._steep: np.ones(self._steep.size),
-            self.along: np.array([rho]),
-            self.across: np.full(n, 1.0 + rho),
-            self.towards: np.array([farthest]),
-            self.aside: np.full(n, 1.0 + farthest),
-        }
-        if self._velocities is not None:
-            each[self._velocities] = np.tile(np.append(speed, pushed), n)  # column by column
-        if self.lengths is not None:
-            each[self.lengths] = np.ones(self.lengths.size)
-        present = {v.id for v in self.program.variables()}
-        return {v: size for v, size in each.items() if v.id in present}
+        most[self.moved] = moved[:, None]
+        if problem.inertial:
+            pushed = flown.carried[:, 0] * speed + flown.pushed.sum(axis=1)
+            most[self._p] = np.append(speed, pushed)[:, None]
+        if problem.first_turn_is_a_cone:
+            most[self._along] = 1.0 / math.cos(problem.widest_turn)
+        most[self._towards] = 1.0 / math.cos(problem.approach.cone)
+        return most
 
-    def _cost(self) -> tuple[cp.Expression, Sequence[cp.Constraint]]:
+    # --- multipliers
+
+    def duals(self, z: Array) -> Duals:
+        """Return what multipliers of all rows come to."""
+        n, problem = self.problem.dimension, self.problem
+        pull = z[self._arrival] if problem.terminal == 'constraint' else NO_PULL
+        props: Array = NO_PULL
+        ways: Array = np.zeros((problem.horizon, n))
+        leans: list[Array] = [z[self._cones[:1]]] if problem.first_turn_is_a_cone else []
+        if len(self._t):
+            tilted, props, ways = self._leaning(z)
+            leans.append(tilted)
+        if problem.glide_slope:
+            x, y, height = slope_sides(problem)
+            above = z[self._sloped + 1], z[self._sloped + 2], z[self._sloped]
+            leans.append(np.array([x, y, height]) * np.column_stack(above))
+        if problem.approach.exists:
+            leans.append(z[self._cones[-1:]])
+            props = np.append(props, np.maximum(z[self._least[0]], 0.0))
+        tethers = z[self._tied[:, None] + np.arange(1, 1 + n)]
+        return Duals(pull, np.vstack([NO_CONES.reshape(0, n), *leans]), props, ways, tethers)
+
+    def _leaning(self, z: Array) -> tuple[Array, Array, Array]:
+        """Return the multipliers of a tilt, of least headings within it, and lengths' ways.
+
+        What t >= |z| holds, lengths and z_3 >= cos(tilt) t push; where t is the floor's, by more
+        than that. Of either the same share is taken for |z|. What is left of a tilt's is one of
+        z_3 >= cos(tilt) times the floor.
+        """
         problem, n = self.problem, self.problem.dimension
-        squares = sparse.diags(np.repeat(position_weights(problem), n)).tocsc()
-        cost = cp.quad_form(self.moved, squares, assume_PSD=True) + self.pull @ self.moved
-        cost += cp.quad_form(self.x, self._turning_form(), assume_PSD=True)
-        if self._velocities is not None and problem.arrival_weight > 0.0:
-            cost += velocity_weight(problem) * cp.sum_squares(self._velocities[-1])
-        weights = length_weights(problem)[1:]
-        priced = np.flatnonzero(weights)
-        if not len(priced):
-            return cost, []
-        length = self.lengths = cp.Variable(len(priced), name='|R e1|')
-        epigraph: list[cp.Constraint] = [cp.SOC(length, self._headings[1 + priced].T)]
-        least = problem.floor.clearance(n)
-        if least > 0.0:
-            epigraph.append(length >= least)  # valid: the floor says the same
-        return cost + weights[priced] @ length, epigraph
+        lean = math.cos(problem.tilt)
+        up = np.maximum(z[self._tilted], 0.0) if problem.tilt else np.zeros(problem.horizon)
+        sides = z[self._disks[:, None] + np.arange(1, 1 + n)]
+        sizes = np.sqrt(np.einsum('kc,kc->k', sides, sides))
+        most = np.maximum(np.maximum(self._lengths + lean * up, sizes), TINY)
+        ways = -sides / most[:, None]
+        if not problem.tilt:
+            return np.zeros((0, n)), NO_PULL, ways
+        taken, props = -lean * up[:, None] * ways, NO_PULL
+        if problem.floor.clearance(3) > 0.0:
+            used = up * (sizes / most)
+            up, props = used, up - used
+        taken[:, 2] += up
+        return taken, props, ways
 
-    def _turning_form(self) -> sparse.csc_matrix:
-        """Return the form of the inputs, and of R_N, whose pull towards R_g is linear."""
-        n = self.problem.dimension
-        differences = sparse.csc_matrix(input_map(self.problem))
-        weighted = input_weight(self.problem) * (differences.T @ differences)
-        last = np.zeros(self.problem.horizon + 1)
-        last[-1] = attitude_weight(self.problem)
-        weighted = weighted + sparse.diags(last)
-        return sparse.kron(weighted, sparse.eye(coordinate_count(n))).tocsc()
+    # --- data
+
+    def _stated(self, slots: Sequence[Slot]) -> dict[str, Any]:
+        rows, counts = _Rows(), []
+        self._round: list[int] = []
+        for kind in (self._equalities, self._inequalities, self._balls, self._semidefinite):
+            before = rows.count
+            kind(rows, slots)
+            counts.append(rows.count - before)
+        a, b = rows.matrix(self._columns)
+        psd = [ORDER] * (counts[3] // (ORDER * (ORDER + 1) // 2))
+        dims = SimpleNamespace(zero=counts[0], nonneg=counts[1], soc=self._round, psd=psd)
+        self._locate(a, b)
+        quadratic, linear = self._cost()
+        return {'P': quadratic, 'c': linear, 'A': a, 'b': b, 'dims': dims}
+
+    def _locate(self, a: sparse.csc_matrix, b: Array) -> None:
+        """Find the entries that change, and empty the slots."""
+        self._coasted = _entries(a, self._second, self._rho)
+        self._turned = _entries(a, self._cones[:1].ravel(), self._along)
+        self._approached = _entries(a, self._cones[-1:].ravel(), self._towards)
+        every = [(row, _entries(a, np.array([row]), columns)) for row, columns in self.slots]
+        if self.problem.approach.exists:
+            *every, self._least = every
+        self.slots = every
+        for row, entries in self.slots:
+            a.data[entries], b[row] = 0.0, INERT
+
+    def _equalities(self, rows: _Rows, _: Sequence[Slot]) -> None:
+        """State x_0, the R_1 that a body rate decides, the model's steps, and an arrival."""
+        problem, steps, n = self.problem, self.problem.horizon, self.problem.dimension
+        each, known = np.arange(self.width), np.zeros(self.width)
+        self._first = rows.add(known, (each, self._x[0], 1.0))
+        self._second = np.zeros(0, int)
+        if self._decided:
+            shares = (each, np.repeat(self._rho, self.width * self._coasting), -1.0)
+            parts = [shares] if self._coasting else []
+            self._second = rows.add(known, (each, self._x[1], 1.0), *parts)
+        once = step_of(problem.translation, problem.step, problem.forward)
+        lines, axes = np.arange(n * steps).reshape(steps, n), np.arange(n)
+        flown = [(lines, self._z[:-1], -once.push[0]), (lines, self._z[1:], -once.follow[0])]
+        moved = [(lines, self.moved, 1.0), (lines[1:], self.moved[:-1], -1.0)]
+        if problem.inertial:
+            a = once.transition
+            self._velocity = rows.add(np.zeros(n), (axes, self._p[0], 1.0))
+            gained = [(lines, self._z[:-1], -once.push[1]), (lines, self._z[1:], -once.follow[1])]
+            kept = [(lines, self._p[1:], 1.0), (lines, self._p[:-1], -a[1, 1])]
+            rows.add(np.zeros(n * steps), *kept, *gained)
+            flown.append((lines, self._p[:-1], -a[0, 1]))
+        rows.add(np.zeros(n * steps), *moved, *flown)
+        if problem.terminal == 'constraint':
+            ends = np.concatenate([self.moved[-1], self.last])
+            self._arrival = rows.add(np.zeros(len(ends)), (np.arange(len(ends)), ends, 1.0))
+
+    def _inequalities(self, rows: _Rows, slots: Sequence[Slot]) -> None:
+        """State floor <= t <= 1, z_3 >= cos(tilt) t, 0 <= rho <= 1, slots, a least heading."""
+        problem, n = self.problem, self.problem.dimension
+        every = np.arange(len(self._t))
+        if len(every):
+            free = every[: len(every) - self._decided]
+            rows.add(np.ones(len(free)), (free, self._t[self._decided :], 1.0))
+            least = problem.floor.clearance(n)
+            if least > 0.0:
+                rows.add(np.full(len(every), -least), (every, self._t, -1.0))
+        if problem.tilt:
+            lean, up = math.cos(problem.tilt), self._z[1:, 2]
+            self._tilted = rows.add(np.zeros(len(every)), (every, up, -1.0), (every, self._t, lean))
+        if self._coasting:
+            rows.add(np.array([0.0, 1.0]), (np.arange(2), self._rho[[0, 0]], np.array([-1.0, 1.0])))
+        held = [
+            (self._z[s.step], 0.0) if s.on == 'heading' else (self.moved[s.step - 1], 0.0)
+            for s in slots
+        ]
+        if problem.approach.exists:
+            held.append((self._z[-1], -math.cos(problem.approach.cone) * problem.least_heading))
+        for columns, offset in held:
+            row = rows.add(np.array([offset]), (np.zeros(n, int), columns, -1.0))
+            self.slots.append((int(row[0]), columns))
+
+    def _balls(self, rows: _Rows, _: Sequence[Slot]) -> None:
+        """State |z_k| <= t_k or 1, the glide slope, the cones of turn and approach, and chords."""
+        problem, steps, n = self.problem, self.problem.horizon, self.problem.dimension
+        self._disks = np.zeros(0, int)
+        if len(self._t):
+            self._disks = self._heads(rows, self._z[1:], (np.arange(steps), self._t, -1.0))
+        elif self.width == n:
+            self._heads(rows, self._z[1 + self._decided :])
+        if problem.glide_slope:
+            heads, (x, y, z) = 3 * np.arange(steps), -slope_sides(problem)
+            moved = self.moved.T
+            parts = [(heads, moved[2], z), (heads + 1, moved[0], x), (heads + 2, moved[1], y)]
+            self._sloped = rows.add(np.zeros(3 * steps), *parts)[0::3]
+            self._round += [3] * steps
+        cones = []
+        for along, z, angle in (
+            (self._along, self._z[1:2], problem.widest_turn),
+            (self._towards, self._z[-1:], problem.approach.cone),
+        ):
+            if len(along):
+                widest = (np.zeros(1, int), along, -math.sin(angle))
+                head = self._heads(rows, z, widest, axis=along)
+                cones.append(head[0] + np.arange(1, 1 + n))
+        self._cones = np.array(cones, int).reshape(-1, n)
+        turned = self._z[-self.chords - 1 :] if self.chords else self._z[:0]
+        self._tied = self._heads(rows, turned[1:], before=turned[:-1])
+
+    def _heads(
+        self,
+        rows: _Rows,
+        z: np.ndarray,
+        size: Part | None = None,
+        *,
+        axis: np.ndarray | None = None,
+        before: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Add cones |z_k - w_k| <= size and return their first rows, shape (K,).
+
+        Args:
+            rows: to add to.
+            z: columns, shape (K, n).
+            size: of each cone; 1 by default.
+            axis: the column of a scalar: w_k is that times an axis, which states bring.
+            before: columns of w_k, shape (K, n).
+        """
+        count, n = z.shape
+        heads = (1 + n) * np.arange(count)
+        sides = heads[:, None] + np.arange(1, 1 + n)
+        parts = [(sides, z, -1.0)]
+        if size is not None:
+            parts.append((heads[size[0]], *size[1:]))
+        if axis is not None:
+            parts.append((sides, np.broadcast_to(axis[:, None], sides.shape), 1.0))
+        if before is not None:
+            parts.append((sides, before, 1.0))
+        offsets = np.zeros((count, 1 + n))
+        offsets[:, 0] = float(size is None)
+        self._round += [1 + n] * count
+        return rows.add(offsets.ravel(), *parts)[heads]
+
+    def _semidefinite(self, rows: _Rows, _: Sequence[Slot]) -> None:
+        """State S(R_k) >= 0: upper triangles by columns, off the diagonal times sqrt(2)."""
+        if self.width < 9:
+            return
+        constant, linear = lmi_parts()
+        low, high = np.tril_indices(ORDER)  # of the transposes: column by column
+        scale = np.where(low == high, 1.0, math.sqrt(2.0))
+        picked = ORDER * high + low
+        parts = -scale[:, None] * linear.reshape(ORDER * ORDER, 9)[picked]
+        free = self.x[self._decided :]
+        each = sparse.kron(sparse.eye(len(free)), parts).tocoo()
+        offsets = np.tile(scale * constant[picked], len(free))
+        rows.add(offsets, (each.row, free.ravel()[each.col], each.data))
+
+    def _cost(self) -> tuple[sparse.csc_matrix, Array]:
+        """Return P and c: distances, inputs and the last rotation squared; lengths."""
+        problem = self.problem
+        diagonal, linear = np.zeros(self._columns), np.zeros(self._columns)
+        diagonal[self.moved] = 2.0 * position_weights(problem)[:, None]
+        diagonal[self._x[-1]] = 2.0 * attitude_weight(problem)
+        diagonal[self.last] = 2.0 * velocity_weight(problem)
+        if len(self._t):
+            linear[self._t] = self._lengths
+        differences = sparse.csc_matrix(input_map(problem))
+        turning = 2.0 * input_weight(problem) * (differences.T @ differences)
+        rest = sparse.csc_matrix((self._columns - self._x.size,) * 2)
+        inputs = sparse.block_diag([sparse.kron(turning, sparse.eye(self.width)), rest])
+        return sparse.csc_matrix(inputs + sparse.diags(diagonal)), linear
+
+
+def _entries(a: sparse.csc_matrix, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return where the entries of rows and columns, one of them perhaps of size 1, are stored."""
+    rows, columns = np.broadcast_arrays(rows, columns) if columns.size else (columns, columns)
+    found = [
+        a.indptr[c] + np.flatnonzero(a.indices[a.indptr[c] : a.indptr[c + 1]] == r)[0]
+        for r, c in zip(rows.tolist(), columns.tolist(), strict=True)
+    ]
+    return np.array(found, int)

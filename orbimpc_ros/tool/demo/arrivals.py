@@ -10,10 +10,10 @@ from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.ros.parameters.planner import PROJECTIONS
-from orbimpc_ros.sim.arrival import Arrival, OpenLoop, open_loop
 from orbimpc_ros.sim.parameters import sim_settings
-from orbimpc_ros.sim.scenario import Scenario
+from orbimpc_ros.sim.world import Scenario
 from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.demo.open_loop import Arrival, OpenLoop, open_loop
 from orbimpc_ros.tool.history import History
 from orbimpc_ros.tool.settings import Values
 

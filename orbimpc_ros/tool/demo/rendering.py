@@ -14,8 +14,8 @@ from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.sim.commands import Orders
 from orbimpc_ros.sim.engine_vehicle import EngineVehicle
 from orbimpc_ros.sim.engines.engine import Depicted
-from orbimpc_ros.sim.flight import Flight, departure
 from orbimpc_ros.sim.parameters import sim_settings
+from orbimpc_ros.sim.world import Flight, departure
 from orbimpc_ros.tool import bags, settings
 
 RENDERED = 'rendered.gif'

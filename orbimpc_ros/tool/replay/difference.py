@@ -39,7 +39,8 @@ class Tolerances:
         force: [N].
         body_rate: at full thrust [rad/s].
         rotation: at full thrust [rad].
-        objective: relative.
+        objective: relative; more where more than that is left unproved, but no more than ``gap``:
+            two searches may end at any plans within what they leave open.
         gap: absolute; what counts as proved. Two that are both left open are not compared: where a
             search ends before its proof does, rounding decides which nodes came last.
         step: for which a body rate is commanded [s].
@@ -74,6 +75,9 @@ class Tolerances:
             return math.inf
         if quantity in PROVED and any(each.bound_checked is False for each in answers):
             return math.inf if all(each.status in PLANNED for each in answers) else allowed
+        if quantity == 'objective':
+            left = max((each.gap for each in answers if each.gap is not None), default=0.0)
+            return max(allowed, min(left, self.gap))
         if quantity not in TURNS:
             return allowed
         shares = [share for each in answers for share in each.speed_fraction[1 : self.order + 1]]

@@ -19,8 +19,9 @@ from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner
 from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.reports import Report
-from orbimpc_ros.sim.flight import Flight, perfect_sensor
 from orbimpc_ros.sim.markers import traffic_markers
+from orbimpc_ros.sim.vehicle import measured
+from orbimpc_ros.sim.world import Flight
 
 PATIENCE = 60.0  # [s]
 EPOCH = 1_700_000_000 * SECOND
@@ -104,11 +105,10 @@ def tell(planner: Onboard, flight: Flight, ahead: int, margin: float = 0.0) -> N
         ahead: steps of the goal's future.
         margin: by which the balls in the traffic are told to be larger than they are [m].
     """
-    sighting, odometry = perfect_sensor(flight)
     now, step, rope = flight.vehicle.time, flight.scenario.model.step, flight.scenario.rope
     if flight.scenario.traffic:
         planner.traffic(now, flight, margin)
     if ahead:
         planner.goals(now, step, [rope.at(flight.elapsed + k * step) for k in range(ahead + 1)])
-    planner.goal(now, sighting.position)
-    planner.odometry(now, odometry)
+    planner.goal(now, flight.goal)
+    planner.odometry(now, measured(flight.vehicle, flight.scenario.model.velocity_source))

@@ -17,13 +17,12 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.planner.core import planner_of
-from orbimpc_ros.sim.airspeed import Airspeeds
 from orbimpc_ros.sim.engine_vehicle import EngineVehicle
 from orbimpc_ros.sim.engines.engine import Guided
 from orbimpc_ros.sim.engines.failure import EngineFailure
-from orbimpc_ros.sim.flight import Flight, departure
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import Continuous
+from orbimpc_ros.sim.world import Airspeeds, Flight, departure
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.run.onboard import Onboard, tell
 

@@ -1,28 +1,106 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A flight: a scenario in progress, and the loop that a controller closes around it."""
+"""The simulated world: a swinging rope, boxes, traffic, and a flight among them, step by step."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from orbimpc_ros.loop.capture import closest_approach, is_headed
-from orbimpc_ros.loop.goal.motion import Forecast, GoalObservation
-from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.arrays import Array, frozen
 from orbimpc_ros.mpc.check import TOLERANCE
-from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.sim.contact import met, touched
-from orbimpc_ros.sim.scenario import Scenario
-from orbimpc_ros.sim.vehicle import Vehicle, measured
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.problem import Approach, Ball, Box, Hazard
+from orbimpc_ros.sim.vehicle import Model, Vehicle
 
-if TYPE_CHECKING:  # the simulator flies without a solver, and starts sooner for it
-    from orbimpc_ros.loop.planner import Decision, Snapshot
-    from orbimpc_ros.mpc.command import Command
+FINISHES = ('capture', 'arrival')
+ROUNDING = 1e-6  # of the stall speed
+
+
+@dataclass(frozen=True)
+class Rope:
+    """A rope at g(t) = center + velocity t + amplitude * sin(2 pi f t + phase), axis by axis.
+
+    Attributes:
+        center: shape (n,) [m].
+        amplitude: shape (n,) [m].
+        frequency: f [Hz].
+        phase: shape (n,) [rad].
+        velocity: of the middle of the swing, shape (n,) [m/s]; zero if empty.
+    """
+
+    center: Array
+    amplitude: Array
+    frequency: float
+    phase: Array
+    velocity: Array = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        n = len(np.atleast_1d(self.center))
+        if not len(self.velocity):
+            object.__setattr__(self, 'velocity', np.zeros(n))
+        for name in ('center', 'amplitude', 'phase', 'velocity'):
+            object.__setattr__(self, name, frozen(getattr(self, name), (n,), f'rope.{name}'))
+
+    def at(self, time: float) -> Array:
+        """Return g(t), shape (n,) [m]."""
+        angle = 2.0 * np.pi * self.frequency * time + self.phase
+        return self.center + self.velocity * time + self.amplitude * np.sin(angle)
+
+
+def fixed(point: Array) -> Rope:
+    """Return a goal that stays at a point, shape (n,) [m]."""
+    still = np.zeros(len(point))
+    return Rope(point, still, 0.0, still)
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A vehicle, its start and its goal.
+
+    Attributes:
+        model: how the vehicle answers to commands.
+        start: where it is at the start; its time is the start's.
+        rope: the goal, swinging or fixed.
+        capture_radius: the goal counts as caught within it [m].
+        max_ticks: steps after which the flight ends.
+        finish: ``capture``, it ends as soon as the goal is caught; ``arrival``, it ends after
+            ``max_ticks`` and has to be at the goal then.
+        arrival_radius: how far from the goal a vehicle that has arrived may be [m].
+        arrival_speed: and how fast [m/s]; 0 for any speed.
+        obstacles: boxes; who touches one has not done the job.
+        traffic: balls that move, each evenly from the start on; who touches one has not either.
+        approach: who is headed elsewhere at a capture has not done it either; its direction is
+            given where there is a cone.
+        rope_length: the rope hangs so far [m], half of it above the plane of flight, for vehicles
+            that may leave it.
+    """
+
+    model: Model
+    start: Vehicle
+    rope: Rope
+    capture_radius: float
+    max_ticks: int
+    finish: str = 'capture'
+    arrival_radius: float = 0.05
+    arrival_speed: float = 0.0
+    obstacles: tuple[Box, ...] = ()
+    traffic: tuple[Hazard, ...] = ()
+    approach: Approach = field(default_factory=Approach)
+    rope_length: float = 0.0
+
+    def __post_init__(self) -> None:
+        n = self.model.dimension
+        self.approach.validate(n)
+        if self.approach.is_the_goals:
+            raise BadInput('approach.direction', [], f'{n} numbers')
+        if len(self.start.position) != n:
+            raise BadInput('start.position', self.start.position.tolist(), f'{n} numbers')
+        if len(self.rope.center) != n:
+            raise BadInput('rope.center', self.rope.center.tolist(), f'{n} numbers')
 
 
 @dataclass(frozen=True)
@@ -185,82 +263,83 @@ def departure(scenario: Scenario, time: float | None = None) -> Flight:
 
 
 @dataclass(frozen=True)
-class Log:
-    """What a whole flight came to.
+class Airspeeds:
+    """What airspeeds there were so far.
 
     Attributes:
-        flights: its states, one more than ticks.
-        ticks: what the controller made of each but the last.
+        stall_speed: below which a vehicle has stalled [m/s]; 0 for none.
+        least: [m/s]; infinite before anything was seen.
+        stalls: how often it fell below the stall speed.
+        stalled: whether it was below when last seen.
     """
 
-    flights: tuple[Flight, ...]
-    ticks: tuple[Decision, ...]
+    stall_speed: float
+    least: float = math.inf
+    stalls: int = 0
+    stalled: bool = False
 
-    @property
-    def captured(self) -> bool:
-        """Return whether the goal was caught."""
-        return self.flights[-1].captured
+    def seeing(self, vehicles: Iterable[Vehicle]) -> Airspeeds:
+        """Return the record once these, in order of time, are seen as well."""
+        seen = self
+        for vehicle in vehicles:
+            speed = vehicle.airspeed
+            stalled = speed < self.stall_speed * (1.0 - ROUNDING)
+            stalls = seen.stalls + (stalled and not seen.stalled)
+            seen = replace(seen, least=min(seen.least, speed), stalls=stalls, stalled=stalled)
+        return seen
 
-    @property
-    def misses(self) -> Array:
-        """Return the least distance to the goal during each step, shape (ticks,) [m]."""
-        return np.array([flight.miss for flight in self.flights[1:]])
 
+def touched(boxes: Sequence[Box], start: Array, end: Array, grazed: float = 0.0) -> frozenset[int]:
+    """Return the numbers of the boxes whose inside a straight way leads through.
 
-class Pilot(Protocol):
-    """What flies a vehicle: the planner of this package, or another to compare it with.
-
-    Attributes:
-        problem: gives the step.
+    Args:
+        boxes: counted from 0.
+        start: of the way, shape (n,) [m].
+        end: of the way, shape (n,) [m].
+        grazed: depth that does not count [m].
     """
-
-    problem: Problem
-
-    @property
-    def remaining(self) -> int:
-        """Return how many steps ahead it looks."""
-
-    def step(self, snapshot: Snapshot) -> Decision:
-        """Return what to do next, given goals g_1..g_N, shape (``remaining``, n) [m]."""
-
-    def sent(self, command: Command) -> None:
-        """Take note of a command that was sent."""
+    return frozenset(k for k, box in enumerate(boxes) if _crosses(box, start, end, grazed))
 
 
-Sensor = Callable[[Flight], tuple[GoalObservation, Odometry]]
+def met(
+    traffic: Sequence[Hazard],
+    flown: tuple[Array, Array],
+    times: tuple[float, float],
+    grazed: float = 0.0,
+) -> frozenset[int]:
+    """Return the numbers of the balls that a straight way leads into while they move on evenly.
 
-
-def perfect_sensor(flight: Flight) -> tuple[GoalObservation, Odometry]:
-    """Return what is seen of a flight without noise: its goal and its vehicle."""
-    source = flight.scenario.model.velocity_source
-    return GoalObservation(flight.vehicle.time, flight.goal), measured(flight.vehicle, source)
-
-
-def fly(
-    pilot: Pilot, scenario: Scenario, forecast: Forecast, sensor: Sensor = perfect_sensor
-) -> Log:
-    """Close the loop of controller and vehicle until the goal is caught or the steps run out.
-
-    The simulator and the planner do the same over DDS; this is the loop without ROS.
+    Args:
+        traffic: balls, counted from 0.
+        flown: the ends of the way, each of shape (n,) [m].
+        times: when the vehicle is there, since the start [s].
+        grazed: depth that does not count [m].
     """
-    flights, ticks = [departure(scenario)], []
-    while not flights[-1].over:
-        tick = planned(pilot, flights[-1], forecast, sensor)
-        command = tick.command
-        ticks.append(tick)
-        flights.append(flights[-1].after(command.speed_fraction, command.body_rate))
-    return Log(tuple(flights), tuple(ticks))
+    if not traffic:
+        return frozenset()
+    places = np.array([_middle(each) for each in traffic])
+    velocities = np.array([each.shifts[1] / each.times[1] for each in traffic])
+    radii = np.array([each.body.radius for each in traffic if isinstance(each.body, Ball)])
+    radii = np.maximum(0.0, radii - grazed)
+    away = flown[0] - places - times[0] * velocities
+    drift = flown[1] - flown[0] - (times[1] - times[0]) * velocities
+    squared = np.einsum('ji,ji->j', drift, drift)
+    share = -np.einsum('ji,ji->j', away, drift) / np.where(squared > 0.0, squared, 1.0)
+    nearest = away + np.clip(share, 0.0, 1.0)[:, None] * drift
+    return frozenset(np.flatnonzero(np.einsum('ji,ji->j', nearest, nearest) < radii**2).tolist())
 
 
-def planned(
-    pilot: Pilot, flight: Flight, forecast: Forecast, sensor: Sensor = perfect_sensor
-) -> Decision:
-    """Return a pilot's decision on what is seen of a flight just now."""
-    sighting, odometry = sensor(flight)
-    forecast.observe(sighting)
-    ahead = pilot.problem.step * np.arange(1, pilot.remaining + 1)
-    from orbimpc_ros.loop.planner import Snapshot
+def _middle(ball: Hazard) -> Array:
+    assert isinstance(ball.body, Ball)
+    return ball.body.centre
 
-    decision = pilot.step(Snapshot(odometry, forecast.at(sighting.time + ahead)))
-    pilot.sent(decision.command)
-    return decision
+
+def _crosses(box: Box, start: Array, end: Array, grazed: float) -> bool:
+    """Return whether a way is between both faces of every axis at one and the same time."""
+    way, low, high = end - start, box.minimum + grazed, box.maximum - grazed
+    moves = way != 0.0
+    if not ((low < start) & (start < high))[~moves].all() or (low >= high).any():
+        return False
+    shares = np.array([low - start, high - start])[:, moves] / way[moves]
+    begin, finish = shares.min(axis=0).max(initial=0.0), shares.max(axis=0).min(initial=1.0)
+    return bool(begin < finish or not moves.any())

@@ -1,81 +1,15 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Scenarios by name: what flies from where, what it is after, and the problem its planner solves.
-
-The numbers that the paper does not give were chosen; the files of the same names in ``config/`` say
-how.
-"""
+"""The paper's scenarios and their problems without ROS; config/ has files of the same names."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import ABOVE_ZERO, within
-from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.problem import Approach, Box, Floor, Hazard, Problem, Weights
-from orbimpc_ros.sim.rope import Rope, fixed
-from orbimpc_ros.sim.vehicle import Model, Vehicle, launched, model_of
-
-MAX_TICKS = 1_000_000
-FINISHES = ('capture', 'arrival')
-LIMITS: dict[str, tuple[float, float]] = {  # of a scenario, by attribute
-    'capture_radius': (ABOVE_ZERO, 1e6),
-    'max_ticks': (1, MAX_TICKS),
-    'arrival_radius': (ABOVE_ZERO, 1e6),
-    'arrival_speed': (0.0, 1e6),
-    'rope_length': (0.0, 1e6),
-}
-
-
-@dataclass(frozen=True)
-class Scenario:
-    """A vehicle, its start and its goal.
-
-    Attributes:
-        model: how the vehicle answers to commands.
-        start: where it is at the start; its time is the start's.
-        rope: the goal, swinging or fixed.
-        capture_radius: the goal counts as caught within it [m].
-        max_ticks: steps after which the flight ends.
-        finish: ``capture``, it ends as soon as the goal is caught; ``arrival``, it ends after
-            ``max_ticks`` and has to be at the goal then.
-        arrival_radius: how far from the goal a vehicle that has arrived may be [m].
-        arrival_speed: and how fast [m/s]; 0 for any speed.
-        obstacles: boxes; who touches one has not done the job.
-        traffic: balls that move, each evenly from the start on; who touches one has not either.
-        approach: who is headed elsewhere at a capture has not done it either; its direction is
-            given where there is a cone.
-        rope_length: the rope hangs so far [m], half of it above the plane of flight, for vehicles
-            that may leave it.
-    """
-
-    model: Model
-    start: Vehicle
-    rope: Rope
-    capture_radius: float
-    max_ticks: int
-    finish: str = 'capture'
-    arrival_radius: float = 0.05
-    arrival_speed: float = 0.0
-    obstacles: tuple[Box, ...] = ()
-    traffic: tuple[Hazard, ...] = ()
-    approach: Approach = field(default_factory=Approach)
-    rope_length: float = 0.0
-
-    def __post_init__(self) -> None:
-        n = self.model.dimension
-        self.approach.validate(n)
-        if self.approach.is_the_goals:
-            raise BadInput('approach.direction', [], f'{n} numbers')
-        if len(self.start.position) != n:
-            raise BadInput('start.position', self.start.position.tolist(), f'{n} numbers')
-        if len(self.rope.center) != n:
-            raise BadInput('rope.center', self.rope.center.tolist(), f'{n} numbers')
-        within(self, LIMITS)
-        if self.finish not in FINISHES:
-            raise BadInput.choice('finish', self.finish, FINISHES)
+from orbimpc_ros.mpc.problem import Floor, Problem, Weights
+from orbimpc_ros.sim.vehicle import launched, model_of
+from orbimpc_ros.sim.world import Rope, Scenario, fixed
 
 
 def retrieval_problem() -> Problem:

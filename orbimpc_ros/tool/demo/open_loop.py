@@ -14,8 +14,8 @@ from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.solver import Solver
-from orbimpc_ros.sim.scenario import Scenario
 from orbimpc_ros.sim.vehicle import Vehicle, advance, measured, model_of
+from orbimpc_ros.sim.world import Scenario
 
 
 class Arrival(NamedTuple):

@@ -1,0 +1,9 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""A scenario's flight: ros2 launch orbimpc_ros flight.launch.py scenario:=retrieval."""
+
+from orbimpc_ros.tool.launching import flight
+
+
+def generate_launch_description():
+    """Return both nodes on one parameter file."""
+    return flight()

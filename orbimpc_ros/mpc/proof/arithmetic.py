@@ -1,0 +1,156 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Two arithmetics for one source: floats, compiled where numba is installed, and fractions.
+
+Sums, products and quotients of fractions are exact. Square roots, cosines and sines are not, in
+neither arithmetic, nor are sums of floats: whatever is within :func:`slack` of a number's terms may
+be rounding, and is taken off each bound.
+
+Mathematics: docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from fractions import Fraction
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from orbimpc_ros.mpc.kernels import COMPILED
+
+if COMPILED:
+    from numba.extending import overload, register_jitable
+
+Number = Any  # a float or a Fraction
+BITS = 160  # after the point, of what is rounded
+UNIT = 1 << BITS
+FINE = 200  # bits after the point, of angles
+PI = Fraction(3141592653589793238462643383279502884197169399375105820974944, 10**60)
+HALF_TURN = math.floor(PI * (1 << FINE))
+TURN = math.nextafter(2.0 * math.pi, 7.0)  # [rad] a double beyond 2 pi
+FLOATS = 1e-15  # of the size of terms, that floats may be off by
+FRACTIONS = Fraction(1, 1 << 110)  # the same of fractions
+
+
+def generic(function: Callable) -> Callable:
+    """Return a function of either arithmetic: plain Python, that machine code may call, too."""
+    made: Callable = register_jitable(function) if COMPILED else function
+    return made
+
+
+def by_type(function: Callable) -> Callable[[Callable], Callable]:
+    """Return what registers how floats do in machine code what a plain function does."""
+
+    def registered(floats: Callable) -> Callable:
+        if COMPILED:
+            overload(function)(floats)
+        return floats
+
+    return registered
+
+
+def slack(size: Number) -> Number:
+    """Return what sums of terms of a size may be off by."""
+    return FRACTIONS * size if isinstance(size, Fraction) else FLOATS * size
+
+
+def root(x: Number) -> Number:
+    """Return the square root; of a fraction a number that is hardly more; of what is < 0, 0."""
+    if isinstance(x, (Fraction, int)):
+        return (
+            Fraction(math.isqrt((x.numerator << 2 * BITS) // x.denominator) + 1, UNIT)
+            if x > 0
+            else x * 0
+        )
+    return math.sqrt(x) if x > 0.0 else 0.0
+
+
+def direction(angle: Number) -> tuple[Number, Number]:
+    """Return the cosine and the sine."""
+    if isinstance(angle, Fraction):
+        return _direction(angle)
+    return math.cos(angle), math.sin(angle)
+
+
+def coarse(x: Number) -> Number:
+    """Return a number, but for what is far below the slack, with fewer digits."""
+    return Fraction((x.numerator << BITS) // x.denominator, UNIT) if isinstance(x, Fraction) else x
+
+
+def least_eigenvalue(matrix: Any) -> Number:
+    """Return a number that is at most, and hardly below, the least eigenvalue, shape (4, 4)."""
+    size = np.abs(matrix).sum()
+    if size == 0:
+        return size
+    found = float(np.linalg.eigvalsh((matrix / size).astype(float))[0])
+    if isinstance(size, float):
+        return (found - 4.0 * FLOATS) * size
+    shift = Fraction(1, 1 << 50)
+    while not _is_definite(
+        matrix, (Fraction(found) - shift) * size
+    ):  # at the latest where it dominates
+        shift *= 2
+    return (Fraction(found) - shift) * size
+
+
+@by_type(slack)
+def _slack(size):
+    return lambda size: FLOATS * size
+
+
+@by_type(root)
+def _root(x):
+    return lambda x: math.sqrt(x) if x > 0.0 else 0.0
+
+
+@by_type(direction)
+def _cosine_and_sine(angle):
+    return lambda angle: (math.cos(angle), math.sin(angle))
+
+
+@by_type(coarse)
+def _coarse(x):
+    return lambda x: x
+
+
+@by_type(least_eigenvalue)
+def _least_eigenvalue(matrix):
+    def found(matrix):
+        return np.linalg.eigvalsh(matrix)[0] - 4.0 * FLOATS * np.abs(matrix).sum()
+
+    return found
+
+
+def _is_definite(matrix: Any, shift: Fraction) -> bool:
+    """Return whether matrix - shift I is positive definite, by Gauss's method."""
+    rest = [
+        [x - (shift if i == j else 0) for j, x in enumerate(row)] for i, row in enumerate(matrix)
+    ]
+    for k in range(len(rest)):
+        if rest[k][k] <= 0:
+            return False
+        for i in range(k + 1, len(rest)):
+            share = rest[i][k] / rest[k][k]
+            for j in range(k, len(rest)):
+                rest[i][j] -= share * rest[k][j]
+    return True
+
+
+@lru_cache(maxsize=65536)
+def _direction(angle: Fraction) -> tuple[Fraction, Fraction]:
+    """Return cosine and sine, each within 2^-120."""
+    finely = (angle.numerator << FINE) // angle.denominator
+    x = (finely + HALF_TURN) % (2 * HALF_TURN) - HALF_TURN >> FINE - BITS
+    cosine, sine = _series(UNIT, 1, x * x >> BITS), _series(abs(x), 2, x * x >> BITS)
+    return Fraction(cosine, UNIT), Fraction(sine if x > 0 else -sine, UNIT)
+
+
+def _series(term: int, k: int, square: int) -> int:
+    """Return 1 - x^2 / 2! + .., or x - x^3 / 3! + .., given their first term and x^2."""
+    total, sign = 0, 1
+    while term:
+        total += sign * term
+        term, k, sign = (term * square >> BITS) // (k * (k + 1)), k + 2, -sign
+    return total

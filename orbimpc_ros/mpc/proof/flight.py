@@ -1,0 +1,61 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Where headings lead, rolled out a step at a time, and what forces on that come to.
+
+In either arithmetic.
+
+Mathematics: docs/mathematics.md, 1.1, and docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+from orbimpc_ros.mpc.proof.arithmetic import generic
+from orbimpc_ros.mpc.proof.stated import BLOWN, FIRST, HASTENED, VELOCITY, WIND
+
+
+@generic
+def rolled(motion, start, point, flown):
+    """Set positions, less s_0, and velocities at the ends of steps, shape (4, N + 1, n)."""
+    for c in range(flown.shape[2]):
+        before, fast = start[FIRST, c], start[VELOCITY, c]
+        flown[0, 0, c] = 0 * fast
+        flown[1, 0, c] = fast if motion.inertial == 1 else motion.forward * before + start[WIND, c]
+        for k in range(len(point)):
+            z, push = point[k, c], motion.push * before + start[BLOWN, c]
+            flown[0, k + 1, c] = flown[0, k, c] + motion.drift * fast + push + motion.follow * z
+            if motion.inertial == 1:
+                push = motion.add * before + start[HASTENED, c]
+                fast = motion.keep * fast + push + motion.after * z
+                flown[1, k + 1, c] = fast
+            else:
+                flown[1, k + 1, c] = motion.forward * z + start[WIND, c]
+            before = z
+
+
+@generic
+def pulled_back(motion, flown, slopes):
+    """Add to slopes, shape (N, d), what forces on positions and velocities come to."""
+    for c in range(flown.shape[2]):
+        on_s, on_p, earlier = 0 * flown[2, 0, c], 0 * flown[2, 0, c], 0 * flown[2, 0, c]
+        for k in range(len(slopes), 0, -1):
+            on_s = on_s + flown[2, k, c]
+            own = earlier
+            if motion.inertial == 1:
+                on_p = on_p + flown[3, k, c]
+            else:
+                own = own + motion.forward * flown[3, k, c]
+            slopes[k - 1, c] = slopes[k - 1, c] + own + motion.follow * on_s + motion.after * on_p
+            earlier = motion.push * on_s + motion.add * on_p
+            on_p = motion.keep * on_p + motion.drift * on_s
+
+
+@generic
+def set_arrival(motion, arrival):
+    """Set what z_1..z_N add to s_N and to p_N along an axis, shape (2, N)."""
+    count = arrival.shape[1]
+    s, p = motion.follow, motion.after
+    for i in range(count):  # steps before the end
+        if i > 0:
+            s, p = s + motion.drift * p, motion.keep * p
+        if i == 1:
+            s, p = s + motion.push, p + motion.add
+        arrival[0, count - 1 - i], arrival[1, count - 1 - i] = s, p

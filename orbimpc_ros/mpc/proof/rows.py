@@ -1,0 +1,207 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Multipliers of what couples steps: sides of bodies, turns, a glide slope, and where plans end.
+
+Each adds to the cost what is nowhere above zero: its value at the point that slopes are of, and
+forces. In either arithmetic.
+
+Mathematics: docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+from orbimpc_ros.mpc.proof.arithmetic import coarse, direction, generic, root, slack
+from orbimpc_ros.mpc.proof.limits import ENDS, STEP
+from orbimpc_ros.mpc.proof.sets import cross, size_of
+from orbimpc_ros.mpc.proof.splits import WHOLE
+from orbimpc_ros.mpc.proof.tree import POINTS
+
+
+@generic
+def _around(low, high, sets, normal):
+    """Set the middle of a sector; return the least of its directions along it, the most across."""
+    zero = 0 * sets.full
+    if 2 * (high - low) >= sets.full - 2 * sets.narrow:
+        return zero, zero
+    normal[0], normal[1] = direction((low + high) / 2)
+    least, aside = zero + 1, zero
+    for angle in (low, high):
+        x, y = direction(angle)
+        least = min(least, normal[0] * x + normal[1] * y)
+        aside = max(aside, abs(normal[0] * y - normal[1] * x))
+    return least, aside
+
+
+@generic
+def _about(corners, normal):
+    """Set the middle of a patch; return the least of its directions along it, the most across.
+
+    That is as far from all three corners, whose lengths do not count.
+    """
+    a, b, c = corners[0], corners[1], corners[2]
+    bc, ca, ab = (
+        size_of(b, 3) * size_of(c, 3),
+        size_of(c, 3) * size_of(a, 3),
+        size_of(a, 3) * size_of(b, 3),
+    )
+    for e in range(3):
+        normal[e] = cross(a, b, e) / ab + cross(b, c, e) / bc + cross(c, a, e) / ca
+    size, zero = size_of(normal, 3), 0 * ab
+    inward = normal[0] * a[0] + normal[1] * a[1] + normal[2] * a[2]
+    if size <= 0:
+        return zero, zero
+    least, aside = zero + 1, zero
+    for e in range(3):
+        normal[e] = coarse(normal[e] / size if inward > 0 else -normal[e] / size)
+    for i in range(3):
+        corner = corners[i]
+        long = size_of(corner, 3)
+        x, y, z = cross(normal, corner, 0), cross(normal, corner, 1), cross(normal, corner, 2)
+        along = normal[0] * corner[0] + normal[1] * corner[1] + normal[2] * corner[2]
+        least = min(least, along / long)
+        aside = max(aside, root(x * x + y * y + z * z) / long)
+    return least, aside
+
+
+@generic
+def side_of(sets, bodies, choice, part, span, corners, normal):
+    """Set the normal of what is known on the side of a body that a choice is for.
+
+    Returns:
+        How far out a control point is, seen from where the body has moved to; by how much less the
+        others may be; how large the terms of both are, negative where nothing is known.
+    """
+    count, n = bodies.centres.shape[1], bodies.centres.shape[3]
+    j, k, side, zero = choice // count - 2, choice % count, part[choice], 0 * sets.full
+    radius, grown = bodies.extents[j, 2 * n], bodies.margins[0, j, k]
+    if side == WHOLE:
+        return zero, zero, zero - 1
+    if radius == 0:
+        normal[:] = zero
+        normal[side % n] = zero + (1 if side >= n else -1)
+        out = bodies.extents[j, side]
+        return out + grown, zero, abs(out) + abs(grown)
+    if radius + grown <= 0:
+        return zero, zero, zero - 1
+    if n == 2:
+        least, aside = _around(span[choice, 0], span[choice, 1], sets, normal)
+    else:
+        least, aside = _about(corners[choice], normal)
+    if least <= 0:
+        return zero, zero, zero - 1
+    off = aside * bodies.margins[1, j, k]
+    return least * (radius + grown), off, radius + abs(grown) + off
+
+
+@generic
+def control_of(of, k, degree, i):
+    """Return which control point of step k row i is about; -1 if there is no such row."""
+    if of == STEP:
+        return i if i <= degree else -1
+    if of == ENDS and k > 0:
+        return i * degree if i < 2 else -1
+    return degree if i == 0 else -1
+
+
+@generic
+def pressed(motion, sets, bodies, part, span, corners, leaves, begun, leaf, work):
+    """Add forces of multipliers of what is known beside bodies.
+
+    Returns:
+        What they come to; the size of its terms; whether they are of what is known.
+    """
+    value, size, normal = 0 * sets.full, 0 * sets.full, work.vectors[0]
+    count, degree, flown = len(work.slopes), motion.degree, work.flown
+    end, n = leaves.press_end[leaf], work.flown.shape[2]
+    if not 0 <= begun <= end <= len(leaves.press):
+        return value, size, False
+    for e in range(begun, end):
+        y, row = leaves.press[e], leaves.press_row[e]
+        if not (y >= 0 and 0 <= row < POINTS * count * len(bodies.of)):
+            return value, size, False
+        if y == 0:
+            continue
+        choice, at = row // POINTS + 2 * count, row % POINTS
+        j, k = choice // count - 2, choice % count
+        i = control_of(bodies.of[j], k, degree, at)
+        out, off, terms = side_of(sets, bodies, choice, part, span, corners, normal)
+        if i < 0 or terms < 0:
+            return value, size, False
+        value, size = value + y * (out - off), size + y * terms
+        # Bernstein's control points are led by velocities from the ends that they are next to.
+        late, led = 1 if 2 * i > degree else 0, 0 * sets.full
+        if 0 < i < degree:
+            led = -motion.lead if late == 1 else motion.lead
+        for c in range(n):
+            force, middle = y * normal[c], bodies.centres[j, k, at, c]
+            place = flown[0, k + late, c] + led * flown[1, k + late, c]
+            value = value + force * (middle - place)
+            size = size + abs(force) * (abs(middle) + abs(place))
+            flown[2, k + late, c] = flown[2, k + late, c] - force
+            flown[3, k + late, c] = flown[3, k + late, c] - force * led
+    return value, size, True
+
+
+@generic
+def towed(ends, tether, point, tied, slopes):
+    """Add slopes of multipliers of turns; return as :func:`pressed` does."""
+    chord, n = ends.chord, ends.goals.shape[1] - 1
+    value, size = 0 * chord, 0 * chord
+    for k in range(len(tether)):
+        steep = size_of(tether[k], n)
+        if steep == 0:
+            continue
+        if chord < 0 or k < ends.begun:
+            return value, size, False
+        value, size = value - chord * steep, size + chord * steep
+        for c in range(n):
+            before = point[k - 1, c] if k > 0 else tied[c]
+            value = value + tether[k, c] * (point[k, c] - before)
+            size = size + abs(tether[k, c]) * (abs(point[k, c]) + abs(before))
+            slopes[k, c] = slopes[k, c] + tether[k, c]
+            if k > 0:
+                slopes[k - 1, c] = slopes[k - 1, c] - tether[k, c]
+    return value, size, True
+
+
+@generic
+def slid(ends, slide, flown):
+    """Add forces of multipliers of the glide slope; return as :func:`pressed` does."""
+    value, size = 0 * ends.radius, 0 * ends.radius
+    sine, cosine = ends.sine - 2 * slack(ends.cosine), ends.cosine + 2 * slack(ends.cosine)
+    for k in range(len(slide)):
+        down, square = -slide[k, 2], slide[k, 0] ** 2 + slide[k, 1] ** 2
+        if down == 0 and square == 0:
+            continue
+        if sine < 0 or down < 0 or cosine * cosine * square > sine * sine * down * down:
+            return value, size, False
+        eased = down * ends.goals[k, 3] / ends.cosine
+        value, size = value - eased, size + 2 * eased
+        for c in range(3):
+            force = slide[k, c] * (flown[0, k + 1, c] - ends.goals[k, c])
+            value, size = value + force, size + abs(force)
+            flown[2, k + 1, c] = flown[2, k + 1, c] + slide[k, c]
+    return value, size, True
+
+
+@generic
+def with_ends(ends, forces, pull, meet, flown):
+    """Add forces of multipliers of an arrival, and of meeting a goal.
+
+    Returns:
+        What they come to; the size of its terms.
+    """
+    value, size, count, n = 0 * ends.radius, 0 * ends.radius, len(ends.goals), flown.shape[2]
+    for i in range(ends.arrives if pull >= 0 else 0):
+        for c in range(n):
+            missed = flown[i, count, c] - (ends.goals[count - 1, c] if i == 0 else 0 * value)
+            force = forces[pull + i, c] * missed
+            value, size = value + force, size + abs(force)
+            flown[2 + i, count, c] = flown[2 + i, count, c] + forces[pull + i, c]
+    if meet >= 0 and ends.radius >= 0:
+        steep = ends.radius * size_of(forces[meet], n)
+        value, size = value - steep, size + steep
+        for c in range(n):
+            force = forces[meet, c] * (flown[0, count, c] - ends.goals[count - 1, c])
+            value, size = value + force, size + abs(force)
+            flown[2, count, c] = flown[2, count, c] + forces[meet, c]
+    return value, size

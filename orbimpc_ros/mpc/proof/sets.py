@@ -1,0 +1,254 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Support functions of stage sets: the least that a slope comes to over what one heading may be.
+
+In either arithmetic, up to rounding that the bound of a leaf takes off: never more than the least.
+
+Mathematics: docs/proofs.md, the table.
+"""
+
+from __future__ import annotations
+
+import math
+
+from orbimpc_ros.mpc.proof.arithmetic import direction, generic, least_eigenvalue, root, slack
+
+TOLERANCE = 16  # times the slack of a slope, by which a direction may be outside
+
+
+@generic
+def over_speeds(slope, curve, slowest, fastest):
+    """Return the least slope s + curve s^2 / 2 over speeds s from the slowest to the fastest."""
+    if curve > 0:
+        level = min(fastest, max(slowest, -slope / curve))
+        return slope * level + curve * level * level / 2
+    first = slope * slowest + curve * slowest * slowest / 2
+    return min(first, slope * fastest + curve * fastest * fastest / 2)
+
+
+@generic
+def size_of(g, n):
+    """Return the size of the first n numbers."""
+    square = g[0] * g[0]
+    for c in range(1, n):
+        square = square + g[c] * g[c]
+    return root(square)
+
+
+@generic
+def in_sector(g, low, high, sets):
+    """Return the least g . (cos, sin) over directions from low to high [rad]."""
+    size, width = size_of(g, 2), high - low
+    if width >= sets.full - sets.narrow:
+        return -size
+    lx, ly = direction(low)
+    ux, uy = direction(high)
+    off = -TOLERANCE * slack(size)
+    after, before = ly * g[0] - lx * g[1] >= off, ux * g[1] - uy * g[0] >= off
+    inside = after and before
+    if 2 * width >= sets.full - sets.narrow:
+        inside = after or before
+    if inside:
+        return -size
+    return min(g[0] * lx + g[1] * ly, g[0] * ux + g[1] * uy)
+
+
+@generic
+def reach(angle, least, sets):
+    """Return the least speed that a polygon allows in a direction, whose faces are at ``least``."""
+    share = sets.full / sets.polygon
+    off = angle - share * round(angle / share)
+    return least / direction(off)[0]
+
+
+@generic
+def nearest_floor(low, high, least, sets):
+    """Return the least speed that a polygon allows in a sector."""
+    share = sets.full / sets.polygon
+    if math.floor(high / share) >= math.ceil(low / share) or high - low >= share:
+        return least
+    return min(reach(low, least, sets), reach(high, least, sets))
+
+
+@generic
+def over_polygon(g, low, high, least, fastest, sets):
+    """Return the least g . z over a sector, from a polygon to the fastest speed.
+
+    What is linear is least on the rim, or at an end or a corner of the floor.
+    """
+    best = in_sector(g, low, high, sets) * fastest
+    share = sets.full / sets.polygon
+    if high - low >= sets.full / 2:
+        return best
+    first, last = math.ceil((2 * low / share - 1) / 2), math.floor((2 * high / share - 1) / 2)
+    for i in range(first - 1, last + 2):
+        angle = (2 * i + 1) * share / 2  # of a corner
+        if i < first:
+            angle = low
+        elif i > last:
+            angle = high
+        x, y = direction(angle)
+        best = min(best, (g[0] * x + g[1] * y) * reach(angle, least, sets))
+    return best
+
+
+@generic
+def in_cone(g, cone, n):
+    """Return the least g . u over unit vectors u within an angle of an axis.
+
+    Args:
+        g: slope, shape (n,).
+        cone: its axis, a unit vector, and the angle's cosine and sine, n + 2 numbers or more.
+        n: dimension.
+    """
+    size, along = size_of(g, n), g[0] * cone[0]
+    for c in range(1, n):
+        along = along + g[c] * cone[c]
+    if along <= TOLERANCE * slack(size) - cone[n] * size:  # downhill is within it
+        return -size
+    square = (g[0] - along * cone[0]) ** 2
+    for c in range(1, n):
+        square = square + (g[c] - along * cone[c]) ** 2
+    return cone[n] * along - cone[n + 1] * root(square)
+
+
+@generic
+def cross(a, b, i):
+    """Return coordinate i of a x b."""
+    j, k = (i + 1) % 3, (i + 2) % 3
+    return a[j] * b[k] - a[k] * b[j]
+
+
+@generic
+def triple(a, b, c):
+    """Return a x b . c."""
+    return cross(a, b, 0) * c[0] + cross(a, b, 1) * c[1] + cross(a, b, 2) * c[2]
+
+
+@generic
+def on_arc(g, a, b, size):
+    """Return the least g . u over the shorter arc of unit vectors between the directions a and b.
+
+    Args:
+        g: slope, shape (3,).
+        a: of any length.
+        b: of any length.
+        size: of g.
+    """
+    ga = (g[0] * a[0] + g[1] * a[1] + g[2] * a[2]) / size_of(a, 3)
+    gb = (g[0] * b[0] + g[1] * b[1] + g[2] * b[2]) / size_of(b, 3)
+    e = cross(a, b, 0), cross(a, b, 1), cross(a, b, 2)
+    square = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
+    if square <= 0:
+        return min(ga, gb)
+    up = (g[0] * e[0] + g[1] * e[1] + g[2] * e[2]) / square
+    w = up * e[0] - g[0], up * e[1] - g[1], up * e[2] - g[2]  # downhill, in the arc's plane
+    off = -TOLERANCE * slack(size * square)
+    if triple(a, w, e) >= off and triple(w, b, e) >= off:
+        return -root(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+    return min(ga, gb)
+
+
+@generic
+def in_patch(g, corners):
+    """Return the least g . u over unit vectors u in the cone of three corners, shape (3, 3)."""
+    size, a, b, c = size_of(g, 3), corners[0], corners[1], corners[2]
+    volume = triple(a, b, c)
+    off = -TOLERANCE * slack(size * abs(volume) + size)
+    x, y, z = -triple(a, b, g), -triple(b, c, g), -triple(c, a, g)
+    if volume < 0:
+        x, y, z = -x, -y, -z
+    if x >= off and y >= off and z >= off:
+        return -size
+    return min(on_arc(g, a, b, size), on_arc(g, b, c, size), on_arc(g, c, a, size))
+
+
+@generic
+def beyond_face(g, normal, least, fastest):
+    """Return the least g . z over the part of a ball, of radius ``fastest``, beyond a face."""
+    share, size = least / fastest, size_of(g, 3)
+    if share >= 1:  # nothing but a point, or nothing at all
+        share = share / share
+    along = g[0] * normal[0] + g[1] * normal[1] + g[2] * normal[2]
+    if along <= TOLERANCE * slack(size) - share * size:
+        return -size * fastest
+    square = (g[0] - along * normal[0]) ** 2
+    for c in range(1, 3):
+        square = square + (g[c] - along * normal[c]) ** 2
+    return fastest * (share * along - root(max(0 * share, 1 - share * share)) * root(square))
+
+
+@generic
+def over_orbitope(g, matrix):
+    """Return the least <G, R> over conv SO(3): the least eigenvalue of K(G).
+
+    Args:
+        g: G, column by column, shape (9,).
+        matrix: to be set, shape (4, 4).
+    """
+    matrix[0, 0] = g[0] + g[4] + g[8]
+    matrix[1, 1] = g[0] - g[4] - g[8]
+    matrix[2, 2] = g[4] - g[0] - g[8]
+    matrix[3, 3] = g[8] - g[0] - g[4]
+    for c in range(3):
+        i, j = (c + 1) % 3, (c + 2) % 3
+        upper, lower = g[3 * j + i], g[3 * i + j]
+        matrix[0, c + 1] = lower - upper
+        matrix[c + 1, 0] = lower - upper
+        matrix[i + 1, j + 1] = lower + upper
+        matrix[j + 1, i + 1] = lower + upper
+    return least_eigenvalue(matrix)
+
+
+@generic
+def steepest(sets, known, corners, k, g, n):
+    """Return the least g . u over the directions u that step k may have at a node."""
+    best, part = -size_of(g, n), known[0][k]
+    if part >= 0:
+        if n == 2:
+            best = in_sector(g, known[1][k, 0], known[1][k, 1], sets)
+        elif len(sets.faces) == 0:
+            best = in_patch(g, corners)
+    for q in range(len(sets.cone_step)):
+        if sets.cone_step[q] == k:
+            best = max(best, in_cone(g, sets.cones[q], n))
+    return best
+
+
+@generic
+def over_stage(sets, known, corners, k, g, length, curve, n):
+    """Return the least g . z + length |z| + curve |z|^2 / 2 over what z_{k+1} may be at a node.
+
+    Each of several lower bounds is one: they are not mixed, for a cone with a least speed of its
+    own ends flat, and speeds are lower there.
+
+    Args:
+        sets: what these are made of.
+        known: of all choices: their parts, and their spans.
+        corners: of the step's patch, if it has one.
+        k: the step, from 0 on.
+        g: shape (n,).
+        length: a weight.
+        curve: a weight.
+        n: dimension.
+    """
+    part, span, count = known[0][k], known[1], known[2]
+    low, high, slowest, fastest = span[k, 0], span[k, 1], span[count + k, 0], span[count + k, 1]
+    along, linear = steepest(sets, known, corners, k, g, n), length == 0 and curve == 0
+    if sets.polygon > 0 and part >= 0:
+        slowest = max(slowest, min(fastest, nearest_floor(low, high, sets.least, sets)))
+    best = over_speeds(along + length, curve, slowest, fastest)
+    if part >= 0 and len(sets.faces) > 0:
+        face = beyond_face(g, sets.faces[part], sets.least, fastest)
+        if linear:
+            best = max(best, face)
+        else:
+            best = max(best, over_speeds(face / fastest + length, curve, slowest, fastest))
+    if not linear:
+        return best
+    if sets.polygon > 0 and part >= 0:
+        best = max(best, over_polygon(g, low, high, sets.least, fastest, sets))
+    for q in range(len(sets.cone_step)):
+        if sets.cone_step[q] == k:
+            slow = min(fastest, max(slowest, sets.cones[q, n + 2]))
+            best = max(best, over_speeds(in_cone(g, sets.cones[q], n), curve, slow, fastest))
+    return best

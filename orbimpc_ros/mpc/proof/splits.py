@@ -1,0 +1,304 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""What the splits of a tree leave of each choice; that their parts are all there is.
+
+In either arithmetic. A region has a row for each depth of the tree: a node's is made of its
+parent's.
+
+Mathematics: docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.proof.arithmetic import generic
+from orbimpc_ros.mpc.proof.tree import (
+    ARCS,
+    CUT,
+    EMPTY,
+    FACES,
+    LEAF,
+    PATCHES,
+    QUARTERS,
+    SIDES,
+    SPEED,
+)
+
+WHOLE = -1  # of a choice that nothing is known of
+HELD, GONE, WRONG = range(3)  # a part is known, nothing is left of it, or it is no part
+ICOSAHEDRON = 20  # triangles; those of the cap come after them
+
+
+# Columns of a tree's nodes.
+KIND, CHOICE, CHILD, CHILDREN, ROW = range(5)
+
+
+class Region(NamedTuple):
+    """What is known of each choice at the nodes from the root to one, D of them.
+
+    Attributes:
+        part: which face or side; 0 of a sector or patch; ``WHOLE`` before any split, shape (D, C).
+        span: least and greatest direction [rad] or speed, shape (D, C, 2).
+        corners: of patches, shape (D, C, 3, 3); (D, 1, 3, 3) in the plane, of no use.
+    """
+
+    part: np.ndarray
+    span: Any
+    corners: Any
+
+
+class Order(NamedTuple):
+    """Of steps that can be exchanged: whether they are in that of their directions, from where."""
+
+    ordered: bool
+    origin: Any
+
+
+@generic
+def begin(root, sets, is_free, order, part, span):
+    """Set what is known of all trajectories: parts, shape (C,), spans, shape (C, 2).
+
+    Returns:
+        ``HELD``; ``GONE`` if there are none; ``WRONG`` if steps have no order.
+    """
+    count = root.span.shape[1]
+    part[:] = WHOLE
+    span[:, 0], span[:, 1] = 0 * sets.full, sets.full
+    for k in range(count):
+        span[k, 0], span[k, 1] = root.span[0, k], root.span[1, k]
+        span[count + k, 0], span[count + k, 1] = root.span[2, k], root.span[3, k]
+        if root.span[2, k] > root.span[3, k]:
+            return GONE
+        if root.turn >= 0:
+            part[k] = 0
+    if order.ordered:
+        if root.exchanged == 0:
+            return WRONG
+        for k in range(root.exchanged):
+            part[k] = 0
+            span[k, 0], span[k, 1] = order.origin, order.origin + sets.full
+    return HELD if _aimed(root, sets, is_free, part, span) else GONE
+
+
+@generic
+def _aimed(root, sets, is_free, part, span):
+    """Cut the last heading's sector to the approach; return whether anything is left of all."""
+    count = root.span.shape[1]
+    k = count - 1
+    if root.aside < 0 or (k == 0 and not is_free):
+        return True
+    low, high = root.aim - root.aside, root.aim + root.aside
+    if part[k] != WHOLE:
+        first = math.ceil((span[k, 0] - high) / sets.full)
+        last = math.floor((span[k, 1] - low) / sets.full)
+        if first > last:
+            return False
+        if first < last:
+            return True
+        low = max(span[k, 0], low + first * sets.full)
+        high = min(span[k, 1], high + first * sets.full)
+    part[k], span[k, 0], span[k, 1] = 0, low, high
+    return _carried(span, k, 0, count, root.turn)
+
+
+@generic
+def _carried(span, k, begin, end, most):
+    """Carry a span to those of other steps, which change by so much at most in one.
+
+    Args:
+        span: of all choices, shape (C, 2).
+        k: which is new.
+        begin: the first of those that it concerns.
+        end: after the last of them.
+        most: negative without a limit.
+
+    Returns:
+        Whether anything is left.
+    """
+    if span[k, 0] > span[k, 1]:
+        return False
+    if most < 0:
+        return True
+    for i in range(1, end - begin):
+        for j, near in ((k + i, k + i - 1), (k - i, k - i + 1)):
+            if begin <= j < end:
+                span[j, 0] = max(span[j, 0], span[near, 0] - most)
+                span[j, 1] = min(span[j, 1], span[near, 1] + most)
+                if span[j, 0] > span[j, 1]:
+                    return False
+    return True
+
+
+@generic
+def _ordered(span, k, end):
+    """Carry a direction to those of steps that are in order; return whether anything is left."""
+    if span[k, 0] > span[k, 1]:
+        return False
+    for j in range(k + 1, end):
+        span[j, 0] = max(span[j, 0], span[j - 1, 0])
+        if span[j, 0] > span[j, 1]:
+            return False
+    for i in range(k):
+        j = k - 1 - i
+        span[j, 1] = min(span[j, 1], span[j + 1, 1])
+        if span[j, 0] > span[j, 1]:
+            return False
+    return True
+
+
+class Allowed(NamedTuple):
+    """Which splits there are.
+
+    Attributes:
+        n: dimension.
+        steps: N.
+        is_free: whether the first heading is no part of the state.
+        solid: faces of a floor in space; 0 without.
+        capped: patches of the tilt's cap; 0 without.
+    """
+
+    n: int
+    steps: int
+    is_free: bool
+    solid: int
+    capped: int
+
+
+@generic
+def _is_split_right(allowed, sets, radii, node, at, part, low, high):
+    """Return whether a node may be split as it is, given what is known of the choice there."""
+    kind, c, parts, n, count = node[KIND], node[CHOICE], node[CHILDREN], allowed.n, allowed.steps
+    heading, body = c < count, c // count - 2
+    if (heading and c == 0 and not allowed.is_free) or not 0 <= c < (2 + len(radii)) * count:
+        return False
+    paced, box = count <= c < 2 * count, body >= 0 and radii[max(0, body)] == 0
+    if kind == SPEED or paced:
+        return kind == SPEED and paced and parts == 2 and low <= at <= high
+    if kind == SIDES or box:
+        return kind == SIDES and box and part == WHOLE and parts == 2 * n
+    if kind == CUT:
+        return n == 2 and part == 0 and parts == 2 and low <= at <= high
+    if kind == ARCS:
+        return n == 2 and part == WHOLE and parts >= 2
+    solid = heading and allowed.solid > 0
+    if kind == FACES:
+        return solid and part == WHOLE and parts == allowed.solid
+    if n == 2 or solid:
+        return False
+    if kind == PATCHES:
+        capped = False
+        for q in range(len(sets.cone_step) if heading else 0):
+            capped = capped or (sets.cone_step[q] == c and sets.cones[q, n + 3] == 1)
+        known = parts == ICOSAHEDRON or (capped and parts == allowed.capped)
+        return part == WHOLE and known
+    return kind == QUARTERS and part == 0 and parts == 4
+
+
+@generic
+def part_of(allowed, root, sets, radii, order, node, at, i, depth, region):
+    """Set what is known of part i of a node, from what is known of that.
+
+    Args:
+        allowed: which splits there are.
+        root: what is known of all.
+        sets: what stage sets are made of.
+        radii: of balls; 0 of boxes, shape (J,).
+        order: of steps.
+        node: its numbers, shape (5,).
+        at: where it is cut.
+        i: which of its children.
+        depth: of the child; the node's own row is the one before.
+        region: to be set there.
+
+    Returns:
+        ``HELD``; ``GONE`` if nothing is left of it; ``WRONG`` if the node is not split right.
+    """
+    kind, c, count = node[KIND], node[CHOICE], allowed.steps
+    part, span = region.part[depth], region.span[depth]
+    if not 0 <= c < len(part):
+        return WRONG
+    known, before = region.part[depth - 1, c], region.span[depth - 1]
+    low, high = before[c, 0], before[c, 1]
+    if not _is_split_right(allowed, sets, radii, node, at, known, low, high):
+        return WRONG
+    for e in range(len(part)):
+        part[e], span[e, 0], span[e, 1] = region.part[depth - 1, e], before[e, 0], before[e, 1]
+    if allowed.n == 3:
+        for e in range(len(part)):
+            for a in range(3):
+                for b in range(3):
+                    region.corners[depth, e, a, b] = region.corners[depth - 1, e, a, b]
+    part[c] = i if kind in (SIDES, FACES) else 0
+    if kind in (SIDES, FACES):
+        return HELD
+    if kind in (PATCHES, QUARTERS):
+        _set_patch(root.patches, node, i, region.corners[depth - 1, c], region.corners[depth, c])
+        return HELD
+    if kind == ARCS:
+        share = sets.full / node[CHILDREN]
+        span[c, 0], span[c, 1] = at + i * share, at + (i + 1) * share
+        return HELD
+    span[c, 1 - i] = at
+    if c >= 2 * count:
+        return HELD
+    if c >= count:
+        return HELD if _carried(span, c, count, 2 * count, root.change) else GONE
+    if order.ordered and c < root.exchanged:
+        return HELD if _ordered(span, c, root.exchanged) else GONE
+    held = _carried(span, c, 0, count, root.turn)
+    if held and part[count - 1] == 0:
+        held = _aimed(root, sets, allowed.is_free, part, span)
+    return HELD if held else GONE
+
+
+@generic
+def _set_patch(patches, node, i, whole, made):
+    """Set the corners of a part of all directions, or of a patch, shape (3, 3)."""
+    if node[KIND] == PATCHES:
+        first = 0 if node[CHILDREN] == ICOSAHEDRON else ICOSAHEDRON
+        for j in range(3):
+            for e in range(3):
+                made[j, e] = patches[first + i, j, e]
+        return
+    for e in range(3):
+        a, b, c = whole[0, e], whole[1, e], whole[2, e]
+        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+        if i == 0:
+            made[0, e], made[1, e], made[2, e] = a, ab, ca
+        elif i == 1:
+            made[0, e], made[1, e], made[2, e] = ab, b, bc
+        elif i == 2:
+            made[0, e], made[1, e], made[2, e] = ca, bc, c
+        else:
+            made[0, e], made[1, e], made[2, e] = ab, bc, ca
+
+
+@generic
+def depths_of(nodes, depth):
+    """Set the depth of each node, -1 of those that the root does not lead to.
+
+    Args:
+        nodes: of a tree, shape (M, 5).
+        depth: to be set, shape (M,).
+
+    Returns:
+        The greatest; -1 where children are missing, doubled, or not after their parents.
+    """
+    count, most = len(nodes), 0
+    depth[:] = -1
+    depth[0] = 0
+    for t in range(count):
+        if depth[t] < 0 or nodes[t, KIND] == LEAF or nodes[t, KIND] == EMPTY:
+            continue
+        first, parts = nodes[t, CHILD], nodes[t, CHILDREN]
+        if parts < 1 or first <= t or parts > count or first > count - parts:
+            return -1
+        for child in range(first, first + parts):
+            if depth[child] >= 0:
+                return -1
+            depth[child] = depth[t] + 1
+        most = max(most, depth[t] + 1)
+    return most

@@ -1,0 +1,483 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""A problem in numbers, floats or fractions, as its bounds are verified from.
+
+Nothing here is condensed: motion is stated a step at a time, costs as weights of squares.
+
+Mathematics: docs/mathematics.md, 1, and docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.cells import STEEPEST_CAP, cap, icosahedron
+from orbimpc_ros.mpc.geometry.faces import normals
+from orbimpc_ros.mpc.model.translation import step_of
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.proof.arithmetic import TURN, Number, direction, root
+from orbimpc_ros.mpc.proof.limits import ENDS, STEP, Body, Cone, Limits
+from orbimpc_ros.mpc.proof.tree import POINTS
+
+NARROW = 1e-9  # [rad] by which what is treated as below half a turn, or a turn, is
+WIDER = 1e-12  # [rad] by which sectors are wider than they are stated, for rounding of angles
+ROUNDING = 1e-15  # of a chord
+UNTURNED = math.pi - 1e-9  # [rad] a turn limit that is as good as none
+FREE, SEGMENT, POINT = range(3)  # what R_1 may be
+SPEEDS = 'none', 'circle', 'polygon'  # floors whose least speeds are known
+UP = 0.0, 0.0, 1.0
+Rows = Any  # an array of numbers, of floats or of fractions
+
+
+class Motion(NamedTuple):
+    """A step: s + drift p + push z + follow z' + blow w, keep p + add z + after z' + gust w.
+
+    Attributes:
+        lead: by how much of a velocity the control points next to an end are ahead of it [s].
+        forward: velocity of a heading where there is no inertia [m/s].
+        inertial: 1 where velocities are part of the state, else 0.
+        degree: of the motion within a step.
+    """
+
+    drift: Number
+    keep: Number
+    push: Number
+    add: Number
+    follow: Number
+    after: Number
+    lead: Number
+    forward: Number
+    inertial: int
+    degree: int
+
+
+class Costs(NamedTuple):
+    """Weights of squares, and of lengths.
+
+    Attributes:
+        weights: of |s_k - g_k|^2 (the first is of no use), and of |z_k|, shape (2, N + 1).
+        braked: of |p_N|^2.
+        turned: of squared differences of coordinates of rotations.
+        aimed: of the squared coordinates of R_N - R_g.
+    """
+
+    weights: Rows
+    braked: Number
+    turned: Number
+    aimed: Number
+
+
+# Rows of what is known of a start, as far as the cost sees their coordinates, shape (8, d).
+VELOCITY, BLOWN, HASTENED, WIND, FIRST, WANTED, DECIDED, TIED = range(8)
+
+
+class Root(NamedTuple):
+    """What is known of single steps before any split.
+
+    Attributes:
+        span: least and greatest direction [rad] of each step in the plane, a turn or more apart
+            where all are allowed, and least and greatest speed, shape (4, N).
+        turn: by how much directions change in a step at most; negative without a limit.
+        change: the same of speeds; 2 without a limit.
+        aim: direction of the approach in the plane [rad].
+        aside: largest angle from it [rad]; negative without a limit.
+        patches: triangles that cover all directions, and then those that cover the tilt's cap,
+            shape (F, 3, 3).
+        exchanged: how many of the first steps can be exchanged, with no limit but the floor that
+            tells them apart.
+    """
+
+    span: Rows
+    turn: Number
+    change: Number
+    aim: Number
+    aside: Number
+    patches: Rows
+    exchanged: int
+
+
+class Sets(NamedTuple):
+    """What stage sets are made of.
+
+    Attributes:
+        least: the floor's share of full speed; of a polygon or solid the distance of its faces.
+        polygon: faces of a polygon in the plane; 0 without.
+        faces: normals of the faces of a solid in space, shape (F, n).
+        cone_step: which headings 0..N-1 cones are of, shape (Q,).
+        cones: their axes, unit vectors; cosine and sine of their angles, their least speeds, and 1
+            where patches of the tilt's cap are as wide, shape (Q, n + 4).
+        full: a turn, or hardly more [rad].
+        narrow: what is as good as no angle [rad].
+    """
+
+    least: Number
+    polygon: int
+    faces: Rows
+    cone_step: np.ndarray
+    cones: Rows
+    full: Number
+    narrow: Number
+
+
+class Ends(NamedTuple):
+    """What couples steps, but for bodies.
+
+    Attributes:
+        goals: g_1..g_N less s_0, and in the last column by how much the glide slope is eased, shape
+            (N, n + 1).
+        arrives: how many vectors vanish at the end: s_N - g_N, and p_N.
+        radius: within which s_N is of g_N; negative where it may be anywhere.
+        chord: how far R e1 moves in a step at most; negative without a limit.
+        begun: the first step 0..N-1 of which that is so.
+        sine: of the glide slope; 0 without.
+        cosine: of it.
+    """
+
+    goals: Rows
+    arrives: int
+    radius: Number
+    chord: Number
+    begun: int
+    sine: Number
+    cosine: Number
+
+
+class Bodies(NamedTuple):
+    """What plans are outside of.
+
+    Attributes:
+        of: what of a step is on a side of a body, shape (J,).
+        extents: of boxes, -low and then high, less s_0; last the radius of balls, 0 of boxes;
+            shape (J, 2 n + 1).
+        centres: of balls, less s_0, and by how much bodies have moved, at each control point,
+            shape (J, N, 4, n).
+        margins: by how much bodies count as larger, and how far apart control points of a step
+            are, as a body sees them, shape (2, J, N).
+    """
+
+    of: np.ndarray
+    extents: Rows
+    centres: Rows
+    margins: Rows
+
+
+class Stated(NamedTuple):
+    """A problem: dimension n, d coordinates of a rotation that its cost sees, rotation order."""
+
+    n: int
+    width: int
+    order: int
+    decided: int  # ``FREE``, ``SEGMENT`` or ``POINT``: what R_1 may be
+    motion: Motion
+    costs: Costs
+    start: Rows
+    root: Root
+    sets: Sets
+    ends: Ends
+    bodies: Bodies
+
+
+def width_of(problem: Problem) -> int:
+    """Return how many coordinates of a rotation the cost sees."""
+    w = problem.weights
+    if problem.dimension == 2:
+        return 2
+    return 9 if w.input or w.attitude or problem.rotation_order == 2 else 3
+
+
+class Statement:
+    """States one problem for any state, in one arithmetic.
+
+    Args:
+        problem: whose numbers; its obstacles count only as the limits have them.
+        number: ``float`` or ``Fraction``.
+
+    Raises:
+        BadInput: a model whose numbers are known as floats alone, in fractions.
+    """
+
+    def __init__(self, problem: Problem, number: Callable[[Any], Number] = float) -> None:
+        self.problem, self._number = problem, number
+        self.width = width_of(problem)
+        self._motion, self._blow = self._moved()
+        self._costs = self._weighed()
+
+    def _rows(self, values: Any) -> Rows:
+        """Return an array of numbers."""
+        array = np.array(values, float, order='C')  # of our own: machine code tells them apart
+        if self._number is float:
+            return array
+        made = np.empty(array.shape, object)
+        made.ravel()[:] = [Fraction(each) for each in array.ravel().tolist()]
+        return made
+
+    def _moved(self) -> tuple[Motion, tuple[Number, Number]]:
+        problem, number = self.problem, self._number
+        h, z, translation = number(problem.step), number(problem.forward), problem.translation
+        key = problem.translation_order, problem.discretisation
+        known = {
+            (1, 'euler'): (h * z, 0 * h, 0 * h, 0 * h, h, 0 * h),
+            (1, 'exact'): (h * z / 2, 0 * h, h * z / 2, 0 * h, h, 0 * h),
+            (2, 'euler'): (0 * h, h * z, 0 * h, 0 * h, 0 * h, h),
+            (2, 'exact'): (h * h * z / 3, h * z / 2, h * h * z / 6, h * z / 2, h * h / 2, h),
+            (2, 'held'): (0 * h, 0 * h, h * h * z / 2, h * z, h * h / 2, h),
+        }
+        drift = h if translation.inertial else 0 * h
+        keep = number(1 if translation.inertial else 0)
+        if key in known and type(translation).__module__.startswith('orbimpc_ros.'):
+            push, add, follow, after, blow, gust = known[key]
+        elif number is float:
+            once = step_of(translation, problem.step, problem.forward)
+            pairs = (np.append(each, 0.0)[:2] for each in (once.push, once.follow, once.blow))
+            (push, add), (follow, after), (blow, gust) = (map(float, each) for each in pairs)
+            if translation.inertial:
+                drift, keep = map(float, once.transition[:, 1])
+        else:
+            raise BadInput('translation_order', key[0], 'a model that certificates can state')
+        lead, inertial = h / translation.degree, int(translation.inertial)
+        moved = drift, keep, push, add, follow, after, lead, z, inertial, translation.degree
+        return Motion(*moved), (blow, gust)
+
+    def _weighed(self) -> Costs:
+        problem, number, w = self.problem, self._number, self.problem.weights
+        q, r, m, a = map(number, (w.position, w.input, w.terminal, w.attitude))
+        h, z, more = number(problem.step), number(problem.forward), number(problem.arrival_weight)
+        double = 2 if problem.dimension == 2 else 1  # coordinates of R that are there twice
+        weights = self._rows(np.full((2, problem.horizon + 1), float(w.position)))
+        weights[0, -1] = q + m + more
+        braked = more * h * h if problem.inertial else 0 * h
+        move = self._motion
+        late = move.follow if not problem.inertial else move.after
+        late = late / (late + (move.add if problem.inertial else move.push))
+        weights[1] = number(w.length) * h * z
+        weights[1, 0], weights[1, -1] = (1 - late) * weights[1, 0], late * weights[1, -1]
+        turned = double * r / h ** (2 * problem.rotation_order)
+        return Costs(weights, braked, turned, double * a)
+
+    def of(self, state: State, goals: Array, limits: Limits, radius: float = -1.0) -> Stated:
+        """Return the problem from a state.
+
+        Args:
+            state: where trajectories start; not its hazards, which are among the limits.
+            goals: g_1..g_N, shape (N, n) [m].
+            limits: beside those that are the problem's own.
+            radius: within which s_N is of g_N [m]; negative where it may be anywhere.
+        """
+        problem = self.problem
+        decided, start = self._begun(state)
+        cones = self._cones(state, limits)
+        root, sets = self._rooted(state, limits, cones), self._set(cones)
+        origin = self._rows(state.position)
+        ends = self._ended(self._rows(goals) - origin, limits, radius)
+        bodies = self._beside(origin, limits.bodies, start)
+        kinds = problem.dimension, self.width, problem.rotation_order, decided
+        return Stated(*kinds, self._motion, self._costs, start, root, sets, ends, bodies)
+
+    # --- where trajectories begin
+
+    def _begun(self, state: State) -> tuple[int, Rows]:
+        """Return what R_1 may be, and what is known of a start."""
+        problem, (blow, gust), n = self.problem, self._blow, self.problem.dimension
+        start = self._rows(np.zeros((8, self.width)))
+        disturbance, kind = self._rows(state.disturbance), FREE
+        start[VELOCITY, :n], start[WIND, :n] = self._rows(state.velocity), disturbance
+        start[BLOWN, :n], start[HASTENED, :n] = blow * disturbance, gust * disturbance
+        start[FIRST] = self._seen(state.rotation)
+        start[TIED] = start[FIRST]
+        if state.wanted is not None:
+            start[WANTED] = self._seen(state.wanted)
+        if problem.rotation_order == 2:
+            kind = POINT if state.coasted is None else SEGMENT
+            turned = self._number(problem.step) * self._seen(state.rotation_rate)
+            start[DECIDED] = start[FIRST] + turned
+            if state.coasted is not None:
+                start[DECIDED] = self._seen(state.coasted)
+        elif problem.turns_are_angles:
+            start[TIED, :n] = self._rows(state.attitude[:, 0])
+        return kind, start
+
+    def _seen(self, rotation: Array) -> Rows:
+        """Return the coordinates of a rotation, column by column, as far as the cost sees them."""
+        return self._rows(rotation.T.ravel()[: self.width])
+
+    # --- what single steps are subject to
+
+    def _rooted(self, state: State, limits: Limits, cones: Sequence[Cone]) -> Root:
+        problem, number, count = self.problem, self._number, self.problem.horizon
+        steps, change = np.arange(1, count + 1), number(2)
+        turn, low, high = self._turned(state)
+        span = self._rows(np.zeros((4, count)))
+        span[0], span[1], span[2], span[3] = low, high, number(self._least), number(1)
+        if limits.change < 2.0:
+            entry, change = number(limits.entry), number(limits.change)
+            span[2] = np.maximum(span[2], entry - steps * change)
+            span[3] = np.minimum(span[3], entry + steps * change)
+        aim, aside = number(0), number(-1)
+        for each in cones if problem.dimension == 2 else ():  # of the approach, the only one
+            aim, aside = number(math.atan2(each.axis[1], each.axis[0])), number(each.angle)
+        return Root(span, turn, change, aim, aside, self._patches, self._exchanged(limits))
+
+    @cached_property
+    def _least(self) -> float:
+        floor = self.problem.floor
+        return floor.fraction if floor.exists and floor.shape in SPEEDS else 0.0
+
+    @cached_property
+    def _patches(self) -> Rows:
+        """Return the triangles that directions begin with, and those of the tilt's cap."""
+        problem = self.problem
+        if problem.dimension == 2:
+            return self._rows(np.zeros((0, 3, 3)))
+        capped = 0.0 < problem.tilt <= STEEPEST_CAP
+        return self._rows(np.concatenate([icosahedron(), *[cap(problem.tilt)] * capped]))
+
+    def _set(self, cones: Sequence[Cone]) -> Sets:
+        problem, number, n = self.problem, self._number, self.problem.dimension
+        floor = problem.floor
+        faces = floor.faces if floor.shape == 'polygon' and floor.exists else 0
+        solid = normals(3, faces) if faces and n == 3 else np.zeros((0, n))
+        step = np.array([k - 1 for each in cones for k in each.steps], np.int64)
+        rows = self._coned([each for each in cones for _ in each.steps])
+        known = number(self._least), faces if n == 2 else 0, self._rows(solid), step, rows
+        return Sets(*known, number(TURN), number(NARROW))
+
+    def _cones(self, state: State, limits: Limits) -> list[Cone]:
+        """Return cones, those included that turns lead out of only after some steps."""
+        problem, cones = self.problem, [each for each in limits.cones if each.steps]
+        if problem.dimension == 2 or problem.rotation_order == 2 or not problem.turns_are_angles:
+            return cones
+        axis, turn = tuple(state.attitude[:, 0].tolist()), problem.widest_turn
+        steps = range(1, 1 + min(problem.horizon, math.ceil(math.pi / turn) - 1))
+        return cones + [Cone(axis, k * turn + WIDER, 0.0, (k,)) for k in steps]
+
+    def _coned(self, cones: Sequence[Cone]) -> Rows:
+        n, tilt = self.problem.dimension, self.problem.tilt
+        rows = self._rows(np.zeros((len(cones), n + 4)))
+        for row, each in zip(rows, cones, strict=True):
+            axis = self._rows(each.axis)
+            row[:n] = axis / root((axis * axis).sum())
+            row[n : n + 2] = direction(self._number(each.angle))
+            row[n + 2] = self._number(each.least)
+            capped = 0.0 < tilt <= STEEPEST_CAP and each.axis == UP and each.angle == tilt
+            row[n + 3] = self._number(1 if capped else 0)
+        return rows
+
+    def _turned(self, state: State) -> tuple[Number, Rows, Rows]:
+        """Return by how much directions change at most, the least and the greatest of each step."""
+        problem, number = self.problem, self._number
+        count, turn = problem.horizon, number(problem.step) * number(problem.max_rate)
+        whole = self._rows(np.zeros(count))
+        limited = problem.dimension == 2 and problem.turns_are_angles and turn < UNTURNED
+        if not limited or (problem.rotation_order == 2 and state.coasted is None):
+            return number(-1), whole, whole + number(7)
+        late = problem.rotation_order - 1
+        ahead = state.attitude if state.coasted is None or not late else state.coasted
+        heading = number(math.atan2(ahead[1, 0], ahead[0, 0]))
+        cosine, sine = direction(heading)
+        x, y = self._rows(ahead[:, 0])
+        if not abs(cosine * y - sine * x) < WIDER / 4 or not cosine * x + sine * y > 0:
+            raise BadInput('state.attitude', ahead.tolist(), 'a rotation')
+        turns = (np.arange(1, count + 1) - late) * (turn + whole) + number(WIDER)
+        low, high = heading - turns, heading + turns
+        return turn, low, high
+
+    def _exchanged(self, limits: Limits) -> int:
+        """Return how many first steps the cost sees only the sum and the lengths of headings of."""
+        problem, costs, move = self.problem, self._costs, self._motion
+        plain = not (limits.cones or limits.bodies or limits.glide_slope or problem.max_rate)
+        costly = bool((costs.weights[0, 1:-1] != 0).any()) or costs.turned or problem.inertial
+        if costly or not plain or limits.change < 2.0 or problem.rotation_order == 2:
+            return 0
+        alike = problem.dimension == 2 and move.drift == 0 and problem.horizon > 1
+        return problem.horizon - 1 if alike else 0
+
+    # --- what couples steps
+
+    def _ended(self, goals: Rows, limits: Limits, radius: float) -> Ends:
+        problem, number, n = self.problem, self._number, self.problem.dimension
+        known = self._rows(np.zeros((problem.horizon, n + 1)))
+        known[:, :n], slope = goals, (number(0), number(0))
+        if limits.glide_slope:
+            known[:, n] = self._rows(limits.eased)
+            slope = direction(number(limits.glide_slope))[::-1]
+        angles = n == 2 and problem.turns_are_angles
+        chord = number(-1)
+        if problem.max_rate and not angles:
+            chord = number(problem.chord) + number(ROUNDING)
+        arrives = (1 + problem.inertial) * (problem.terminal == 'constraint')
+        begun = int(problem.first_turn_is_decided)
+        return Ends(known, arrives, number(radius), chord, begun, *slope)
+
+    def _beside(self, origin: Rows, bodies: Sequence[Body], start: Rows) -> Bodies:
+        n, count, degree = self.problem.dimension, self.problem.horizon, self._motion.degree
+        centres = self._rows(np.zeros((len(bodies), count, POINTS, n)))
+        extents = self._rows(np.zeros((len(bodies), 2 * n + 1)))
+        margins = self._rows(np.zeros((2, len(bodies), count)))
+        for j, body in enumerate(bodies):
+            low, shifts = self._rows(body.low) - origin, self._rows(body.shifts)
+            extents[j, :n], extents[j, n : 2 * n] = -low, self._rows(body.high) - origin
+            extents[j, -1], margins[0, j] = self._number(body.radius), self._rows(body.grown)
+            still = low if body.radius else 0 * low
+            for k in range(count):
+                for i, share in enumerate(shares(body.of, k, degree)):
+                    moved = shifts[k] + (shifts[k + 1] - shifts[k]) * share / degree
+                    centres[j, k, i] = still + moved
+        if any(each.radius and each.of == STEP for each in bodies):
+            margins[1] = self._spread(bodies, centres, start)
+        return Bodies(np.array([each.of for each in bodies], np.int64), extents, centres, margins)
+
+    def _spread(self, bodies: Sequence[Body], centres: Rows, start: Rows) -> Rows:
+        """Return how far apart control points of steps get, as bodies see them, shape (J, N).
+
+        Headings are no longer than 1.
+        """
+        n, count, m = self.problem.dimension, self.problem.horizon, self._motion.degree + 1
+        still = self._rows(np.zeros((count + 1, n)))
+        still[0] = start[FIRST, :n]
+        known = (start[row, :n] for row in (VELOCITY, BLOWN, HASTENED, WIND))
+        free = self._controls(still, *known)
+        none, units = self._rows(np.zeros(count)), self._rows(np.eye(count + 1)[:, 1:])
+        reach = self._controls(units, none, none, none, none)
+        fastest = max(self._number(1), root((start[DECIDED, :n] ** 2).sum()))  # R_1 may be longer
+        apart = fastest * np.abs(reach[:, :, None] - reach[:, None]).sum(axis=-1)
+        spread = self._rows(np.zeros((len(bodies), count)))
+        for j, body in enumerate(bodies):
+            for k in range(count) if body.radius and body.of == STEP else ():
+                places = free[k] - centres[j, k, :m]
+                gaps = [
+                    apart[k, a, b] + root(((places[a] - places[b]) ** 2).sum())
+                    for a in range(m) for b in range(a)
+                ]  # fmt: skip
+                spread[j, k] = max(gaps)
+        return spread
+
+    def _controls(self, z: Rows, velocity: Rows, blown: Rows, hastened: Rows, wind: Rows) -> Rows:
+        """Return the control points of steps, less s_0, shape (N, degree + 1, c)."""
+        move, s, p = self._motion, 0 * velocity, velocity
+        found = []
+        for k in range(len(z) - 1):
+            leave = p if move.inertial else move.forward * z[k] + wind
+            then = s + move.drift * p + move.push * z[k] + move.follow * z[k + 1] + blown
+            p = move.keep * p + move.add * z[k] + move.after * z[k + 1] + hastened
+            arrive = p if move.inertial else move.forward * z[k + 1] + wind
+            within = [s, s + move.lead * leave, then - move.lead * arrive, then]
+            found.append([within[i] for i in CONTROLS[move.degree]])
+            s = then
+        return np.array(found)
+
+
+CONTROLS = {1: (0, 3), 2: (0, 1, 3), 3: (0, 1, 2, 3)}  # of those at most, in steps of a degree
+
+
+def shares(of: int, k: int, degree: int) -> list[int]:
+    """Return which control points of step k, of 0..degree, are on one side of a body."""
+    if of == STEP:
+        return list(range(degree + 1))
+    return [0, degree] if of == ENDS and k > 0 else [degree]

@@ -1,0 +1,164 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""Verification of bounds: what a tree proves of a problem, in floats at a tick, or in fractions.
+
+Nothing of a search is used. A tree that is wrong in any way proves nothing; no tree proves more
+than a trajectory costs.
+
+Mathematics: docs/proofs.md.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.kernels import compiled
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.proof.bound import PROVED, REFUTED, Leaves, Sections, Work, tree_bound
+from orbimpc_ros.mpc.proof.limits import Limits, limits_of
+from orbimpc_ros.mpc.proof.splits import ICOSAHEDRON, Allowed, Order, Region, depths_of
+from orbimpc_ros.mpc.proof.stated import FREE, Stated, Statement
+from orbimpc_ros.mpc.proof.tree import ProofTree, fits
+
+MOST = 1 << 24  # numbers of a region
+HOSTILE = ArithmeticError, ValueError  # of numbers that are none, or far too large
+_depths, _bound = compiled(depths_of), compiled(tree_bound)
+
+
+class Verifier:
+    """Verifies bounds of one problem at each tick.
+
+    Args:
+        problem: whose bounds; limits that proofs do not know can only make trajectories dearer.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self._statement = Statement(problem)
+        self._work = _work(problem, self._statement.width, float)
+        self._region = _region(1, 2 * problem.horizon, problem.dimension, float)
+
+    def bound(self, state: State, goals: Array, tree: ProofTree) -> float:
+        """Return a cost that no trajectory undercuts; -inf if a tree proves none.
+
+        Infinity if it proves that there is no trajectory.
+
+        Args:
+            state: where trajectories start.
+            goals: g_1..g_N, shape (N, n) [m].
+            tree: in the units of the problem.
+        """
+        problem = self._statement.problem
+        stated = self._statement.of(state, goals, limits_of(problem, state, goals))
+        if not fits(tree, problem.horizon, stated.n, stated.width, stated.ends.arrives):
+            return -math.inf
+        depth = np.empty(len(tree.nodes), np.int64)
+        most, choices = _depths(tree.nodes, depth), (2 + len(stated.bodies.of)) * problem.horizon
+        if most < 0 or (most + 1) * choices > MOST:
+            return -math.inf
+        if self._region.part.shape[0] <= most or self._region.part.shape[1] != choices:
+            self._region = _region(2 * most + 1, choices, problem.dimension, float)
+        try:
+            found = _bound(stated, *_parts(stated, tree), depth, self._region, self._work)
+        except HOSTILE:
+            return -math.inf
+        return _verdict(*found)
+
+
+def exact_bound(
+    problem: Problem,
+    state: State,
+    goals: Array,
+    tree: ProofTree,
+    limits: Limits,
+    radius: float = -1.0,
+) -> float:
+    """Return what a tree proves, in fractions: see :meth:`Verifier.bound`; rounded down.
+
+    Args:
+        problem: whose bound; its obstacles count only as the limits have them.
+        state: where trajectories start.
+        goals: g_1..g_N, shape (N, n) [m].
+        tree: in the units of the problem.
+        limits: beside the problem's own.
+        radius: within which s_N is of g_N [m]; negative where it may be anywhere.
+
+    Raises:
+        BadInput: what cannot be stated in fractions.
+    """
+    statement = Statement(problem, Fraction)
+    stated = statement.of(state, goals, limits, radius)
+    if not fits(tree, problem.horizon, stated.n, stated.width, stated.ends.arrives):
+        return -math.inf
+    depth, choices = np.empty(len(tree.nodes), np.int64), len(stated.bodies.of) + 2
+    most, choices = depths_of(tree.nodes, depth), choices * problem.horizon
+    if most < 0 or (most + 1) * choices > MOST:
+        return -math.inf
+    region = _region(most + 1, choices, problem.dimension, object)
+    work = _work(problem, statement.width, object)
+    try:
+        parts = _parts(stated, _in_fractions(tree))
+        return _verdict(*tree_bound(stated, *parts, depth, region, work))
+    except HOSTILE:
+        return -math.inf
+
+
+def _parts(stated: Stated, tree: Any) -> tuple:
+    """Return a tree as its bound takes it."""
+    capped = max(0, len(stated.root.patches) - ICOSAHEDRON)
+    solid = len(stated.sets.faces)
+    count = tree.point.shape[1]
+    allowed = Allowed(stated.n, count, stated.decided == FREE, solid, capped)
+    sorts = tree.pull, tree.slide, tree.tether, tree.share, tree.meet[:, None]
+    begins, number = [], 0
+    for each in sorts:
+        begins.append(number if each.size else -1)
+        number += each.shape[1] if each.size else 0
+    known = [each for each in sorts if each.size]
+    forces = tree.point[:, :0, : stated.n]
+    if known:
+        forces = known[0] if len(known) == 1 else np.concatenate(known, axis=1)
+    rows = tree.press_end, tree.press_row, tree.press
+    leaves = Leaves(tree.point, tree.shor, *rows, np.ascontiguousarray(forces))
+    return allowed, Order(tree.ordered, tree.origin), tree.nodes, tree.at, leaves, Sections(*begins)
+
+
+def _in_fractions(tree: ProofTree) -> Any:
+    numbers: dict[str, Any] = {'origin': Fraction(tree.origin)}
+    for name, value in tree._asdict().items():
+        if isinstance(value, np.ndarray) and value.dtype == float:
+            made = np.empty(value.shape, object)
+            made.ravel()[:] = [Fraction(each) for each in value.ravel().tolist()]
+            numbers[name] = made
+    return tree._replace(**numbers)
+
+
+def _verdict(least: Any, leaves: int, what: int) -> float:
+    if what == REFUTED:
+        return math.inf
+    return rounded_down(least) if what == PROVED else -math.inf
+
+
+def rounded_down(x: Any) -> float:
+    """Return the largest double that is not above a number; -inf below all."""
+    if not abs(x) <= sys.float_info.max:
+        return sys.float_info.max if x > 0 else -math.inf
+    nearest = float(x)
+    return nearest if nearest <= x else math.nextafter(nearest, -math.inf)
+
+
+def _region(depths: int, choices: int, n: int, kind: Any) -> Region:
+    shape = depths, choices
+    corners = np.zeros((depths, choices if n == 3 else 1, 3, 3), kind)
+    return Region(np.zeros(shape, np.int64), np.zeros((*shape, 2), kind), corners)
+
+
+def _work(problem: Problem, width: int, kind: Any) -> Work:
+    count, n = problem.horizon, problem.dimension
+    flown, slopes = np.zeros((4, count + 1, n), kind), np.zeros((count, width), kind)
+    squares = np.zeros((2 * count + 2, count), kind)
+    return Work(flown, slopes, np.zeros((2, width), kind), np.zeros((4, 4), kind), squares)
