@@ -107,8 +107,8 @@ class Aboard:
         for name, (odometry, goal) in asked.items():
             self._deliver(at)
             planner = self.planners[name]
-            planner.hear('goal', goal, at / SECOND, now)
-            planner.hear('odom', odometry, at / SECOND, now)
+            planner.inputs.update('goal', goal, at / SECOND, now)
+            planner.inputs.update('odom', odometry, at / SECOND, now)
             found[name] = planner.plan(at / SECOND, 0.0, self._told)
             planner.went_out(at / SECOND)
             if 'plan' in found[name]:

@@ -39,3 +39,20 @@ class Stepped(Planner):
         decision = self.step(snapshot, late=late)
         self.sent(decision.command)
         return decision
+
+
+def stale_odometry(inputs, *clock):
+    """Return how old odometry is, in words, if that is too old."""
+    age = inputs.snapshot(*clock).odometry_age
+    return f'odometry is {age:.2f} s old' if age > inputs.settings.odom_timeout else ''
+
+
+def stale_goal(inputs, *clock):
+    """Return how old the goal is, in words, if that is too old."""
+    age = inputs.snapshot(*clock).goal_age
+    return f'the goal is {age:.2f} s old' if age > inputs.settings.goal_timeout else ''
+
+
+def targets(inputs, times, *clock):
+    """Return where the goal will be at times."""
+    return inputs.snapshot(*clock).goal.at(times)

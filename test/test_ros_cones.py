@@ -8,11 +8,11 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
 
-from orbimpc_ros.ros.planner.summary import summary
 from stepping import Stepped
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters import PLANNER, planner_settings
+from orbimpc_ros.ros.planner.description import summary
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import departure

@@ -51,9 +51,8 @@ def flight(parameters, craft, motion, goal, seconds, band=0.0):
 
 @pytest.mark.parametrize('name', ['rover', 'fixed wing', 'multirotor'])
 def test_a_recipe_is_a_vehicle_without_doubts(name):
-    from orbimpc_ros.ros.planner.summary import doubts
-
     from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
+    from orbimpc_ros.ros.planner.description import doubts
 
     given = recipe(name)
     settings = planner_settings({row.name: row.default for row in PLANNER} | given)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -156,6 +156,28 @@ def prices(decision: Decision) -> dict[str, float]:
     if explanation.unexplained > ANOTHER_PLAN:
         return {}
     return {str(each): each.price for each in explanation.binding}
+
+
+def condition(
+    wrong: Iterable[str], waiting: str, report: Report | None, notices: Iterable[str]
+) -> tuple[bytes, list[str]]:
+    """Return a planner's condition: a level, and what it is due to.
+
+    Args:
+        wrong: what is wrong around it, in words; empty ones do not count.
+        waiting: why it does not plan, in words; empty if it does.
+        report: of the last decision, if there was one.
+        notices: what to warn of while all goes well; empty ones do not count.
+    """
+    errors, warnings = [*filter(None, wrong)], [*filter(None, notices)]
+    if errors:
+        return ERROR, errors
+    if waiting:
+        return WARN, [waiting, *warnings]
+    level, message = OK, 'ready'
+    if report is not None:
+        level, message = report.level, report.decision.reason or 'planning'
+    return WARN if level == OK and warnings else level, [message, *warnings]
 
 
 def tick_message(at: int, node: str, report: Report) -> DiagnosticArray:

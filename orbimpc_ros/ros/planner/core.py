@@ -198,7 +198,8 @@ class Core:
         Its command went out before, and need not wait for them.
         """
         decision = proved(report.decision, self._limit, self._end, catches=catches)
-        return replace(report, decision=decision)
+        same = decision is report.decision
+        return report if same else replace(report, decision=decision)
 
     def sent(self, command: Command, at: float) -> None:
         """Note that a command was published at a time of the ROS clock [s]."""

@@ -429,9 +429,6 @@ class Inputs:
             taking: how long the decision is going to take [s].
         """
         known, goal, path = self.odometry, self.latest.get('goal'), self._fresh_path(now, ros)
-        if known is None:
-            return Snapshot(stop=stop)
-        compensated = self.settings.delay_compensation and known.timed and ros.nanoseconds
         motion: GoalMotion | None = self.forecast if path is None and goal is not None else path
         if motion is None and 'goal_path' in self.latest:
             motion = self.latest['goal_path'].value  # stale: its age is what matters
@@ -439,15 +436,16 @@ class Inputs:
         if path is not None and path.attitude is not None:
             wanted = path.attitude
         ages = (self._goal_age(*each, now, ros) for each in self._goal_sources().items())
-        return Snapshot(
-            known.value,
-            motion,
-            wanted,
+        snapshot = Snapshot(None, motion, wanted, goal_age=min(ages, default=0.0), stop=stop)
+        if known is None:
+            return snapshot
+        compensated = self.settings.delay_compensation and known.timed and ros.nanoseconds
+        return replace(
+            snapshot,
+            odometry=known.value,
             traffic=self.obstacles.traffic(known.value.time),
             odometry_age=known.age(now, ros),
-            goal_age=min(ages, default=0.0),
             latency=known.delay(ros) + taking if compensated else 0.0,
-            stop=stop,
         )
 
     def goal_at(self, now: float, ros: RosTime = UNKNOWN) -> tuple[Array, Array | None] | None:

@@ -53,12 +53,11 @@ from orbimpc_ros.ros.process import LIFE, qos, run
 from orbimpc_ros.ros.reports import (
     AFRESH,
     DISABLED,
-    ERROR,
     INACTIVE,
     OK,
     RESET,
-    WARN,
     Report,
+    condition,
     health_message,
     prices,
 )
@@ -164,7 +163,7 @@ class PlannerNode(Managed):
         self._event_publishers = {n: self.create_publisher(Bool, n, latched) for n in EVENTS}
         self._publish_events()
         self._health = self.create_publisher(DiagnosticArray, '/diagnostics', qos())
-        self._level, self._current = OK, set[str]()  # shown last: parts without their numbers
+        self._level, self._current = OK, dict[str, tuple[bool, str]]()  # as shown last
 
     def _begin_anew(self) -> None:
         self._sent_at = -math.inf  # when something went out last, on the steady clock [s]
@@ -499,28 +498,23 @@ class PlannerNode(Managed):
 
     def _condition(self) -> tuple[bytes, list[str]]:
         """Return the level of diagnostics, and what it is due to."""
-        wrong = [*filter(None, (self._monitor.sources, *self._monitor.mismatches))]
-        if wrong:
-            return ERROR, wrong
+        wrong = [self._monitor.sources, *self._monitor.mismatches]
         refused = self._refusal if self.steady_now() - self._refused_at < REFUSED else ''
-        notices = [*filter(None, (*self._notices, refused))]
         waiting = self._waiting if self._enabled else DISABLED.words
         waiting = waiting if self.active else INACTIVE.words
-        if waiting:
-            return WARN, [waiting, *notices]
-        level, message = OK, 'ready'
-        if self._report is not None:
-            level, message = self._report.level, self._report.decision.reason or 'planning'
-        return WARN if level == OK and notices else level, [message, *notices]
+        return condition(wrong, waiting, self._report, [*self._notices, refused])
 
     def _show_changes(self) -> None:
         """Log what is new of the condition, and publish it if the level has changed."""
         level, parts = self._condition()
-        kinds = {NUMBER.sub('#', part): part for part in parts}
-        for kind, part in kinds.items():
+        current = {NUMBER.sub('#', part): (level != OK, part) for part in parts}
+        for kind, (odd, part) in current.items():
             if kind not in self._current:
-                (self._say if level == OK else self._warn)(part)
-        self._current = set(kinds)
+                (self._warn if odd else self._say)(part)
+        for kind, (odd, part) in self._current.items():
+            if odd and kind not in current:
+                self._say(f'over: {part}')
+        self._current = current
         if level != self._level:
             self._show_health()
 
