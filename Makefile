@@ -1,5 +1,6 @@
 # make demo   sets up .venv and catches the swinging rope over ROS 2
 # make test   sets up .venv and runs lint, types and tests
+# make quick  sets up .venv and runs the pure tests of the nodes and the package: a minute
 # make long   judges random problems, flights and mutants of the check: hours (CONTRIBUTING.md)
 # make docs   writes the table of parameters and draws the pictures of docs/ anew
 #
@@ -11,6 +12,7 @@ PYTHON ?= python3
 VENV ?= .venv
 # More than two cores: for half of their time the tests over DDS wait for processes.
 JOBS ?= 3
+QUICK = ros_* package_* loop_* mpc_check* mpc_command mpc_problem mpc_rotations mpc_delay
 BIN = $(VENV)/bin
 SAY = @printf '\n== %s\n'
 COMPILE = @$(BIN)/python -m orbimpc_ros.mpc.kernels
@@ -26,7 +28,7 @@ EXTRAS_DEMO = [ros,fast]
 EXTRAS_TEST = [ros,fast,study,test,view]
 endif
 
-.PHONY: demo test lint pytest long proofs flights mutants docs clean help
+.PHONY: demo test quick lint pytest long proofs flights mutants docs clean help
 .DELETE_ON_ERROR:
 
 help:
@@ -48,6 +50,9 @@ lint: $(VENV)/.installed-test
 pytest: $(VENV)/.installed-test
 	$(SAY) 'Tests (pytest)'
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile $(PYTEST_FLAGS)
+
+quick: $(VENV)/.installed-test
+	$(BIN)/python -m pytest --quick -n 2 $(wildcard $(QUICK:%=test/test_%.py))
 
 long: proofs flights mutants
 

@@ -43,7 +43,7 @@ setup(
     maintainer='orbimpc_ros developers',
     maintainer_email='orbimpc-ros@example.org',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed']},
+    package_data={NAME: ['py.typed', 'sim/engines/*.xml']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (SHARE, ['package.xml', 'requirements-jazzy.txt']),

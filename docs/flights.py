@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 
 from orbimpc_ros.sim.fleet import vehicles
 from orbimpc_ros.tool import cli, figures, history
-from orbimpc_ros.tool.figures.fleet import fleet
 from orbimpc_ros.tool.history import History
 from orbimpc_ros.tool.style import in_both_looks
 
@@ -32,8 +31,8 @@ DEMOS = ('retrieval', 'obstacles', 'dubins', 'spacecraft', 'multirotor', 'lander
 
 
 def drawn(flown: Mapping[str, History]) -> Callable[[bool], Figure]:
-    """Return what draws the paper's figure of flights, for dark pages or not."""
-    return lambda dark: figures.of_runs(flown, dark)[figures.TRAJECTORY]
+    """Return what draws the paths of flights, for dark pages or not."""
+    return lambda dark: figures.of_runs(flown, dark)[figures.PATH]
 
 
 def fly(name: str, folder: Path) -> None:
@@ -49,7 +48,7 @@ def fly(name: str, folder: Path) -> None:
     place = folder / demo
     if name == 'fleet':
         flown = {each: history.of_bag(place / 'bag', each) for each in vehicles(FLEET, 0)}
-        in_both_looks(lambda _dark: fleet(flown), DOCS / 'pictures' / 'fleet.png')
+        in_both_looks(drawn(flown), DOCS / 'pictures' / 'fleet.png')
         return
     bags = sorted(place.glob('**/bag'))
     flown = {bag.parent.name if len(bags) > 1 else '': history.of_bag(bag) for bag in bags}

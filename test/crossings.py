@@ -26,7 +26,7 @@ from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import Flight, departure
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.bags import fields
-from orbimpc_ros.tool.demo.fleet import resolve
+from orbimpc_ros.tool.demo import fleet
 from orbimpc_ros.tool.replay.offline import OfflinePlanner, resolved
 
 
@@ -68,7 +68,7 @@ class Outcome:
 
 def setup(count: int, seed: int, changes: Sequence[str] = ()):
     """Return the parameters of a crossing's vehicles, by namespace."""
-    values, own = resolve(count, [*changes, f'seed={seed}'], 'crossing')
+    values, own = fleet(count, [*changes, f'seed={seed}'], 'crossing')
     return {name: values | each for name, each in own.items()}
 
 
@@ -121,7 +121,7 @@ class Aboard:
         for due, topic, plan in self._under_way:
             for name, hears in self.planners.items():
                 if due <= at and topic in self.avoided[name]:
-                    hears.hear(topic, plan, at / SECOND, now)
+                    hears.inputs.update(topic, plan, at / SECOND, now)
         self._under_way = [each for each in self._under_way if each[0] > at]
 
 

@@ -8,8 +8,21 @@ import math
 import numpy as np
 
 from orbimpc_ros.mpc.problem import Floor, Problem, Weights
-from orbimpc_ros.sim.vehicle import launched, model_of
+from orbimpc_ros.sim.vehicle import Model, launched
 from orbimpc_ros.sim.world import Rope, Scenario, fixed
+
+
+def model_of(problem: Problem, mass: float = 1.0) -> Model:
+    """Return the vehicle that a planning problem believes in."""
+    return Model(
+        problem.dimension,
+        problem.rotation_order,
+        problem.translation_order,
+        problem.step,
+        problem.forward,
+        mass,
+        discretisation=problem.discretisation,
+    )
 
 
 def retrieval_problem() -> Problem:

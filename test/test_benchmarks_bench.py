@@ -4,20 +4,22 @@
 import json
 import math
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from problems import reference
 
 from benchmarks import bench
-from benchmarks.bench import contest as parts
-from benchmarks.bench import picture, table
-from benchmarks.bench.contenders.contender import Declined, Solution
-from benchmarks.bench.contenders.planar import CondensedPlanar
-from benchmarks.bench.contest import CVXPY, GUROBI, IPOPT, SCIP
-from benchmarks.bench.contests import CONTESTS
-from benchmarks.bench.duel import OURS, Samples, duel
-from benchmarks.bench.rows import LATE, BenchRow, growth, of_duel
+from benchmarks.bench import picture
+from benchmarks.bench import problems as parts
+from benchmarks.bench.interleaved import OURS, Samples, interleaved_run
+from benchmarks.bench.problems import COMPARISONS, CVXPY, GUROBI, IPOPT, SCIP
+from benchmarks.bench.results import LATE, BenchRow, growth, rows_of, table
+from benchmarks.bench.solvers import Declined, Solution
+from benchmarks.bench.solvers.planar import CondensedPlanar, slope_of
+from orbimpc_ros.mpc.kernels import COMPILED
+from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import cli
 
@@ -27,19 +29,26 @@ FIELDS = [
 ]
 
 
-def contest(key):
-    return next(each for each in CONTESTS if each.key == key)
+PATIENCE = 600.0  # [s]: on a busy machine too
+searched = pytest.mark.skipif(
+    not COMPILED, reason='minutes, or without a proof, in plain Python: pip install numba'
+)
 
 
-def solved(key, name, count=2):
-    """The objectives of a contender on the first instances; skips where it is not installed."""
-    each = contest(key)
+def comparison(key, horizon=None):
+    """A comparison, with fewer steps to plan than it has where others take minutes for all."""
+    found = next(each for each in COMPARISONS if each.key == key)
+    return replace(found, problem=replace(found.problem, horizon=horizon)) if horizon else found
+
+
+def solved(each, name, indices):
+    """The answers of a contender to some instances; skips where it is not installed."""
     if name in parts.PACKAGES:
         pytest.importorskip(parts.PACKAGES[name])
-    contender = each.contender(name, 600.0)  # [s]: on a busy machine too
-    answers = []
-    for instance in each.instances(each.problem, count):
-        contender.solve(*instance)
+    contender, answers = each.solver(name, PATIENCE), []
+    instances = each.instances(each.problem, max(indices) + 1)
+    for index in indices:
+        contender.solve(*instances[index])
         answers.append(contender.solution())
     return answers
 
@@ -73,7 +82,7 @@ def test_a_quick_run_writes_the_agreed_file_and_a_picture(run, tmp_path):
 
 def test_who_is_not_installed_is_absent_and_told_how_to_come(run, monkeypatch):
     for name in ('gurobi', 'scip'):
-        monkeypatch.setitem(sys.modules, f'benchmarks.bench.contenders.{name}', None)
+        monkeypatch.setitem(sys.modules, f'benchmarks.bench.solvers.{name}', None)
     code, out, _, result = run('--only', 'square')
     assert code == 0
     rows = {row['contender']: row for row in result['rows']}
@@ -101,22 +110,26 @@ def test_who_is_not_installed_is_absent_and_told_how_to_come(run, monkeypatch):
 def test_every_contender_solves_the_same_problem_as_ours(key, name):
     """No problem is made easier for anybody."""
     count = 1 if key.startswith('dubins') else 3
-    tolerance = 2 * contest(key).gap
-    for theirs, ours in zip(solved(key, name, count), solved(key, OURS, count), strict=True):
+    each = comparison(key)
+    tolerance = 2 * each.gap
+    for theirs, ours in zip(
+        solved(each, name, range(count)), solved(each, OURS, range(count)), strict=True
+    ):
         assert theirs.objective == pytest.approx(ours.objective, rel=tolerance)
-        assert not theirs.gap > contest(key).gap
+        assert not theirs.gap > each.gap
 
 
 @pytest.mark.parametrize('key', ['circle-0.3', 'circle-1.0'])
 def test_a_local_solver_is_never_better_than_what_was_proved(key):
-    theirs, ours = solved(key, IPOPT, 20), solved(key, OURS, 20)
+    each, indices = comparison(key), range(20)
+    theirs, ours = solved(each, IPOPT, indices), solved(each, OURS, indices)
     pairs = [(a.objective, b.objective) for a, b in zip(theirs, ours, strict=True)]
     assert all(a > b * (1 - 1e-6) for a, b in pairs if not math.isnan(a))
     assert any(a == pytest.approx(b, rel=1e-6) for a, b in pairs)  # and sometimes finds it
 
 
 def test_the_circling_ticks_are_near_the_rope():
-    each = contest('square')
+    each = comparison('square')
     for state, goals in each.instances(each.problem, 20):
         assert np.linalg.norm(state.position - goals[0]) < 2.5
 
@@ -142,8 +155,10 @@ class Fake:
 
     def __init__(self, objective=1.0, error=None, log=None, name=''):
         self.objective, self.error, self.log, self.name = objective, error, log, name
+        self.met = 0
 
     def solve(self, state, goals):
+        self.met += 1
         if self.log is not None:
             self.log.append(self.name)
         if self.error is not None:
@@ -153,11 +168,11 @@ class Fake:
         return Solution(self.objective)
 
 
-def fight(contenders, count=4):
-    samples = duel(
-        contenders, [(None, None)] * count, warm_up=0, budget=60.0, show=lambda done: None
+def fight(solvers, count=4):
+    samples = interleaved_run(
+        solvers, [(None, None)] * count, warm_up=0, budget=60.0, show=lambda done: None
     )
-    return samples, {row.contender: row for row in of_duel('p', samples, {})}
+    return samples, {row.contender: row for row in rows_of('p', samples, {})}
 
 
 def test_contenders_take_turns_on_the_same_instance_in_alternating_order():
@@ -177,8 +192,8 @@ def test_objectives_that_differ_are_flagged_and_better_ones_fail_the_run():
 
 def test_who_refuses_or_breaks_is_a_row_that_says_why():
     errors = {'small': Declined('licence'), 'broken': ZeroDivisionError('x')}
-    contenders = {name: Fake(error=error) for name, error in errors.items()}
-    _, rows = fight({OURS: Fake(), **contenders})
+    solvers = {name: Fake(error=error) for name, error in errors.items()}
+    _, rows = fight({OURS: Fake(), **solvers})
     assert (rows['small'].n, rows['small'].note) == (0, 'licence')
     assert 'ZeroDivisionError' in rows['broken'].note
     assert rows[OURS].n == 4
@@ -188,7 +203,7 @@ def test_who_has_used_up_the_budget_is_compared_on_what_it_did():
     slow, ours = Samples({0: 100.0}, {0: Solution(1.0, 0.1, True)}), Samples()
     ours.times.update({0: 10.0, 1: 1.0})
     ours.solutions.update({0: Solution(1.0), 1: Solution(1.0)})
-    row = of_duel('p', {OURS: ours, 'slow': slow}, {})[1]
+    row = rows_of('p', {OURS: ours, 'slow': slow}, {})[1]
     assert row.ratio_p50 == pytest.approx(10.0)
     assert 'time limit hit on 1' in row.note
 
@@ -198,8 +213,15 @@ def test_requirements_are_least_ratios_and_most_of_everything_else():
         'p', OURS, 1, p50_ms=2.0, ratio_p50=5.0, required={'p50_ms': 1.0, 'ratio_p50': 4.0}
     )
     assert row.missed == ['p50_ms']
-    assert 'MISSED' in table.text([row])
-    assert 'met' in table.text([BenchRow('p', OURS, 1, p50_ms=2.0, required={'p50_ms': 3.0})])
+    assert 'MISSED' in table([row])
+    assert 'met' in table([BenchRow('p', OURS, 1, p50_ms=2.0, required={'p50_ms': 3.0})])
+
+
+@pytest.mark.parametrize(('most', 'code'), [(1.0, 1), (3.0, 0)])
+def test_a_requirement_that_is_missed_fails_the_run(run, monkeypatch, most, code):
+    row = BenchRow('p', OURS, 1, p50_ms=2.0, required={'p50_ms': most})
+    monkeypatch.setattr(bench, 'contested', lambda *_: [row])
+    assert run('--only', 'square')[0] == code
 
 
 def test_growth_is_the_exponent_of_n():
@@ -215,12 +237,12 @@ def second(monkeypatch):
     """Return a function that has something happen in the place of the second measurement."""
 
     def replace(happen):
-        measure = bench.contested
+        measure = bench.compared
 
-        def contested(contest, quick):
-            return measure(contest, quick) if contest.key == 'hull' else happen()
+        def compared(comparison, quick):
+            return measure(comparison, quick) if comparison.key == 'hull' else happen()
 
-        monkeypatch.setattr(bench, 'contested', contested)
+        monkeypatch.setattr(bench, 'compared', compared)
 
     return replace
 
@@ -241,8 +263,8 @@ def test_a_measurement_that_fails_is_a_row_and_loses_no_other(run, second):
     assert code == 1
     assert 'failed: OSError: the wind has turned' in out
     solves = {(row['problem'], row['contender']): row['n'] for row in result['rows']}
-    assert solves[contest('hull').title, OURS] > 0
-    assert solves[contest('square').title, OURS] == 0
+    assert solves[comparison('hull').title, OURS] > 0
+    assert solves[comparison('square').title, OURS] == 0
 
 
 def test_an_interruption_keeps_what_was_measured(run, second, tmp_path):
@@ -252,7 +274,7 @@ def test_an_interruption_keeps_what_was_measured(run, second, tmp_path):
     second(interrupt)
     code, out, err, result = run('--only', 'hull', 'square')
     assert (code, err.splitlines()[-1]) == (cli.INTERRUPTED, 'orbimpc: interrupted')
-    assert {row['problem'] for row in result['rows']} == {contest('hull').title}
+    assert {row['problem'] for row in result['rows']} == {comparison('hull').title}
     assert CVXPY in out
     assert (tmp_path / 'result.png').is_file()
 
@@ -347,3 +369,89 @@ def test_the_picture_shows_every_ratio_whole_and_marks_capped_ones():
 def test_every_problem_of_the_help_can_be_asked_for():
     assert bench.problems()[-3:] == ['start', 'latency', 'planners']
     assert len(set(bench.problems())) == len(bench.problems())
+
+
+# --- vehicles met in flight
+
+
+@searched
+@pytest.mark.parametrize('name', [GUROBI, SCIP])
+@pytest.mark.parametrize('key', ['wing', 'wing-octagon', 'wing-circle'])
+def test_whoever_proves_something_of_a_wing_proves_it_of_the_same_problem(key, name):
+    """In wind, at a turn that the attitude begins, above the floor: early and late in a flight."""
+    each, indices = comparison(key, 4), [0, 9, 19]
+    pairs = zip(solved(each, name, indices), solved(each, OURS, indices), strict=True)
+    for theirs, ours in pairs:
+        assert theirs.objective == pytest.approx(ours.objective, rel=2 * each.gap)
+        assert not theirs.gap > each.gap
+
+
+@searched
+@pytest.mark.parametrize('key', ['wing', 'wing-circle'])
+def test_a_local_solver_finds_no_better_wing(key):
+    each, indices = comparison(key, 6), range(0, 20, 4)
+    pairs = [
+        (theirs.objective, ours.objective)
+        for theirs, ours in zip(
+            solved(each, IPOPT, indices), solved(each, OURS, indices), strict=True
+        )
+    ]
+    assert all(theirs > ours * (1.0 - each.gap) for theirs, ours in pairs if not math.isnan(theirs))
+    assert any(theirs == pytest.approx(ours, rel=each.gap) for theirs, ours in pairs)
+
+
+@searched
+@pytest.mark.parametrize(('key', 'horizon'), [('multirotor', 12), ('lander', 30)])
+def test_the_relaxation_under_gravity_is_a_bound_that_some_plans_attain(key, horizon):
+    each, indices = comparison(key, horizon), [0, 3]
+    pairs = list(zip(solved(each, CVXPY, indices), solved(each, OURS, indices), strict=True))
+    assert all(theirs.relaxed for theirs, _ in pairs)
+    assert all(theirs.objective < ours.objective * (1.0 + 1e-5) for theirs, ours in pairs)
+    assert any(
+        theirs.objective == pytest.approx(ours.objective, rel=1e-4) for theirs, ours in pairs
+    )
+
+
+def test_wings_meet_winds_and_goals_that_move():
+    each = comparison('wing', 4)
+    instances = each.instances(each.problem, 80)
+    assert len(instances) == 80
+    winds = {tuple(state.disturbance) for state, _ in instances}
+    assert len(winds) == 2  # of two flights
+    assert all(np.linalg.norm(goals[-1] - goals[0]) > 0.0 for _, goals in instances)
+    flown = np.diff([state.position for state, _ in instances[:40]], axis=0)
+    over_ground = np.linalg.norm(flown, axis=1) / each.problem.step
+    assert over_ground.max() < each.problem.forward + 5.0
+    assert np.linalg.norm(instances[39].state.position - instances[39].goals[0]) < 40.0
+
+
+def test_turns_of_a_quarter_and_more_are_declined():
+    """Beyond them the two limits of a turn no longer say that it is so short."""
+    floor = Floor('circle', fraction=0.5)
+    assert slope_of(Problem(floor=floor, max_rate=1.0)) == pytest.approx(np.tan(1.0))
+    with pytest.raises(Declined, match='a quarter'):
+        slope_of(Problem(floor=floor, max_rate=1.6))
+
+
+def test_rivals_meet_some_instances_and_are_compared_on_those():
+    sides = {OURS: Fake(1.0), 'rival': Fake(1.0)}
+    samples = interleaved_run(
+        sides, [(None, None)] * 7, warm_up=0, budget=60.0, show=lambda done: None, every=3
+    )
+    assert (sides[OURS].met, sides['rival'].met) == (7, 3)
+    ours, theirs = rows_of('p', samples, {})
+    assert (ours.n, theirs.n) == (7, 3)
+
+
+def test_a_bound_below_our_plan_beats_nobody_and_a_gap_is_no_difference():
+    def row(solution, gap):
+        sides = {OURS: Solution(1.0), 'other': solution}
+        samples = {name: Samples({0: 1.0}, {0: each}) for name, each in sides.items()}
+        return rows_of('p', samples, {}, gap)[1]
+
+    assert row(Solution(0.99), 1e-3).beaten
+    assert not row(Solution(0.9995), 1e-3).beaten
+    assert row(Solution(0.9995), 1e-4).beaten
+    bound = row(Solution(0.5, relaxed=True), 1e-3)
+    assert not bound.beaten
+    assert bound.note == 'relaxed: a bound, lower on 1'

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from counting import changed, counted, mutants, said, solved
 
-from benchmarks.bench.contests import CONTESTS
+from benchmarks.bench.problems import COMPARISONS
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Approach, Box, Floor, Problem, State, Weights
@@ -64,13 +64,13 @@ def test_what_a_search_proves_is_proved_by_its_tree(kind, seed):
 
 @pytest.mark.parametrize('key', ['dubins', 'dubins-length'])
 def test_the_ways_of_a_dubins_vehicle_are_counted(key):
-    contest = next(each for each in CONTESTS if each.key == key)
-    (instance,) = contest.instances(contest.problem, 1)
-    case = Case(contest.problem, instance.state, instance.goals)
-    plan = Solver(case.problem, gap_tolerance=contest.gap).solve(*case[1:])
+    comparison = next(each for each in COMPARISONS if each.key == key)
+    (instance,) = comparison.instances(comparison.problem, 1)
+    case = Case(comparison.problem, instance.state, instance.goals)
+    plan = Solver(case.problem, gap_tolerance=comparison.gap).solve(*case[1:])
     assert plan.proof.checked
     assert counted(case, plan) >= (1.0 - 1e-9) * plan.lower_bound
-    assert plan.gap < contest.gap
+    assert plan.gap < comparison.gap
 
 
 def test_trees_with_arrivals_are_counted_by_the_same_machine_code():
@@ -249,10 +249,10 @@ def test_faces_of_space_are_choices_over_thrust_axes():
 
 @pytest.mark.parametrize('number', [0, 5, 7, 12])
 def test_a_search_whose_root_is_as_good_leaves_its_tangent(number):
-    contest = next(each for each in CONTESTS if each.key == 'lander')
-    instance = contest.instances(contest.problem, 13)[number]
-    case = Case(contest.problem, instance.state, instance.goals)
-    plan = Solver(case.problem, gap_tolerance=contest.gap).solve(*case[1:])
+    comparison = next(each for each in COMPARISONS if each.key == 'lander')
+    instance = comparison.instances(comparison.problem, 13)[number]
+    case = Case(comparison.problem, instance.state, instance.goals)
+    plan = Solver(case.problem, gap_tolerance=comparison.gap).solve(*case[1:])
     assert plan.proof.nodes > 1
     assert isinstance(plan.proof.grounds, Tangent)
     assert plan.proof.checked

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from problems import floor, goals, state
 
-from benchmarks.bench.flights import UP, landings
-from benchmarks.bench.vehicles import lifted
+from benchmarks.bench.instances import UP, landings
+from benchmarks.bench.problems import lifted
 from orbimpc_ros.loop import fallback as clearest_of
 from orbimpc_ros.mpc.check import floor_margin, violations
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure

@@ -79,6 +79,16 @@ def test_a_steady_disturbance_is_found_whatever_is_commanded(n, plant):
     np.testing.assert_allclose(watched.found, plant.blown, atol=0.01 * plant.forward)
 
 
+def test_a_jump_of_the_clock_leaves_the_wind_known_and_a_reset_does_not():
+    plant = PLANTS[0][1]
+    watched = Watched(plant, 2)
+    watched.watch(100)
+    watched.estimator.start_afresh()
+    np.testing.assert_allclose(watched.found, plant.blown, atol=0.01 * plant.forward)
+    watched.estimator.reset()
+    np.testing.assert_array_equal(watched.found, 0.0)
+
+
 @pytest.mark.parametrize('velocity_source', ['air', 'ground'])
 def test_who_is_met_in_flight_is_not_taken_for_one_at_rest_in_a_wind(velocity_source):
     """A lagging vehicle that flies before its first command covers what it could not from rest."""

@@ -7,6 +7,7 @@ import numpy as np
 import problems
 import pytest
 from flying import fly
+from scenarios import model_of
 from stepping import Stepped
 
 from orbimpc_ros.loop.compensation import Interval, advanced
@@ -19,7 +20,7 @@ from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.problem import Floor, Problem, State
-from orbimpc_ros.sim.vehicle import Model, advance, launched, measured, model_of
+from orbimpc_ros.sim.vehicle import Model, advance, launched, measured
 from orbimpc_ros.sim.world import Rope, Scenario
 
 UP = exp(np.array([0.0, -0.5 * np.pi, 0.0]))  # the thrust axis to the zenith
@@ -39,7 +40,7 @@ def windy(rng, n, order=1, **changes):
 @pytest.mark.parametrize('seed', range(5))
 def test_a_plan_starts_from_the_speed_through_the_air(n, source, seed):
     rng = np.random.default_rng([seed, n])
-    model, vehicle = windy(rng, n, source=source)
+    model, vehicle = windy(rng, n, velocity_source=source)
     problem, wind = Problem(n, forward=2.0), model.blown
     state = state_of(problem, measured(vehicle, source), 0.0, wind, source)
     np.testing.assert_allclose(state.rotation, vehicle.fraction * vehicle.attitude, atol=1e-12)
@@ -205,7 +206,7 @@ def test_no_wind_drives_an_airspeed_below_the_floor(source):
     """The floor is about the air: in a headwind the ground speed may well fall below it."""
     problem = Problem(step=0.5, floor=Floor('circle', fraction=0.6))
     wind = np.array([-0.5, 0.1])
-    model = replace(model_of(problem), disturbance=tuple(wind), source=source)
+    model = replace(model_of(problem), disturbance=tuple(wind), velocity_source=source)
     start = launched(model, np.zeros(2), np.eye(2), fraction=0.8)
     controller = Stepped(problem, disturbance=wind, velocity_source=source)
     log = fly(controller, at_goal(model, np.array([4.0, 0.0]), start), Hold())

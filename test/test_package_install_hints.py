@@ -42,5 +42,5 @@ def install_name(requirement):
 
 def test_without_the_file_numpy_stays_below_2_all_the_same(monkeypatch):
     monkeypatch.setattr(install, 'version', lambda _name: '1.26.4')
-    monkeypatch.setattr(install, '_constraints', lambda: None)
+    monkeypatch.setattr(install, 'shared', lambda _name: None)
     assert install.command('numba') == "pip install 'numpy<2' numba"

@@ -1,19 +1,16 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The Cessna of JSBSim behind the simulator: axes, wind, limits, seeds, and engines that fail."""
+"""The Cessna of JSBSim behind the simulator: axes, wind, limits, seeds."""
 
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from dying_engine import FAILURES
 from scipy.integrate import trapezoid
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.sim import engine_vehicle as engines
 from orbimpc_ros.sim.engine_vehicle import EnginePlant
 from orbimpc_ros.sim.engines.engine import Start
-from orbimpc_ros.sim.engines.failure import EngineFailure
 from orbimpc_ros.sim.faults import Faults, View
 from orbimpc_ros.sim.vehicle import launched
 from orbimpc_ros.sim.world import Scenario, departure, fixed
@@ -126,39 +123,8 @@ def test_odometry_may_come_late(cessna):
     assert flights[2].vehicle.position[0] < seen[-1].position[0] < flights[3].vehicle.position[0]
 
 
-@pytest.mark.parametrize(('name', 'value'), [('dimension', 3), ('translation_order', 2)])
-def test_it_flies_in_the_plane_by_speeds(name, value):
-    with pytest.raises(BadInput, match=f'{name} is {value}; allowed: [12] with vehicle: cessna'):
-        EnginePlant(**{name: value})
-
-
 def test_a_start_that_cannot_be_flown_is_refused(cessna):
     model = EnginePlant(forward=50.0)
     start = launched(model, np.zeros(2), np.eye(2), fraction=0.2)
     with pytest.raises(BadInput, match=r'start.speed_fraction is 0.2; .*no level flight'):
         model.begun(start)
-
-
-def test_an_engine_that_is_missing_is_said_with_the_way_to_get_it(monkeypatch):
-    monkeypatch.setitem(__import__('sys').modules, 'jsbsim', None)
-    monkeypatch.delitem(__import__('sys').modules, 'orbimpc_ros.sim.engines.cessna', raising=False)
-    with pytest.raises(BadInput, match=r"jsbsim is missing; pip install 'jsbsim>="):
-        flight_of()
-
-
-BLAME = {
-    'Straight': 'broken: went from t = 2.000 s to 2.000 s',
-    'Slow': 'broken: its clock is at 2.500 s, and not at 3.000 s',
-    'Reset': 'broken: went from t = 2.000 s to 1.000 s',
-    'Poisoned': 'broken: numbers that are none, after t = 2.000 s',
-    'Stopping': 'broken: stopped at t = 2.000 s',
-}
-
-
-@pytest.mark.parametrize('failure', FAILURES)
-def test_an_engine_that_fails_is_named(monkeypatch, failure):
-    monkeypatch.setattr(engines, 'class_of', lambda _name: FAILURES[failure])
-    flights = flown(flight_of(wind=np.zeros(2)), 2)
-    with pytest.raises(EngineFailure) as raised:
-        flights[-1].after(0.9, np.zeros(1))
-    assert str(raised.value) == BLAME[failure]

@@ -12,12 +12,12 @@ from bags import GOLDEN
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.sim.arena import outcome
 from orbimpc_ros.sim.engine_vehicle import EnginePlant
-from orbimpc_ros.sim.engines.failure import EngineFailure
+from orbimpc_ros.sim.engines import EngineFailure
+from orbimpc_ros.sim.simulation import outcome
 from orbimpc_ros.sim.vehicle import launched
 from orbimpc_ros.sim.world import Rope, Scenario, departure
-from orbimpc_ros.tool.demo.rendering import flown_again
+from orbimpc_ros.tool.rendering import flown_again
 from orbimpc_ros.tool.study import flights as study
 from orbimpc_ros.tool.study.draws import draws_of
 
@@ -132,17 +132,6 @@ def test_a_motion_that_mujoco_gives_up_is_a_failure(hummingbird):
 def test_a_rope_that_would_be_let_go_too_high_is_refused(hummingbird):
     with pytest.raises(BadInput, match=r'rope.amplitude is \[1.0, 1.0\]; .*at most 1.2 m aside'):
         flight_of(aside=[1.0, 1.0])
-
-
-@pytest.mark.parametrize('module', ['mujoco', 'rotorpy.vehicles.multirotor'])
-def test_a_library_that_is_missing_is_said_with_the_way_to_get_it(monkeypatch, module):
-    pytest.importorskip('mujoco')
-    modules = __import__('sys').modules
-    monkeypatch.delitem(modules, 'orbimpc_ros.sim.engines.hummingbird', raising=False)
-    monkeypatch.setitem(modules, module, None)
-    library = module.partition('.')[0]
-    with pytest.raises(BadInput, match=f'vehicle hummingbird: {library} is missing; pip install'):
-        flight_of()
 
 
 def test_a_recorded_flight_can_be_flown_again(hummingbird):

@@ -8,6 +8,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
 
+from open_loop import open_loop
 from stepping import Stepped
 
 from orbimpc_ros.mpc.errors import BadInput
@@ -17,7 +18,6 @@ from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.demo.open_loop import open_loop
 from orbimpc_ros.tool.settings import config
 
 CRAFT = {
@@ -90,7 +90,7 @@ def test_a_landing_keeps_its_limits_and_every_tick_is_bounded():
     )
     ticks, vehicles = [], []
     while not flight.over:
-        odometry = controller.settled(measured(flight.vehicle))
+        odometry = measured(flight.vehicle)
         goals = np.tile(flight.goal, (len(controller.ends(odometry.time)), 1))
         ticks.append(controller.tick(odometry, goals))
         command = ticks[-1].command

@@ -294,17 +294,6 @@ def state(node):
     return node._state_machine.current_state[1]
 
 
-def test_what_was_configured_is_gone_after_a_cleanup(worker):
-    before = [len([*getattr(worker, f'{kind}s')]) for kind in ('timer', 'service', 'subscription')]
-    worker.begin()
-    assert (state(worker), worker.active, endpoints(worker)) == ('active', True, {'/work'})
-    worker.trigger_deactivate()
-    worker.trigger_cleanup()
-    assert (state(worker), worker.active, endpoints(worker)) == ('unconfigured', False, set())
-    after = [len([*getattr(worker, f'{kind}s')]) for kind in ('timer', 'service', 'subscription')]
-    assert after == before
-
-
 class Panic(BaseException):
     """As a library written in Rust raises it."""
 

@@ -18,12 +18,11 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.sim import engine_vehicle as engines
 from orbimpc_ros.sim.engine_vehicle import EnginePlant
-from orbimpc_ros.sim.engines.failure import EngineFailure
+from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import cli, settings
 from orbimpc_ros.tool.bags import fields
-from orbimpc_ros.tool.demo.arrivals import planned_at_start
 from orbimpc_ros.tool.run.onboard import Onboard, tell
 from orbimpc_ros.tool.settings import config
 
@@ -152,12 +151,6 @@ def test_the_spacecraft_is_told_nothing_of_what_pushes_it():
     assert values['wind'] == (0.0, 0.0, 0.0)
 
 
-def test_the_plan_at_the_start_takes_no_engine():
-    """Its planner's lags are not the simulator's, which would refuse them."""
-    plan = planned_at_start(settings.resolve(config('servicer.yaml')))
-    np.testing.assert_allclose(plan.positions[-1], [5.0, 10.0, 25.0], atol=1e-6)
-
-
 def test_the_spacecraft_arrives(capfd, tmp_path):
     """Over DDS, on Basilisk's own wheels and thrusters."""
     pytest.importorskip('Basilisk', reason="pip install 'orbimpc_ros[basilisk]' runs this")
@@ -202,7 +195,7 @@ def test_a_planner_whose_engine_has_failed_stops_once_odometry_is_stale(monkeypa
 @pytest.mark.parametrize(
     ('failure', 'blame'),
     [
-        ('Poisoned', 'broken: numbers that are none, after t = 2.000 s'),
+        ('Poisoned', 'broken: numbers that are not finite, after t = 2.000 s'),
         ('Stopping', 'broken: stopped at t = 2.000 s'),
     ],
 )

@@ -1,6 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """A fleet over DDS: pairs of processes in namespaces, with one clock, in one bag."""
 
+import itertools
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -9,11 +10,12 @@ import numpy as np
 import pytest
 from bags import check_pictures
 
-from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.sim.fleet import members, vehicles
-from orbimpc_ros.tool import bags, history, settings
+from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
+from orbimpc_ros.ros.messages import SECOND
+from orbimpc_ros.sim.fleet import vehicles
+from orbimpc_ros.tool import bags, demo, history, settings, summary
 from orbimpc_ros.tool.bags import BagWriter
-from orbimpc_ros.tool.demo import fleet
+from orbimpc_ros.tool.run import pacer
 from orbimpc_ros.tool.topics import topics_of
 
 pytest.importorskip('rclpy')
@@ -30,6 +32,24 @@ def flown(tmp_path_factory):
     """Return the finished process of a fleet of two, twice as fast as usual, and its folder."""
     out = tmp_path_factory.mktemp('fleet')
     return run('--vehicles', '2', '--set', 'forward=2', '--out', str(out)), out / 'fleet'
+
+
+def test_the_clock_of_a_fleet_waits_for_every_command(monkeypatch):
+    """However long one takes: a slow machine makes a flight long, and nobody flies blind."""
+    wall, sent = itertools.count(), []  # a second passes between two looks
+    monkeypatch.setattr(pacer, 'time', SimpleNamespace(monotonic=lambda: float(next(wall))))
+    recorder = SimpleNamespace(latest={}, publish_clock=sent.append)
+    clock = pacer.Pacer(recorder, 10.0, 0.5)
+    for uav1, uav2 in ((None, None), (10.0, None), (10.0, None), (10.0, 10.0), (10.5, 10.0)):
+        stamps = {'/uav1/cmd_vel': uav1, '/uav2/cmd_vel': uav2}
+        recorder.latest |= {k: round(v * SECOND) for k, v in stamps.items() if v is not None}
+        clock.look(NAMES)
+    assert sent == [10.0, 10.0, 10.0, 10.5, 10.5]
+    clock.look(NAMES[:1])  # the other one has landed
+    assert sent[-1] == 11.0
+    monkeypatch.setattr(pacer, 'time', SimpleNamespace(monotonic=lambda: 100.0))
+    with pytest.raises(OrbimpcError, match='/uav1, /uav2: no command for'):
+        clock.look(NAMES)
 
 
 def test_every_rope_is_caught(flown):
@@ -101,18 +121,18 @@ def test_only_a_fleet_has_vehicles(tmp_path):
 def test_ropes_are_drawn_from_the_seed_alone():
     assert vehicles(3) == vehicles(3)
     assert vehicles(3) != vehicles(3, seed=1)
-    few, many = members(3), members(8)
-    for one, other in zip(few, many, strict=False):
-        assert one.rope.frequency == other.rope.frequency
-        assert np.array_equal(one.rope.phase, other.rope.phase)
-    frequencies = {member.rope.frequency for member in many}
+    few, many = vehicles(3), vehicles(8)
+    for name, one in few.items():
+        for drawn in ('rope.frequency', 'rope.phase'):
+            assert one[drawn] == many[name][drawn]
+    frequencies = {each['rope.frequency'] for each in many.values()}
     assert len(frequencies) == 8
     assert vehicles(2, 2**31 - 1)['/uav1']['seed'] == 0  # the largest there is, and on
     assert all(0.02 <= frequency <= 0.3 for frequency in frequencies)
 
 
 def test_what_is_set_holds_for_every_vehicle():
-    values, own = fleet.resolve(3, ['rope.frequency=0.25', 'seed=7'])
+    values, own = demo.fleet(3, ['rope.frequency=0.25', 'seed=7'])
     assert values['rope.frequency'] == 0.25
     assert all('rope.frequency' not in each for each in own.values())
     assert own == {
@@ -120,11 +140,11 @@ def test_what_is_set_holds_for_every_vehicle():
         for name, each in vehicles(3, 7).items()
     }
     with pytest.raises(BadInput, match='clock'):
-        fleet.resolve(3, ['clock=lockstep'])
+        demo.fleet(3, ['clock=lockstep'])
 
 
 def test_a_fleets_parameters_are_read_back_by_namespace():
-    values, own = fleet.resolve(3, [])
+    values, own = demo.fleet(3, [])
     text = settings.text(values, own)
     for name, each in own.items():
         read = settings.read(text, name)
@@ -140,10 +160,10 @@ def test_a_collision_is_called_one(capsys):
         )
         for name, way in ways.items()
     }
-    assert not fleet._clear(flown)
+    assert not demo.clearance(flown)
     assert 'COLLISION     /uav1 and /uav2 within 0.0' in capsys.readouterr().out
     flown['/uav2'].times += 5.0
-    assert fleet._clear(flown)
+    assert demo.clearance(flown)
 
 
 def test_an_answer_after_the_next_question_is_late(tmp_path):
@@ -153,4 +173,4 @@ def test_an_answer_after_the_next_question_is_late(tmp_path):
             if answered is not None:
                 writer.write('/uav1/cmd_vel', stamp, bytes(20), answered)
     # Numbers 2 and 4. Not the first, asked before there was any answer, nor the last.
-    assert fleet.late(tmp_path / 'bag') == {'/uav1': 2}
+    assert summary.late(tmp_path / 'bag') == {'/uav1': 2}

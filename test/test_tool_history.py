@@ -7,9 +7,8 @@ from bags import GOLDEN, rewritten
 from rosbags.typesys import Stores, get_typestore
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool import figures, settings
+from orbimpc_ros.tool import settings, summary
 from orbimpc_ros.tool.bags import BagWriter
-from orbimpc_ros.tool.demo import summary
 from orbimpc_ros.tool.history import History, Planned, of_bag
 from orbimpc_ros.tool.topics import Topic
 
@@ -80,27 +79,6 @@ def test_summary_of_a_run_without_ticks():
     assert text.count('unknown') == 2
 
 
-@pytest.mark.parametrize('captured', [True, False])
-@pytest.mark.parametrize('shape', ['none', 'polygon'])
-def test_picture_has_equal_axes_units_and_a_legend(captured, shape):
-    run = history([3.0, 0.3, 0.9, 0.2, 0.05], captured, **{'floor.shape': shape})
-    figure = figures.retrieval({'': run})
-    whole, end, distance, speed = figure.axes
-    assert whole.get_aspect() == end.get_aspect() == 1.0
-    assert whole.get_xlabel() == end.get_xlabel() == 'x [m]'
-    assert distance.get_ylabel() == 'distance [m]'
-    assert speed.get_xlabel() == 'time [s]'
-    assert len(figure.legends[0].get_texts()) >= 3
-    floors = [line for line in speed.get_lines() if 'floor' in str(line.get_label())]
-    assert len(floors) == (shape != 'none')
-
-
-def test_picture_is_a_png(tmp_path):
-    file = tmp_path / 'picture.png'
-    figures.save(figures.retrieval({'': history([3.0, 0.3, 0.05], captured=True)}), file)
-    assert file.read_bytes()[:8] == b'\x89PNG\r\n\x1a\n'
-
-
 @pytest.fixture
 def file(tmp_path):
     """Return a parameter file."""
@@ -140,9 +118,9 @@ OWN = """
 
 
 def test_a_goal_is_caught_within_the_simulators_radius():
-    assert history([1.0], True, capture_radius=0.3).capture_radius == 0.3
+    assert history([1.0], True, capture_radius=0.3).radius == 0.3
     own = {'capture_radius': 5.0, 'sim.capture_radius': 0.1}
-    assert history([1.0], True, **own).capture_radius == 0.1
+    assert history([1.0], True, **own).radius == 0.1
 
 
 def test_what_both_nodes_and_the_simulator_alone_are_given_holds_in_either_order():

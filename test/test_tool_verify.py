@@ -136,7 +136,9 @@ def test_a_claim_about_what_is_not_found_any_more_fails(run, monkeypatch, claime
 def lost(*known):
     """Ticks whose plans are not found again."""
     for each in ticks_of(*known):
-        yield replace(each, tick=replace(each.decision, plan=None, status=Status.FAILED, catch=None))
+        yield replace(
+            each, tick=replace(each.decision, plan=None, status=Status.FAILED, catch=None)
+        )
 
 
 def bag_of(path, *texts):

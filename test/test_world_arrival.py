@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from flying import fly
+from open_loop import open_loop
 from scenarios import dubins, dubins_problem, spacecraft, spacecraft_problem
 
 from orbimpc_ros.loop.goal.forecast import forecast_named
 from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.sim.world import departure, fixed
-from orbimpc_ros.tool.demo.open_loop import open_loop
 
 AHEAD = replace(dubins(), rope=fixed(np.array([3.0, 0.0])), max_ticks=3, arrival_radius=0.1)
 

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenarios import model_of
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, skew
 from orbimpc_ros.mpc.model import dynamics
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.sim.vehicle import Model, advance, launched, measured, model_of
+from orbimpc_ros.sim.vehicle import Model, advance, launched, measured
 
 ALL_ORDERS = list(itertools.product((2, 3), (1, 2), (1, 2)))
 

@@ -9,12 +9,10 @@ from functools import partial
 from pathlib import Path
 
 from benchmarks.bench import live
-from benchmarks.bench.contenders.contender import Contender
-from benchmarks.bench.contest import CAP, PACKAGES, QUICK_CAP, Contest
-from benchmarks.bench.contests import CONTESTS
-from benchmarks.bench.duel import OURS, duel
-from benchmarks.bench.result import Result
-from benchmarks.bench.rows import HULLS, BenchRow, growth, of_duel
+from benchmarks.bench.interleaved import OURS, interleaved_run
+from benchmarks.bench.problems import CAP, COMPARISONS, PACKAGES, QUICK_CAP, Comparison
+from benchmarks.bench.results import HULLS, BenchRow, Result, growth, rows_of
+from benchmarks.bench.solvers import Solver
 from orbimpc_ros.install import command
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.files import require_writable
@@ -35,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def problems() -> list[str]:
     """Return the short names of everything that can be measured."""
-    return [*dict.fromkeys(contest.key for contest in CONTESTS), *live.NAMES]
+    return [*dict.fromkeys(comparison.key for comparison in COMPARISONS), *live.NAMES]
 
 
 def run(args: argparse.Namespace) -> int:
@@ -64,7 +62,7 @@ def _wanted(only: list[str] | None) -> list[str]:
 
 
 def _files(args: argparse.Namespace) -> tuple[Path | None, Path | None]:
-    """Return where rows and picture go, after a look whether they can be written."""
+    """Return where rows and picture go, which must be writable."""
     file = Path(args.json).resolve() if args.json else None
     picture = Path(args.picture).resolve() if args.picture else file and file.with_suffix('.png')
     for name, path in (('--json', file), ('--picture', picture)):
@@ -76,7 +74,7 @@ def _files(args: argparse.Namespace) -> tuple[Path | None, Path | None]:
 def measured(
     wanted: list[str], quick: bool, before: Sequence[BenchRow]
 ) -> Iterator[list[BenchRow]]:
-    """Yield the rows of each measurement as it is done; of one that fails, a row that says why.
+    """Yield the rows of each measurement as it is done; of one that fails, a row with the reason.
 
     Args:
         wanted: names of problems.
@@ -95,39 +93,39 @@ def measured(
 def _measurements(
     wanted: list[str], quick: bool, before: Sequence[BenchRow]
 ) -> Iterator[tuple[str, Callable[[], list[BenchRow]]]]:
-    for contest in CONTESTS:
-        if contest.key in wanted:
-            yield contest.title, partial(contested, contest, quick)
+    for comparison in COMPARISONS:
+        if comparison.key in wanted:
+            yield comparison.title, partial(compared, comparison, quick)
     yield f'{HULLS}...: exponent of N', partial(growth, before)
     yield from live.measurements(wanted, quick)
 
 
-def contested(contest: Contest, quick: bool) -> list[BenchRow]:
-    """Return the rows of one contest; who is not installed is listed as absent."""
-    cap, count = QUICK_CAP if quick else CAP, contest.counts[0 if quick else 1]
-    contenders, absent = _entrants(contest, cap)
-    instances = contest.instances(contest.problem, count)
+def compared(comparison: Comparison, quick: bool) -> list[BenchRow]:
+    """Return the rows of one comparison; solvers that are not installed are listed as absent."""
+    cap, count = QUICK_CAP if quick else CAP, comparison.counts[0 if quick else 1]
+    solvers, absent = _solvers(comparison, cap)
+    instances = comparison.instances(comparison.problem, count)
     progress = ProgressLine(len(instances))
-    samples = duel(
-        contenders,
+    samples = interleaved_run(
+        solvers,
         instances,
         warm_up=WARM_UP,
-        budget=contest.budget(cap),
-        every=contest.every,
-        show=lambda done: progress.show(done, contest.title),
+        budget=comparison.budget(cap),
+        every=comparison.every,
+        show=lambda done: progress.show(done, comparison.title),
     )
     progress.close()
-    return [*of_duel(contest.title, samples, contest.required, contest.gap), *absent]
+    return [*rows_of(comparison.title, samples, comparison.required, comparison.gap), *absent]
 
 
-def _entrants(contest: Contest, cap: float) -> tuple[dict[str, Contender], list[BenchRow]]:
-    """Return who takes part, and rows of who is not installed."""
-    found = {name: _entrant(contest, name, cap) for name in (OURS, *contest.rivals)}
+def _solvers(comparison: Comparison, cap: float) -> tuple[dict[str, Solver], list[BenchRow]]:
+    """Return the solvers that take part, and rows of those that are not installed."""
+    found = {name: _solver(comparison, name, cap) for name in (OURS, *comparison.rivals)}
     absent = [
         BenchRow(
-            contest.title,
+            comparison.title,
             name,
-            required=contest.required.get(name),
+            required=comparison.required.get(name),
             note=f'absent: {command(PACKAGES[name])}',
         )
         for name, contender in found.items()
@@ -136,9 +134,9 @@ def _entrants(contest: Contest, cap: float) -> tuple[dict[str, Contender], list[
     return {name: each for name, each in found.items() if each is not None}, absent
 
 
-def _entrant(contest: Contest, name: str, cap: float) -> Contender | None:
+def _solver(comparison: Comparison, name: str, cap: float) -> Solver | None:
     try:
-        return contest.contender(name, cap)
+        return comparison.solver(name, cap)
     except ImportError:
         if name not in PACKAGES:  # one of our own: that is no absence but a defect
             raise

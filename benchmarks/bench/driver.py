@@ -13,11 +13,11 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
+from harness import Observer
 from nav_msgs.msg import Odometry
 from scenarios import retrieval_problem
 
 from benchmarks.bench.instances import around
-from benchmarks.test_node import TestNode
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
@@ -36,7 +36,7 @@ class RoundTrip:
     Attributes:
         sent: when it was published [s].
         latency: until the command was there [s]; infinite while it is not.
-        solve_ms: what the planner says its tick took [ms]; NaN while it has not said so.
+        solve_ms: what its tick took, as the planner reports [ms]; NaN before it does.
     """
 
     sent: float
@@ -64,7 +64,7 @@ class Driver:
     """
 
     def __init__(self, namespaces: Sequence[str], executor: str = 'wait_set') -> None:
-        self._test_node = TestNode(executor=executor)
+        self._observer = Observer(executor=executor)
         self._ticks = [dict[int, RoundTrip]() for _ in namespaces]
         self._answered = [0] * len(namespaces)
         self._publishers = [self._wire(i, name) for i, name in enumerate(namespaces)]
@@ -72,10 +72,10 @@ class Driver:
         self._count, self._stamp = 0, 0
 
     def _wire(self, i: int, namespace: str) -> tuple[Any, Any]:
-        subscribe = self._test_node.subscribe
+        subscribe = self._observer.subscribe
         subscribe(TwistStamped, f'{namespace}/cmd_vel', partial(self._on_command, i), qos(100))
         subscribe(DiagnosticArray, f'{namespace}/tick', partial(self._on_tick, i), qos(100))
-        publish = self._test_node.node.create_publisher
+        publish = self._observer.node.create_publisher
         return (
             publish(Odometry, f'{namespace}/odom', qos()),
             publish(PoseStamped, f'{namespace}/goal', qos()),
@@ -111,7 +111,7 @@ class Driver:
         while sent * gap < seconds and not done():
             self._publish(sent % len(self._publishers))
             sent += 1
-            self._test_node.spin_until(begin + sent * gap, done)
+            self._observer.spin(begin + sent * gap - time.monotonic(), done)
 
     def _publish(self, i: int) -> None:
         odometry, goal = self._publishers[i]
@@ -129,7 +129,7 @@ class Driver:
         def done() -> bool:
             return all(answered(ticks.values()) for ticks in self._ticks)
 
-        self._test_node.spin_until(time.monotonic() + seconds, done)
+        self._observer.spin(seconds, done)
 
     def forget(self) -> None:
         """Drop what was measured so far."""
@@ -146,7 +146,7 @@ class Driver:
 
     def close(self) -> None:
         """Take the node down."""
-        self._test_node.close()
+        self._observer.close()
 
 
 def _stamp_of(message: Any) -> int:

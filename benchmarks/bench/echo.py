@@ -1,8 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """``python -m benchmarks.bench.echo``: answers each odometry message at once.
 
-A command of the same type and stamp, without any thought: what rclpy and DDS cost at least. Goals
-are taken in as well, since they come just before odometry.
+The command has the same type and stamp, and takes no planning: the least that rclpy and DDS
+cost. Goals are taken in as well, since they come just before odometry.
 """
 
 from __future__ import annotations

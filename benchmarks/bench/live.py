@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from unittest import mock
 
-from benchmarks.bench.duel import OURS, percentiles
-from benchmarks.bench.rows import LATE, BenchRow
+from benchmarks.bench.interleaved import OURS, percentiles
+from benchmarks.bench.results import LATE, BenchRow
 from benchmarks.machine import busy, resident
 from orbimpc_ros.tool.run import discovery
 from orbimpc_ros.tool.run.processes import Process

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The picture: our time against everybody's, problem by problem, on a logarithmic axis."""
+"""The picture: the times of all solvers, problem by problem, on a logarithmic axis."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from benchmarks.bench.rows import LATE, BenchRow
+from benchmarks.bench.results import LATE, BenchRow
 from orbimpc_ros.tool.style import BLUE, INK, ORANGE, headline, in_both_looks
 
 LEGEND = {

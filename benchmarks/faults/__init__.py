@@ -20,7 +20,7 @@ from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.tool.files import require_writable
 
 if TYPE_CHECKING:
-    from benchmarks.faults.fixtures import Fixtures
+    from benchmarks.faults.harness import Fixtures
     from benchmarks.faults.outcome import FaultCase, MatrixRow, Outcome
 
 DEFAULT_SOAK = 30.0  # [min]
@@ -86,7 +86,7 @@ def tried(cases: Sequence[FaultCase], long: bool, executor: str = 'wait_set') ->
         long: whether to try each at several moments.
         executor: of the nodes.
     """
-    from benchmarks.faults.fixtures import Fixtures
+    from benchmarks.faults.harness import Fixtures
     from benchmarks.faults.outcome import MatrixRow, table
 
     rows = [MatrixRow(case) for case in cases]
@@ -116,7 +116,7 @@ def _try_all(rows: Sequence[MatrixRow], fixtures: Fixtures, long: bool) -> None:
 
 
 def _outcomes(case: FaultCase, fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
-    """Yield a row's outcomes; a planner that is past help ends the row, not the matrix."""
+    """Yield a row's outcomes; a planner that cannot be recovered ends the row, not the matrix."""
     from benchmarks.faults.outcome import Outcome
 
     try:

@@ -10,8 +10,8 @@ from nav_msgs.msg import Odometry
 from rclpy.qos import DurabilityPolicy
 from std_msgs.msg import Bool
 
+from benchmarks.faults.harness import PATIENCE, Place, Session
 from benchmarks.faults.monitor import STILL, Limits
-from benchmarks.faults.session import PATIENCE, Place, Session
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.settings import config
@@ -46,9 +46,9 @@ class Flying(Session):
         ]  # fmt: skip
         self._values = settings.resolve(config('retrieval.yaml'), changes) | {'use_sim_time': False}
         self._poses: list[tuple[float, float, float]] = []
-        self.test_node.subscribe(Odometry, 'odom', self._on_odometry)
+        self.subscribe(Odometry, 'odom', self._on_odometry)
         kept = qos(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.test_node.subscribe(Bool, 'captured', self._on_captured, kept)
+        self.subscribe(Bool, 'captured', self._on_captured, kept)
         self.launch('orbimpc_ros.sim', self._values)
         self.start_planner()
 

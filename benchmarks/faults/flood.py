@@ -13,10 +13,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
+from harness import Observer
 from nav_msgs.msg import Odometry
 
 from benchmarks.faults import stimulus
-from benchmarks.test_node import TestNode
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.tool.run.tethered import tether
@@ -46,7 +46,7 @@ def main() -> None:
     """Publish at the rate [Hz] that the command line gives."""
     tether(os.getppid())
     rate = float(sys.argv[1])
-    source = TestNode()
+    source = Observer()
     publisher = source.node.create_publisher(Odometry, 'odom', qos())
     message = stimulus.odometry_at(0.0, 0)
     begun = due = last = time.monotonic()

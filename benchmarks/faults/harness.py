@@ -1,14 +1,20 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""A test harness: one planner in a process of its own, its stimulus, and the monitor on it."""
+"""Harnesses of fault cases: nodes in a domain of their own, their stimulus, and a monitor."""
 
 from __future__ import annotations
 
+import math
 import random
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
 
-from geometry_msgs.msg import PoseStamped, TransformStamped
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped
+from harness import KEPT, Observer
 from nav_msgs.msg import Odometry
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -16,12 +22,88 @@ from rosgraph_msgs.msg import Clock
 
 from benchmarks.faults import stimulus
 from benchmarks.faults.flood import HELD_UP, Pause
-from benchmarks.faults.monitor import Limits
-from benchmarks.faults.session import Place, Session
-from benchmarks.test_node import KEPT
+from benchmarks.faults.monitor import Limits, Monitor
+from orbimpc_ros.mpc.errors import OrbimpcError
+from orbimpc_ros.mpc.kernels.__main__ import PARTS
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.ros.transforms import TF
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.run import discovery
+from orbimpc_ros.tool.run.processes import Process
+
+Some = TypeVar('Some', bound='Session')
+PATIENCE = 60.0  # [s] for anything awaited, on a busy machine too
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where processes run.
+
+    Attributes:
+        folder: takes parameters and logs.
+        domain: of ROS, nobody else's.
+        executor: of the nodes.
+    """
+
+    folder: Path
+    domain: int
+    executor: str
+
+
+class Session(Observer):
+    """Processes that are stopped, the last one first, when the session ends.
+
+    Args:
+        place: of the processes.
+        limits: of commands.
+
+    Attributes:
+        folder: takes parameters and logs.
+        monitor: hears commands, ticks and diagnostics.
+    """
+
+    def __init__(self, place: Place, limits: Limits) -> None:
+        super().__init__(place.domain)
+        self.folder, self._place, self.monitor = place.folder, place, Monitor(limits)
+        self.subscribe(TwistStamped, 'cmd_vel', self.monitor.on_command)
+        self.subscribe(DiagnosticArray, 'tick', self.monitor.on_tick)
+        self.subscribe(DiagnosticArray, '/diagnostics', self.monitor.on_health)
+        self._processes: list[Process] = []
+
+    def launch(self, module: str, values: Mapping[str, Any]) -> Process:
+        """Return a new process of a node's module with parameters."""
+        name = f'{module.rpartition(".")[2]}-{len(self._processes) + 1}'
+        file = self.folder / f'{name}.yaml'
+        settings.write(file, {**values, 'executor': self._place.executor})
+        process = Process(module, file, file.with_suffix('.log'), self._place.domain)
+        self._processes.append(process)
+        return process
+
+    def until(self, done: Callable[[], Any], what: str = '') -> None:
+        """Spin until ``done``.
+
+        Raises:
+            OrbimpcError: it never is, or the last process has ended.
+        """
+        self.spin(PATIENCE, lambda: bool(done()) or not self._processes[-1].running)
+        if not done():
+            self._processes[-1].require_health()
+            raise OrbimpcError(f'waited {PATIENCE:g} s in vain for {what}')
+
+    def until_first(self, event: Callable[..., float], since: float, *about: str) -> float:
+        """Spin until an event of the monitor since a time [s]; return when, infinite for never."""
+        self.spin(PATIENCE, lambda: event(since, *about) < math.inf)
+        return event(since, *about)
+
+    def __enter__(self: Some) -> Some:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        for process in reversed(self._processes):
+            process.stop()
+        self.close()
+
 
 STEP = 0.2  # [s]
 EPOCH = 1000.0  # [s] at which simulated time begins
@@ -37,7 +119,7 @@ PLANNER: dict[str, Any] = {
 
 
 class Harness(Session):
-    """Feeds a planner at a steady rate and hears all that it says, until closed.
+    """Feeds a planner at a steady rate and records all that it publishes, until closed.
 
     Args:
         place: of the planner.
@@ -74,7 +156,6 @@ class Harness(Session):
         self._begun = self._due = time.monotonic()
         self.frozen_at = 0.0
         self.pauses: list[Pause] = []
-        self.node = self.test_node.node
         self.odometry: Any = self.node.create_publisher(Odometry, 'odom', qos(KEPT))
         self.goal = self.node.create_publisher(PoseStamped, 'goal', qos(KEPT))
         self._transforms: Any = None
@@ -116,7 +197,7 @@ class Harness(Session):
                 self._due = max(self._due + 1.0 / RATE, now)
                 self._feed()
             wait = min(self._due, end) - time.monotonic()
-            self.test_node.spin_once(wait)
+            self.spin_once(wait)
 
     def until_planned(self) -> None:
         """Feed a healthy planner until it commands to move."""
@@ -156,11 +237,50 @@ class Harness(Session):
         results = self.call(SetParameters, '/planner/set_parameters', request).results
         return [result.reason for result in results if not result.successful]
 
-    def call(self, kind: Any, name: str, request: Any) -> Any:
-        """Return the response of a service of the planner."""
-        client = self.node.create_client(kind, name)
-        self.until(client.service_is_ready, name)
-        future = client.call_async(request)
-        self.until(future.done, name)
-        self.node.destroy_client(client)
-        return future.result()
+
+class Fixtures(AbstractContextManager['Fixtures']):
+    """Hands out harnesses; those that rows share live until the fixtures are closed.
+
+    Machine code is compiled first: a planner that has to do so itself answers nothing for so long.
+
+    Args:
+        folder: takes what processes need and print.
+        executor: of the nodes.
+    """
+
+    def __init__(self, folder: Path, executor: str = 'wait_set') -> None:
+        self._folder, self._executor, self._count = folder, executor, 0
+        self._shared: dict[str, Harness] = {}
+        self._stack = ExitStack()
+        for part in PARTS:
+            part()
+
+    def place(self) -> Place:
+        """Return a place with a folder and a DDS domain of its own."""
+        self._count += 1
+        folder = self._folder / f'{self._count:03}'
+        folder.mkdir()
+        return Place(folder, discovery.isolate(folder), self._executor)
+
+    def harness(self, parameters: Mapping[str, Any] | None = None, **more: Any) -> Harness:
+        """Return a harness of one's own, to be closed."""
+        return Harness(self.place(), parameters, **more)
+
+    def shared(
+        self, name: str, parameters: Mapping[str, Any] | None = None, **more: Any
+    ) -> Harness:
+        """Return the harness of a name, made when first asked for; its planner runs."""
+        if name not in self._shared:
+            self._shared[name] = self._stack.enter_context(self.harness(parameters, **more))
+        harness = self._shared[name]
+        if not harness.planner.running:
+            harness.start()
+        return harness
+
+    def clear(self) -> None:
+        """Close the shared harnesses; new ones are made on demand."""
+        self._shared.clear()
+        self._stack.close()
+
+    def __exit__(self, *_error: object) -> None:
+        self.clear()

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Injection of faults: the times at which they set in, and the reactions that follow."""
+"""Injection of faults: the times at which they begin, and the reactions that follow."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from benchmarks.faults.fixtures import Fixtures
-from benchmarks.faults.harness import STEP, Harness
+from benchmarks.faults.harness import STEP, Fixtures, Harness
 from benchmarks.faults.monitor import Monitor
 from benchmarks.faults.outcome import Outcome
 from benchmarks.faults.stimulus import Spoiled

@@ -1,18 +1,18 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Rows on inputs: none, too late, out of order, out of range."""
+"""Rows on inputs and clocks: none, too late, out of order, out of range; stopped, or reset."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 from builtin_interfaces.msg import Time
 
 from benchmarks.faults import injection, stimulus
-from benchmarks.faults.fixtures import Fixtures
-from benchmarks.faults.harness import Harness
-from benchmarks.faults.injection import MIDWAY, SOLVING, START, Expected
+from benchmarks.faults.harness import STEP, Fixtures, Harness
+from benchmarks.faults.injection import AFTER, MIDWAY, SOLVING, START, Expected
 from benchmarks.faults.outcome import FaultCase, Outcome
 from benchmarks.faults.stimulus import HUGE, Spoiled, shifted, with_field
 
@@ -21,6 +21,10 @@ GOAL = Expected(wait=0.4, allowed=1.0)  # goal_timeout of the harness
 HEALTH = 1.2  # [s] in which counts are reported
 NAN, INF = math.nan, math.inf
 BEYOND = (NAN, INF, -INF, 1e300)
+STALE = 0.3  # [s] odom_timeout
+JUMPS = {'back 0.5 s': -0.5, 'back 900 s': -900.0, 'reset to 1 s': None, 'forward 600 s': 600.0}
+TO_ONE = 1.0  # [s] what a reset clock begins at
+SHORT = 2  # jumps that are tried in the short form
 
 STAMPS = {
     'future stamps': shifted(5.0, 1e6),
@@ -105,6 +109,48 @@ def _garbage() -> list[Spoiled]:
     return [odometry, Spoiled('no goal message', goal=stimulus.garbled)]
 
 
+def _disturbed(
+    harness: Harness, case: str, when: str, begin: Callable[[], None], wait: float
+) -> Outcome:
+    """Return how soon the planner is safe ``wait`` [s] after the clock is tampered with."""
+    at = injection.inject(harness, when, begin)
+    harness.spin(wait + STEP)
+    safe = harness.until_first(harness.monitor.first_safe, at)
+    harness.spin(AFTER * STEP)
+    unsafe = harness.monitor.broken(at)
+    return Outcome(f'{case}, {when}', unsafe, injection.reaction(safe, at + wait))
+
+
+def _frozen(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+    times = injection.TIMES[1:]
+    for harness, when in injection.harnesses(fixtures, long, times, simulated=True):
+        outcome = _disturbed(harness, 'frozen', when, harness.freeze, STALE)
+        stale = harness.frozen_at + STALE
+        moving = harness.monitor.moving_again(stale, stale + STEP)
+        harness.thaw()
+        outcome = replace(outcome, unsafe=outcome.unsafe + moving)
+        yield injection.recovered(harness, outcome)
+
+
+def _jumped(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
+    for case, jump in list(JUMPS.items())[: None if long else SHORT]:
+        times = injection.TIMES[1:]
+        found = injection.harnesses(fixtures, long, times, label=case, simulated=True)
+        for harness, when in found:
+            outcome = _disturbed(harness, case, when, _jumping(harness, jump), 0.0)
+            yield injection.recovered(harness, outcome)
+
+
+def _jumping(harness: Harness, jump: float | None) -> Callable[[], None]:
+    """Return what makes the clock jump by a time, or back to one second."""
+
+    def begin() -> None:
+        by = TO_ONE - 1e-9 * harness.now if jump is None else jump
+        harness.jump += max(by, TO_ONE - 1e-9 * harness.now)
+
+    return begin
+
+
 FAULT_CASES = (
     _fault_case(
         'odometry',
@@ -121,4 +167,6 @@ FAULT_CASES = (
     _fault_case(
         'contents', 'NaN, Inf, quaternions, frames, huge strings', _contents, START, MIDWAY, SOLVING
     ),
+    FaultCase('frozen', 'clock frozen: safe after odom_timeout', 1.0, _frozen),
+    FaultCase('jumps', 'clock jumps or is reset', 1.0, _jumped),
 )

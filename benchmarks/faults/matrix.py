@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from benchmarks.faults import (
-    clocks,
     inputs,
     network,
     parameters,
@@ -13,5 +12,5 @@ from benchmarks.faults import (
     vehicle,
 )
 
-GROUPS = (inputs, clocks, vehicle, plans, network, shutdowns, parameters)
+GROUPS = (inputs, vehicle, plans, network, shutdowns, parameters)
 MATRIX = tuple(each for group in GROUPS for each in group.FAULT_CASES)

@@ -34,7 +34,7 @@ class HeardCommand(NamedTuple):
 
 
 class HeardStatus(NamedTuple):
-    """A diagnostic status: when it was sent [s], how bad, in words, and its values."""
+    """A diagnostic status: when it was sent [s], its level, its message and its values."""
 
     at: float
     level: bytes
@@ -66,10 +66,10 @@ class Limits:
 
 @dataclass
 class Monitor:
-    """Hears everything that a planner says.
+    """Records everything that a planner publishes.
 
-    Times are of the monotonic clock, of when a message was sent: how long it lay with a judge who
-    was held up says nothing about the planner.
+    Times are of the monotonic clock, of when a message was sent: how long it waited for a
+    monitor that was held up is not the planner's delay.
 
     Attributes:
         limits: of commands.

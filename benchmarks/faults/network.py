@@ -18,9 +18,8 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy
 
 from benchmarks.faults import injection
-from benchmarks.faults.fixtures import Fixtures
 from benchmarks.faults.flood import excused, pauses
-from benchmarks.faults.harness import STEP, Harness
+from benchmarks.faults.harness import STEP, Fixtures, Harness
 from benchmarks.faults.injection import AFTER
 from benchmarks.faults.outcome import FaultCase, Outcome
 from orbimpc_ros.ros.process import qos
@@ -49,7 +48,7 @@ def _mismatch(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
 
 
 def _two_sources(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
-    """A second publisher of odometry: whom to believe?"""
+    """A second publisher of odometry: neither may be believed."""
     for harness, when in injection.harnesses(fixtures, long, injection.TIMES[1:]):
         injection.until_due(harness, when)
         second = harness.node.create_publisher(Odometry, 'odom', qos())
@@ -112,7 +111,7 @@ def _moves(harness: Harness, log: Path, since: float) -> list[float]:
 
 
 FAULT_CASES = (
-    FaultCase('qos', 'a quality of service that does not match: told', REPORT, _mismatch, 's'),
+    FaultCase('qos', 'a quality of service that does not match: reported', REPORT, _mismatch, 's'),
     FaultCase('sources', 'two publishers of odometry', 1.0 + MEET / STEP, _two_sources),
     FaultCase(
         'flood',

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from benchmarks.faults.fixtures import Fixtures
+    from benchmarks.faults.harness import Fixtures
 
 HEAD = ('row', 'cases', 'unsafe', 'worst', 'allowed', 'unit', 'ok', 'remarks')
 NUMBERS = range(1, 5)
@@ -107,7 +107,7 @@ class MatrixRow:
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:
-    """Return values without what JSON has no word for."""
+    """Return values without those that JSON does not have."""
     words = {math.inf: NEVER}
     return {k: None if v != v else words.get(v, v) if isinstance(v, float) else v
             for k, v in values.items()}  # fmt: skip

@@ -11,12 +11,10 @@ from typing import Any
 
 from rcl_interfaces.srv import GetParameters
 
-from benchmarks.faults.fixtures import Fixtures
-from benchmarks.faults.harness import Harness
+from benchmarks.faults.harness import PATIENCE, Fixtures, Harness, Session
 from benchmarks.faults.injection import recovered
 from benchmarks.faults.monitor import Limits
 from benchmarks.faults.outcome import FaultCase, Outcome
-from benchmarks.faults.session import PATIENCE, Session
 from orbimpc_ros.ros.entry import PACKAGES
 from orbimpc_ros.ros.parameters import PLANNER
 from orbimpc_ros.ros.parameters.spec import ParameterSpec

@@ -11,8 +11,7 @@ from functools import partial
 from typing import Any
 
 from benchmarks.faults import injection
-from benchmarks.faults.fixtures import Fixtures
-from benchmarks.faults.harness import STEP, Harness
+from benchmarks.faults.harness import STEP, Fixtures, Harness
 from benchmarks.faults.injection import AFTER
 from benchmarks.faults.outcome import FaultCase, Outcome
 from benchmarks.faults.stimulus import Spoiled
@@ -102,7 +101,7 @@ def _leaps(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
 
 
 FAULT_CASES = (
-    FaultCase('leaps', 'goal teleports, out of reach: refused and told', 1.2 / STEP, _leaps),
+    FaultCase('leaps', 'goal teleports, out of reach: refused and reported', 1.2 / STEP, _leaps),
     FaultCase('infeasible', 'no plan: shifted plan, then safe', LADDER + 1.0, _infeasible),
     FaultCase(
         'deadline', 'no time to search: longest solve, or time missed', HALF + BUSY, _no_time

@@ -13,13 +13,11 @@ from functools import partial
 from typing import Any
 
 from benchmarks.faults import injection
-from benchmarks.faults.fixtures import Fixtures
 from benchmarks.faults.flights import LATCH, Flying
-from benchmarks.faults.harness import RATE, STEP, Harness
+from benchmarks.faults.harness import PATIENCE, RATE, STEP, Fixtures, Harness
 from benchmarks.faults.injection import SLOW
 from benchmarks.faults.inputs import ODOMETRY
 from benchmarks.faults.outcome import FaultCase, Outcome
-from benchmarks.faults.session import PATIENCE
 from benchmarks.faults.stimulus import SLIP, Spoiled, with_field
 
 FAREWELLS = 3  # safe commands at the end
@@ -106,7 +104,7 @@ def _hung(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
 
 
 def _silenced(flying: Flying, number: int, case: str) -> Outcome:
-    """Send a planner in flight a signal that lets it say nothing more; is the vehicle stopped?"""
+    """Silence a planner in flight by a signal; return whether the vehicle is stopped in time."""
     flying.until_moving()
     flying.spin(flying.draw.uniform(0.5, 1.5))
     begin = time.monotonic()

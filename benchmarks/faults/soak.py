@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks import collector
-from benchmarks.faults.fixtures import Fixtures
 from benchmarks.faults.flood import Pause, excused, pauses
-from benchmarks.faults.harness import Harness
+from benchmarks.faults.harness import Fixtures, Harness
 from benchmarks.faults.network import flooded
 from benchmarks.machine import resident
 from orbimpc_ros.mpc.errors import BadInput

@@ -21,7 +21,7 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 
 FRAMES = Frames('odom', 'base_link')
-GOALS = 'map'  # the frame of goals where transforms are told of
+GOALS = 'map'  # the frame of goals where there are transforms
 RADIUS = 3.0  # [m] of the circle that the vehicle flies
 SPEED = 0.8  # [m/s]
 HUGE = 1_000_000  # characters
@@ -58,7 +58,7 @@ def transform_at(stamp: int) -> TransformStamped:
 
 @dataclass(frozen=True)
 class Spoiled:
-    """A fault of what comes in.
+    """A fault of the inputs.
 
     Attributes:
         name: of the fault.
@@ -113,7 +113,7 @@ def in_the_world(message: Any, _draw: random.Random) -> list[Any]:
 
 
 def repeated() -> Spoiler:
-    """Return what says the first message again and again."""
+    """Return what repeats the first message for ever."""
     first: list[Any] = []
 
     def spoil(message: Any, _draw: random.Random) -> list[Any]:

@@ -11,12 +11,10 @@ from functools import partial
 from std_msgs.msg import Bool
 
 from benchmarks.faults import injection, stimulus
-from benchmarks.faults.fixtures import Fixtures
-from benchmarks.faults.harness import STEP, Harness
+from benchmarks.faults.harness import PATIENCE, STEP, Fixtures, Harness
 from benchmarks.faults.injection import AFTER, MIDWAY, START, Expected
 from benchmarks.faults.inputs import GOAL
 from benchmarks.faults.outcome import FaultCase, Outcome
-from benchmarks.faults.session import PATIENCE
 from benchmarks.faults.stimulus import Spoiled, shifted, with_field
 from orbimpc_ros.ros.process import qos
 
@@ -50,14 +48,14 @@ def _transforms(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
 
 
 def _counted(harness: Harness, outcome: Outcome, spoiled: Spoiled) -> Outcome:
-    """Return the outcome, a failure if the planner does not say which transforms it lacked."""
+    """Return the outcome, a failure if the planner does not report which transforms it lacked."""
 
-    def told() -> bool:
+    def reported() -> bool:
         names = [name for each in harness.monitor.health for name in each.values]
         return any(f'{spoiled.name} transform' in name for name in names)
 
-    harness.spin(PATIENCE, told)
-    failure = '' if told() else f'no {spoiled.name} transform counted'
+    harness.spin(PATIENCE, reported)
+    failure = '' if reported() else f'no {spoiled.name} transform counted'
     return replace(outcome, failure=failure)
 
 
@@ -67,8 +65,8 @@ def _twists(fixtures: Fixtures, long: bool) -> Iterator[Outcome]:
     for seed in injection.SEEDS if long else injection.SEEDS[:1]:
         with fixtures.harness(seed=seed) as harness:
             begin = injection.inject(harness, MIDWAY, partial(setattr, harness, 'spoiled', spoiled))
-            told = harness.until_first(harness.monitor.first_complaint, begin, DOUBT) - begin
-            outcome = Outcome(f'{spoiled.name}, {MIDWAY}', harness.monitor.broken(), told)
+            reported = harness.until_first(harness.monitor.first_complaint, begin, DOUBT) - begin
+            outcome = Outcome(f'{spoiled.name}, {MIDWAY}', harness.monitor.broken(), reported)
             yield injection.recovered(harness, outcome)
 
 
@@ -103,7 +101,6 @@ def _spoken(harness: Harness) -> int:
 
 FAULT_CASES = (
     FaultCase('transforms', 'transforms missing, stale, extrapolated', 1.0, _transforms),
-    FaultCase('twist', 'velocities in the wrong frame: told', TURNED, _twists, 's'),
-    FaultCase('mode', 'a mode that flips at 10 Hz: told, silent where not engaged', REPORT, _modes,
-              's'),
-)  # fmt: skip
+    FaultCase('twist', 'velocities in the wrong frame: reported', TURNED, _twists, 's'),
+    FaultCase('mode', 'a mode that flips at 10 Hz: reported, else silent', REPORT, _modes, 's'),
+)

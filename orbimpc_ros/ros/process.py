@@ -220,22 +220,38 @@ def run(make: Callable[[], Guarded], argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv if argv is None else argv)
     try:
         signals = _Signals()
-        with _started(words):
-            return _live(make, signals)
+        _require_files(words)
+        with _initialised(words):
+            _require_ros_words(words)
+            node = _born(make)
+            signals.starting = False
+            return _live(node, signals)
     except _Stopped:
         return DONE
     except (BadInput, _Unreadable) as error:
-        print(_line(error), file=sys.stderr)
-        return BAD_INPUT
-    except _Stillborn as error:
-        print(_line(error), file=sys.stderr)
-        return FAILED
+        return _ended(error, BAD_INPUT)
+    except rclpy_implementation.RCLError as error:  # as where security is asked for and missing
+        return _ended(f'the node cannot be created: {error}', FAILED)
     finally:
         _end_within(LAST_RESORT)  # what is left is cleared away by the interpreter's end
 
 
+def _ended(error: object, code: int) -> int:
+    """Print an error in one line, with what security needs where that is on; return the code."""
+    line = ' '.join(str(error).split())
+    if os.environ.get(SECURITY) == 'true':
+        needs = 'ROS_SECURITY_KEYSTORE and a middleware with security'
+        line = f'{line} ({SECURITY}=true needs {needs})'
+    print(line, file=sys.stderr)
+    return code
+
+
 class _Stopped(KeyboardInterrupt):
     """A signal during the start, when nothing has been commanded yet."""
+
+
+class _Unreadable(Exception):
+    """rclpy cannot read the command line, or a parameter file on it."""
 
 
 class _Signals:
@@ -262,40 +278,6 @@ class _Signals:
             raise _Stopped
 
 
-class _Stillborn(Exception):
-    """The middleware does not let the node be, as where security is asked for and missing."""
-
-
-class _Unreadable(Exception):
-    """rclpy cannot read the command line, or a parameter file on it."""
-
-
-def _line(error: Exception) -> str:
-    """Return an error in one line; those of security name it."""
-    line = ' '.join(str(error).split())
-    if os.environ.get(SECURITY) != 'true':
-        return line
-    return f'{line} ({SECURITY}=true needs ROS_SECURITY_KEYSTORE and a middleware with security)'
-
-
-@contextmanager
-def _started(words: Sequence[str]) -> Iterator[None]:
-    """Keep rclpy started with the command line as long as the block lasts.
-
-    Raises:
-        BadInput: there are words on it that nobody would look at, or a file that is not there.
-    """
-    with ExitStack() as stack:
-        _require_files(words)
-        _initialise(words, stack)
-        _, *plain = remove_ros_args(args=list(words))
-        if plain:
-            problem = f'{shlex.join(plain)} is not behind --ros-args'
-            hint = f'allowed: --ros-args, then {KNOWN_WORDS}'
-            raise BadInput.stating('command line', problem, hint)
-        yield
-
-
 def _require_files(words: Sequence[str]) -> None:
     """Refuse a parameter file that is not there: rcl would log of its own parser, too."""
     for flag, word in pairwise(dropwhile('--ros-args'.__ne__, words)):
@@ -303,20 +285,55 @@ def _require_files(words: Sequence[str]) -> None:
             raise BadInput.stating(word, 'no such file', '--params-file is to name one')
 
 
-def _initialise(words: Sequence[str], stack: ExitStack) -> None:
-    try:
-        stack.enter_context(initialised(words, context=get_default_context()))
-    except rclpy_implementation.UnknownROSArgsError as error:
-        unknown = ' '.join(ast.literal_eval(str(error)))
-        problem, hint = f'unknown argument {unknown}', f'allowed: {KNOWN_WORDS}'
-        raise BadInput.stating('command line', problem, hint) from None
-    except RuntimeError as error:  # a malformed rule or parameter file
-        raise _Unreadable(str(error)) from None
+@contextmanager
+def _initialised(words: Sequence[str]) -> Iterator[None]:
+    """Keep rclpy started with the command line as long as the block lasts.
+
+    Raises:
+        BadInput, _Unreadable: an unknown argument; a malformed rule or parameter file.
+    """
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(initialised(words, context=get_default_context()))
+        except rclpy_implementation.UnknownROSArgsError as error:
+            unknown = ' '.join(ast.literal_eval(str(error)))
+            problem, hint = f'unknown argument {unknown}', f'allowed: {KNOWN_WORDS}'
+            raise BadInput.stating('command line', problem, hint) from None
+        except RuntimeError as error:
+            raise _Unreadable(str(error)) from None
+        yield
 
 
-def _live(make: Callable[[], Guarded], signals: _Signals) -> int:
-    node = _born(make)
-    signals.starting = False
+def _require_ros_words(words: Sequence[str]) -> None:
+    """Refuse words that nobody would look at."""
+    _, *plain = remove_ros_args(args=list(words))
+    if plain:
+        problem = f'{shlex.join(plain)} is not behind --ros-args'
+        hint = f'allowed: --ros-args, then {KNOWN_WORDS}'
+        raise BadInput.stating('command line', problem, hint)
+
+
+def _born(make: Callable[[], Guarded]) -> Guarded:
+    """Return a new node that has begun; one whose start fails is destroyed.
+
+    Left over, its publishers would be deleted by the interpreter's end, after the context's.
+    """
+    with warnings.catch_warnings():
+        # What rclpy says about its own clearing away, where it fails.
+        warnings.simplefilter('ignore', RuntimeWarning)
+        node = make()
+        try:
+            node.begin()
+        except BaseException:
+            _end_within(LAST_RESORT)
+            with suppress(RuntimeError):  # of rclpy; what has failed before is what to tell
+                node.destroy_node()
+            raise
+        return node
+
+
+def _live(node: Guarded, signals: _Signals) -> int:
+    """Spin a node until it is done or a signal comes, let it take its leave; return its code."""
     _warn_of_range(node)
     executor = executor_named(node.get_parameter('executor').value)
     executor.add_node(node)
@@ -325,7 +342,16 @@ def _live(make: Callable[[], Guarded], signals: _Signals) -> int:
     gc.enable()
     while not signals.received and node.exit_code is None:
         _spin(node, executor)
-    return _part(node, executor, signals.received)
+    _end_within(LAST_RESORT)
+    if signals.received:
+        name = signal.Signals(signals.received[0]).name
+        node.get_logger().info(f'received {name}, stopping')
+    for _ in range(FAREWELLS):
+        node.guard(node.safe)(Reason(Cause.SHUTDOWN, 'shutting down'))
+    _let_go(node)
+    executor.shutdown()
+    node.destroy_node()
+    return node.exit_code or DONE
 
 
 def executor_named(name: str, context: Context | None = None) -> Executor:
@@ -344,41 +370,6 @@ def executor_named(name: str, context: Context | None = None) -> Executor:
     return EventsExecutor(context=context)
 
 
-def _born(make: Callable[[], Guarded]) -> Guarded:
-    try:
-        with warnings.catch_warnings():
-            # What rclpy says about its own clearing away, where it fails.
-            warnings.simplefilter('ignore', RuntimeWarning)
-            node = make()
-            with _destroyed_unless_begun(node):
-                node.begin()
-            return node
-    except rclpy_implementation.RCLError as error:
-        raise _Stillborn(f'the node cannot be created: {error}') from None
-
-
-@contextmanager
-def _destroyed_unless_begun(node: Guarded) -> Iterator[None]:
-    """Destroy the node if the block fails, as long as there is a middleware to clear it away.
-
-    Left over, its publishers would be deleted by the interpreter's end, after the context's.
-    """
-    try:
-        yield
-    except BaseException:
-        _end_within(LAST_RESORT)
-        with suppress(RuntimeError):  # of rclpy; what has failed before is what to tell
-            node.destroy_node()
-        raise
-
-
-def _spin(node: Guarded, executor: Executor) -> None:
-    try:
-        executor.spin_once(timeout_sec=SPIN)
-    except BaseException as error:  # from callbacks of rclpy's own, such as a malformed /clock
-        node.failed('spinning', error)
-
-
 def _end_within(patience: float) -> None:
     """End this process with code 1, and say where it hangs, unless it ends by itself [s].
 
@@ -388,17 +379,11 @@ def _end_within(patience: float) -> None:
     faulthandler.dump_traceback_later(patience, exit=True)
 
 
-def _part(node: Guarded, executor: Executor, signals: Sequence[int]) -> int:
-    _end_within(LAST_RESORT)
-    if signals:
-        node.get_logger().info(f'received {signal.Signals(signals[0]).name}, stopping')
-    farewell = node.guard(node.safe)
-    for _ in range(FAREWELLS):
-        farewell(Reason(Cause.SHUTDOWN, 'shutting down'))
-    _let_go(node)
-    executor.shutdown()
-    node.destroy_node()
-    return node.exit_code or DONE
+def _spin(node: Guarded, executor: Executor) -> None:
+    try:
+        executor.spin_once(timeout_sec=SPIN)
+    except BaseException as error:  # from callbacks of rclpy's own, such as a malformed /clock
+        node.failed('spinning', error)
 
 
 def _let_go(node: Guarded) -> None:

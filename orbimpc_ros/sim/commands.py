@@ -1,10 +1,10 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The commands a simulated vehicle gets: twist, joined by thrust at translation order 2."""
+"""The commands to a simulated vehicle: a twist, and a thrust at translation order 2."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from geometry_msgs.msg import TwistStamped, WrenchStamped
@@ -34,7 +34,7 @@ class Order:
 
 
 class Orders:
-    """Makes orders of messages; at translation order 2 of two messages with the same stamp.
+    """Turns messages into orders, at translation order 2 two messages with the same stamp.
 
     Args:
         model: of the vehicle.
@@ -46,8 +46,8 @@ class Orders:
 
     def __init__(self, model: Model, frames: Frames) -> None:
         self._model, self._frames = model, frames
-        self._twist: tuple[int, float, Array] | None = None
-        self._force: tuple[int, float] | None = None
+        self._twist: Order | None = None  # at translation order 2 without its thrust
+        self._thrust = -1, 0.0  # a stamp [ns], and a share of full thrust
         self.latest: Order | None = None
 
     def take_twist(self, message: TwistStamped, now: int) -> bool:
@@ -62,12 +62,10 @@ class Orders:
         if float(np.linalg.norm(body_rate)) > fastest * (1.0 + SLACK):
             allowed = f'at most pi / step = {fastest:.6g} rad/s'
             raise BadInput('twist.angular', body_rate.tolist(), allowed)
+        share = 0.0
         if self._model.translation_order == 1:
-            full = self._model.forward
-            _require_share(
-                speed / full, f'twist.linear.{self._frames.thrust_axis}', speed, full, 'm/s'
-            )
-        self._twist = stamp, speed, body_rate
+            share = self._share(speed, self._model.forward, 'twist.linear', 'm/s')
+        self._twist = Order(stamp, share, body_rate)
         return self._complete()
 
     def take_force(self, message: WrenchStamped, now: int) -> bool:
@@ -79,30 +77,26 @@ class Orders:
         stamp, force = read_force(message, self._frames)
         _require_past(stamp, now)
         full = self._model.mass * self._model.forward
-        _require_share(force / full, f'wrench.force.{self._frames.thrust_axis}', force, full, 'N')
-        self._force = stamp, force
+        self._thrust = stamp, self._share(force, full, 'wrench.force', 'N')
         return self._complete()
 
+    def _share(self, value: float, full: float, field: str, unit: str) -> float:
+        share = value / full
+        if not -SLACK <= share <= 1.0 + SLACK:
+            culprit = f'{field}.{self._frames.thrust_axis}'
+            raise BadInput(culprit, value, f'0 to full speed or thrust, {full:g} {unit}')
+        return share
+
     def _complete(self) -> bool:
-        if self._twist is None:
-            return False
-        stamp, speed, body_rate = self._twist
-        if self._model.translation_order == 1:
-            self.latest = Order(stamp, speed / self._model.forward, body_rate)
-            return True
-        if self._force is None or self._force[0] != stamp:
-            return False
-        fraction = self._force[1] / (self._model.mass * self._model.forward)
-        self.latest = Order(stamp, fraction, body_rate)
-        return True
+        order = self._twist
+        if order is not None and self._model.translation_order == 2:
+            stamp, share = self._thrust
+            order = replace(order, fraction=share) if stamp == order.stamp else None
+        self.latest = order or self.latest
+        return order is not None
 
 
 def _require_past(stamp: int, now: int) -> None:
     if stamp > now + AHEAD * SECOND:
         ahead = (stamp - now) / SECOND
         raise BadInput('header.stamp', f'{ahead:g} s in the future', f'at most {AHEAD:g} s')
-
-
-def _require_share(share: float, culprit: str, value: float, full: float, unit: str) -> None:
-    if not -SLACK <= share <= 1.0 + SLACK:
-        raise BadInput(culprit, value, f'0 to full speed or thrust, {full:g} {unit}')

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Vehicles that an engine moves: somebody else's physics behind the simulator of this package."""
+"""Vehicles that are moved by an engine: the physics of another library in this simulator."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ import numpy as np
 from orbimpc_ros.install import command_for_extra
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.sim.engines.engine import Engine, Motion, NoStart, Start, checked
+from orbimpc_ros.sim.engines import NoStart
+from orbimpc_ros.sim.engines.engine import Engine, Motion, Start, checked
 from orbimpc_ros.sim.vehicle import Continuous, Vehicle
 from orbimpc_ros.sim.world import Rope, fixed
 
@@ -48,7 +49,7 @@ ENGINES = {
 
 @dataclass(frozen=True)
 class EngineVehicle(Vehicle):
-    """The state of a vehicle in an engine, which keeps all that is not here.
+    """The state of a vehicle in an engine; the engine holds the rest of it.
 
     Attributes:
         engine: that has it; it goes on with the last state alone.
@@ -65,7 +66,7 @@ class EngineVehicle(Vehicle):
 
     @property
     def facts(self) -> Mapping[str, float]:
-        """Return what else the engine knows of it, and its height."""
+        """Return its height, and what else the engine reports."""
         more = {} if self.motion is None else self.motion.facts
         return {'height': self.height, **more}
 
@@ -77,12 +78,12 @@ class EngineVehicle(Vehicle):
 
     @property
     def caught(self) -> bool | None:
-        """Return whether it has caught the goal, if the engine judges that."""
+        """Return whether it has caught the goal, where the engine decides that."""
         return None if self.motion is None else self.motion.caught
 
     @property
     def lost(self) -> bool:
-        """Return whether it cannot catch the goal any more, as the engine judges."""
+        """Return whether the goal can no longer be caught, as the engine decides."""
         return self.motion is not None and self.motion.lost
 
 
@@ -144,14 +145,7 @@ class EnginePlant(Continuous):
     def flown(
         self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array, elapsed: float
     ) -> tuple[Vehicle, ...]:
-        """Return the vehicle on its way through a time under one command, the last at its end.
-
-        Args:
-            vehicle: the last one that the engine has shown: it cannot go back.
-            span: how long [s].
-            fraction: commanded share of full speed.
-            body_rate: commanded, shape (1,) or (3,) [rad/s].
-            elapsed: time since the start of the flight [s].
+        """Return the vehicle at the intervals of its engine; see :meth:`Model.flown`.
 
         Raises:
             EngineFailure: the engine has failed.
@@ -163,7 +157,7 @@ class EnginePlant(Continuous):
         return tuple(self._read(engine, each, vehicle.time - elapsed) for each in motions)
 
     def _read(self, engine: Engine, motion: Motion, begun: float) -> EngineVehicle:
-        """Return what a motion is to a planner, the engine having begun at a time [s]."""
+        """Return the state that a planner sees of a motion; the engine began at a time [s]."""
         n, height, rate = self.dimension, 0.0, motion.body_rate
         attitude = motion.attitude
         if n == 2:

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Faults between a flight and its planner: noise, losses, delays, lies; all from a seed.
+"""Faults between a flight and its planner: noise, losses, delays, false stamps; from a seed.
 
 Every tick draws all its chances from the seed and its own number, so that a run repeats exactly,
 one fault does not change the draws of another, and asking twice for a tick gives the same answer.
@@ -29,7 +29,7 @@ CHANCES = ('dropout', 'reorder', 'duplicate', 'nan')  # columns
 
 @dataclass(frozen=True)
 class Faults:
-    """How much of what goes wrong; nothing by default. Shares are of all messages of a kind.
+    """How often and how far messages are wrong; none by default. Shares are of a kind of message.
 
     Attributes:
         position_noise: standard deviation along each axis, of odometry and goal [m].
@@ -64,11 +64,11 @@ class Faults:
 
     @property
     def any(self) -> bool:
-        """Return whether anything goes wrong at all."""
+        """Return whether there is any fault."""
         return any(getattr(self, field.name) != field.default for field in fields(self))
 
     def jumped(self, ticks: int) -> float:
-        """Return what stamps are off after so many steps [s]."""
+        """Return how far off stamps are after a number of steps [s]."""
         return self.clock_jump if ticks >= self.clock_jump_tick else 0.0
 
 
@@ -102,7 +102,7 @@ class Delivery(NamedTuple):
 
 
 class View:
-    """What a planner gets to see of a flight, tick by tick.
+    """The messages that reach a planner, tick by tick.
 
     Args:
         faults: what goes wrong.
@@ -116,7 +116,7 @@ class View:
         self._held_back: list[Delivery] = []
 
     def of(self, flight: Flight) -> list[Delivery]:
-        """Return what arrives at this tick, in order; to be asked once a tick."""
+        """Return the messages of this tick, in order; to be called once a tick."""
         self._past.append(_way(flight))
         arriving, self._held_back = self._held_back, []
         draws = _Draws.of(self._seed, flight.ticks)
@@ -149,7 +149,7 @@ class View:
         return past[-1] if at >= past[-1].time else replace(past[0], time=at)
 
     def _through(self, draws: _Draws, kind: int, sent: Delivery) -> list[Delivery]:
-        """Return what of a message arrives now: none of it, once or twice."""
+        """Return the copies of a message that arrive now: none, one or two."""
         if self._happens(draws, kind, 'dropout'):
             return []
         if self._happens(draws, kind, 'nan'):

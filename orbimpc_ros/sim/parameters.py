@@ -30,8 +30,8 @@ from orbimpc_ros.ros.process import LIFE
 from orbimpc_ros.sim.engine_vehicle import ENGINES, EnginePlant
 from orbimpc_ros.sim.faults import Faults
 from orbimpc_ros.sim.plant import Gusts, Plant
-from orbimpc_ros.sim.readers import wanted_readers
 from orbimpc_ros.sim.vehicle import Model, Vehicle, launched
+from orbimpc_ros.sim.waiting import wanted_readers
 from orbimpc_ros.sim.world import FINISHES, Rope, Scenario
 
 SHARE = 0.75  # of command_timeout without a sign of life; the rest is for reporting it
@@ -230,7 +230,7 @@ class SimSettings(VehicleParameters):
             self.failsafe_rate,
             disturbance=tuple(known) if any(known) else (),
             discretisation=self.discretisation,
-            source=self.velocity_source,
+            velocity_source=self.velocity_source,
         )
         if self.vehicle == 'discrete':
             return discrete

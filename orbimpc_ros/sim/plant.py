@@ -32,7 +32,7 @@ class Gusts:
     Attributes:
         deviation: standard deviation along each axis [m/s], or [m/s^2] at translation order 2.
         memory: correlation time [s].
-        seed: of all chances.
+        seed: of the process.
     """
 
     deviation: float = 0.0
@@ -77,8 +77,8 @@ class Plant(Continuous):
     """A vehicle in continuous time, pushed along its x axis.
 
     Both orders of translation take their commands at once and follow them with a first-order lag,
-    and so do both orders of rotation: the orders of a :class:`Model` say what a command means in
-    the steps of a planner, which a vehicle does not know.
+    and so do both orders of rotation: the orders of a :class:`Model` define what a command means
+    in the steps of a planner, which a vehicle does not have.
 
     Attributes:
         speed_lag: time constant of the speed (translation order 1) or the thrust (2) [s].
@@ -116,15 +116,7 @@ class Plant(Continuous):
     def flown(
         self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array, elapsed: float
     ) -> tuple[Vehicle, ...]:
-        """Return the vehicle at short intervals of a time under one command, the last at its end.
-
-        Args:
-            vehicle: where it is.
-            span: how long [s].
-            fraction: commanded share of full speed or thrust, clipped to [0, 1].
-            body_rate: commanded, in the body frame, shape (1,) or (3,) [rad/s].
-            elapsed: time since the start of the flight [s].
-        """
+        """Return the vehicle at short intervals; see :meth:`Model.flown`."""
         wanted = float(np.clip(fraction, 0.0, 1.0)), self._limited(body_rate)
         count = max(1, math.ceil(span / SUBSTEP - 1e-9))
         trail, piece = [], span / count

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The vehicle as it really moves: on SO(n), turned by body rates, pushed along its x axis."""
+"""The true motion of a vehicle: on SO(n), turned by body rates, pushed along its x axis."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.arrays import Array, frozen, number
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log, nearest
-from orbimpc_ros.mpc.problem import Problem
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class Model:
         disturbance: a wind in the world frame [m/s] (translation order 1) or an acceleration
             [m/s^2] (2), n numbers; none if empty.
         discretisation: ``euler`` or ``exact``, as in the Problem.
-        source: of the velocity that odometry measures: over ``ground`` or through the ``air``.
+        velocity_source: of odometry: over ``ground`` or through the ``air``.
     """
 
     dimension: int = 2
@@ -45,7 +44,7 @@ class Model:
     failsafe_rate: float = 0.0
     disturbance: tuple[float, ...] = ()
     discretisation: str = 'euler'
-    source: str = 'ground'
+    velocity_source: str = 'ground'
 
     def __post_init__(self) -> None:
         if self.disturbance:
@@ -59,18 +58,13 @@ class Model:
         return self.step**self.translation_order * self.forward
 
     @property
-    def velocity_source(self) -> str:
-        """Return whether odometry measures velocity over ``ground`` or through the ``air``."""
-        return self.source
-
-    @property
     def blown(self) -> Array:
         """Return the disturbance, shape (n,)."""
         return np.array(self.disturbance or np.zeros(self.dimension))
 
     @property
     def wind(self) -> Array:
-        """Return the velocity of the air, shape (n,) [m/s], which a thrust does not know."""
+        """Return the velocity of the air, shape (n,) [m/s]; zero at translation order 2."""
         return self.blown if self.translation_order == 1 else np.zeros(self.dimension)
 
     @property
@@ -103,13 +97,24 @@ class Model:
         return (advance(replace(self, step=span), vehicle, fraction, body_rate),)
 
     def released(self, vehicle: Vehicle) -> Vehicle:
-        """Return the vehicle at the moment from which no command is in force."""
-        return failsafe(self, vehicle)
+        """Return the vehicle once no command is in force: by default it stops, there and then.
+
+        At translation order 2 that is to coast: no command takes the velocity away.
+        """
+        velocity = vehicle.velocity
+        if self.translation_order == 1:
+            velocity = self.forward * self.failsafe_fraction * vehicle.attitude[:, 0] + self.wind
+        return replace(
+            vehicle,
+            velocity=velocity,
+            body_rate=self.failsafe_turn,
+            fraction=self.failsafe_fraction,
+        )
 
 
 @dataclass(frozen=True)
 class Continuous(Model):
-    """A vehicle in continuous time, which takes commands at once and follows them as it can.
+    """A vehicle in continuous time, which follows commands from the moment that they come.
 
     Attributes:
         stall_speed: airspeed below which it is counted as stalled [m/s]; it flies on.
@@ -120,19 +125,6 @@ class Continuous(Model):
     def released(self, vehicle: Vehicle) -> Vehicle:
         """Return the vehicle once no command is in force: nothing changes at once."""
         return vehicle
-
-
-def model_of(problem: Problem, mass: float = 1.0) -> Model:
-    """Return the vehicle that a planning problem believes in."""
-    return Model(
-        problem.dimension,
-        problem.rotation_order,
-        problem.translation_order,
-        problem.step,
-        problem.forward,
-        mass,
-        discretisation=problem.discretisation,
-    )
 
 
 @dataclass(frozen=True)
@@ -183,22 +175,22 @@ class Vehicle:
 
     @property
     def facts(self) -> Mapping[str, float]:
-        """Return what else is known of it, by name."""
+        """Return further figures of it, by name."""
         return {}
 
     @property
     def goal(self) -> Array | None:
-        """Return where the goal is, shape (n,) [m], if that is not for the scenario to say."""
+        """Return where the goal is, shape (n,) [m]; None where the scenario decides that."""
         return None
 
     @property
     def caught(self) -> bool | None:
-        """Return whether it has caught the goal, if that is not for distances to say."""
+        """Return whether it has caught the goal; None where its distance decides that."""
         return None
 
     @property
     def lost(self) -> bool:
-        """Return whether it cannot catch the goal any more."""
+        """Return whether it can no longer catch the goal."""
         return False
 
 
@@ -261,7 +253,7 @@ def _moved(model: Model, vehicle: Vehicle, old: Array, new: Array) -> tuple[Arra
     """Return the way of a step and the velocity at its end, shape (n,) each.
 
     Args:
-        model: says whether speed or thrust changes at the end of the step, or all the while.
+        model: decides whether speed or thrust changes at the end of the step, or all the while.
         vehicle: at its begin.
         old: speed or thrust at its begin, shape (n,).
         new: at its end.
@@ -275,22 +267,6 @@ def _moved(model: Model, vehicle: Vehicle, old: Array, new: Array) -> tuple[Arra
     if model.discretisation == 'exact':
         way = way + h * h * (old / 3.0 + new / 6.0 + 0.5 * model.blown)
     return way, vehicle.velocity + gained
-
-
-def failsafe(model: Model, vehicle: Vehicle) -> Vehicle:
-    """Return the vehicle once no command is in force: by default it stops, there and then.
-
-    At translation order 2 that is to coast: no command takes the velocity away.
-    """
-    velocity = vehicle.velocity
-    if model.translation_order == 1:
-        velocity = model.forward * model.failsafe_fraction * vehicle.attitude[:, 0] + model.wind
-    return replace(
-        vehicle,
-        velocity=velocity,
-        body_rate=model.failsafe_turn,
-        fraction=model.failsafe_fraction,
-    )
 
 
 def between(earlier: Vehicle, later: Vehicle, time: float) -> Vehicle:
@@ -307,7 +283,7 @@ def between(earlier: Vehicle, later: Vehicle, time: float) -> Vehicle:
 
 
 def measured(vehicle: Vehicle, velocity_source: str = 'ground') -> Odometry:
-    """Return what perfect odometry says of the vehicle: its twist is in the body frame.
+    """Return perfect odometry of the vehicle; its twist is in the body frame.
 
     Args:
         vehicle: that is measured.

@@ -71,10 +71,9 @@ class Scenario:
             ``max_ticks`` and has to be at the goal then.
         arrival_radius: how far from the goal a vehicle that has arrived may be [m].
         arrival_speed: and how fast [m/s]; 0 for any speed.
-        obstacles: boxes; who touches one has not done the job.
-        traffic: balls that move, each evenly from the start on; who touches one has not either.
-        approach: who is headed elsewhere at a capture has not done it either; its direction is
-            given where there is a cone.
+        obstacles: boxes; a flight that touches one has failed.
+        traffic: balls, each moving evenly from the start on; the same holds for them.
+        approach: headings that count at a capture; where it has a cone, its direction is given.
         rope_length: the rope hangs so far [m], half of it above the plane of flight, for vehicles
             that may leave it.
     """
@@ -167,9 +166,9 @@ class Flight:
 
     @property
     def captured(self) -> bool:
-        """Return whether the job is done: the goal caught by the last step, or arrived at.
+        """Return whether the goal was caught by the last step, or arrived at.
 
-        Who has touched a box, or a ball in the traffic, has not done it.
+        A flight that touched a box or a ball has failed.
         """
         if self.touched:
             return False
@@ -181,7 +180,7 @@ class Flight:
     def near(self) -> bool:
         """Return whether the goal came within the capture radius in the last step.
 
-        Where an engine judges, it is whether the goal has been caught.
+        Where an engine decides that, it is whether the goal has been caught.
         """
         judged = self.vehicle.caught
         return self.miss <= self.scenario.capture_radius if judged is None else judged
@@ -202,7 +201,7 @@ class Flight:
         return self.captured or self.vehicle.lost or self._out_of_ticks
 
     def after(self, fraction: float, body_rate: Array, held: float = np.inf) -> Flight:
-        """Return the flight one step later, the command taken over as the vehicle's model says.
+        """Return the flight one step later, the command taken over as the vehicle's model does.
 
         Args:
             fraction: commanded share of full speed or thrust.
@@ -264,7 +263,7 @@ def departure(scenario: Scenario, time: float | None = None) -> Flight:
 
 @dataclass(frozen=True)
 class Airspeeds:
-    """What airspeeds there were so far.
+    """The airspeeds of a flight so far.
 
     Attributes:
         stall_speed: below which a vehicle has stalled [m/s]; 0 for none.
@@ -279,7 +278,7 @@ class Airspeeds:
     stalled: bool = False
 
     def seeing(self, vehicles: Iterable[Vehicle]) -> Airspeeds:
-        """Return the record once these, in order of time, are seen as well."""
+        """Return the record with these vehicles, in order of time, added."""
         seen = self
         for vehicle in vehicles:
             speed = vehicle.airspeed
@@ -290,7 +289,7 @@ class Airspeeds:
 
 
 def touched(boxes: Sequence[Box], start: Array, end: Array, grazed: float = 0.0) -> frozenset[int]:
-    """Return the numbers of the boxes whose inside a straight way leads through.
+    """Return the numbers of the boxes that a straight path crosses.
 
     Args:
         boxes: counted from 0.
@@ -307,7 +306,7 @@ def met(
     times: tuple[float, float],
     grazed: float = 0.0,
 ) -> frozenset[int]:
-    """Return the numbers of the balls that a straight way leads into while they move on evenly.
+    """Return the numbers of the balls that a straight path meets while they move evenly.
 
     Args:
         traffic: balls, counted from 0.
@@ -335,7 +334,7 @@ def _middle(ball: Hazard) -> Array:
 
 
 def _crosses(box: Box, start: Array, end: Array, grazed: float) -> bool:
-    """Return whether a way is between both faces of every axis at one and the same time."""
+    """Return whether a path is between both faces of every axis at the same time."""
     way, low, high = end - start, box.minimum + grazed, box.maximum - grazed
     moves = way != 0.0
     if not ((low < start) & (start < high))[~moves].all() or (low >= high).any():

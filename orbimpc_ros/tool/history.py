@@ -87,9 +87,15 @@ class History:
     truth: Mapping[str, Any] = field(default_factory=dict)
 
     @property
-    def capture_radius(self) -> float:
-        """Return within what the goal is caught [m]: the simulator's word, not the planner's."""
-        return float(settings.of_sim(self.values)['capture_radius'])
+    def arrives(self) -> bool:
+        """Return whether the job is to arrive at the goal, not to catch it in passing."""
+        return bool(self.values['finish'] == 'arrival')
+
+    @property
+    def radius(self) -> float:
+        """Return within what the simulator has the goal caught, or arrived at [m]."""
+        name = 'arrival_radius' if self.arrives else 'capture_radius'
+        return float(settings.of_sim(self.values)[name])
 
     @property
     def in_time(self) -> bool:
@@ -138,7 +144,7 @@ class History:
     @property
     def near_misses(self) -> list[Encounter]:
         """Return the local minima of the distance that came near and yet caught nothing."""
-        radius, moments = self.capture_radius, self.moments
+        radius, moments = self.radius, self.moments
         # The catch itself, where somebody else judged the contact, may be outside of the radius.
         before_catch = self.end - (
             0.0 if self.capture is None else 0.5 * float(self.values['step'])
@@ -159,7 +165,7 @@ class History:
     @property
     def capture(self) -> Encounter | None:
         """Return the approach that caught the rope; None too where the job is to arrive."""
-        caught = self.captured and self.values['finish'] == 'capture'
+        caught = self.captured and not self.arrives
         return self.approaches[-1] if caught and len(self.times) > 1 else None
 
 

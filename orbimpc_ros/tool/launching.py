@@ -39,8 +39,8 @@ from orbimpc_ros.ros.autopilots import TOPICS
 from orbimpc_ros.ros.parameters.sections import given
 from orbimpc_ros.ros.process import RANGE
 from orbimpc_ros.sim.fleet import vehicles
-from orbimpc_ros.sim.readers import RECORDED
 
+RECORDED = 'odom, goal, cmd_vel, rotation, plan, tick'  # read by whoever records everything
 AUTO = 'auto'
 SEVERAL = ('crossing', 'fleet')  # files for several vehicles
 AWAITED = 'awaited'  # launch configuration: the readers that the simulator waits for

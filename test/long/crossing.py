@@ -23,7 +23,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -36,16 +36,17 @@ from std_srvs.srv import Trigger
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 import crossings
+from harness import Observer
 
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND
-from orbimpc_ros.ros.process import attached, qos
+from orbimpc_ros.ros.process import qos
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.run.discovery import claimed
 from orbimpc_ros.tool.run.processes import Process
 
 DEPTH = 10
-AGAIN, PATIENCE = 1.0, 120.0  # [s]
+AGAIN = 1.0  # [s]
 WAITING = 'odom_timeout=60.0'  # simulated time stands while planners wait for each other
 ANSWERS = {'cmd_vel': TwistStamped, 'tick': DiagnosticArray}
 
@@ -53,8 +54,8 @@ ANSWERS = {'cmd_vel': TwistStamped, 'tick': DiagnosticArray}
 class Ashore:
     """Planners in processes, asked all at once."""
 
-    def __init__(self, node: Any, executor: Any, values: Mapping[str, settings.Values]) -> None:
-        self._executor = executor
+    def __init__(self, observer: Observer, values: Mapping[str, settings.Values]) -> None:
+        node, self._until = observer.node, observer.until
         self._time = node.create_publisher(Clock, '/clock', qos(DEPTH))
         self._odometry, self._goal = (
             {name: node.create_publisher(kind, f'{name}/{topic}', qos(DEPTH)) for name in values}
@@ -106,13 +107,6 @@ class Ashore:
                 self._goal[name].publish(goal)
                 self._odometry[name].publish(odometry)
 
-    def _until(self, true: Any) -> None:
-        end = time.monotonic() + PATIENCE
-        while not true():
-            self._executor.spin_once(timeout_sec=0.02)
-            if time.monotonic() > end:
-                raise TimeoutError(f'waited {PATIENCE:g} s for the planners')
-
 
 def main() -> int:
     """Fly crossings and print what came of them."""
@@ -146,8 +140,8 @@ def ashore(values: Mapping[str, settings.Values], out: Path) -> Iterator[Ashore]
         for name in values
     ]
     try:
-        with attached('crossing', domain=domain) as (node, executor):
-            crew = Ashore(node, executor, values)
+        with closing(Observer(domain)) as observer:
+            crew = Ashore(observer, values)
             crew.meet()
             yield crew
     finally:

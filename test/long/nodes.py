@@ -23,7 +23,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[2]))  # of benchmarks, which are not installed
 
-from benchmarks.bench.vehicles import FULL, RATE, ROUND
+from benchmarks.bench.problems import FULL, RATE, ROUND
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Floor, Problem, State

@@ -443,7 +443,7 @@ class Inputs:
         return replace(
             snapshot,
             odometry=known.value,
-            traffic=self.obstacles.traffic(known.value.time),
+            traffic=self.obstacles.traffic(known.value.time) if self.obstacles.stamps else None,
             odometry_age=known.age(now, ros),
             latency=known.delay(ros) + taking if compensated else 0.0,
         )

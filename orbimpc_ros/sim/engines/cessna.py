@@ -17,8 +17,8 @@ import math
 import jsbsim
 import numpy as np
 
-from orbimpc_ros.sim.engines.engine import Array, Motion, NoStart, Start
-from orbimpc_ros.sim.engines.failure import EngineFailure
+from orbimpc_ros.sim.engines import EngineFailure, NoStart
+from orbimpc_ros.sim.engines.engine import Array, Motion, Start
 
 FOOT = 0.3048  # [m]
 GRAVITY = 9.80665  # [m/s^2]
@@ -114,12 +114,7 @@ class Cessna:
         )
 
     def run(self, span: float, push: float, rate: Array) -> list[Motion]:
-        """Fly for a time and return the motions on the way, the last one at its end.
-
-        Args:
-            span: how long, rounded to steps of the engine [s].
-            push: commanded, the speed through the air [m/s].
-            rate: commanded, to the left, shape (1,) [rad/s].
+        """Fly for a time rounded to steps, at a speed through the air; see :meth:`Engine.run`.
 
         Raises:
             EngineFailure: the engine has stopped.

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""What engines have in common: how they are asked, what they answer, and how they fail."""
+"""The interface of an engine: how it starts, the motions that it returns, and their check."""
 
 from __future__ import annotations
 
@@ -10,21 +10,9 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from orbimpc_ros.sim.engines.failure import EngineFailure
+from orbimpc_ros.sim.engines import EngineFailure
 
 Array = NDArray[np.floating]
-
-
-class NoStart(Exception):
-    """An engine cannot begin so.
-
-    Attributes:
-        culprit: the parameter that is to blame.
-    """
-
-    def __init__(self, culprit: str, why: str) -> None:
-        super().__init__(why)
-        self.culprit = culprit
 
 
 class Start(NamedTuple):
@@ -66,9 +54,9 @@ class Motion(NamedTuple):
         body_rate: shape (3,) [rad/s].
         air: velocity of the air around it, shape (3,) [m/s].
         push: speed through the air [m/s], or acceleration by thrust [m/s^2].
-        facts: what else an engine knows of its vehicle, by name.
+        facts: what else the engine reports of its vehicle, by name.
         goal: where the goal is, shape (3,) [m], if the engine moves it, too.
-        caught: whether the goal has been caught, if the engine judges that.
+        caught: whether the goal has been caught, where the engine decides that.
         lost: whether it cannot be caught any more.
     """
 
@@ -91,7 +79,7 @@ class Motion(NamedTuple):
 
     @property
     def finite(self) -> bool:
-        """Return whether all its numbers are."""
+        """Return whether all its numbers are finite."""
         numbers = np.concatenate([np.ravel(part) for part in self[:7]])
         if self.goal is not None:
             numbers = np.append(numbers, self.goal)
@@ -142,12 +130,14 @@ def checked(engine: Engine, before: float, motions: list[Motion], span: float) -
     """Return motions that follow on a time ``before`` [s] and last a span [s].
 
     Raises:
-        EngineFailure: they do not, or have numbers that are none.
+        EngineFailure: they do not, or have numbers that are not finite.
     """
     time = before
     for motion in motions:
         if not motion.finite:
-            raise EngineFailure(f'{engine.name}: numbers that are none, after t = {time:.3f} s')
+            raise EngineFailure(
+                f'{engine.name}: numbers that are not finite, after t = {time:.3f} s'
+            )
         if motion.time <= time:
             raise EngineFailure(f'{engine.name}: went from t = {time:.3f} s to {motion.time:.3f} s')
         time = motion.time

@@ -16,6 +16,7 @@ is where it crosses the plane of flight, or its end if it is all above.
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import mujoco
@@ -25,8 +26,8 @@ from rotorpy.controllers.quadrotor_control import SE3Control
 from rotorpy.vehicles.hummingbird_params import quad_params
 from rotorpy.vehicles.multirotor import Multirotor
 
-from orbimpc_ros.sim.engines.engine import Array, Motion, NoStart, Start
-from orbimpc_ros.sim.engines.failure import EngineFailure
+from orbimpc_ros.sim.engines import EngineFailure, NoStart
+from orbimpc_ros.sim.engines.engine import Array, Motion, Start
 
 STEP = 0.002  # [s] of MuJoCo
 CONTROL = 2  # steps from one command to the rotors to the next
@@ -40,43 +41,7 @@ NOSE = np.array([0.45, 0.0, 0.0])  # [m] the middle of the hook, in the body
 MEMORY = 1.0  # [s] of gusts
 SIZE = 480, 720  # [px] height and width of pictures
 
-SCENE = """
-<mujoco model="hummingbird and rope">
-  <option timestep="{step}" density="1.2" viscosity="1.8e-5"/>
-  <visual>
-    <global offwidth="960" offheight="640"/>
-    <headlight ambient="0.5 0.5 0.5" diffuse="0.4 0.4 0.4" specular="0 0 0"/>
-  </visual>
-  <asset>
-    <texture type="skybox" builtin="gradient" rgb1="1 1 1" rgb2="0.7 0.8 0.9"
-             width="64" height="64"/>
-  </asset>
-  <default>
-    <default class="vehicle">
-      <geom contype="1" conaffinity="0" fluidshape="ellipsoid" fluidcoef="0 0 0 0 0"/>
-    </default>
-    <default class="link">
-      <joint type="ball" damping="2e-4"/>
-      <geom type="capsule" contype="0" conaffinity="1" fromto="0 0 0 0 0 -{link}" size="0.006"
-            mass="0.005" rgba="0.85 0.45 0.1 1"/>
-    </default>
-  </default>
-  <worldbody>
-    <light pos="0 0 4" dir="0.2 0.3 -1" directional="true" diffuse="0.3 0.3 0.3"/>
-    <geom name="ground" type="plane" size="20 20 0.1" pos="0 0 -2" contype="0" conaffinity="0"
-          rgba="0.8 0.82 0.85 1"/>
-    <body name="vehicle" pos="0 0 0" childclass="vehicle">
-      <freejoint/>
-      <inertial pos="0 0 0" mass="{mass}" diaginertia="{inertia}"/>
-      <geom name="hull" type="ellipsoid" size="0.08 0.08 0.04" rgba="0.2 0.3 0.5 1"/>
-      {rotors}
-      <geom name="hook boom" type="capsule" fromto="0.1 0 0 0.45 0 0" size="0.006"/>
-      <geom name="hook bar" type="capsule" fromto="0.45 -0.15 0 0.45 0.15 0" size="0.01"/>
-    </body>
-    <body name="anchor" pos="{anchor}">{rope}</body>
-  </worldbody>
-</mujoco>
-"""
+SCENE = Path(__file__).with_suffix('.xml').read_text()  # with what is computed in braces
 ROTOR = '<geom type="cylinder" size="{} 0.01" pos="{} {} 0.02" rgba="0.3 0.3 0.3 0.5"/>'
 WEIGHT = '<geom size="0.015" fromto="0 0 -{} 0 0 -{}" mass="0.03"/>'
 BODY = '<body pos="0 0 {}" childclass="link"><joint/><geom/>{}</body>'
@@ -160,12 +125,7 @@ class Hummingbird:
         self._waypoint = np.append(point, 0.0)
 
     def run(self, span: float, push: float, rate: Array) -> list[Motion]:
-        """Fly for a time and return the motions on the way, the last one at its end.
-
-        Args:
-            span: how long, rounded to commands to the rotors [s].
-            push: commanded, the speed over ground [m/s].
-            rate: commanded, to the left, shape (1,) [rad/s].
+        """Fly for a time rounded to rotor commands, at a speed over ground; see :meth:`Engine.run`.
 
         Raises:
             EngineFailure: MuJoCo has given up.

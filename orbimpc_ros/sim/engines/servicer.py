@@ -32,8 +32,8 @@ from Basilisk.simulation import (
 from Basilisk.utilities import simIncludeRW, simIncludeThruster
 from Basilisk.utilities.RigidBodyKinematics import C2MRP, MRP2C, PRV2C
 
+from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.engines.engine import Array, Motion, Start
-from orbimpc_ros.sim.engines.failure import EngineFailure
 
 SECOND = 1_000_000_000  # [ns]
 STEP = 0.02  # [s] of the integration, by Runge and Kutta's fourth order
@@ -90,12 +90,7 @@ class Servicer:
         self._simulation.StepUntilStop(0, -1)
 
     def run(self, span: float, push: float, rate: Array) -> list[Motion]:
-        """Fly for a time and return the motions on the way, the last one at its end.
-
-        Args:
-            span: how long, rounded to torques of the wheels [s].
-            push: commanded, along the body's x axis [m/s^2].
-            rate: commanded, in the body frame, shape (3,) [rad/s].
+        """Fly for a time rounded to torques of the wheels; see :meth:`Engine.run`.
 
         Raises:
             EngineFailure: Basilisk has given up.

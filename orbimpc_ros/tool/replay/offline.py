@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -28,20 +29,24 @@ def resolved(settings: PlannerSettings, namespace: str) -> tuple[str, ...]:
 
 
 class OfflinePlanner(Core):
-    """Answers with what the planner would publish; a solve has no deadline.
-
-    What it finds must not depend on the machine.
+    """Answers with what the planner would publish.
 
     Args:
         settings: of the planner.
         node: its name.
         avoided: topics of other vehicles' plans, by their full names.
+        clock: that deadlines are kept by [s]. By default a solve has none: what it finds must not
+            depend on the machine.
     """
 
     def __init__(
-        self, settings: PlannerSettings, node: str = '/planner', avoided: tuple[str, ...] = ()
+        self,
+        settings: PlannerSettings,
+        node: str = '/planner',
+        avoided: Sequence[str] = (),
+        clock: Callable[[], float] | None = None,
     ) -> None:
-        super().__init__(*planner_of(settings), clock=None, others=avoided)
+        super().__init__(*planner_of(settings), clock=clock, others=avoided)
         self._node = node
         self._report: Report | None = None
 

@@ -1,0 +1,212 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""``orbimpc demo``: planner and simulator as processes over DDS, a bag, a summary, pictures."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.tool.files import new_folder, writing_to
+
+if TYPE_CHECKING:
+    from orbimpc_ros.tool.history import History
+    from orbimpc_ros.tool.settings import Values
+
+ALONE = (
+    'retrieval',
+    'retrieval3d',
+    'dubins',
+    'spacecraft',
+    'fixed_wing',
+    'cessna',
+    'rope',
+    'servicer',
+    'multirotor',
+    'lander',
+)
+FLEETS = {'fleet': 4, 'crossing': 8}  # scenario: how many vehicles
+# Flights of a demo, by name. The paper shows the Dubins car with and without minimum speed; its
+# retrieval, which follows the rope as last seen, has beside it one that intercepts it.
+VARIANTS: dict[str, dict[str, tuple[str, ...]]] = {
+    'retrieval': {'': (), 'first_pass': ('objective=intercept', 'goal_prediction=harmonic')},
+    'dubins': {'none': ('floor.shape=none',), 'polygon': ('floor.shape=polygon',)},
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the command."""
+    scenarios = (*ALONE, *FLEETS)
+    parser.add_argument('scenario', nargs='?', default='retrieval', choices=scenarios)
+    parser.add_argument(
+        '--vehicles', type=int, metavar='K', help='size of the fleet (default: 4) or crossing (8)'
+    )
+    parser.add_argument(
+        '--out', default='out', metavar='DIR', help='takes the results (default: %(default)s)'
+    )
+    parser.add_argument(
+        '--set',
+        action='append',
+        default=[],
+        metavar='NAME=VALUE',
+        help='override a parameter of planner or simulator; may be repeated',
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fly, record, sum up, draw; 0 only if the job was done."""
+    from orbimpc_ros.tool.run.flying import fly
+
+    if args.scenario in FLEETS:
+        count = FLEETS[args.scenario] if args.vehicles is None else args.vehicles
+        values, own = fleet(count, args.set, args.scenario)
+        folder = new_folder(args.out, args.scenario)
+        with writing_to(folder):
+            fly(values, folder, own)
+            return report_fleet(folder, tuple(own))
+    if args.vehicles is not None:
+        raise BadInput.stating('--vehicles', 'no fleet', 'give the scenario fleet or crossing')
+    flights = variants(args.scenario, args.set)
+    for values in flights.values():
+        _require_engine(values['vehicle'])
+    folder = new_folder(args.out, args.scenario)
+    places = {name: folder / name if name else folder for name in flights}
+    with writing_to(folder):
+        for name, values in flights.items():
+            places[name].mkdir(exist_ok=True)
+            fly(values, places[name])
+        return report(folder, places)
+
+
+def variants(scenario: str, changes: Sequence[str]) -> dict[str, Values]:
+    """Return the parameters of each flight of a demo, by name; a single one has none.
+
+    Where what tells flights apart is set for all of them, there is one; so is a retrieval with any
+    parameter of its own, which is no longer the paper's.
+
+    Raises:
+        BadInput: an unknown name, or a value or combination that is not allowed.
+    """
+    from orbimpc_ros.tool import settings
+
+    found = VARIANTS.get(scenario, {'': ()})
+    if any(scenario == 'retrieval' or each.startswith('floor.shape=') for each in changes):
+        found = {'': ()}
+    file = settings.config(f'{scenario}.yaml')
+    return {name: settings.resolve(file, [*changes, *variant]) for name, variant in found.items()}
+
+
+def fleet(
+    count: int, changes: Sequence[str], scenario: str = 'fleet'
+) -> tuple[Values, dict[str, Values]]:
+    """Return the values that a fleet shares, and by namespace those that differ.
+
+    Args:
+        count: of the vehicles.
+        changes: ``name=value``, for every vehicle; ``seed`` is that of the whole fleet.
+        scenario: ``fleet`` or ``crossing``.
+
+    Raises:
+        BadInput: too many vehicles, an unknown name, or a value that is not allowed.
+    """
+    from orbimpc_ros.sim.fleet import crossers, plans, vehicles
+    from orbimpc_ros.tool import settings
+
+    file = settings.config(f'{scenario}.yaml')
+    values = settings.resolve(file, ['clock=shared', *changes])
+    if values['clock'] == 'lockstep':
+        raise BadInput('clock', values['clock'], 'shared or wall: a fleet has one /clock')
+    given = {change.partition('=')[0] for change in changes} - {'seed'}
+    drawn = (crossers if scenario == 'crossing' else vehicles)(count, values['seed'])
+    if values['avoid']:
+        values['avoid'] = plans(drawn)
+    own = {
+        namespace: {name: value for name, value in each.items() if name not in given}
+        for namespace, each in drawn.items()
+    }
+    return values, own
+
+
+def _require_engine(vehicle: str) -> None:
+    """Refuse a vehicle whose engine is not installed, before anything is started."""
+    from orbimpc_ros.sim.engine_vehicle import ENGINES, class_of
+
+    if vehicle in ENGINES:
+        class_of(vehicle)
+
+
+def report(folder: Path, places: Mapping[str, Path]) -> int:
+    """Sum up the flights of a demo from their bags, draw pictures, and return the exit code.
+
+    Args:
+        folder: takes the pictures.
+        places: of the flights' bags, by name.
+    """
+    from orbimpc_ros.sim.engine_vehicle import ENGINES
+    from orbimpc_ros.tool import history, summary
+
+    flown = {name: history.of_bag(place / 'bag') for name, place in places.items()}
+    for name, each in flown.items():
+        print(f'{name}:\n{summary.text(each)}' if name else summary.text(each))
+    for place in places.values():
+        print(f'bag           {place / "bag"}')
+    _draw(folder, flown)
+    for name, place in places.items():
+        if flown[name].values['vehicle'] in ENGINES:
+            _render(folder, place / 'bag')
+    return 0 if all(each.captured for each in flown.values()) else 1
+
+
+def report_fleet(folder: Path, namespaces: Sequence[str]) -> int:
+    """Sum up a fleet's flights from their bag, draw them, and return the exit code."""
+    from orbimpc_ros.tool import history, summary
+
+    path = folder / 'bag'
+    flown = {name: history.of_bag(path, name) for name in namespaces}
+    print(summary.of_fleet(flown, summary.late(path)))
+    clear = clearance(flown)
+    print(f'bag           {path}')
+    _draw(folder, flown)
+    return 0 if clear and all(each.captured for each in flown.values()) else 1
+
+
+def clearance(flown: Mapping[str, History]) -> bool:
+    """Print how close vehicles that avoid each other came; return whether that is far enough."""
+    from orbimpc_ros.sim.fleet import separations
+
+    radius = next(iter(flown.values())).values['avoid_radius']
+    if not radius:
+        return True
+    found = separations({name: (each.times, each.positions) for name, each in flown.items()})
+    for pair, least in found.items():
+        if least < radius:
+            print(f'COLLISION     {" and ".join(pair)} within {least:.3f} m of each other')
+    least = min(found.values(), default=math.inf)
+    print(f'apart         at least {least:.3f} m, {radius:g} m asked for')
+    return least >= radius
+
+
+def _draw(folder: Path, flown: Mapping[str, History]) -> None:
+    from orbimpc_ros.tool import figures
+    from orbimpc_ros.tool.style import save
+
+    for name, figure in figures.of_runs(flown).items():
+        save(figure, folder / name)
+        label = 'picture' if name == figures.PATH else Path(name).stem
+        print(f'{label:<14}{folder / name}')
+
+
+def _render(folder: Path, bag: Path) -> None:
+    """Have the engine of a flight draw it, if it can here; the flight is none the worse if not."""
+    from orbimpc_ros.tool.rendering import render
+
+    try:
+        rendered = render(bag, folder)
+    except Exception as error:  # of what kind depends on the graphics that are missing
+        print(f'rendered      not here: {error}'.splitlines()[0])
+    else:
+        if rendered is not None:
+            print(f'rendered      {rendered}')

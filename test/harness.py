@@ -1,0 +1,204 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""The harness of nodes under test: a DDS domain, their processes, and a node that observes them.
+
+Tests, the fault matrix and the benchmarks of live planners share it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from orbimpc_ros.ros.entry import PACKAGES
+from orbimpc_ros.tool.run.discovery import claimed, free
+
+ROOT = Path(__file__).resolve().parents[1]
+PATIENCE = 240.0  # [s] for anything awaited: enough with ten processes for each core, too
+KEPT = 1000  # messages: none may be missed
+
+_numbers = itertools.count()
+
+
+def new_domain() -> int:
+    """Return a DDS domain that no other test uses, nor anybody else on this machine just now.
+
+    Workers that run tests side by side draw from domains of their own.
+    """
+    workers = int(os.environ.get('PYTEST_XDIST_WORKER_COUNT', '1'))
+    own = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])
+    count = 100 // workers
+    drawn = [
+        1 + own + workers * ((13 * os.getpid() + next(_numbers)) % count) for _ in range(count)
+    ]
+    # Where many suites run at a time all may be claimed, though most stand empty.
+    return next(filter(claimed, drawn), None) or next(filter(free, drawn))
+
+
+class LaunchedProcess:
+    """A node in a process of its own, its output kept: a module's, or a test's own script's."""
+
+    def __init__(
+        self,
+        module: str | Path,
+        domain: int,
+        log: Path,
+        parameters: dict,
+        files: list[Path],
+        remapped: dict,
+    ) -> None:
+        runs = [str(module)] if isinstance(module, Path) else ['-m', PACKAGES[module]]
+        command = [sys.executable, *runs, '--ros-args']
+        for file in files:
+            command += ['--params-file', str(file)]
+        for name, value in parameters.items():
+            command += ['-p', f'{name}:={value}']
+        for name, other in remapped.items():
+            command += ['-r', f'{name}:={other}']
+        environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONFAULTHANDLER': '1'}
+        self._log = log
+        with log.open('wb') as output:
+            self._process = subprocess.Popen(
+                command, env=environment, stdout=output, stderr=subprocess.STDOUT, cwd=log.parent
+            )
+
+    @property
+    def output(self) -> str:
+        return self._log.read_text()
+
+    @property
+    def ended(self) -> bool:
+        return self._process.poll() is not None
+
+    def tell(self, number: int) -> None:
+        self._process.send_signal(number)
+
+    def wait(self) -> int:
+        return self._process.wait(PATIENCE)
+
+    def stop(self) -> int:
+        if not self.ended:
+            self.tell(signal.SIGINT)
+        try:
+            return self.wait()
+        except subprocess.TimeoutExpired:
+            self.tell(signal.SIGABRT)  # says where each of its threads hangs
+            self._process.wait(PATIENCE)
+            raise TimeoutError(f'did not end: {self.output}') from None
+
+
+@contextlib.contextmanager
+def launching(domain: int, folder: Path):
+    """Start nodes: ``launch('planner', {'step': 0.1}, 'retrieval')``; all are stopped at the end.
+
+    The last arguments are parameter files: the names of those in ``config/``, or paths.
+    """
+    with contextlib.ExitStack() as stack:
+
+        def start(
+            module: str | Path,
+            parameters: dict | None = None,
+            *names: str | Path,
+            domain: int = domain,
+            remapped: dict | None = None,
+        ) -> LaunchedProcess:
+            files = [
+                name if isinstance(name, Path) else ROOT / 'config' / f'{name}.yaml'
+                for name in names
+            ]
+            log = folder / f'{Path(module).stem}-{next(_numbers)}.log'
+            process = LaunchedProcess(module, domain, log, parameters or {}, files, remapped or {})
+            stack.callback(process.stop)
+            return process
+
+        yield start
+
+
+class Observer:
+    """A node in the hands of a test, spun until something has happened.
+
+    Args:
+        domain: of DDS; by default the environment's.
+        executor: that spins it.
+
+    Attributes:
+        node: for publishers and clients.
+        domain: of DDS.
+    """
+
+    def __init__(self, domain: int | None = None, executor: str = 'wait_set') -> None:
+        from orbimpc_ros.ros.process import attached
+
+        self.domain = domain
+        self._stack = contextlib.ExitStack()
+        attaching = attached('observer', domain=domain, executor=executor, enable_rosout=False)
+        self.node, self._executor = self._stack.enter_context(attaching)
+        self._subscriptions: dict[str, Any] = {}
+
+    def close(self) -> None:
+        """Take the node down."""
+        self._stack.close()
+
+    def listen(self, kind: Any, topic: str, profile: Any = None) -> list:
+        """Return the list that messages on a topic will be added to."""
+        heard: list = []
+        self.subscribe(kind, topic, heard.append, profile)
+        return heard
+
+    def subscribe(
+        self, kind: Any, topic: str, heard: Callable[..., None], profile: Any = None
+    ) -> None:
+        """Call back with every message on a topic and, if there is room, what DDS knows of it."""
+        from orbimpc_ros.ros.process import qos
+
+        subscription = self.node.create_subscription(kind, topic, heard, profile or qos(KEPT))
+        self._subscriptions[topic] = subscription
+
+    def until_connected(self, *topics: str) -> None:
+        """Spin until each topic listened to has a publisher: it will miss nothing from then on."""
+        for topic in topics:
+            subscription = self._subscriptions[topic]
+            self.until(
+                lambda s=subscription: s.get_publisher_count() > 0, f'a publisher of {topic}'
+            )
+
+    def spin_once(self, seconds: float) -> None:
+        """Listen until something has come, for a time at most [s]."""
+        self._executor.spin_once(timeout_sec=max(0.0, seconds))
+
+    def spin(self, seconds: float, done: Callable[[], bool] = lambda: False) -> None:
+        """Listen for a while [s], or until ``done``."""
+        end = time.monotonic() + seconds
+        while not done() and (left := end - time.monotonic()) > 0.0:
+            self.spin_once(min(left, 0.02))
+
+    def until(self, happened: Callable[[], Any], what: str = '') -> None:
+        """Spin until something has happened.
+
+        Raises:
+            AssertionError: it does not.
+        """
+        seen: list[Any] = []
+
+        def done() -> bool:
+            seen[:] = [happened()]
+            return bool(seen[0])
+
+        self.spin(PATIENCE, done)
+        assert seen[0], f'in vain: {what or happened}'
+
+    def call(self, kind: Any, name: str, request: Any) -> Any:
+        """Return a service's response."""
+        client = self.node.create_client(kind, name)
+        self.until(client.service_is_ready, name)
+        future = client.call_async(request)
+        self.until(future.done, name)
+        self.node.destroy_client(client)
+        return future.result()
