@@ -12,6 +12,7 @@ from stepping import Stepped
 
 from orbimpc_ros.loop.intercept import EFFORT, Interception, steps_before
 from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.task import Solvers
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
@@ -192,7 +193,7 @@ def test_what_the_maps_have_out_of_reach_is_so_when_it_is_rolled_out(given):
     for _ in range(20):
         start = state_of(rng, problem)
         goals = start.position + rng.uniform(0.0, 8.0) * rng.normal(size=(5, problem.dimension))
-        told = Interception(problem, RADIUS)._too_far(start, goals, problem)
+        told = Interception(problem, RADIUS, Solvers(problem))._too_far(start, goals, problem)
         far += told.sum()
         assert np.all(Reach(problem).misses(start, goals, RADIUS)[told])
     assert far > 10

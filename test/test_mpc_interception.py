@@ -44,6 +44,10 @@ WING = Problem(
 needs_speed = pytest.mark.skipif(not COMPILED, reason='takes minutes in plain Python; needs numba')
 
 
+def farthest(problem):
+    return Interception(problem, 2.0, Solvers(problem)).farthest
+
+
 def measured(position, heading, speed, time=0.0):
     attitude = exp(np.array([heading]))
     return Odometry(time, np.array(position), attitude, np.array([speed, 0.0]), np.zeros(1))
@@ -218,17 +222,18 @@ def test_a_catch_is_flown_on_where_there_is_no_time_to_look_for_one(place):
 
 def test_steps_get_no_longer_where_boxes_would_be_jumped_over():
     box = Box(np.array([5.0, 5.0]), np.array([6.0, 6.0]))
-    assert Interception(WING, 2.0).farthest == 32
-    assert Interception(replace(WING, obstacles=(box,)), 2.0).farthest == 8
-    assert Interception(replace(WING, max_rate=1.0), 2.0).farthest == 25
-    assert Interception(replace(WING, rotation_order=2, floor=Floor()), 2.0).farthest == 8
+    assert farthest(WING) == 32
+    assert farthest(replace(WING, obstacles=(box,))) == 8
+    assert farthest(replace(WING, max_rate=1.0)) == 25
+    assert farthest(replace(WING, rotation_order=2, floor=Floor())) == 8
 
 
 @pytest.mark.parametrize('cone', [0.0, 0.5])
 def test_what_is_made_at_the_start_are_the_ends_of_steps(cone):
     """There are three times as many ends between them, of which a search tries two."""
     approach = Approach(cone) if cone else Approach()
-    targets = Interception(replace(WING, approach=approach), 2.0).targets
+    coned = replace(WING, approach=approach)
+    targets = Interception(coned, 2.0, Solvers(coned)).targets
     kinds = {False, True} if cone else {False}
     assert set(targets) == {Target(end, kind) for end in range(1, 9) for kind in kinds}
     assert len(targets) == len(set(targets))
@@ -238,7 +243,7 @@ def test_what_is_made_at_the_start_are_the_ends_of_steps(cone):
 def test_the_problem_tracked_reaches_and_drifts_as_those_of_its_first_steps(discretisation):
     problem = Problem(translation_order=2, horizon=6, step=0.3, discretisation=discretisation)
     start = State.at([1.0, 2.0], np.eye(2), velocity=[0.5, -1.0], disturbance=[0.2, 0.1])
-    interception = Interception(problem, RADIUS)
+    interception = Interception(problem, RADIUS, Solvers(problem))
     for end in range(1, 7):
         own = interception.problem(Target(end))
         assert own is interception.problem(Target(end))

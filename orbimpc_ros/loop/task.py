@@ -95,7 +95,9 @@ class Solvers:
         gap_tolerance: relative gap within which a plan counts as proved optimal.
     """
 
-    def __init__(self, problem: Problem, projection: str, gap_tolerance: float) -> None:
+    def __init__(
+        self, problem: Problem, projection: str = 'thrust_aligned', gap_tolerance: float = 1e-4
+    ) -> None:
         self._problem, self.projection, self._tolerance = problem, projection, gap_tolerance
         self._made: dict[tuple[int, float, bool], Solver] = {}
 
