@@ -110,7 +110,7 @@ def test_golden_bags_hold_what_they_are_for():
 @pytest.mark.skipif(not COMPILED, reason='what searches leave needs numba to be counted')
 @pytest.mark.parametrize('name', ['lander', 'multirotor', 'obstacles', 'servicer', 'spacecraft'])
 def test_all_bounds_of_golden_flights_in_space_are_counted_again(name):
-    plans = [row.tick.plan for row in ticks_of(GOLDEN / name, None, '')]
+    plans = [row.decision.plan for row in ticks_of(GOLDEN / name, None, '')]
     assert sum(plan is not None for plan in plans) >= 19
     assert all(plan.proof.checked for plan in plans if plan is not None)
 

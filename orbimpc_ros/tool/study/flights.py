@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from orbimpc_ros.loop.controller import Controller, Tick
+from orbimpc_ros.loop.planner import Decision, Planner
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.ros.planner.ticker import prepared
+from orbimpc_ros.ros.planner.core import planner_of
 from orbimpc_ros.sim.engine_vehicle import EngineVehicle
 from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.engines.engine import Guided
@@ -24,12 +24,12 @@ from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import Continuous
 from orbimpc_ros.sim.world import Airspeeds, Flight, departure
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.run.onboard import Planner, tell
+from orbimpc_ros.tool.run.onboard import Onboard, tell
 
 Row = dict[str, Any]
 OURS, WAYPOINT = 'orbitope', 'waypoint'  # this package's controller, an engine's own guidance
 RIVALS = 'benchmarks.rivals'  # a folder of the repository, which is not installed
-_made: dict[str, Controller] = {}  # the last controller, by its settings
+_made: dict[str, Planner] = {}  # the last controller, by its settings
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def flown(job: Job) -> Row:
     """
     simulated = sim_settings(settings.of_sim(job.values))
     # Other processes may keep the machine busy: ticks are measured in processor time.
-    planner = Planner(job.values, pilot=lambda given: _pilot(job, given), clock=time.thread_time)
+    planner = Onboard(job.values, pilot=lambda given: _pilot(job, given), clock=time.thread_time)
     flight = departure(simulated.scenario, simulated.begin)
     model = flight.scenario.model
     log = _Log(Airspeeds(model.stall_speed if isinstance(model, Continuous) else 0.0))
@@ -76,11 +76,11 @@ def flown(job: Job) -> Row:
     while not (flight.over or flight.touched):
         tell(planner, flight, simulated.goal_path_steps, job.margin)
         begun = time.thread_time()
-        _, report = planner.report(flight.vehicle.time)
-        log.note_tick(report.tick, 1e3 * (time.thread_time() - begun))
+        report = planner.report(flight.vehicle.time)
+        log.note_tick(report.decision, 1e3 * (time.thread_time() - begun))
         if job.controller == WAYPOINT:
             _aim(flight)
-        command = report.tick.command
+        command = report.decision.command
         try:
             flight = flight.after(command.speed_fraction, command.body_rate)
         except EngineFailure as error:
@@ -99,15 +99,15 @@ def flown(job: Job) -> Row:
     }
 
 
-def _pilot(job: Job, given: PlannerSettings) -> Controller:
+def _pilot(job: Job, given: PlannerSettings) -> Planner:
     """Return the controller of a flight, reset; ours is kept, since making one takes long."""
     if job.controller != OURS:
-        made: Controller = rivals().pilot(job.controller, given, job.study, job.tuned)
+        made: Planner = rivals().pilot(job.controller, given, job.study, job.tuned)
         return made
     key = repr(given)
     if key not in _made:
         _made.clear()
-        _made[key] = prepared(given)[1]
+        _made[key] = planner_of(given)[1]
     _made[key].reset()
     return _made[key]
 
@@ -135,7 +135,7 @@ class _Log:
         self._gaps: list[float] = []
         self._lost: list[float] = []
 
-    def note_tick(self, tick: Tick, spent: float) -> None:
+    def note_tick(self, tick: Decision, spent: float) -> None:
         """Note a tick that took so long [ms]."""
         self._spent.append(spent)
         self._optimal += tick.status is Status.OPTIMAL

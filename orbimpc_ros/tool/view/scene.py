@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from orbimpc_ros.loop.forecast import Itinerary
+from orbimpc_ros.loop.goal.motion import GoalTrajectory
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.outline import sphere
@@ -82,7 +82,7 @@ class Scene:
         self._unit = 0.0  # length of a vehicle [m]; 0 until the scene is known
         self._pointing: tuple[float, Array] = (-1.0, np.zeros(0))  # of which tick [s], and what
         self._shares: tuple[float, Array] = self._pointing
-        self._planned: tuple[float, Itinerary | None] = (-1.0, None)  # of which tick [s]
+        self._planned: tuple[float, GoalTrajectory | None] = (-1.0, None)  # of which tick [s]
         self._catching: tuple[float, Array] = self._pointing  # and how long after its start [s]
         self._takers = {
             'odom': self._take_odometry,
