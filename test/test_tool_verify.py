@@ -137,7 +137,7 @@ def lost(*known):
     """Ticks whose plans are not found again."""
     for each in ticks_of(*known):
         yield replace(
-            each, tick=replace(each.decision, plan=None, status=Status.FAILED, catch=None)
+            each, decision=replace(each.decision, plan=None, status=Status.FAILED, catch=None)
         )
 
 
