@@ -23,8 +23,8 @@ sys.path.append(str(Path(__file__).parents[1] / 'test'))
 from flying import planned
 from scenarios import retrieval, retrieval_problem
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.forecast import Hold
+from orbimpc_ros.loop.goal.forecast import Hold
+from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Floor, Problem, State
@@ -230,7 +230,7 @@ def draw_slope(axes: Axes) -> None:
 def draw_prices(axes: Axes) -> None:
     """Draw what hull and floor cost at every tick of the retrieval, up to the capture."""
     problem, flight = retrieval_problem(), departure(retrieval())
-    controller, forecast, bills = Controller(problem), Hold(), []
+    controller, forecast, bills = Planner(problem), Hold(), []
     while not flight.over:
         tick = planned(controller, flight, forecast)
         prices = explained(problem, tick.state, tick.goals, tick.plan).binding

@@ -11,8 +11,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from orbimpc_ros.loop.controller import Controller, Tick
-    from orbimpc_ros.loop.odometry import Odometry
+    from orbimpc_ros.loop.planner import Decision, Planner, Snapshot
+    from orbimpc_ros.loop.state import Odometry
     from orbimpc_ros.mpc.command import Command
     from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFailure
     from orbimpc_ros.mpc.outcome import Fallback, Status
@@ -34,8 +34,8 @@ __version__ = '0.1.0'
 _HOMES = {
     'mpc.command': ('Command',),
     'mpc.errors': ('BadInput', 'Infeasible', 'OrbimpcError', 'SolverFailure'),
-    'loop.controller': ('Controller', 'Tick'),
-    'loop.odometry': ('Odometry',),
+    'loop.planner': ('Decision', 'Planner', 'Snapshot'),
+    'loop.state': ('Odometry',),
     'mpc.outcome': ('Fallback', 'Status'),
     'mpc.plan': ('Plan', 'Proof'),
     'mpc.problem': ('Approach', 'Ball', 'Box', 'Floor', 'Hazard', 'Problem', 'State', 'Weights'),
@@ -48,7 +48,7 @@ __all__ = [
     'Ball',
     'Box',
     'Command',
-    'Controller',
+    'Decision',
     'Fallback',
     'Floor',
     'Hazard',
@@ -56,13 +56,14 @@ __all__ = [
     'Odometry',
     'OrbimpcError',
     'Plan',
+    'Planner',
     'Problem',
     'Proof',
+    'Snapshot',
     'Solver',
     'SolverFailure',
     'State',
     'Status',
-    'Tick',
     'Weights',
     '__version__',
 ]

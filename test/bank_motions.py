@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from orbimpc_ros.loop.goals.bank import Bank
-from orbimpc_ros.loop.observation import Sighting
+from orbimpc_ros.loop.goal.bank import Bank
+from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.mpc.geometry.rotations import exp
 
 FAMILIES = ('still', 'velocity', 'swing', 'carrier', 'turn', 'damped')
@@ -101,5 +101,5 @@ def shown(times, seen, bank=None):
     """A bank that was shown sightings."""
     bank = bank or Bank()
     for time, position in zip(times, seen, strict=True):
-        bank.observe(Sighting(float(time), position.copy()))
+        bank.observe(GoalObservation(float(time), position.copy()))
     return bank

@@ -12,10 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from dubins import Chase, earliest
 from problems import floor
+from stepping import Stepped
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.interception import AIM, Hunt, Interception, Target
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.intercept import AIM, Interception, InterceptQuery, Target
+from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.task import Solvers
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.request import Enough
@@ -109,7 +110,7 @@ def goals(chase, step, count):
 
 def catch(chase, step, horizon, approach=None, *, between=False):
     """The catch of a controller's first tick, at ends of steps or ``between`` them."""
-    controller = Controller(
+    controller = Stepped(
         problem(chase, step, horizon),
         capture_radius=radius(chase, step),
         approach=approach,
@@ -125,7 +126,8 @@ def catch(chase, step, horizon, approach=None, *, between=False):
 def tried(chase, step, end, out_of_time=None):
     """The attempt to catch a goal at the end of so many steps, and not at another."""
     near, target = radius(chase, step), Target(end)
-    interception = Interception(problem(chase, step, end), near)
+    posed = problem(chase, step, end)
+    interception = Interception(posed, near, Solvers(posed))
     places = goals(chase, step, end)
     plan = _solver(interception, target, near).solve(_start(chase), places, None, out_of_time)
     miss = np.linalg.norm(plan.positions[-1] - places[-1])
@@ -144,7 +146,8 @@ def soonest(chase, step, horizon, deadline):
         deadline: returns what tells one search that its time is up; called for each of them.
     """
     near = radius(chase, step)
-    interception, start = Interception(problem(chase, step, horizon), near), _start(chase)
+    posed, start = problem(chase, step, horizon), _start(chase)
+    interception = Interception(posed, near, Solvers(posed))
 
     def places(end):
         steps = interception.problem(Target(end))
@@ -153,7 +156,7 @@ def soonest(chase, step, horizon, deadline):
     def solved(target, places):
         return _solver(interception, target, near).solve(start, places, None, deadline())
 
-    hunt = Hunt(start, places, solved, lambda: False, horizon, between=True)
+    hunt = InterceptQuery(start, places, solved, lambda: False, horizon, between=True)
     return interception.earliest(hunt)[1]
 
 

@@ -107,8 +107,8 @@ class Aboard:
         for name, (odometry, goal) in asked.items():
             self._deliver(at)
             planner = self.planners[name]
-            planner.hear('goal', goal, at / SECOND, now)
-            planner.hear('odom', odometry, at / SECOND, now)
+            planner.inputs.update('goal', goal, at / SECOND, now)
+            planner.inputs.update('odom', odometry, at / SECOND, now)
             found[name] = planner.plan(at / SECOND, 0.0, self._told)
             planner.went_out(at / SECOND)
             if 'plan' in found[name]:
@@ -121,7 +121,7 @@ class Aboard:
         for due, topic, plan in self._under_way:
             for name, hears in self.planners.items():
                 if due <= at and topic in self.avoided[name]:
-                    hears.hear(topic, plan, at / SECOND, now)
+                    hears.inputs.update(topic, plan, at / SECOND, now)
         self._under_way = [each for each in self._under_way if each[0] > at]
 
 

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The closed loop of controller and vehicle without ROS, with faults in between if wanted."""
+"""The closed loop of planner and vehicle without ROS, with faults in between if wanted."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orbimpc_ros.loop.controller import Controller, Tick
-from orbimpc_ros.loop.delay import CommandHistory, advanced
-from orbimpc_ros.loop.forecast import Forecast, Sighting
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.goal.motion import Forecast, GoalObservation
+from orbimpc_ros.loop.planner import Decision, Planner, Snapshot
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.sim.faults import Delivery, View
@@ -27,11 +26,11 @@ class Log:
 
     Attributes:
         flights: its states, one more than ticks.
-        ticks: what the controller made of each but the last.
+        ticks: what the planner made of each but the last.
     """
 
     flights: tuple[Flight, ...]
-    ticks: tuple[Tick, ...]
+    ticks: tuple[Decision, ...]
 
     @property
     def captured(self) -> bool:
@@ -44,25 +43,25 @@ class Log:
         return np.array([flight.miss for flight in self.flights[1:]])
 
 
-Sensor = Callable[[Flight], tuple[Sighting, Odometry]]
+Sensor = Callable[[Flight], tuple[GoalObservation, Odometry]]
 
 
-def perfect_sensor(flight: Flight) -> tuple[Sighting, Odometry]:
+def perfect_sensor(flight: Flight) -> tuple[GoalObservation, Odometry]:
     """Return what is seen of a flight without noise: its goal and its vehicle."""
     source = flight.scenario.model.velocity_source
-    return Sighting(flight.vehicle.time, flight.goal), measured(flight.vehicle, source)
+    return GoalObservation(flight.vehicle.time, flight.goal), measured(flight.vehicle, source)
 
 
 def fly(
-    controller: Controller, scenario: Scenario, forecast: Forecast, sensor: Sensor = perfect_sensor
+    planner: Planner, scenario: Scenario, forecast: Forecast, sensor: Sensor = perfect_sensor
 ) -> Log:
-    """Close the loop of controller and vehicle until the goal is caught or the steps run out.
+    """Close the loop of planner and vehicle until the goal is caught or the steps run out.
 
     The simulator and the planner do the same over DDS; this is the loop without ROS.
     """
     flights, ticks = [departure(scenario)], []
     while not flights[-1].over:
-        tick = planned(controller, flights[-1], forecast, sensor)
+        tick = planned(planner, flights[-1], forecast, sensor)
         command = tick.command
         ticks.append(tick)
         flights.append(flights[-1].after(command.speed_fraction, command.body_rate))
@@ -70,13 +69,15 @@ def fly(
 
 
 def planned(
-    controller: Controller, flight: Flight, forecast: Forecast, sensor: Sensor = perfect_sensor
-) -> Tick:
-    """Return a controller's tick on what is seen of a flight just now."""
+    planner: Planner, flight: Flight, forecast: Forecast, sensor: Sensor = perfect_sensor
+) -> Decision:
+    """Return a planner's tick on what is seen of a flight just now."""
     sighting, odometry = sensor(flight)
     forecast.observe(sighting)
-    ahead = controller.problem.step * np.arange(1, controller.remaining + 1)
-    return controller.tick(odometry, forecast.at(sighting.time + ahead))
+    ahead = planner.problem.step * np.arange(1, planner.remaining + 1)
+    decision = planner.step(Snapshot(odometry, forecast.at(sighting.time + ahead)))
+    planner.sent(decision.command)
+    return decision
 
 
 class Intake:
@@ -109,45 +110,38 @@ class Intake:
 
 
 def fly_disturbed(
-    controller: Controller,
+    planner: Planner,
     scenario: Scenario,
     forecast: Forecast,
     view: View,
     *,
     compensated: bool = True,
 ) -> Flight:
-    """Return the end of a flight whose controller sees it only through faults.
+    """Return the end of a flight whose planner sees it only through faults.
 
     A tick without odometry has no command; the last one is then in force for 1.5 steps from when
     it came, and after that the vehicle is safe, just as in the simulator.
 
     Args:
-        controller: plans.
+        planner: plans.
         scenario: what is flown.
         forecast: of the goal.
         view: with the faults.
         compensated: whether to plan from late odometry as it would be by now, as the planner does.
     """
-    flight, intake, sent = departure(scenario), Intake(forecast), CommandHistory()
+    flight, intake = departure(scenario), Intake(forecast)
     command, heard = None, -np.inf
     while not flight.over:
         now = flight.vehicle.time
         odometry = intake.hear(view.of(flight))
         if odometry is not None:
-            if compensated:
-                legs = sent.intervals(odometry.time, now)
-                odometry = advanced(controller.problem, odometry, legs)
-            answer = _answer(controller, odometry, forecast)
-            sent.add(answer, now)
+            latency = now - odometry.time if compensated else 0.0
+            answer = planner.step(Snapshot(odometry, forecast, latency=latency), now).command
+            planner.sent(answer, now)
             if not view.command_lost(flight.ticks):
                 command, heard = answer, now
         flight = _flown(flight, command, heard + HELD * scenario.model.step - now)
     return flight
-
-
-def _answer(controller: Controller, odometry: Odometry, forecast: Forecast) -> Command:
-    ahead = controller.problem.step * np.arange(1, controller.remaining + 1)
-    return controller.tick(odometry, forecast.at(odometry.time + ahead)).command
 
 
 def _flown(flight: Flight, command: Command | None, held: float) -> Flight:

@@ -21,7 +21,7 @@ from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.run.onboard import EPOCH, Planner, tell
+from orbimpc_ros.tool.run.onboard import EPOCH, Onboard, tell
 from orbimpc_ros.tool.study import flights
 from orbimpc_ros.tool.study.draws import draws_of
 from orbimpc_ros.tool.study.flights import Job, flown
@@ -71,19 +71,19 @@ class Listener(Rival):
         self.seen.append(sight)
         return 1.0, 0.0
 
-    def tick(self, odometry, goals, out_of_time=None, ahead=None, wanted=None):
-        self.late.append(out_of_time())
-        return super().tick(odometry, goals, out_of_time, ahead, wanted)
+    def step(self, snapshot, now=None, late=None):
+        self.late.append(late())
+        return super().step(snapshot, now, late)
 
 
 def test_pilots_are_told_of_bodies_by_the_margin_larger_and_learn_how_they_move():
     mission, made = draws_of('crossing'), []
     values = mission.of(4, 0)
-    planner = Planner(values, pilot=lambda known: made.append(Listener(known)) or made[0])
+    planner = Onboard(values, pilot=lambda known: made.append(Listener(known)) or made[0])
     flight = departure(sim_settings(settings.of_sim(values)).scenario)
     for _ in range(3):
         tell(planner, flight, 0, mission.margin)
-        command = planner.report(flight.vehicle.time)[1].tick.command
+        command = planner.report(flight.vehicle.time).decision.command
         flight = flight.after(command.speed_fraction, command.body_rate)
     sight = made[0].seen[-1]
     centres, velocities, radii = discs('crossing', 0)
@@ -102,7 +102,7 @@ def test_deadlines_go_by_the_clock_that_is_given():
     flight = departure(sim_settings(settings.of_sim(mission.values)).scenario)
     for hurry, late in ((0.0, False), (1.0, True)):
         made, ticks = [], itertools.count()
-        planner = Planner(
+        planner = Onboard(
             mission.values,
             pilot=lambda known, made=made: made.append(Listener(known)) or made[0],
             clock=lambda ticks=ticks, hurry=hurry: hurry * next(ticks),

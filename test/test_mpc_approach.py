@@ -9,10 +9,10 @@ import numpy as np
 import problems
 import pytest
 from problems import floor
+from stepping import Stepped
 from test_mpc_attitude import hull
 from test_mpc_interception import RADIUS, WING, measured, needs_speed, turned_at_random
 
-from orbimpc_ros.loop.controller import Controller
 from orbimpc_ros.mpc.check import approach_margin, violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible
 from orbimpc_ros.mpc.geometry.rotations import exp
@@ -233,8 +233,8 @@ def test_files_state_it():
 def test_no_trajectory_catches_in_the_cone_before_the_bound():
     rng, found, later = np.random.default_rng(7), 0, 0
     approach = Approach(0.5, (np.cos(0.5), np.sin(0.5)))
-    free = Controller(WING, capture_radius=RADIUS)
-    controller = Controller(WING, capture_radius=RADIUS, approach=approach)
+    free = Stepped(WING, capture_radius=RADIUS)
+    controller = Stepped(WING, capture_radius=RADIUS, approach=approach)
     headed = replace(WING, approach=approach)
     for _ in range(15):
         controller.reset()
@@ -263,7 +263,7 @@ def test_no_trajectory_catches_in_the_cone_before_the_bound():
 
 @needs_speed
 def test_a_goal_is_flown_round_to_be_caught_as_it_is_turned():
-    controller = Controller(
+    controller = Stepped(
         replace(WING, discretisation='exact'), capture_radius=RADIUS, approach=Approach(0.4)
     )
     goal, west = np.array([40.0, 5.0]), -np.eye(2)

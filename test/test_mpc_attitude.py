@@ -9,9 +9,9 @@ import numpy as np
 import problems
 import pytest
 from scipy.optimize import minimize
+from stepping import Stepped
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
@@ -220,16 +220,16 @@ def test_a_goal_is_met_as_it_is_turned_and_held_without_it():
     problem = Problem(horizon=6, step=0.5, weights=replace(WEIGHTS, position=0.1))
     here = Odometry(0.0, np.zeros(2), np.eye(2), np.array([1.0, 0.0]), np.zeros(1))
     goals, north = np.tile([2.0, 0.5], (6, 1)), np.array([[0.0, -1.0], [1.0, 0.0]])
-    controller = Controller(problem)
+    controller = Stepped(problem)
     tick = controller.tick(here, goals, wanted=north)
-    any_way = Controller(replace(problem, weights=replace(WEIGHTS, attitude=0.0))).tick(here, goals)
+    any_way = Stepped(replace(problem, weights=replace(WEIGHTS, attitude=0.0))).tick(here, goals)
     along = [each.plan.rotations[-1][1, 0] for each in (tick, any_way)]
     assert along[0] > 0.9 > along[1]
     later = replace(here, time=0.5, position=np.array([0.5, 0.0]))
-    assert controller.hold(later, 'no goal').status == 'failed'
-    fresh = Controller(problem)
-    fresh.continue_from(Controller(problem))
-    assert fresh.hold(later, 'no goal').plan is None
+    assert controller.hold(later).status == 'failed'
+    fresh = Stepped(problem)
+    fresh.continue_from(Stepped(problem))
+    assert fresh.hold(later).plan is None
 
 
 def test_it_has_no_unit_whatever_the_scaling():

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from bank_motions import AHEAD, START, drawn, shown, sighted
 
-from orbimpc_ros.loop.goals.bank import BELIEVED, MEMORY, Bank
-from orbimpc_ros.loop.observation import Sighting
+from orbimpc_ros.loop.goal.bank import BELIEVED, MEMORY, Bank
+from orbimpc_ros.loop.goal.motion import GoalObservation
 
 CHANGED = START + 12.0  # [s]
 SOON = 2.0  # [s] within which a change of course is to be known
@@ -85,7 +85,7 @@ def test_no_forecast_is_faster_than_what_was_seen():
             fastest = max(fastest, float(np.linalg.norm(velocity)))
             place = place + velocity / rate
             time = START + k / rate
-            bank.observe(Sighting(time, place.copy()))
+            bank.observe(GoalObservation(time, place.copy()))
             ahead = bank.at(time + np.array([0.0, 1.0, 4.0]))
             moved = np.linalg.norm(ahead - ahead[0], axis=1)
             assert (moved <= fastest * np.array([0.0, 1.0, 4.0]) + 1e-6).all()
@@ -151,13 +151,13 @@ def test_two_sightings_at_once_are_no_velocity():
 @pytest.mark.parametrize(
     'sighting',
     [
-        Sighting(START + 1.0, np.array([np.nan, 0.0])),
-        Sighting(START + 9.0, np.array([np.inf, 0.0])),
-        Sighting(np.nan, np.zeros(2)),
-        Sighting(np.inf, np.zeros(2)),
-        Sighting(START, np.full(2, 9.0)),
-        Sighting(START - 5.0, np.full(2, 9.0)),
-        Sighting(START + 4.9, np.full(2, 9.0)),
+        GoalObservation(START + 1.0, np.array([np.nan, 0.0])),
+        GoalObservation(START + 9.0, np.array([np.inf, 0.0])),
+        GoalObservation(np.nan, np.zeros(2)),
+        GoalObservation(np.inf, np.zeros(2)),
+        GoalObservation(START, np.full(2, 9.0)),
+        GoalObservation(START - 5.0, np.full(2, 9.0)),
+        GoalObservation(START + 4.9, np.full(2, 9.0)),
     ],
     ids=['NaN', 'infinite', 'never', 'for ever', 'first again', 'before', 'last again'],
 )
@@ -208,7 +208,7 @@ def test_whatever_is_seen_forecasts_are_finite(seed):
     rng = np.random.default_rng([11, seed])
     n, bank = 2 + seed % 2, Bank()
     time, place = START, np.zeros(n)
-    bank.observe(Sighting(time, place.copy()))
+    bank.observe(GoalObservation(time, place.copy()))
     for _ in range(400):
         time += rng.choice(
             [0.0, -1.0, 1e-9, 0.05, 0.1, 1.0, 30.0, 1e7], p=[*[0.05] * 3, 0.3, 0.4, *[0.05] * 3]
@@ -217,7 +217,7 @@ def test_whatever_is_seen_forecasts_are_finite(seed):
             size=n
         )
         wrong = rng.choice([0.0, np.nan, np.inf, 1e300], p=[0.91, 0.03, 0.03, 0.03])
-        bank.observe(Sighting(time, place + wrong))
+        bank.observe(GoalObservation(time, place + wrong))
         prediction = bank.predicted(max(time, START) + np.array([0.0, 3.0]))
         assert np.isfinite(prediction.positions).all()
         assert np.isfinite(prediction.covariances).all()

@@ -6,8 +6,8 @@ import pytest
 from bank_motions import AHEAD, FAMILIES, START, drawn, shown, sighted
 from scipy.stats import chi2
 
-from orbimpc_ros.loop.goals.bank import Bank
-from orbimpc_ros.loop.observation import Sighting
+from orbimpc_ros.loop.goal.bank import Bank
+from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.mpc.geometry.rotations import exp
 
 SEEDS = range(10)
@@ -116,7 +116,7 @@ def test_the_same_sightings_give_the_same_bits_whoever_asked_meanwhile():
     times, seen = sighted(drawn('swing', 3, rng), rng, noise=0.05)
     silent, asked, again = shown(times, seen), Bank(), Bank()
     for time, position in zip(times, seen, strict=True):
-        asked.observe(Sighting(float(time), position.copy()))
+        asked.observe(GoalObservation(float(time), position.copy()))
         asked.at(time + np.arange(5.0))
     shown(times[:50], seen[:50] + 1.0, again).reset()
     shown(times, seen, again)

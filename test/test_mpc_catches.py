@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from problems import ORDERS, rotation
 from problems import state as state_of
+from stepping import Stepped
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.interception import EFFORT, Interception, steps_before
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.intercept import EFFORT, Interception, steps_before
+from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.task import Solvers
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.kernels import COMPILED
@@ -42,7 +43,7 @@ def jumping(rng):
 
 def hunted(problem, goals, **given):
     """Return the catch of a first tick from the origin along x at full speed, and its state."""
-    tick = Controller(problem, capture_radius=RADIUS, **given).tick(measured(), goals)
+    tick = Stepped(problem, capture_radius=RADIUS, **given).tick(measured(), goals)
     return tick.catch, tick.state
 
 
@@ -192,7 +193,7 @@ def test_what_the_maps_have_out_of_reach_is_so_when_it_is_rolled_out(given):
     for _ in range(20):
         start = state_of(rng, problem)
         goals = start.position + rng.uniform(0.0, 8.0) * rng.normal(size=(5, problem.dimension))
-        told = Interception(problem, RADIUS)._too_far(start, goals, problem)
+        told = Interception(problem, RADIUS, Solvers(problem))._too_far(start, goals, problem)
         far += told.sum()
         assert np.all(Reach(problem).misses(start, goals, RADIUS)[told])
     assert far > 10

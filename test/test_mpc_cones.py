@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from plans import assembled, only_complaint, only_complaint_but_the_cost
 from problems import goals, rotation
+from stepping import Stepped
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible
 from orbimpc_ros.mpc.geometry.cells import cap_cells
@@ -332,7 +332,7 @@ def test_what_is_outside_comes_back_in_and_it_is_said():
 
 def test_a_tick_says_that_its_plan_has_to_be_outside():
     problem = lander(floor=FLOOR)
-    controller = Controller(problem, gap_tolerance=1e-3, disturbance=np.array([0.0, 0.0, -1.62]))
+    controller = Stepped(problem, gap_tolerance=1e-3, disturbance=np.array([0.0, 0.0, -1.62]))
     below = Odometry(0.0, np.array([6.0, 0.0, 2.0]), UPRIGHT, np.zeros(3), np.zeros(3))
     tick = controller.tick(below, PAD)
     assert (tick.status, tick.fallback) == ('optimal', '')
@@ -343,7 +343,7 @@ def test_an_arrival_that_became_impossible_as_time_ran_out_goes_on_as_planned():
     """Rather than by a climb, which passes the check as well and leads away."""
     problem = lander(floor=FLOOR, terminal='constraint', horizon=12)
     pushed = np.array([0.0, 0.0, -1.62])
-    controller = Controller(problem, shrinking=True, gap_tolerance=1e-3, disturbance=pushed)
+    controller = Stepped(problem, shrinking=True, gap_tolerance=1e-3, disturbance=pushed)
     places = on([0.0, 0.0, 0.0], 12)
     at = Odometry(0.0, np.array([3.0, 0.0, 30.0]), UPRIGHT, np.array([-3.0, 0.0, 0.0]), np.zeros(3))
     tick = controller.tick(at, places)
@@ -361,7 +361,7 @@ def test_a_descent_begins_with_the_nearest_arrival_where_there_is_none():
     """To wait for one is to fall."""
     problem = lander(floor=FLOOR, terminal='constraint')
     pushed = np.array([0.0, 0.0, -1.62])
-    controller = Controller(problem, shrinking=True, gap_tolerance=1e-3, disturbance=pushed)
+    controller = Stepped(problem, shrinking=True, gap_tolerance=1e-3, disturbance=pushed)
     high = Odometry(0.0, np.array([3.0, 0.0, 90.0]), UPRIGHT, np.zeros(3), np.zeros(3))
     tick = controller.tick(high, PAD)
     assert (tick.status, tick.fallback) == ('infeasible', 'soft arrival')

@@ -6,10 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from problems import ORDERS, floor
+from stepping import Stepped
 
-from orbimpc_ros.loop.controller import FALLBACK_TICKS, Controller
-from orbimpc_ros.loop.forecast import Hold, Itinerary, Sighting, forecast_named
-from orbimpc_ros.loop.odometry import Odometry, state_of
+from orbimpc_ros.loop.goal.forecast import Hold, forecast_named
+from orbimpc_ros.loop.goal.motion import GoalObservation, GoalTrajectory
+from orbimpc_ros.loop.planner import FALLBACK_TICKS
+from orbimpc_ros.loop.state import Odometry, state_of
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import command_of, stop
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
@@ -83,7 +85,7 @@ def test_stop_is_no_speed_no_turn():
 def test_every_model_flies_to_its_goal_in_closed_loop(orders):
     n = orders['dimension']
     problem = Problem(**orders, horizon=8, step=0.5)
-    controller = Controller(problem)
+    controller = Stepped(problem)
     goal = np.array([2.0, 1.5, -1.0])[:n]
     position, velocity, attitude = np.zeros(n), np.zeros(n), np.eye(n)
     rate, fraction = np.zeros(1 if n == 2 else 3), 0.0
@@ -123,7 +125,7 @@ def flown(controller, count):
 def test_without_a_plan_the_shifted_one_serves_twice_then_the_vehicle_stops(
     monkeypatch, error, status
 ):
-    controller = Controller(Problem())
+    controller = Stepped(Problem())
     measured = flown(controller, 3)
 
     def fail(*_args, **_kwargs):
@@ -145,7 +147,7 @@ def test_without_a_plan_the_shifted_one_serves_twice_then_the_vehicle_stops(
 
 
 def test_a_plan_that_fails_its_check_is_not_flown(monkeypatch):
-    controller = Controller(Problem())
+    controller = Stepped(Problem())
     measured = odometry()
     honest, first = Solver._assembled, iter([True])
 
@@ -163,7 +165,7 @@ def test_a_plan_that_fails_its_check_is_not_flown(monkeypatch):
 
 
 def test_a_shifted_plan_is_checked_from_the_new_state(monkeypatch):
-    controller = Controller(Problem(floor=floor('circle', 0.5)))
+    controller = Stepped(Problem(floor=floor('circle', 0.5)))
     flown(controller, 2)
 
     def fail(*_args, **_kwargs):
@@ -180,7 +182,7 @@ def test_a_shifted_plan_is_checked_from_the_new_state(monkeypatch):
 
 def test_a_shrinking_horizon_arrives_and_then_stops():
     problem = Problem(horizon=6, terminal='constraint')
-    controller = Controller(problem, shrinking=True)
+    controller = Stepped(problem, shrinking=True)
     goal = np.array([3.0, 2.0])
     position, attitude, speed = np.zeros(2), np.eye(2), 1.0
     for k in range(6):
@@ -215,7 +217,7 @@ def pushed(controller, goal, ticks, by):
 
 
 def test_disturbed_near_its_arrival_a_vehicle_comes_as_near_as_it_can():
-    controller = Controller(Problem(horizon=6, terminal='constraint'), shrinking=True)
+    controller = Stepped(Problem(horizon=6, terminal='constraint'), shrinking=True)
     miss, ticks = pushed(controller, np.array([3.0, 2.0]), 6, 0.02)
     assert miss < 0.1
     last = ticks[-1]
@@ -225,14 +227,14 @@ def test_disturbed_near_its_arrival_a_vehicle_comes_as_near_as_it_can():
 
 
 def test_a_goal_out_of_reach_from_the_start_is_not_flown_at_softly():
-    controller = Controller(Problem(horizon=6, terminal='constraint'), shrinking=True)
+    controller = Stepped(Problem(horizon=6, terminal='constraint'), shrinking=True)
     tick = controller.tick(odometry(), np.tile([30.0, 0.0], (6, 1)))
     assert (tick.status, tick.fallback) == ('infeasible', 'safe command')
     assert 'beyond what 6 steps can reach' in tick.reason
 
 
 def test_a_goal_that_jumps_out_of_reach_under_way_is_not_flown_at_softly():
-    controller = Controller(Problem(horizon=6, terminal='constraint'), shrinking=True)
+    controller = Stepped(Problem(horizon=6, terminal='constraint'), shrinking=True)
     controller.tick(odometry(), np.tile([3.0, 2.0], (6, 1)))
     tick = controller.tick(odometry((1.0, 0.0), time=1.0), np.tile([30.0, 0.0], (5, 1)))
     assert tick.fallback == 'safe command'
@@ -240,7 +242,7 @@ def test_a_goal_that_jumps_out_of_reach_under_way_is_not_flown_at_softly():
 
 
 def test_carried_far_away_under_way_a_vehicle_still_comes_as_near_as_it_can():
-    controller = Controller(Problem(horizon=6, terminal='constraint'), shrinking=True)
+    controller = Stepped(Problem(horizon=6, terminal='constraint'), shrinking=True)
     controller.tick(odometry(), np.tile([3.0, 2.0], (6, 1)))
     tick = controller.tick(odometry((0.0, -6.0), time=1.0), np.tile([3.0, 2.0], (5, 1)))
     assert (tick.status, tick.fallback) == ('infeasible', 'soft arrival')
@@ -251,7 +253,7 @@ def test_carried_far_away_under_way_a_vehicle_still_comes_as_near_as_it_can():
 
 
 def test_a_search_that_fails_under_way_leaves_the_nearest_arrival(monkeypatch):
-    controller = Controller(Problem(horizon=3, terminal='constraint'), shrinking=True)
+    controller = Stepped(Problem(horizon=3, terminal='constraint'), shrinking=True)
     controller.tick(odometry(), np.tile([2.0, 0.5], (3, 1)))
     solve = Solver.solve
 
@@ -279,9 +281,9 @@ def test_the_arrival_weight_brings_second_order_vehicles_to_rest():
 
 
 def test_another_controller_goes_on_from_what_this_one_remembers():
-    first = Controller(Problem(horizon=6, terminal='constraint'), shrinking=True)
+    first = Stepped(Problem(horizon=6, terminal='constraint'), shrinking=True)
     first.tick(odometry(), np.tile([3.0, 2.0], (6, 1)))
-    second = Controller(replace(first.problem, max_rate=1.5), shrinking=True)
+    second = Stepped(replace(first.problem, max_rate=1.5), shrinking=True)
     second.continue_from(first)
     assert second.remaining == first.remaining == 5
 
@@ -289,16 +291,16 @@ def test_another_controller_goes_on_from_what_this_one_remembers():
 def test_forecasts():
     hold = forecast_named('hold')
     assert isinstance(hold, Hold)
-    hold.observe(Sighting(0.0, np.array([1.0, 2.0])))
-    hold.observe(Sighting(1.0, np.array([3.0, 4.0])))
+    hold.observe(GoalObservation(0.0, np.array([1.0, 2.0])))
+    hold.observe(GoalObservation(1.0, np.array([3.0, 4.0])))
     assert np.array_equal(hold.at(np.array([2.0, 9.0])), [[3.0, 4.0], [3.0, 4.0]])
-    path = Itinerary(np.array([0.0, 2.0]), np.array([[0.0, 0.0], [2.0, 4.0]]))
+    path = GoalTrajectory(np.array([0.0, 2.0]), np.array([[0.0, 0.0], [2.0, 4.0]]))
     assert np.allclose(path.at(np.array([-1.0, 1.0, 5.0])), [[0, 0], [1, 2], [2, 4]])
 
 
 @pytest.mark.parametrize(('band', 'drift'), [(0.2, 0.0), (0.0, -0.3), (0.0, 0.0)])
 def test_a_rover_in_a_dead_band_or_a_drift_gets_under_way(band, drift):
-    controller = Controller(Problem(step=0.1, forward=1.5, max_rate=1.0))
+    controller = Stepped(Problem(step=0.1, forward=1.5, max_rate=1.0))
     position, heading, speed, least = np.zeros(2), 0.0, 0.0, np.inf
     commanded = [0.0]
     for k in range(80):

@@ -15,7 +15,7 @@ from problems import floor, goals, state
 
 from benchmarks.bench.instances import UP, landings
 from benchmarks.bench.problems import lifted
-from orbimpc_ros.loop.traffic import clearest as clearest_of
+from orbimpc_ros.loop import fallback as clearest_of
 from orbimpc_ros.mpc.check import floor_margin, violations
 from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
 from orbimpc_ros.mpc.geometry.cells import faces

@@ -10,10 +10,10 @@ import os
 import numpy as np
 import pytest
 from problems import box, floor, rotation, weights
+from stepping import Stepped
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.odometry import Odometry
-from orbimpc_ros.loop.safety import may_stop
+from orbimpc_ros.loop.fallback import may_stop
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import flaw
 from orbimpc_ros.mpc.errors import BadInput
@@ -71,7 +71,7 @@ def answered(controller, rng):
     problem = controller.problem
     odometry = drawn_odometry(rng, problem)
     if rng.random() < 0.1:
-        return controller.hold(odometry, 'no goal')
+        return controller.hold(odometry)
     polls = iter(range(NODES))
     goals = drawn_goals(rng, problem, odometry)
     return controller.tick(odometry, goals, lambda: next(polls, None) is None)
@@ -83,7 +83,7 @@ def test_only_what_was_checked_is_commanded(part):
     planned = 0
     for _ in range(PROBLEMS // 4):
         try:
-            controller = Controller(drawn_problem(rng))
+            controller = Stepped(drawn_problem(rng))
         except BadInput:  # for instance a floor that does not fit a limit
             continue
         for _ in range(QUESTIONS):

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from problems import ORDERS, rotation
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.delay import CommandHistory, Interval, advanced
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.compensation import CommandHistory, Interval, advanced
+from orbimpc_ros.loop.planner import Planner, Snapshot
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Problem, Weights
@@ -155,12 +155,12 @@ class Flown:
         rng = np.random.default_rng(seed)
         self.delay, self.compensated = delay, compensated
         self.rope = Rope([2.0, 0.0], [1.5, 1.0], rng.uniform(0.05, 0.07), rng.uniform(0, 6.28, 2))
-        self.controller = Controller(
+        self.controller = Planner(
             Problem(horizon=8, step=STEP, weights=Weights(1.0, 0.01, 0.0, 10.0))
         )
         self.position, self.attitude = np.zeros(2), exp(rng.uniform(-3.0, 3.0, 1))
         self.fraction, self.last = 1.0, command(1.0, 0.0)
-        self.sent, self.under_way = CommandHistory(), []
+        self.under_way = []
 
     def measure(self, time):
         velocity = np.array([self.fraction, 0.0])
@@ -171,15 +171,12 @@ class Flown:
     def answer(self, time):
         while self.under_way and self.under_way[0].time + self.delay <= time + 1e-9:
             measured = self.under_way.pop(0)
-            if self.compensated:
-                intervals = self.sent.intervals(measured.time, time)
-                measured = advanced(self.controller.problem, measured, intervals)
-            ahead = measured.time + STEP * np.arange(1, 9)
-            given = self.controller.tick(
-                measured, np.array([self.rope.at(t) for t in ahead])
-            ).command
+            late = time - measured.time if self.compensated else 0.0
+            ahead = measured.time + late + STEP * np.arange(1, 9)
+            goals = np.array([self.rope.at(t) for t in ahead])
+            given = self.controller.step(Snapshot(measured, goals, latency=late), time).command
             self.fraction, self.last = self.last.speed_fraction, given
-            self.sent.add(given, time)
+            self.controller.sent(given, time)
 
     def move(self):
         half = exp(0.5 * FINE * self.last.body_rate)

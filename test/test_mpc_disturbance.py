@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 from continuous import Craft, at_rest, flown, turned
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.delay import CommandHistory
-from orbimpc_ros.loop.disturbance import GAP, LARGEST, PATIENCE, Estimator
-from orbimpc_ros.loop.odometry import Odometry
-from orbimpc_ros.loop.response import Response
+from orbimpc_ros.loop.compensation import (
+    GAP,
+    LARGEST,
+    PATIENCE,
+    CommandHistory,
+    Estimator,
+    Response,
+)
+from orbimpc_ros.loop.planner import Planner, Snapshot
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Floor, Problem
@@ -260,21 +265,17 @@ def flight(estimated, *, inertial, time=60.0):
         problem = Problem(horizon=12, step=0.5, forward=full, floor=Floor('circle', 4, 2.0 / 3.0))
     problem = weighed(problem, 'time')
     kept = {'disturbance': given, 'response': Response(*lags), 'gap_tolerance': 1e-2}
-    controller = Controller(problem, **kept)
-    estimator, speed, ahead = Estimator(problem, lags[0]), np.zeros(n), np.zeros(n)
+    controller = Planner(problem, estimated=estimated, **kept)
+    speed, ahead = np.zeros(n), np.zeros(n)
     speed[0] = 0.0 if inertial else 12.5
     ahead[0] = 1.0 if inertial else 30.0
     misses = []
     for k in range(round(time / problem.step)):
         at = k * problem.step
         odometry = measured(at, motion)
-        if estimated:
-            estimator.observe(odometry, controller.history, given)
-            controller.disturbance = given + estimator.disturbance
-        odometry = controller.settled(odometry)
-        goals = np.outer(controller.ends(odometry.time), speed) + ahead
-        command = controller.tick(odometry, goals).command
-        controller.history.add(command, at)
+        goals = np.outer(controller.ends(at + controller.lead), speed) + ahead
+        command = controller.step(Snapshot(odometry, goals)).command
+        controller.sent(command, at)
         motion = flown(plant, motion, command.speed_fraction, command.body_rate, problem.step, 0.02)
         misses.append(motion.position - (at + problem.step) * speed - ahead)
     return float(np.linalg.norm(np.mean(misses[len(misses) * 3 // 4 :], axis=0)))

@@ -4,7 +4,8 @@
 import numpy as np
 import pytest
 
-from orbimpc_ros.loop.forecast import FORECASTS, Sighting, forecast_named
+from orbimpc_ros.loop.goal.forecast import FORECASTS, forecast_named
+from orbimpc_ros.loop.goal.motion import GoalObservation
 
 AHEAD = np.arange(1.0, 6.0)
 
@@ -26,7 +27,7 @@ def error_after(forecast, rope, rng, *, seconds, noise=0.0, lost=0.0, spacing=1.
     kept = rng.uniform(size=len(times)) >= lost
     kept[[0, -1]] = True
     for t in times[kept]:
-        forecast.observe(Sighting(t, rope(t) + noise * rng.normal(size=2)))
+        forecast.observe(GoalObservation(t, rope(t) + noise * rng.normal(size=2)))
     ahead = times[-1] + AHEAD
     return np.linalg.norm(forecast.at(ahead) - rope(ahead), axis=1).max()
 
@@ -69,7 +70,7 @@ def test_harmonic_beats_the_others_over_many_swings():
 @pytest.mark.parametrize('kind', FORECASTS)
 def test_one_sighting_is_held(kind):
     forecast = forecast_named(kind)
-    forecast.observe(Sighting(3.0, np.array([1.0, 2.0, 3.0])))
+    forecast.observe(GoalObservation(3.0, np.array([1.0, 2.0, 3.0])))
     assert np.allclose(forecast.at(3.0 + AHEAD), [1.0, 2.0, 3.0], atol=1e-6)
 
 
@@ -77,7 +78,7 @@ def test_one_sighting_is_held(kind):
 def test_a_goal_at_rest_is_forecast_at_rest(kind):
     forecast = forecast_named(kind)
     for t in range(10):
-        forecast.observe(Sighting(float(t), np.array([4.0, -1.0])))
+        forecast.observe(GoalObservation(float(t), np.array([4.0, -1.0])))
     assert np.allclose(forecast.at(9.0 + AHEAD), [4.0, -1.0], atol=1e-3)
 
 
@@ -85,16 +86,16 @@ def test_a_goal_at_rest_is_forecast_at_rest(kind):
 def test_reset_forgets(kind):
     forecast = forecast_named(kind)
     for t in range(5):
-        forecast.observe(Sighting(float(t), np.array([float(t), 0.0])))
+        forecast.observe(GoalObservation(float(t), np.array([float(t), 0.0])))
     forecast.reset()
-    forecast.observe(Sighting(0.0, np.array([7.0, 7.0])))
+    forecast.observe(GoalObservation(0.0, np.array([7.0, 7.0])))
     assert np.allclose(forecast.at(AHEAD), [7.0, 7.0], atol=1e-6)
 
 
 def test_velocity_goes_straight_on():
     forecast = forecast_named('velocity')
     for t in (0.0, 1.0, 2.0):
-        forecast.observe(Sighting(t, np.array([1.0 + 0.5 * t, -t])))
+        forecast.observe(GoalObservation(t, np.array([1.0 + 0.5 * t, -t])))
     assert np.allclose(forecast.at(np.array([4.0])), [[3.0, -4.0]])
 
 
@@ -109,5 +110,5 @@ def test_repeated_stamps_do_not_break_a_forecast():
     for kind in FORECASTS:
         forecast = forecast_named(kind)
         for _ in range(3):
-            forecast.observe(Sighting(1.0, np.array([1.0, 1.0])))
+            forecast.observe(GoalObservation(1.0, np.array([1.0, 1.0])))
         assert np.allclose(forecast.at(1.0 + AHEAD), 1.0, atol=1e-3)

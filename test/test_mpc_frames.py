@@ -4,8 +4,7 @@
 import numpy as np
 import pytest
 
-from orbimpc_ros.loop.frames import WINDOW, Witness
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.state import WINDOW, Odometry, VelocityFrameCheck
 from orbimpc_ros.mpc.geometry.rotations import exp
 
 
@@ -23,7 +22,7 @@ def flight(rng, dimension, count=60, noise=0.0, wind=0.0):
 
 def told(given, truly, states):
     """Return what a witness says of velocities given in a frame that may not be theirs."""
-    witness = Witness(given)
+    witness = VelocityFrameCheck(given)
     for time, position, attitude, velocity in states:
         sent = velocity if truly == 'world' else attitude.T @ velocity
         read = attitude.T @ sent if given == 'world' else sent

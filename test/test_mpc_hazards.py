@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from stepping import Stepped
 
-from orbimpc_ros.loop import controller as loop
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.odometry import Odometry
-from orbimpc_ros.loop.traffic import clearest as clearest_of
-from orbimpc_ros.loop.traffic.clearest import clear_instead, is_clear
-from orbimpc_ros.loop.traffic.reserve import keeping, kept
+from orbimpc_ros.loop import fallback as clearest_of
+from orbimpc_ros.loop.fallback import clear_instead, is_clear
+from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.task import Task
+from orbimpc_ros.loop.traffic import achieved_clearance, with_clearance
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
@@ -267,7 +267,7 @@ def test_no_way_through_a_closed_ring_is_proved():
 
 def test_a_controller_stays_clear_of_what_it_is_told_moves():
     problem = Problem(horizon=5, step=0.5, forward=1.0)
-    controller = Controller(problem, gap_tolerance=0.05)
+    controller = Stepped(problem, gap_tolerance=0.05)
     controller.expect_hazards()
     place, heading = np.zeros(2), np.eye(2)
     body, nearest = Hazard.drifting(Ball([3.0, 0.05], 0.5), [-0.5, 0.0]), np.inf
@@ -294,7 +294,7 @@ def test_a_controller_stays_clear_of_what_it_is_told_moves():
     ('velocity', 'told'), [([0.0, 0.0], 'the goal is inside of hazard 1'), ([-1.0, 0.0], '')]
 )
 def test_a_goal_inside_of_what_stays_there_is_told_of(velocity, told):
-    controller = Controller(Problem(horizon=3), gap_tolerance=0.05)
+    controller = Stepped(Problem(horizon=3), gap_tolerance=0.05)
     around = Hazard.drifting(Ball([4.0, 0.0], 1.0), velocity)
     controller.hazards = (Hazard.drifting(Ball([0.0, 9.0], 1.0), [0.0, 0.0]), around)
     odometry = Odometry(0.0, np.zeros(2), np.eye(2), np.zeros(2), np.zeros(1))
@@ -331,7 +331,7 @@ def test_a_reserve_counts_later_in_a_plan():
 def test_a_reserve_is_given_up_where_no_plan_keeps_it():
     """The goal is 0.2 m from both discs, so that who keeps 0.4 m away cannot arrive."""
     problem = Problem(horizon=6, step=0.5, forward=1.0, terminal='constraint')
-    controller = Controller(problem, gap_tolerance=0.01, reserve=0.4)
+    controller = Stepped(problem, gap_tolerance=0.01, reserve=0.4)
     still = [Hazard.drifting(Ball([2.5, 0.7 * side], 0.5), [0.0, 0.0]) for side in (-1.0, 1.0)]
     controller.hazards = tuple(still)
     goals = np.tile([2.5, 0.0], (6, 1))
@@ -351,10 +351,15 @@ def test_as_much_of_a_reserve_counts_as_the_plan_before_keeps():
     hazards = tuple(Hazard.drifting(Ball([2.5, y], 0.5), [0.0, 0.0]) for y in asides)
     start, goals = State.at([0.0, 0.0], np.eye(2)), np.tile([3.0, 0.0], (6, 1))
     plan = Solver(problem).solve(start, goals)
-    found = kept(problem, replace(start, hazards=hazards), plan, 0.6)
+    found = achieved_clearance(problem, replace(start, hazards=hazards), plan, 0.6)
     assert found.tolist() == pytest.approx([0.0, 0.2, 0.6])
-    assert kept(problem, replace(start, hazards=hazards), None, 0.6).tolist() == [0.0] * 3
-    asked = [each.reserve for each in keeping(replace(start, hazards=hazards), found).hazards]
+    assert (
+        achieved_clearance(problem, replace(start, hazards=hazards), None, 0.6).tolist()
+        == [0.0] * 3
+    )
+    asked = [
+        each.reserve for each in with_clearance(replace(start, hazards=hazards), found).hazards
+    ]
     assert asked == pytest.approx(found.tolist())
 
 
@@ -363,7 +368,7 @@ def test_a_reserve_is_not_negative(reserve):
     with pytest.raises(BadInput, match=r'obstacles\.reserve'):
         replace(Hazard.drifting(DISC, [0.0, 0.0]), reserve=reserve)
     with pytest.raises(BadInput, match='reserve'):
-        Controller(Problem(horizon=2), reserve=reserve)
+        Stepped(Problem(horizon=2), reserve=reserve)
 
 
 # --- what is flown where a plan does not keep the vehicle clear
@@ -422,7 +427,7 @@ def test_the_clearest_way_is_the_one_that_is_clear_the_longest(monkeypatch):
 
 def test_the_clearest_way_is_flown_where_none_is_clear():
     """Shut in by a disc that is too large to leave within the horizon."""
-    controller = Controller(BOAT)
+    controller = Stepped(BOAT)
     controller.hazards = (Hazard.drifting(Ball([9.0, 1.0], 30.0), [0.0, 0.0]),)
     odometry = Odometry(0.0, np.zeros(2), np.eye(2), np.array([1.0, 0.0]), np.zeros(1))
     tick = controller.tick(odometry, FAR)
@@ -622,7 +627,7 @@ def test_held_thrust_flies_the_parabola_of_its_equations():
 
 
 def test_what_the_first_hazard_needs_can_be_made_before_it_comes(monkeypatch):
-    controller = Controller(Problem(horizon=3))
+    controller = Stepped(Problem(horizon=3))
     controller.expect_hazards()
     monkeypatch.setattr(solver, 'method_among', lambda *_, **__: pytest.fail('made in a tick'))
     controller.hazards = (Hazard.drifting(DISC, [0.0, 0.1]),)
@@ -667,7 +672,7 @@ def test_a_plan_that_cannot_be_turned_along_gives_way_to_a_scouted_one(monkeypat
     """Straight lines and full turns lead a boat away from a gate that it has only to turn to."""
     ends = {}
     for scouts in (True, False):
-        controller = Controller(THROUGH)
+        controller = Stepped(THROUGH)
         controller.expect_hazards()
         if not scouts:
             monkeypatch.setattr(controller, '_scout', None)
@@ -681,9 +686,9 @@ def test_a_plan_that_cannot_be_turned_along_gives_way_to_a_scouted_one(monkeypat
 
 @needs_machine_code
 def test_a_scouted_way_stands_in_for_a_plan_that_is_not_found(monkeypatch):
-    controller = Controller(THROUGH)
+    controller = Stepped(THROUGH)
     controller.expect_hazards()
-    monkeypatch.setattr(loop, '_solved', lambda task: (None, Status.FAILED, 'time is up'))
+    monkeypatch.setattr(Task, 'solved', lambda task: (None, Status.FAILED, 'time is up'))
     tick = before_the_gate(controller)
     assert (tick.status, tick.fallback) == (Status.FEASIBLE, Fallback.NONE)
     assert tick.reason == 'time is up'
@@ -692,7 +697,7 @@ def test_a_scouted_way_stands_in_for_a_plan_that_is_not_found(monkeypatch):
 
 
 def test_a_catch_that_is_clear_needs_no_search_among_hazards(monkeypatch):
-    controller = Controller(BOAT, capture_radius=0.5)
+    controller = Stepped(BOAT, capture_radius=0.5)
     controller.hazards = (Hazard.drifting(Ball([0.0, 9.0], 1.0), [0.0, 0.0]),)
     monkeypatch.setattr(controller, '_tracked', lambda task: pytest.fail('it was searched'))
     odometry = Odometry(0.0, np.zeros(2), np.eye(2), np.array([3.0, 0.0]), np.zeros(1))

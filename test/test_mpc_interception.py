@@ -10,20 +10,21 @@ import numpy as np
 import pytest
 from continuous import Craft, at_rest, flown
 from problems import floor, rotation
+from stepping import Stepped
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.defect import defect
-from orbimpc_ros.loop.interception import (
+from orbimpc_ros.loop.compensation import Response, defect
+from orbimpc_ros.loop.goal.motion import GoalTrajectory
+from orbimpc_ros.loop.intercept import (
     AIM,
     EFFORT,
     GRAZE,
-    Hunt,
     Interception,
+    InterceptQuery,
     Target,
     catching,
 )
-from orbimpc_ros.loop.odometry import Odometry
-from orbimpc_ros.loop.response import Response
+from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.task import Solvers, Task
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.errors import BadInput
@@ -33,7 +34,6 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State, Weights
-from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.sim.plant import Plant
 from orbimpc_ros.sim.vehicle import Vehicle
 
@@ -42,6 +42,10 @@ WING = Problem(
     horizon=8, step=0.5, forward=15.0, floor=floor('circle', 2.0 / 3.0), max_rate=np.radians(25.0)
 )
 needs_speed = pytest.mark.skipif(not COMPILED, reason='takes minutes in plain Python; needs numba')
+
+
+def farthest(problem):
+    return Interception(problem, 2.0, Solvers(problem)).farthest
 
 
 def measured(position, heading, speed, time=0.0):
@@ -65,7 +69,7 @@ def turned_at_random(rng, problem, start):
 @needs_speed
 def test_no_trajectory_catches_before_the_bound_and_the_plan_does_at_its_step():
     rng = np.random.default_rng(7)
-    controller, found = Controller(WING, capture_radius=RADIUS), 0
+    controller, found = Stepped(WING, capture_radius=RADIUS), 0
     for _ in range(25):
         controller.reset()
         place, course = rng.uniform(-40.0, 40.0, 2), rng.uniform(-3.0, 3.0, 2)
@@ -108,7 +112,7 @@ def test_no_inputs_cost_more_than_their_share_of_the_squared_radius(n, order):
 def test_a_goal_that_is_circled_by_who_tracks_it_is_caught_by_who_intercepts_it():
     caught = {}
     for radius in (0.0, 2.0):
-        controller = Controller(WING, capture_radius=radius)
+        controller = Stepped(WING, capture_radius=radius)
         position, heading, least = np.zeros(2), 0.0, np.inf
         for k in range(60):
             goal = np.tile([60.0, 60.0], (8, 1))
@@ -128,15 +132,15 @@ def test_what_has_to_arrive_in_time_does_not_intercept():
     for options in ({'shrinking': True}, {}):
         problem = Problem(terminal='penalty' if options else 'constraint')
         with pytest.raises(BadInput, match=r'capture_radius is 1\.0; allowed: 0 with an arrival'):
-            Controller(problem, capture_radius=1.0, **options)
+            Stepped(problem, capture_radius=1.0, **options)
 
 
 def test_without_a_catch_the_weights_say_what_is_flown():
     problem = Problem(weights=Weights(1.0, 0.05, 0.0, 10.0))
     goals = np.tile([0.3, 40.0], (5, 1))
     here = measured([0.0, 0.0], 0.0, 1.0)
-    tracked = Controller(problem).tick(here, goals)
-    missed = Controller(problem, capture_radius=0.5).tick(here, goals)
+    tracked = Stepped(problem).tick(here, goals)
+    missed = Stepped(problem, capture_radius=0.5).tick(here, goals)
     assert np.isnan(missed.catch.time)
     assert missed.catch.bound == 6 * problem.step
     assert missed.command == tracked.command
@@ -154,7 +158,7 @@ def test_a_goal_within_the_smallest_circle_is_caught_by_who_looks_beyond_the_hor
 
 def circles_until_caught(goal, beyond):
     """Whether a goal that stands still is caught within 25 s, flown as the model has it."""
-    controller = Controller(replace(WING, discretisation='exact'), capture_radius=2.0)
+    controller = Stepped(replace(WING, discretisation='exact'), capture_radius=2.0)
     ahead = (lambda times: np.tile(goal, (len(times), 1))) if beyond else None
     position, heading, course = np.zeros(2), 0.0, np.array([12.0, 0.0])
     for k in range(50):
@@ -175,7 +179,7 @@ def circles_until_caught(goal, beyond):
 @needs_speed
 def test_who_means_to_catch_a_goal_does_not_put_it_off():
     goal = np.array([-10.0, 5.0])
-    controller = Controller(replace(WING, discretisation='exact'), capture_radius=2.0)
+    controller = Stepped(replace(WING, discretisation='exact'), capture_radius=2.0)
     position, heading, course, meant = np.zeros(2), 0.0, np.array([12.0, 0.0]), []
     for k in range(16):
         here = measured(position, heading, np.linalg.norm(course), 0.5 * k)
@@ -200,7 +204,7 @@ def test_a_catch_is_flown_on_where_there_is_no_time_to_look_for_one(place):
         return np.tile(goal, (8, 1)), late, lambda times: np.tile(goal, (len(times), 1))
 
     for moved, caught in (0.5, True), (20.0, False):
-        controller = Controller(wing, capture_radius=RADIUS)
+        controller = Stepped(wing, capture_radius=RADIUS)
         here = measured([0.0, 0.0], 0.0, 15.0)
         tick = controller.tick(here, *known(place))
         meant = tick.catch.time
@@ -218,17 +222,18 @@ def test_a_catch_is_flown_on_where_there_is_no_time_to_look_for_one(place):
 
 def test_steps_get_no_longer_where_boxes_would_be_jumped_over():
     box = Box(np.array([5.0, 5.0]), np.array([6.0, 6.0]))
-    assert Interception(WING, 2.0).farthest == 32
-    assert Interception(replace(WING, obstacles=(box,)), 2.0).farthest == 8
-    assert Interception(replace(WING, max_rate=1.0), 2.0).farthest == 25
-    assert Interception(replace(WING, rotation_order=2, floor=Floor()), 2.0).farthest == 8
+    assert farthest(WING) == 32
+    assert farthest(replace(WING, obstacles=(box,))) == 8
+    assert farthest(replace(WING, max_rate=1.0)) == 25
+    assert farthest(replace(WING, rotation_order=2, floor=Floor())) == 8
 
 
 @pytest.mark.parametrize('cone', [0.0, 0.5])
 def test_what_is_made_at_the_start_are_the_ends_of_steps(cone):
     """There are three times as many ends between them, of which a search tries two."""
     approach = Approach(cone) if cone else Approach()
-    targets = Interception(replace(WING, approach=approach), 2.0).targets
+    coned = replace(WING, approach=approach)
+    targets = Interception(coned, 2.0, Solvers(coned)).targets
     kinds = {False, True} if cone else {False}
     assert set(targets) == {Target(end, kind) for end in range(1, 9) for kind in kinds}
     assert len(targets) == len(set(targets))
@@ -238,7 +243,7 @@ def test_what_is_made_at_the_start_are_the_ends_of_steps(cone):
 def test_the_problem_tracked_reaches_and_drifts_as_those_of_its_first_steps(discretisation):
     problem = Problem(translation_order=2, horizon=6, step=0.3, discretisation=discretisation)
     start = State.at([1.0, 2.0], np.eye(2), velocity=[0.5, -1.0], disturbance=[0.2, 0.1])
-    interception = Interception(problem, RADIUS)
+    interception = Interception(problem, RADIUS, Solvers(problem))
     for end in range(1, 7):
         own = interception.problem(Target(end))
         assert own is interception.problem(Target(end))
@@ -254,7 +259,7 @@ def test_a_goal_that_can_be_caught_between_the_ends_of_steps_is_caught_sooner():
     known = {'ahead': lambda times: np.tile(goal, (len(times), 1))}
 
     def caught(pause, **options):
-        controller = Controller(problem, capture_radius=RADIUS)
+        controller = Stepped(problem, capture_radius=RADIUS)
         controller.tick(replace(here, time=-pause), np.tile(goal, (8, 1)), **options)
         return controller.tick(here, np.tile(goal, (8, 1)), **options)
 
@@ -277,7 +282,7 @@ def test_a_catch_is_flown_among_hazards_only_where_it_is_clear_of_them():
     goals = np.tile([9.0, 0.0], (12, 1))
 
     def ticked(*hazards):
-        controller = Controller(boat, capture_radius=0.5, gap_tolerance=1e-3)
+        controller = Stepped(boat, capture_radius=0.5, gap_tolerance=1e-3)
         controller.hazards = hazards
         return controller.tick(measured([0.0, 0.0], 0.0, 3.0), goals)
 
@@ -306,12 +311,12 @@ def test_who_cannot_wait_catches_a_goal_that_it_passes_between_the_ends_of_steps
     """7.5 m a step at constant speed: at 11 m, a goal is 3.5 and 4 m from the ends about it."""
     bird = replace(WING, floor=floor('circle', 1.0))
     goal, here = np.array([11.0, 0.0]), measured([0.0, 0.0], 0.0, 15.0)
-    tick = Controller(bird, capture_radius=RADIUS).tick(
+    tick = Stepped(bird, capture_radius=RADIUS).tick(
         here, np.tile(goal, (8, 1)), None, lambda times: np.tile(goal, (len(times), 1))
     )
     assert 0.5 < tick.catch.time < 1.0
     assert np.linalg.norm(tick.plan.positions[-1] - goal) <= AIM * RADIUS
-    blind = Controller(bird, capture_radius=RADIUS).tick(here, np.tile(goal, (8, 1)))
+    blind = Stepped(bird, capture_radius=RADIUS).tick(here, np.tile(goal, (8, 1)))
     assert not blind.catch.time < 1.0  # where the goal is in between is not known
 
 
@@ -320,7 +325,7 @@ def test_a_catch_that_is_lost_by_little_is_still_flown_at():
     here, later = measured([0.0, 0.0], 0.0, 15.0), measured([7.5, 0.0], 0.0, 15.0, time=0.5)
 
     def ticked(goal, *before):
-        controller = Controller(WING, capture_radius=RADIUS)
+        controller = Stepped(WING, capture_radius=RADIUS)
         for odometry, place in (*before, (later, goal)):
             place = np.array(place)
             known = np.tile(place, (8, 1)), None, lambda t, at=place: np.tile(at, (len(t), 1))
@@ -349,7 +354,7 @@ def test_a_catch_through_the_middle_is_as_soon_and_turns_gently(cone):
 
     def caught(centred):
         options = {'capture_radius': RADIUS, 'approach': approach, 'centred': centred}
-        tick = Controller(wing, **options).tick(measured([0.0, 0.0], 0.0, 15.0), *known)
+        tick = Stepped(wing, **options).tick(measured([0.0, 0.0], 0.0, 15.0), *known)
         attitudes = tick.plan.projected
         turns = np.abs([log(a.T @ b) for a, b in pairwise(attitudes)])
         gap, way = goal - tick.plan.positions[-1], np.diff(tick.plan.positions[-2:], axis=0)[0]
@@ -374,7 +379,7 @@ def test_a_goal_is_where_the_vehicle_ends_that_flies_the_plan():
     for _ in range(20):
         goal = rng.uniform(1.0, 2.5) * exp(rng.uniform(-3.1, 3.1, 1))[:, 0]
         known = np.tile(goal, (5, 1)), None, lambda times, at=goal: np.tile(at, (len(times), 1))
-        tick = Controller(rope, capture_radius=radius).tick(measured([0, 0], 0.0, 1.0), *known)
+        tick = Stepped(rope, capture_radius=radius).tick(measured([0, 0], 0.0, 1.0), *known)
         flown = Vehicle(0.0, np.zeros(2), np.array([1.0, 0.0]), np.eye(2), np.zeros(1), 1.0)
         for step in range(tick.plan.horizon):
             told = command_of(tick.problem, tick.state, tick.plan, step)
@@ -392,23 +397,26 @@ def test_a_goal_is_where_the_vehicle_ends_that_flies_the_plan():
 
 @needs_speed
 @pytest.mark.parametrize('away', [30.0, 33.0, 36.0])
-def test_no_plan_is_made_for_what_is_out_of_reach_nor_again_where_that_cannot_help(away):
+def test_no_plan_is_made_for_what_is_out_of_reach_nor_again_where_that_cannot_help(
+    monkeypatch, away
+):
     """The speed is 10 of 15 m/s, and lags by 0.8 s: who flies a plan ends metres before its end."""
-    wing, asked = Interception(replace(WING, discretisation='exact'), RADIUS, 0.8), Counter()
+    exact, asked = replace(WING, discretisation='exact'), Counter()
+    wing = Interception(exact, RADIUS, Solvers(exact, 'thrust_aligned', 1e-4), 0.8)
+    posed = wing.posed
     start = State.at([0.0, 0.0], np.eye(2) * 2.0 / 3.0)
     goal = np.array([away, 0.0])
 
-    def solved(target, aims):
+    def noted(target, task, previous):
         asked[target] += 1
-        problem = wing.problem(target)
-        reach = np.abs(problem.maps.reach[-1]).sum()
-        assert np.linalg.norm(goal - drift(problem, start)[-1]) <= reach + RADIUS
-        return Solver(problem, enough=wing.enough(target.end)).solve(start, aims)
+        reach = np.abs(task.problem.maps.reach[-1]).sum()
+        assert np.linalg.norm(goal - drift(task.problem, start)[-1]) <= reach + RADIUS
+        return posed(target, task, previous)
 
-    def goals(end):
-        return np.tile(goal, (min(int(np.ceil(end)), WING.horizon), 1))
-
-    plan, catch = wing.earliest(Hunt(start, goals, solved, lambda: False, 32, between=True))
+    monkeypatch.setattr(wing, 'posed', noted)
+    still = GoalTrajectory(np.zeros(1), goal[None].copy())
+    task = Task(exact, start, np.tile(goal, (8, 1)), np.arange(1.0, 9.0))
+    _, (plan, _, _), catch = wing.earliest(InterceptQuery(task, still, 0.0))
     ended = plan.positions[-1] + defect(wing.problem(Target(catch.time / 0.5)), start, plan, 0.8)
     assert np.linalg.norm(ended - goal) <= AIM * RADIUS
     assert any(target.end % 1.0 for target in asked)
@@ -420,7 +428,7 @@ def test_no_plan_is_made_for_what_is_out_of_reach_nor_again_where_that_cannot_he
 def test_a_wing_in_space_turns_round_and_catches_a_goal_that_moves(bearing):
     """Right behind, behind, and above; the searches end after so many polls, on any machine."""
     plant = Craft(15.0, speed_lag=0.5, rate_lag=0.4, turns=WING.max_rate)
-    controller = Controller(
+    controller = Stepped(
         replace(WING, dimension=3, floor=floor('circle', 0.8)),
         capture_radius=RADIUS,
         response=Response(speed=0.5, rate=0.4),
@@ -430,13 +438,12 @@ def test_a_wing_in_space_turns_round_and_catches_a_goal_that_moves(bearing):
         here = Odometry(
             0.5 * k, motion.position, motion.attitude, np.array([15.0, 0.0, 0.0]), motion.rate
         )
-        planned = controller.settled(here)
 
         def ahead(times):
             return 70.0 * np.array(bearing) + np.outer(times, drift)
 
         late = partial(next, iter([False] * 200), True)
-        tick = controller.tick(planned, ahead(controller.ends(planned.time)), late, ahead)
+        tick = controller.tick(here, None, late, ahead)
         assert tick.plan is not None, tick.reason
         for part in range(5):
             command = tick.command

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from problems import floor
 from scipy.optimize import minimize
+from stepping import Stepped
 from test_mpc_turns import cost, random_problem, random_start
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.check import command_violations, violations
 from orbimpc_ros.mpc.command import Command, command_of, flaw
 from orbimpc_ros.mpc.errors import BadInput
@@ -297,7 +297,7 @@ def flown(controller, period, seconds, goal, speed=0.0):
 @pytest.mark.parametrize('period', [0.5, 0.1])
 def test_a_vehicle_without_a_floor_comes_to_rest_at_its_goal(period):
     problem = Problem(step=0.5, horizon=8, forward=2.0, max_acceleration=0.8)
-    controller = Controller(problem)
+    controller = Stepped(problem)
     log, place = flown(controller, period, 14.0, np.array([6.0, 1.0]))
     for speed, tick in log:
         assert tick.fallback == '', tick.reason
@@ -308,13 +308,12 @@ def test_a_vehicle_without_a_floor_comes_to_rest_at_its_goal(period):
 @pytest.mark.parametrize('kind', ['loiter', 'hold_rate_zero', 'stop'])
 def test_safe_commands_change_speed_as_plans_do_but_for_a_stop(kind):
     problem = Problem(max_acceleration=0.1, floor=floor('circle', 0.5, 4))
-    controller = Controller(problem, safe=kind)
+    controller = Stepped(problem, safe=kind)
     measured = Odometry(0.0, np.zeros(2), np.eye(2), np.array([1.0, 0.0]), np.zeros(1))
     first = controller.tick(measured, np.tile([9.0, 0.0], (5, 1))).command.speed_fraction
     told = []
     for _ in range(8):
         command = controller.safe(np.eye(2), Reason(Cause.ODOMETRY, 'lost')).command
-        controller.history.last = command  # as whoever sends it says
         told.append(command.speed_fraction)
     steps = np.abs(np.diff([first, *told]))
     if kind == 'stop':

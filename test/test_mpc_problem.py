@@ -4,7 +4,8 @@
 import numpy as np
 import pytest
 
-from orbimpc_ros.loop.forecast import Itinerary, forecast_named
+from orbimpc_ros.loop.goal.forecast import forecast_named
+from orbimpc_ros.loop.goal.motion import GoalTrajectory
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.problem import (
@@ -65,7 +66,7 @@ from orbimpc_ros.mpc.solve.solver import Solver
         (lambda: State.at([0.0] * 2, np.eye(2), attitude=2 * np.eye(2)), 'state.attitude'),
         (lambda: State.at([0.0] * 2, np.eye(2), coasted=np.zeros((2, 2))), 'state.coasted'),
         (lambda: forecast_named('guess'), 'goal_prediction'),
-        (lambda: Itinerary(np.array([1.0, 1.0]), np.zeros((2, 2))), 'goal_path stamps'),
+        (lambda: GoalTrajectory(np.array([1.0, 1.0]), np.zeros((2, 2))), 'goal_path stamps'),
         (lambda: Solver(Problem()).solve(STILL, np.zeros((4, 2))), 'goals'),
     ],
 )

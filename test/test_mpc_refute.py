@@ -16,7 +16,7 @@ import pytest
 import refutable
 from problems import rotation
 
-from orbimpc_ros.loop.interception import steps_before
+from orbimpc_ros.loop.intercept import steps_before
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State

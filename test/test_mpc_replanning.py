@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from continuous import Craft, at_rest, flown
 from problems import floor
+from stepping import Stepped
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import SolverFailure
 from orbimpc_ros.mpc.kernels import COMPILED
@@ -49,7 +49,7 @@ def test_a_plan_shifted_by_a_share_of_a_step_keeps_the_floor_and_where_it_leads(
 @pytest.mark.parametrize('period', [0.1, 0.25, 0.3, 1.0])
 def test_a_shrinking_horizon_ends_when_it_ended_before(period):
     """Its steps are never longer than a step, and become fewer."""
-    controller = Controller(Problem(horizon=4, step=1.0), shrinking=True)
+    controller = Stepped(Problem(horizon=4, step=1.0), shrinking=True)
     motion, time, counts = at_rest(2), 7.0, []
     while time < 10.95:
         ends = controller.ends(time)
@@ -65,7 +65,7 @@ def test_a_shrinking_horizon_ends_when_it_ended_before(period):
 
 def test_an_arrival_is_on_time_with_four_ticks_a_step():
     problem = Problem(horizon=6, terminal='constraint', discretisation='exact')
-    controller, plant = Controller(problem, shrinking=True), Craft()
+    controller, plant = Stepped(problem, shrinking=True), Craft()
     motion, goal = at_rest(2, 0.0, 1.0, plant), np.array([3.0, 2.0])
     for k in range(24):
         ends = controller.ends(0.25 * k)
@@ -76,7 +76,7 @@ def test_an_arrival_is_on_time_with_four_ticks_a_step():
 
 
 def test_a_plan_of_long_steps_stands_in_for_two_ticks_however_short_they_are(monkeypatch):
-    controller, plant = Controller(Problem(horizon=5)), Craft()
+    controller, plant = Stepped(Problem(horizon=5)), Craft()
     motion, goals = at_rest(2, 0.0, 1.0, plant), np.tile([4.0, 1.0], (5, 1))
     first = controller.tick(measured(0.0, motion), goals)
     assert first.fallback == ''
@@ -105,7 +105,7 @@ def test_planned_ten_times_a_step_a_swinging_goal_is_caught(shape):
     problem = weighed(
         Problem(horizon=8, step=1.0, forward=speed, floor=floor(shape, fraction)), 'time'
     )
-    controller, plant, time = Controller(problem), Craft(speed), 0.0
+    controller, plant, time = Stepped(problem), Craft(speed), 0.0
     motion, nearest = at_rest(2, 2.0, 1.0, plant), math.inf
 
     def goal(times):

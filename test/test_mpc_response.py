@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from continuous import Craft, Motion, at_rest, flown, turned
 from scenarios import dubins_problem, spacecraft_problem
+from stepping import Stepped
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.delay import CommandHistory
-from orbimpc_ros.loop.odometry import Odometry
-from orbimpc_ros.loop.response import Response
+from orbimpc_ros.loop.compensation import CommandHistory, Compensator, Response
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Floor, Problem
@@ -80,7 +79,7 @@ def test_half_a_step_of_a_lag_is_in_the_euler_model():
 
 def test_no_lag_changes_nothing():
     odometry = measured(1.0, at_rest(2))
-    assert Controller(Problem()).settled(odometry) is odometry
+    assert Compensator(Problem()).start(odometry).odometry is odometry
 
 
 @pytest.mark.parametrize('name', ['speed', 'rate'])
@@ -109,14 +108,14 @@ def test_the_applied_thrust_follows_what_was_commanded():
 
 def arrived(problem, plant, motion, goal, response):
     """Fly to an arrival; return the miss [m], the speed left [m/s] and the ticks."""
-    controller = Controller(problem, shrinking=True, response=response)
+    controller = Stepped(problem, shrinking=True, response=response)
     ticks, time = [], 0.0
     for _ in range(problem.horizon):
-        odometry = controller.settled(measured(time, motion))
-        ends = controller.ends(odometry.time)
+        odometry = measured(time, motion)
+        ends = controller.ends(odometry.time + controller.lead)
         ticks.append(controller.tick(odometry, np.tile(goal, (len(ends), 1))))
         command = ticks[-1].command
-        controller.history.add(command, time)
+        controller.sent(command, time)
         motion = flown(plant, motion, command.speed_fraction, command.body_rate, problem.step, 0.02)
         time += problem.step
     return np.linalg.norm(motion.position - goal), np.linalg.norm(motion.velocity), ticks
@@ -156,13 +155,13 @@ def test_a_vehicle_that_obeys_at_once_is_sent_what_is_due_now(rotation_order):
     problem = Problem(
         rotation_order=rotation_order, translation_order=2, horizon=8, floor=Floor('circle', 4, 0.3)
     )
-    prompt, plain = (Controller(problem, response=Response(lag, lag)) for lag in (1e-9, 0.0))
+    prompt, plain = (Stepped(problem, response=Response(lag, lag)) for lag in (1e-9, 0.0))
     position, sent, planned = np.zeros(2), [], []
     for k in range(4):
         odometry = Odometry(float(k), position, np.eye(2), np.array([0.3 * k, 0.0]), np.zeros(1))
         goals = np.tile([6.0, 1.0], (8, 1))
-        sent.append(prompt.tick(prompt.settled(odometry), goals).command)
-        planned.append(prompt._due)
+        sent.append(prompt.tick(odometry, goals).command)
+        planned.append(prompt._compensator.due)
         plain.tick(odometry, goals)
     for now, before in zip(sent[1:], planned[:-1], strict=True):
         assert now.speed_fraction == before.speed_fraction

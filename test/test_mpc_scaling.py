@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from continuous import Craft, at_rest, flown
 from problems import ORDERS, weights
+from stepping import Stepped
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
@@ -87,7 +87,7 @@ def caught_after(scaling, step, speed, seed, patience=15.0, fine=0.05):
         return middle + 0.5 * speed * swing
 
     plant, problem = Craft(speed), weighed(Problem(step=step, forward=speed), scaling)
-    controller, time = Controller(problem), 0.0
+    controller, time = Stepped(problem), 0.0
     motion = at_rest(2, rng.uniform(-np.pi, np.pi), 1.0, plant)
     while time < patience:
         measured = Odometry(

@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 from toy_floor import Eastward
 from toy_model import DRAG, KEPT, Drag
 
-from orbimpc_ros.loop.safety import safe_command
+from orbimpc_ros.loop.fallback import safe_command
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import Command, flaw
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates

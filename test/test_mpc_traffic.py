@@ -1,16 +1,26 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""What moves around a vehicle: bodies seen again, courses of others, and which of them matter."""
+"""What moves around a vehicle: bodies seen again, plans of others, and which of them matter."""
 
 import math
 
 import numpy as np
 import pytest
 
-from orbimpc_ros.loop.odometry import Odometry
-from orbimpc_ros.loop.traffic.bodies import MOST, Bodies, Seen
-from orbimpc_ros.loop.traffic.courses import FORGOTTEN, Course, Courses, Distance
-from orbimpc_ros.loop.traffic.nearest import clearance, nearest
-from orbimpc_ros.loop.traffic.track import along, centre
+from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.traffic import (
+    FORGOTTEN,
+    MOST,
+    AgentTrajectory,
+    Bodies,
+    Distance,
+    ObservedBody,
+    Traffic,
+    along,
+    centre,
+    clearance,
+    nearest,
+    silence,
+)
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import MAX_HAZARDS, Ball, Box, Hazard, Problem, State
 
@@ -18,12 +28,16 @@ FASTEST = 50.0
 NEAR = Distance(1.0, 0.5)
 
 
+def moved(bodies, at, unseen=0.0):
+    return Traffic(bodies.current(at), unseen=unseen).hazards(at)
+
+
 def disc(x, y, radius=0.5):
     return Ball(np.array([x, y]), radius)
 
 
 def seen(time, body, name='a/0', lifetime=math.inf):
-    return Seen(name, time, body, lifetime)
+    return ObservedBody(name, time, body, lifetime)
 
 
 def at(hazard, time):
@@ -37,13 +51,13 @@ def at(hazard, time):
 def test_a_body_seen_once_stands_and_seen_twice_goes_on():
     bodies = Bodies()
     bodies.see(seen(1.0, disc(0.0, 0.0)), FASTEST)
-    (still,) = bodies.hazards(3.0)
+    (still,) = moved(bodies, 3.0)
     np.testing.assert_allclose(at(still, 5.0), [0.0, 0.0])
     assert still.unsure == 0.0
-    assert bodies.hazards(3.0, 1.5)[0].unsure == 1.5
+    assert moved(bodies, 3.0, 1.5)[0].unsure == 1.5
     bodies.see(seen(2.0, disc(1.0, -2.0)), FASTEST)
-    assert bodies.hazards(3.0, 1.5)[0].unsure == 0.0
-    (moving,) = bodies.hazards(3.0)
+    assert moved(bodies, 3.0, 1.5)[0].unsure == 0.0
+    (moving,) = moved(bodies, 3.0)
     np.testing.assert_allclose(at(moving, 0.0), [2.0, -4.0])
     np.testing.assert_allclose(at(moving, 2.0), [4.0, -8.0])
 
@@ -56,7 +70,7 @@ def test_an_even_motion_is_found_whatever_the_stamps(seed):
     for time in stamps:
         place = start + time * velocity
         bodies.see(seen(time, Box(place - 1.0, place + np.array([1.0, 2.0, 3.0]))), FASTEST)
-    (hazard,) = bodies.hazards(stamps[-1] + 0.7)
+    (hazard,) = moved(bodies, stamps[-1] + 0.7)
     expected = start + (stamps[-1] + 3.7) * velocity
     np.testing.assert_allclose(at(hazard, 3.0) - [0.0, 0.5, 1.0], expected, atol=1e-9)
     np.testing.assert_allclose(hazard.body.maximum - hazard.body.minimum, [2.0, 3.0, 4.0])
@@ -66,9 +80,9 @@ def test_a_body_is_gone_when_its_lifetime_is_over_and_not_before():
     bodies = Bodies()
     bodies.see(seen(1.0, disc(0.0, 0.0), lifetime=0.5), FASTEST)
     bodies.see(seen(1.0, disc(9.0, 0.0), 'b/0'), FASTEST)
-    assert len(bodies.hazards(1.5)) == 2
-    assert len(bodies.hazards(1.51)) == 1
-    bodies.expire(1e6)
+    assert len(moved(bodies, 1.5)) == 2
+    assert len(moved(bodies, 1.51)) == 1
+    bodies.current(1e6)
     assert len(bodies) == 1
 
 
@@ -77,10 +91,10 @@ def test_a_jump_makes_a_new_body_without_velocity():
     bodies.see(seen(1.0, disc(0.0, 0.0)), FASTEST)
     bodies.see(seen(2.0, disc(1.0, 0.0)), FASTEST)
     assert 'jumped' in bodies.see(seen(2.1, disc(9.0, 0.0)), FASTEST)
-    (hazard,) = bodies.hazards(3.1)
+    (hazard,) = moved(bodies, 3.1)
     np.testing.assert_allclose(at(hazard, 1.0), [9.0, 0.0])
     assert bodies.see(seen(3.1, disc(10.0, 0.0)), FASTEST) == ''
-    np.testing.assert_allclose(at(bodies.hazards(3.1)[0], 1.0), [11.0, 0.0])
+    np.testing.assert_allclose(at(moved(bodies, 3.1)[0], 1.0), [11.0, 0.0])
 
 
 def test_what_comes_again_changes_nothing_and_what_contradicts_is_refused():
@@ -91,7 +105,7 @@ def test_what_comes_again_changes_nothing_and_what_contradicts_is_refused():
         bodies.see(seen(1.0, disc(1.0, 0.0)), FASTEST)
     with pytest.raises(BadInput, match='reordered stamp'):
         bodies.see(seen(0.5, disc(1.0, 0.0)), FASTEST)
-    np.testing.assert_allclose(at(bodies.hazards(1.0)[0], 1.0), [0.0, 0.0])
+    np.testing.assert_allclose(at(moved(bodies, 1.0)[0], 1.0), [0.0, 0.0])
 
 
 def test_there_may_be_so_many_bodies_and_no_more():
@@ -104,7 +118,7 @@ def test_there_may_be_so_many_bodies_and_no_more():
     bodies.remove('a/3')
     bodies.see(seen(1.0, disc(0.0, 0.0), 'a/more'), FASTEST)
     bodies.clear()
-    assert not bodies.hazards(1.0)
+    assert not moved(bodies, 1.0)
 
 
 # --- tracks
@@ -127,15 +141,12 @@ def test_a_track_is_followed_from_any_time_and_beyond_both_ends():
     np.testing.assert_allclose(at(alone, 5.0), [1.0, 0.0])
 
 
-# --- courses
+# --- other vehicles
 
 
 def heard(time=0.0, step=0.2, count=6, speed=1.0):
     times = time + step * np.arange(count)
-    course = Course(time, times, np.column_stack([speed * (times - time), 0.0 * times]))
-    courses = Courses(('/b/plan',))
-    courses.hear('/b/plan', course)
-    return courses
+    return AgentTrajectory(time, times, np.column_stack([speed * (times - time), 0.0 * times]))
 
 
 def test_a_vehicle_flies_its_plan_and_then_on_at_the_distance_asked_for():
@@ -143,25 +154,23 @@ def test_a_vehicle_flies_its_plan_and_then_on_at_the_distance_asked_for():
     assert hazard.body.radius == 1.0
     np.testing.assert_allclose(at(hazard, 0.0), [0.3, 0.0])
     np.testing.assert_allclose(at(hazard, 10.0), [10.3, 0.0], atol=1e-9)
-    assert heard().troubles(0.3, 0.5) == []
+    assert silence('/b/plan', heard(), 0.3 - 0.5) == ''
 
 
 @pytest.mark.parametrize('seed', range(10))
 def test_who_is_silent_is_covered_flying_on_and_stopped_anywhere_since(seed):
     rng = np.random.default_rng([72, seed])
     times = np.cumsum(rng.uniform(0.1, 0.4, 6))
-    course = Course(times[0], times, np.cumsum(rng.uniform(-1.0, 1.0, (6, 2)), axis=0))
-    courses = Courses(('/b/plan',))
-    courses.hear('/b/plan', course)
+    course = AgentTrajectory(times[0], times, np.cumsum(rng.uniform(-1.0, 1.0, (6, 2)), axis=0))
     now = times[0] + rng.uniform(0.5001, 0.5 + FORGOTTEN)
-    on, stopped = courses.hazards(now, NEAR)
+    on, stopped = course.hazards(now, NEAR)
     flown = along(disc(0.0, 0.0), course.times, course.positions, times[0])
     np.testing.assert_allclose(at(on, 1.0), at(flown, now + 1.0 - times[0]), atol=1e-9)
     for moment in np.linspace(0.0, now - times[0], 200):
         for later in (0.0, 30.0):  # wherever it stopped, it stays, with room for both
             apart = np.linalg.norm(at(stopped, later) - at(flown, moment))
             assert apart + NEAR.radius <= stopped.body.radius + 1e-9
-    assert 'may have stopped' in courses.troubles(now, 0.5)[0]
+    assert 'may have stopped' in silence('/b/plan', course, now - 0.5)
 
 
 def test_the_room_of_a_silent_vehicle_grows_at_half_its_speed():
@@ -170,12 +179,11 @@ def test_the_room_of_a_silent_vehicle_grows_at_half_its_speed():
 
 
 def test_a_silent_vehicle_is_forgotten_in_the_end_and_one_never_heard_is_told_of():
-    courses = heard()
-    assert len(courses.hazards(0.5 + FORGOTTEN, NEAR)) == 2
-    assert courses.hazards(0.5 + FORGOTTEN + 0.01, NEAR) == []
-    assert 'no longer avoided' in courses.troubles(0.5 + FORGOTTEN + 0.01, 0.5)[0]
-    courses.clear()
-    assert 'nothing heard' in courses.troubles(0.0, 0.5)[0]
+    course = heard()
+    assert len(course.hazards(0.5 + FORGOTTEN, NEAR)) == 2
+    assert course.hazards(0.5 + FORGOTTEN + 0.01, NEAR) == []
+    assert 'no longer avoided' in silence('/b/plan', course, FORGOTTEN + 0.01)
+    assert 'nothing heard' in silence('/b/plan', None, -0.5)
 
 
 # --- which of them matter

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from problems import floor, goals, state
 from scipy.optimize import minimize
+from stepping import Stepped
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
@@ -216,7 +216,7 @@ def test_a_fixed_wing_flies_its_plans(shape, faces):
     problem = Problem(
         step=0.5, horizon=8, forward=15.0, floor=floor(shape, 2.0 / 3.0, faces), max_rate=0.4363
     )
-    controller = Controller(problem, gap_tolerance=1e-2)
+    controller = Stepped(problem, gap_tolerance=1e-2)
     place, heading, speed = np.zeros(2), rng.uniform(-np.pi, np.pi), 12.0
     goal, drift = np.array([60.0, -50.0]), np.array([2.0, 1.5])
     for k in range(30):

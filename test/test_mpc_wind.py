@@ -8,12 +8,12 @@ import problems
 import pytest
 from flying import fly
 from scenarios import model_of
+from stepping import Stepped
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.delay import Interval, advanced
-from orbimpc_ros.loop.forecast import Hold
-from orbimpc_ros.loop.odometry import Odometry, odd_speed, state_of
-from orbimpc_ros.loop.safety import decided, safe_command
+from orbimpc_ros.loop.compensation import Interval, advanced
+from orbimpc_ros.loop.fallback import decided, safe_command
+from orbimpc_ros.loop.goal.forecast import Hold
+from orbimpc_ros.loop.state import Odometry, odd_speed, state_of
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
@@ -156,10 +156,10 @@ def test_automatic_is_to_hover_only_where_there_is_weight_and_thrust():
 
 def test_a_vehicle_without_plans_hovers_above_its_least_thrust():
     problem = Problem(3, 1, 2, forward=20.0, floor=Floor('circle', fraction=0.6))
-    controller = Controller(problem, safe='hover', disturbance=WEIGHT)
+    controller = Stepped(problem, safe='hover', disturbance=WEIGHT)
     tick = controller.safe(UP, Reason(Cause.ODOMETRY, 'lost'))
     assert tick.command.speed_fraction == 0.6
-    free = Controller(replace(problem, floor=Floor()), safe='hover', disturbance=WEIGHT)
+    free = Stepped(replace(problem, floor=Floor()), safe='hover', disturbance=WEIGHT)
     command = free.safe(UP, Reason(Cause.ODOMETRY, 'lost')).command
     assert command.speed_fraction == pytest.approx(9.81 / 20.0)
 
@@ -176,7 +176,7 @@ def at_goal(model, goal, start, ticks=25):
 def last_distances(problem, told, model):
     start = launched(model, np.zeros(2), np.eye(2), fraction=0.5)
     scenario = at_goal(model, np.array([3.0, 2.0]), start)
-    log = fly(Controller(problem, disturbance=told), scenario, Hold())
+    log = fly(Stepped(problem, disturbance=told), scenario, Hold())
     return [flight.distance for flight in log.flights[-5:]]
 
 
@@ -193,11 +193,11 @@ def test_a_hover_is_held_where_gravity_is_told():
     problem = Problem(3, 1, 2, horizon=8, step=0.2, forward=20.0)
     model = replace(model_of(problem), disturbance=tuple(WEIGHT))
     start = launched(model, np.zeros(3), UP, fraction=9.81 / 20.0)
-    told = Controller(problem, disturbance=WEIGHT)
-    told.history.add(Command(start.fraction, np.zeros(3), UP), 0.0)  # odometry shows no thrust
+    told = Stepped(problem, disturbance=WEIGHT)
+    told.sent(Command(start.fraction, np.zeros(3), UP), 0.0)  # odometry shows no thrust
     log = fly(told, at_goal(model, np.zeros(3), start), Hold())
     assert max(flight.distance for flight in log.flights) < 1e-4
-    fallen = fly(Controller(problem), at_goal(model, np.zeros(3), start), Hold())
+    fallen = fly(Stepped(problem), at_goal(model, np.zeros(3), start), Hold())
     assert fallen.flights[-1].distance > 1.0
 
 
@@ -208,7 +208,7 @@ def test_no_wind_drives_an_airspeed_below_the_floor(source):
     wind = np.array([-0.5, 0.1])
     model = replace(model_of(problem), disturbance=tuple(wind), velocity_source=source)
     start = launched(model, np.zeros(2), np.eye(2), fraction=0.8)
-    controller = Controller(problem, disturbance=wind, velocity_source=source)
+    controller = Stepped(problem, disturbance=wind, velocity_source=source)
     log = fly(controller, at_goal(model, np.array([4.0, 0.0]), start), Hold())
     assert all(tick.status == 'optimal' for tick in log.ticks)
     assert min(flight.vehicle.fraction for flight in log.flights) >= 0.6 - 1e-9
@@ -216,7 +216,7 @@ def test_no_wind_drives_an_airspeed_below_the_floor(source):
 
 
 def test_an_estimate_may_change_what_is_planned_with_from_tick_to_tick():
-    controller = Controller(Problem())
+    controller = Stepped(Problem())
     seen = measured(launched(Model(), np.zeros(2), np.eye(2)))
     goals = np.tile([2.0, 2.0], (5, 1))
     for wind in ([0.0, 0.0], [0.4, 0.0]):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import orbimpc_ros
-from orbimpc_ros import Box, Controller, Floor, Odometry, Problem, Solver, State, Weights
+from orbimpc_ros import Box, Floor, Odometry, Planner, Problem, Snapshot, Solver, State, Weights
 
 PAGE = (Path(__file__).parents[1] / 'docs' / 'library.md').read_text()
 CLASSES = [n for n in orbimpc_ros.__all__ if not n.startswith('_')]
@@ -23,7 +23,7 @@ def test_every_name_is_documented_where_it_stands_and_on_the_page(name):
     assert f'`{name}' in PAGE
 
 
-@pytest.mark.parametrize('name', ['Solver', 'Controller'])
+@pytest.mark.parametrize('name', ['Solver', 'Planner', 'Snapshot'])
 def test_signatures_are_those_of_the_page(name):
     """What a caller may pass, by name and default; changing it takes a deprecation."""
     signature = inspect.signature(getattr(orbimpc_ros, name))
@@ -45,8 +45,8 @@ def values():
     problem = Problem(floor=Floor('circle', fraction=0.5), obstacles=(Box([3, 3], [4, 4]),))
     state = State.at([0.0, 0.0], np.eye(2))
     plan = Solver(Problem()).solve(state, np.ones((5, 2)))
-    tick = Controller(Problem()).tick(measured(), np.ones((5, 2)))
-    return [problem, Weights(), state, plan, plan.proof, measured(), tick, tick.command]
+    decision = Planner(Problem()).step(Snapshot(measured(), np.ones((5, 2))))
+    return [problem, Weights(), state, plan, plan.proof, measured(), decision, decision.command]
 
 
 def test_values_compare_hash_and_pickle_by_content():

@@ -9,8 +9,8 @@ ROOT = Path(__file__).parents[1]
 LINES = {
     'orbimpc_ros': 52_000,
     'orbimpc_ros/mpc': 29_000,
-    'orbimpc_ros/loop': 4_250,
-    'orbimpc_ros/ros': 5_500,
+    'orbimpc_ros/loop': 4_550,
+    'orbimpc_ros/ros': 5_200,
     'orbimpc_ros/sim': 3_660,
     'orbimpc_ros/tool': 8_700,
     'benchmarks': 5_480,

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import yaml
 from scenarios import retrieval
+from stepping import Stepped
 
-from orbimpc_ros.loop.controller import Controller
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.reports import Report, tick_message
 from orbimpc_ros.sim.vehicle import measured
@@ -22,7 +22,7 @@ from orbimpc_ros.tool.topics import TYPES
 pytest.importorskip('rclpy')
 CONFIG = Path(__file__).parents[1] / 'config'
 ODOMETRY = measured(departure(retrieval()).vehicle)
-TICK = Controller(Problem()).tick(ODOMETRY, np.tile([9.0, 0.0], (5, 1)))
+TICK = Stepped(Problem()).tick(ODOMETRY, np.tile([9.0, 0.0], (5, 1)))
 REPORT = Report(TICK, solve_time_ms=0.4)
 KEYS = set(REPORT.values)
 SHOWS = {

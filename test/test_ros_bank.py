@@ -6,13 +6,14 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from orbimpc_ros.loop.odometry import Odometry
+from stepping import targets
+
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.planner.inbox import Inbox
-from orbimpc_ros.ros.planner.ticker import Ticker, prepared
+from orbimpc_ros.ros.planner.core import Core, planner_of
 
 FRAMES = Frames('odom', 'base_link')
 START = 1_700_000_000  # [s]
@@ -24,8 +25,8 @@ class Watched:
     def __init__(self, **changes):
         values = {row.name: row.default for row in PLANNER} | {'step': 0.1, 'horizon': 5} | changes
         settings = planner_settings(values)
-        self.inbox, self.steps = Inbox(settings), 0
-        self.ticker = Ticker(*prepared(settings), simulated=True)
+        self.core, self.steps = Core(*planner_of(settings)), 0
+        self.inputs = self.core.inputs
 
     def watch(self, goal, ticks):
         """Watch a goal, shape (2,) [m] as a function of time [s]; return the last report."""
@@ -38,8 +39,8 @@ class Watched:
                 ('goal', messages.goal_message(stamp, goal(now))),
                 ('odom', messages.odometry_message(stamp, still)),
             ):
-                assert self.inbox.take(topic, message, now, RosTime(stamp.nanoseconds)) == ''
-        return self.ticker.planned(self.inbox, now, RosTime(stamp.nanoseconds))
+                assert self.inputs.update(topic, message, now, RosTime(stamp.nanoseconds)) == ''
+        return self.core.decide(now, RosTime(stamp.nanoseconds))
 
     def ahead(self):
         """The times of the targets of the last tick [s]."""
@@ -54,7 +55,7 @@ def test_a_swing_on_a_moving_carrier_is_planned_for_and_named():
     watched = Watched(goal_prediction='auto')
     report = watched.watch(carried, 100)
     targets = np.array([carried(time) for time in watched.ahead()])
-    np.testing.assert_allclose(report.tick.goals, targets, atol=1e-3)
+    np.testing.assert_allclose(report.decision.goals, targets, atol=1e-3)
     assert report.values['goal_model'] == 'carrier'
 
 
@@ -63,7 +64,7 @@ def test_the_name_changes_when_the_goal_does():
     assert watched.watch(lambda time: np.array([time, 0.0]), 60).values['goal_model'] == 'velocity'
     report = watched.watch(lambda time: np.array([6.0, 0.0]), 20)
     assert report.values['goal_model'] == 'still'
-    np.testing.assert_allclose(report.tick.goals, np.tile([6.0, 0.0], (5, 1)), atol=1e-3)
+    np.testing.assert_allclose(report.decision.goals, np.tile([6.0, 0.0], (5, 1)), atol=1e-3)
 
 
 @pytest.mark.parametrize('prediction', ['hold', 'velocity', 'harmonic'])
@@ -76,12 +77,12 @@ def test_another_forecast_begins_with_the_last_goal():
     watched = Watched()
     watched.watch(carried, 10)
     values = {row.name: row.default for row in PLANNER} | {'step': 0.1, 'goal_prediction': 'auto'}
-    watched.inbox.adopt(planner_settings(values))
-    assert watched.inbox.goal_model != ''
+    watched.inputs.adopt(planner_settings(values))
+    assert watched.inputs.goal_model != ''
     held = np.tile(carried(1.0), (5, 1))
-    np.testing.assert_allclose(watched.inbox.targets(START + watched.ahead(), 1.0), held)
-    watched.inbox.forget()
-    assert watched.inbox.goal_model == ''
+    np.testing.assert_allclose(targets(watched.inputs, START + watched.ahead(), 1.0), held)
+    watched.inputs.forget()
+    assert watched.inputs.goal_model == ''
 
 
 def test_replaying_the_same_messages_gives_the_same_targets():
@@ -91,4 +92,4 @@ def test_replaying_the_same_messages_gives_the_same_targets():
         Watched(goal_prediction='auto').watch(lambda time: noisy[round(10 * time)], 100)
         for _ in range(2)
     ]
-    np.testing.assert_array_equal(*(report.tick.goals for report in reports))
+    np.testing.assert_array_equal(*(report.decision.goals for report in reports))

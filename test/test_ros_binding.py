@@ -6,8 +6,8 @@ import json
 import numpy as np
 import pytest
 from scenarios import retrieval
+from stepping import Stepped
 
-from orbimpc_ros.loop.controller import Controller
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.reports import Report, prices, tick_message
 from orbimpc_ros.sim.vehicle import measured
@@ -19,7 +19,7 @@ pytest.importorskip('rclpy')
 def far_away(problem):
     """Return a tick towards a goal far ahead: nothing but full speed is in the way."""
     odometry = measured(departure(retrieval()).vehicle)
-    return Controller(problem).tick(odometry, np.tile([99.0, 0.0], (problem.horizon, 1)))
+    return Stepped(problem).tick(odometry, np.tile([99.0, 0.0], (problem.horizon, 1)))
 
 
 def test_full_speed_binds_on_the_way_to_a_far_goal():
@@ -32,7 +32,7 @@ def test_longer_plans_than_can_be_priced_in_time_have_none():
 
 def test_a_plan_that_only_stands_in_has_no_prices():
     problem = Problem(horizon=5, terminal='constraint')
-    controller = Controller(problem)
+    controller = Stepped(problem)
     near, beyond = np.tile([4.0, 0.0], (5, 1)), np.tile([50.0, 0.0], (5, 1))
     odometry = measured(departure(retrieval()).vehicle)
     assert controller.tick(odometry, near).fallback == ''
@@ -42,7 +42,7 @@ def test_a_plan_that_only_stands_in_has_no_prices():
 
 
 def test_a_shrinking_horizon_is_priced_as_what_is_left_of_it():
-    controller = Controller(Problem(), shrinking=True)
+    controller = Stepped(Problem(), shrinking=True)
     odometry = measured(departure(retrieval()).vehicle)
     for left in (5, 4, 3):
         tick = controller.tick(odometry, np.tile([99.0, 0.0], (left, 1)))

@@ -9,11 +9,11 @@ import pytest
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
 
 from open_loop import open_loop
+from stepping import Stepped
 
-from orbimpc_ros.loop.controller import Controller
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters import PLANNER, planner_settings
-from orbimpc_ros.ros.planner.summary import summary
+from orbimpc_ros.ros.planner.description import summary
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import departure
@@ -81,7 +81,7 @@ def test_a_landing_keeps_its_limits_and_every_tick_is_bounded():
     """On the vehicle in continuous time with its lags; what a demo does over DDS."""
     values = settings.resolve(config('lander.yaml'))
     chosen, flight = planner_settings(values), departure(sim_settings(values).scenario)
-    controller = Controller(
+    controller = Stepped(
         chosen.problem,
         shrinking=True,
         gap_tolerance=chosen.gap_tolerance,
@@ -90,7 +90,7 @@ def test_a_landing_keeps_its_limits_and_every_tick_is_bounded():
     )
     ticks, vehicles = [], []
     while not flight.over:
-        odometry = controller.settled(measured(flight.vehicle))
+        odometry = measured(flight.vehicle)
         goals = np.tile(flight.goal, (len(controller.ends(odometry.time)), 1))
         ticks.append(controller.tick(odometry, goals))
         command = ticks[-1].command

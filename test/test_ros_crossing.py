@@ -10,7 +10,7 @@ import crossings
 
 from orbimpc_ros.mpc.command import stop
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.ros.planner.outlet import obeyed
+from orbimpc_ros.ros.planner.outputs import obeyed
 
 SHORT = ('horizon=4', 'gap_tolerance=0.05', 'max_ticks=15')  # past the middle of the ring
 RADIUS = 1.0

@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.problem import Approach
 from orbimpc_ros.ros.planner.events import STAY, Events
 

@@ -10,8 +10,9 @@ from flying import fly
 from nav_msgs.msg import Odometry, Path
 from scenarios import retrieval, retrieval_problem
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.forecast import Itinerary, forecast_named
+from orbimpc_ros.loop.goal.forecast import forecast_named
+from orbimpc_ros.loop.goal.motion import GoalTrajectory
+from orbimpc_ros.loop.planner import Planner
 
 LONG = {'exit_when_done': True, 'wait_subscribers': 2}
 
@@ -28,7 +29,7 @@ class Told:
 
 
 def ticks_without_ros(forecast):
-    log = fly(Controller(retrieval_problem()), retrieval(), forecast)
+    log = fly(Planner(retrieval_problem()), retrieval(), forecast)
     assert log.captured
     return len(log.ticks)
 
@@ -60,6 +61,6 @@ def test_who_knows_the_swing_catches_the_rope_in_well_under_half_of_the_ticks(
 def _check_future(path):
     stamps = np.array([p.header.stamp.sec + 1e-9 * p.header.stamp.nanosec for p in path.poses])
     places = np.array([[p.pose.position.x, p.pose.position.y] for p in path.poses])
-    future = Itinerary(stamps, places)
+    future = GoalTrajectory(stamps, places)
     assert np.allclose(future.at(stamps), Told().at(stamps))
     assert len(stamps) == 6

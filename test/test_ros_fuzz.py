@@ -12,12 +12,13 @@ pytest.importorskip('rclpy')
 from nav_msgs.msg import Path
 from planners import QUICK, Bench
 from std_srvs.srv import Trigger
+from stepping import stale_goal, targets
 
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.planner.inbox import Inbox
+from orbimpc_ros.ros.planner.inputs import Inputs
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 
 FRAMES = Frames('odom', 'base_link')
@@ -92,25 +93,25 @@ def finite(*arrays):
 def test_whatever_comes_is_taken_whole_or_refused_whole(part):
     draw = random.Random(part)
     values = {row.name: row.default for row in PLANNER} | {'step': 0.1, 'goal_jump_limit': 50.0}
-    inbox = Inbox(planner_settings(values))
+    inputs = Inputs(planner_settings(values))
     makers = {'odom': odometry, 'goal': goal, 'goal_path': path}
     taken = 0
     for k in range(2500):
         now, at = 0.05 * k, (1_700_000_000 * SECOND) + k * SECOND // 20
         topic = draw.choice(('odom', 'odom', 'goal', 'goal_path'))
         message = makers[topic](draw, at)
-        refusal = inbox.take(topic, message, now, RosTime(at + draw.choice((0, SECOND // 10))))
+        refusal = inputs.update(topic, message, now, RosTime(at + draw.choice((0, SECOND // 10))))
         taken += not refusal
         assert '\n' not in refusal
         assert len(refusal) < 400
-        if inbox.missing or inbox.stale_goal(now):
+        if inputs.missing or stale_goal(inputs, now):
             continue
-        known = inbox.odometry.value
+        known = inputs.odometry.value
         assert finite(known.position, known.attitude, known.body_velocity, known.body_rate)
         np.testing.assert_allclose(known.attitude.T @ known.attitude, np.eye(2), atol=1e-9)
-        assert finite(inbox.targets(inbox.odometry.value.time + np.arange(1, 6), now))
+        assert finite(targets(inputs, inputs.odometry.value.time + np.arange(1, 6), now))
     assert 500 < taken < 2000
-    assert sum(inbox.refused.values()) == 2500 - taken
+    assert sum(inputs.refused.values()) == 2500 - taken
 
 
 def test_covariances_are_not_read():

@@ -18,8 +18,8 @@ from scenarios import retrieval, retrieval_problem  # noqa: E402
 from std_msgs.msg import Bool  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
-from orbimpc_ros.loop.controller import Controller  # noqa: E402
-from orbimpc_ros.loop.forecast import forecast_named  # noqa: E402
+from orbimpc_ros.loop.goal.forecast import forecast_named  # noqa: E402
+from orbimpc_ros.loop.planner import Controller  # noqa: E402
 from orbimpc_ros.ros.process import qos  # noqa: E402
 
 TOPICS = {

@@ -42,7 +42,7 @@ def test_what_is_drawn_is_not_told_to_the_planner(missions):
     from orbimpc_ros.ros.parameters import planner_settings
     from orbimpc_ros.sim.parameters import sim_settings
     from orbimpc_ros.tool import settings
-    from orbimpc_ros.tool.run.onboard import Planner
+    from orbimpc_ros.tool.run.onboard import Onboard
 
     values, drawn = missions.jobs.drawn('fixed_wing', 1, 0, SHORT)
     assert np.linalg.norm(drawn['sim.wind']) > 0.1
@@ -50,7 +50,7 @@ def test_what_is_drawn_is_not_told_to_the_planner(missions):
     ends = {}
     for wind in ((0.0, 0.0, 0.0), (0.0, 4.0, 0.0)):
         told = settings.of_sim(values) | {'wind': wind, 'gust': 0.0}
-        flight, airspeeds, _ = missions.flown(Planner(values), sim_settings(told))
+        flight, airspeeds, _ = missions.flown(Onboard(values), sim_settings(told))
         ends[wind] = flight.vehicle.position
         assert airspeeds.least >= 10.0 * (1.0 - 1e-6)
     assert np.linalg.norm(np.subtract(*ends.values())) > 4.0
@@ -60,14 +60,14 @@ def test_a_multirotor_hears_of_the_boxes_and_keeps_clear_of_them(missions):
     """Told of none, it flies through: the simulator judges by its own."""
     from orbimpc_ros.sim.parameters import sim_settings
     from orbimpc_ros.tool import settings
-    from orbimpc_ros.tool.run.onboard import Planner
+    from orbimpc_ros.tool.run.onboard import Onboard
     from orbimpc_ros.tool.settings import config
 
     values = settings.resolve(config('multirotor.yaml'), ('max_ticks=25',))
     touched = {}
     for told in (values['obstacles'], ()):
         flight, _, _ = missions.flown(
-            Planner(values | {'obstacles': told}, patient=True),
+            Onboard(values | {'obstacles': told}, patient=True),
             sim_settings(settings.of_sim(values)),
         )
         assert flight.distance < 1.0

@@ -13,7 +13,7 @@ from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import Pose
 from visualization_msgs.msg import Marker, MarkerArray
 
-from orbimpc_ros.loop.traffic.track import centre
+from orbimpc_ros.loop.traffic import centre
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Ball, Box
@@ -22,8 +22,8 @@ from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import Frames, Stamp, header
 from orbimpc_ros.ros.obstacles import read_obstacles, shown, stamp_of
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.planner.inbox import NAMED, Inbox
-from orbimpc_ros.ros.planner.lookout import others
+from orbimpc_ros.ros.planner.inputs import NAMED, Inputs
+from orbimpc_ros.ros.planner.obstacles import others
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 
 FRAMES = Frames('odom', 'base_link')
@@ -52,15 +52,15 @@ def body_of(given, dimension):
 
 
 @pytest.fixture
-def inbox():
+def inputs():
     values = {row.name: row.default for row in PLANNER}
     given = {'avoid': (OTHER,), 'avoid_radius': 1.0, 'forward': 20.0}
     settings = planner_settings({**values, **given})
-    return Inbox(settings, others=(OTHER,))
+    return Inputs(settings, others=(OTHER,))
 
 
-def hazards(inbox, at=1.0):
-    return inbox.lookout.hazards(at)
+def hazards(inputs, at=1.0):
+    return inputs.obstacles.traffic(at).hazards(at)
 
 
 # --- shapes
@@ -141,74 +141,74 @@ def test_what_is_shown_of_a_body_is_read_as_that_body(dimension):
         ({'pose': Pose(orientation=messages.Quaternion(w=0.0))}, 'pose.orientation'),
     ],
 )
-def test_a_bad_marker_is_refused_counted_and_the_rest_goes_on(inbox, change, culprit):
-    inbox.take('odom', odometry(1.0), 0.0)
+def test_a_bad_marker_is_refused_counted_and_the_rest_goes_on(inputs, change, culprit):
+    inputs.update('odom', odometry(1.0), 0.0)
     bad = marker(**{'number': 1, **change})
-    refusal = inbox.take('obstacles', array(bad, marker(), bad), 0.0, RosTime(10**9))
+    refusal = inputs.update('obstacles', array(bad, marker(), bad), 0.0, RosTime(10**9))
     assert refusal.startswith(f'obstacles refused: 2 times: {culprit} is ')
     assert '\n' not in refusal
-    assert inbox.refused == {f'obstacles: {culprit}': 2}
-    assert len(hazards(inbox)) == 1
+    assert inputs.refused == {f'obstacles: {culprit}': 2}
+    assert len(hazards(inputs)) == 1
 
 
-def test_a_stamp_that_was_never_set_says_so(inbox):
-    inbox.take('odom', odometry(1e9), 0.0)
-    refusal = inbox.take('obstacles', array(marker(0.0)), 0.0)
+def test_a_stamp_that_was_never_set_says_so(inputs):
+    inputs.update('odom', odometry(1e9), 0.0)
+    refusal = inputs.update('obstacles', array(marker(0.0)), 0.0)
     assert 'set header.stamp' in refusal
-    assert hazards(inbox) == []
+    assert hazards(inputs) == []
 
 
-def test_one_place_at_a_time_for_each_name(inbox):
+def test_one_place_at_a_time_for_each_name(inputs):
     twice = array(marker(place=(9.0, 0.0, 0.0)), marker(place=(5.0, 0.0, 0.0)))
-    assert 'duplicate id' in inbox.take('obstacles', twice, 0.0)
-    assert inbox.take('obstacles', array(marker(place=(9.0, 0.0, 0.0))), 0.0) == ''
-    assert 'reordered stamp' in inbox.take('obstacles', array(marker(0.5)), 0.0)
-    np.testing.assert_array_equal(centre(hazards(inbox)[0].body), [9.0, 0.0])
-    assert inbox.refused == {'obstacles: duplicate id': 1, 'obstacles: reordered stamp': 1}
+    assert 'duplicate id' in inputs.update('obstacles', twice, 0.0)
+    assert inputs.update('obstacles', array(marker(place=(9.0, 0.0, 0.0))), 0.0) == ''
+    assert 'reordered stamp' in inputs.update('obstacles', array(marker(0.5)), 0.0)
+    np.testing.assert_array_equal(centre(hazards(inputs)[0].body), [9.0, 0.0])
+    assert inputs.refused == {'obstacles: duplicate id': 1, 'obstacles: reordered stamp': 1}
 
 
-def test_a_jump_is_told_and_counted(inbox):
-    inbox.take('obstacles', array(marker()), 0.0)
-    told = inbox.take('obstacles', array(marker(1.1, place=(9.0, 0.0, 0.0))), 0.0)
+def test_a_jump_is_told_and_counted(inputs):
+    inputs.update('obstacles', array(marker()), 0.0)
+    told = inputs.update('obstacles', array(marker(1.1, place=(9.0, 0.0, 0.0))), 0.0)
     assert told == 'obstacles: a/0 jumped at 90 m/s: taken for a new body at rest'
-    assert inbox.refused == {'obstacles: jump': 1}
-    assert len(hazards(inbox)) == 1
+    assert inputs.refused == {'obstacles: jump': 1}
+    assert len(hazards(inputs)) == 1
 
 
-def test_ten_thousand_markers_are_too_many_and_those_known_stay(inbox):
+def test_ten_thousand_markers_are_too_many_and_those_known_stay(inputs):
     crowd = array(*(marker(place=(0.01 * k, 5.0, 0.0), number=k) for k in range(10_000)))
-    refusal = inbox.take('obstacles', crowd, 0.0)
+    refusal = inputs.update('obstacles', crowd, 0.0)
     assert refusal.startswith('obstacles refused: count is 10000 markers; allowed: 1000')
-    assert len(hazards(inbox)) == 1000
-    assert 'count is b/0' in inbox.take('obstacles', array(marker(ns='b')), 0.0)
-    assert inbox.refused == {'obstacles: count': 2}
+    assert len(hazards(inputs)) == 1000
+    assert 'count is b/0' in inputs.update('obstacles', array(marker(ns='b')), 0.0)
+    assert inputs.refused == {'obstacles: count': 2}
 
 
-def test_markers_come_and_go_in_their_order(inbox):
-    inbox.take('obstacles', array(marker(number=1), marker(number=2)), 0.0)
-    inbox.take('obstacles', array(marker(number=1, action=Marker.DELETE)), 0.0)
-    assert len(hazards(inbox)) == 1
-    inbox.take('obstacles', array(marker(action=Marker.DELETEALL), marker(number=3)), 0.0)
-    assert len(hazards(inbox)) == 1
-    inbox.take(
+def test_markers_come_and_go_in_their_order(inputs):
+    inputs.update('obstacles', array(marker(number=1), marker(number=2)), 0.0)
+    inputs.update('obstacles', array(marker(number=1, action=Marker.DELETE)), 0.0)
+    assert len(hazards(inputs)) == 1
+    inputs.update('obstacles', array(marker(action=Marker.DELETEALL), marker(number=3)), 0.0)
+    assert len(hazards(inputs)) == 1
+    inputs.update(
         'obstacles', array(marker(number=3, action=Marker.DELETE, header=header(0, ''))), 0.0
     )
-    assert hazards(inbox) == []
-    assert not inbox.refused
+    assert hazards(inputs) == []
+    assert not inputs.refused
 
 
-def test_a_lifetime_ends_by_the_stamps(inbox):
-    inbox.take('obstacles', array(marker(lifetime=Duration(sec=2))), 0.0)
-    assert len(hazards(inbox, 3.0)) == 1
-    assert hazards(inbox, 3.01) == []
+def test_a_lifetime_ends_by_the_stamps(inputs):
+    inputs.update('obstacles', array(marker(lifetime=Duration(sec=2))), 0.0)
+    assert len(hazards(inputs, 3.0)) == 1
+    assert hazards(inputs, 3.01) == []
 
 
-def test_a_reset_forgets_what_moved(inbox):
-    inbox.take('obstacles', array(marker()), 0.0)
-    inbox.take(OTHER, plan(1.0), 0.0)
-    inbox.forget()
-    assert hazards(inbox) == []
-    assert inbox.lookout.stamps == {}
+def test_a_reset_forgets_what_moved(inputs):
+    inputs.update('obstacles', array(marker()), 0.0)
+    inputs.update(OTHER, plan(1.0), 0.0)
+    inputs.forget()
+    assert inputs.obstacles.traffic(1.0) is None
+    assert inputs.obstacles.stamps == {}
 
 
 def test_the_stamp_of_an_array_is_that_of_its_first_marker():
@@ -225,9 +225,9 @@ def plan(seconds, step=0.5, speed=1.0, frame='odom'):
     return messages.goal_path_message(stamp, step, places)
 
 
-def test_a_plan_is_kept_clear_of_by_the_radius(inbox):
-    assert inbox.take(OTHER, plan(1.0), 0.0) == ''
-    (hazard,) = hazards(inbox, 1.25)
+def test_a_plan_is_kept_clear_of_by_the_radius(inputs):
+    assert inputs.update(OTHER, plan(1.0), 0.0) == ''
+    (hazard,) = hazards(inputs, 1.25)
     np.testing.assert_allclose(hazard.body.centre, [0.25, 3.0])
     assert 1.0 < hazard.body.radius <= 1.001  # plans are exact but for rounding
 
@@ -241,18 +241,18 @@ def test_a_plan_is_kept_clear_of_by_the_radius(inbox):
         ({'seconds': 9.0}, 'future stamp'),
     ],
 )
-def test_a_bad_plan_is_refused_and_the_last_one_flown_on(inbox, change, culprit):
-    inbox.take(OTHER, plan(1.0), 0.0)
-    refusal = inbox.take(OTHER, plan(**{'seconds': 1.1, **change}), 0.0, RosTime(10**9))
+def test_a_bad_plan_is_refused_and_the_last_one_flown_on(inputs, change, culprit):
+    inputs.update(OTHER, plan(1.0), 0.0)
+    refusal = inputs.update(OTHER, plan(**{'seconds': 1.1, **change}), 0.0, RosTime(10**9))
     assert refusal.startswith(f'{OTHER} refused: {culprit}')
-    assert inbox.refused == Counter({f'{OTHER}: {culprit}': 1})
-    assert len(hazards(inbox)) == 1
+    assert inputs.refused == Counter({f'{OTHER}: {culprit}': 1})
+    assert len(hazards(inputs)) == 1
 
 
-def test_an_older_plan_is_refused_and_the_same_again_is_not(inbox):
-    inbox.take(OTHER, plan(1.0), 0.0)
-    assert inbox.take(OTHER, plan(1.0), 0.0) == ''
-    assert 'reordered stamp' in inbox.take(OTHER, plan(0.5), 0.0)
+def test_an_older_plan_is_refused_and_the_same_again_is_not(inputs):
+    inputs.update(OTHER, plan(1.0), 0.0)
+    assert inputs.update(OTHER, plan(1.0), 0.0) == ''
+    assert 'reordered stamp' in inputs.update(OTHER, plan(0.5), 0.0)
 
 
 def test_a_fleet_may_share_its_list_of_plans():
@@ -267,36 +267,36 @@ def test_who_shares_stamps_waits_for_those_of_lesser_names_alone():
     values = {row.name: row.default for row in PLANNER}
     settings = planner_settings({**values, 'avoid': ('/a/plan', '/c/plan'), 'avoid_radius': 1.0})
     names = {name: name for name in NAMED} | {'plan': '/b/plan'}
-    inbox = Inbox(settings, names, ('/a/plan', '/c/plan'))
-    inbox.take('goal', goal(0.5), 0.0)
+    inputs = Inputs(settings, names, ('/a/plan', '/c/plan'))
+    inputs.update('goal', goal(0.5), 0.0)
     for second in (1.0, 2.0, 3.0):
-        inbox.take('odom', odometry(second), second)
-        assert inbox.complete == (second == 1.0)  # until it is known that stamps are shared
-        inbox.take('/c/plan', plan(second), second)
-        assert inbox.complete == (second == 1.0)
-        inbox.take('/a/plan', plan(second), second)
-        assert inbox.complete
+        inputs.update('odom', odometry(second), second)
+        assert inputs.complete == (second == 1.0)  # until it is known that stamps are shared
+        inputs.update('/c/plan', plan(second), second)
+        assert inputs.complete == (second == 1.0)
+        inputs.update('/a/plan', plan(second), second)
+        assert inputs.complete
 
 
 def apart_by(step):
-    """Return the inbox of a vehicle that plans so often, and avoids another."""
+    """Return the inputs of a vehicle that plans so often, and avoids another."""
     values = {row.name: row.default for row in PLANNER}
     given = {'avoid': (OTHER,), 'avoid_radius': 1.0, 'step': step}
     names = {name: name for name in NAMED} | {'plan': '/uav1/plan'}
-    return Inbox(planner_settings(values | given), names, (OTHER,))
+    return Inputs(planner_settings(values | given), names, (OTHER,))
 
 
 def test_who_has_measured_before_is_waited_for_until_its_plan_is_there():
-    inbox = apart_by(1.0)
-    inbox.take('goal', goal(0.5), 0.0)
+    inputs = apart_by(1.0)
+    inputs.update('goal', goal(0.5), 0.0)
     for second in (1.0, 2.0):
-        inbox.take(OTHER, plan(second - 0.3), second)
-        inbox.take('odom', odometry(second), second)
-        assert inbox.complete
-    inbox.take('odom', odometry(3.0), 3.0)
-    assert not inbox.complete
-    inbox.take(OTHER, plan(2.7), 3.0)
-    assert inbox.complete
+        inputs.update(OTHER, plan(second - 0.3), second)
+        inputs.update('odom', odometry(second), second)
+        assert inputs.complete
+    inputs.update('odom', odometry(3.0), 3.0)
+    assert not inputs.complete
+    inputs.update(OTHER, plan(2.7), 3.0)
+    assert inputs.complete
 
 
 @pytest.mark.parametrize(
@@ -309,21 +309,21 @@ def test_who_has_measured_before_is_waited_for_until_its_plan_is_there():
     ],
 )
 def test_who_measures_later_or_is_silent_is_not_waited_for(step, heard):
-    inbox = apart_by(step)
-    inbox.take('goal', goal(0.5), 0.0)
+    inputs = apart_by(step)
+    inputs.update('goal', goal(0.5), 0.0)
     for second in heard:
-        inbox.take(OTHER, plan(second), second)
-    inbox.take('odom', odometry(3.0), 3.0)
-    assert inbox.complete
+        inputs.update(OTHER, plan(second), second)
+    inputs.update('odom', odometry(3.0), 3.0)
+    assert inputs.complete
 
 
-def test_obstacles_of_the_odometrys_stamp_are_waited_for(inbox):
-    inbox.take('goal', goal(0.5), 0.0)
+def test_obstacles_of_the_odometrys_stamp_are_waited_for(inputs):
+    inputs.update('goal', goal(0.5), 0.0)
     for second in (1.0, 2.0, 3.0):
-        inbox.take('odom', odometry(second), second)
-        assert inbox.complete == (second == 1.0)
-        inbox.take('obstacles', array(marker(second)), second)
-        assert inbox.complete
+        inputs.update('odom', odometry(second), second)
+        assert inputs.complete == (second == 1.0)
+        inputs.update('obstacles', array(marker(second)), second)
+        assert inputs.complete
 
 
 def goal(seconds):

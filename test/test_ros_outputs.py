@@ -16,8 +16,8 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp, header
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.planner.outlet import command_messages, outputs
-from orbimpc_ros.ros.planner.summary import summary
+from orbimpc_ros.ros.planner.description import summary
+from orbimpc_ros.ros.planner.outputs import command_messages, outputs
 
 CRAFT = {
     'dimension': 3,

@@ -92,6 +92,7 @@ def files_on_the_way(node, executor):
 
 
 def test_a_command_passes_few_files(planner):
+    files_on_the_way(*planner)  # the first settles what is worked out once
     files = files_on_the_way(*planner)
     assert files[0] == 'ros/process.py'  # the guard of every callback
     mathematics = [f for f in files if f.startswith('mpc/')]
@@ -104,7 +105,7 @@ def test_what_is_watched_waits_for_commands_and_not_the_other_way_round(planner,
     node, _ = planner
     shown, done = [100.0], []
     monkeypatch.setattr(node, 'steady_now', lambda: shown[0])
-    for owner, name in ((node._outlet, 'begin'), (node._neighbours, 'look')):
+    for owner, name in ((node._core, 'sent'), (node._monitor, 'look')):
         plain = getattr(owner, name)
         monkeypatch.setattr(
             owner, name, lambda *a, _plain=plain, _name=name: done.append(_name) or _plain(*a)
@@ -116,7 +117,7 @@ def test_what_is_watched_waits_for_commands_and_not_the_other_way_round(planner,
         node._on_odometry(
             messages.odometry_message(Stamp(time.time_ns(), FRAMES), measured(vehicle))
         )
-    assert done == ['begin', 'look', 'begin', 'begin', 'look']
+    assert done == ['sent', 'look', 'sent', 'sent', 'look']
 
 
 def test_a_planner_can_be_seen_before_it_compiles_and_listens_only_then(unconfigured, monkeypatch):

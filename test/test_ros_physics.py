@@ -13,7 +13,7 @@ pytest.importorskip('rclpy')
 from bags import messages_of
 from dying_engine import FAILURES
 
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.sim import engine_vehicle as engines
@@ -23,7 +23,7 @@ from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import cli, settings
 from orbimpc_ros.tool.bags import fields
-from orbimpc_ros.tool.run.onboard import Planner, tell
+from orbimpc_ros.tool.run.onboard import Onboard, tell
 from orbimpc_ros.tool.settings import config
 
 DEFAULTS = {row.name: row.default for row in SIM}
@@ -50,19 +50,19 @@ def test_parameters_make_the_aircraft_that_they_say():
 def test_a_gust_that_turns_the_nose_turns_no_plan(believed):
     """A gust of 2 m/s from the left: the nose is turned into it, and the way over ground is not."""
     values = settings.resolve(config('cessna.yaml')) | {'sideslip': believed}
-    planner, slip = Planner(values), 0.04
+    planner, slip = Onboard(values), 0.04
     turned = np.array([[math.cos(slip), -math.sin(slip)], [math.sin(slip), math.cos(slip)]])
     velocity = turned.T @ [45.0, 0.0]
     for k in range(5):
         place = np.array([0.5 * k * 45.0, 0.0])
         planner.goal(0.5 * k, place + np.array([300.0 - 5.0 * k, 0.0]))
         planner.odometry(0.5 * k, Odometry(0.5 * k, place, turned, velocity, np.zeros(1)))
-        _, report = planner.report(0.5 * k)
-    heading = math.atan2(*report.tick.state.attitude[::-1, 0])
+        report = planner.report(0.5 * k)
+    heading = math.atan2(*report.decision.state.attitude[::-1, 0])
     assert heading == pytest.approx(0.0 if believed else slip, abs=1e-6)
     if believed:
         np.testing.assert_allclose(report.disturbance, 0.0, atol=1e-3)
-        assert abs(report.tick.command.body_rate[0]) < 1e-3
+        assert abs(report.decision.command.body_rate[0]) < 1e-3
 
 
 @pytest.mark.parametrize('name', ['response.rate', 'drag', 'gain', 'gust_time'])
@@ -104,11 +104,11 @@ def test_the_cessna_meets_the_line():
     """No clock runs while its planner thinks: how busy the machine is makes no difference."""
     pytest.importorskip('jsbsim')
     values = settings.resolve(config('cessna.yaml'), [NEARER])
-    planner = Planner(values, clock=lambda: 0.0)
+    planner = Onboard(values, clock=lambda: 0.0)
     flight = departure(sim_settings(settings.of_sim(values)).scenario)
     while not flight.over:
         tell(planner, flight, 0)
-        command = planner.report(flight.vehicle.time)[1].tick.command
+        command = planner.report(flight.vehicle.time).decision.command
         flight = flight.after(command.speed_fraction, command.body_rate)
     assert flight.captured
     assert flight.miss < 5.0
@@ -170,7 +170,7 @@ def last_before_failure(planner, flight):
     """Return the last flight that an engine shows, the planner in command."""
     while True:
         tell(planner, flight, 0)
-        command = planner.report(flight.vehicle.time)[1].tick.command
+        command = planner.report(flight.vehicle.time).decision.command
         try:
             flight = flight.after(command.speed_fraction, command.body_rate)
         except EngineFailure:
@@ -183,13 +183,13 @@ def test_a_planner_whose_engine_has_failed_stops_once_odometry_is_stale(monkeypa
     monkeypatch.setattr(engines, 'class_of', lambda _name: FAILURES[failure])
     values = settings.resolve(config('rope.yaml'), ['odom_timeout=0.0', 'odom_rate=1.0'])
     start = departure(sim_settings(settings.of_sim(values)).scenario)
-    planner = Planner(values)
+    planner = Onboard(values)
     failed = last_before_failure(planner, start).vehicle.time
     assert failed == 2.0
-    road, report = planner.report(failed + 2.01 * planner.period)
-    assert road == 'odometry lost'
-    assert report.tick.command.speed_fraction == 0.0
-    assert not report.tick.command.body_rate.any()
+    report = planner.report(failed + 2.01 * planner.period)
+    assert report.decision.cause == 'odometry'
+    assert report.decision.command.speed_fraction == 0.0
+    assert not report.decision.command.body_rate.any()
 
 
 @pytest.mark.parametrize(

@@ -83,10 +83,10 @@ SLOW = """
     class Slow(planner.PlannerNode):
         def configure(self):
             super().configure()
-            self.quick, self.ticks = self._ticker.planned, 0
-            self._ticker.planned = self.planned
+            self.quick, self.ticks = self._core.decide, 0
+            self._core.decide = self.decide
 
-        def planned(self, *now):
+        def decide(self, *now):
             self.ticks += 1
             answer = self.quick(*now)
             time.sleep(1.0 if self.ticks == 2 else 0.0)

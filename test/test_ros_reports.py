@@ -12,12 +12,11 @@ import yaml
 from conftest import ROOT
 from diagnostic_msgs.msg import DiagnosticStatus
 from scenarios import retrieval
+from stepping import Stepped
 
-from orbimpc_ros.loop.controller import Controller
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.problem import Floor, Problem
-from orbimpc_ros.ros.planner.health import condition
-from orbimpc_ros.ros.reports import Report, health_message, tick_message
+from orbimpc_ros.ros.reports import Report, condition, health_message, tick_message
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import departure
 
@@ -26,7 +25,7 @@ PROBLEM = Problem(floor=Floor('circle', fraction=0.5))
 
 
 def planned():
-    return Controller(PROBLEM).tick(measured(departure(retrieval()).vehicle), GOALS)
+    return Stepped(PROBLEM).tick(measured(departure(retrieval()).vehicle), GOALS)
 
 
 @pytest.mark.parametrize(
@@ -39,7 +38,7 @@ def test_a_status_is_named_as_diagnostic_updater_names_it(node, name, vehicle):
 
 
 def test_levels_get_worse_from_a_proved_plan_to_the_safe_command():
-    safe = Controller(PROBLEM).safe(np.eye(2), Reason(Cause.ODOMETRY, 'odometry is old'))
+    safe = Stepped(PROBLEM).safe(np.eye(2), Reason(Cause.ODOMETRY, 'odometry is old'))
     proved, unsafe = Report(planned()), Report(safe)
     asked = [
         condition([], '', proved, []),
@@ -56,10 +55,10 @@ def test_margins_on_tick_are_those_of_the_plan_and_none_without_one():
     report = Report(planned())
     told = {each.key: each.value for each in tick_message(0, '/planner', report).status[0].values}
     margins = json.loads(told['margins'])
-    fractions = report.tick.plan.speed_fraction[1:]
+    fractions = report.decision.plan.speed_fraction[1:]
     assert margins['floor'] == pytest.approx(fractions.min() - 0.5)
     assert margins['hull'] == pytest.approx(1.0 - fractions.max(), abs=1e-6)
-    safe = Controller(PROBLEM).safe(np.eye(2), Reason(Cause.ODOMETRY, 'odometry is old'))
+    safe = Stepped(PROBLEM).safe(np.eye(2), Reason(Cause.ODOMETRY, 'odometry is old'))
     assert Report(safe).values['margins'] == {}
 
 

@@ -7,13 +7,12 @@ pytest.importorskip('rclpy')
 
 import numpy as np
 
-from orbimpc_ros.loop.controller import Tick
+from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.mpc.command import stop
 from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.ros.clock import Drift, Standstill
-from orbimpc_ros.ros.planner.health import condition
-from orbimpc_ros.ros.planner.ticker import Timing
-from orbimpc_ros.ros.reports import ERROR, OK, WARN, Report
+from orbimpc_ros.ros.planner.core import Timing
+from orbimpc_ros.ros.reports import ERROR, OK, WARN, Report, condition
 
 
 @pytest.mark.parametrize('by', [5.0, -5.0])
@@ -57,7 +56,7 @@ def test_ticks_that_come_late_are_counted():
 
 
 def reported(status, reason='', fallback=Fallback.NONE):
-    return Report(Tick(status, reason, None, None, stop(np.eye(2)), fallback))
+    return Report(Decision(status, reason, None, None, stop(np.eye(2)), fallback))
 
 
 def safe(reason):
@@ -82,4 +81,5 @@ PLANNING = reported(Status.OPTIMAL)
     ],
 )
 def test_the_worst_is_told(wrong, waiting, report, notices, expected):
-    assert condition(wrong, waiting, report, notices) == expected
+    level, parts = condition(wrong, waiting, report, notices)
+    assert (level, '; '.join(parts)) == expected

@@ -15,12 +15,12 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import ReliabilityPolicy
 from visualization_msgs.msg import Marker, MarkerArray
 
+from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.mpc.problem import Ball
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp
 from orbimpc_ros.ros.obstacles import shown
 from orbimpc_ros.ros.planner.node import PlannerNode
-from orbimpc_ros.ros.planner.ticker import Ticker
 from orbimpc_ros.ros.process import initialised, qos
 
 OTHER = '/uav2/plan'
@@ -79,7 +79,7 @@ def test_who_sees_bodies_without_promising_to_say_so_is_told_of(bench, observer)
 def test_who_may_tell_of_obstacles_has_the_planner_get_ready(domain, default_context, monkeypatch):
     """Before the first message, which is often in flight."""
     ready = []
-    monkeypatch.setattr(Ticker, 'expect_hazards', lambda _: ready.append(True))
+    monkeypatch.setattr(Planner, 'expect_hazards', lambda _: ready.append(True))
     with initialised(['planner'], domain=domain, context=default_context):
         node, executor = PlannerNode(), SingleThreadedExecutor()
         executor.add_node(node)

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from stepping import targets
 
 pytest.importorskip('rclpy')
 
@@ -23,7 +24,7 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.planner.inbox import Inbox
+from orbimpc_ros.ros.planner.inputs import Inputs
 from orbimpc_ros.ros.transforms import TF, TF_STATIC, Transforms, between, inverse, matrix, stated
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 from orbimpc_ros.tool.bags import BagWriter
@@ -42,8 +43,8 @@ def settings(**given):
     return planner_settings({**values, 'avoid': (OTHER,), 'avoid_radius': 1.0, **given})
 
 
-def inbox(**given):
-    return Inbox(settings(**given), others=(OTHER,))
+def inputs(**given):
+    return Inputs(settings(**given), others=(OTHER,))
 
 
 def tf(seconds, parent, child, place, yaw=0.0):
@@ -78,7 +79,7 @@ def seen(seconds, place, size=(1.0, 1.0, 1.0), kind=Marker.CUBE):
 
 
 def target(box, seconds=1.0):
-    return box.targets(np.array([seconds]), 0.0)[0]
+    return targets(box, np.array([seconds]), 0.0)[0]
 
 
 # --- laws
@@ -117,56 +118,56 @@ def test_frames_are_joined_through_what_they_have_in_common():
 
 
 def test_a_goal_is_moved_and_turned_by_a_stated_transform():
-    box = inbox(transforms=(TURNED,), **{'weights.attitude': 1.0})
-    assert box.take('goal', goal(1.0, 10.0, 4.0, yaw=QUARTER), 0.0) == ''
+    box = inputs(transforms=(TURNED,), **{'weights.attitude': 1.0})
+    assert box.update('goal', goal(1.0, 10.0, 4.0, yaw=QUARTER), 0.0) == ''
     np.testing.assert_allclose(target(box), [4.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(box.wanted(0.0), np.eye(2), atol=1e-12)
+    np.testing.assert_allclose(box.snapshot(0.0).wanted, np.eye(2), atol=1e-12)
 
 
 def test_a_path_an_obstacle_and_the_plan_of_another_are_moved():
-    box = inbox(transforms=(TURNED,))
+    box = inputs(transforms=(TURNED,))
     places = [np.array([10.0, 1.0]), np.array([10.0, 2.0])]
     path = messages.goal_path_message(in_map(1.0), 1.0, places)
-    assert box.take('goal_path', path, 0.0) == ''
+    assert box.update('goal_path', path, 0.0) == ''
     np.testing.assert_allclose(target(box, 1.5), [1.5, 0.0], atol=1e-12)
-    box.take('odom', odometry(1.0), 0.0)
-    assert box.take('obstacles', seen(1.0, (10.0, 3.0, 0.0), (2.0, 1.0, 1.0)), 0.0) == ''
-    assert box.take(OTHER, path, 0.0) == ''
-    cube, other = box.lookout.hazards(1.0)
+    box.update('odom', odometry(1.0), 0.0)
+    assert box.update('obstacles', seen(1.0, (10.0, 3.0, 0.0), (2.0, 1.0, 1.0)), 0.0) == ''
+    assert box.update(OTHER, path, 0.0) == ''
+    cube, other = box.obstacles.traffic(1.0).hazards(1.0)
     np.testing.assert_allclose(cube.body.minimum + cube.moved(np.zeros(1))[0], [2.5, -1.0])
     there = other.body.centre + other.moved(np.array([0.5]))[0]
     np.testing.assert_allclose(there, [1.5, 0.0], atol=1e-9)
 
 
 def test_the_velocity_of_an_obstacle_is_turned_with_it():
-    box = inbox(transforms=(TURNED,))
+    box = inputs(transforms=(TURNED,))
     for at in (1.0, 1.1, 1.2, 1.3):
-        box.take('odom', odometry(at), at)
-        box.take('obstacles', seen(at, (10.0, 3.0 + at, 0.0), kind=Marker.SPHERE), at)
-    (hazard,) = box.lookout.hazards(1.3)
+        box.update('odom', odometry(at), at)
+        box.update('obstacles', seen(at, (10.0, 3.0 + at, 0.0), kind=Marker.SPHERE), at)
+    (hazard,) = box.obstacles.traffic(1.3).hazards(1.3)
     moved = hazard.moved(np.array([1.0]))[0] - hazard.moved(np.array([0.0]))[0]
     np.testing.assert_allclose(moved, [1.0, 0.0], atol=1e-6)
 
 
 def test_a_transform_of_tf_is_taken_between_its_stamps():
-    box = inbox(tf=True)
-    box.take(TF, tf(1.0, 'map', 'odom', (0.0, 0.0, 0.0)), 0.0)
-    box.take(TF, tf(2.0, 'map', 'odom', (2.0, 0.0, 0.0)), 0.0)
-    box.take('goal', goal(1.5, 5.0, 0.0), 0.0)
+    box = inputs(tf=True)
+    box.update(TF, tf(1.0, 'map', 'odom', (0.0, 0.0, 0.0)), 0.0)
+    box.update(TF, tf(2.0, 'map', 'odom', (2.0, 0.0, 0.0)), 0.0)
+    box.update('goal', goal(1.5, 5.0, 0.0), 0.0)
     np.testing.assert_allclose(target(box), [4.0, 0.0], atol=1e-12)
 
 
 def test_a_goal_sent_once_follows_the_frame_that_it_stands_in():
-    box = inbox(tf=True)
-    box.take(TF, tf(1.0, 'map', 'odom', (0.0, 0.0, 0.0)), 0.0)
-    box.take('goal', goal(1.0, 5.0, 0.0), 0.0)
-    box.take('odom', odometry(1.0), 0.0)
+    box = inputs(tf=True)
+    box.update(TF, tf(1.0, 'map', 'odom', (0.0, 0.0, 0.0)), 0.0)
+    box.update('goal', goal(1.0, 5.0, 0.0), 0.0)
+    box.update('odom', odometry(1.0), 0.0)
     np.testing.assert_allclose(target(box), [5.0, 0.0])
-    box.take(TF, tf(1.5, 'map', 'odom', (2.0, 0.0, 0.0)), 0.5)
-    box.take('odom', odometry(1.6), 0.6)
+    box.update(TF, tf(1.5, 'map', 'odom', (2.0, 0.0, 0.0)), 0.5)
+    box.update('odom', odometry(1.6), 0.6)
     np.testing.assert_allclose(target(box), [3.0, 0.0])
     assert box.displaced == ''
-    box.take('odom', odometry(3.0), 2.0)
+    box.update('odom', odometry(3.0), 2.0)
     np.testing.assert_allclose(target(box), [3.0, 0.0])
     assert box.displaced.startswith('the goal stays where it was: stale transform: map -> odom')
 
@@ -177,7 +178,7 @@ def test_a_goal_sent_once_follows_the_frame_that_it_stands_in():
 def refusal(box, at=1.0, frame='map'):
     message = goal(at, 5.0, 0.0)
     message.header.frame_id = frame
-    said = box.take('goal', message, 0.0)
+    said = box.update('goal', message, 0.0)
     assert said.startswith('goal refused: ')
     assert '\n' not in said
     assert 'goal' not in box.latest
@@ -185,17 +186,17 @@ def refusal(box, at=1.0, frame='map'):
 
 
 def test_without_transforms_another_frame_is_refused_with_the_way_out():
-    said, counts = refusal(inbox())
+    said, counts = refusal(inputs())
     assert "'map'; allowed: 'odom'; for others, tf: true (of /tf) or transforms" in said
     assert counts == {'goal: header.frame_id': 1}
 
 
 def test_a_missing_a_stale_and_an_extrapolated_transform_are_told_apart_and_counted():
-    box = inbox(tf=True)
+    box = inputs(tf=True)
     said, counts = refusal(box)
     assert 'missing transform: none from map to odom; publish it on /tf' in said
     assert counts == {'goal: missing transform': 1}
-    box.take(TF, tf(2.0, 'map', 'odom', (0.0, 0.0, 0.0)), 0.0)
+    box.update(TF, tf(2.0, 'map', 'odom', (0.0, 0.0, 0.0)), 0.0)
     said, counts = refusal(box, 2.5)
     assert 'stale transform: map -> odom is 0.5 s older than the message; at most' in said
     said, counts = refusal(box, 1.5)
@@ -206,10 +207,10 @@ def test_a_missing_a_stale_and_an_extrapolated_transform_are_told_apart_and_coun
 
 
 def test_a_transform_out_of_order_is_passed_over_and_a_jump_of_time_forgets_all():
-    box = inbox(tf=True)
-    box.take(TF, tf(2.0, 'map', 'odom', (1.0, 0.0, 0.0)), 0.0)
-    box.take(TF, tf(1.0, 'map', 'odom', (9.0, 0.0, 0.0)), 0.0)
-    box.take('goal', goal(2.0, 5.0, 0.0), 0.0)
+    box = inputs(tf=True)
+    box.update(TF, tf(2.0, 'map', 'odom', (1.0, 0.0, 0.0)), 0.0)
+    box.update(TF, tf(1.0, 'map', 'odom', (9.0, 0.0, 0.0)), 0.0)
+    box.update('goal', goal(2.0, 5.0, 0.0), 0.0)
     np.testing.assert_allclose(target(box), [4.0, 0.0])
     box.forget()
     assert 'missing transform' in refusal(box, 2.0)[0]
@@ -217,17 +218,17 @@ def test_a_transform_out_of_order_is_passed_over_and_a_jump_of_time_forgets_all(
 
 @pytest.mark.parametrize('spoilt', [math.nan, 1e300])
 def test_a_transform_that_is_no_number_is_refused_where_it_is_used(spoilt):
-    box = inbox(tf=True)
-    box.take(TF, tf(1.0, 'map', 'odom', (spoilt, 0.0, 0.0)), 0.0)
+    box = inputs(tf=True)
+    box.update(TF, tf(1.0, 'map', 'odom', (spoilt, 0.0, 0.0)), 0.0)
     assert 'translation of map -> odom' in refusal(box)[0]
 
 
 def test_a_frame_that_lies_in_itself_leads_nowhere():
-    box = inbox(tf=True)
-    box.take(TF, tf(1.0, 'a', 'odom', (0.0, 0.0, 0.0)), 0.0)
-    box.take(TF, tf(1.0, 'odom', 'a', (0.0, 0.0, 0.0)), 0.0)
+    box = inputs(tf=True)
+    box.update(TF, tf(1.0, 'a', 'odom', (0.0, 0.0, 0.0)), 0.0)
+    box.update(TF, tf(1.0, 'odom', 'a', (0.0, 0.0, 0.0)), 0.0)
     assert 'missing transform' in refusal(box)[0]
-    assert '/tf refused' in box.take(TF, tf(1.0, 'a', 'a', (0.0, 0.0, 0.0)), 0.0)
+    assert '/tf refused' in box.update(TF, tf(1.0, 'a', 'a', (0.0, 0.0, 0.0)), 0.0)
 
 
 @pytest.mark.parametrize(
@@ -302,7 +303,7 @@ def test_a_recording_with_tf_is_answered_as_it_was(tmp_path):
             came = {TF: drift, 'goal': goal(second, 6.0, 2.0), 'odom': odometry(second)}
             for k, (topic, message) in enumerate(came.items()):
                 at = sent + k
-                assert not planner.hear(topic, message, at / SECOND, RosTime(at))
+                assert not planner.inputs.update(topic, message, at / SECOND, RosTime(at))
                 data = as_recorded(drift) if topic == TF else serialize_message(message)
                 writer.write(TF if topic == TF else f'/{topic}', at, data)
             answer = planner.plan((sent + 10) / SECOND, 0.0, 1.0)

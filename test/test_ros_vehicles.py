@@ -10,7 +10,7 @@ import pytest
 import yaml
 from continuous import Craft, at_rest, flown, turned
 
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.kernels import COMPILED
 
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
@@ -29,9 +29,9 @@ def recipe(name):
 
 def flight(parameters, craft, motion, goal, seconds, band=0.0):
     """Motions at every tick, with the commands, of a vehicle that sets off from a motion."""
-    from orbimpc_ros.tool.run.onboard import Planner
+    from orbimpc_ros.tool.run.onboard import Onboard
 
-    planner, log = Planner(parameters, clock=time.process_time), []
+    planner, log = Onboard(parameters, clock=time.process_time), []
     for k in range(round(seconds / planner.period)):
         now = k * planner.period
         velocity = motion.velocity
@@ -40,9 +40,9 @@ def flight(parameters, craft, motion, goal, seconds, band=0.0):
         seen = motion.attitude.T @ velocity
         planner.goal(now, goal(now))
         planner.odometry(now, Odometry(now, motion.position, motion.attitude, seen, motion.rate))
-        _, report = planner.report(now)
-        command = report.tick.command
-        log.append((now, motion, command, report.tick))
+        report = planner.report(now)
+        command = report.decision.command
+        log.append((now, motion, command, report.decision))
         wanted = command.speed_fraction
         held = wanted if wanted * craft.forward >= band else 0.0
         motion = flown(craft, motion, held, command.body_rate, planner.period)
@@ -52,7 +52,7 @@ def flight(parameters, craft, motion, goal, seconds, band=0.0):
 @pytest.mark.parametrize('name', ['rover', 'fixed wing', 'multirotor'])
 def test_a_recipe_is_a_vehicle_without_doubts(name):
     from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-    from orbimpc_ros.ros.planner.summary import doubts
+    from orbimpc_ros.ros.planner.description import doubts
 
     given = recipe(name)
     settings = planner_settings({row.name: row.default for row in PLANNER} | given)

@@ -6,7 +6,7 @@ import pytest
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters import PLANNER, planner_settings
-from orbimpc_ros.ros.planner.summary import summary
+from orbimpc_ros.ros.planner.description import summary
 from orbimpc_ros.sim.parameters import SIM, sim_settings
 
 CRAFT = {'dimension': 3, 'translation_order': 2, 'forward': 20.0, 'gravity': 9.81}

@@ -1,6 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Bags: what is written is read back, by us and by rosbags; what is damaged is refused."""
 
+import itertools
 import os
 import random
 import shutil
@@ -96,8 +97,13 @@ def test_rosbags_reads_the_file_and_its_metadata(folder):
             assert len(list(reader.messages())) == 5
 
 
-@pytest.mark.parametrize('mode', ['none', 'file', 'message'])
-@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+@pytest.mark.parametrize(
+    ('storage', 'mode'),
+    [
+        *itertools.product(('mcap', 'sqlite3'), ('none', 'file', 'message')),
+        ('mcap', 'storage'),
+    ],
+)
 def test_every_form_of_rosbag2_is_read(small, tmp_path, storage, mode):
     path = ros2_bag(small, tmp_path / 'bag', storage, mode)
     expected = sorted((each.topic, each.data) for each in bags.raw(small))

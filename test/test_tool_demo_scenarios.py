@@ -146,3 +146,16 @@ def test_a_multirotor_through_a_box_has_failed(tmp_path):
     done = run('multirotor', tmp_path, '--set', unknown, '--set', 'max_ticks=20')
     assert done.returncode == 1, done.stdout + done.stderr
     assert 'touched       box 1' in done.stdout
+
+
+def test_the_lander_touches_down(tmp_path):
+    done = run('lander', tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search(r'arrived +yes', done.stdout)
+    folder = tmp_path / 'lander'
+    found = messages_of(folder)
+    forces = [message.wrench.force for message in found['cmd_thrust'].values()]
+    flown = np.array([(force.x, force.z) for force in forces][:-1])
+    assert not flown[:, 0].any()
+    assert flown[:, 1].min() >= 0.3 * 3.6 * 500.0 * (1.0 - 1e-6)
+    check_pictures(folder, 'trajectory.png', 'data.png')

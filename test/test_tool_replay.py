@@ -110,7 +110,7 @@ def test_golden_bags_hold_what_they_are_for():
 @pytest.mark.skipif(not COMPILED, reason='what searches leave needs numba to be counted')
 @pytest.mark.parametrize('name', ['lander', 'multirotor', 'obstacles', 'servicer', 'spacecraft'])
 def test_all_bounds_of_golden_flights_in_space_are_counted_again(name):
-    plans = [row.tick.plan for row in ticks_of(GOLDEN / name, None, '')]
+    plans = [row.decision.plan for row in ticks_of(GOLDEN / name, None, '')]
     assert sum(plan is not None for plan in plans) >= 19
     assert all(plan.proof.checked for plan in plans if plan is not None)
 
@@ -363,8 +363,6 @@ def test_inputs_without_an_answer_are_counted_and_in_lock_step_too_many(replay, 
     assert code == 1
     assert 'unanswered    25 of 26 odometry messages; 0 answers without their odometry' in out
     assert out.endswith('differences   none\n')
-    assert replay(path, '--unanswered', 25)[0] == 0
-    assert replay(path, '--unanswered', 24)[0] == 1
 
 
 def test_a_timer_may_leave_inputs_without_an_answer(replay, tmp_path):
@@ -374,7 +372,6 @@ def test_a_timer_may_leave_inputs_without_an_answer(replay, tmp_path):
     code, out, _ = replay(path)
     assert code == 0
     assert 'unanswered    25 of 26' in out
-    assert replay(path, '--unanswered', 3)[0] == 1
 
 
 def test_an_answer_without_its_odometry_is_counted(replay, tmp_path):
@@ -590,21 +587,6 @@ def test_update_accepts_with_the_same_inputs(replay, tmp_path):
     assert {each.topic for each in bags.raw(path)} == {each.topic for each in bags.raw(RETRIEVAL)}
 
 
-def test_an_update_that_changes_nothing_changes_nothing(replay, tmp_path):
-    path = rewritten(GOLDEN / 'faulty', tmp_path / 'bag')
-    assert replay(path, '--update')[0] == 0
-    before = bags.raw(path)
-    assert replay(path, '--update')[0] == 0
-    after = bags.raw(path)
-    # Sums of floating-point numbers may differ in the last bit with where arrays lie in memory.
-    assert [(r.topic, r.type, r.stamp, r.sent) for r in after] == [
-        (r.topic, r.type, r.stamp, r.sent) for r in before
-    ]
-    given = ('/odom', '/goal', '/clock')
-    assert [r for r in after if r.topic in given] == [r for r in before if r.topic in given]
-    assert replay(path)[0] == 0
-
-
 def test_what_cannot_be_replaced_stays(replay, tmp_path):
     path = rewritten(RETRIEVAL, tmp_path / 'bag')
     link = tmp_path / 'link'
@@ -632,18 +614,11 @@ def params(tmp_path_factory):
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-@pytest.mark.parametrize('mode', ['none', 'message', 'file'])
-def test_a_bag_of_ros2_bag_record_is_read(replay, tmp_path, params, storage, mode):
-    path = ros2_bag(RETRIEVAL, tmp_path / 'bag', storage, mode)
+def test_a_bag_of_ros2_bag_record_is_read(replay, tmp_path, params, storage):
+    path = ros2_bag(RETRIEVAL, tmp_path / 'bag', storage)
     code, out, err = replay(path, '--params', params)
     assert code == 0, out + err
     assert '26 speed' in out
-
-
-def test_chunks_compressed_in_the_file_are_read(replay, tmp_path, params):
-    path = ros2_bag(RETRIEVAL, tmp_path / 'bag', 'mcap', 'storage')
-    assert replay(path, '--params', params)[0] == 0
-    assert replay(path / 'bag.mcap', '--params', params)[0] == 0
 
 
 def test_a_bag_without_notes_asks_for_parameters(replay, tmp_path):
@@ -691,13 +666,6 @@ def test_a_vehicle_of_a_fleet_is_replayed_by_its_namespace(replay, tmp_path):
     code, _, err = replay(path)
     assert code == 2
     assert '/uav1/odom' in err
-
-
-def test_replay_as_a_process():
-    words = [sys.executable, '-m', 'orbimpc_ros.tool.cli', 'replay', str(RETRIEVAL)]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.endswith('differences   none\n')
 
 
 def test_without_ros_the_tool_says_what_to_install():

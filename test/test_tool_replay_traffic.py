@@ -63,13 +63,15 @@ def flown(late):
             if each.topic in late:
                 pending.append(each)
             else:
-                planner.hear(each.topic, each.message, each.sent / SECOND, RosTime(each.sent))
+                planner.inputs.update(
+                    each.topic, each.message, each.sent / SECOND, RosTime(each.sent)
+                )
         sent = second * SECOND + 50 * MILLISECOND
         answer = planner.plan(sent / SECOND, 0.0, 1.0)
         planner.went_out(sent / SECOND)
         answers.append(RecordedTick(second * SECOND, sent, answer, published(answer)))
         for each in pending:
-            planner.hear(each.topic, each.message, each.sent / SECOND, RosTime(each.sent))
+            planner.inputs.update(each.topic, each.message, each.sent / SECOND, RosTime(each.sent))
         pending.clear()
     return Recording(Path('none'), '/uav1', tuple(told), tuple(answers))
 

@@ -136,7 +136,9 @@ def test_a_claim_about_what_is_not_found_any_more_fails(run, monkeypatch, claime
 def lost(*known):
     """Ticks whose plans are not found again."""
     for each in ticks_of(*known):
-        yield replace(each, tick=replace(each.tick, plan=None, status=Status.FAILED, catch=None))
+        yield replace(
+            each, tick=replace(each.decision, plan=None, status=Status.FAILED, catch=None)
+        )
 
 
 def bag_of(path, *texts):
@@ -415,7 +417,7 @@ def test_a_bound_on_another_catch_is_not_held_against_this_one(run, monkeypatch,
 
 @pytest.mark.skipif(not COMPILED, reason='the method that leaves a certificate needs numba')
 def test_a_published_bound_on_what_is_flown_without_a_catch_is_gone_through(run, monkeypatch):
-    tick = next(itertools.islice(ticks_of(WING, None, ''), 9, None)).tick
+    tick = next(itertools.islice(ticks_of(WING, None, ''), 9, None)).decision
     posed = tick.catch.sought.problem, tick.state, tick.catch.sought.goals
     plan = Solver(posed[0], coasting=True).solve(*posed[1:])
     known = kept(*posed, plan.proof).document()

@@ -3,6 +3,7 @@
 
 import resource
 import socket
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -34,13 +35,14 @@ def test_the_eye_sees_what_it_is_to_see(dimension):
 @pytest.fixture(scope='module')
 def drawn():
     pytest.importorskip('rerun', reason=INSTALL)
-    from orbimpc_ros.tool.view import recorded
+    from orbimpc_ros.tool import bags, settings
+    from orbimpc_ros.tool.view.scene import Scene
 
     found = {}
     for name in ('retrieval', 'spacecraft', 'obstacles', 'fixed_wing'):
-        flight = recorded.read(GOLDEN / name, '')
-        found[name] = Drawing(), flight
-        flight.draw(found[name][0])
+        values, messages = settings.of_bag(GOLDEN / name), bags.of_vehicle(GOLDEN / name, '')
+        found[name] = Drawing(), SimpleNamespace(values=values, messages=messages)
+        Scene(found[name][0], values).draw(messages)
     return found
 
 

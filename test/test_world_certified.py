@@ -8,8 +8,8 @@ import pytest
 from flying import fly
 from scenarios import retrieval, retrieval_problem
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.forecast import forecast_named
+from orbimpc_ros.loop.goal.forecast import forecast_named
+from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Floor
 from orbimpc_ros.sim.vehicle import launched
@@ -34,7 +34,7 @@ def scenario(rng):
 def test_ticks_are_certified(fraction):
     rng = np.random.default_rng(0)
     problem = replace(retrieval_problem(), floor=Floor('circle', fraction=fraction))
-    controller = Controller(problem)
+    controller = Planner(problem)
     ticks = []
     for _ in range(10):
         controller.reset()

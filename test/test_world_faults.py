@@ -8,9 +8,9 @@ import pytest
 from flying import Intake, fly, fly_disturbed
 from scenarios import retrieval, retrieval3d, retrieval_problem
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.forecast import forecast_named
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.goal.forecast import forecast_named
+from orbimpc_ros.loop.planner import Planner
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import log
 from orbimpc_ros.sim.faults import Faults, View
@@ -182,7 +182,7 @@ def test_a_planner_takes_what_is_finite_and_newer():
 
 
 def test_a_flight_without_faults_is_the_flight():
-    scenario, controller = retrieval(), Controller(retrieval_problem())
+    scenario, controller = retrieval(), Planner(retrieval_problem())
     log_ = fly(controller, scenario, forecast_named('hold'))
     controller.reset()
     end = fly_disturbed(controller, scenario, forecast_named('hold'), View(Faults(), 0, 1.0))
@@ -193,7 +193,7 @@ def test_a_flight_without_faults_is_the_flight():
 def test_the_rope_is_caught_through_noise_and_losses():
     """A fifth of all messages lost, 5 cm and 2 degrees of noise: at least 95 of 100 runs."""
     scenario = replace(retrieval(), capture_radius=0.3)
-    controller, caught = Controller(retrieval_problem()), 0
+    controller, caught = Planner(retrieval_problem()), 0
     faults = Faults(position_noise=0.05, attitude_noise=np.radians(2.0), dropout=0.2)
     for seed in range(100):
         controller.reset()
@@ -204,7 +204,7 @@ def test_the_rope_is_caught_through_noise_and_losses():
 
 def test_all_faults_at_once_do_not_stop_the_retrieval():
     scenario = replace(retrieval(), capture_radius=0.3)
-    controller, caught = Controller(retrieval_problem()), 0
+    controller, caught = Planner(retrieval_problem()), 0
     faults = Faults(0.05, np.radians(2.0), 0.2, 0.2, 0.1, 0.1, 0.1, 3.0, 10.0)
     for seed in range(20):
         controller.reset()
@@ -226,7 +226,7 @@ def quick(seed):
 @pytest.mark.parametrize('delay', [0.2, 0.3])
 def test_delay_compensation_catches_what_is_missed_without(delay):
     weights = replace(retrieval_problem().weights, input=0.002)
-    controller = Controller(replace(retrieval_problem(), step=0.2, forward=5.0, weights=weights))
+    controller = Planner(replace(retrieval_problem(), step=0.2, forward=5.0, weights=weights))
     caught = {True: 0, False: 0}
     for seed in range(25):
         for compensated in caught:

@@ -9,8 +9,8 @@ from flying import fly
 from scenarios import retrieval, retrieval_problem
 
 from orbimpc_ros.loop.capture import closest_approach, is_headed
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.forecast import forecast_named
+from orbimpc_ros.loop.goal.forecast import forecast_named
+from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import log
 from orbimpc_ros.mpc.problem import Approach
@@ -66,7 +66,7 @@ def test_ticks_run_out():
 
 @pytest.fixture(scope='module')
 def controller():
-    return Controller(retrieval_problem())
+    return Planner(retrieval_problem())
 
 
 @pytest.mark.parametrize('seed', [None, 1, 2])

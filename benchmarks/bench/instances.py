@@ -16,9 +16,9 @@ import numpy as np
 from flying import planned
 from scenarios import retrieval
 
-from orbimpc_ros.loop.controller import Controller, Tick
-from orbimpc_ros.loop.forecast import Hold
-from orbimpc_ros.loop.response import Response
+from orbimpc_ros.loop.compensation import Response
+from orbimpc_ros.loop.goal.forecast import Hold
+from orbimpc_ros.loop.planner import Decision, Planner, Snapshot
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
@@ -53,20 +53,20 @@ def circling(problem: Problem, count: int) -> list[Instance]:
     That is the hard regime: the goal is nearer than the floor lets the vehicle stay.
     """
     return [
-        Instance(tick.state, np.tile(flight.goal, (problem.horizon, 1)))
-        for flight, tick in around(problem, count)
-        if tick.state is not None
+        Instance(decision.state, np.tile(flight.goal, (problem.horizon, 1)))
+        for flight, decision in around(problem, count)
+        if decision.state is not None
     ]
 
 
-def around(problem: Problem, count: int) -> list[tuple[Flight, Tick]]:
+def around(problem: Problem, count: int) -> list[tuple[Flight, Decision]]:
     """Return a flight around the swinging rope tick by tick, the approach skipped."""
     flight = departure(replace(retrieval(), max_ticks=APPROACH + count))
-    controller, forecast, flown = Controller(problem), Hold(), []
+    controller, forecast, flown = Planner(problem), Hold(), []
     for _ in range(APPROACH + count):
-        tick = planned(controller, flight, forecast)
-        flown.append((flight, tick))
-        flight = flight.after(tick.command.speed_fraction, tick.command.body_rate)
+        decision = planned(controller, flight, forecast)
+        flown.append((flight, decision))
+        flight = flight.after(decision.command.speed_fraction, decision.command.body_rate)
     return flown[APPROACH:]
 
 
@@ -154,7 +154,7 @@ def _of_flights(
 def _flown(problem: Problem, plant: Plant, vehicle: Vehicle, goal: Rope) -> Iterator[Instance]:
     """Yield tick after tick of a flight; the controller has a shorter horizon among boxes."""
     pilot = replace(problem, horizon=SHORT) if problem.obstacles else problem
-    controller = Controller(
+    controller = Planner(
         pilot,
         gap_tolerance=1e-2,
         disturbance=plant.blown,
@@ -162,16 +162,17 @@ def _flown(problem: Problem, plant: Plant, vehicle: Vehicle, goal: Rope) -> Iter
         response=Response(plant.speed_lag, plant.rate_lag),
     )
     now = Command(vehicle.fraction, np.zeros(plant.rates), vehicle.attitude)
-    controller.history.add(now, vehicle.time)  # odometry does not show a thrust
+    controller.sent(now, vehicle.time)  # odometry does not show a thrust
     ahead = problem.step * np.arange(1.0, problem.horizon + 1.0)
     while True:
-        odometry = controller.settled(measured(vehicle, plant.velocity_source))
-        goals = np.array([goal.at(odometry.time + each) for each in ahead])
-        tick = controller.tick(odometry, goals[: pilot.horizon])
-        if tick.state is not None:
-            yield Instance(tick.state, goals)
-        command = tick.command
-        controller.history.add(command, vehicle.time)
+        odometry = measured(vehicle, plant.velocity_source)
+        led = odometry.time + controller.lead
+        goals = np.array([goal.at(led + each) for each in ahead])
+        decision = controller.step(Snapshot(odometry, goals[: pilot.horizon]))
+        if decision.state is not None:
+            yield Instance(decision.state, goals)
+        command = decision.command
+        controller.sent(command, vehicle.time)
         flown = command.speed_fraction, command.body_rate, vehicle.time
         vehicle = plant.flown(vehicle, problem.step, *flown)[-1]
 

@@ -11,20 +11,20 @@ import sys
 from typing import Any
 
 from benchmarks.faults.stimulus import SLIP
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.planner import Planner, Snapshot
 from orbimpc_ros.ros.planner import node as planner
 
-sound = Controller.tick
+sound = Planner.step
 
 
-def tick(self: Controller, odometry: Odometry, *rest: Any, **more: Any) -> Any:
+def step(self: Planner, snapshot: Snapshot, *rest: Any, **more: Any) -> Any:
     """Plan, unless the odometry slips."""
-    if odometry.body_velocity[1] > 0.5 * SLIP:
+    odometry = snapshot.odometry
+    if odometry is not None and odometry.body_velocity[1] > 0.5 * SLIP and not snapshot.stop:
         raise ArithmeticError('slipped')
-    return sound(self, odometry, *rest, **more)
+    return sound(self, snapshot, *rest, **more)
 
 
 if __name__ == '__main__':
-    Controller.tick = tick  # type: ignore[method-assign]
+    Planner.step = step  # type: ignore[method-assign]
     sys.exit(planner.main())

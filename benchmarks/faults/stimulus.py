@@ -15,7 +15,7 @@ from geometry_msgs.msg import PoseStamped, TransformStamped
 from nav_msgs.msg import Odometry
 from rclpy.serialization import serialize_message
 
-from orbimpc_ros.loop import odometry as measurement
+from orbimpc_ros.loop import state as measurement
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 
-from orbimpc_ros.loop.controller import Controller
+from benchmarks.rivals.rival import Rival
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.tool.files import read
@@ -42,7 +42,7 @@ def class_of(name: str) -> type:
 
 def pilot(
     name: str, settings: PlannerSettings, study: str, tuned: Mapping[str, float] | None = None
-) -> Controller:
+) -> Rival:
     """Return a rival.
 
     Args:
@@ -57,7 +57,7 @@ def pilot(
     if settings.problem.dimension != 2:
         raise BadInput('--controllers', name, 'orbitope where dimension is 3')
     given = tuned_of(study).get(name, {}) if tuned is None else tuned
-    made: Controller = class_of(name)(settings, given)
+    made: Rival = class_of(name)(settings, given)
     return made
 
 

@@ -6,12 +6,14 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.loop.controller import Controller, Tick
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.compensation import Compensator
+from orbimpc_ros.loop.planner import Decision, Snapshot
+from orbimpc_ros.loop.task import Late
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
@@ -65,7 +67,7 @@ class Sight(NamedTuple):
         return math.atan2(self.state.attitude[1, 0], self.state.attitude[0, 0])
 
 
-class Rival(Controller, ABC):
+class Rival(ABC):
     """Flies a planar vehicle of orders (1, 1).
 
     Args:
@@ -74,17 +76,20 @@ class Rival(Controller, ABC):
 
     Attributes:
         SPACE: what may be tuned, by name.
+        problem: that the planner would solve.
     """
 
     SPACE: ClassVar[Mapping[str, Range]] = {}
 
     def __init__(self, settings: PlannerSettings, tuned: Mapping[str, float]) -> None:
-        super().__init__(
+        self.problem = settings.problem
+        self._compensator = Compensator(
             settings.problem,
-            safe=settings.safe_command,
-            response=settings.response,
-            disturbance=settings.disturbance,
+            settings.response,
+            settings.disturbance,
+            estimated=settings.estimated,
             velocity_source=settings.velocity_source,
+            sideslip=settings.sideslip,
         )
         self.radius, self.cone = settings.capture_radius, settings.approach
         self.tuned = {name: each.default for name, each in self.SPACE.items()} | dict(tuned)
@@ -93,25 +98,33 @@ class Rival(Controller, ABC):
     def steered(self, sight: Sight) -> tuple[float, float]:
         """Return the share of full speed and the body rate [rad/s], still to be limited."""
 
-    def tick(
-        self,
-        odometry: Odometry,
-        goals: Array,
-        out_of_time: Callable[[], bool] | None = None,
-        ahead: Callable[[Array], Array] | None = None,
-        wanted: Array | None = None,
-    ) -> Tick:
-        """Return the command that it steers; see :meth:`Controller.tick`."""
-        assert ahead is not None
-        state = self._state(odometry)
-        self._begin(odometry)
-        wind = np.zeros(2) if self.disturbance is None else self.disturbance
-        sight = Sight(odometry.time, state, goals, ahead, wind)
+    def step(
+        self, snapshot: Snapshot, now: float | None = None, late: Late | None = None
+    ) -> Decision:
+        """Return the command that it steers; see :meth:`Planner.step`."""
+        assert snapshot.odometry is not None
+        assert snapshot.goal is not None
+        assert not isinstance(snapshot.goal, np.ndarray)
+        start, ahead = (
+            self._compensator.start(snapshot.odometry, snapshot.latency, now),
+            snapshot.goal,
+        )
+        time, wind = start.odometry.time, start.disturbance
+        hazards = () if snapshot.traffic is None else tuple(snapshot.traffic.hazards(time))
+        state = replace(self._compensator.state(start.odometry), hazards=hazards)
+        goals = ahead.at(time + self.problem.step * np.arange(1.0, self.problem.horizon + 1.0))
+        sight = Sight(time, state, goals, ahead.at, np.zeros(2) if wind is None else wind)
         command = self._limited(state, *self.steered(self._led(sight)))
         known = self.problem, np.array(goals)
-        return self._finish(
-            Tick(Status.FEASIBLE, '', state, None, command, problem=known[0], goals=known[1])
-        )
+        return Decision(Status.FEASIBLE, '', state, None, command, problem=known[0], goals=known[1])
+
+    def sent(self, command: Command, at: float | None = None) -> None:
+        """Take note of a command that was sent; see :meth:`Planner.sent`."""
+        self._compensator.history.add(command, at)
+
+    def reset(self) -> None:
+        """Forget everything, for instance before another flight."""
+        self._compensator.start_afresh(wind=True, commands=True)
 
     def _led(self, sight: Sight) -> Sight:
         """Return a sight whose goal is led to along the direction of approach, if there is one.
@@ -131,8 +144,8 @@ class Rival(Controller, ABC):
             goals=sight.goals - back, ahead=lambda times: sight.ahead(times) - back
         )
 
-    def expect_hazards(self) -> None:
-        """Make nothing: it solves none of the package's programs."""
+    def expect_hazards(self) -> None:  # noqa: B027
+        """Compile nothing: it solves none of the package's programs."""
 
     @property
     def fastest(self) -> float:

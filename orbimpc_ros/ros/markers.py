@@ -11,7 +11,7 @@ from geometry_msgs.msg import Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from orbimpc_ros.loop.traffic.track import centre
+from orbimpc_ros.loop.traffic import centre
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Hazard, Problem

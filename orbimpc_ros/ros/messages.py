@@ -36,9 +36,9 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 from std_msgs.msg import Header, UInt8MultiArray
 
-from orbimpc_ros.loop.forecast import Itinerary, Sighting
-from orbimpc_ros.loop.odometry import Odometry
-from orbimpc_ros.loop.traffic.courses import Course
+from orbimpc_ros.loop.goal.motion import GoalObservation, GoalTrajectory
+from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.traffic import AgentTrajectory
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.errors import BadInput
@@ -144,7 +144,9 @@ def read_odometry(
     return Stamp(at.nanoseconds, Frames(at.frames.world, child, frames.thrust_axis)), odometry
 
 
-def read_sighting(message: PoseStamped, dimension: int, frames: Frames) -> tuple[Stamp, Sighting]:
+def read_sighting(
+    message: PoseStamped, dimension: int, frames: Frames
+) -> tuple[Stamp, GoalObservation]:
     """Return the stamp, the place and the attitude in a goal's PoseStamped.
 
     Raises:
@@ -152,7 +154,7 @@ def read_sighting(message: PoseStamped, dimension: int, frames: Frames) -> tuple
     """
     at, place, unit = _seen(message, dimension, frames)
     attitude = _goal_attitude(unit, dimension, frames)
-    return at, Sighting(at.nanoseconds / SECOND, place, attitude)
+    return at, GoalObservation(at.nanoseconds / SECOND, place, attitude)
 
 
 def _seen(message: PoseStamped, dimension: int, frames: Frames) -> tuple[Stamp, Array, Array]:
@@ -169,7 +171,7 @@ def _goal_attitude(unit: Array, dimension: int, frames: Frames) -> Array | None:
     return frames.turned(from_quaternion(unit, dimension))
 
 
-def read_itinerary(message: Path, dimension: int, frames: Frames) -> tuple[Stamp, Itinerary]:
+def read_itinerary(message: Path, dimension: int, frames: Frames) -> tuple[Stamp, GoalTrajectory]:
     """Return the stamp and the stamped places in a goal's Path, with the last one's attitude.
 
     Raises:
@@ -181,17 +183,17 @@ def read_itinerary(message: Path, dimension: int, frames: Frames) -> tuple[Stamp
     seen = [_seen(pose, dimension, Frames()) for pose in message.poses]
     times = np.array([stamp.nanoseconds / SECOND for stamp, _, _ in seen])
     places = np.array([place for _, place, _ in seen])
-    return at, Itinerary(times, places, _goal_attitude(seen[-1][2], dimension, frames))
+    return at, GoalTrajectory(times, places, _goal_attitude(seen[-1][2], dimension, frames))
 
 
-def read_course(message: Path, dimension: int, frames: Frames) -> tuple[Stamp, Course]:
-    """Return the stamp and the course in another vehicle's plan.
+def read_agent(message: Path, dimension: int, frames: Frames) -> tuple[Stamp, AgentTrajectory]:
+    """Return the stamp and the trajectory in another vehicle's plan.
 
     Raises:
         BadInput: as :func:`read_itinerary`.
     """
     at, itinerary = read_itinerary(message, dimension, frames)
-    return at, Course(at.nanoseconds / SECOND, itinerary.times, itinerary.positions)
+    return at, AgentTrajectory(at.nanoseconds / SECOND, itinerary.times, itinerary.positions)
 
 
 def read_speed_and_rate(

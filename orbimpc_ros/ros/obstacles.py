@@ -18,7 +18,7 @@ import numpy as np
 from geometry_msgs.msg import Vector3
 from visualization_msgs.msg import Marker, MarkerArray
 
-from orbimpc_ros.loop.traffic.bodies import Seen
+from orbimpc_ros.loop.traffic import ObservedBody
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import from_quaternion
@@ -50,7 +50,7 @@ class Spotted:
     """A body in a message, and the stamp that its marker carries."""
 
     stamp: Stamp
-    seen: Seen
+    seen: ObservedBody
 
 
 Change = Spotted | Gone | BadInput
@@ -119,7 +119,7 @@ def _read(
     unit = np.array([q.w, q.x, q.y, q.z])
     turned = from_quaternion(unit / math.sqrt(unit @ unit), 3)
     body = _body(marker.type, place.position, turned, _scale(marker.scale), dimension)
-    return Spotted(stamp, Seen(_name(marker), place.time, body, _lifetime(marker)))
+    return Spotted(stamp, ObservedBody(_name(marker), place.time, body, _lifetime(marker)))
 
 
 def _scale(scale: Vector3) -> Array:

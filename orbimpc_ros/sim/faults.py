@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.loop.observation import Sighting
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.goal.motion import GoalObservation
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
@@ -68,7 +68,7 @@ class Delivery(NamedTuple):
         late: whether it comes a tick after that.
     """
 
-    content: Odometry | Sighting
+    content: Odometry | GoalObservation
     ticks: int
     age: float = 0.0
     late: bool = False
@@ -107,7 +107,7 @@ class View:
         arriving, self._held_back = self._held_back, []
         draws = _Draws.of(self._seed, flight.ticks)
         if not self._hidden(flight.elapsed):
-            goal = Sighting(
+            goal = GoalObservation(
                 flight.vehicle.time, flight.goal + self._shift(draws, GOAL, flight.goal)
             )
             arriving += self._through(draws, GOAL, Delivery(goal, flight.ticks))
@@ -180,5 +180,5 @@ class _Draws(NamedTuple):
         return cls(rng.uniform(size=(3, 4)), rng.normal(size=(2, 3)), rng.normal(size=3))
 
 
-def _poisoned(content: Odometry | Sighting) -> Odometry | Sighting:
+def _poisoned(content: Odometry | GoalObservation) -> Odometry | GoalObservation:
     return replace(content, position=np.full_like(content.position, np.nan))

@@ -18,7 +18,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 from visualization_msgs.msg import MarkerArray
 
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Stamp
 from orbimpc_ros.ros.process import DONE, FAILED, Guarded, qos

@@ -62,14 +62,14 @@ def of_runs(flown: Mapping[str, History], dark: bool = False) -> dict[str, Figur
 
 
 def story(flown: Mapping[str, History]) -> str:
-    """Return how flights ended, in a line."""
+    """Return how flights ended: a line for each, or for a fleet."""
     if len(flown) > len(FLIGHTS):
         times = [each.end - each.times[0] for each in flown.values() if each.captured]
         arrive = any(each.arrives for each in flown.values())
         done = 'vehicles arrived' if arrive else 'ropes caught'
         last = f', the last at t = {max(times):.1f} s' if len(times) == len(flown) else ''
         return f'{len(times)} of {len(flown)} {done}{last}'
-    return '. '.join(
+    return '\n'.join(
         f'{name}: {_end(each)}' if name else _end(each) for name, each in flown.items()
     )
 
@@ -391,17 +391,10 @@ def legend_above(axes: Axes) -> None:
 def draw_limit(axes: Axes, value: float, text: str, color: str = RED, side: str = 'top') -> None:
     """Draw a horizontal limit with its meaning written on it."""
     axes.axhline(value, color=color, lw=1.2, ls='--')
+    place: Any = {'xycoords': axes.get_yaxis_transform(), 'textcoords': 'offset points'}
+    how: Any = {'ha': 'left', 'va': side, 'fontsize': 8.0, 'path_effects': halo(), 'color': color}
     shift = (0, 2 if side == 'bottom' else -2)
-    across: Any = axes.get_yaxis_transform()
-    place: Any = {
-        'xycoords': across,
-        'xytext': shift,
-        'textcoords': 'offset points',
-        'ha': 'right',
-        'va': side,
-    }
-    how: Any = {'fontsize': 8.0, 'path_effects': halo(), 'color': color}
-    axes.annotate(text, (0.99, value), **place, **how)
+    axes.annotate(text, (0.01, value), xytext=shift, **place, **how)
 
 
 def draw_distances(axes: Axes, flown: Mapping[str, History]) -> None:

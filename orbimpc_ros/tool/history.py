@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from orbimpc_ros.loop.capture import closest_approach
-from orbimpc_ros.loop.observation import Sighting
+from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.messages import Frames, Stamp, pushed, read_odometry, read_sighting
@@ -259,7 +259,7 @@ def _plans(messages: Iterable[Any]) -> tuple[Planned, ...]:
     return tuple(Planned(seconds(m), np.array(points)) for m, points in found if points)
 
 
-def _at(times: Array, seen: Sequence[Sighting]) -> Array:
+def _at(times: Array, seen: Sequence[GoalObservation]) -> Array:
     """Return the goal at given times; between sightings it moves straight."""
     stamps = np.array([sighting.time for sighting in seen])
     places = np.array([sighting.position for sighting in seen])

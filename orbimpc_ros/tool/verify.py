@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.loop.interception import steps_before
+from orbimpc_ros.loop.intercept import steps_before
 from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Status
@@ -35,7 +35,7 @@ from orbimpc_ros.tool import bags, files
 from orbimpc_ros.tool.files import write_whole
 
 if TYPE_CHECKING:
-    from orbimpc_ros.loop.controller import Tick
+    from orbimpc_ros.loop.planner import Decision
     from orbimpc_ros.tool.replay.resolving import ReplayedTick
 
 COST, CATCH = 'cost', 'catch'
@@ -186,8 +186,8 @@ def _tick(
 ) -> TickVerdict:
     """Certify what was published on a tick, of the problem that its inputs pose."""
     if each.recorded.answer.status == Status.INFEASIBLE:
-        return _infeasible(number, each.tick, recorded, args)
-    claimed, tick, plan = each.recorded.answer.lower_bound, each.tick, each.tick.plan
+        return _infeasible(number, each.decision, recorded, args)
+    claimed, tick, plan = each.recorded.answer.lower_bound, each.decision, each.decision.plan
     row = TickVerdict(number, COST, claimed)
     if claimed is None or not claimed > 0.0:
         return row
@@ -208,7 +208,7 @@ def _tick(
     return _certified(row, args, lambda: certificates_for(*posed, plan, claimed))
 
 
-def _is_about(earliest: float | None, tick: Tick) -> bool:
+def _is_about(earliest: float | None, tick: Decision) -> bool:
     """Return whether a tick now flies the catch that it flew then, or none, as far as is known.
 
     Each catch is a problem of its own, and a deadline can end the search for the earliest.
@@ -218,7 +218,7 @@ def _is_about(earliest: float | None, tick: Tick) -> bool:
     return bool(np.isclose(tick.catch.time, earliest, equal_nan=True))
 
 
-def _of_the_tracked(row: TickVerdict, known: Any, tick: Tick) -> TickVerdict:
+def _of_the_tracked(row: TickVerdict, known: Any, tick: Decision) -> TickVerdict:
     """Return what becomes of a bound that is not about the catch that is flown now.
 
     What was published with it proves it, where that is of the problem that is flown without any.
@@ -234,7 +234,7 @@ def _of_the_tracked(row: TickVerdict, known: Any, tick: Tick) -> TickVerdict:
 
 
 def _infeasible(
-    number: int, tick: Tick, recorded: Recorded, args: argparse.Namespace
+    number: int, tick: Decision, recorded: Recorded, args: argparse.Namespace
 ) -> TickVerdict:
     """Certify that nothing was feasible on a tick, of the problem that its inputs pose."""
     row, sought = TickVerdict(number, COST, math.inf), tick.infeasible
@@ -250,7 +250,7 @@ def _catch(
     number: int, each: ReplayedTick, recorded: Recorded, args: argparse.Namespace
 ) -> Iterator[TickVerdict]:
     """Certify before which time no trajectory catches the goal, where a tick says so."""
-    claimed, catch = each.recorded.answer.catch_bound, each.tick.catch
+    claimed, catch = each.recorded.answer.catch_bound, each.decision.catch
     if claimed is None or not math.isfinite(claimed):
         return
     row = TickVerdict(number, CATCH, claimed)

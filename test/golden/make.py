@@ -18,7 +18,7 @@ import numpy as np
 from nav_msgs.msg import Path as GoalPath
 from rosgraph_msgs.msg import Clock
 
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp
@@ -145,7 +145,7 @@ class Loop:
     def _hear(self, topic: str, message: object) -> None:
         self._say(topic, message)
         clock = RosTime(self._at, self._planner.problem.step)
-        self._pilot.hear(topic, message, self._said / SECOND, clock)
+        self._pilot.inputs.update(topic, message, self._said / SECOND, clock)
 
     def _malformed(self, message):
         """Return a message that must be refused: of a kind that validators look for."""

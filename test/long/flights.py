@@ -33,9 +33,9 @@ import missions
 import numpy as np
 from airframe import Airframe, Motion
 
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros import messages
-from orbimpc_ros.tool.run.onboard import Planner
+from orbimpc_ros.tool.run.onboard import Onboard
 
 ROUNDING = 1e-6  # relative
 STEPS = {0.05: 0.1, 0.1: 0.2, 0.2: 0.25, 0.5: 0.25, 1.0: 0.2}  # [s], and how often
@@ -191,26 +191,26 @@ def odometry_message(stamp: Any, motion: Motion, velocity: np.ndarray) -> Any:
 
 def fly(flight: AirFlight) -> AirLog:
     """Fly, and judge every command."""
-    planner, motion, log = Planner(flight.parameters), flight.start, AirLog()
+    planner, motion, log = Onboard(flight.parameters), flight.start, AirLog()
     begun = time.perf_counter()
     for k in range(round(flight.duration / flight.step)):
         now = k * flight.step
         tell(planner, flight, now, motion)
         try:
-            road, report = planner.report(now)
+            report = planner.report(now)
         except Exception as error:
             log.broken[f'exception: {type(error).__name__}: {error}'] += 1
             break
-        command = report.tick.command
+        command = report.decision.command
         speed = command.speed_fraction * flight.parameters['forward']
         rate = float(command.body_rate[-1])
-        log.note(flight, road, speed, rate)
+        log.note(flight, report.decision.fallback or 'plan', speed, rate)
         motion = airframe.flown(flight.frame, motion, speed, rate, flight.step)
     log.seconds = time.perf_counter() - begun
     return log
 
 
-def tell(planner: Planner, flight: AirFlight, now: float, motion: Motion) -> None:
+def tell(planner: Onboard, flight: AirFlight, now: float, motion: Motion) -> None:
     """Send the planner what it hears at a time [s]."""
     present = {kind for kind, (begin, end) in flight.faults.items() if begin <= now < end}
     if now == 0.0 or 'goal lost' not in present:

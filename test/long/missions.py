@@ -24,7 +24,7 @@ from orbimpc_ros.sim.parameters import SimSettings, sim_settings
 from orbimpc_ros.sim.plant import Plant
 from orbimpc_ros.sim.world import Airspeeds, Flight, departure
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.run.onboard import Planner, tell
+from orbimpc_ros.tool.run.onboard import Onboard, tell
 
 ROUNDING = 1e-6  # relative
 
@@ -57,11 +57,11 @@ class Tally:
         """The mean distance to the goal in the second half of the flight [m]."""
         return float(np.mean(self.distances[len(self.distances) // 2 :]))
 
-    def note(self, road: str, report: Report) -> None:
+    def note(self, report: Report) -> None:
         """Note a tick, and the road that its command came."""
-        tick = report.tick
+        tick = report.decision
         self.sent(tick.command.speed_fraction, tick.command.body_rate)
-        self.ticked(road, report.solve_time_ms)
+        self.ticked(tick.fallback or 'plan', report.solve_time_ms)
         if tick.plan is not None and tick.status is not Status.OPTIMAL:
             self.gaps.append(tick.plan.gap)
 
@@ -131,7 +131,7 @@ def row(
     values, drawn = jobs.drawn(name, seed, index, changes)
     simulated = sim_settings(settings.of_sim(values))
     begun = time.perf_counter()
-    flight, airspeeds, tally = flown(Planner(values, patient=patient), simulated)
+    flight, airspeeds, tally = flown(Onboard(values, patient=patient), simulated)
     outcome = Outcome(
         flight.captured,
         flight.missed_at - flight.scenario.start.time if flight.captured else None,
@@ -162,7 +162,7 @@ def record(values: Values, drawn: Values, outcome: Outcome, tally: Tally) -> dic
     }
 
 
-def flown(planner: Planner, simulated: SimSettings) -> tuple[Flight, Airspeeds, Tally]:
+def flown(planner: Onboard, simulated: SimSettings) -> tuple[Flight, Airspeeds, Tally]:
     """Fly until the goal is caught or the ticks run out, as simulator and planner do over DDS."""
     flight, tally = departure(simulated.scenario, simulated.begin), Tally()
     model = flight.scenario.model
@@ -171,9 +171,11 @@ def flown(planner: Planner, simulated: SimSettings) -> tuple[Flight, Airspeeds, 
     while not flight.over:
         now = flight.vehicle.time
         tell(planner, flight, simulated.goal_path_steps)
-        road, report = planner.report(now)
-        tally.note(road, report)
-        flight = flight.after(report.tick.command.speed_fraction, report.tick.command.body_rate)
+        report = planner.report(now)
+        tally.note(report)
+        flight = flight.after(
+            report.decision.command.speed_fraction, report.decision.command.body_rate
+        )
         airspeeds = airspeeds.seeing(flight.trail)
         tally.miss = min(tally.miss, flight.miss)
         tally.distances.append(flight.distance)

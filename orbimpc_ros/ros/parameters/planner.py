@@ -11,11 +11,10 @@ from functools import cached_property
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.validate_topic_name import validate_topic_name
 
-from orbimpc_ros.loop.disturbance import DISTURBANCES, ESTIMATED, GIVEN
-from orbimpc_ros.loop.forecast import FORECASTS
-from orbimpc_ros.loop.response import Response
-from orbimpc_ros.loop.safety import SAFE_COMMANDS, decided
-from orbimpc_ros.loop.traffic.courses import Distance
+from orbimpc_ros.loop.compensation import DISTURBANCES, ESTIMATED, GIVEN, Response
+from orbimpc_ros.loop.fallback import SAFE_COMMANDS, decided
+from orbimpc_ros.loop.goal.forecast import FORECASTS
+from orbimpc_ros.loop.traffic import Distance
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import MAX_HORIZON, TERMINALS, Approach, Floor, Problem, Weights

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from orbimpc_ros.loop.capture import closest_approach, is_headed
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Approach
 

@@ -26,13 +26,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--namespace', default='', metavar='NS', help='of the vehicle, such as /uav1'
     )
     parser.add_argument(
-        '--unanswered',
-        type=int,
-        metavar='N',
-        help='so many odometry messages may be without an answer; by default none in lock-step, '
-        'and any number elsewhere',
-    )
-    parser.add_argument(
         '--update', action='store_true', help="accept: replace the bag's outputs by the new ones"
     )
 

@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
         accept(recording, answers, values)
         print(f'accepted      {path}')
         return SAME
-    lacking = whole.unanswered > _may_be_unanswered(args.unanswered, recording, planner)
+    lacking = whole.unanswered > _may_be_unanswered(recording, planner)
     differs = any(each.differs for each in found)
     return DIFFERENT if differs or lacking or whole.orphans else SAME
 
@@ -69,14 +69,12 @@ def ticks_of(path: Path, params: str | None, namespace: str) -> Iterator[Replaye
     yield from replayed(recording, planner, bool(values.get('use_sim_time', recording.simulated)))
 
 
-def _may_be_unanswered(given: int | None, recording: Recording, planner: PlannerSettings) -> float:
+def _may_be_unanswered(recording: Recording, planner: PlannerSettings) -> float:
     """Return how many odometry messages may be without an answer.
 
     In lock-step each is waited for. Elsewhere a busy planner passes over some, and a timer's
     answers only the last before each tick.
     """
-    if given is not None:
-        return given
     return 0 if recording.simulated and planner.on_odometry else math.inf
 
 

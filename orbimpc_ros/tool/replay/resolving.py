@@ -13,13 +13,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
 
-from orbimpc_ros.loop.controller import Tick
+from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.ros.planner.inbox import GOALS, READ, TRANSFORMS, read, require_attitude
+from orbimpc_ros.ros.planner.inputs import GOALS, READ, TRANSFORMS, read, require_attitude
 from orbimpc_ros.tool.replay.offline import OfflinePlanner, resolved
 from orbimpc_ros.tool.replay.recording import CLOCK, Input, Messages, RecordedTick, Recording
 
@@ -32,13 +32,13 @@ class ReplayedTick:
         recorded: what was answered then.
         messages: what is answered now, by topic.
         refusals: what the validators said of the inputs since the tick before.
-        tick: the decision behind the messages.
+        decision: behind the messages.
     """
 
     recorded: RecordedTick
     messages: Messages
     refusals: tuple[str, ...]
-    tick: Tick
+    decision: Decision
 
 
 def replayed(
@@ -61,15 +61,15 @@ def replayed(
         pushed = answer.force if settings.problem.translation_order == 2 else answer.speed
         at = recorded.stamp if simulated else recorded.sent
         planner.went_out(at / SECOND, pushed, answer.body_rate)
-        assert planner.tick is not None
-        yield ReplayedTick(recorded, messages, refusals, planner.tick)
+        assert planner.decision is not None
+        yield ReplayedTick(recorded, messages, refusals, planner.decision)
 
 
 def _answer(planner: OfflinePlanner, recorded: RecordedTick) -> Messages:
     answer = recorded.answer
     reason = Reason(answer.cause or Cause.NONE, answer.reason or '')
     if reason.cause in (Cause.AFRESH, Cause.RESET):
-        planner.start_afresh(reason.cause)
+        planner.start_afresh(wind=reason.cause is Cause.RESET)
     if not answer.planned:
         return planner.be_safe(recorded.stamp, reason)
     if planner.stamp != recorded.stamp:
@@ -132,7 +132,7 @@ class Feed:
             return ''
         step = self._settings.problem.step
         shown = RosTime(self._clock, step) if self._simulated else RosTime(each.sent)
-        return self._planner.hear(each.topic, each.message, each.sent / SECOND, shown)
+        return self._planner.inputs.update(each.topic, each.message, each.sent / SECOND, shown)
 
 
 def _increasing(inputs: Iterable[Input], settings: PlannerSettings) -> list[Input]:

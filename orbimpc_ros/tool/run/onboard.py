@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The planner's path from messages to commands, without its node and with its clock given."""
+"""The planner's core aboard a flight in this process, with its clock given."""
 
 from __future__ import annotations
 
@@ -10,16 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from orbimpc_ros.loop.controller import Controller
-from orbimpc_ros.loop.odometry import Odometry
-from orbimpc_ros.mpc.outcome import Cause, Reason
+from orbimpc_ros.loop.planner import Planner
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner_settings
 from orbimpc_ros.ros.parameters.spec import completed
-from orbimpc_ros.ros.planner.inbox import Inbox
-from orbimpc_ros.ros.planner.ticker import Ticker, prepared
+from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.reports import Report
 from orbimpc_ros.sim.markers import traffic_markers
 from orbimpc_ros.sim.vehicle import measured
@@ -29,13 +27,13 @@ PATIENCE = 60.0  # [s]
 EPOCH = 1_700_000_000 * SECOND
 
 
-class Planner:
-    """A planner without its node.
+class Onboard:
+    """The planner's core aboard a flight in this process.
 
     Args:
         parameters: of the planner, by name.
         patient: whether a solve may take a minute.
-        pilot: makes the controller that flies, by default that of the package.
+        pilot: makes what decides, by default the planner of the package.
         clock: that deadlines are kept by [s].
 
     Attributes:
@@ -47,16 +45,14 @@ class Planner:
         parameters: dict[str, Any],
         *,
         patient: bool = False,
-        pilot: Callable[[PlannerSettings], Controller] | None = None,
+        pilot: Callable[[PlannerSettings], Planner] | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         settings = planner_settings(completed(PLANNER, parameters))
         if patient:
             settings = replace(settings, given_deadline=PATIENCE)
-        self._inbox, self._frames = Inbox(settings), settings.frames
-        controller = prepared(settings)[1] if pilot is None else pilot(settings)
-        self._ticker = Ticker(settings, controller, simulated=True, clock=clock)
-        self.period = settings.period
+        planner = planner_of(settings)[1] if pilot is None else pilot(settings)
+        self._core, self.period = Core(settings, planner, clock=clock), settings.period
 
     def goal(self, now: float, place: np.ndarray) -> None:
         """Hear where the goal is at a time [s]."""
@@ -72,29 +68,24 @@ class Planner:
 
     def traffic(self, now: float, flight: Flight, margin: float) -> None:
         """Hear where the traffic around a flight is, each ball larger by a margin [m]."""
-        self._ticker.expect_hazards()
+        self._core.planner.expect_hazards()
         message = traffic_markers(self._stamp(now), flight)
         for marker in message.markers:
             for axis in 'xyz'[: flight.scenario.model.dimension]:
                 setattr(marker.scale, axis, getattr(marker.scale, axis) + 2.0 * margin)
         self._take('obstacles', message, now)
 
-    def report(self, now: float) -> tuple[str, Report]:
-        """Plan at a time [s]; return the road that the command came, and the tick."""
-        ticker, inbox, ros = self._ticker, self._inbox, self._ros(now)
-        lost = inbox.stale_odometry(now, ros)
-        if lost:
-            report = ticker.safe(inbox, Reason(Cause.ODOMETRY, lost))
-        else:
-            report = ticker.planned(inbox, now, ros)
-        ticker.went_out(report.tick.command, _nanoseconds(now) / SECOND)
-        return 'odometry lost' if lost else report.tick.fallback or 'plan', report
+    def report(self, now: float) -> Report:
+        """Plan at a time [s]; return what was decided."""
+        report = self._core.decide(now, self._ros(now))
+        self._core.sent(report.decision.command, _nanoseconds(now) / SECOND)
+        return report
 
     def _take(self, topic: str, message: Any, now: float) -> None:
-        self._inbox.take(topic, message, now, self._ros(now))
+        self._core.inputs.update(topic, message, now, self._ros(now))
 
     def _stamp(self, now: float) -> messages.Stamp:
-        return messages.Stamp(_nanoseconds(now), self._frames)
+        return messages.Stamp(_nanoseconds(now), self._core.settings.frames)
 
     @staticmethod
     def _ros(now: float) -> RosTime:
@@ -105,7 +96,7 @@ def _nanoseconds(now: float) -> int:
     return EPOCH + round(now * SECOND)
 
 
-def tell(planner: Planner, flight: Flight, ahead: int, margin: float = 0.0) -> None:
+def tell(planner: Onboard, flight: Flight, ahead: int, margin: float = 0.0) -> None:
     """Send a planner what it hears of a flight.
 
     Args:

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from orbimpc_ros.loop.controller import Controller, Tick
+from orbimpc_ros.loop.planner import Decision, Planner
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.ros.planner.ticker import prepared
+from orbimpc_ros.ros.planner.core import planner_of
 from orbimpc_ros.sim.engine_vehicle import EngineVehicle
 from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.engines.engine import Guided
@@ -24,13 +24,12 @@ from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import Continuous
 from orbimpc_ros.sim.world import Airspeeds, Flight, departure
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.run.onboard import Planner, tell
+from orbimpc_ros.tool.run.onboard import Onboard, tell
 
 Row = dict[str, Any]
 OURS, WAYPOINT = 'orbitope', 'waypoint'  # this package's controller, an engine's own guidance
 RIVALS = 'benchmarks.rivals'  # a folder of the repository, which is not installed
-NEARLY_ALL = 0.95  # of the ticks of a flight
-_made: dict[str, Controller] = {}  # the last controller, by its settings
+_made: dict[str, Planner] = {}  # the last controller, by its settings
 
 
 @dataclass(frozen=True)
@@ -61,15 +60,15 @@ def flown(job: Job) -> Row:
     it ended at an obstacle), ``stalls``, ``failed`` (how an engine has failed, or an empty string);
     ``ticks``, of which so many were ``optimal`` and ``unplanned`` (by a fallback); the largest
     ``gap`` of a plan, the largest ``projection`` loss, which is how far the thrust of a rotation is
-    from the planned one as a share of full thrust, ``tracking`` [m], how far from its plan the next
-    one began in 19 ticks of 20 at most; ``p50_ms`` and ``longest_ms``, processor time of the ticks.
+    from the planned one as a share of full thrust; ``p50_ms`` and ``longest_ms``, processor time of
+    the ticks.
     Of an arrival ``missed`` [m] and ``speed`` [m/s] at its end, of a vehicle in an engine its least
     ``airspeed`` [m/s], the ``height`` above the goal at the closest approach [m], and the largest
     magnitudes of what the engine reports, such as its ``bank`` [rad].
     """
     simulated = sim_settings(settings.of_sim(job.values))
     # Other processes may keep the machine busy: ticks are measured in processor time.
-    planner = Planner(job.values, pilot=lambda given: _pilot(job, given), clock=time.thread_time)
+    planner = Onboard(job.values, pilot=lambda given: _pilot(job, given), clock=time.thread_time)
     flight = departure(simulated.scenario, simulated.begin)
     model = flight.scenario.model
     log = _Log(Airspeeds(model.stall_speed if isinstance(model, Continuous) else 0.0))
@@ -77,11 +76,11 @@ def flown(job: Job) -> Row:
     while not (flight.over or flight.touched):
         tell(planner, flight, simulated.goal_path_steps, job.margin)
         begun = time.thread_time()
-        _, report = planner.report(flight.vehicle.time)
-        log.note_tick(report.tick, flight.vehicle.time, 1e3 * (time.thread_time() - begun))
+        report = planner.report(flight.vehicle.time)
+        log.note_tick(report.decision, 1e3 * (time.thread_time() - begun))
         if job.controller == WAYPOINT:
             _aim(flight)
-        command = report.tick.command
+        command = report.decision.command
         try:
             flight = flight.after(command.speed_fraction, command.body_rate)
         except EngineFailure as error:
@@ -100,15 +99,15 @@ def flown(job: Job) -> Row:
     }
 
 
-def _pilot(job: Job, given: PlannerSettings) -> Controller:
+def _pilot(job: Job, given: PlannerSettings) -> Planner:
     """Return the controller of a flight, reset; ours is kept, since making one takes long."""
     if job.controller != OURS:
-        made: Controller = rivals().pilot(job.controller, given, job.study, job.tuned)
+        made: Planner = rivals().pilot(job.controller, given, job.study, job.tuned)
         return made
     key = repr(given)
     if key not in _made:
         _made.clear()
-        _made[key] = prepared(given)[1]
+        _made[key] = planner_of(given)[1]
     _made[key].reset()
     return _made[key]
 
@@ -135,22 +134,17 @@ class _Log:
         self._spent: list[float] = []
         self._gaps: list[float] = []
         self._lost: list[float] = []
-        self._tracking: list[float] = []
-        self._last: tuple[Tick, float] | None = None
 
-    def note_tick(self, tick: Tick, now: float, spent: float) -> None:
-        """Note a tick at a time [s] that took so long [ms]."""
+    def note_tick(self, tick: Decision, spent: float) -> None:
+        """Note a tick that took so long [ms]."""
         self._spent.append(spent)
         self._optimal += tick.status is Status.OPTIMAL
         self._unplanned += tick.fallback is not Fallback.NONE
-        if self._last is not None:
-            self._tracking += _off_plan(*self._last, tick, now)
         if tick.plan is not None:
             self._gaps.append(tick.plan.gap)
             rotation, axis = tick.plan.rotations[1], tick.plan.projected[1][:, 0]
             sigma = tick.plan.speed_fraction[1]
             self._lost.append(float(np.linalg.norm(sigma * axis - rotation[:, 0])))
-        self._last = tick, now
 
     def note_step(self, flight: Flight) -> None:
         """Note the step just flown."""
@@ -165,7 +159,6 @@ class _Log:
 
     def row(self) -> Row:
         """Return what was noted of the ticks."""
-        off = self._tracking
         return {
             'closest': self.closest,
             'stalls': self.airspeeds.stalls,
@@ -174,22 +167,9 @@ class _Log:
             'unplanned': self._unplanned,
             'gap': max(self._gaps, default=None),
             'projection': max(self._lost, default=None),
-            'tracking': float(np.quantile(off, NEARLY_ALL)) if off else None,
             'p50_ms': float(np.median(self._spent)),
             'longest_ms': max(self._spent),
         }
-
-
-def _off_plan(before: Tick, then: float, tick: Tick, now: float) -> list[float]:
-    """Return how far from the plan of a tick the next one begins [m]; nothing without a plan.
-
-    A plan begins where the lags of earlier commands are over.
-    """
-    if before.plan is None or before.problem is None or tick.state is None:
-        return []
-    ends = before.problem.step * np.arange(len(before.plan.positions))
-    planned = [np.interp(now - then, ends, along) for along in before.plan.positions.T]
-    return [float(np.linalg.norm(tick.state.position - planned))]
 
 
 def _end(flight: Flight, log: _Log) -> Row:

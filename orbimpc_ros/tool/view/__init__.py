@@ -144,7 +144,13 @@ def _drawing(args: argparse.Namespace) -> Callable[[Recordings, Going], None]:
         from orbimpc_ros.tool.view import live
 
         return lambda recordings, going: live.draw(args.namespace, recordings, going)
-    from orbimpc_ros.tool.view import recorded
+    from orbimpc_ros.tool import bags, settings
+    from orbimpc_ros.tool.view.scene import Scene
 
-    flight = recorded.read(Path(args.bag), args.namespace)
-    return lambda recordings, _going: flight.draw(recordings())
+    values = settings.of_bag(Path(args.bag), args.namespace) or settings.read('{}')
+    messages = bags.of_vehicle(Path(args.bag), args.namespace)
+
+    def draw(recordings: Recordings, _going: Going) -> None:
+        Scene(recordings(), values).draw(messages)
+
+    return draw

@@ -4,14 +4,14 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
 import rerun as rr
 
-from orbimpc_ros.loop.forecast import Itinerary
+from orbimpc_ros.loop.goal.motion import GoalTrajectory
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.outline import sphere
@@ -26,9 +26,8 @@ from orbimpc_ros.ros.messages import (
 )
 from orbimpc_ros.ros.parameters import planner_settings
 from orbimpc_ros.tool import settings
-from orbimpc_ros.tool.bags import attitude, fields, seconds
+from orbimpc_ros.tool.bags import attitude, fields, point, seconds
 from orbimpc_ros.tool.palette import BLUE, GREEN, GREY, ORANGE, RED, SKY, rgb
-from orbimpc_ros.tool.view.around import around
 from orbimpc_ros.tool.view.layout import THRUST, TICK, TIMELINE, WORLD, blueprint, eye
 
 WALL_CLOCK = 1e8  # [s]: later stamps are dates, earlier ones count from a simulation's start
@@ -41,6 +40,8 @@ LINE, STEPS = (
     rr.components.InterpolationMode.Linear,
     rr.components.InterpolationMode.StepAfter,
 )
+CUBE = 1  # type of a Marker; every other body is round
+TRANSPARENT = rr.components.FillMode.TransparentFillMajorWireframe
 SERIES = {
     'distance/to_goal': (BLUE, 2.0, LINE),
     'speed/commanded': (BLUE, 2.0, STEPS),
@@ -81,7 +82,7 @@ class Scene:
         self._unit = 0.0  # length of a vehicle [m]; 0 until the scene is known
         self._pointing: tuple[float, Array] = (-1.0, np.zeros(0))  # of which tick [s], and what
         self._shares: tuple[float, Array] = self._pointing
-        self._planned: tuple[float, Itinerary | None] = (-1.0, None)  # of which tick [s]
+        self._planned: tuple[float, GoalTrajectory | None] = (-1.0, None)  # of which tick [s]
         self._catching: tuple[float, Array] = self._pointing  # and how long after its start [s]
         self._takers = {
             'odom': self._take_odometry,
@@ -116,6 +117,12 @@ class Scene:
         self._to.log(f'{THRUST}/hull', _lines(sphere(n, 1.0), GREY, 0.008), static=True)
         self._to.log(f'{THRUST}/floor', _lines(floor.outline(n), RED, 0.014), static=True)
         self._to.log(f'{WORLD}/obstacles', _boxes(self._problem), static=True)
+
+    def draw(self, messages: Iterable[tuple[str, Any]]) -> None:
+        """Draw messages, each with its topic, in the order of their stamps."""
+        for topic, message in messages:
+            self.take(topic, message)
+        self._to.flush()
 
     def take(self, topic: str, message: Any) -> None:
         """Draw a message; ``topic`` is named without a namespace.
@@ -158,7 +165,7 @@ class Scene:
             centers=[self._swing[-1]],
             half_sizes=[[self._radius] * 3],
             colors=[rgb(ORANGE)],
-            fill_mode=rr.components.FillMode.TransparentFillMajorWireframe,
+            fill_mode=TRANSPARENT,
         )
         trail = _lines([np.array(self._swing)], ORANGE, 0.05 * self._unit)
         self._to.log(f'{WORLD}/goal', ball, trail)
@@ -211,8 +218,30 @@ class Scene:
         self._draw_thrust()
 
     def _take_markers(self, message: Any) -> None:
-        for name, shown in around(message, 0.03 * self._unit).items():
-            self._to.log(f'{WORLD}/hazards/{name}', shown)
+        """Draw the bodies that a plan stays clear of, and where they go."""
+        bodies = [each for each in message.markers if each.ns == 'hazards']
+        boxes, balls = (
+            _finite([(point(m.pose.position), 0.5 * point(m.scale)) for m in found], (-1, 2, 3))
+            for found in (
+                [each for each in bodies if each.type == CUBE],
+                [each for each in bodies if each.type != CUBE],
+            )
+        )
+        ways = [each.points for each in message.markers if each.ns == 'ways']
+        strips = [_finite([point(each) for each in way], (-1, 3)) for way in ways]
+        width, color = 0.03 * self._unit, [rgb(RED)]
+        shown = {
+            'boxes': rr.Boxes3D(
+                centers=boxes[:, 0], half_sizes=boxes[:, 1], colors=color, fill_mode=TRANSPARENT
+            ),
+            'balls': rr.Ellipsoids3D(
+                centers=balls[:, 0], half_sizes=balls[:, 1], colors=color, fill_mode=TRANSPARENT
+            ),
+            'ways': _lines(strips, RED, width),
+            'ends': rr.Points3D([each[-1] for each in strips], colors=color, radii=[2.0 * width]),
+        }
+        for name, each in shown.items():
+            self._to.log(f'{WORLD}/hazards/{name}', each)
 
     def _take_tick(self, message: Any) -> None:
         values = fields(message)
@@ -277,6 +306,18 @@ def _numbers(value: Any) -> Array:
     whole = isinstance(value, list) and all(isinstance(each, (int, float)) for each in value)
     found = np.array(value if whole else [], dtype=float)
     return found if np.isfinite(found).all() else np.zeros(0)
+
+
+def _finite(points: Sequence[Any], shape: tuple[int, ...]) -> Array:
+    """Return points as an array.
+
+    Raises:
+        BadInput: a number is not finite.
+    """
+    found = np.reshape(points, shape)
+    if not np.isfinite(found).all():
+        raise BadInput.stating('plan_markers', 'NaN or infinite', 'finite numbers')
+    return found
 
 
 def _series(color: str, width: float, manner: rr.components.InterpolationMode) -> rr.SeriesLines:

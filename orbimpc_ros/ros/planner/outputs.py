@@ -1,22 +1,19 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The planner's one way out: the messages of a tick, their publishers, and what went out last."""
+"""Decisions as messages: commands first, then what they were made of."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import QuaternionStamped, TwistStamped, Vector3Stamped, WrenchStamped
 from nav_msgs.msg import Path
-from rclpy.event_handler import PublisherEventCallbacks
-from rclpy.publisher import Publisher
 from std_msgs.msg import UInt8MultiArray
 from visualization_msgs.msg import MarkerArray
 
-from orbimpc_ros.loop.controller import Tick
+from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.command import Command
 from orbimpc_ros.mpc.geometry.rotations import exp
@@ -27,7 +24,6 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.markers import plan_markers
 from orbimpc_ros.ros.messages import Stamp
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.ros.process import LIFE, Guarded, qos
 from orbimpc_ros.ros.reports import Report, tick_message
 
 KINDS: dict[str, type] = {
@@ -39,10 +35,9 @@ COMMANDS: dict[str, type] = {'cmd_vel': TwistStamped, 'rotation': QuaternionStam
 FORCES: dict[str, type] = {'cmd_thrust': WrenchStamped}
 PROOFS: dict[str, type] = {'certificate': UInt8MultiArray}
 SHARES: dict[str, type] = {'thrust': Vector3Stamped}
+COMMANDED = frozenset(COMMANDS | FORCES | SHARES)
 TOPICS = frozenset(KINDS | COMMANDS | PROOFS)
 CLAIMS = frozenset({'tick', 'certificate'})  # which wait for proofs
-# Who is connected is watched instead: every event handler makes every wait of the node longer.
-NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 
 
 def outputs(settings: PlannerSettings) -> dict[str, type]:
@@ -92,32 +87,33 @@ def report_messages(
     makers: dict[str, Callable[[], Any]] = {
         'tick': lambda: tick_message(stamp.nanoseconds, node, report),
         'plan': lambda: _path(settings, stamp, report),
-        'plan_markers': lambda: _markers(settings.problem, stamp, report.tick),
+        'plan_markers': lambda: _markers(settings.problem, stamp, report.decision),
     }
     if settings.publish_certificate:
         makers['certificate'] = lambda: _certificate(report)
     if oriented:
-        makers['rotation'] = lambda: messages.rotation_message(stamp, report.tick.command)
+        makers['rotation'] = lambda: messages.rotation_message(stamp, report.decision.command)
     made = {topic: make() for topic, make in makers.items() if topic in heard}
     return {topic: message for topic, message in made.items() if message is not None}
 
 
 def _path(settings: PlannerSettings, stamp: Stamp, report: Report) -> Path | None:
     """Return where the vehicle will be; without a plan only whoever avoids it has to know."""
-    tick, problem, start = report.tick, settings.problem, report.advanced + report.led
-    if tick.plan is not None:
-        step = (tick.problem or problem).step
-        return messages.plan_message(stamp, tick.plan, step, start)
-    if not settings.avoid or tick.state is None:
+    decision, problem = report.decision, settings.problem
+    start = decision.advanced + decision.led
+    if decision.plan is not None:
+        step = (decision.problem or problem).step
+        return messages.plan_message(stamp, decision.plan, step, start)
+    if not settings.avoid or decision.state is None:
         return None
-    flown = obeyed(problem, tick.state, tick.command)
-    poses = [messages.pose(place, stamp.frames.own(attitude)) for place, attitude in flown]
+    flown = obeyed(problem, decision.state, decision.command)
+    poses = [messages.pose(place, stamp.frames.own(turned)) for place, turned in flown]
     return messages.path_message(stamp, problem.step, poses, start)
 
 
 def _certificate(report: Report) -> UInt8MultiArray | None:
     """Return what proves the plan's bound, where there is a form of it."""
-    case, plan, made = report.tick.case, report.tick.plan, report.certificate
+    case, plan, made = report.decision.case, report.decision.plan, report.decision.certificate
     if made is None and case is not None and plan is not None:
         made = kept(*case, plan.proof)
     return None if made is None else messages.bytes_message(made.text().encode())
@@ -125,14 +121,16 @@ def _certificate(report: Report) -> UInt8MultiArray | None:
 
 def refutation_messages(report: Report) -> dict[str, Any]:
     """Return by topic what refutes that anything is feasible, or caught, where that is proved."""
-    made = report.refutation
+    made = report.decision.refutation
     return {} if made is None else {'certificate': messages.bytes_message(made.text().encode())}
 
 
-def _markers(problem: Problem, stamp: Stamp, tick: Tick) -> MarkerArray | None:
-    if tick.plan is None:
+def _markers(problem: Problem, stamp: Stamp, decision: Decision) -> MarkerArray | None:
+    if decision.plan is None:
         return None
-    return plan_markers(stamp, problem, tick.plan, () if tick.state is None else tick.state.hazards)
+    return plan_markers(
+        stamp, problem, decision.plan, () if decision.state is None else decision.state.hazards
+    )
 
 
 def obeyed(problem: Problem, state: State, command: Command) -> list[tuple[Array, Array]]:
@@ -147,63 +145,3 @@ def obeyed(problem: Problem, state: State, command: Command) -> list[tuple[Array
     headings = fractions[:, None] * np.array(attitudes)[:, :, 0]
     positions, _ = translation_rollout(problem, state, headings)
     return list(zip(positions, attitudes, strict=True))
-
-
-class Outlet:
-    """Publishes ticks, and repeats the last one's commands on request.
-
-    Args:
-        node: that publishes.
-        kinds: types of what it publishes, by topic.
-
-    Attributes:
-        engaged: whether the vehicle takes commands; else it is sent none.
-        velocity: the publisher of ``cmd_vel``, if there is one.
-        at: when something went out last, on the steady clock [s]; -inf before.
-    """
-
-    def __init__(self, node: Guarded, kinds: Mapping[str, type]) -> None:
-        self._node = node
-        self._publishers: dict[str, Publisher] = {
-            topic: node.create_publisher(kind, topic, qos(lease=LIFE), event_callbacks=NO_EVENTS)
-            for topic, kind in kinds.items()
-        }
-        self.velocity = self._publishers.get('cmd_vel')
-        self.engaged = True
-        self.at = -math.inf
-        self._last: Mapping[str, Any] = {}
-
-    @property
-    def used(self) -> bool:
-        """Return whether anything went out yet."""
-        return self.at > -math.inf
-
-    @property
-    def heard(self) -> frozenset[str]:
-        """Return the topics that somebody listens to."""
-        ends = self._publishers.items()
-        return frozenset(topic for topic, each in ends if each.get_subscription_count())
-
-    def begin(self, first: Mapping[str, Any]) -> None:
-        """Publish the first messages of a tick, by topic."""
-        self._last = first
-        self._send(first)
-
-    def add(self, more: Mapping[str, Any]) -> None:
-        """Publish the other messages of the tick, by topic."""
-        self._send(more)
-
-    def forget(self) -> None:
-        """Begin anew, as if nothing had gone out."""
-        self.at, self._last = -math.inf, {}
-
-    def repeat(self) -> None:
-        """Publish the first messages of the last tick again."""
-        self._send(self._last)
-
-    def _send(self, sent: Mapping[str, Any]) -> None:
-        for topic, message in sent.items():
-            told = self.engaged or topic in KINDS or topic in PROOFS
-            if told and topic in self._publishers:  # of commands, none on a dry run
-                self._publishers[topic].publish(message)
-        self.at = self._node.steady_now()

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The planner's inputs: the latest of each, its age, and what was refused."""
+"""The planner's inputs: messages taken in or refused, and snapshots of all that is known."""
 
 from __future__ import annotations
 
@@ -10,20 +10,23 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from orbimpc_ros.loop.forecast import Forecast, Itinerary, Sighting, forecast_named
-from orbimpc_ros.loop.goals.bank import Bank
-from orbimpc_ros.loop.odometry import Odometry
+from orbimpc_ros.loop.goal.bank import Bank
+from orbimpc_ros.loop.goal.forecast import forecast_named
+from orbimpc_ros.loop.goal.motion import Forecast, GoalMotion, GoalObservation, GoalTrajectory
+from orbimpc_ros.loop.planner import Snapshot
+from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.outcome import Reason
 from orbimpc_ros.ros.clock import UNKNOWN, RosTime
 from orbimpc_ros.ros.messages import SECOND, Stamp, read_itinerary, read_odometry, read_sighting
 from orbimpc_ros.ros.parameters.planner import Ageing, PlannerSettings
-from orbimpc_ros.ros.planner.lookout import (
+from orbimpc_ros.ros.planner.obstacles import (
     COMPARABLE,
     NOT_SET,
     OBSTACLES,
     PLAN,
-    Lookout,
+    ObstacleTracker,
 )
 from orbimpc_ros.ros.transforms import TF, TF_STATIC, Transforms
 
@@ -96,8 +99,8 @@ class Pairing:
 
 
 @dataclass
-class Inbox:
-    """The planner's inputs.
+class Inputs:
+    """Takes in messages, and makes snapshots of what is known.
 
     Times named ``now`` are of the steady clock [s], those named ``ros`` of the node's ROS clock.
 
@@ -111,13 +114,13 @@ class Inbox:
         goal_counts: goals taken in so far, by topic.
         pairings: whether each topic that may do so accompanies the odometry.
         timed: topics whose stamps have been seen to be of the node's own clock.
-        lookout: what moves around the vehicle.
+        obstacles: what moves around the vehicle.
         transforms: of frames to one another.
         displaced: why a goal of another frame is left where it was, in words; empty if it is not.
     """
 
     settings: PlannerSettings
-    names: Mapping[str, str] = field(default_factory=lambda: {each: each for each in NAMED})
+    names: Mapping[str, str] = field(default_factory=dict)
     others: tuple[str, ...] = ()
     latest: dict[str, Received[Any]] = field(default_factory=dict)
     forecast: Forecast = field(init=False)
@@ -125,17 +128,18 @@ class Inbox:
     goal_counts: Counter[str] = field(default_factory=Counter)
     pairings: dict[str, Pairing] = field(init=False)
     timed: set[str] = field(default_factory=set)
-    lookout: Lookout = field(init=False)
+    obstacles: ObstacleTracker = field(init=False)
     transforms: Transforms = field(init=False)
     displaced: str = ''
 
     def __post_init__(self) -> None:
+        self.names = {each: each for each in NAMED} | dict(self.names)
         self.forecast = forecast_named(self.settings.goal_prediction)
         known = self.settings.tree
         self.transforms = Transforms(known.stated, known.timeout, known.heard)
         around = self.names, self.others, self.refused, self._placed
-        self.lookout = Lookout(self.settings, *around)
-        paired = (*GOALS, OBSTACLES, *self.lookout.leaders)
+        self.obstacles = ObstacleTracker(self.settings, *around)
+        paired = (*GOALS, OBSTACLES, *self.obstacles.leaders)
         self.pairings = {topic: Pairing() for topic in paired}
         self._paired: set[str] = set()  # topics that share the stamp of the latest odometry
 
@@ -143,7 +147,7 @@ class Inbox:
         """Take over new settings; another kind of forecast starts afresh from the last goal."""
         renewed = settings.goal_prediction != self.settings.goal_prediction
         self.transforms.adopt(settings.tree.stated, settings.tree.timeout, settings.tree.heard)
-        self.settings = self.lookout.settings = settings
+        self.settings = self.obstacles.settings = settings
         if renewed:
             self.forecast = forecast_named(settings.goal_prediction)
             if 'goal' in self.latest:
@@ -158,7 +162,7 @@ class Inbox:
     def start_afresh(self) -> None:
         """Forget all but a goal sent by hand, as after a reset or when time jumped."""
         self._keep_goal_alone()
-        self.lookout.forget()
+        self.obstacles.forget()
         self.transforms.forget()
         self.timed.clear()
 
@@ -174,7 +178,7 @@ class Inbox:
             unset = replace(goal.stamp, nanoseconds=0)
             self._see_anew(replace(goal, stamp=unset, timed=False, foreign=False))
 
-    def _see_anew(self, goal: Received[Sighting]) -> None:
+    def _see_anew(self, goal: Received[GoalObservation]) -> None:
         """Take a goal for all that was ever seen of it."""
         self.latest['goal'] = goal
         self.forecast.reset()
@@ -192,19 +196,13 @@ class Inbox:
         """Return the latest odometry, if any."""
         return self.latest.get('odom')
 
-    @property
-    def attitude(self) -> Array:
-        """Return the latest attitude, shape (n, n); without odometry, no turn."""
-        known = self.odometry
-        return np.eye(self.settings.problem.dimension) if known is None else known.value.attitude
-
-    def take(self, topic: str, message: Any, now: float, ros: RosTime = UNKNOWN) -> str:
+    def update(self, topic: str, message: Any, now: float, ros: RosTime = UNKNOWN) -> str:
         """Take in a message; return why it was refused, or an empty string."""
         if topic in TRANSFORMS:
             return self._hear(topic, message)
         if topic not in READ:
             measured = UNKNOWN if self.odometry is None else RosTime(self._time)
-            refusal = self.lookout.take(topic, message, ros, measured)
+            refusal = self.obstacles.take(topic, message, ros, measured)
             self._note_pairs()
             return refusal
         settings, last, came = self.settings, self.latest.get(topic), message
@@ -315,7 +313,7 @@ class Inbox:
         self,
         topic: str,
         stamp: Stamp,
-        value: Sighting | Itinerary,
+        value: GoalObservation | GoalTrajectory,
         now: float,
     ) -> None:
         limit, last = self.settings.goal_jump_limit, self.latest.get(topic)
@@ -376,7 +374,7 @@ class Inbox:
 
         Those are its companions, and vehicles that have measured before.
         """
-        due = any(self.lookout.is_due(topic, self._time) for topic in self.others)
+        due = any(self.obstacles.is_due(topic, self._time) for topic in self.others)
         return not self.missing and not due and all(map(self._spoken, self.companions))
 
     @property
@@ -401,7 +399,7 @@ class Inbox:
     @property
     def _stamps(self) -> dict[str, int]:
         """Return the latest stamps of what may accompany odometry, by topic [ns]."""
-        return self.goal_stamps | self.lookout.stamps
+        return self.goal_stamps | self.obstacles.stamps
 
     @property
     def untimed(self) -> str:
@@ -409,16 +407,58 @@ class Inbox:
         untimed = [t for t in READ if t in self.latest and self.latest[t].foreign]
         return ', '.join(self.names[topic] for topic in untimed)
 
-    def stale_odometry(self, now: float, ros: RosTime = UNKNOWN) -> str:
-        """Return that odometry is too old to plan with, in words; empty if it is not."""
-        age = 0.0 if self.odometry is None else self.odometry.age(now, ros)
-        return f'odometry is {age:.2f} s old' if age > self.settings.odom_timeout else ''
+    @property
+    def heard(self) -> dict[str, Any]:
+        """Return which messages the next decision is made of, as a report has it."""
+        return {
+            'goal_stamps': self.goal_stamps,
+            'goal_counts': dict(self.goal_counts),
+            'goal_model': self.goal_model,
+            'traffic_stamps': dict(self.obstacles.stamps),
+        }
 
-    def stale_goal(self, now: float, ros: RosTime = UNKNOWN) -> str:
-        """Return that every source of the goal is too old, in words; empty if one is not."""
+    def snapshot(
+        self, now: float, ros: RosTime = UNKNOWN, *, stop: Reason | None = None, taking: float = 0.0
+    ) -> Snapshot:
+        """Return all that a decision is made of.
+
+        Args:
+            now: on the steady clock [s].
+            ros: on the ROS clock.
+            stop: why no plan may be followed, if none may.
+            taking: how long the decision is going to take [s].
+        """
+        known, goal, path = self.odometry, self.latest.get('goal'), self._fresh_path(now, ros)
+        motion: GoalMotion | None = self.forecast if path is None and goal is not None else path
+        if motion is None and 'goal_path' in self.latest:
+            motion = self.latest['goal_path'].value  # stale: its age is what matters
+        wanted = None if goal is None else goal.value.attitude
+        if path is not None and path.attitude is not None:
+            wanted = path.attitude
         ages = (self._goal_age(*each, now, ros) for each in self._goal_sources().items())
-        age = min(ages, default=0.0)
-        return f'the goal is {age:.2f} s old' if age > self.settings.goal_timeout else ''
+        snapshot = Snapshot(None, motion, wanted, goal_age=min(ages, default=0.0), stop=stop)
+        if known is None:
+            return snapshot
+        compensated = self.settings.delay_compensation and known.timed and ros.nanoseconds
+        return replace(
+            snapshot,
+            odometry=known.value,
+            traffic=self.obstacles.traffic(known.value.time) if self.obstacles.stamps else None,
+            odometry_age=known.age(now, ros),
+            latency=known.delay(ros) + taking if compensated else 0.0,
+        )
+
+    def goal_at(self, now: float, ros: RosTime = UNKNOWN) -> tuple[Array, Array | None] | None:
+        """Return where the goal is at the latest odometry's time, and its attitude, if known.
+
+        None unless it is fresh and nothing is missing.
+        """
+        snapshot = self.snapshot(now, ros)
+        motion, measured = snapshot.goal, snapshot.odometry
+        lost = self.missing or snapshot.goal_age > self.settings.goal_timeout
+        if lost or measured is None or motion is None or isinstance(motion, np.ndarray):
+            return None
+        return motion.at(np.array([measured.time]))[0], snapshot.wanted
 
     def _goal_age(self, topic: str, received: Received[Any], now: float, ros: RosTime) -> float:
         """Return how old a goal is [s]; 0 for one that does not age."""
@@ -428,25 +468,7 @@ class Inbox:
             return 0.0
         return received.age(now, ros)
 
-    def targets(self, times: Array, now: float, ros: RosTime = UNKNOWN) -> Array:
-        """Return the goals at ``times``, shape (N,) [s], as shape (N, n) [m].
-
-        A forecast from outside is used while it is fresh; otherwise one's own.
-        """
-        path = self._fresh_path(now, ros)
-        return self.forecast.at(times) if path is None else np.asarray(path.at(times))
-
-    def wanted(self, now: float, ros: RosTime = UNKNOWN) -> Array | None:
-        """Return the attitude of the goal, shape (n, n), as far as one is known.
-
-        That of the last pose of a forecast from outside while it is fresh, if it has one.
-        """
-        goal, path = self.latest.get('goal'), self._fresh_path(now, ros)
-        if path is not None and path.attitude is not None:
-            return path.attitude
-        return None if goal is None else goal.value.attitude
-
-    def _fresh_path(self, now: float, ros: RosTime) -> Itinerary | None:
+    def _fresh_path(self, now: float, ros: RosTime) -> GoalTrajectory | None:
         path = self.latest.get('goal_path')
         if path is None or self._goal_age('goal_path', path, now, ros) > self.settings.goal_timeout:
             return None
@@ -470,12 +492,12 @@ def _is_unset(topic: str, stamp: Stamp) -> bool:
     return topic == 'goal' and stamp.nanoseconds == 0
 
 
-def _is_undated(goal: Received[Sighting]) -> bool:
+def _is_undated(goal: Received[GoalObservation]) -> bool:
     """Return whether a goal came without a stamp; in simulations the first one has 0 for its."""
     return goal.stamp.nanoseconds == 0 and goal.value.time > 0.0
 
 
-def require_attitude(value: Sighting | Itinerary, settings: PlannerSettings) -> None:
+def require_attitude(value: GoalObservation | GoalTrajectory, settings: PlannerSettings) -> None:
     """Refuse a goal without an attitude where one is asked for.
 
     Raises:
@@ -490,5 +512,5 @@ def _turned(received: Received[Any]) -> bool:
     return received.value.attitude is not None
 
 
-def _place(value: Sighting | Itinerary, time: float) -> Array:
-    return value.position if isinstance(value, Sighting) else value.at(np.array([time]))[0]
+def _place(value: GoalObservation | GoalTrajectory, time: float) -> Array:
+    return value.position if isinstance(value, GoalObservation) else value.at(np.array([time]))[0]

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.loop.observation import Sighting
+from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.mpc.arrays import Array
 
 MEMORY = 64  # sightings
@@ -42,7 +42,7 @@ class Harmonic:
         self._times: deque[float] = deque(maxlen=MEMORY)
         self._seen: deque[Array] = deque(maxlen=MEMORY)
 
-    def observe(self, sighting: Sighting) -> None:
+    def observe(self, sighting: GoalObservation) -> None:
         """Take in a sighting."""
         self._times.append(sighting.time)
         self._seen.append(sighting.position)

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""What a vehicle among hazards flies instead of a plan that does not keep it clear of them.
+"""What a vehicle flies without a new plan: a clear way among hazards, or the safe command.
 
 Without a floor ``max_rate`` bounds chords, and at a low speed a short chord is a wide angle: a plan
 may pass a body by a turn that is cut when it is flown. So each plan is *steered*: its headings are
@@ -7,7 +7,7 @@ followed as fast as the vehicle turns. One whose first steps then meet a hazard 
 that takes no search and does not. Where no plan is found at all, the clearest of these ways is
 flown: to stop is no way out of traffic, what moves comes on.
 
-Mathematics: docs/mathematics.md, 7.12.
+Mathematics: docs/mathematics.md, 7.7 and 7.12.
 """
 
 from __future__ import annotations
@@ -24,15 +24,20 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.clearance import clearances
+from orbimpc_ros.mpc.command import Command, stop
 from orbimpc_ros.mpc.geometry.orbitopes import coordinates
+from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, Proof, assemble
 from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem.pace import moved_towards
 from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
 
 OutOfTime = Callable[[], bool] | None
 SURE_STEPS = 4  # of a steered plan, that have to be clear
 TOUCHING = 1e-6  # of a step's length
 SAME = 1e-2  # of a step's length: ways that differ by less stay out as far
+SAFE_COMMANDS = ('auto', 'stop', 'hold_rate_zero', 'loiter', 'hover')
+CIRCLE_STEPS = 16  # a loitering vehicle closes its circle in so many steps
 
 
 def is_clear(problem: Problem, state: State, goals: Array, plan: Plan) -> bool:
@@ -194,3 +199,92 @@ def _steered(problem: Problem, state: State, x: Array) -> Array:
         share = size * max(0.0, math.cos(wanted - turn))
         followed[k] = share * math.cos(angle), share * math.sin(angle)
     return followed
+
+
+def decided(kind: str, problem: Problem, gravity: float = 0.0) -> str:
+    """Return the kind of safe command that ``auto`` stands for, and any other kind as it is.
+
+    A vehicle with a minimum speed circles. A minimum thrust does not make it circle: stopping the
+    engine is then what coasting is. Under gravity [m/s^2] that is to fall: there it hovers.
+    """
+    if kind != 'auto':
+        return kind
+    if gravity and problem.inertial:
+        return 'hover'
+    floored = problem.floor.exists and not problem.inertial
+    return 'loiter' if floored else 'stop'
+
+
+def may_stop(kind: str, problem: Problem) -> bool:
+    """Return whether the safe command may be below the floor: as it was asked for, or coasts."""
+    return decided(kind, problem) == 'stop' or problem.inertial
+
+
+def safe_command(
+    kind: str,
+    problem: Problem,
+    attitude: Array,
+    fraction: float,
+    disturbance: Array | None = None,
+) -> Command:
+    """Return a safe command.
+
+    Args:
+        kind: ``auto``: as :func:`decided`; ``stop``: no speed or thrust, no turning;
+            ``hold_rate_zero``: the present speed, yet
+            at least the floor, no turning (with thrust, at translation order 2, that is to
+            coast); ``loiter``: a level circle at the least speed, or at full speed without a floor,
+            to which the speed changes as ``max_acceleration`` allows;
+            ``hover`` (order 2): the thrust that :func:`carrying` has, no turning.
+        problem: gives floor and limits.
+        attitude: the present one, shape (n, n).
+        fraction: share of full speed commanded last, in [0, 1].
+        disturbance: the acceleration to hover against, shape (n,) [m/s^2]; None for none.
+    """
+    kind = decided(kind, problem)
+    if kind == 'stop':  # at once: what brakes does so as fast as it can
+        return stop(attitude)
+    rate = np.zeros(1 if problem.dimension == 2 else 3)
+    least = problem.floor.clearance(problem.dimension)
+    if kind == 'hover':
+        carried = 0.0 if disturbance is None else carrying(problem, attitude, disturbance)
+        return Command(max(carried, least), rate, np.array(attitude))
+    if kind == 'hold_rate_zero':
+        kept = max(fraction, least) if not problem.inertial else 0.0
+        return Command(kept, rate, np.array(attitude))
+    circling = 2.0 * math.pi / (CIRCLE_STEPS * problem.step)
+    rate[-1] = min(circling, problem.max_rate) if problem.max_rate > 0.0 else circling
+    circled = problem.floor.circling(problem.dimension)
+    told = moved_towards(problem, entry_of_safety(problem, fraction), circled)
+    return Command(told, rate, attitude @ exp(problem.step * rate))
+
+
+def entry_of_safety(problem: Problem, fraction: float) -> float:
+    """Return the share of full speed that the change by a safe command counts from.
+
+    That commanded last, or what every heading has at least with a floor: up to it, at once.
+    """
+    if not problem.floor.exists:
+        return fraction
+    return max(fraction, problem.floor.circling(problem.dimension))
+
+
+def carrying(problem: Problem, attitude: Array, acceleration: Array) -> float:
+    """Return the share of full thrust that carries a vehicle against an acceleration, in [0, 1].
+
+    Not turned, for an attitude that is not measured any more must not be steered by: so much thrust
+    that along the acceleration nothing is left. Tilted so far that full thrust would not do that,
+    as much as leaves the least acceleration altogether.
+
+    Args:
+        problem: gives the full thrust.
+        attitude: the present one, shape (n, n).
+        acceleration: to be balanced, shape (n,) [m/s^2].
+    """
+    weight = float(np.linalg.norm(acceleration))
+    if weight == 0.0:
+        return 0.0
+    upright = -float(acceleration @ attitude[:, 0]) / weight
+    if problem.forward * upright >= weight:
+        return weight / (problem.forward * upright)
+    return max(0.0, weight * upright / problem.forward)

@@ -10,8 +10,8 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from orbimpc_ros.loop import controller as controllers
-from orbimpc_ros.loop.safety import CIRCLE_STEPS, safe_command
+from orbimpc_ros.loop import planner as planners
+from orbimpc_ros.loop.fallback import CIRCLE_STEPS, safe_command
 from orbimpc_ros.mpc.command import flaw
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.geometry.rotations import exp
@@ -25,9 +25,8 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.planner.inbox import Inbox
-from orbimpc_ros.ros.planner.outlet import refutation_messages, report_messages
-from orbimpc_ros.ros.planner.ticker import Ticker, prepared
+from orbimpc_ros.ros.planner.core import Core, planner_of
+from orbimpc_ros.ros.planner.outputs import refutation_messages, report_messages
 from orbimpc_ros.sim.vehicle import Model, launched, measured
 
 FRAMES = Frames('odom', 'base_link')
@@ -35,26 +34,25 @@ START = 1_700_000_000 * SECOND  # [ns]
 
 
 class Driven:
-    """A ticker whose inputs are stamped and come when the test says."""
+    """A core whose inputs are stamped and come when the test says."""
 
     def __init__(self, simulated=False, limits=None, **changes):
         values = {row.name: row.default for row in PLANNER} | {'step': 0.1} | changes
         settings = planner_settings(values)
-        self.inbox = Inbox(settings)
-        self.ticker = Ticker(*prepared(settings), simulated=simulated, **(limits or {}))
+        self.core = Core(*planner_of(settings), simulated=simulated, **(limits or {}))
 
     def odometry(self, at, now, position=(0.0, 0.0)):
         vehicle = launched(Model(), np.array(position), np.eye(2))
         message = messages.odometry_message(Stamp(stamp(at), FRAMES), measured(vehicle))
-        assert self.inbox.take('odom', message, now, RosTime(stamp(now))) == ''
+        assert self.core.inputs.update('odom', message, now, RosTime(stamp(now))) == ''
 
     def goal(self, at, now, x=5.0):
         message = messages.goal_message(Stamp(stamp(at), FRAMES), np.array([x, 1.0]))
-        assert self.inbox.take('goal', message, now, RosTime(stamp(now))) == ''
+        assert self.core.inputs.update('goal', message, now, RosTime(stamp(now))) == ''
 
     def tick(self, now):
-        report = self.ticker.planned(self.inbox, now, RosTime(stamp(now)))
-        self.ticker.went_out(report.tick.command, stamp(now) / SECOND)
+        report = self.core.decide(now, RosTime(stamp(now)))
+        self.core.sent(report.decision.command, stamp(now) / SECOND)
         return report
 
     def tick_again(self, now):
@@ -63,11 +61,11 @@ class Driven:
         return self.tick(now)
 
     def safe(self, cause=Cause.DISABLED):
-        return self.ticker.safe(self.inbox, Reason(cause, 'a test wants it'))
+        return self.core.decide(0.0, stop=Reason(cause, 'a test wants it'))
 
     def start_afresh(self):
-        self.ticker.start_afresh()
-        self.inbox.forget()
+        self.core.planner.start_afresh()
+        self.core.inputs.forget()
 
 
 def stamp(seconds):
@@ -81,12 +79,12 @@ def test_a_stale_goal_holds_the_last_plan_and_then_stops():
     for k in range(9):
         driven.odometry(0.1 * k, 0.1 * k, position=(0.1 * k, 0.0))
         answers.append(driven.tick(0.1 * k))
-    fallbacks = [answer.tick.fallback for answer in answers]
+    fallbacks = [answer.decision.fallback for answer in answers]
     assert fallbacks == [''] * 6 + ['shifted plan'] * 2 + ['safe command']
-    assert answers[6].tick.reason == 'the goal is 0.60 s old'
+    assert answers[6].decision.reason == 'the goal is 0.60 s old'
     assert answers[6].solve_time_ms == 0.0  # nothing was solved
-    assert answers[6].tick.command.speed_fraction > 0.5
-    assert answers[8].tick.command.speed_fraction == 0.0
+    assert answers[6].decision.command.speed_fraction > 0.5
+    assert answers[8].decision.command.speed_fraction == 0.0
 
 
 def test_the_state_is_advanced_by_the_age_of_odometry():
@@ -97,14 +95,16 @@ def test_the_state_is_advanced_by_the_age_of_odometry():
         each.tick(0.0)
         each.odometry(0.1, 0.18, position=(0.1, 0.0))
     answer, other = driven.tick(0.18), blind.tick(0.18)
-    assert other.advanced == 0.0
-    np.testing.assert_allclose(other.tick.plan.positions[0], [0.1, 0.0])
-    took = driven.ticker.timing.expected
-    assert answer.advanced == pytest.approx(0.08 + took, abs=0.05)
-    assert answer.advanced >= 0.08 - 1e-6
-    moved = answer.tick.plan.positions[0] - [0.1, 0.0]
-    assert np.linalg.norm(moved) == pytest.approx(answer.advanced, rel=1e-3)  # at 1 m/s
-    path = messages.plan_message(Stamp(stamp(0.1), FRAMES), answer.tick.plan, 0.1, answer.advanced)
+    assert other.decision.advanced == 0.0
+    np.testing.assert_allclose(other.decision.plan.positions[0], [0.1, 0.0])
+    took = driven.core.timing.expected
+    assert answer.decision.advanced == pytest.approx(0.08 + took, abs=0.05)
+    assert answer.decision.advanced >= 0.08 - 1e-6
+    moved = answer.decision.plan.positions[0] - [0.1, 0.0]
+    assert np.linalg.norm(moved) == pytest.approx(answer.decision.advanced, rel=1e-3)  # at 1 m/s
+    path = messages.plan_message(
+        Stamp(stamp(0.1), FRAMES), answer.decision.plan, 0.1, answer.decision.advanced
+    )
     begun = path.poses[0].header.stamp
     assert begun.sec * SECOND + begun.nanosec >= stamp(0.18) - 1000
 
@@ -115,8 +115,8 @@ def test_the_goal_is_where_it_will_be_when_the_advanced_plan_gets_there():
         driven.odometry(at, at + 0.05)
         driven.goal(at, at + 0.05, x=5.0 + at)
         answer = driven.tick(at + 0.05)
-    ahead = 0.1 + answer.advanced + 0.1 * np.arange(1, 6)
-    np.testing.assert_allclose(answer.tick.goals[:, 0], 5.0 + ahead, atol=1e-4)
+    ahead = 0.1 + answer.decision.advanced + 0.1 * np.arange(1, 6)
+    np.testing.assert_allclose(answer.decision.goals[:, 0], 5.0 + ahead, atol=1e-4)
 
 
 def test_without_delay_compensation_changes_no_bit():
@@ -128,10 +128,12 @@ def test_without_delay_compensation_changes_no_bit():
             each.goal(0.1 * k, 0.1 * k)
             answers.append(each.tick(0.1 * k))
         one, other = answers
-        assert one.advanced == 0.0
-        assert one.tick.command.speed_fraction == other.tick.command.speed_fraction
-        np.testing.assert_array_equal(one.tick.command.body_rate, other.tick.command.body_rate)
-        np.testing.assert_array_equal(one.tick.plan.positions, other.tick.plan.positions)
+        assert one.decision.advanced == 0.0
+        assert one.decision.command.speed_fraction == other.decision.command.speed_fraction
+        np.testing.assert_array_equal(
+            one.decision.command.body_rate, other.decision.command.body_rate
+        )
+        np.testing.assert_array_equal(one.decision.plan.positions, other.decision.plan.positions)
 
 
 def test_stamps_of_another_clock_say_nothing_of_the_delay():
@@ -141,17 +143,17 @@ def test_stamps_of_another_clock_say_nothing_of_the_delay():
         message = messages.odometry_message(
             Stamp(round(seconds * SECOND), FRAMES), measured(vehicle)
         )
-        driven.inbox.take('odom', message, seconds, RosTime(stamp(seconds)))
+        driven.core.inputs.update('odom', message, seconds, RosTime(stamp(seconds)))
         driven.goal(seconds, seconds)
-        assert driven.tick(seconds + 0.05).advanced == 0.0
+        assert driven.tick(seconds + 0.05).decision.advanced == 0.0
 
 
 def poison(monkeypatch, **changes):
     """Let commands be made with a flaw that the controller's own check has missed."""
-    honest = controllers.command_of
+    honest = planners.command_of
     made = lambda *arguments: replace(honest(*arguments), **changes)  # noqa: E731
-    monkeypatch.setattr(controllers, 'command_of', made)
-    monkeypatch.setattr(controllers, 'command_violations', lambda *_: [])
+    monkeypatch.setattr(planners, 'command_of', made)
+    monkeypatch.setattr(planners, 'command_violations', lambda *_: [])
 
 
 def test_a_command_with_a_flaw_is_not_sent(monkeypatch):
@@ -160,19 +162,19 @@ def test_a_command_with_a_flaw_is_not_sent(monkeypatch):
     driven.goal(0.0, 0.0)
     poison(monkeypatch, body_rate=np.array([np.nan]))
     answer = driven.tick(0.0)
-    assert (answer.tick.fallback, answer.tick.status) == ('safe command', 'failed')
-    assert answer.tick.reason == 'not sent: the command is not finite'
-    assert answer.tick.plan is None
-    assert answer.tick.command.speed_fraction == 0.0
-    assert answer.tick.command.body_rate.tolist() == [0.0]
+    assert (answer.decision.fallback, answer.decision.status) == ('safe command', 'failed')
+    assert answer.decision.reason == 'not sent: the command is not finite'
+    assert answer.decision.plan is None
+    assert answer.decision.command.speed_fraction == 0.0
+    assert answer.decision.command.body_rate.tolist() == [0.0]
 
 
 def test_a_tick_that_takes_too_long_is_a_miss(monkeypatch):
     driven = Driven(deadline=1e-9)
     driven.odometry(0.0, 0.0)
     driven.goal(0.0, 0.0)
-    assert driven.tick(0.0).tick.status in ('optimal', 'feasible')  # checked: it may be flown
-    assert driven.ticker.timing.misses == 1
+    assert driven.tick(0.0).decision.status in ('optimal', 'feasible')  # checked: it may be flown
+    assert driven.core.timing.misses == 1
 
 
 ATTITUDE = exp(np.array([0.4]))
@@ -252,30 +254,30 @@ def test_every_road_to_a_safe_command_keeps_to_the_floor(kind, monkeypatch):
     driven.goal(2.0, 2.0)
     poison(monkeypatch, speed_fraction=0.1)
     answers.append(driven.tick(2.0))
-    assert answers[-1].tick.reason.startswith('not sent: a speed fraction of 0.1 is below')
-    fallbacks = [answer.tick.fallback for answer in answers]
+    assert answers[-1].decision.reason.startswith('not sent: a speed fraction of 0.1 is below')
+    fallbacks = [answer.decision.fallback for answer in answers]
     assert fallbacks.count('safe command') == 5
     assert fallbacks.count('shifted plan') == 2
     for answer in answers:
-        below = answer.tick.command.speed_fraction < np.sqrt(0.3) * (1.0 - 1e-9)
-        assert below == (kind == 'stop' and answer.tick.fallback == 'safe command')
+        below = answer.decision.command.speed_fraction < np.sqrt(0.3) * (1.0 - 1e-9)
+        assert below == (kind == 'stop' and answer.decision.fallback == 'safe command')
 
 
 def test_what_is_safe_at_translation_order_2_is_no_thrust_whatever_the_floor():
     driven = Driven(**{'floor.shape': 'circle', 'translation_order': 2})
-    assert driven.safe().tick.command.speed_fraction == 0.0
+    assert driven.safe().decision.command.speed_fraction == 0.0
 
 
 def test_a_command_that_was_not_sent_is_not_the_speed_to_hold():
     driven = Driven(safe_command='hold_rate_zero')
     driven.odometry(0.0, 0.0)
     driven.goal(0.0, 0.0)
-    planned = driven.ticker.planned(driven.inbox, 0.0, RosTime(stamp(0.0)))
-    assert planned.tick.command.speed_fraction > 0.5
-    assert driven.safe().tick.command.speed_fraction == 0.0
-    driven.ticker.went_out(planned.tick.command, stamp(0.0) / SECOND)
-    held = driven.safe().tick.command.speed_fraction
-    assert held == planned.tick.command.speed_fraction
+    planned = driven.core.decide(0.0, RosTime(stamp(0.0)))
+    assert planned.decision.command.speed_fraction > 0.5
+    assert driven.safe().decision.command.speed_fraction == 0.0
+    driven.core.sent(planned.decision.command, stamp(0.0) / SECOND)
+    held = driven.safe().decision.command.speed_fraction
+    assert held == planned.decision.command.speed_fraction
 
 
 def test_what_kept_a_tick_from_being_planned_is_a_word_to_decide_by():
@@ -319,18 +321,18 @@ def test_an_unknown_wind_is_estimated_planned_with_and_told():
         driven.goal(now, now, x=1e3)
         report = driven.tick(now)
         share = 0.0 if last is None else last
-        wanted = report.tick.command.speed_fraction
+        wanted = report.decision.command.speed_fraction
         left = (share - wanted) * np.exp(-1.0)
         position = position + 0.1 * wind + [0.1 * wanted + 0.1 * (share - wanted - left), 0.0]
         last = wanted + left
-    np.testing.assert_allclose(report.disturbance, wind, atol=0.01)
-    np.testing.assert_array_equal(report.tick.state.disturbance, report.disturbance)
-    assert report.values['disturbance'] == tuple(report.disturbance)
+    np.testing.assert_allclose(report.decision.disturbance, wind, atol=0.01)
+    np.testing.assert_array_equal(report.decision.state.disturbance, report.decision.disturbance)
+    assert report.values['disturbance'] == tuple(report.decision.disturbance)
     assert 0.0 <= report.values['innovation'] < 1.0
     driven.start_afresh()
-    assert driven.tick_again(now + 0.1).disturbance == pytest.approx(wind, abs=0.01)
-    driven.ticker.forget()
-    assert not driven.tick_again(now + 0.2).disturbance.any()
+    assert driven.tick_again(now + 0.1).decision.disturbance == pytest.approx(wind, abs=0.01)
+    driven.core.planner.start_afresh(wind=True)
+    assert not driven.tick_again(now + 0.2).decision.disturbance.any()
 
 
 def test_what_is_given_is_planned_with_and_nothing_is_estimated():
@@ -351,9 +353,9 @@ def test_a_lagging_vehicle_does_not_turn_at_once_while_its_odometry_is_late():
             driven.odometry(0.1 * k, 0.1 * k + 0.05)
             driven.goal(0.1 * k, 0.1 * k + 0.05, x=-5.0)
             report = driven.tick(0.1 * k + 0.05)
-        assert report.advanced == pytest.approx(0.05, abs=1e-6)
-        assert report.tick.command.body_rate[0] != 0.0
-        turned.append(report.tick.state.attitude[1, 0])
+        assert report.decision.advanced == pytest.approx(0.05, abs=1e-6)
+        assert report.decision.command.body_rate[0] != 0.0
+        turned.append(report.decision.state.attitude[1, 0])
     assert abs(turned[0]) > 0.01
     assert turned[1] == pytest.approx(0.0, abs=1e-12)
 
@@ -364,15 +366,15 @@ def test_a_plan_of_a_lagging_vehicle_starts_a_lag_later():
     driven.odometry(0.0, 0.0)
     driven.goal(0.0, 0.0)
     report = driven.tick(0.0)
-    assert report.led == 0.05
-    assert report.advanced == pytest.approx(0.0, abs=1e-6)
-    np.testing.assert_allclose(report.tick.state.position, [0.05, 0.0], atol=1e-6)
+    assert report.decision.led == 0.05
+    assert report.decision.advanced == pytest.approx(0.0, abs=1e-6)
+    np.testing.assert_allclose(report.decision.state.position, [0.05, 0.0], atol=1e-6)
 
 
 def turned_to(yaw, at, now, driven):
     message = messages.goal_message(Stamp(stamp(at), FRAMES), np.array([0.5, 0.2]))
     message.pose.orientation = messages.quaternion(exp(np.array([yaw])))
-    assert driven.inbox.take('goal', message, now, RosTime(stamp(now))) == ''
+    assert driven.core.inputs.update('goal', message, now, RosTime(stamp(now))) == ''
 
 
 def test_the_goals_orientation_pulls_where_it_has_a_weight():
@@ -381,7 +383,7 @@ def test_the_goals_orientation_pulls_where_it_has_a_weight():
         driven = Driven(**{'weights.attitude': weight, 'weights.input': 0.001, 'horizon': 8})
         driven.odometry(0.0, 0.0)
         turned_to(2.0, 0.0, 0.0, driven)
-        ends[weight] = driven.tick(0.0).tick.plan.rotations[-1]
+        ends[weight] = driven.tick(0.0).decision.plan.rotations[-1]
     off = {weight: np.linalg.norm(end - exp(np.array([2.0]))) for weight, end in ends.items()}
     assert off[20.0] < 0.2 < off[0.0]
 
@@ -390,10 +392,10 @@ def test_a_catch_is_headed_along_the_goals_axis_or_the_direction_given():
     for yaw, direction in ((1.0, ()), (-2.0, (np.cos(1.0), np.sin(1.0)))):
         coned = {'approach.cone': 0.3, 'approach.direction': direction}
         driven = Driven(objective='intercept', horizon=8, **coned)
-        driven.ticker._settings = replace(driven.inbox.settings, given_deadline=np.inf)
+        driven.core.settings = replace(driven.core.settings, given_deadline=np.inf)
         driven.odometry(0.0, 0.0)
         turned_to(yaw, 0.0, 0.0, driven)
-        tick = driven.tick(0.0).tick
+        tick = driven.tick(0.0).decision
         assert np.isfinite(tick.catch.time)
         heading = tick.plan.projected[-1, :, 0]
         assert np.arctan2(heading[1], heading[0]) == pytest.approx(1.0, abs=0.3 + 1e-6)
@@ -402,7 +404,7 @@ def test_a_catch_is_headed_along_the_goals_axis_or_the_direction_given():
 def test_only_what_somebody_listens_to_is_made():
     driven = Driven()
     report = driven.tick_again(1.0)
-    known = driven.inbox.settings, Stamp(stamp(1.0), FRAMES), report, '/planner'
+    known = driven.core.settings, Stamp(stamp(1.0), FRAMES), report, '/planner'
     everything = report_messages(*known, oriented=True)
     assert everything.keys() == {'tick', 'plan', 'plan_markers', 'rotation'}
     assert report_messages(*known, oriented=True, heard={'plan', 'odom'}) == {
@@ -415,26 +417,26 @@ def test_only_what_somebody_listens_to_is_made():
 def test_a_certificate_on_the_wire_proves_the_bound_of_the_tick():
     driven = Driven(publish_certificate=True)
     report = driven.tick_again(1.0)
-    known = driven.inbox.settings, Stamp(stamp(1.0), FRAMES), report, '/planner'
+    known = driven.core.settings, Stamp(stamp(1.0), FRAMES), report, '/planner'
     sent = report_messages(*known, oriented=True, heard={'certificate'})['certificate']
     verdict = verified(parsed(bytes(sent.data)))
     assert verdict.holds
-    assert verdict.claimed == report.tick.plan.lower_bound > 0.0
+    assert verdict.claimed == report.decision.plan.lower_bound > 0.0
 
 
 def still(**changes):
-    """Return a ticker for which no time passes."""
+    """Return a core for which no time passes."""
     driven = Driven(publish_certificate=True, **changes)
-    driven.ticker._clock = lambda: 0.0
+    driven.core._clock = lambda: 0.0
     return driven
 
 
 def test_what_proves_that_nothing_is_feasible_is_on_the_wire():
     driven = still(terminal='constraint')
-    report = driven.ticker.proved(driven.tick_again(1.0))
+    report = driven.core.proved(driven.tick_again(1.0))
     assert report.values['status'] == 'infeasible'
     assert report.values['infeasible_checked'] is True
-    assert WORD not in report.tick.reason
+    assert WORD not in report.decision.reason
     (sent,) = refutation_messages(report).values()
     verdict = verified(parsed(bytes(sent.data)))
     assert verdict.holds
@@ -444,54 +446,54 @@ def test_what_proves_that_nothing_is_feasible_is_on_the_wire():
 def test_without_time_for_a_proof_a_tick_says_whose_word_it_is():
     driven = still(terminal='constraint')
     answered = driven.tick_again(1.0)
-    end = driven.ticker._end
-    driven.ticker._limit = lambda: end
-    report = driven.ticker.proved(answered)
-    assert report.tick.status == answered.tick.status == 'infeasible'
-    assert report.tick.command == answered.tick.command
+    end = driven.core._end
+    driven.core._limit = lambda: end
+    report = driven.core.proved(answered)
+    assert report.decision.status == answered.decision.status == 'infeasible'
+    assert report.decision.command == answered.decision.command
     assert report.values['infeasible_checked'] is False
-    assert report.tick.reason == f'{answered.tick.reason}; {WORD}'
+    assert report.decision.reason == f'{answered.decision.reason}; {WORD}'
     assert refutation_messages(report) == {}
 
 
 def of_the_methods_word(report, bound):
     """Return a report whose bound nobody has counted."""
-    proof = replace(report.tick.plan.proof, lower_bound=bound, checked=False, grounds=None)
-    plan = replace(report.tick.plan, proof=proof)
-    return replace(report, tick=replace(report.tick, plan=plan, status=plan.status))
+    proof = replace(report.decision.plan.proof, lower_bound=bound, checked=False, grounds=None)
+    plan = replace(report.decision.plan, proof=proof)
+    return replace(report, decision=replace(report.decision, plan=plan, status=plan.status))
 
 
 def test_a_bound_that_was_not_counted_is_proved_after_the_command():
     driven = still()
     answered = driven.tick_again(1.0)
-    assert answered.tick.status == 'optimal'
-    word = of_the_methods_word(answered, answered.tick.plan.lower_bound)
-    assert word.tick.status == 'feasible'
+    assert answered.decision.status == 'optimal'
+    word = of_the_methods_word(answered, answered.decision.plan.lower_bound)
+    assert word.decision.status == 'feasible'
     assert (word.values['lower_bound'], word.values['gap']) == (0.0, 1.0)
-    report = driven.ticker.proved(word)
-    assert report.tick.status == 'optimal'
+    report = driven.core.proved(word)
+    assert report.decision.status == 'optimal'
     assert report.values['lower_bound'] == answered.values['lower_bound']
     assert report.values['bound_checked'] is True
-    assert report.tick.reason == answered.tick.reason
-    known = driven.inbox.settings, Stamp(stamp(1.0), FRAMES), report, '/planner'
+    assert report.decision.reason == answered.decision.reason
+    known = driven.core.settings, Stamp(stamp(1.0), FRAMES), report, '/planner'
     sent = report_messages(*known, oriented=True, heard={'certificate'})['certificate']
     verdict = verified(parsed(bytes(sent.data)))
     assert verdict.holds
-    assert verdict.claimed == report.tick.plan.lower_bound > 0.0
+    assert verdict.claimed == report.decision.plan.lower_bound > 0.0
 
 
 def test_a_bound_that_nothing_proves_is_the_methods_word():
     driven = still()
     answered = driven.tick_again(1.0)
-    word = of_the_methods_word(answered, 1.0001 * answered.tick.plan.objective)
-    report = driven.ticker.proved(word)
-    assert report.tick.status == 'feasible'
+    word = of_the_methods_word(answered, 1.0001 * answered.decision.plan.objective)
+    report = driven.core.proved(word)
+    assert report.decision.status == 'feasible'
     assert report.values['bound_checked'] is False
     assert report.values['lower_bound'] == 0.0
-    assert report.tick.reason == WORD
-    assert report.tick.command == answered.tick.command
-    left_open = of_the_methods_word(answered, 0.5 * answered.tick.plan.objective)
-    assert driven.ticker.proved(left_open) is left_open  # there is nothing to gain
+    assert report.decision.reason == WORD
+    assert report.decision.command == answered.decision.command
+    left_open = of_the_methods_word(answered, 0.5 * answered.decision.plan.objective)
+    assert driven.core.proved(left_open) is left_open  # there is nothing to gain
 
 
 BOXES = {'obstacles': [1.5, -1.0, 2.5, 1.6, 3.0, 1.2, 4.0, 3.0], 'floor.shape': 'circle'}
@@ -505,7 +507,7 @@ def test_in_lock_step_a_deadline_leaves_the_same_work_however_slow_the_machine_i
         search = {'step': 0.5, 'horizon': 10, 'no_corner_cutting': True, 'deadline': deadline}
         driven = Driven(True, limits, **search, **BOXES)
         report = driven.tick_again(0.0)
-        plan = driven.ticker.proved(report).tick.plan
+        plan = driven.core.proved(report).decision.plan
         found.append((plan.objective, plan.lower_bound, plan.nodes))
         assert (plan.gap < 1e-6) == (deadline == 0.1)
     assert found[0] == found[1]
@@ -514,18 +516,18 @@ def test_in_lock_step_a_deadline_leaves_the_same_work_however_slow_the_machine_i
 def test_the_proof_of_a_bound_has_until_the_deadline():
     driven = still()
     answered = driven.tick_again(1.0)
-    word = of_the_methods_word(answered, answered.tick.plan.lower_bound)
-    end = driven.ticker._end
-    driven.ticker._limit = lambda: end
-    assert driven.ticker.proved(word).tick.reason == WORD
+    word = of_the_methods_word(answered, answered.decision.plan.lower_bound)
+    end = driven.core._end
+    driven.core._limit = lambda: end
+    assert driven.core.proved(word).decision.reason == WORD
 
 
 def test_a_plan_needs_no_such_proof():
     driven = Driven()
     report = driven.tick_again(1.0)
-    assert driven.ticker.proved(report) is report
+    assert driven.core.proved(report) is report
     assert report.values['infeasible_checked'] is False
-    assert driven.ticker.proved(driven.safe()).refutation is None
+    assert driven.core.proved(driven.safe()).decision.refutation is None
 
 
 CAUGHT = {'objective': 'intercept', 'capture_radius': 0.1}
@@ -534,9 +536,9 @@ CAUGHT = {'objective': 'intercept', 'capture_radius': 0.1}
 def test_before_which_time_nothing_catches_is_refuted_on_the_wire_on_demand():
     driven = still(**CAUGHT)
     answered = driven.tick_again(1.0)
-    assert answered.tick.catch.bound == pytest.approx(0.6)
-    assert driven.ticker.proved(answered) is answered
-    report = driven.ticker.proved(answered, catches=True)
+    assert answered.decision.catch.bound == pytest.approx(0.6)
+    assert driven.core.proved(answered) is answered
+    report = driven.core.proved(answered, catches=True)
     (sent,) = refutation_messages(report).values()
     verdict = verified(parsed(bytes(sent.data)))
     assert verdict.holds
@@ -549,16 +551,16 @@ def test_what_is_said_of_catches_is_counted_or_refuted_or_the_methods_word():
     driven = still(**CAUGHT)
     answered = driven.tick_again(1.0)
     assert answered.values['catch_checked'] is True  # too far away
-    tick = replace(answered.tick, catch=replace(answered.tick.catch, counted=0.1))
-    word = replace(answered, tick=tick)
+    decision = replace(answered.decision, catch=replace(answered.decision.catch, counted=0.1))
+    word = replace(answered, decision=decision)
     assert word.values['catch_checked'] is False
     assert word.values['catch_bound'] == 0.1  # as far as it was counted
-    refuted = driven.ticker.proved(word, catches=True).values
+    refuted = driven.core.proved(word, catches=True).values
     assert refuted['catch_checked'] is True
     assert refuted['catch_bound'] == answered.values['catch_bound'] > 0.1
-    end = driven.ticker._end
-    driven.ticker._limit = lambda: end
-    late = driven.ticker.proved(word, catches=True)
+    end = driven.core._end
+    driven.core._limit = lambda: end
+    late = driven.core.proved(word, catches=True)
     assert late.values['catch_checked'] is False
-    assert late.tick.reason == answered.tick.reason
+    assert late.decision.reason == answered.decision.reason
     assert Driven().tick_again(1.0).values['catch_checked'] is False

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The planner's view of what moves around it: bodies on ``obstacles``, plans of others."""
+"""What moves around the planner's vehicle: bodies on ``obstacles``, plans of other vehicles."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from orbimpc_ros.loop.traffic.bodies import MOST, Bodies
-from orbimpc_ros.loop.traffic.courses import Courses
+from orbimpc_ros.loop.traffic import MOST, AgentTrajectory, Bodies, Traffic, silence
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.problem import Hazard
 from orbimpc_ros.ros.clock import RosTime
-from orbimpc_ros.ros.messages import SECOND, Stamp, read_course
+from orbimpc_ros.ros.messages import SECOND, Stamp, read_agent
 from orbimpc_ros.ros.obstacles import Gone, Spotted, read_obstacles, stamp_of
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 
@@ -48,10 +46,10 @@ def _require_fresh(stamp: Stamp, measured: RosTime, lifetime: float) -> None:
 
 
 @dataclass
-class Lookout:
+class ObstacleTracker:
     """What moves around the vehicle.
 
-    What stays of a message is told by its stamps alone, so that a recording shows the same.
+    What stays of a message depends on its stamps alone, so that a recording shows the same.
 
     Attributes:
         settings: dimension, frames, distances and limits.
@@ -60,7 +58,7 @@ class Lookout:
         refused: what was refused so far, by topic and field.
         placed: moves a message to the world's frame.
         bodies: on ``obstacles``.
-        courses: of other vehicles.
+        agents: the latest plans of other vehicles, by topic.
         stamps: of the latest message of each topic [ns]; empty while there is nothing around.
         leaders: topics of the vehicles that plan before this one where stamps are shared. Planners
             that answer odometry of the same moment would each avoid what the others planned the
@@ -74,13 +72,12 @@ class Lookout:
     refused: Counter[str]
     placed: Callable[[Any], Any]
     bodies: Bodies = field(default_factory=Bodies)
-    courses: Courses = field(init=False)
+    agents: dict[str, AgentTrajectory] = field(default_factory=dict)
     stamps: dict[str, int] = field(default_factory=dict)
     leaders: tuple[str, ...] = field(init=False)
     periods: dict[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.courses = Courses(self.others)
         self.leaders = tuple(name for name in self.others if name < self.names[PLAN])
 
     def take(self, topic: str, message: Any, ros: RosTime, measured: RosTime) -> str:
@@ -95,20 +92,20 @@ class Lookout:
         if topic == OBSTACLES:
             return self._take_obstacles(message, ros, measured)
         try:
-            self._take_course(topic, message, ros, measured)
+            self._take_plan(topic, message, ros, measured)
         except BadInput as error:
             self.refused[f'{topic}: {error.culprit}'] += 1
             return f'{topic} refused: {error}'
         return ''
 
-    def _take_course(self, topic: str, message: Any, ros: RosTime, measured: RosTime) -> None:
+    def _take_plan(self, topic: str, message: Any, ros: RosTime, measured: RosTime) -> None:
         settings, placed = self.settings, self.placed(message)
-        stamp, course = read_course(placed, settings.problem.dimension, settings.frames)
+        stamp, agent = read_agent(placed, settings.problem.dimension, settings.frames)
         ros.require_past(stamp.nanoseconds, settings.future_tolerance)
         _require_fresh(stamp, measured, COMPARABLE)
         if stamp.nanoseconds < self.stamps.get(topic, 0):
             raise BadInput('reordered stamp', stamp.nanoseconds, 'stamps that do not decrease')
-        self.courses.hear(topic, course)
+        self.agents[topic] = agent
         last = self.stamps.get(topic, stamp.nanoseconds)
         if last < stamp.nanoseconds:
             self.periods[topic] = stamp.nanoseconds - last
@@ -129,7 +126,7 @@ class Lookout:
             except BadInput as error:
                 wrong.append(error)
         self.stamps[OBSTACLES] = stamp_of(message)
-        return self._told(wrong, list(filter(None, odd)))
+        return self._counted(wrong, list(filter(None, odd)))
 
     def _remove(self, gone: Gone) -> None:
         if gone.name:
@@ -144,7 +141,7 @@ class Lookout:
         _require_fresh(change.stamp, measured, change.seen.lifetime)
         return self.bodies.see(change.seen, self.settings.obstacle_speed_limit)
 
-    def _told(self, wrong: list[BadInput], odd: list[str]) -> str:
+    def _counted(self, wrong: list[BadInput], odd: list[str]) -> str:
         """Count what is wrong and odd about a message, and return it in a line."""
         counts, first = Counter[str](), dict[str, BadInput]()
         for error in wrong:
@@ -176,21 +173,24 @@ class Lookout:
             return False  # it is silent
         return late > (-TIE if topic in self.leaders else TIE)
 
-    def hazards(self, at: float) -> list[Hazard]:
-        """Return all that moves, or may, from a time [s] on."""
-        self.bodies.expire(at)
+    def traffic(self, at: float) -> Traffic | None:
+        """Return what is known at a time [s]; None where nothing was ever heard."""
+        if not self.stamps:
+            return None
         settings = self.settings
-        bodies = self.bodies.hazards(at, settings.obstacle_unseen_speed)
-        return [*bodies, *self.courses.hazards(at, settings.distance)]
+        known = self.bodies.current(at), tuple(self.agents.values())
+        return Traffic(*known, settings.obstacle_unseen_speed, settings.distance)
 
-    def troubles(self, at: float) -> list[str]:
+    def silences(self, at: float) -> list[str]:
         """Return which other vehicles are not heard at a time [s], in words."""
-        return self.courses.troubles(at, self.settings.distance.timeout)
+        due = at - self.settings.distance.timeout
+        found = (silence(name, self.agents.get(name), due) for name in self.others)
+        return [words for words in found if words]
 
     def forget(self) -> None:
         """Forget all that was seen and heard."""
         self.bodies.clear()
-        self.courses.clear()
+        self.agents.clear()
         self.stamps.clear()
         self.periods.clear()
 

@@ -13,7 +13,7 @@ from rclpy.subscription import Subscription
 ERROR = 'ERROR: '  # how rclpy begins what makes two profiles incompatible
 
 
-class Neighbours:
+class EndpointMonitor:
     """Who is at the other ends of a planner's topics.
 
     They are looked at one topic at a time: each look is short, so that no odometry waits for it.

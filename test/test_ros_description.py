@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The planner's voice: what is said once, again later, or not at all; a line on the vehicle."""
+"""The start-up line on the vehicle, and what is doubtful about it."""
 
 import math
 
@@ -9,72 +9,7 @@ pytest.importorskip('rclpy')
 
 from orbimpc_ros.mpc.problem import Floor
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.planner.announcer import FIRST, KINDS, MANY, Announcer
-from orbimpc_ros.ros.planner.summary import doubts, summary
-
-
-class Console:
-    """Keeps what is said, and has a clock of its own."""
-
-    def __init__(self):
-        self.at, self.lines = 0.0, []
-        self.announcer = Announcer(self, lambda: self.at)
-
-    def info(self, text):
-        self.lines.append((self.at, text))
-
-    warning = info
-
-    def every(self, period, until, text):
-        """Warn every so many seconds, with the time in the words, and return when it was said."""
-        begun = len(self.lines)
-        while self.at < until:
-            self.announcer.warn(text.format(self.at))
-            self.at += period
-        return [at for at, _ in self.lines[begun:]]
-
-
-@pytest.fixture
-def console():
-    return Console()
-
-
-def test_what_lasts_is_said_at_growing_intervals(console):
-    said = console.every(0.125, 1000.0, 'odometry is {:.2f} s old')
-    assert said == [0.0, 10.0, 30.0, 70.0, 150.0, 310.0, 630.0]
-
-
-def test_what_comes_back_after_a_rest_is_said_at_once(console):
-    console.every(0.125, 100.0, 'odometry is {:.2f} s old')
-    console.at += FIRST
-    assert console.every(0.125, 115.0, 'odometry is {:.2f} s old') == [110.0]
-
-
-def test_what_differs_in_more_than_numbers_is_said_apart(console):
-    for text in ('odometry is 0.4 s old', 'odometry is 1e-3 s old', 'uav1 is late', 'uav2 is late'):
-        console.announcer.warn(text)
-    assert [line for _, line in console.lines] == [
-        'odometry is 0.4 s old', 'uav1 is late', 'uav2 is late',
-    ]  # fmt: skip
-
-
-def test_troubles_are_said_when_they_begin_and_when_they_are_over(console):
-    for present in ([''], ['2 rivals'], ['3 rivals', 'deaf'], ['deaf'], ['deaf'], []):
-        console.announcer.follow(present)
-        console.at += 1.0
-    assert [line for _, line in console.lines] == [
-        '2 rivals', 'deaf', 'over: 3 rivals', 'over: deaf',
-    ]  # fmt: skip
-
-
-def test_a_flood_of_different_lines_is_cut_and_not_remembered(console):
-    for k in range(10 * KINDS):
-        console.announcer.warn(f'frame {"x" * k} refused')
-        console.at += 0.01
-    seconds = console.at
-    assert MANY <= len(console.lines) <= MANY * (seconds + 1.0)
-    assert len(console.announcer._said) <= KINDS
-
+from orbimpc_ros.ros.planner.description import doubts, summary
 
 WING = {
     'forward': 15.0, 'floor.shape': 'circle', 'floor.fraction': 10.0 / 15.0, 'step': 0.1,

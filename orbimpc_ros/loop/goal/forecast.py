@@ -8,39 +8,25 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
-from orbimpc_ros.loop.goals.bank import Bank
-from orbimpc_ros.loop.harmonic import Harmonic
-from orbimpc_ros.loop.observation import Sighting
-from orbimpc_ros.mpc.arrays import Array, sealed
+from orbimpc_ros.loop.goal.bank import Bank
+from orbimpc_ros.loop.goal.harmonic import Harmonic
+from orbimpc_ros.loop.goal.motion import Forecast, GoalObservation
+from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 
 LATEST = 3  # sightings that a velocity is fitted to
-
-
-class Forecast(Protocol):
-    """Predicts a goal from its sightings."""
-
-    def observe(self, sighting: Sighting) -> None:
-        """Take in a sighting; sightings come in order of time."""
-
-    def at(self, times: Array) -> Array:
-        """Return where the goal will be at ``times``, shape (N,) [s], as shape (N, n) [m]."""
-
-    def reset(self) -> None:
-        """Forget every sighting."""
 
 
 @dataclass
 class Hold:
     """The paper's forecast: the goal stays where it was seen last."""
 
-    last: Sighting | None = field(default=None, init=False)
+    last: GoalObservation | None = field(default=None, init=False)
 
-    def observe(self, sighting: Sighting) -> None:
+    def observe(self, sighting: GoalObservation) -> None:
         """Take in a sighting."""
         self.last = sighting
 
@@ -58,9 +44,11 @@ class Hold:
 class Velocity:
     """The goal goes on in the straight line that fits its latest sightings best."""
 
-    _latest: deque[Sighting] = field(default_factory=lambda: deque(maxlen=LATEST), init=False)
+    _latest: deque[GoalObservation] = field(
+        default_factory=lambda: deque(maxlen=LATEST), init=False
+    )
 
-    def observe(self, sighting: Sighting) -> None:
+    def observe(self, sighting: GoalObservation) -> None:
         """Take in a sighting."""
         self._latest.append(sighting)
 
@@ -96,30 +84,3 @@ def forecast_named(kind: str) -> Forecast:
     if kind not in FORECASTS:
         raise BadInput.choice('goal_prediction', kind, FORECASTS)
     return FORECASTS[kind]()
-
-
-@dataclass(frozen=True)
-class Itinerary:
-    """A forecast that somebody else made: stamped future positions, interpolated in between.
-
-    Attributes:
-        times: increasing stamps, shape (M,) [s].
-        positions: shape (M, n) [m].
-        attitude: of the goal at the last of them, shape (n, n); None where it has none.
-    """
-
-    times: Array
-    positions: Array
-    attitude: Array | None = None
-
-    def __post_init__(self) -> None:
-        if len(self.times) == 0 or np.any(np.diff(self.times) <= 0.0):
-            raise BadInput('goal_path stamps', self.times.tolist(), 'one or more, increasing')
-        sealed(self.times)
-        sealed(self.positions)
-
-    def at(self, times: Array) -> Array:
-        """Return the positions at ``times``, shape (N, n); the ends are held beyond the ends."""
-        return np.column_stack(
-            [np.interp(times, self.times, column) for column in self.positions.T]
-        )

@@ -23,7 +23,7 @@ that is inside of a narrower cone, too.
 A catch that was flown towards, and is then lost by little, is still flown at: the forecast, the
 wind and the model of the vehicle are no better than that, and another pass takes long. So is it
 with a plan: flown by the vehicle it ends where the discrete model does not
-(:mod:`orbimpc_ros.loop.defect`), and is made anew for a goal that is so much nearer.
+(:mod:`orbimpc_ros.loop.compensation`), and is made anew for a goal that is so much nearer.
 
 Who can catch the goal at the end of a step, but not of the one before, can perhaps do it in
 between: steps that are a little shorter are tried, where it is known where the goal is then. Who
@@ -45,7 +45,7 @@ Mathematics: docs/mathematics.md, 7.10.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from operator import attrgetter
@@ -53,15 +53,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.loop.defect import defect
+from orbimpc_ros.loop.compensation import defect
+from orbimpc_ros.loop.goal.motion import GoalMotion
+from orbimpc_ros.loop.task import Answer, Solvers, Task
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.geometry.rotations import log
 from orbimpc_ros.mpc.model.dynamics import drift
+from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State, Weights
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.proof.reach import Reach
 from orbimpc_ros.mpc.solve.request import Enough
+from orbimpc_ros.mpc.solve.solver import Solver
 
 AIM = 0.95  # of the radius, within which the plan of a catch ends
 NARROW = 0.5  # of radius and cone, where a heading is asked for: gusts leave some of it
@@ -79,7 +84,7 @@ SHARPEST = 0.5 * math.pi  # turn within a step: beyond it the way is a caricatur
 
 
 @dataclass(frozen=True)
-class Catch:
+class Intercept:
     """How soon the goal can be caught, as far as it is known.
 
     Attributes:
@@ -136,32 +141,78 @@ class Target(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Hunt:
-    """What an interception is looked for with, ends being counted in steps from the start.
+class InterceptQuery:
+    """What an intercept is looked for with.
 
     Attributes:
-        state: where the plan starts.
-        goals: returns where the goal is at the ends of the steps that lead to an end, shape
-            (N or less, n) [m].
-        solved: returns a checked plan for a :class:`Target` and its goals, or whether it is proved
-            that there is none.
-        late: returns whether time is up; what is found by then counts.
-        farthest: the last end that the goal is known at.
-        between: whether it is known between the ends of steps as well.
+        task: of tracking the goal, without what moves.
+        motion: of the goal; None where it is known at the ends of the task's steps alone.
+        now: when the task begins, on the clock of the motion [s].
+        previous: the plan before; None without one.
         pause: between ticks, in steps.
-        expected: the end at which the goal was to be caught so far, not above 0 if none.
-        flown_on: returns the rest of the plan before for a target and its goals, if it holds.
+        expected: the end at which the goal was to be caught so far, in steps; not above 0 if none.
+        most: plans that are tried, at most.
     """
 
-    state: State
-    goals: Callable[[float], Array]
-    solved: Callable[[Target, Array], Plan | bool]
-    late: Callable[[], bool]
-    farthest: int
-    between: bool = False
+    task: Task
+    motion: GoalMotion | None
+    now: float
+    previous: Plan | None = None
     pause: float = math.inf
     expected: float = 0.0
-    flown_on: Callable[[Target, Array], Plan | None] | None = None
+    most: float = math.inf
+
+
+class _Search:
+    """One search for an intercept: the plans tried so far, each with its task.
+
+    Args:
+        query: what is looked for.
+        intercepts: which poses and solves the problems.
+    """
+
+    def __init__(self, query: InterceptQuery, intercepts: Interception) -> None:
+        self._query, self._intercepts = query, intercepts
+        self._tried: list[tuple[Task, Answer]] = []
+        self.state, self.pause, self.expected = query.task.state, query.pause, query.expected
+        self.between = query.motion is not None
+        self.farthest = intercepts.farthest if self.between else len(query.task.goals)
+
+    def goals(self, end: float) -> Array:
+        """Return where the goal is at the ends of the steps up to an end, shape (N or less, n)."""
+        known, motion = self._query.task.goals, self._query.motion
+        if motion is None or (end <= len(known) and end == int(end)):
+            return known[: int(end)]
+        problem = self._intercepts.problem(Target(end))
+        ends = np.arange(1.0, problem.horizon + 1.0)
+        return motion.at(self._query.now + problem.step * ends)
+
+    def late(self) -> bool:
+        """Return whether time is up, or enough was tried."""
+        late = self._query.task.late
+        return len(self._tried) >= self._query.most or (late is not None and late())
+
+    def solved(self, target: Target, goals: Array) -> Plan | bool:
+        """Return a checked plan for a target and its goals, or whether there is provably none."""
+        task = self._query.task.within(self._intercepts.problem(target), goals)
+        task = self._intercepts.posed(target, task, self._query.previous)
+        answer = task.solved()
+        self._tried.append((task, answer))
+        return answer[0] or answer[1] is Status.INFEASIBLE
+
+    def flown_on(self, target: Target, goals: Array) -> Plan | None:
+        """Return the rest of the previous plan for a target and its goals, if it still holds."""
+        task = self._query.task.within(self._intercepts.problem(target), goals)
+        plan = self._intercepts.shifted(task, self._query.previous)
+        if plan is None or violations(*task.known, plan):
+            return None
+        answer = plan, plan.status, 'the catch planned before is flown on'
+        self._tried.append((task, answer))
+        return plan
+
+    def behind(self, plan: Plan) -> tuple[Task, Answer]:
+        """Return the task that a plan was made for, and its answer."""
+        return next(each for each in self._tried if each[1][0] is plan)
 
 
 class Interception:
@@ -170,6 +221,7 @@ class Interception:
     Args:
         problem: what is solved where no catch is found, with the cone of approach of a catch.
         radius: within which the goal is caught [m].
+        solvers: make and pose what is to be solved.
         lag: of the speed [s].
         centred: whether a catch leads through the middle of the goal, with a little to spare.
 
@@ -179,8 +231,15 @@ class Interception:
     """
 
     def __init__(
-        self, problem: Problem, radius: float, lag: float = 0.0, *, centred: bool = False
+        self,
+        problem: Problem,
+        radius: float,
+        solvers: Solvers,
+        lag: float = 0.0,
+        *,
+        centred: bool = False,
     ) -> None:
+        self._solvers = solvers
         self._tracked, self._radius, self._lag = problem, radius, lag
         self._centred = centred
         self._step, self._horizon = problem.step, problem.horizon
@@ -192,6 +251,7 @@ class Interception:
         self._aim = (NARROW if self._coned else AIM) * radius
         self._reach = Reach(problem)
         self.problem = lru_cache(maxsize=MEMORY)(self._problem)
+        self._made = {target: self._solver(target) for target in self.targets}
 
     def _problem(self, target: Target) -> Problem:
         """Return the problem of :func:`catching` the goal."""
@@ -215,172 +275,194 @@ class Interception:
         well = self._well(end) ** 2 if end > self._horizon else -math.inf
         return Enough(well, (1.0 + EFFORT) * squared)
 
-    def earliest(self, hunt: Hunt) -> tuple[Plan | None, Catch]:
+    def _solver(self, target: Target) -> Solver:
+        return self._solvers.new(self.problem(target), self.enough(target.end))
+
+    def posed(self, target: Target, task: Task, previous: Plan | None) -> Task:
+        """Return the task of a target with its solver; past the horizon few are made."""
+        if target not in self._made:
+            self._made[target] = self._solver(target)
+        return self._solvers.posed(task, self._made[target], previous)
+
+    def shifted(self, task: Task, previous: Plan | None) -> Plan | None:
+        """Return the rest of the previous plan for a task, if it fits."""
+        return task.shifted(previous, self._solvers.projection)
+
+    def earliest(self, query: InterceptQuery) -> tuple[Task | None, Answer | None, Intercept]:
+        """Return the task of the earliest catch with its answer, and how early one can be.
+
+        Without a catch, None and None.
+        """
+        search = _Search(query, self)
+        plan, catch = self._earliest(search)
+        return (*(search.behind(plan) if plan is not None else (None, None)), catch)
+
+    def _earliest(self, search: _Search) -> tuple[Plan | None, Intercept]:
         """Return the plan of the earliest catch, if one is found, and how early one can be.
 
         Where the catch that was flown towards has just been lost, it is the plan of the nearest
         miss, without a time, if that is by little.
         """
-        rest = self._flown_on(hunt)  # takes no search, whatever time is left
-        kept = rest if rest.miss <= self._radius else self._kept(hunt, rest)
-        best, bound, counted = self._in_view(hunt)
+        rest = self._flown_on(search)  # takes no search, whatever time is left
+        kept = rest if rest.miss <= self._radius else self._kept(search, rest)
+        best, bound, counted = self._in_view(search)
         near = self._radius < best.miss <= GRAZE * self._radius
-        sought = Sought(self._tracked, hunt.state, hunt.goals(self._horizon), self._radius)
-        never = Catch(math.nan, self._step * bound, sought, self._step * counted)
-        if near and 0 < hunt.expected <= self._horizon:
+        sought = Sought(self._tracked, search.state, search.goals(self._horizon), self._radius)
+        never = Intercept(math.nan, self._step * bound, sought, self._step * counted)
+        if near and 0 < search.expected <= self._horizon:
             return best.plan, never
         if best.miss > self._radius:  # not even nearly
-            best = self._sooner(hunt, kept) if kept.plan else self._beyond(hunt)
+            best = self._sooner(search, kept) if kept.plan else self._beyond(search)
         if best.plan is None:
             return (rest.plan if rest.miss <= GRAZE * self._radius else None), never
         if best.end == int(best.end) and self._is_well(best):
-            best = self._within(hunt, best)
+            best = self._within(search, best)
         if self._centred and self._is_well(best):
-            best = self._through_the_middle(hunt, best)
+            best = self._through_the_middle(search, best)
         first = min(bound, best.end)
         known = self._step * min(counted, first)
         when = best.end if best.miss <= self._radius else math.nan
-        catch = Catch(self._step * when, self._step * first, sought, known)
+        catch = Intercept(self._step * when, self._step * first, sought, known)
         return best.plan, catch
 
-    def _in_view(self, hunt: Hunt) -> tuple[_Attempt, int, int]:
+    def _in_view(self, search: _Search) -> tuple[_Attempt, int, int]:
         """Return the first catch in the horizon, or the nearest miss, and the bound in steps.
 
         Then up to where that was counted again. Each end before the bound is proved to have no
         catch by itself: that there is none at an end says nothing of those before it.
         """
         bound, counted, best = 1, 1, MISSED
-        goals = hunt.goals(self._horizon)
-        too_far = self._too_far(hunt.state, goals, self._tracked)
-        surely = self._reach.misses(hunt.state, goals, self._radius)
+        goals = search.goals(self._horizon)
+        too_far = self._too_far(search.state, goals, self._tracked)
+        surely = self._reach.misses(search.state, goals, self._radius)
         travel = self._travel(goals)
         for end in range(1, self._horizon + 1):
-            attempt = NEVER if too_far[end - 1] else self._tried(hunt, end, goals[:end])
+            attempt = NEVER if too_far[end - 1] else self._tried(search, end, goals[:end])
             if self._is_well(attempt):
                 return attempt, bound, counted
             bound += bound == end and attempt.never
             known = attempt.checked or bool(surely[end - 1])
             counted += counted == end and attempt.never and known
             if attempt.miss <= self._radius + travel:
-                attempt = min(attempt, self._passing(hunt, end), key=_miss)
+                attempt = min(attempt, self._passing(search, end), key=_miss)
             best = min(best, attempt, key=_miss)
             if self._is_well(best):
                 break
         return best, bound, counted
 
-    def _flown_on(self, hunt: Hunt) -> _Attempt:
+    def _flown_on(self, search: _Search) -> _Attempt:
         """Return what becomes of the goal when the plan before is flown to its end."""
-        end = hunt.expected
+        end = search.expected
         whole = end.is_integer()
-        if not (hunt.flown_on and 0.0 < end <= hunt.farthest and (whole or self._may(hunt, end))):
+        if not (0.0 < end <= search.farthest and (whole or self._may(search, end))):
             return MISSED
-        target, goals = Target(end), hunt.goals(end)
-        plan = hunt.flown_on(target, goals)
+        target, goals = Target(end), search.goals(end)
+        plan = search.flown_on(target, goals)
         if plan is None or _first_turn(plan) > max(whole, end / math.ceil(end)) * math.pi:
             return MISSED
-        return _Attempt(plan, end, float(np.linalg.norm(self._off(hunt, target, plan, goals))))
+        return _Attempt(plan, end, float(np.linalg.norm(self._off(search, target, plan, goals))))
 
-    def _kept(self, hunt: Hunt, rest: _Attempt) -> _Attempt:
+    def _kept(self, search: _Search, rest: _Attempt) -> _Attempt:
         """Try to catch the goal past the horizon when it was to be caught so far, or nearly so."""
-        end = COARSEST * math.ceil(hunt.expected / COARSEST)
-        anew = self._surely(hunt, end) if end <= hunt.farthest else MISSED
+        end = COARSEST * math.ceil(search.expected / COARSEST)
+        anew = self._surely(search, end) if end <= search.farthest else MISSED
         return anew if anew.plan is not None or rest.miss > GRAZE * self._radius else rest
 
-    def _beyond(self, hunt: Hunt) -> _Attempt:
+    def _beyond(self, search: _Search) -> _Attempt:
         """Try to catch the goal past the horizon.
 
         How much later than so far is doubled until a catch is found, and then halved.
         """
-        missed = max(self._horizon, min(math.ceil(hunt.expected), hunt.farthest))
-        for end in _doubling(missed, hunt.farthest):
-            found = self._surely(hunt, end)
+        missed = max(self._horizon, min(math.ceil(search.expected), search.farthest))
+        for end in _doubling(missed, search.farthest):
+            found = self._surely(search, end)
             if found.plan is not None:
-                return self._between(hunt, missed, found)
+                return self._between(search, missed, found)
             missed = end
         return MISSED
 
-    def _sooner(self, hunt: Hunt, found: _Attempt) -> _Attempt:
+    def _sooner(self, search: _Search, found: _Attempt) -> _Attempt:
         """Return a sooner catch than the one found, by twice as much each time, if there is one."""
         for away in (1, 2, 4, 8):
-            sooner = self._surely(hunt, max(self._horizon, math.ceil(found.end) - away))
+            sooner = self._surely(search, max(self._horizon, math.ceil(found.end) - away))
             if sooner.plan is None:
                 break
             found = sooner
         return found
 
-    def _between(self, hunt: Hunt, missed: float, found: _Attempt) -> _Attempt:
+    def _between(self, search: _Search, missed: float, found: _Attempt) -> _Attempt:
         """Return the first catch that halving finds between a miss and a catch."""
         while found.end - missed > 1:
             middle = (missed + found.end) // 2
-            sooner = self._surely(hunt, middle)
+            sooner = self._surely(search, middle)
             if sooner.plan is None:
                 missed = middle
             else:
                 found = sooner
         return found
 
-    def _within(self, hunt: Hunt, found: _Attempt) -> _Attempt:
+    def _within(self, search: _Search, found: _Attempt) -> _Attempt:
         """Return the first catch that halving finds within the step at whose end one is found."""
         away = 0.5
         while away >= self._finest:
-            sooner = self._at(hunt, found.end - away, self._radius)
+            sooner = self._at(search, found.end - away, self._radius)
             if self._is_well(sooner):
                 found = sooner
             away *= 0.5
         return found
 
-    def _through_the_middle(self, hunt: Hunt, found: _Attempt) -> _Attempt:
+    def _through_the_middle(self, search: _Search, found: _Attempt) -> _Attempt:
         """Return the catch that leads through the middle of the goal, if there is one.
 
         It ends at the same time, before the goal by what that is short of it, and a little more.
         """
-        target, goals = Target(found.end, narrow=self._coned), hunt.goals(found.end)
+        target, goals = Target(found.end, narrow=self._coned), search.goals(found.end)
         if found.plan is None or len(goals) < 2:  # too late to change much
             return found
         passed = np.diff(found.plan.positions[-2:], axis=0)[0] - np.diff(goals[-2:], axis=0)[0]
         ahead = passed / max(float(np.linalg.norm(passed)), TINY)
-        off = self._off(hunt, target, found.plan, goals)
+        off = self._off(search, target, found.plan, goals)
         short = max(min(0.0, float(off @ ahead)) - SLACK * self._aim, -AIM * self._radius)
         before = np.concatenate([goals[:-1], goals[-1:] + short * ahead])
-        through = self._attempted(hunt, target, before, GRAZE * self._radius)
+        through = self._attempted(search, target, before, GRAZE * self._radius)
         if through.plan is None or not self._is_well(through):
             return found
-        miss = float(np.linalg.norm(self._off(hunt, target, through.plan, goals)))
+        miss = float(np.linalg.norm(self._off(search, target, through.plan, goals)))
         return found._replace(plan=through.plan, miss=miss) if miss <= self._radius else found
 
-    def _off(self, hunt: Hunt, target: Target, plan: Plan, goals: Array) -> Array:
+    def _off(self, search: _Search, target: Target, plan: Plan, goals: Array) -> Array:
         """Return how far from the goal a vehicle ends that flies a plan, shape (n,) [m]."""
-        astray = defect(self.problem(target), hunt.state, plan, self._lag)
+        astray = defect(self.problem(target), search.state, plan, self._lag)
         return np.asarray(plan.positions[-1] + astray - goals[-1])
 
-    def _passing(self, hunt: Hunt, end: int) -> _Attempt:
+    def _passing(self, search: _Search, end: int) -> _Attempt:
         """Return the first catch in the step before an end that has none, or the nearest miss.
 
         Who cannot wait for the goal passes it between the ends of steps.
         """
         best = MISSED
         for away in np.arange(1.0 - self._finest, 0.0, -self._finest):
-            best = min(best, self._at(hunt, float(end - away), GRAZE * self._radius), key=_miss)
+            best = min(best, self._at(search, float(end - away), GRAZE * self._radius), key=_miss)
             if self._is_well(best):
                 break
         return best
 
-    def _at(self, hunt: Hunt, end: float, near: float) -> _Attempt:
+    def _at(self, search: _Search, end: float, near: float) -> _Attempt:
         """Try to catch the goal between the ends of steps, as in :meth:`_attempted`."""
-        if not self._may(hunt, end):
+        if not self._may(search, end):
             return MISSED
-        target, goals = Target(end, narrow=self._coned), hunt.goals(end)
-        if self._too_far(hunt.state, goals, self.problem(target))[-1]:
+        target, goals = Target(end, narrow=self._coned), search.goals(end)
+        if self._too_far(search.state, goals, self.problem(target))[-1]:
             return NEVER
-        found = self._attempted(hunt, target, goals, near)
+        found = self._attempted(search, target, goals, near)
         if found.plan is not None and _first_turn(found.plan) > end / math.ceil(end) * math.pi:
             return MISSED
         return found
 
-    def _may(self, hunt: Hunt, end: float) -> bool:
+    def _may(self, search: _Search, end: float) -> bool:
         """Return whether a catch may be looked for between the ends of steps."""
-        allowed = self._turns_within or end / math.ceil(end) >= hunt.pause
-        return hunt.between and self._divides and allowed
+        allowed = self._turns_within or end / math.ceil(end) >= search.pause
+        return search.between and self._divides and allowed
 
     def _is_well(self, attempt: _Attempt) -> bool:
         return attempt.miss <= self._well(attempt.end)
@@ -394,33 +476,33 @@ class Interception:
         moved = np.linalg.norm(np.diff(goals, axis=0), axis=1)
         return self._step * self._tracked.forward + float(moved.max(initial=0.0))
 
-    def _surely(self, hunt: Hunt, end: float) -> _Attempt:
+    def _surely(self, search: _Search, end: float) -> _Attempt:
         """Try to come well within the radius at an end past the horizon."""
         if end <= self._horizon:
             return MISSED
-        target, goals = Target(end, narrow=self._coned), hunt.goals(end)
-        if self._too_far(hunt.state, goals, self.problem(target))[-1]:
+        target, goals = Target(end, narrow=self._coned), search.goals(end)
+        if self._too_far(search.state, goals, self.problem(target))[-1]:
             return MISSED
-        attempt = self._attempted(hunt, target, goals, self._radius)
+        attempt = self._attempted(search, target, goals, self._radius)
         return attempt if self._is_well(attempt) else MISSED
 
-    def _tried(self, hunt: Hunt, end: int, goals: Array) -> _Attempt:
+    def _tried(self, search: _Search, end: int, goals: Array) -> _Attempt:
         """Try to catch the goal at an end, given where it is at the steps that lead there.
 
         What only the wider cone allows is not well within, however close it comes.
         """
         near = GRAZE * self._radius
         if not self._coned:
-            return self._attempted(hunt, Target(end), goals, near)
-        within = self._attempted(hunt, Target(end, narrow=True), goals, near)
+            return self._attempted(search, Target(end), goals, near)
+        within = self._attempted(search, Target(end, narrow=True), goals, near)
         if self._is_well(within):
             return within
-        wider = self._attempted(hunt, Target(end), goals, near)
+        wider = self._attempted(search, Target(end), goals, near)
         wider = wider._replace(miss=max(wider.miss, self._radius))
         found = min(within, wider, key=_miss)
         return found._replace(never=wider.never, checked=wider.checked)
 
-    def _attempted(self, hunt: Hunt, target: Target, goals: Array, near: float) -> _Attempt:
+    def _attempted(self, search: _Search, target: Target, goals: Array, near: float) -> _Attempt:
         """Try to catch the goal at an end, less the defect of the plans towards it.
 
         Plans are made again where they are expected to miss by less than the one before, and by no
@@ -428,11 +510,11 @@ class Interception:
         """
         found, aims = MISSED, goals
         for _ in range(TRIES):
-            plan = not hunt.late() and hunt.solved(target, aims)
+            plan = not search.late() and search.solved(target, aims)
             if isinstance(plan, bool):
                 return NEVER if plan and aims is goals else found
             end = plan.positions[-1]
-            astray = defect(self.problem(target), hunt.state, plan, self._lag)
+            astray = defect(self.problem(target), search.state, plan, self._lag)
             miss = float(np.linalg.norm(end + astray - goals[-1]))
             if aims is goals:  # what is proved is about the goal itself
                 never = plan.proof.lower_bound > self.enough(target.end).bound

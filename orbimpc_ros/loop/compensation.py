@@ -1,0 +1,798 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+r"""What a vehicle does besides obeying at once: delay, lags, disturbances, turns within a step.
+
+*Delay.* A measurement is moved on along the commands in force to the time of the next one.
+
+*Lags.* A body rate that follows its command by a first-order lag,
+:math:`\tau\dot\omega = c - \omega`, leaves the vehicle on the way that one without a lag takes a
+time :math:`\tau` later, from
+
+.. math::
+    \hat\theta = \theta + \tau\omega, \qquad \dot{\hat\theta} = c.
+
+So a plan that starts from there, at that time, is made of commands: a vehicle that is sent them
+follows it, within all limits, and nothing is multiplied by the inverse of a lag.
+
+*Defect.* An ``exact`` step takes the chord between the thrust axes at its ends, and the speed
+changes evenly in it. A vehicle turns along the arc, and its speed follows the command of the step
+with a lag. At the end of a plan the two are a *defect* apart: whoever wants to be at a place plans
+for one that is moved by as much the other way, and so on (iterated defect correction).
+
+*Disturbance.* A Kalman filter on the model of the loop with a constant disturbance w for a state,
+which makes the loop offset-free:
+
+.. math::
+    \dot s = v + w + \xi, \quad \dot w = \zeta \qquad\text{(order 1)}, \qquad
+    \dot s = p, \quad \dot p = a + w + \xi, \quad \dot w = \zeta \qquad\text{(order 2)}
+
+with v or a what was commanded, along the measured attitude. Measured is the position, and at order
+2 the velocity. Every axis has the same covariance, so that one filter does for all of them. At
+order 1 the speed follows its commands from an airspeed that nobody measures who measures the
+velocity over ground: a wind along the axis looks like it. By how much it is off at the start is a
+state, too, which fades with the lag of the speed.
+
+Mathematics: docs/mathematics.md, 7.3, 7.8, 7.9 and 7.10.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from orbimpc_ros.loop.state import Odometry, airspeed, along_the_air, odd_speed, state_of
+from orbimpc_ros.mpc.arrays import Array, number
+from orbimpc_ros.mpc.command import Command
+from orbimpc_ros.mpc.geometry.rotations import exp, log, skew
+from orbimpc_ros.mpc.model.dynamics import drift
+from orbimpc_ros.mpc.plan import Plan
+from orbimpc_ros.mpc.problem import Problem, State
+
+MEMORY = 32  # commands; whatever was sent before them is taken as measured
+SMALL = 1e-2  # [rad] below it series are more exact than the closed forms
+
+
+class Interval(NamedTuple):
+    """An interval of time with one command in force.
+
+    Attributes:
+        duration: [s].
+        command: in force all the while; None if none is known.
+        before: the command before it, whose speed or thrust was taken over when it ended.
+    """
+
+    duration: float
+    command: Command | None
+    before: Command | None
+
+
+class CommandHistory:
+    """The commands of late, and since when each is in force.
+
+    Attributes:
+        last: the last command, sent or about to be; None before the first.
+    """
+
+    def __init__(self) -> None:
+        self.last: Command | None = None
+        self._sent: deque[tuple[float, Command]] = deque(maxlen=MEMORY)
+
+    @property
+    def fraction(self) -> float:
+        """Return the share of full speed or thrust commanded last; 0 before the first command."""
+        return 0.0 if self.last is None else self.last.speed_fraction
+
+    @property
+    def is_empty(self) -> bool:
+        """Return whether it is unknown of every command when it was sent."""
+        return not self._sent
+
+    def applied(self, time: float, lag: float, begun: float = 0.0) -> float:
+        """Return the share of speed or thrust at a time [s], behind commands by a lag [s].
+
+        Where nobody said when commands were sent, the last one counts as reached. ``begun`` is the
+        share before the first of them.
+        """
+        if not self._sent or lag == 0.0:
+            return self.fraction
+        since, first = self._sent[0]
+        reached = begun if len(self._sent) < MEMORY else first.speed_fraction
+        for interval in self.intervals(since, time):
+            assert interval.command is not None
+            reached, _ = _followed(reached, interval.command, interval.duration, lag)
+        return reached
+
+    def mean(self, begin: float, end: float, lag: float, begun: float = 0.0) -> float | None:
+        """Return the mean share of speed or thrust from ``begin`` to ``end`` [s]; None if unknown.
+
+        Without a lag a command's speed or thrust is taken over when the next command comes.
+        ``begun`` is the share before the first command.
+        """
+        flown, reached = 0.0, self.applied(begin, lag, begun)
+        for interval in self.intervals(begin, end):
+            given = interval.before if lag == 0.0 else interval.command
+            if given is None:
+                return None
+            reached, covered = _followed(reached, given, interval.duration, lag)
+            flown += covered
+        return flown / (end - begin)
+
+    def add(self, command: Command, at: float | None = None) -> None:
+        """Note a command sent at a time [s], if that is known; times do not decrease."""
+        self.last = command
+        if at is not None:
+            self._sent.append((at, command))
+
+    def forget(self) -> None:
+        """Forget since when commands are in force, for instance because the clock jumped."""
+        self._sent.clear()
+
+    def intervals(self, begin: float, end: float) -> list[Interval]:
+        """Return what was in force from ``begin`` to ``end`` [s]; nothing if that is no time."""
+        found, before, command, since = [], None, None, begin
+        for at, following in self._sent:
+            if since < at < end:
+                found.append(Interval(at - since, command, before))
+                since = at
+            if at < end:
+                before, command = command, following
+        if end > since:
+            found.append(Interval(end - since, command, before))
+        return found
+
+
+def _followed(reached: float, command: Command, duration: float, lag: float) -> tuple[float, float]:
+    """Return the share reached after a command was in force for a time [s], and its integral."""
+    wanted = command.speed_fraction
+    if lag == 0.0:
+        return wanted, wanted * duration
+    left = (reached - wanted) * math.exp(-duration / lag)
+    return wanted + left, wanted * duration + lag * (reached - wanted - left)
+
+
+def advanced(
+    problem: Problem,
+    odometry: Odometry,
+    intervals: Sequence[Interval],
+    disturbance: Array | None = None,
+    velocity_source: str = 'ground',
+) -> Odometry:
+    """Return the measurement as it would be after the intervals; the same one without any.
+
+    Within an interval body rate and forward speed (or thrust) are constant, so that the vehicle
+    flies an arc, integrated exactly. As in the discrete model, a commanded rate applies at once at
+    rotation order 1; everything else that a command says is taken over when the next command comes.
+    Until then the vehicle goes on as it was measured. Meanwhile the disturbance acts on it: speeds
+    through the air turn with the body, the wind does not.
+
+    Args:
+        problem: gives the orders and the full speed or thrust.
+        odometry: the measurement.
+        intervals: in order of time, since the measurement.
+        disturbance: a wind or an acceleration, shape (n,); None for none.
+        velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
+    """
+    if not intervals:
+        return odometry
+    attitude, body_velocity = odometry.attitude, odometry.body_velocity
+    blown = np.zeros(problem.dimension) if disturbance is None else disturbance
+    # Of a vehicle without inertia, what turns with the body is its velocity through the air.
+    still = velocity_source == 'air' or problem.inertial
+    carrying = np.zeros(problem.dimension) if still else blown
+    through_air, velocity = body_velocity - attitude.T @ carrying, attitude @ body_velocity
+    motion = _Motion(odometry.position, attitude, velocity, through_air, odometry.body_rate)
+    for k, interval in enumerate(intervals):
+        if k and interval.before is not None:
+            taken_over = _forward(problem, interval.before.speed_fraction)
+            motion = motion._replace(through_air=taken_over, rate=interval.before.body_rate)
+        motion = _flown(problem, motion, interval, blown)
+    body_velocity = motion.through_air + motion.attitude.T @ carrying
+    if problem.inertial:
+        body_velocity = motion.attitude.T @ motion.velocity
+    later = odometry.time + sum(interval.duration for interval in intervals)
+    place = motion.position, motion.attitude
+    return Odometry(later, *place, np.array(body_velocity), np.array(motion.rate))
+
+
+class _Motion(NamedTuple):
+    """A vehicle's motion: over ground, but for its velocity through the air in the body frame."""
+
+    position: Array
+    attitude: Array
+    velocity: Array
+    through_air: Array
+    rate: Array
+
+
+def _flown(problem: Problem, motion: _Motion, interval: Interval, blown: Array) -> _Motion:
+    """Return the motion after an interval, flown along an arc."""
+    time, command, before = interval
+    turning = motion.rate
+    if command is not None and problem.rotation_order == 1:
+        turning = command.body_rate
+    angle = time * turning
+    attitude, position, velocity = motion.attitude, motion.position, motion.velocity
+    if problem.inertial:
+        push = _forward(problem, 0.0 if before is None else before.speed_fraction)
+        once, twice = turned(angle, push)
+        position = position + time * velocity + time * time * (attitude @ twice + 0.5 * blown)
+        velocity = velocity + time * (attitude @ once + blown)
+    else:
+        flown, _ = turned(angle, motion.through_air)
+        position = position + time * (attitude @ flown + blown)
+    return _Motion(position, attitude @ exp(angle), velocity, motion.through_air, motion.rate)
+
+
+def _forward(problem: Problem, fraction: float) -> Array:
+    """Return a share of full speed or thrust along the body's x axis, shape (n,)."""
+    vector = np.zeros(problem.dimension)
+    vector[0] = problem.forward * fraction
+    return vector
+
+
+def turned(phi: Array, vector: Array) -> tuple[Array, Array]:
+    r"""Return a vector that turns with the body, averaged over an interval, and averaged twice.
+
+    :math:`\int_0^1 e^{s\hat\phi} v\, ds` and :math:`\int_0^1 (1-s) e^{s\hat\phi} v\, ds`.
+
+    Args:
+        phi: tangent vector, shape (1,) or (3,) [rad].
+        vector: v, shape (n,).
+    """
+    hat = skew(phi)
+    across = hat @ vector
+    back = hat @ across
+    angle = math.sqrt(phi @ phi)
+    if angle < SMALL:
+        a = angle * angle
+        first, second, third = 0.5 - a / 24.0, 1.0 / 6.0 - a / 120.0, 1.0 / 24.0 - a / 720.0
+    else:
+        first = (1.0 - math.cos(angle)) / angle**2
+        second = (angle - math.sin(angle)) / angle**3
+        third = (0.5 - first) / angle**2
+    return vector + first * across + second * back, 0.5 * vector + second * across + third * back
+
+
+LONGEST = 1e3  # [s]
+
+
+@dataclass(frozen=True)
+class Response:
+    """First-order lags of a vehicle that obeys at once.
+
+    Attributes:
+        speed: time constant of the speed, or at translation order 2 of the thrust [s].
+        rate: of the body rate [s].
+    """
+
+    speed: float = 0.0
+    rate: float = 0.0
+
+    def __post_init__(self) -> None:
+        number(self.speed, 'response.speed', 0.0, LONGEST)
+        number(self.rate, 'response.rate', 0.0, LONGEST)
+
+    @property
+    def lags(self) -> bool:
+        """Return whether there is any lag."""
+        return self.speed > 0.0 or self.rate > 0.0
+
+    def lead(self, problem: Problem) -> float:
+        """Return by how long a plan starts ahead of the vehicle [s].
+
+        Half a step of it the ``euler`` model has already: it keeps R_k for the whole step in which
+        a vehicle turns on to R_{k+1}.
+        """
+        known = 0.5 * problem.step if problem.discretisation == 'euler' else 0.0
+        return max(0.0, self.rate - known)
+
+    def settled(
+        self,
+        problem: Problem,
+        odometry: Odometry,
+        thrust: tuple[float, float] = (0.0, 0.0),
+        disturbance: Array | None = None,
+        velocity_source: str = 'ground',
+    ) -> Odometry:
+        """Return where a vehicle that does not lag would have to be to fly the same, a lag later.
+
+        Args:
+            problem: gives the orders and the full speed or thrust.
+            odometry: the measurement.
+            thrust: shares of full thrust, applied now and commanded (translation order 2).
+            disturbance: a wind or an acceleration, shape (n,); None for none.
+            velocity_source: what odometry measures: velocity over ``ground`` or through ``air``.
+        """
+        if not problem.inertial:
+            time = self.lead(problem)
+            coming = [Interval(time, None, None)] if time > 0.0 else []
+            return advanced(problem, odometry, coming, disturbance, velocity_source)
+        return self._settled_thrust(problem, odometry, thrust, disturbance)
+
+    def _settled_thrust(
+        self,
+        problem: Problem,
+        odometry: Odometry,
+        thrust: tuple[float, float],
+        disturbance: Array | None,
+    ) -> Odometry:
+        """Return the same for a vehicle that is pushed.
+
+        What a thrust that settles from f to c leaves is a speed of z tau (f - c), whenever it is
+        looked at; the turn that is left over turns the axis of it meanwhile.
+        """
+        applied, commanded = thrust
+        time = self.lead(problem)
+        pushed = problem.forward * (odometry.attitude @ exp(0.5 * time * odometry.body_rate))[:, 0]
+        left = self.speed * (applied - commanded) * pushed
+        push = commanded * pushed + (0.0 if disturbance is None else disturbance)
+        velocity = odometry.attitude @ odometry.body_velocity + left
+        position = odometry.position + time * velocity + 0.5 * time * time * push
+        position = position - self.speed * left
+        velocity = velocity + time * push
+        attitude = odometry.attitude @ exp(time * odometry.body_rate)
+        body = attitude.T @ velocity
+        return Odometry(odometry.time + time, position, attitude, body, odometry.body_rate)
+
+
+def held_back(problem: Problem, plan: Plan, before: Command | None, command: Command) -> Command:
+    """Return what to send a vehicle that obeys at once, for the step that begins.
+
+    At second order the model takes a command over at the end of a step: what is due in this one is
+    what was commanded before. With ``exact`` steps thrust changes evenly from one to the other.
+
+    Args:
+        problem: gives the orders.
+        plan: whose first step begins.
+        before: the command before; None if there is none.
+        command: of the plan's first step.
+    """
+    fraction, rate, rotation = command.speed_fraction, command.body_rate, command.rotation
+    if problem.inertial:
+        due = (
+            problem.floor.clearance(problem.dimension) if before is None else before.speed_fraction
+        )
+        late = {'euler': 0.0, 'exact': 0.5, 'held': 1.0}[problem.discretisation]
+        fraction = (1.0 - late) * due + late * fraction
+    if problem.rotation_order == 2:
+        rate = np.zeros(len(rate)) if before is None else before.body_rate
+        rotation = np.array(plan.projected[1])
+    return Command(fraction, np.array(rate), np.array(rotation))
+
+
+def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
+    """Return how far from the end of a plan a vehicle gets that follows it, shape (n,) [m].
+
+    Zero where thrust is an acceleration, where rates are commanded a step ahead, and with ``euler``
+    steps, whose vehicle obeys as they have it.
+
+    Args:
+        problem: that the plan solves.
+        state: where it starts.
+        plan: to be followed.
+        lag: of the speed [s].
+    """
+    if problem.inertial or problem.rotation_order == 2 or problem.discretisation == 'euler':
+        return np.zeros(problem.dimension)
+    flown = _speeds(problem.step, plan.speed_fraction, lag) @ _means(plan.projected)
+    way = problem.step * problem.forward * flown
+    return np.asarray(drift(problem, state)[-1] + way - plan.positions[-1])
+
+
+def _means(attitudes: Array) -> Array:
+    """Return the mean of the thrust axis in each step, shape (N, n), of one that turns evenly.
+
+    Args:
+        attitudes: at the ends of the steps, shape (N + 1, n, n).
+    """
+    turns = np.swapaxes(attitudes[:-1], 1, 2) @ attitudes[1:]
+    if turns.shape[-1] == 2:
+        half = 0.5 * np.arctan2(turns[:, 1, 0], turns[:, 0, 0])
+        reached = np.stack([np.cos(half), np.sin(half)], axis=1) * np.sinc(half / np.pi)[:, None]
+    else:
+        ahead = np.eye(3)[0]
+        reached = np.array([turned(log(each), ahead)[0] for each in turns])
+    return np.einsum('kij,kj->ki', attitudes[:-1], reached)
+
+
+def _speeds(step: float, told: Array, lag: float) -> Array:
+    """Return the mean share of full speed in each step, of one that follows what is told at it.
+
+    Args:
+        step: [s].
+        told: share now, and at the end of each step, shape (N + 1,).
+        lag: of a first-order response [s].
+    """
+    left = math.exp(-step / lag) if lag else 0.0
+    spread = lag / step * (1.0 - left)
+    now, means = float(told[0]), []
+    for wanted in told[1:].tolist():
+        means.append(wanted + spread * (now - wanted))
+        now = wanted + left * (now - wanted)
+    return np.array(means)
+
+
+GIVEN, ESTIMATED = 'given', 'estimated'
+DISTURBANCES = (GIVEN, ESTIMATED)
+GATE = 5.0  # standard deviations: what is farther off is no measurement of the model
+PATIENCE = 2  # measurements in a row that are refused, after which the position is believed
+SHIFT = 3.0  # standard deviations: measurements that lean to one side by more show another wind
+RECENT = 0.5  # [s] over which they are looked at
+GAP = 2.0  # [s] without odometry, over which nothing is learnt
+LARGEST = 0.8  # of full speed or thrust: what is left steers
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Standard deviations of the model, as shares of full speed or thrust z.
+
+    Attributes:
+        position: of a measured position, of z s (order 1) or z s^2 (order 2).
+        velocity: of a measured velocity (order 2), of z s.
+        model: of what commands do, over a second: gusts, gains, discretisation; of z.
+        drift: by how much the disturbance changes in a second, of z.
+        prior: of the disturbance before anything is known, of z.
+    """
+
+    position: float = 0.01
+    velocity: float = 0.01
+    model: float = 0.05
+    drift: float = 0.03
+    prior: float = 0.3
+
+
+MEASURED = NoiseModel(model=0.01)  # gusts are seen in the velocity, and commands have no part
+
+
+class Estimator:
+    """Learns a disturbance from odometry and the commands that were in force.
+
+    Args:
+        problem: gives the orders and the full speed or thrust.
+        lag: of speed or thrust [s]; see :class:`orbimpc_ros.loop.compensation.Response`.
+        velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
+        noise: of the model.
+        measured: whether the measured speed is believed, through the air, not the commanded one.
+
+    Attributes:
+        innovation: how far the last measurement was from what was expected, in standard
+            deviations; 0 before the second.
+        refused: measurements in a row that were too far off to be believed.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        lag: float = 0.0,
+        velocity_source: str = 'ground',
+        noise: NoiseModel | None = None,
+        *,
+        measured: bool = False,
+    ) -> None:
+        self._noise = noise or (MEASURED if measured else NoiseModel())
+        self._problem, self._lag, self._as_measured = problem, lag, measured
+        self._velocity_source = velocity_source
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything, the disturbance too."""
+        self._estimate = np.zeros((3, self._problem.dimension))
+        self._covariance = np.diag([0.0, 0.0, self._noise.prior**2])
+        self.start_afresh()
+
+    def start_afresh(self) -> None:
+        """Forget where the vehicle was, for instance because the clock jumped."""
+        self._last: Odometry | None = None
+        self._begun = 0.0  # share of full speed with which the first command found the vehicle
+        self._leaning = np.zeros(self._problem.dimension)  # innovations of late, as if only noise
+        self.innovation, self.refused = 0.0, 0
+
+    def continue_from(self, other: Estimator) -> None:
+        """Take over what another estimator of the same vehicle knows."""
+        self._estimate, self._covariance = other._estimate, other._covariance
+        self._last, self._begun = other._last, other._begun
+        self._leaning = other._leaning
+        self.innovation, self.refused = other.innovation, other.refused
+
+    @property
+    def disturbance(self) -> Array:
+        """Return the wind [m/s] or acceleration [m/s^2] beyond the given one, shape (n,)."""
+        return np.array(self._estimate[-1])
+
+    @property
+    def _measured(self) -> tuple[float, ...]:
+        """Return the variances of what is measured."""
+        noise = self._noise
+        return (noise.position**2, noise.velocity**2)[: 1 + self._problem.inertial]
+
+    def observe(self, odometry: Odometry, history: CommandHistory, given: Array) -> None:
+        """Take in a measurement; stamps that do not increase are passed over.
+
+        Args:
+            odometry: as it was measured.
+            history: the commands, with the times when they were sent.
+            given: the disturbance that is known, shape (n,).
+        """
+        last = self._last
+        if last is not None and odometry.time <= last.time:
+            return
+        self._last = odometry
+        if history.is_empty and not self._problem.inertial:
+            self._begin(odometry, given)
+        moved = None if last is None else self._moved(last, odometry, history, given)
+        if moved is None:
+            self._believe(odometry)
+        else:
+            time = odometry.time - last.time  # type: ignore[union-attr]
+            self._predict(moved, time)
+            self._correct(odometry, time)
+
+    def limit(self, given: Array) -> str:
+        """Keep the whole disturbance within what the vehicle can work against; tell it if needed.
+
+        Args:
+            given: the disturbance that is known, shape (n,).
+        """
+        problem, whole = self._problem, given + self._estimate[-1]
+        size, most = float(np.linalg.norm(whole)), LARGEST * problem.forward
+        most = max(most, float(np.linalg.norm(given)))
+        if size <= most:
+            return ''
+        self._estimate[-1] = whole * (most / size) - given
+        unit = 'm/s^2' if problem.inertial else 'm/s'
+        return f'the disturbance is estimated to be {size:.3g} {unit}, taken as {most:.3g} {unit}'
+
+    def _begin(self, odometry: Odometry, given: Array) -> None:
+        """Take the measured airspeed for that with which the first command finds the vehicle.
+
+        Over ground it is known as well as the wind is, or as what the vehicle can fly.
+        """
+        least = self._problem.floor.clearance(self._problem.dimension)
+        source, noise = self._velocity_source, self._noise.velocity
+        speed = airspeed(odometry, given + self._estimate[-1], source)
+        self._begun = min(1.0, max(least, speed / self._problem.forward))
+        if source == 'ground':
+            noise = min(1.0 - least, math.sqrt(self._covariance[-1, -1]))
+        self._forget(1, noise**2)
+        self._estimate[1] = 0.0
+
+    def _doubt(self) -> None:
+        """Forget how well the disturbance is known: it has shifted."""
+        self._forget(2, self._noise.prior**2)
+        self._leaning = np.zeros_like(self._leaning)
+
+    def _forget(self, row: int, variance: float) -> None:
+        """Let a part of the state be known by no more than its variance."""
+        self._covariance[row] = self._covariance[:, row] = 0.0
+        self._covariance[row, row] = variance
+
+    def _seen(self, odometry: Odometry) -> Array:
+        """Return what is measured: the position, and at order 2 the velocity; shape (1 or 2, n)."""
+        if not self._problem.inertial:
+            return odometry.position[None]
+        return np.array([odometry.position, odometry.attitude @ odometry.body_velocity])
+
+    def _believe(self, odometry: Odometry) -> None:
+        """Take the measurement for the state, which says nothing about the disturbance."""
+        seen = self._seen(odometry)
+        self._estimate[: len(seen)] = seen
+        for row, variance in enumerate(self._measured):
+            self._forget(row, variance)
+        self.innovation, self.refused = 0.0, 0
+
+    def _moved(
+        self, last: Odometry, now: Odometry, history: CommandHistory, given: Array
+    ) -> Array | None:
+        """Return what commands and the given disturbance did since, shape (1 or 2, n); or None."""
+        time = now.time - last.time
+        share = self._mean_share(last, now, history)
+        if time > GAP or share is None:
+            return None
+        ahead = np.zeros(self._problem.dimension)
+        ahead[0] = self._problem.forward * share
+        once, twice = turned(log(last.attitude.T @ now.attitude), ahead)
+        if not self._problem.inertial:
+            return np.array([time * (last.attitude @ once + given)])
+        place = time * time * (last.attitude @ twice + 0.5 * given)
+        return np.array([place, time * (last.attitude @ once + given)])
+
+    def _mean_share(self, last: Odometry, now: Odometry, history: CommandHistory) -> float | None:
+        """Return the mean share of full speed, or thrust, in between; None if it is unknown."""
+        if self._as_measured:
+            return 0.5 * float(last.body_velocity[0] + now.body_velocity[0]) / self._problem.forward
+        return history.mean(last.time, now.time, self._lag, self._begun)
+
+    def _predict(self, moved: Array, time: float) -> None:
+        """Move the state on by so much, and by itself for a time [s]."""
+        step, driven = np.eye(3), np.array([0.0, 1.0, 0.0])
+        step[:2, 2] = 0.5 * time * time, time
+        step[0, 1] = driven[0] = time
+        if not self._problem.inertial:
+            fading = math.exp(-time / self._lag) if self._lag else 0.0
+            step[:2, 1:] = [[self._lag * (1.0 - fading), time], [fading, 0.0]]
+            driven = np.array([1.0, 0.0, 0.0])
+        self._estimate = step @ self._estimate
+        self._estimate[: len(moved)] += moved
+        drift = step[:, -1] * self._noise.drift
+        spread = time * (self._noise.model**2 * np.outer(driven, driven) + np.outer(drift, drift))
+        self._covariance = step @ self._covariance @ step.T + spread
+
+    def _correct(self, odometry: Odometry, time: float) -> None:
+        """Learn from a measurement a time [s] after the last, unless it is out of the question."""
+        seen = self._seen(odometry)
+        count, unit = len(seen), self._problem.forward
+        missed = seen - self._estimate[:count]
+        spread = self._covariance[:count, :count] + np.diag(self._measured)
+        off = np.einsum('in,ij,jn->n', missed, np.linalg.inv(spread), missed) / unit**2
+        self.innovation = float(np.sqrt(off.max() / count))
+        if self.innovation > GATE:
+            self.refused += 1
+            if self.refused >= PATIENCE:  # the wind may have shifted as well
+                self._believe(odometry)
+                self._doubt()
+            return
+        self.refused, kept = 0, math.exp(-time / RECENT)
+        latest = missed[-1] / (unit * math.sqrt(spread[-1, -1]))
+        self._leaning = kept * self._leaning + math.sqrt(1.0 - kept**2) * latest
+        gain = self._covariance[:, :count] @ np.linalg.inv(spread)
+        self._estimate = self._estimate + gain @ missed
+        left = np.eye(len(gain)) - gain @ np.eye(count, len(gain))
+        # Joseph's form: symmetric and positive whatever is rounded.
+        self._covariance = left @ self._covariance @ left.T + gain * self._measured @ gain.T
+        if np.abs(self._leaning).max() > SHIFT:
+            self._doubt()
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Where a plan starts, and how it was found.
+
+    Attributes:
+        odometry: what to plan from.
+        advanced: from the measurement to when the answer is in force [s].
+        led: from there on, for the vehicle's lag [s].
+        disturbance: known or estimated by now, shape (n,); None for none.
+        innovation: how far the measurement was from what was expected, in standard deviations;
+            None where no disturbance is estimated.
+        limited: that the estimate was limited, in words; empty if not.
+    """
+
+    odometry: Odometry
+    advanced: float
+    led: float
+    disturbance: Array | None
+    innovation: float | None
+    limited: str
+
+
+class Compensator:
+    """Moves measurements on to where plans start, by the commands sent of late.
+
+    Args:
+        problem: gives the orders and the full speed or thrust.
+        response: lags of the vehicle.
+        given: the disturbance that is known, shape (n,); None for none.
+        estimated: whether what disturbs besides is estimated.
+        velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
+        sideslip: whether odometry measures how a wing slips, which is believed.
+
+    Attributes:
+        history: the commands of late.
+        due: the command of the step that begins, of a vehicle that lags; None where it is the last.
+        response: lags of the vehicle.
+        disturbance: known or estimated by now, shape (n,); None for none.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        response: Response | None = None,
+        given: Array | None = None,
+        *,
+        estimated: bool = False,
+        velocity_source: str = 'ground',
+        sideslip: bool = False,
+    ) -> None:
+        self._problem, self.response = problem, response or Response()
+        self._given = self.disturbance = given
+        self._velocity_source, self._sideslip = velocity_source, sideslip
+        self.history = CommandHistory()
+        self.due: Command | None = None
+        self._estimator: Estimator | None = None
+        if estimated:
+            known = problem, self.response.speed, velocity_source
+            self._estimator = Estimator(*known, measured=sideslip)
+
+    def start_afresh(self, *, wind: bool = False, commands: bool = False) -> None:
+        """Forget where the vehicle was and when commands were sent.
+
+        Args:
+            wind: whether to forget what was estimated, too.
+            commands: whether to forget the command in force, too.
+        """
+        self.history.forget()
+        self.due = None
+        if commands:
+            self.history.last = None
+        if self._estimator is not None:
+            self._estimator.start_afresh()
+            if wind:
+                self._estimator.reset()
+
+    def continue_from(self, other: Compensator) -> None:
+        """Take over what another one remembers."""
+        self.history, self.due = other.history, other.due
+        if self._estimator is not None and other._estimator is not None:
+            self._estimator.continue_from(other._estimator)
+
+    @property
+    def coming(self) -> Command | None:
+        """Return the command of the step that begins; None before the first."""
+        return self.due or self.history.last
+
+    def start(self, measured: Odometry, latency: float = 0.0, now: float | None = None) -> Start:
+        """Return where a plan starts.
+
+        Args:
+            measured: the latest measurement.
+            latency: from it to when the answer is in force [s].
+            now: when that is, on the clock of the commands sent [s]; None where delays are not
+                compensated.
+        """
+        odometry = along_the_air(measured) if self._sideslip else measured
+        limited = self._estimate(odometry)
+        coming = [] if now is None else self.history.intervals(now - latency, now)
+        if coming and self.response.lags:
+            # For a time that is short against its lags, a vehicle goes on as it was measured.
+            whole = sum(each.duration for each in coming)
+            coming = [Interval(whole, None, self.history.last)]
+        known = self.disturbance, self._velocity_source
+        odometry = self._settled(advanced(self._problem, odometry, coming, *known))
+        led = self.response.lead(self._problem)
+        moved = odometry.time - measured.time - led
+        innovation = None if self._estimator is None else self._estimator.innovation
+        return Start(odometry, moved, led, self.disturbance, innovation, limited)
+
+    def _estimate(self, odometry: Odometry) -> str:
+        """Learn the disturbance from a measurement; return that it is limited, if it is."""
+        if self._estimator is None:
+            return ''
+        given = np.zeros(self._problem.dimension) if self._given is None else self._given
+        self._estimator.observe(odometry, self.history, given)
+        limited = self._estimator.limit(given)
+        self.disturbance = given + self._estimator.disturbance
+        return limited
+
+    def _settled(self, odometry: Odometry) -> Odometry:
+        """Return the measurement, moved on by what the vehicle's lags leave."""
+        if not self.response.lags:
+            return odometry
+        applied = self.history.applied(odometry.time, self.response.speed)
+        coming = self.coming
+        thrust = applied, 0.0 if coming is None else coming.speed_fraction
+        known = self.disturbance, self._velocity_source
+        settled = self.response.settled(self._problem, odometry, thrust, *known)
+        if self._problem.rotation_order == 1 or coming is None:
+            return settled
+        return replace(settled, body_rate=coming.body_rate)
+
+    def state(
+        self, odometry: Odometry, reached: float | None = None, wanted: Array | None = None
+    ) -> State:
+        """Return the state of a plan that starts there: see :func:`state_of`."""
+        applied = None if self.coming is None else self.coming.speed_fraction
+        known = applied, self.disturbance, self._velocity_source
+        return state_of(self._problem, odometry, *known, reached, wanted)
+
+    def odd_speed(self, odometry: Odometry) -> str:
+        """Return that the measured speed is not one that the model knows, in words."""
+        return odd_speed(self._problem, odometry, self.disturbance, self._velocity_source)
+
+    def held_back(self, problem: Problem, plan: Plan, command: Command) -> Command:
+        """Return what to send now of a plan's first command, which becomes due."""
+        before, self.due = self.coming, command
+        return held_back(problem, plan, before, command)

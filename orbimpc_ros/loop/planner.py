@@ -1,0 +1,726 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""The planner's core: from a snapshot of all inputs to a checked command.
+
+Nothing here reads a clock or a message: the node, replays, studies and tests call the same
+:meth:`Planner.step`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from orbimpc_ros.loop.compensation import Compensator, Response
+from orbimpc_ros.loop.fallback import (
+    cheapest_clear,
+    clear_instead,
+    clearest,
+    cuts_turns,
+    entry_of_safety,
+    is_clear,
+    may_stop,
+    safe_command,
+)
+from orbimpc_ros.loop.goal.motion import GoalMotion
+from orbimpc_ros.loop.intercept import (
+    FARTHEST,
+    Intercept,
+    Interception,
+    InterceptQuery,
+)
+from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.loop.task import Answer, Late, Solvers, Task, joined
+from orbimpc_ros.loop.traffic import Traffic, achieved_clearance, nearest, with_clearance
+from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed
+from orbimpc_ros.mpc.check import command_violations, violations
+from orbimpc_ros.mpc.command import Command, command_of, flaw
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
+from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble, later
+from orbimpc_ros.mpc.problem import Approach, Hazard, Problem, State
+from orbimpc_ros.mpc.problem.case import Case
+from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
+from orbimpc_ros.mpc.problem.reach import held_goal, pulled_in
+from orbimpc_ros.mpc.problem.sought import Sought
+from orbimpc_ros.mpc.problem.traffic import traffic_of
+from orbimpc_ros.mpc.solve.scouting import Scout
+
+if TYPE_CHECKING:  # proofs are loaded by the first decision that needs one
+    from orbimpc_ros.mpc.proof.certificate import Certificate, Refutation
+
+FALLBACK_TICKS = 2  # how long the shifted previous plan may stand in for a new one
+CATCHES_AMONG = 16  # plans of a catch that are tried among hazards
+SNAP = 1e-3  # of a step: so exact are stamps, and steps begun
+WAITING = Reason(Cause.WAITING, 'waits for odometry')
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """All that one decision is made of.
+
+    Attributes:
+        odometry: the latest measurement; None before the first.
+        goal: g_1..g_N at the planner's :meth:`Planner.ends`, shape (N, n) [m], or a motion of the
+            goal, which can be met beyond the horizon too; None before the first.
+        wanted: attitude of the goal, shape (n, n); None for any.
+        hazards: what moves, its time beginning with the plan.
+        traffic: what was seen and heard of what moves.
+        odometry_age: [s].
+        goal_age: [s].
+        latency: from the measurement to when the answer is in force; 0 where unknown [s].
+        stop: why no plan may be followed, whatever the inputs; None if one may.
+    """
+
+    odometry: Odometry | None = None
+    goal: Array | GoalMotion | None = None
+    wanted: Array | None = None
+    hazards: tuple[Hazard, ...] = ()
+    traffic: Traffic | None = None
+    odometry_age: float = 0.0
+    goal_age: float = 0.0
+    latency: float = 0.0
+    stop: Reason | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Decision(ByContent):
+    """What to do next, and why.
+
+    Attributes:
+        status: of the solve.
+        reason: why, where it is not ``optimal``, and what was done about a goal too far away, a
+            plan outside of the cones of a descent, a measured speed that the model does not know,
+            or a goal inside of an obstacle; else empty.
+        state: the state that the plan starts from; None if nothing was to be planned.
+        plan: the checked plan behind the command, but for hazards where that follows the clearest
+            way; None if the command is the safe one.
+        command: what to do next.
+        fallback: what the command follows, if not a new plan.
+        problem: what the plan solves; None without a plan, as is the next.
+        goals: g_1..g_N that it was made for, shape (N, n) [m].
+        cause: what kept the decision from being planned on fresh inputs, if anything did.
+        catch: how soon the goal can be caught; None where none is looked for.
+        infeasible: in what no trajectory is feasible, where that is the status.
+        certificate: of a bound that was not verified by the solver; None where that is not proved,
+            or need not be.
+        refutation: proves that nothing is feasible, or is caught before a time, where the decision
+            states that; None where it is not proved.
+        advanced: from the measurement to the state that was planned from, but for ``led`` [s].
+        led: how far the vehicle's lag moved the state on [s].
+        disturbance: that was planned with, shape (n,) [m/s] or [m/s^2]; None for none.
+        innovation: how far odometry was from what was expected, in standard deviations; None
+            where no disturbance is estimated.
+        left_out: moving obstacles within reach that were too many to plan with.
+    """
+
+    status: Status
+    reason: str
+    state: State | None
+    plan: Plan | None
+    command: Command
+    fallback: Fallback = Fallback.NONE
+    problem: Problem | None = None
+    goals: Array | None = None
+    cause: Cause = Cause.NONE
+    catch: Intercept | None = None
+    infeasible: Sought | None = None
+    certificate: Certificate | None = None
+    refutation: Refutation | None = None
+    advanced: float = 0.0
+    led: float = 0.0
+    disturbance: Array | None = None
+    innovation: float | None = None
+    left_out: int = 0
+
+    @property
+    def planned(self) -> bool:
+        """Return whether it came of odometry and goals, be it by the plan before."""
+        return self.cause in (Cause.NONE, Cause.GOAL, Cause.HORIZON, Cause.COMMAND)
+
+    @property
+    def case(self) -> Case | None:
+        """Return what the plan solves; None without a plan."""
+        if self.problem is None or self.state is None or self.goals is None:
+            return None
+        return Case(self.problem, self.state, self.goals)
+
+
+@dataclass
+class _Memory:
+    """What a planner remembers of its last decisions.
+
+    Attributes:
+        aim: where the last plan arrives, shape (n,) [m].
+        pace: duration of a step of the previous plan [s].
+        flown: steps since the start.
+        reached: share of full speed, by a vehicle that obeys commands; None before the first.
+        previous: the plan before; None without one.
+        goals: that it was made for.
+        wanted: the rotation of its end.
+        fallbacks: decisions since a plan was found.
+        planned: steps of the last plan that was found.
+        since: steps since it was found.
+        last: stamp of the last decision [s].
+        arriving: whether a plan has been found since the start.
+        catch: when the goal is to be caught [s].
+    """
+
+    aim: Array
+    pace: float
+    flown: float
+    reached: float | None = None
+    previous: Plan | None = None
+    goals: Array | None = None
+    wanted: Array | None = None
+    fallbacks: int = 0
+    planned: int = 0
+    since: float = 0.0
+    last: float | None = None
+    arriving: bool = False
+    catch: float = 0.0
+
+
+class Planner:
+    """Decides on a command for each snapshot; every command is checked, whatever it follows.
+
+    Without a plan it falls back, in this order, on
+
+    - the shifted previous plan, if it still holds from the new state, for two decisions at most and
+      never past its horizon;
+    - a *soft arrival*, where a terminal constraint that could be met before no longer can be,
+      because of disturbances: the plan that comes nearest; in a descent from the start on;
+    - among hazards, the *clearest way*: a plan that meets all else, and stays out of them the most;
+    - the safe command.
+
+    Snapshots may come as often as they like. How far the previous plan is flown, and what a
+    shrinking horizon has left, follows from the stamps of odometry; where they do not increase, a
+    step passed. A command counts only once it is reported by :meth:`sent`.
+
+    Args:
+        problem: what to solve; compiled here, so that a step only updates data.
+        projection: ``nearest`` or ``thrust_aligned``.
+        shrinking: whether the horizon ends N steps after the first plan (a fixed arrival time)
+            instead of receding. In between, the steps left are shortened to end with it.
+        gap_tolerance: relative gap within which a plan counts as proved optimal.
+        safe: kind of safe command, see :func:`orbimpc_ros.loop.fallback.safe_command`.
+        disturbance: a wind or an acceleration, shape (n,); by default there is none.
+        estimated: whether what disturbs besides is estimated from odometry.
+        velocity_source: what odometry measures: velocity over ``ground`` or through the ``air``.
+        sideslip: whether odometry measures how a wing slips, which is believed.
+        response: lags of the vehicle.
+        capture_radius: within which the goal is caught [m]. Above 0 the earliest catch within the
+            horizon is flown, and the problem's own objective where there is none; that takes a
+            receding horizon and a terminal penalty. A catch is looked for as if there were no
+            hazards, and flown if it is clear of them.
+        approach: the cone of headings in which a catch counts; by default any heading does.
+        reserve: what plans keep away from hazards beyond what is demanded, as far as there is a
+            plan that does; see :mod:`orbimpc_ros.loop.traffic` [m].
+        centred: whether catches lead through the middle of the goal, which takes gentler turns than
+            to be within the radius as soon as can be.
+        odom_timeout: age of odometry beyond which no plan is followed [s].
+        goal_timeout: age of the goal beyond which only the previous plan is flown on [s].
+
+    Attributes:
+        problem: that plans solve.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        *,
+        projection: str = 'thrust_aligned',
+        shrinking: bool = False,
+        gap_tolerance: float = 1e-4,
+        safe: str = 'auto',
+        disturbance: Array | None = None,
+        estimated: bool = False,
+        velocity_source: str = 'ground',
+        sideslip: bool = False,
+        response: Response | None = None,
+        capture_radius: float = 0.0,
+        approach: Approach | None = None,
+        reserve: float = 0.0,
+        centred: bool = False,
+        odom_timeout: float = math.inf,
+        goal_timeout: float = math.inf,
+    ) -> None:
+        self._reserve = number(reserve, 'reserve', 0.0)
+        self._max_rate, problem = problem.max_rate, _planned(problem)
+        self.problem, self._safe_kind = problem, safe
+        self._compensator = Compensator(
+            problem,
+            response,
+            disturbance,
+            estimated=estimated,
+            velocity_source=velocity_source,
+            sideslip=sideslip,
+        )
+        self._shrinking = shrinking
+        self._timeouts = odom_timeout, goal_timeout
+        self._counted = np.arange(1.0, problem.horizon + 1.0)
+        self._solvers = Solvers(problem, projection, gap_tolerance)
+        self._solvers.of(problem.horizon, problem.step)
+        self._scout: Scout | None = None
+        self._interception: Interception | None = None
+        self._approach = approach or Approach()
+        if number(capture_radius, 'capture_radius', 0.0) > 0.0:
+            if shrinking or problem.terminal != 'penalty':
+                raise BadInput('capture_radius', capture_radius, '0 with an arrival in time')
+            caught = replace(problem, approach=self._approach)
+            self._interception = Interception(
+                caught,
+                capture_radius,
+                self._solvers,
+                self._compensator.response.speed,
+                centred=centred,
+            )
+        by_its_axis = self._interception is not None and self._approach.is_the_goals
+        self._wants_attitude = problem.wants_attitude or by_its_axis
+        self._memory = self._fresh()
+
+    # --- memory
+
+    def _fresh(self, reached: float | None = None) -> _Memory:
+        problem = self.problem
+        led = self._compensator.response.lead(problem) / problem.step
+        return _Memory(np.zeros(problem.dimension), problem.step, led, reached)
+
+    def reset(self) -> None:
+        """Forget everything, for instance before another flight."""
+        self._compensator.start_afresh(wind=True, commands=True)
+        self._memory = self._fresh()
+
+    def start_afresh(self, *, wind: bool = False) -> None:
+        """Forget the previous plan, yet not the command in force; the horizon starts anew.
+
+        Args:
+            wind: whether to forget what was estimated of the disturbance, too.
+        """
+        self._compensator.start_afresh(wind=wind)
+        self._memory = self._fresh(self._memory.reached)
+
+    def continue_from(self, other: Planner) -> None:
+        """Take over what another planner remembers, for instance one with other weights."""
+        self._memory = other._memory
+        self._compensator.continue_from(other._compensator)
+
+    def sent(self, command: Command, at: float | None = None) -> None:
+        """Take note of a command that was sent.
+
+        Args:
+            command: now in force.
+            at: when, on the clock of the stamps [s]; None where that is not known.
+        """
+        self._compensator.history.add(command, at)
+
+    def expect_hazards(self) -> None:
+        """Compile what the first plan among hazards would have to wait for: that takes a second."""
+        self._solvers.expect_hazards()
+        if self._scout is None and cuts_turns(self.problem):
+            self._scout = Scout(self.problem, steered=True)
+
+    # --- steps of the horizon
+
+    @property
+    def lead(self) -> float:
+        """Return by how long a plan starts ahead of the vehicle, for its lags [s]."""
+        return self._compensator.response.lead(self.problem)
+
+    @property
+    def remaining(self) -> int:
+        """Return the steps left to plan a step after the last decision."""
+        return self._steps(self._memory.flown + (self._memory.last is not None))[0]
+
+    def ends(self, time: float) -> Array:
+        """Return the ends of the steps planned from a time [s] on, shape (N or less,) [s]."""
+        count, step = self._steps(self._memory.flown + self._passed(time))
+        return np.asarray(time + step * self._counted[:count])
+
+    def _steps(self, flown: float) -> tuple[int, float]:
+        """Return how many steps are left, and how long they are [s], after so many of the start."""
+        problem = self.problem
+        if not self._shrinking:
+            return problem.horizon, problem.step
+        left = problem.horizon - flown
+        count = max(0, math.ceil(left - SNAP))
+        whole = count == 0 or abs(left - count) <= SNAP
+        return count, problem.step if whole else problem.step * left / count
+
+    def _passed(self, time: float) -> float:
+        """Return the steps since the last decision, by stamps [s]; one if they do not increase."""
+        if self._memory.last is None:
+            return 0.0
+        steps = (time - self._memory.last) / self.problem.step
+        if steps <= 0.0 or abs(steps - 1.0) <= SNAP:
+            return 1.0
+        return steps
+
+    def _begin(self, time: float) -> Array:
+        """Count on to a decision at a time [s]; return the ends of its steps in the plan before."""
+        memory, passed = self._memory, self._passed(time)
+        memory.last = time
+        memory.flown += passed
+        memory.since += passed
+        count, step = self._steps(memory.flown)
+        before, memory.pace = memory.pace, step
+        if before == step == self.problem.step:
+            return passed + self._counted[:count]
+        return (passed * self.problem.step + step * self._counted[:count]) / before
+
+    # --- a decision
+
+    def unsafe(self, snapshot: Snapshot) -> Reason | None:
+        """Return why no plan may be followed; None if one may."""
+        if snapshot.stop is not None:
+            return snapshot.stop
+        if snapshot.odometry is None:
+            return WAITING
+        age, timeout = snapshot.odometry_age, self._timeouts[0]
+        return Reason(Cause.ODOMETRY, f'odometry is {age:.2f} s old') if age > timeout else None
+
+    def _lost_goal(self, snapshot: Snapshot) -> str:
+        """Return why no goal can be planned for; empty if one can."""
+        if snapshot.goal is None:
+            return 'there is no goal'
+        age, timeout = snapshot.goal_age, self._timeouts[1]
+        return f'the goal is {age:.2f} s old' if age > timeout else ''
+
+    def step(
+        self, snapshot: Snapshot, now: float | None = None, late: Late | None = None
+    ) -> Decision:
+        """Decide on the next command.
+
+        Args:
+            snapshot: of the inputs.
+            now: when the command will be in force, on the clock of the stamps [s]; None where
+                delays are not compensated.
+            late: whether time is up, for long searches, which then return their best plan.
+        """
+        unsafe = self.unsafe(snapshot)
+        if unsafe is not None or snapshot.odometry is None:
+            self._change_speed(1.0)
+            return self._safe(snapshot.odometry, Status.FAILED, unsafe or WAITING)
+        start = self._compensator.start(snapshot.odometry, snapshot.latency, now)
+        hazards, left_out = self._hazards(snapshot, start.odometry)
+        lost = self._lost_goal(snapshot)
+        if lost:
+            decision = self._hold(start.odometry, hazards, lost)
+        else:
+            decision = self._planned(snapshot, start.odometry, hazards, late)
+        self._memory.previous = decision.plan
+        return replace(
+            decision,
+            reason=joined(decision.reason, start.limited),
+            advanced=start.advanced,
+            led=start.led,
+            disturbance=start.disturbance,
+            innovation=start.innovation,
+            left_out=left_out,
+        )
+
+    def _hazards(self, snapshot: Snapshot, odometry: Odometry) -> tuple[tuple[Hazard, ...], int]:
+        """Return the hazards that matter, and how many more there are."""
+        if snapshot.traffic is None:
+            return snapshot.hazards, 0
+        horizons = float(FARTHEST if self._interception is not None else 1)
+        found = snapshot.traffic.hazards(odometry.time)
+        return nearest(self.problem, odometry, self._compensator.disturbance, found, horizons)
+
+    def _state(self, odometry: Odometry, hazards: tuple[Hazard, ...]) -> State:
+        wanted = self._memory.wanted if self._wants_attitude else None  # or it is not looked at
+        state = self._compensator.state(odometry, self._memory.reached, wanted)
+        return replace(state, hazards=hazards)
+
+    def _change_speed(self, steps: float) -> None:
+        """Note how far towards the last command the speed has come, a number of steps later."""
+        memory, last = self._memory, self._compensator.history.last
+        if not self.problem.max_acceleration or last is None:
+            return
+        asked = last.speed_fraction
+        before = asked if memory.reached is None else memory.reached
+        before = max(before, min(asked, self.problem.floor.clearance(self.problem.dimension)))
+        memory.reached = moved_towards(self.problem, before, asked, steps)
+
+    def _task(self, state: State, goals: Array, knots: Array, late: Late | None = None) -> Task:
+        solver = self._solvers.of(len(knots), self._memory.pace)
+        task = Task(solver.problem, state, goals, knots, late)
+        return self._solvers.posed(task, solver, self._memory.previous)
+
+    def _planned(
+        self,
+        snapshot: Snapshot,
+        odometry: Odometry,
+        hazards: tuple[Hazard, ...],
+        late: Late | None,
+    ) -> Decision:
+        """Return the decision for a goal that is known."""
+        memory, given = self._memory, snapshot.goal
+        assert given is not None
+        motion = None if isinstance(given, np.ndarray) else given
+        goals = given if motion is None else motion.at(self.ends(odometry.time))
+        passed = self._passed(odometry.time)
+        self._change_speed(passed)
+        memory.wanted = snapshot.wanted
+        state, knots = self._state(odometry, hazards), self._begin(odometry.time)
+        if not len(knots):
+            reason = Reason(Cause.HORIZON, 'the horizon has run out')
+            return self._safe(state, Status.FEASIBLE, reason)
+        copied = sealed(np.array(goals, dtype=float))
+        goals, shortened = pulled_in(self.problem, state, copied)
+        task = self._task(state, goals, knots, late)
+        memory.goals = goals
+        held, catch = held_goal(task.problem, state, goals), None
+        if self._interception is None or shortened:
+            task, (plan, status, words) = self._tracked(task)
+        else:
+            known = self._interception, motion, passed or math.inf
+            task, (plan, status, words), catch = self._caught(task, *known)
+        odd = self._compensator.odd_speed(odometry)
+        reason = Reason(Cause.NONE, joined(words, held, shortened, odd))
+        if plan is None:
+            nothing = Sought(*task.known) if status is Status.INFEASIBLE else None
+            return replace(self._fall_back(task, status, reason), infeasible=nothing)
+        memory.fallbacks, memory.planned, memory.since = 0, plan.horizon, 0.0
+        memory.arriving, memory.aim = True, goals[-1]
+        decision = self._following(task, plan, status, reason)
+        return replace(decision, catch=catch) if catch and decision.plan else decision
+
+    def _tracked(self, task: Task) -> tuple[Task, Answer]:
+        """Return a task with as much of the reserve as there is a plan for, and its answer.
+
+        That is all of it, or what the plan before keeps.
+        """
+        if not self._reserve or not task.state.hazards:
+            return task, self._clear(task, task, task.solved())
+        every = np.full(len(task.state.hazards), self._reserve)
+        wary = replace(task, state=with_clearance(task.state, every))
+        answer = wary.solved()
+        if answer[0] is None:
+            left = achieved_clearance(task.problem, task.state, task.guess, self._reserve)
+            wary = replace(task, state=with_clearance(task.state, left))
+            answer = wary.solved()
+        return wary, self._clear(task, wary, answer)
+
+    def _clear(self, task: Task, wary: Task, answer: Answer) -> Answer:
+        """Return an answer whose plan is clear of hazards when its turns are cut, as far as any is.
+
+        Of other ways those that keep the reserve of the ``wary`` task come first.
+        """
+        plan, status, words = answer
+        hopeless = not task.state.hazards or status is Status.INFEASIBLE
+        if hopeless or (plan is not None and is_clear(*wary.known, plan)):
+            return answer
+        instead = self._clear_way(task, wary, plan)
+        if plan is None:
+            return (replace(instead, proof=UNPROVED), Status.FEASIBLE, words) if instead else answer
+        instead = instead or clear_instead(*wary.known, plan, task.late)
+        if instead is plan:
+            more = (
+                '' if is_clear(*task.known, plan) else 'it turns into a hazard, as every way does'
+            )
+            return plan, status, joined(words, more)
+        instead = replace(instead, proof=plan.proof)
+        less = 'a way that can be turned in time is flown instead of a cheaper one'
+        return instead, instead.status, joined(words, less)
+
+    def _clear_way(self, task: Task, wary: Task, plan: Plan | None) -> Plan | None:
+        """Return the cheapest clear way of the plan, the one before, and the one that is scouted.
+
+        With the reserve first, then without.
+        """
+        guess = None if plan is None else task.guess
+        for each in (wary,) if wary is task else (wary, task):
+            ways = filter(None, (plan, guess, self._scouted(each)))
+            found = cheapest_clear(*each.known, ways)
+            if found is not None:
+                return found
+        return None
+
+    def _scouted(self, task: Task) -> Plan | None:
+        """Return a way among hazards that the vehicle can turn along, if one is found."""
+        traffic = traffic_of(task.problem, task.state)
+        if self._scout is None or traffic is None or task.problem != self.problem:
+            return None
+        headings = self._scout.way(task.state, task.goals, traffic, task.late)
+        if headings is None:
+            return None
+        projection = self._solvers.projection
+        return assemble(*task.known, headings, projection=projection, proof=UNPROVED)
+
+    def _caught(
+        self, task: Task, interception: Interception, motion: GoalMotion | None, pause: float
+    ) -> tuple[Task, Answer, Intercept]:
+        """Return the task of the earliest catch and its answer; the given one's without any.
+
+        It is looked for as if there were no hazards, which can only be sooner: its bound is one
+        among them, too. Where it leads through them, it is no catch. Among hazards it is looked for
+        in a few plans only: most of the time is for what has to keep clear of them.
+
+        ``pause`` is the time from the last decision, in steps; infinite at the first.
+        """
+        memory = self._memory
+        now = memory.last or 0.0
+        expected = (memory.catch - now) / task.problem.step
+        if abs(expected - round(expected)) <= SNAP:
+            expected = float(round(expected))
+        free = replace(task, state=replace(task.state, hazards=()))
+        most = CATCHES_AMONG if task.state.hazards else math.inf
+        query = InterceptQuery(free, motion, now, memory.previous, pause, expected, most)
+        chosen, answer, catch = interception.earliest(query)
+        words = self._unmet(catch) if chosen is None else ''
+        if chosen is not None and answer is not None and answer[0] is not None:
+            chosen = replace(chosen, state=task.state)
+            if not task.state.hazards or _is_free(chosen, answer[0]):
+                memory.catch = now + chosen.problem.step * chosen.problem.horizon
+                memory.pace, memory.goals = chosen.problem.step, chosen.goals
+                return chosen, answer, catch
+            words = f'the catch at {catch.time:.4g} s leads through traffic'
+            catch = replace(catch, time=math.nan)
+        task, (plan, status, why) = self._tracked(task)
+        return task, (plan, status, joined(why, words)), catch
+
+    def _unmet(self, catch: Intercept) -> str:
+        """Return in words that no catch was found with a heading inside the cone of approach."""
+        if not self._approach.exists:
+            return ''
+        return f'approach: found no turn that meets the cone of a catch before {catch.bound:.4g} s'
+
+    # --- without a new plan
+
+    def _hold(self, odometry: Odometry, hazards: tuple[Hazard, ...], words: str) -> Decision:
+        """Go on without a goal: by the previous plan while the fallback allows, then safely."""
+        memory, reason = self._memory, Reason(Cause.GOAL, words)
+        self._change_speed(self._passed(odometry.time))
+        state, knots = self._state(odometry, hazards), self._begin(odometry.time)
+        unknown = memory.goals is None or (self._wants_attitude and memory.wanted is None)
+        if unknown or memory.goals is None or not len(knots):
+            return self._safe(state, Status.FAILED, reason)
+        memory.goals = sealed(later(memory.goals, knots - 1.0))
+        return self._fall_back(self._task(state, memory.goals, knots), Status.FAILED, reason)
+
+    def _fall_back(self, task: Task, status: Status, reason: Reason) -> Decision:
+        memory = self._memory
+        memory.fallbacks += 1
+        if memory.fallbacks <= FALLBACK_TICKS and memory.since < memory.planned - SNAP:
+            guess = task.guess or self._shifted(task)
+            if guess and not violations(*task.known, guess):
+                return self._following(task, guess, status, reason, Fallback.SHIFTED_PLAN)
+        arriving = memory.arriving or task.problem.has_cones  # to wait is to fall
+        if arriving and task.problem.terminal == 'constraint' and not reason.cause:
+            return self._arrive_softly(task, status, reason)
+        if task.state.hazards and not reason.cause:
+            return self._sidestep(task, status, reason)
+        return self._without_plan(task, status, reason)
+
+    def _sidestep(self, task: Task, status: Status, reason: Reason) -> Decision:
+        """Return the decision for the clearest way, if there is any that meets all else."""
+        guess = task.guess or self._shifted(task)
+        plan, apart = clearest(*task.known, guess, self._solvers.projection, task.late)
+        if plan is None:
+            return self._without_plan(task, status, reason)
+        reason = reason.and_so(f'the clearest way is {-apart:.3g} m inside of a hazard')
+        return self._following(task, plan, status, reason, Fallback.CLEAREST_WAY)
+
+    def _arrive_softly(self, task: Task, status: Status, reason: Reason) -> Decision:
+        memory = self._memory
+        solver = self._solvers.of(len(task.knots), memory.pace, soft=True)
+        eased = replace(task, problem=solver.problem, solver=solver, guess=None)
+        eased = replace(eased, guess=self._shifted(eased))
+        plan, _, _ = eased.solved()
+        if plan is None:
+            return self._without_plan(task, status, reason)
+        miss = float(np.linalg.norm(plan.positions[-1] - task.goals[-1]))
+        jump = float(np.linalg.norm(task.goals[-1] - memory.aim)) if memory.arriving else 0.0
+        if jump > task.problem.length_unit:
+            jumped = f'the goal has jumped by {jump:.3g} m'
+            reason = reason.and_so(f'{jumped}, the nearest plan misses by {miss:.3g} m')
+            return self._without_plan(task, status, reason)
+        memory.aim = task.goals[-1]
+        reason = reason.and_so(f'the plan misses by {miss:.3g} m')
+        return self._following(eased, plan, status, reason, Fallback.SOFT_ARRIVAL)
+
+    def _shifted(self, task: Task) -> Plan | None:
+        return task.shifted(self._memory.previous, self._solvers.projection)
+
+    # --- a command
+
+    def _following(
+        self,
+        task: Task,
+        plan: Plan,
+        status: Status,
+        reason: Reason,
+        fallback: Fallback = Fallback.NONE,
+    ) -> Decision:
+        """Return the decision for a checked plan, if the command made of it may be sent."""
+        problem, memory = task.problem, self._memory
+        if problem.max_rate != self._max_rate:
+            problem = replace(problem, max_rate=self._max_rate)
+        command = command_of(problem, task.state, plan)
+        entry = entry_speed(problem, task.state) if problem.max_acceleration else 0.0
+        wrong = '; '.join(command_violations(problem, plan, command, entry))
+        if not wrong and (last_look := flaw(problem, command, entry=entry)):
+            wrong = f'not sent: {last_look}'
+        if not wrong and self._compensator.response.lags:
+            command = self._compensator.held_back(problem, plan, command)
+            if last_look := flaw(problem, command, entry=entry):
+                wrong = f'not sent: {last_look}'
+        if wrong:
+            return self._without_plan(task, Status.FAILED, Reason(Cause.COMMAND, wrong))
+        if problem.max_acceleration:
+            memory.reached = entry
+        known = task.problem, task.goals, reason.cause
+        return Decision(status, reason.words, task.state, plan, command, fallback, *known)
+
+    def _without_plan(self, task: Task, status: Status, reason: Reason) -> Decision:
+        return self._safe(task.state, status, reason)
+
+    def _safe(
+        self,
+        measured: Odometry | State | None,
+        status: Status,
+        reason: Reason,
+    ) -> Decision:
+        """Return the decision for the safe command, the only place where one is made.
+
+        Args:
+            measured: the state that was to be planned from, or whatever is known of the attitude.
+            status: of the solve.
+            reason: why there is no plan to follow.
+
+        Raises:
+            RuntimeError: the safe command itself must not be sent, which its own law excludes.
+        """
+        kind, problem, compensator = self._safe_kind, self.problem, self._compensator
+        compensator.due, reached = None, self._memory.reached
+        before = compensator.history.fraction if reached is None else reached
+        attitude = np.eye(problem.dimension) if measured is None else measured.attitude
+        command = safe_command(kind, problem, attitude, before, compensator.disturbance)
+        entry = entry_of_safety(problem, before)
+        wrong = flaw(problem, command, stopping=may_stop(kind, problem), entry=entry)
+        if wrong:
+            raise RuntimeError(f'the safe command is not sent: {wrong}')
+        state = measured if isinstance(measured, State) else None
+        fallback, cause = Fallback.SAFE_COMMAND, reason.cause
+        return Decision(status, reason.words, state, None, command, fallback, cause=cause)
+
+
+def _planned(problem: Problem) -> Problem:
+    """Return the problem that plans solve: thrust in space may turn faster than the vehicle does.
+
+    Commands keep ``max_rate``. Its chord would also limit how fast thrust grows and falls, which
+    no turn does, and among boxes no search is done in time with it.
+    """
+    orders = problem.dimension, problem.rotation_order, problem.inertial
+    limited = problem.floor.exists or problem.has_cones or problem.terminal == 'constraint'
+    if orders != (3, 1, True) or limited:
+        return problem
+    return replace(problem, max_rate=0.0)
+
+
+def _is_free(task: Task, plan: Plan) -> bool:
+    """Return whether a plan that was made without hazards is clear of them, as it is flown."""
+    return not violations(*task.known, plan) and is_clear(*task.known, plan)

@@ -1,0 +1,144 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""The optimisation behind a decision: problem, state and goals, with a solver and a guess."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orbimpc_ros.mpc.arrays import Array, sealed
+from orbimpc_ros.mpc.errors import Infeasible, SolverFailure
+from orbimpc_ros.mpc.outcome import Status
+from orbimpc_ros.mpc.plan import Plan, shifted
+from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem.cones import told
+from orbimpc_ros.mpc.solve.request import Enough
+from orbimpc_ros.mpc.solve.solver import Solver
+
+Answer = tuple[Plan | None, Status, str]  # a checked plan, the status of the solve, and the reason
+Late = Callable[[], bool]
+ARRIVAL_WEIGHT = 1e4  # on the miss, when an arrival on the spot has become impossible
+
+
+@dataclass(frozen=True)
+class Task:
+    """One optimisation.
+
+    Attributes:
+        problem: to be solved.
+        state: that plans start from.
+        goals: g_1..g_N, shape (N, n) [m].
+        knots: ends of its steps, counted in steps of the plan before from its start, shape (N,).
+        late: whether time is up; None without a deadline.
+        guess: a plan from this state; None where it would not help.
+        solver: of the problem.
+    """
+
+    problem: Problem
+    state: State
+    goals: Array
+    knots: Array
+    late: Late | None = None
+    guess: Plan | None = None
+    solver: Solver | None = None
+
+    @property
+    def known(self) -> tuple[Problem, State, Array]:
+        """Return what plans are checked against: problem, state and goals."""
+        return self.problem, self.state, self.goals
+
+    def shifted(self, previous: Plan | None, projection: str) -> Plan | None:
+        """Return the rest of the previous plan from this state, if it fits."""
+        if previous is None:
+            return None
+        return shifted(*self.known, previous, self.knots, projection=projection)
+
+    def within(self, problem: Problem, goals: Array) -> Task:
+        """Return the task of another number or length of steps, of which the first begins alike.
+
+        Args:
+            problem: with those steps.
+            goals: at their ends.
+        """
+        count, step, knots = len(goals), problem.step, self.knots[: len(goals)]
+        if step != self.problem.step:
+            each = self.knots[1] - self.knots[0]
+            stretched = step / self.problem.step * np.arange(1.0, count + 1.0)
+            knots = self.knots[0] - each + each * stretched
+        goals = sealed(goals.copy())
+        return replace(self, problem=problem, goals=goals, knots=knots, guess=None, solver=None)
+
+    def solved(self) -> Answer:
+        """Return a checked plan, or None, with status and reason."""
+        assert self.solver is not None
+        try:
+            plan = self.solver.solve(self.state, self.goals, self.guess, self.late)
+        except Infeasible as error:
+            return None, Status.INFEASIBLE, str(error)
+        except SolverFailure as error:
+            return None, Status.FAILED, str(error)
+        outside = told(self.problem, self.goals, plan) if self.problem.has_cones else ''
+        if plan.status == Status.OPTIMAL:
+            return plan, Status.OPTIMAL, outside
+        unproved = '' if plan.is_closed else f'not proved optimal: gap {plan.gap:.2g}'
+        return plan, plan.status, joined(unproved, plan.proof.reason, outside)
+
+
+class Solvers:
+    """Solvers of one problem for every number and length of steps, each compiled once.
+
+    Args:
+        problem: with its usual number and length of steps.
+        projection: ``nearest`` or ``thrust_aligned``.
+        gap_tolerance: relative gap within which a plan counts as proved optimal.
+    """
+
+    def __init__(
+        self, problem: Problem, projection: str = 'thrust_aligned', gap_tolerance: float = 1e-4
+    ) -> None:
+        self._problem, self.projection, self._tolerance = problem, projection, gap_tolerance
+        self._made: dict[tuple[int, float, bool], Solver] = {}
+
+    def of(self, horizon: int, step: float, *, soft: bool = False) -> Solver:
+        """Return the solver of so many steps of a length [s], with a ``soft`` arrival if asked.
+
+        Of steps that are cut short, none comes back: only the solvers of the latest are kept.
+        """
+        key = horizon, step, soft
+        if key not in self._made:
+            usual = self._problem.step
+            if step != usual:
+                self._made = {k: s for k, s in self._made.items() if k[1] in (usual, step)}
+            problem = replace(self._problem, horizon=horizon, step=step)
+            if soft:
+                problem = replace(problem, terminal='penalty', arrival_weight=ARRIVAL_WEIGHT)
+            self._made[key] = self.new(problem)
+        return self._made[key]
+
+    def new(self, problem: Problem, enough: Enough | None = None) -> Solver:
+        """Return a new solver of a problem."""
+        return Solver(
+            problem,
+            projection=self.projection,
+            gap_tolerance=self._tolerance,
+            coasting=True,
+            enough=enough,
+        )
+
+    def posed(self, task: Task, solver: Solver, previous: Plan | None) -> Task:
+        """Return a task with its solver, and with the previous plan's rest where that helps it."""
+        helps = solver.takes_guess(task.state)
+        guess = task.shifted(previous, self.projection) if helps else None
+        return replace(task, solver=solver, guess=guess)
+
+    def expect_hazards(self) -> None:
+        """Compile what the first plan among moving obstacles would have to wait for."""
+        for solver in self._made.values():
+            solver.expect_hazards()
+
+
+def joined(*reasons: str) -> str:
+    """Return reasons in one line; empty ones do not count."""
+    return '; '.join(filter(None, reasons))

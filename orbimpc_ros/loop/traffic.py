@@ -1,0 +1,370 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""What moves around the vehicle: bodies that are seen, other vehicles that publish plans.
+
+Another vehicle flies what it planned last, and then on as between the last two points of that. One
+that has not published for longer than a timeout may have stopped on its way instead, as vehicles do
+whose planner is gone. From then on it is two hazards: one that flies on, and a ball around the way
+that it may have stopped on, which grows at half the speed. It is forgotten ``FORGOTTEN`` seconds
+later.
+
+What grazes a body is inside of it after the next gust. So each body counts as larger later in a
+plan, when less is known of where both will be: by a *reserve*, which is kept as far as there is a
+plan that does. A plan that keeps it is, a step later, clear with room to spare.
+
+Mathematics: docs/mathematics.md, 7.11.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orbimpc_ros.loop.state import Odometry
+from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
+from orbimpc_ros.mpc.clearance import clearances
+from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.plan import Plan
+from orbimpc_ros.mpc.problem import MAX_HAZARDS, Ball, Box, Hazard, Problem, State
+from orbimpc_ros.mpc.problem.reach import farthest
+
+SOON = 1e-6  # [s] a point of a track that is due sooner adds nothing to it
+LATEST = 3  # sightings that a velocity is fitted to
+MOST = 1000  # bodies remembered
+FORGOTTEN = 10.0  # [s] after it fell silent, a vehicle is no longer avoided
+SHARES = (1 / 3, 2 / 3, 1.0)  # of a reserve, that a plan may be found to keep
+
+
+def centre(body: Box | Ball) -> Array:
+    """Return the middle of a body, shape (n,) [m]."""
+    if isinstance(body, Ball):
+        return body.centre
+    return np.asarray(0.5 * (body.minimum + body.maximum))
+
+
+def placed(body: Box | Ball, at: Array) -> Box | Ball:
+    """Return a body with its middle at a position, shape (n,) [m]."""
+    if isinstance(body, Ball):
+        return Ball(at, body.radius)
+    way = at - centre(body)
+    return Box(body.minimum + way, body.maximum + way)
+
+
+def position(times: Array, positions: Array, at: float) -> Array:
+    """Return where a track is at a time [s], shape (n,) [m]; beyond its ends it goes straight on.
+
+    Args:
+        times: of the track, increasing, shape (K,) [s].
+        positions: shape (K, n) [m].
+        at: the time [s].
+    """
+    if len(times) == 1:
+        return np.asarray(positions[0])
+    leg = int(np.clip(np.searchsorted(times, at, side='right') - 1, 0, len(times) - 2))
+    share = (at - times[leg]) / (times[leg + 1] - times[leg])
+    return np.asarray(positions[leg] + share * (positions[leg + 1] - positions[leg]))
+
+
+def along(body: Box | Ball, times: Array, positions: Array, at: float) -> Hazard:
+    """Return the hazard that a body on a track is from a time on.
+
+    Args:
+        body: wherever it is.
+        times: of the track, increasing, shape (K,) [s].
+        positions: of the body's middle, shape (K, n) [m].
+        at: when the hazard's own time begins [s].
+    """
+    start, later = position(times, positions, at), times > at + SOON
+    ahead, points = times[later] - at, positions[later]
+    if not len(ahead):
+        ahead, points = np.array([1.0]), position(times, positions, at + 1.0)[None]
+    shifts = np.concatenate([np.zeros((1, len(start))), points - start])
+    return Hazard(placed(body, start), np.concatenate([[0.0], ahead]), shifts)
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedBody(ByContent):
+    """A sighting of a body.
+
+    Attributes:
+        name: by which the body is known again.
+        time: when it was there [s].
+        body: what it is and where.
+        lifetime: after which it is gone unless it is seen again [s]; infinite if it stays.
+    """
+
+    name: str
+    time: float
+    body: Box | Ball
+    lifetime: float = math.inf
+
+
+Track = tuple[ObservedBody, ...]  # the latest observations of a body
+
+
+class Bodies:
+    """Bodies by name, each going straight on as its latest sightings say."""
+
+    def __init__(self) -> None:
+        self._tracks: dict[str, deque[ObservedBody]] = {}
+
+    def __len__(self) -> int:
+        return len(self._tracks)
+
+    def see(self, seen: ObservedBody, fastest: float) -> str:
+        """Take in a sighting; return what is odd about it, in words, or an empty string.
+
+        A body that would have moved faster than ``fastest`` [m/s] is taken for a new one of the
+        same name, which stands still until it is seen again. Another size keeps the velocity.
+
+        Raises:
+            BadInput: older than the one before; another place at the same time; too many bodies.
+        """
+        track, words = self._tracks.get(seen.name), ''
+        if track is None:
+            if len(self._tracks) >= MOST:
+                raise BadInput('count', seen.name, f'one of {MOST} bodies')
+        elif not _news(track[-1], seen):
+            return ''
+        else:
+            speed = _speed(track[-1], seen)
+            if speed > fastest:
+                track = None
+                words = f'{seen.name} jumped at {speed:.3g} m/s: taken for a new body at rest'
+        if track is None:
+            track = self._tracks[seen.name] = deque(maxlen=LATEST)
+        track.append(seen)
+        return words
+
+    def remove(self, name: str) -> None:
+        """Forget a body, if it is known."""
+        self._tracks.pop(name, None)
+
+    def clear(self) -> None:
+        """Forget every body."""
+        self._tracks.clear()
+
+    def current(self, at: float) -> tuple[Track, ...]:
+        """Return what is known of each body at a time [s], but for those whose lifetime is over."""
+        over = [n for n, track in self._tracks.items() if at - track[-1].time > track[-1].lifetime]
+        for name in over:
+            del self._tracks[name]
+        return tuple(map(tuple, self._tracks.values()))
+
+
+def _news(last: ObservedBody, seen: ObservedBody) -> bool:
+    """Return whether a sighting is a later one, not the last one again.
+
+    Raises:
+        BadInput: it is neither.
+    """
+    if seen.time > last.time:
+        return True
+    if seen.time < last.time:
+        raise BadInput('reordered stamp', seen.time, f'after {last.time:g} s, the one before')
+    if seen.body != last.body:
+        raise BadInput('duplicate id', seen.name, 'one place at a time')
+    return False
+
+
+def _speed(last: ObservedBody, seen: ObservedBody) -> float:
+    way = centre(seen.body) - centre(last.body)
+    return float(np.linalg.norm(way)) / (seen.time - last.time)
+
+
+def _velocity(track: Track) -> Array:
+    """Return the slope of the straight line that fits the sightings best, shape (n,) [m/s]."""
+    places = np.array([centre(seen.body) for seen in track])
+    times = np.array([seen.time for seen in track])
+    past = times - times.mean()
+    moved: Array = past @ places / (past @ past) if len(track) > 1 else 0.0 * places[0]
+    return moved
+
+
+def _hazard(track: Track, at: float, unseen: float) -> Hazard:
+    last = track[-1]
+    place, velocity = centre(last.body), _velocity(track)
+    times, places = last.time + np.array([0.0, 1.0]), np.array([place, place + velocity])
+    return replace(along(last.body, times, places, at), unsure=0.0 if len(track) > 1 else unseen)
+
+
+@dataclass(frozen=True, eq=False)
+class AgentTrajectory:
+    """A plan of another vehicle.
+
+    Attributes:
+        time: when it was made [s].
+        times: increasing, shape (K,) [s].
+        positions: of the vehicle then, shape (K, n) [m].
+    """
+
+    time: float
+    times: Array
+    positions: Array
+
+    def __post_init__(self) -> None:
+        sealed(self.times)
+        sealed(self.positions)
+
+    def hazards(self, at: float, distance: Distance) -> list[Hazard]:
+        """Return what the vehicle is from a time [s] on."""
+        age = at - self.time
+        if age > distance.timeout + FORGOTTEN:
+            return []
+        body = Ball(self.positions[0], distance.radius)
+        found = [along(body, self.times, self.positions, at)]
+        if age > distance.timeout:
+            stopped = _stopped(self, at, distance.radius)
+            found.append(Hazard.drifting(stopped, 0.0 * body.centre))
+        return found
+
+
+@dataclass(frozen=True)
+class Distance:
+    """How other vehicles are avoided.
+
+    Attributes:
+        radius: from the middle of one vehicle to that of the other: the sum of their radii [m].
+        timeout: after which a vehicle counts as silent [s].
+    """
+
+    radius: float
+    timeout: float
+
+
+def silence(name: str, agent: AgentTrajectory | None, due: float) -> str:
+    """Return in words what it means that a vehicle is not heard; empty if it is.
+
+    Args:
+        name: of the topic of its plans.
+        agent: its latest plan; None before the first.
+        due: when that is made at the latest by a vehicle that is heard [s].
+    """
+    if agent is None:
+        return f'nothing heard on {name}: not avoided'
+    silent = due - agent.time
+    if silent > FORGOTTEN:
+        return f'{name} is silent: no longer avoided'
+    return f'{name} is silent: avoided wherever it may have stopped' if silent > 0.0 else ''
+
+
+def _stopped(agent: AgentTrajectory, at: float, radius: float) -> Ball:
+    """Return a ball around all that a vehicle may be at if it has stopped since its last plan."""
+    between = (agent.times > agent.time) & (agent.times < at)
+    ends = [position(agent.times, agent.positions, time) for time in (agent.time, at)]
+    way = np.array([ends[0], *agent.positions[between], ends[1]])
+    middle = 0.5 * (way.min(axis=0) + way.max(axis=0))
+    return Ball(middle, radius + float(np.linalg.norm(way - middle, axis=1).max()))
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """What is known of all that moves.
+
+    Attributes:
+        tracks: of bodies.
+        agents: plans of other vehicles.
+        unseen: speed assumed for a body that has been observed only once [m/s].
+        distance: how other vehicles are avoided.
+    """
+
+    tracks: tuple[Track, ...] = ()
+    agents: tuple[AgentTrajectory, ...] = ()
+    unseen: float = 0.0
+    distance: Distance = Distance(0.0, math.inf)
+
+    def hazards(self, at: float) -> list[Hazard]:
+        """Return what moves from a time [s] on: bodies whose lifetime is not over, and vehicles."""
+        lasting = (each for each in self.tracks if at - each[-1].time <= each[-1].lifetime)
+        bodies = [_hazard(track, at, self.unseen) for track in lasting]
+        return [*bodies, *(one for each in self.agents for one in each.hazards(at, self.distance))]
+
+
+def nearest(
+    problem: Problem,
+    odometry: Odometry,
+    disturbance: Array | None,
+    hazards: Sequence[Hazard],
+    horizons: float = 1.0,
+) -> tuple[tuple[Hazard, ...], int]:
+    """Return the hazards that a vehicle may meet, and how many more there are.
+
+    Those are the ones whose way and its own reach can meet at one and the same time; the ones that
+    come nearest to where it is now, ``MAX_HAZARDS`` at most.
+
+    Args:
+        problem: gives the reach.
+        odometry: where the vehicle is when the hazards' time begins.
+        disturbance: a wind or an acceleration, shape (n,); None for none.
+        hazards: all there are.
+        horizons: how far ahead plans look, in horizons.
+    """
+    times = problem.step * np.arange(math.ceil(horizons * problem.horizon) + 1)
+    speed = float(np.linalg.norm(odometry.body_velocity))
+    blown = 0.0 if disturbance is None else float(np.linalg.norm(disturbance))
+    reached = np.array([farthest(problem, speed, blown, time) for time in times[1:]])
+    met = []
+    for hazard in hazards:
+        apart = outside(hazard, odometry.position[None], times)
+        # In the course of a step a hazard may come closer than at both of its ends.
+        if (apart[:-1] - _fastest(hazard) * problem.step <= reached).any():
+            met.append((float(apart.min()), hazard))
+    met.sort(key=lambda each: each[0])
+    return tuple(hazard for _, hazard in met[:MAX_HAZARDS]), max(0, len(met) - MAX_HAZARDS)
+
+
+def outside(hazard: Hazard, points: Array, times: Array) -> Array:
+    """Return how far points are outside of a hazard at times, shape (M,) [m]; negative inside.
+
+    Args:
+        hazard: with its own time.
+        points: shape (M, n), or (1, n) for all times [m].
+        times: shape (M,) [s].
+    """
+    return np.asarray(-hazard.body.depth(points - hazard.moved(times)))
+
+
+def _fastest(hazard: Hazard) -> float:
+    speeds = np.linalg.norm(np.diff(hazard.shifts, axis=0), axis=1) / np.diff(hazard.times)
+    return float(speeds.max())
+
+
+def clearance(problem: Problem, state: State, positions: Array) -> float:
+    """Return the least distance of a plan from hazards and obstacles at the ends of its steps.
+
+    Infinite without any; from a box, the distance from the face that it is farthest beyond [m].
+
+    Args:
+        problem: has the obstacles, and the step.
+        state: that the plan starts from, with its hazards.
+        positions: of the plan, s_0..s_N, shape (N + 1, n) [m].
+    """
+    times = problem.step * np.arange(len(positions))
+    moving = [outside(each, positions, times).min() for each in state.hazards]
+    still = [-each.depth(positions).max() for each in problem.obstacles]
+    return float(min([*moving, *still], default=math.inf))
+
+
+def with_clearance(state: State, reserves: Array) -> State:
+    """Return a state whose hazards have reserves, shape (J,) [m]."""
+    pairs = zip(state.hazards, reserves.tolist(), strict=True)
+    return replace(state, hazards=tuple(replace(each, reserve=room) for each, room in pairs))
+
+
+def achieved_clearance(problem: Problem, state: State, plan: Plan | None, reserve: float) -> Array:
+    """Return how much of a reserve [m] a plan from a state keeps from each hazard, shape (J,) [m].
+
+    Without a plan, nothing.
+    """
+    found = np.zeros(len(state.hazards))
+    if plan is None:
+        return found
+    for share in SHARES:
+        asked = np.full(len(found), share * reserve)
+        apart = clearances(problem, with_clearance(state, asked), plan)
+        clear = np.array([apart[f'hazard {j}'] >= 0.0 for j in range(len(found))])
+        found[clear] = share * reserve
+    return found

@@ -1,0 +1,215 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""The planner without its node: inputs, decisions and deadlines, as its parameters state them.
+
+The node, replays and flights in one process share it.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+from orbimpc_ros.loop.planner import Planner, Snapshot
+from orbimpc_ros.loop.proving import proved
+from orbimpc_ros.mpc.command import Command
+from orbimpc_ros.mpc.outcome import Cause, Reason
+from orbimpc_ros.ros.clock import UNKNOWN, RosTime
+from orbimpc_ros.ros.messages import SECOND
+from orbimpc_ros.ros.parameters.planner import PlannerSettings
+from orbimpc_ros.ros.planner.inputs import Inputs
+from orbimpc_ros.ros.reports import Report
+
+RECENT = 15  # decisions
+LATE = 1.5  # periods from one tick of the timer to the next
+LOOK = 1e-4  # [s] that a look at the deadline counts for in lock-step: some take 3e-3
+LONGEST = 0.25  # [s] a deadline counts for at most there, where somebody waits for the answer
+
+
+def planner_of(settings: PlannerSettings) -> tuple[PlannerSettings, Planner]:
+    """Return the settings with a planner compiled for them."""
+    planner = Planner(
+        settings.problem,
+        projection=settings.projection,
+        shrinking=settings.shrinking,
+        gap_tolerance=settings.gap_tolerance,
+        safe=settings.safe_command,
+        response=settings.response,
+        disturbance=settings.disturbance,
+        # On a dry run somebody else commands, who is not known.
+        estimated=settings.estimated and not settings.dry_run,
+        velocity_source=settings.velocity_source,
+        sideslip=settings.sideslip,
+        capture_radius=settings.capture_radius,
+        approach=settings.approach,
+        reserve=settings.obstacle_reserve,
+        centred=settings.centred,
+        odom_timeout=settings.odom_timeout,
+        goal_timeout=settings.goal_timeout,
+    )
+    if settings.avoid:
+        planner.expect_hazards()
+    return settings, planner
+
+
+class Work:
+    """A clock that goes on by the looks at it, of which a search takes one after each part.
+
+    What it limits is the same on every machine, however busy.
+    """
+
+    def __init__(self) -> None:
+        self._looks = 0
+
+    def __call__(self) -> float:
+        """Return how long the work so far is taken to last [s]."""
+        self._looks += 1
+        return LOOK * self._looks
+
+
+class Timing:
+    """How long decisions take.
+
+    Attributes:
+        misses: decisions that took longer than their deadline.
+        overruns: decisions that took longer than their period.
+        late: ticks of the timer that came late, whatever held them up.
+    """
+
+    def __init__(self) -> None:
+        self.misses = self.overruns = self.late = 0
+        self._recent: deque[float] = deque(maxlen=RECENT)
+        self._last: float | None = None
+
+    @property
+    def expected(self) -> float:
+        """Return how long a decision usually takes [s]."""
+        return statistics.median(self._recent) if self._recent else 0.0
+
+    def began(self, clock: float, period: float) -> None:
+        """Note a tick of the timer, at a time of the timer's clock [s]."""
+        if self._last is not None and clock - self._last > LATE * period:
+            self.late += 1
+        self._last = clock
+
+    def took(self, duration: float, deadline: float, period: float) -> None:
+        """Note how long a decision took, and how long it may and must not take [s]."""
+        self._recent.append(duration)
+        self.misses += duration > deadline
+        self.overruns += duration > period
+
+
+class Core:
+    """Decides on what messages have brought; publishing is left to others.
+
+    Times named ``now`` are of the steady clock [s], those named ``ros`` of the ROS clock.
+
+    Args:
+        settings: of the planner.
+        planner: compiled for them.
+        simulated: whether time stands still while a decision is made.
+        clock: that deadlines are kept by [s]; None where a solve has none, so that what it finds
+            does not depend on the machine.
+        counted: whether deadlines are kept by work instead while goals come with odometry.
+        names: of the topics as they are resolved, by their names here.
+        others: topics of other vehicles' plans, as they are resolved.
+
+    Attributes:
+        settings: of the planner.
+        inputs: take in messages.
+        planner: decides.
+        timing: of its decisions.
+    """
+
+    def __init__(
+        self,
+        settings: PlannerSettings,
+        planner: Planner,
+        *,
+        simulated: bool = True,
+        clock: Callable[[], float] | None = time.perf_counter,
+        counted: bool = False,
+        names: Mapping[str, str] | None = None,
+        others: Sequence[str] = (),
+    ) -> None:
+        self.settings, self.planner = settings, planner
+        self.inputs = Inputs(settings, names or {}, tuple(others))
+        self.timing = Timing()
+        self._simulated, self._counted = simulated, counted
+        self._clock, self._unlimited = clock or time.perf_counter, clock is None
+        self._limit, self._end = self._clock, math.inf  # of the last decision
+
+    def install(self, settings: PlannerSettings, planner: Planner) -> None:
+        """Go on with other settings and the planner made for them."""
+        planner.continue_from(self.planner)
+        self.settings, self.planner = settings, planner
+        self.inputs.adopt(settings)
+
+    def start_afresh(self, *, wind: bool = False) -> None:
+        """Forget plan and inputs, but for a goal sent by hand; with ``wind`` that estimate, too."""
+        self.planner.start_afresh(wind=wind)
+        self.inputs.start_afresh()
+
+    def unsafe(
+        self, now: float, ros: RosTime = UNKNOWN, stop: Reason | None = None
+    ) -> Reason | None:
+        """Return why no plan may be followed now; None if one may."""
+        known = self.inputs.odometry
+        age = 0.0 if known is None else known.age(now, ros)
+        odometry = None if known is None else known.value
+        return self.planner.unsafe(Snapshot(odometry, odometry_age=age, stop=stop))
+
+    def decide(
+        self,
+        now: float,
+        ros: RosTime = UNKNOWN,
+        stop: Reason | None = None,
+        *,
+        fresh: bool = False,
+    ) -> Report:
+        """Return what to do next, and which messages that is made of.
+
+        Args:
+            now: on the steady clock [s].
+            ros: on the ROS clock.
+            stop: why no plan may be followed, if none may.
+            fresh: whether odometry counts as fresh, as where somebody else has judged it.
+        """
+        begun, taking = self._clock(), 0.0 if self._simulated else self.timing.expected
+        snapshot = self.inputs.snapshot(now, ros, stop=stop, taking=taking)
+        if fresh:
+            snapshot = replace(snapshot, odometry_age=0.0)
+        self._set_limit(begun)
+        at = None if ros.nanoseconds is None else ros.nanoseconds / SECOND + taking
+        decision = self.planner.step(snapshot, at, self._is_late)
+        if not decision.planned:
+            return Report(decision)
+        took = self._clock() - begun
+        self.timing.took(took, self.settings.deadline, self.settings.period)
+        solved = decision.cause is not Cause.GOAL
+        return Report(decision, 1e3 * took if solved else 0.0, **self.inputs.heard)
+
+    def proved(self, report: Report, *, catches: bool = False) -> Report:
+        """Return the last report with proofs of what it states, until its deadline.
+
+        Its command went out before, and need not wait for them.
+        """
+        decision = proved(report.decision, self._limit, self._end, catches=catches)
+        same = decision is report.decision
+        return report if same else replace(report, decision=decision)
+
+    def sent(self, command: Command, at: float) -> None:
+        """Note that a command was published at a time of the ROS clock [s]."""
+        self.planner.sent(command, at)
+
+    def _set_limit(self, begun: float) -> None:
+        deadline = math.inf if self._unlimited else self.settings.deadline
+        self._limit, self._end = self._clock, begun + deadline
+        if self._counted and self.inputs.in_step:
+            self._limit, self._end = Work(), min(deadline, LONGEST)
+
+    def _is_late(self) -> bool:
+        return self._limit() > self._end

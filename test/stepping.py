@@ -1,0 +1,58 @@
+# Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
+"""A planner that is given plain values one by one, each of its commands counting as sent."""
+
+import numpy as np
+
+from orbimpc_ros.loop.planner import Planner, Snapshot
+from orbimpc_ros.loop.state import Odometry
+
+
+class Motion:
+    """A goal that is at ``place(times)``."""
+
+    def __init__(self, place):
+        self.at = place
+
+
+class Stepped(Planner):
+    """A planner with one call for what a tick is made of."""
+
+    hazards = ()
+
+    def tick(self, odometry, goals, late=None, ahead=None, wanted=None):
+        """Return the decision for goals g_1..g_N, or for a function of times."""
+        goal = goals if ahead is None else Motion(ahead)
+        return self.tell(Snapshot(odometry, goal, wanted, self.hazards), late)
+
+    def hold(self, odometry):
+        """Return the decision without a goal."""
+        return self.tell(Snapshot(odometry, hazards=self.hazards))
+
+    def safe(self, attitude, reason):
+        """Return the decision that is made for a reason to stop."""
+        n = len(attitude)
+        still = np.zeros(n), attitude.copy(), np.zeros(n), np.zeros(1 if n == 2 else 3)
+        return self.tell(Snapshot(Odometry(0.0, *still), stop=reason))
+
+    def tell(self, snapshot, late=None):
+        """Return the decision for a snapshot; its command counts as sent."""
+        decision = self.step(snapshot, late=late)
+        self.sent(decision.command)
+        return decision
+
+
+def stale_odometry(inputs, *clock):
+    """Return how old odometry is, in words, if that is too old."""
+    age = inputs.snapshot(*clock).odometry_age
+    return f'odometry is {age:.2f} s old' if age > inputs.settings.odom_timeout else ''
+
+
+def stale_goal(inputs, *clock):
+    """Return how old the goal is, in words, if that is too old."""
+    age = inputs.snapshot(*clock).goal_age
+    return f'the goal is {age:.2f} s old' if age > inputs.settings.goal_timeout else ''
+
+
+def targets(inputs, times, *clock):
+    """Return where the goal will be at times."""
+    return inputs.snapshot(*clock).goal.at(times)
