@@ -11,7 +11,7 @@ LINES = {
     'orbimpc_ros/mpc': 29_000,
     'orbimpc_ros/loop': 4_550,
     'orbimpc_ros/ros': 5_200,
-    'orbimpc_ros/sim': 3_660,
+    'orbimpc_ros/sim': 3_600,
     'orbimpc_ros/tool': 7_250,
     'benchmarks': 5_480,
     'test': 40_000,
