@@ -59,7 +59,7 @@ setup(
         'packaging>=21.0',
         'pillow>=9.0',
         'pyyaml>=6.0',
-        'rosbags>=0.10',
+        'rosbags>=0.11',
         'scipy>=1.11',
         'zstandard>=0.18',
     ],

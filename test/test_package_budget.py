@@ -12,7 +12,7 @@ LINES = {
     'orbimpc_ros/loop': 4_550,
     'orbimpc_ros/ros': 5_200,
     'orbimpc_ros/sim': 3_660,
-    'orbimpc_ros/tool': 8_700,
+    'orbimpc_ros/tool': 7_250,
     'benchmarks': 5_480,
     'test': 40_000,
 }
