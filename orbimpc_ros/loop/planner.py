@@ -138,7 +138,7 @@ class Decision(ByContent):
     @property
     def planned(self) -> bool:
         """Return whether it came of odometry and goals, be it by the plan before."""
-        return self.cause in (Cause.NONE, Cause.GOAL, Cause.HORIZON, Cause.COMMAND)
+        return self.state is not None
 
     @property
     def case(self) -> Case | None:

@@ -88,6 +88,7 @@ class PlannerNode(Managed):
     def __init__(self) -> None:
         super().__init__('planner')
         self._logged: dict[str, float] = {}  # when each line was logged last [s]
+        self._introduced = ''  # the vehicle, as it was described last
         report_compilation(self._warn)
         self._live = DynamicParameters(self, PLANNER, planner_settings, planner_of)
         step = self.get_parameter('step').value
@@ -123,8 +124,7 @@ class PlannerNode(Managed):
         self._create_subscriptions()
         self._create_timers()
         self._live.keep(self._install)
-        self._introduced = summary(settings, simulated)
-        self.get_logger().info(self._introduced)
+        self._introduce(settings)
         given = {name: each.value for name, each in self._parameter_overrides.items()}
         for doubt in doubts(settings, given):
             self.get_logger().warning(doubt)
@@ -145,9 +145,13 @@ class PlannerNode(Managed):
 
     def _install(self, prepared: tuple[PlannerSettings, Planner]) -> None:
         self._core.install(*prepared)
-        described = summary(self._core.settings, self._time.simulated)
+        self._introduce(self._core.settings)
+
+    def _introduce(self, settings: PlannerSettings) -> None:
+        """Log what vehicle the parameters describe, at the start and when that has changed."""
+        described = summary(settings, self._time.simulated)
         if described != self._introduced:
-            self.get_logger().info(f'from now on {described}')
+            self.get_logger().info(f'{"from now on " if self._introduced else ""}{described}')
         self._introduced = described
 
     # --- wiring
