@@ -40,6 +40,7 @@ from orbimpc_ros.ros.planner.endpoints import EndpointMonitor
 from orbimpc_ros.ros.planner.events import Events
 from orbimpc_ros.ros.planner.frames import listen_to_transforms
 from orbimpc_ros.ros.planner.inputs import NAMED, STREAM
+from orbimpc_ros.ros.planner.numbers import NumberPublishers
 from orbimpc_ros.ros.planner.obstacles import OBSTACLES, PLAN, others
 from orbimpc_ros.ros.planner.outputs import (
     CLAIMS,
@@ -166,6 +167,7 @@ class PlannerNode(Managed):
         latched = qos(durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._event_publishers = {n: self.create_publisher(Bool, n, latched) for n in EVENTS}
         self._publish_events()
+        self._numbers = NumberPublishers(self)
         self._health = self.create_publisher(DiagnosticArray, '/diagnostics', qos())
         self._level, self._current = OK, dict[str, tuple[bool, str]]()  # as shown last
 
@@ -395,6 +397,7 @@ class PlannerNode(Managed):
         self._tell(report, heard - CLAIMS)  # the vehicle did not wait for it
         self._report = self._core.proved(report, catches='certificate' in heard)
         self._tell(self._report, heard & CLAIMS)
+        self._numbers.publish(self._report.numbers)
         self._show_changes()
 
     @property
@@ -440,6 +443,8 @@ class PlannerNode(Managed):
             approach = replace(approach, direction=tuple(wanted[:, 0].tolist()))
         within = settings.goal_radius, settings.odom_timeout, approach
         self._events.note(known.value, goal, *within)
+        distance = math.dist(known.value.position, goal)
+        self._numbers.publish({'distance': distance})
         self._publish_events()
 
     def _publish_events(self) -> None:
