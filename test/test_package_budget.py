@@ -10,7 +10,7 @@ LINES = {
     'orbimpc_ros': 52_000,
     'orbimpc_ros/mpc': 29_000,
     'orbimpc_ros/loop': 4_550,
-    'orbimpc_ros/ros': 5_200,
+    'orbimpc_ros/ros': 5_240,
     'orbimpc_ros/sim': 3_660,
     'orbimpc_ros/tool': 7_250,
     'benchmarks': 5_480,
