@@ -7,8 +7,8 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LINES = {
-    'orbimpc_ros': 48_500,
-    'orbimpc_ros/mpc': 27_800,
+    'orbimpc_ros': 50_000,
+    'orbimpc_ros/mpc': 29_000,
     'orbimpc_ros/loop': 4_550,
     'orbimpc_ros/ros': 5_220,
     'orbimpc_ros/sim': 3_600,
