@@ -10,9 +10,9 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2, or pip install orbimpc_ros[ros]')
 
-from benchmarks.rivals import pilot
-from benchmarks.rivals.rival import Rival, Sight, depths
-from benchmarks.rivals.sidestep import sidestepped
+from benchmarks.baselines import baseline_named
+from benchmarks.baselines.baseline import Baseline, Sight, depths
+from benchmarks.baselines.sidestep import sidestepped
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Ball, Box, Hazard, State
@@ -60,7 +60,7 @@ def test_gates_are_walls_with_a_gap():
             assert np.diff(wall)[[0, 2]] == pytest.approx(2.0 * radii[0])  # they touch
 
 
-class Listener(Rival):
+class Listener(Baseline):
     """Flies straight on at full speed and remembers what it saw."""
 
     def __init__(self, known):
@@ -172,11 +172,11 @@ def test_a_sidestep_is_the_least_detour_that_is_clear():
 
 
 @pytest.mark.parametrize('name', ['pursuit', 'lead', 'proportional', 'sampling'])
-def test_rivals_steer_clear_of_what_is_in_the_way(name):
+def test_baselines_steer_clear_of_what_is_in_the_way(name):
     for side in (1.0, -1.0):
-        rival = pilot(name, BOAT, '')
+        baseline = baseline_named(name, BOAT, '')
         for _ in range(6):  # some improve from tick to tick
-            fraction, rate = rival.steered(seeing(disc(8.0, -0.4 * side)))
+            fraction, rate = baseline.steered(seeing(disc(8.0, -0.4 * side)))
         assert side * rate > 0.02 or fraction < 0.7
 
 
@@ -185,7 +185,7 @@ def test_programs_keep_out_of_balls_that_move(name, most):
     """One to first order, from tick to tick, the other one to the end of its step."""
     if name == 'nonlinear':
         pytest.importorskip('casadi')
-    program, body = pilot(name, BOAT, '')._program, disc(9.0, -1.5, velocity=(0.0, 0.3))
+    program, body = baseline_named(name, BOAT, '')._program, disc(9.0, -1.5, velocity=(0.0, 0.3))
     times, found = BOAT.problem.step * np.arange(1, 13), np.tile([1.0, 0.0], (12, 1))
     program.shifted = lambda state: found
     deepest = []
@@ -201,29 +201,29 @@ def test_programs_keep_out_of_balls_that_move(name, most):
 def test_programs_take_no_boxes_that_move():
     box = Hazard.drifting(Box(np.ones(2), 2.0 * np.ones(2)), np.zeros(2))
     with pytest.raises(BadInput, match='balls for a baseline'):
-        pilot('linearised', BOAT, '').steered(seeing(box))
+        baseline_named('linearised', BOAT, '').steered(seeing(box))
 
 
 def test_goals_with_a_cone_of_approach_are_come_to_from_behind():
     known = planner_settings(draws_of('fixed_wing_cone').values)
-    rival = pilot('lead', known, '', {'behind': 10.0})
+    baseline = baseline_named('lead', known, '', {'behind': 10.0})
 
     def aim(goal):
-        return rival._led(seeing(goal=goal)).goals[0]
+        return baseline._led(seeing(goal=goal)).goals[0]
 
     far = 10.0 * known.problem.step * known.problem.forward
     np.testing.assert_allclose(aim((-40.0, 0.0)), [-40.0 - far, 0.0])  # it is ahead of the goal
     np.testing.assert_allclose(aim((10.0, 40.0)), [10.0 - far, 40.0])  # or beside it
     np.testing.assert_allclose(aim((60.0, 8.0)), [30.0, 8.0])  # lined up: on to the line
-    other = pilot('lead', planner_settings(draws_of('fixed_wing').values), '')
+    other = baseline_named('lead', planner_settings(draws_of('fixed_wing').values), '')
     np.testing.assert_allclose(other._led(seeing(goal=(-40.0, 0.0))).goals[0], [-40.0, 0.0])
 
 
 def test_samples_count_a_catch_only_inside_the_cone():
     known = planner_settings(draws_of('fixed_wing_cone').values)
-    rival, straight = pilot('sampling', known, ''), np.tile([1.0, 0.0], (1, 12, 1))
+    baseline, straight = baseline_named('sampling', known, ''), np.tile([1.0, 0.0], (1, 12, 1))
     costs = [
-        float(rival._costs(seeing(goal=goal, heading=heading), straight)[0])
+        float(baseline._costs(seeing(goal=goal, heading=heading), straight)[0])
         for goal, heading in (((40.0, 0.0), 0.0), ((0.0, 40.0), 0.5 * math.pi))
     ]
     assert costs[1] - costs[0] > 5.0  # as many steps as are left after the catch

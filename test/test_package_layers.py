@@ -121,3 +121,13 @@ def test_a_node_loads_nothing_of_the_other_nor_of_the_tool(node):
 def test_no_modules_import_each_other_in_a_circle():
     graph = {name: sorted(imported_by(name)) for name in sorted(all_modules())}
     assert not list(circles(graph))
+
+
+def test_a_safe_command_is_made_in_one_place():
+    calls = [
+        file.relative_to(PACKAGE).as_posix()
+        for file in PACKAGE.rglob('*.py')
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.Call) and getattr(node.func, 'id', '') == 'safe_command'
+    ]
+    assert calls == ['loop/planner.py']

@@ -8,6 +8,7 @@ pytest.importorskip('rclpy')
 
 from stepping import targets
 
+from orbimpc_ros.loop.goal.forecast import FORECASTS
 from orbimpc_ros.loop.state import Odometry
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
@@ -93,3 +94,23 @@ def test_replaying_the_same_messages_gives_the_same_targets():
         for _ in range(2)
     ]
     np.testing.assert_array_equal(*(report.decision.goals for report in reports))
+
+
+class Away:
+    """A forecast of somebody else's: a metre a second away from where the goal was seen last."""
+
+    def observe(self, observation):
+        self.last = observation
+
+    def at(self, times):
+        return self.last.position + np.outer(times - self.last.time, [1.0, 0.0])
+
+    def reset(self):
+        self.last = None
+
+
+def test_a_forecast_of_ones_own_takes_a_class_and_a_line(monkeypatch):
+    monkeypatch.setitem(FORECASTS, 'away', Away)
+    watched = Watched(goal_prediction='away')
+    report = watched.watch(lambda time: np.array([5.0, 0.0]), 3)
+    np.testing.assert_allclose(report.decision.goals[:, 0], 5.0 + 0.1 * np.arange(1, 6), atol=1e-6)

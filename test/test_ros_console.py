@@ -16,9 +16,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Twist, TwistStamped
 from planners import QUICK, Bench, goal, moving, odometry, told
 from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from orbimpc_ros.ros import messages
+from orbimpc_ros.ros.planner.numbers import NUMBERS
 from orbimpc_ros.ros.process import qos
 
 WING = QUICK | {
@@ -112,6 +114,20 @@ def test_the_vehicle_believed_in_is_said_at_the_start(launch, observer):
     assert said(bench, '15 m/s, at least 10 m/s (circle), at most 1432 deg/s, 0.1 s x 10') == 1
     assert said(bench, 'max_rate is 25 rad/s, 1432 deg/s: 0.4363 rad/s if 25 deg/s is meant') == 1
     assert said(bench, 'floor.faces is 8 and floor.shape circle: it has no effect') == 1
+
+
+def test_numbers_come_on_topics_of_their_own(launch, observer):
+    heard = {name: observer.listen(Float64, f'/planner/{name}') for name in NUMBERS}
+    bench = Bench(launch, observer, QUICK)
+    observer.until_connected(*(f'/planner/{name}' for name in NUMBERS))
+    stamps = itertools.count(10)
+    bench.until(lambda: bench.fly(0.1 * next(stamps)) and all(heard.values()), 'numbers')
+    assert heard['distance'][-1].data == pytest.approx(5.0)
+    costs = {float(told(tick)['objective']) for tick in bench.ticks}
+    assert heard['objective'][-1].data in costs
+    assert heard['lower_bound'][-1].data <= heard['objective'][-1].data
+    assert 0.0 <= heard['gap'][-1].data <= 1.0
+    assert heard['solve_time'][-1].data > 0.0
 
 
 RENAMED = """

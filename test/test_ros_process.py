@@ -32,11 +32,11 @@ BROKEN = """
 
         ticks = 0
 
-        def _plan_now(self):
+        def _plan_now(self, *now):
             self.ticks += 1
             if self.ticks > 1:
                 raise Panic('out of order')
-            super()._plan_now()
+            super()._plan_now(*now)
 
     sys.exit(run(Broken, sys.argv))
 """

@@ -149,7 +149,7 @@ def test_an_engine_that_fails_ends_its_flight_and_not_the_study(monkeypatch):
     assert '- `lead` missed 1: 0 (broken: stopped' in report(draws_of('cessna'), {'lead': [row]})
 
 
-def test_rivals_do_not_fly_in_space():
+def test_baselines_do_not_fly_in_space():
     with pytest.raises(BadInput, match='--controllers is lead'):
         flown(job('servicer', 'lead'))
 
@@ -292,7 +292,7 @@ def test_bad_input_is_one_line(words, named, tmp_path, monkeypatch, capsys):
     assert not list(tmp_path.rglob(study.FLIGHTS))
 
 
-def test_rivals_need_a_clone(monkeypatch):
-    monkeypatch.setattr(flights, 'RIVALS', 'benchmarks_that_are_not_there')
+def test_baselines_need_a_clone(monkeypatch):
+    monkeypatch.setattr(flights, 'BASELINES', 'benchmarks_that_are_not_there')
     with pytest.raises(BadInput, match='a clone has it'):
-        flights.rivals()
+        flights.baselines()

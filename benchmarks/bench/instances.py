@@ -153,9 +153,9 @@ def _of_flights(
 
 def _flown(problem: Problem, plant: Plant, vehicle: Vehicle, goal: Rope) -> Iterator[Instance]:
     """Yield tick after tick of a flight; the controller has a shorter horizon among boxes."""
-    pilot = replace(problem, horizon=SHORT) if problem.obstacles else problem
+    planned = replace(problem, horizon=SHORT) if problem.obstacles else problem
     controller = Planner(
-        pilot,
+        planned,
         gap_tolerance=1e-2,
         disturbance=plant.blown,
         velocity_source=plant.velocity_source,
@@ -168,7 +168,7 @@ def _flown(problem: Problem, plant: Plant, vehicle: Vehicle, goal: Rope) -> Iter
         odometry = measured(vehicle, plant.velocity_source)
         led = odometry.time + controller.lead
         goals = np.array([goal.at(led + each) for each in ahead])
-        decision = controller.step(Snapshot(odometry, goals[: pilot.horizon]))
+        decision = controller.step(Snapshot(odometry, goals[: planned.horizon]))
         if decision.state is not None:
             yield Instance(decision.state, goals)
         command = decision.command

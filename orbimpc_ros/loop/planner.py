@@ -138,7 +138,7 @@ class Decision(ByContent):
     @property
     def planned(self) -> bool:
         """Return whether it came of odometry and goals, be it by the plan before."""
-        return self.cause in (Cause.NONE, Cause.GOAL, Cause.HORIZON, Cause.COMMAND)
+        return self.state is not None
 
     @property
     def case(self) -> Case | None:
@@ -413,7 +413,7 @@ class Planner:
         self._memory.previous = decision.plan
         return replace(
             decision,
-            reason=joined(decision.reason, start.limited),
+            reason='; '.join(filter(None, (decision.reason, start.limited))),
             advanced=start.advanced,
             led=start.led,
             disturbance=start.disturbance,
@@ -479,7 +479,7 @@ class Planner:
             known = self._interception, motion, passed or math.inf
             task, (plan, status, words), catch = self._caught(task, *known)
         odd = self._compensator.odd_speed(odometry)
-        reason = Reason(Cause.NONE, joined(words, held, shortened, odd))
+        reason = Reason(Cause.NONE, '; '.join(filter(None, (words, held, shortened, odd))))
         if plan is None:
             nothing = Sought(*task.known) if status is Status.INFEASIBLE else None
             return replace(self._fall_back(task, status, reason), infeasible=nothing)

@@ -34,16 +34,18 @@ class RosTime:
             return math.nan
         return (self.nanoseconds - stamp) / SECOND
 
-    def require_past(self, stamp: int, tolerance: float) -> None:
-        """Check that a stamp [ns] is not ahead by more than a tolerance [s].
+    def require_past(self, stamp: int, tolerance: float) -> float:
+        """Return the time since a stamp [ns], which is not ahead by more than a tolerance [s].
 
         Raises:
             BadInput: it is.
         """
-        ahead, allowed = -self.since(stamp), tolerance + self.lag
+        since = self.since(stamp)
+        ahead, allowed = -since, tolerance + self.lag
         if ahead > allowed:
             ahead_of = f"{allowed:g} s ahead of this node's clock"
             raise BadInput('future stamp', f'{ahead:.3g} s ahead', f'at most {ahead_of}')
+        return since
 
 
 UNKNOWN = RosTime()

@@ -85,6 +85,15 @@ class Report:
         return {'earliest_catch': catch.time, 'catch_bound': bound}
 
     @property
+    def numbers(self) -> dict[str, float]:
+        """Return what is published as numbers, by name: the time [s], and of a plan its costs."""
+        plan, took = self.decision.plan, {'solve_time': 1e-3 * self.solve_time_ms}
+        if plan is None:
+            return took
+        costs = {'objective': plan.objective, 'lower_bound': plan.lower_bound, 'gap': plan.gap}
+        return costs | took
+
+    @property
     def values(self) -> dict[str, object]:
         """Return the values on the topic ``tick``, by key.
 

@@ -29,33 +29,19 @@ CHANCES = ('dropout', 'reorder', 'duplicate', 'nan')  # columns
 
 @dataclass(frozen=True)
 class Faults:
-    """How often and how far messages are wrong; none by default. Shares are of a kind of message.
+    """How often, and how far, messages are wrong; shares are of all messages of a kind."""
 
-    Attributes:
-        position_noise: standard deviation along each axis, of odometry and goal [m].
-        attitude_noise: standard deviation about each axis, of odometry [rad].
-        dropout: share of odometry, goals and commands that is lost.
-        delay: age of odometry when it comes [s].
-        reorder: share of odometry and goals that comes a tick late, behind a newer one's stamp.
-        duplicate: share of odometry and goals that comes twice.
-        nan: share of odometry and goals with a NaN.
-        occlusion_length: how long the goal is hidden, at a time of its own in each period [s].
-        occlusion_period: [s].
-        clock_jump: what every stamp is off from ``clock_jump_tick`` on [s].
-        clock_jump_tick: steps flown before the clock jumps.
-    """
-
-    position_noise: float = 0.0
-    attitude_noise: float = 0.0
-    dropout: float = 0.0
-    delay: float = 0.0
-    reorder: float = 0.0
-    duplicate: float = 0.0
-    nan: float = 0.0
-    occlusion_length: float = 0.0
-    occlusion_period: float = 10.0
-    clock_jump: float = 0.0
-    clock_jump_tick: int = 0
+    position_noise: float = 0.0  # [m] deviation along each axis, of odometry and goal
+    attitude_noise: float = 0.0  # [rad] deviation about each axis, of odometry
+    dropout: float = 0.0  # share of odometry, goals and commands that is lost
+    delay: float = 0.0  # [s] age of odometry when it comes
+    reorder: float = 0.0  # share of odometry and goals that comes a tick late
+    duplicate: float = 0.0  # share of odometry and goals that comes twice
+    nan: float = 0.0  # share of odometry and goals with a NaN
+    occlusion_length: float = 0.0  # [s] that the goal is hidden, at a random time in each period
+    occlusion_period: float = 10.0  # [s]
+    clock_jump: float = 0.0  # [s] that every stamp is off from clock_jump_tick on
+    clock_jump_tick: int = 0  # steps flown before the clock jumps
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.occlusion_length <= self.occlusion_period:

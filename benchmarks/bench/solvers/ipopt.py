@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from benchmarks.baselines.nonlinear import NonlinearProgram
 from benchmarks.bench.solvers import Solution
-from benchmarks.rivals.nonlinear import NonlinearProgram
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem, State
 

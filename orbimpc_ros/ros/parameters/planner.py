@@ -173,7 +173,7 @@ class PlannerSettings(VehicleParameters):
         choices=DISTURBANCES, live=True)
     goal_prediction: str = parameter('goal_prediction', 'hold', 'How the goal is expected to move: '
         'hold, not at all; velocity, straight on; harmonic, as it swings; auto, as fits best of '
-        'several motions', choices=tuple(FORECASTS), live=True)
+        'several motions', choices=FORECASTS, live=True)
     dry_run: bool = parameter('dry_run', False, 'Whether to plan and report, and command nothing: '
         'there is no publisher of commands then')
     publish_certificate: bool = parameter('publish_certificate', False, 'Whether to publish on '
@@ -231,43 +231,43 @@ class PlannerSettings(VehicleParameters):
         )
         return weighed(problem, self.weights_scaling)
 
-    @property
+    @cached_property
     def shrinking(self) -> bool:
         """Return whether the horizon shrinks."""
         return self.horizon_mode == 'shrinking'
 
-    @property
+    @cached_property
     def on_odometry(self) -> bool:
         """Return whether to plan at each odometry instead of every period."""
         return self.trigger == 'odom'
 
-    @property
+    @cached_property
     def halves(self) -> bool:
         """Return whether odometry comes as a pose and a twist."""
         return self.odometry == 'pose_twist'
 
-    @property
+    @cached_property
     def period(self) -> float:
         """Return how often to plan, at most a step [s]."""
         return self.plan_period or self.step
 
-    @property
+    @cached_property
     def deadline(self) -> float:
         """Return the limit of a solve, at most half a period [s]."""
         return self.given_deadline or 0.5 * self.period
 
-    @property
+    @cached_property
     def odom_timeout(self) -> float:
         """Return after which odometry is stale, at least 1.5 periods [s]."""
         return max(self.given_odom_timeout or 0.2, 1.5 * self.period)
 
-    @property
+    @cached_property
     def goal_timeout(self) -> float:
         """Return after which a goal is stale, at least 1.5 periods [s]."""
         given = self.given_goal_timeout
         return max(given if given > 0.0 else 1.0, 1.5 * self.period)
 
-    @property
+    @cached_property
     def goal_ageing(self) -> Ageing:
         """Return which goals get stale."""
         if self.given_goal_timeout:
@@ -275,7 +275,7 @@ class PlannerSettings(VehicleParameters):
         # A forecast that moves on from the last goal for ever would lead anywhere.
         return Ageing.STREAMED if self.goal_prediction == 'hold' else Ageing.ALL
 
-    @property
+    @cached_property
     def response(self) -> Response:
         """Return the lags of the vehicle."""
         return Response(self.response_speed, self.response_rate)
@@ -285,12 +285,12 @@ class PlannerSettings(VehicleParameters):
         """Return the known wind or acceleration, gravity's included, shape (n,)."""
         return self.known_disturbance()
 
-    @property
+    @cached_property
     def estimated(self) -> bool:
         """Return whether to estimate what disturbs besides."""
         return self.given_disturbance == ESTIMATED
 
-    @property
+    @cached_property
     def capture_radius(self) -> float:
         """Return within which the goal is caught; 0 where it is not to be [m]."""
         return self.goal_radius if self.objective == 'intercept' else 0.0
@@ -302,12 +302,12 @@ class PlannerSettings(VehicleParameters):
         known.validate(self.dimension)
         return known if self.objective == 'intercept' else Approach()
 
-    @property
+    @cached_property
     def wants_attitude(self) -> bool:
         """Return whether goals need an orientation."""
         return self.problem.wants_attitude or self.approach.is_the_goals
 
-    @property
+    @cached_property
     def safe_command(self) -> str:
         """Return ``stop``, ``hold_rate_zero``, ``loiter`` or ``hover``: ``auto`` is decided."""
         return decided(self.given_safe_command, self.problem, self.gravity)

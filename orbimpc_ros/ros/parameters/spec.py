@@ -8,7 +8,7 @@ descriptor, its check, its row in docs/parameters.md and its place in the settin
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, TypeVar
 
@@ -51,7 +51,7 @@ class ParameterSpec:
     unit: str = ''
     low: float = -math.inf
     high: float = math.inf
-    choices: tuple[str, ...] = ()
+    choices: Collection[str] = ()
     live: bool = False
     words: bool = False
     timed_thrust: Value | None = None

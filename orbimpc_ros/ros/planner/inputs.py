@@ -210,7 +210,7 @@ class Inputs:
             if topic in GOALS and message.header.frame_id:
                 message = self._placed(message)
             stamp, value = read(topic, message, settings)
-            ros.require_past(stamp.nanoseconds, settings.future_tolerance)
+            since = ros.require_past(stamp.nanoseconds, settings.future_tolerance)
             self._require_newer(topic, stamp, last, now)
             if topic in GOALS:
                 require_attitude(value, settings)
@@ -219,7 +219,7 @@ class Inputs:
             self.refused[f'{topic}: {error.culprit}'] += 1
             return f'{self.names[topic]} refused: {error}'
         # Once timed, always timed: what was held up on the way must not pass for fresh.
-        apart, unset = abs(ros.since(stamp.nanoseconds)), _is_unset(topic, stamp)
+        apart, unset = abs(since), _is_unset(topic, stamp)
         if apart <= COMPARABLE and not unset:
             self.timed.add(topic)
         timed = topic in self.timed and not unset

@@ -26,7 +26,7 @@ from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.loop.state import VelocityFrameCheck
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
-from orbimpc_ros.ros.clock import NodeClock
+from orbimpc_ros.ros.clock import NodeClock, RosTime
 from orbimpc_ros.ros.halves import HALVES, Halves, Joined
 from orbimpc_ros.ros.lifecycle import Managed
 from orbimpc_ros.ros.messages import SECOND, Stamp
@@ -40,6 +40,7 @@ from orbimpc_ros.ros.planner.endpoints import EndpointMonitor
 from orbimpc_ros.ros.planner.events import Events
 from orbimpc_ros.ros.planner.frames import listen_to_transforms
 from orbimpc_ros.ros.planner.inputs import NAMED, STREAM
+from orbimpc_ros.ros.planner.numbers import NumberPublishers
 from orbimpc_ros.ros.planner.obstacles import OBSTACLES, PLAN, others
 from orbimpc_ros.ros.planner.outputs import (
     CLAIMS,
@@ -88,6 +89,7 @@ class PlannerNode(Managed):
     def __init__(self) -> None:
         super().__init__('planner')
         self._logged: dict[str, float] = {}  # when each line was logged last [s]
+        self._introduced = ''  # the vehicle, as it was described last
         report_compilation(self._warn)
         self._live = DynamicParameters(self, PLANNER, planner_settings, planner_of)
         step = self.get_parameter('step').value
@@ -123,8 +125,7 @@ class PlannerNode(Managed):
         self._create_subscriptions()
         self._create_timers()
         self._live.keep(self._install)
-        self._introduced = summary(settings, simulated)
-        self.get_logger().info(self._introduced)
+        self._introduce(settings)
         given = {name: each.value for name, each in self._parameter_overrides.items()}
         for doubt in doubts(settings, given):
             self.get_logger().warning(doubt)
@@ -145,9 +146,13 @@ class PlannerNode(Managed):
 
     def _install(self, prepared: tuple[PlannerSettings, Planner]) -> None:
         self._core.install(*prepared)
-        described = summary(self._core.settings, self._time.simulated)
+        self._introduce(self._core.settings)
+
+    def _introduce(self, settings: PlannerSettings) -> None:
+        """Log what vehicle the parameters describe, at the start and when that has changed."""
+        described = summary(settings, self._time.simulated)
         if described != self._introduced:
-            self.get_logger().info(f'from now on {described}')
+            self.get_logger().info(f'{"from now on " if self._introduced else ""}{described}')
         self._introduced = described
 
     # --- wiring
@@ -162,6 +167,7 @@ class PlannerNode(Managed):
         latched = qos(durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._event_publishers = {n: self.create_publisher(Bool, n, latched) for n in EVENTS}
         self._publish_events()
+        self._numbers = NumberPublishers(self)
         self._health = self.create_publisher(DiagnosticArray, '/diagnostics', qos())
         self._level, self._current = OK, dict[str, tuple[bool, str]]()  # as shown last
 
@@ -245,7 +251,7 @@ class PlannerNode(Managed):
             self._repeat_answer(message)
             return
         if self._core.settings.on_odometry:
-            self._tick_or_wait()
+            self._tick_or_wait(now, ros)
         self._frame_check.note(self._core.inputs.latest['odom'].value)  # no command waits for it
 
     def _on_goal(self, message: PoseStamped) -> None:
@@ -271,11 +277,12 @@ class PlannerNode(Managed):
 
     def _take(self, topic: str, message: Any) -> None:
         """Take in what accompanies odometry; plan if that has waited for it."""
-        refusal = self._core.inputs.update(topic, message, self.steady_now(), self._time.now)
+        now, ros = self.steady_now(), self._time.now
+        refusal = self._core.inputs.update(topic, message, now, ros)
         if refusal:
             self._refuse(refusal)
         elif self._core.settings.on_odometry and self._unanswered and self._core.inputs.complete:
-            self._plan_now()
+            self._plan_now(now, ros)
 
     @property
     def _unanswered(self) -> bool:
@@ -301,14 +308,14 @@ class PlannerNode(Managed):
         if self._report is not None:
             self._tell(self._report, self._heard)  # also for new readers
 
-    def _tick_or_wait(self) -> None:
+    def _tick_or_wait(self, now: float, ros: RosTime) -> None:
         """Plan, once the goal of the odometry's own stamp is there too.
 
         DDS does not order topics. A source that stamps both alike, such as the simulator in
         lock-step, means them to be used together; then runs repeat exactly.
         """
         if self._core.inputs.complete:
-            self._plan_now()
+            self._plan_now(now, ros)
         elif self._core.inputs.missing:
             self._show_changes()
         elif self._patience.is_canceled():
@@ -328,24 +335,26 @@ class PlannerNode(Managed):
         # On the second call at the soonest: after a stall, what lies waiting gets its turn first.
         self._waits -= 1
         if self._waits == 0:
-            self._plan_now()
+            self._plan_now(self.steady_now(), self._time.now)
 
     def _on_timer(self) -> None:
         self._core.timing.began(self._time.seconds, self._core.settings.period)
-        self._plan_now()
+        self._plan_now(self.steady_now(), self._time.now)
 
     # --- a decision
 
-    def _plan_now(self) -> None:
+    def _plan_now(self, now: float, ros: RosTime) -> None:
         self._patience.cancel()
         odometry = self._core.inputs.odometry
         if odometry is None or self._core.inputs.missing:
             self._show_changes()
             return
-        report = self._core.decide(self.steady_now(), self._time.now, self._stop)
-        outdated = self._unsafe()  # a decision that takes too long outdates what it started from
-        if outdated is not None and outdated.cause is not report.decision.cause:
-            report = self._core.decide(self.steady_now(), self._time.now, outdated)
+        report = self._core.decide(now, ros, self._stop)
+        if report.decision.planned:
+            now, ros = self.steady_now(), self._time.now
+            outdated = self._core.unsafe(now, ros)  # by a decision that takes too long
+            if outdated is not None:
+                report = self._core.decide(now, ros, outdated)
         self._publish(odometry.stamp, report)
         self._answered = odometry.stamp.nanoseconds
         self._look_for_events()
@@ -388,6 +397,7 @@ class PlannerNode(Managed):
         self._tell(report, heard - CLAIMS)  # the vehicle did not wait for it
         self._report = self._core.proved(report, catches='certificate' in heard)
         self._tell(self._report, heard & CLAIMS)
+        self._numbers.publish(self._report.numbers)
         self._show_changes()
 
     @property
@@ -433,6 +443,8 @@ class PlannerNode(Managed):
             approach = replace(approach, direction=tuple(wanted[:, 0].tolist()))
         within = settings.goal_radius, settings.odom_timeout, approach
         self._events.note(known.value, goal, *within)
+        distance = math.dist(known.value.position, goal)
+        self._numbers.publish({'distance': distance})
         self._publish_events()
 
     def _publish_events(self) -> None:

@@ -90,10 +90,14 @@ def _folder(args: argparse.Namespace, name: str) -> Path:
 
 
 def _controllers(given: str) -> list[str]:
-    from orbimpc_ros.tool.study.flights import OURS, WAYPOINT, rivals
+    from orbimpc_ros.tool.study.flights import OURS, WAYPOINT, baselines
 
     names = given.split(',')
-    known = (OURS, WAYPOINT) if {*names} <= {OURS, WAYPOINT} else (OURS, WAYPOINT, *rivals().RIVALS)
+    known = (
+        (OURS, WAYPOINT)
+        if {*names} <= {OURS, WAYPOINT}
+        else (OURS, WAYPOINT, *baselines().BASELINES)
+    )
     for name in names:
         if name not in known or names.count(name) > 1:
             raise BadInput('--controllers', given, f'each of {",".join(known)} at most once')
@@ -101,11 +105,11 @@ def _controllers(given: str) -> list[str]:
 
 
 def _tuned(names: Sequence[str], study: str) -> dict[str, dict[str, float]]:
-    """Return what rivals were tuned to for a study."""
-    from orbimpc_ros.tool.study.flights import OURS, rivals
+    """Return what baselines were tuned to for a study."""
+    from orbimpc_ros.tool.study.flights import OURS, baselines
 
     others = [name for name in names if name != OURS]
-    return {name: rivals().tuned_of(study).get(name, {}) for name in others}
+    return {name: baselines().tuned_of(study).get(name, {}) for name in others}
 
 
 def _fly(

@@ -28,7 +28,7 @@ from orbimpc_ros.tool.run.onboard import Onboard, tell
 
 Row = dict[str, Any]
 OURS, WAYPOINT = 'orbitope', 'waypoint'  # this package's controller, an engine's own guidance
-RIVALS = 'benchmarks.rivals'  # a folder of the repository, which is not installed
+BASELINES = 'benchmarks.baselines'  # a folder of the repository, which is not installed
 _made: dict[str, Planner] = {}  # the last controller, by its settings
 
 
@@ -37,12 +37,12 @@ class Job:
     """A flight to be flown, wherever that is.
 
     Attributes:
-        study: name of the study, by which rivals find what they were tuned to.
-        controller: :data:`OURS`, or the name of a rival.
+        study: name of the study, by which baselines find what they were tuned to.
+        controller: :data:`OURS`, or the name of a baseline.
         index: of the flight.
         values: of all parameters, drawn ones included.
         margin: by how much larger than they are bodies in the traffic are reported [m].
-        tuned: what is set of a rival; what was found for the study by default.
+        tuned: what is set of a baseline; what was found for the study by default.
     """
 
     study: str
@@ -102,7 +102,7 @@ def flown(job: Job) -> Row:
 def _pilot(job: Job, given: PlannerSettings) -> Planner:
     """Return the controller of a flight, reset; ours is kept, since making one takes long."""
     if job.controller != OURS:
-        made: Planner = rivals().pilot(job.controller, given, job.study, job.tuned)
+        made: Planner = baselines().baseline_named(job.controller, given, job.study, job.tuned)
         return made
     key = repr(given)
     if key not in _made:
@@ -112,16 +112,18 @@ def _pilot(job: Job, given: PlannerSettings) -> Planner:
     return _made[key]
 
 
-def rivals() -> Any:
-    """Return the package of the rivals.
+def baselines() -> Any:
+    """Return the package of the baselines.
 
     Raises:
         BadInput: this is no clone of the repository.
     """
     try:
-        return import_module(RIVALS)
+        return import_module(BASELINES)
     except ModuleNotFoundError:
-        raise BadInput.stating('--controllers', f'{RIVALS} is missing', 'a clone has it') from None
+        raise BadInput.stating(
+            '--controllers', f'{BASELINES} is missing', 'a clone has it'
+        ) from None
 
 
 class _Log:

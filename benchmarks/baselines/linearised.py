@@ -18,7 +18,7 @@ import clarabel
 import numpy as np
 from scipy import sparse
 
-from benchmarks.rivals.baseline import Baseline, balls_of, coasting, least_fraction
+from benchmarks.baselines.program import Program, balls_of, coasting, least_fraction
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.model.condensed import Condensed
 from orbimpc_ros.mpc.problem import Problem, State
@@ -30,7 +30,7 @@ TRUST = 0.5
 TOUCH = 1e3  # cost of a step's length inside of a ball
 
 
-class Linearised(Baseline):
+class Linearised(Program):
     """One Gauss-Newton step on the angles and speeds of the plan at each tick.
 
     Args:

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import ClassVar
 
-from benchmarks.rivals.baseline import Baseline
-from benchmarks.rivals.linearised import Linearised
-from benchmarks.rivals.nonlinear import Nonlinear
-from benchmarks.rivals.rival import BEHIND, Range, Rival, Sight
+from benchmarks.baselines.baseline import BEHIND, Baseline, Range, Sight
+from benchmarks.baselines.linearised import Linearised
+from benchmarks.baselines.nonlinear import Nonlinear
+from benchmarks.baselines.program import Program
 from orbimpc_ros.mpc.command import command_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
@@ -23,7 +23,7 @@ WEIGHTS = {
 }  # weights: times those of the configuration
 
 
-class _Programmed(Rival):
+class _Programmed(Baseline):
     """Tracks the forecast over the horizon: the planner's own problem, without its proofs."""
 
     SPACE: ClassVar[Mapping[str, Range]] = WEIGHTS
@@ -32,7 +32,7 @@ class _Programmed(Rival):
         super().__init__(settings, tuned)
         self._program = self._programmed(self._weighed(settings.problem))
 
-    def _programmed(self, problem: Problem) -> Baseline:
+    def _programmed(self, problem: Problem) -> Program:
         raise NotImplementedError
 
     def _weighed(self, problem: Problem) -> Problem:
@@ -54,17 +54,17 @@ class _Programmed(Rival):
         return command.speed_fraction, float(command.body_rate[0])
 
 
-class LinearisedPilot(_Programmed):
+class LinearisedBaseline(_Programmed):
     """One quadratic program a tick about the plan before; ``trust`` is its region [rad]."""
 
     SPACE: ClassVar[Mapping[str, Range]] = {**WEIGHTS, 'trust': Range(0.5, 0.1, 1.5)}
 
-    def _programmed(self, problem: Problem) -> Baseline:
+    def _programmed(self, problem: Problem) -> Program:
         return Linearised(problem, self.tuned['trust'])
 
 
-class NonlinearPilot(_Programmed):
+class NonlinearBaseline(_Programmed):
     """IPOPT from the plan before, with exact derivatives."""
 
-    def _programmed(self, problem: Problem) -> Baseline:
+    def _programmed(self, problem: Problem) -> Program:
         return Nonlinear(problem)

@@ -10,15 +10,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from benchmarks.rivals.rival import (
+from benchmarks.baselines.baseline import (
     BEHIND,
     TRAFFIC,
+    Baseline,
     Range,
-    Rival,
     Sight,
     wrapped,
 )
-from benchmarks.rivals.sidestep import sidestepped
+from benchmarks.baselines.sidestep import sidestepped
 from orbimpc_ros.mpc.arrays import Array
 
 LOOKS, FARTHEST = 240, 12.0  # points of the forecast, as far as so many horizons
@@ -26,7 +26,7 @@ NEAR = 1e-9
 ASIDE = math.radians(60.0)  # off the line of sight by more, a law for small angles says nothing
 
 
-class _Guided(Rival):
+class _Guided(Baseline):
     """Steers to where a law wants to point, or aside of what is in the way there."""
 
     SPACE: ClassVar[Mapping[str, Range]] = {
@@ -98,7 +98,7 @@ class Lead(_Guided):
         return float(angle[first]), min(fraction, float(needed)) if met.any() else fraction
 
 
-class Waypoint(Rival):
+class Waypoint(Baseline):
     """Leaves turns to the guidance of an engine, which flies to where the goal is; full speed."""
 
     def steered(self, sight: Sight) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from benchmarks.rivals.rival import TRAFFIC, Range, Rival, Sight, depths
+from benchmarks.baselines.baseline import TRAFFIC, Baseline, Range, Sight, depths
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 
@@ -25,7 +25,7 @@ SEED = 0
 TINY = 1e-9  # the spread of what has no range: at constant speed
 
 
-class Sampling(Rival):
+class Sampling(Baseline):
     """Improves its last sequence by weighed samples, once a tick."""
 
     SPACE: ClassVar[Mapping[str, Range]] = {

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.rivals import RIVALS, class_of, pilot, tuned_of, tuning
-from benchmarks.rivals.guidance import crabbed
-from benchmarks.rivals.linearised import Linearised
-from benchmarks.rivals.nonlinear import Nonlinear
-from benchmarks.rivals.rival import CONE, TRAFFIC, Sight
-from benchmarks.rivals.sampling import _nearest
+from benchmarks.baselines import BASELINES, baseline_named, class_of, tuned_of, tuning
+from benchmarks.baselines.baseline import CONE, TRAFFIC, Sight
+from benchmarks.baselines.guidance import crabbed
+from benchmarks.baselines.linearised import Linearised
+from benchmarks.baselines.nonlinear import Nonlinear
+from benchmarks.baselines.sampling import _nearest
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
@@ -161,17 +161,17 @@ def sight(goal, heading=0.0, wind=(0.0, 0.0), velocity=(0.0, 0.0), steps=12):
 
 
 def made(name, **tuned):
-    return pilot(name, planner_settings(draws_of('fixed_wing').values), '', tuned)
+    return baseline_named(name, planner_settings(draws_of('fixed_wing').values), '', tuned)
 
 
-@pytest.mark.parametrize('name', [name for name in RIVALS if name != 'waypoint'])
-def test_rivals_turn_to_the_side_of_the_goal(name):
+@pytest.mark.parametrize('name', [name for name in BASELINES if name != 'waypoint'])
+def test_baselines_turn_to_the_side_of_the_goal(name):
     if name == 'nonlinear':
         pytest.importorskip('casadi')
     for side in (1.0, -1.0):
-        rival = made(name)
+        baseline = made(name)
         for _ in range(4):  # a sampling pilot improves from tick to tick
-            fraction, rate = rival.steered(sight([30.0, side * 40.0]))
+            fraction, rate = baseline.steered(sight([30.0, side * 40.0]))
         assert side * rate > 0.05
         assert 0.5 < fraction <= 1.0
 
@@ -207,7 +207,7 @@ def test_samples_see_a_catch_between_the_ends_of_a_step():
 
 
 def test_the_search_for_settings_is_the_same_every_time_and_starts_with_the_defaults():
-    for name in RIVALS:
+    for name in BASELINES:
         tried = tuning.candidates(name, {CONE, TRAFFIC})
         assert tried == tuning.candidates(name, {CONE, TRAFFIC})
         space = class_of(name).SPACE
@@ -224,13 +224,13 @@ def test_the_search_for_settings_is_the_same_every_time_and_starts_with_the_defa
 def test_what_is_tuned_is_known_to_the_rival():
     for name in ('crossing', 'fixed_wing_cone', 'fixed_wing_near', 'gates', 'retrieval_small'):
         assert tuned_of(name)
-        for rival, numbers in tuned_of(name).items():
-            assert set(numbers) <= set(class_of(rival).SPACE)
+        for baseline, numbers in tuned_of(name).items():
+            assert set(numbers) <= set(class_of(baseline).SPACE)
 
 
 def test_samples_can_be_drawn_where_the_speed_is_constant():
     values = draws_of('retrieval', ('floor.fraction=1.0',)).values
-    rival = pilot('sampling', planner_settings(values), '')
-    fraction, rate = rival.steered(sight([3.0, 4.0], steps=5))
+    baseline = baseline_named('sampling', planner_settings(values), '')
+    fraction, rate = baseline.steered(sight([3.0, 4.0], steps=5))
     assert fraction == pytest.approx(1.0)
     assert math.isfinite(rate)

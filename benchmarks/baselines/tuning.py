@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Tuning of the rivals: a random search on seeds of its own, reproducible, written to a file.
+"""Tuning of the baselines: a random search on seeds of its own, reproducible, written to a file.
 
-python -m benchmarks.rivals.tuning STUDY [-o FILE]
+python -m benchmarks.baselines.tuning STUDY [-o FILE]
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from benchmarks.rivals import RIVALS, class_of
-from benchmarks.rivals.rival import CONE, TRAFFIC, Range
+from benchmarks.baselines import BASELINES, class_of
+from benchmarks.baselines.baseline import CONE, TRAFFIC, Range
 from orbimpc_ros.tool.study.draws import Draws, draws_of
 from orbimpc_ros.tool.study.flights import WAYPOINT, Job, Row
 from orbimpc_ros.tool.study.results import each_flown, workers
@@ -26,16 +26,16 @@ CANDIDATES, FLIGHTS = 8, 4
 LATE = 2.0  # limits of a flight that one without a catch counts as
 
 
-def candidates(rival: str, has: Collection[str]) -> list[dict[str, float]]:
-    """Return numbers to try for a rival: the defaults, and draws in equal ratios.
+def candidates(baseline: str, has: Collection[str]) -> list[dict[str, float]]:
+    """Return numbers to try for a baseline: the defaults, and draws in equal ratios.
 
     Args:
-        rival: by name.
+        baseline: by name.
         has: what the study has that not all have: :data:`CONE`, :data:`TRAFFIC`.
     """
-    known: Mapping[str, Range] = class_of(rival).SPACE  # type: ignore[attr-defined]
+    known: Mapping[str, Range] = class_of(baseline).SPACE  # type: ignore[attr-defined]
     space = {name: each for name, each in known.items() if not each.need or each.need in has}
-    rng = np.random.default_rng([SEED, zlib.crc32(rival.encode())])
+    rng = np.random.default_rng([SEED, zlib.crc32(baseline.encode())])
     return [
         {name: each.default for name, each in space.items()},
         *({name: _drawn(each, rng) for name, each in space.items()} for _ in range(CANDIDATES - 1)),
@@ -51,15 +51,15 @@ def score(rows: Sequence[Row], limit: float) -> float:
     return float(np.mean([row['time'] if row['caught'] else LATE * limit for row in rows]))
 
 
-def best_of(rival: str, draws: Draws, count: int) -> dict[str, float]:
-    """Return the best candidate of a rival, flown by so many processes."""
+def best_of(baseline: str, draws: Draws, count: int) -> dict[str, float]:
+    """Return the best candidate of a baseline, flown by so many processes."""
     present = {CONE: draws.values['approach.cone'], TRAFFIC: 'traffic' in draws.rules}
-    tried = candidates(rival, {name for name, there in present.items() if there})
+    tried = candidates(baseline, {name for name, there in present.items() if there})
     scores = []
     with workers(None, count) as pool:
         for each in tried:
             jobs = [
-                Job(draws.name, rival, index, draws.of(SEED, index), draws.margin, each)
+                Job(draws.name, baseline, index, draws.of(SEED, index), draws.margin, each)
                 for index in range(FLIGHTS)
             ]
             scores.append(score(list(each_flown(pool, jobs, lambda: True)), draws.limit))
@@ -67,13 +67,13 @@ def best_of(rival: str, draws: Draws, count: int) -> dict[str, float]:
 
 
 def main() -> None:
-    """Tune the rivals for a study."""
+    """Tune the baselines for a study."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument('study')
     parser.add_argument('-o', '--out', default='tuned.yaml')
     args = parser.parse_args()
     draws, count = draws_of(args.study), os.cpu_count() or 1
-    found = {name: best_of(name, draws, count) for name in RIVALS if name != WAYPOINT}
+    found = {name: best_of(name, draws, count) for name in BASELINES if name != WAYPOINT}
     Path(args.out).write_text(yaml.safe_dump(found, sort_keys=False))
 
 

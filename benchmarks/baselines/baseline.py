@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The base of the rivals: a controller whose commands come from elsewhere than from a plan."""
+"""The base of the baselines: the planner's step with commands that need no plan."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ LINED = math.radians(30.0)  # off the direction of approach: behind the goal by 
 
 
 class Sight(NamedTuple):
-    """What a pilot knows at a tick.
+    """The inputs of a baseline at a tick.
 
     Attributes:
         time: from when on it can act, its lags being over [s].
@@ -67,7 +67,7 @@ class Sight(NamedTuple):
         return math.atan2(self.state.attitude[1, 0], self.state.attitude[0, 0])
 
 
-class Rival(ABC):
+class Baseline(ABC):
     """Flies a planar vehicle of orders (1, 1).
 
     Args:

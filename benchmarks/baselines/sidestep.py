@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from benchmarks.rivals.rival import Sight, depths
+from benchmarks.baselines.baseline import Sight, depths
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem
 

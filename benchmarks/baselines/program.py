@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The base of the baselines: from a state and chosen thrust axes to a plan and a command."""
+"""The base of baselines by programs: from a state and chosen thrust axes to a plan."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble
 from orbimpc_ros.mpc.problem import Ball, Problem, State
 
 
-class Baseline(ABC):
+class Program(ABC):
     """Plans a planar problem of orders (1, 1) at every tick, and proves nothing.
 
     Args:

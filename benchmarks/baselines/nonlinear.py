@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.rivals.baseline import Baseline, balls_of, coasting
+from benchmarks.baselines.program import Program, balls_of, coasting
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.model.condensed import Condensed
@@ -30,7 +30,7 @@ BALLS = 8  # in a program: more at a time, and the farthest are left out
 TOUCH = 1e3  # cost of the square of a step's length inside of a ball
 
 
-class Nonlinear(Baseline):
+class Nonlinear(Program):
     """The nonlinear program in the thrust axes, solved from the previous plan moved on.
 
     Args:
