@@ -59,7 +59,7 @@ def drawn(kind, rng):
 
 
 def solved(kind, seed):
-    """Return the first of a seed's problems whose tree is split, but not too large."""
+    """Return the first of a seed's problems whose tree is split, not too large, and a bound."""
     rng = np.random.default_rng([seed, *kind.encode()])
     while True:
         case, polls = drawn(kind, rng), itertools.count()
@@ -70,7 +70,8 @@ def solved(kind, seed):
             )
         except OrbimpcError:
             continue
-        if isinstance(plan.proof.grounds, ChoiceGrounds) and len(plan.proof.grounds.splits) > 1:
+        tree = plan.proof.grounds
+        if isinstance(tree, ChoiceGrounds) and len(tree.splits) > 1 and plan.lower_bound > 0.0:
             return case, plan
     raise AssertionError('no problem of 40 takes a search')
 
