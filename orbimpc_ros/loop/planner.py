@@ -43,7 +43,7 @@ from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble, later
 from orbimpc_ros.mpc.problem import Approach, Hazard, Problem, State
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
-from orbimpc_ros.mpc.problem.reach import held_goal, pulled_in
+from orbimpc_ros.mpc.problem.reach import clamp_goal, held_goal
 from orbimpc_ros.mpc.problem.sought import Sought
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.solve.scouting import Scout
@@ -469,7 +469,7 @@ class Planner:
             reason = Reason(Cause.HORIZON, 'the horizon has run out')
             return self._safe(state, Status.FEASIBLE, reason)
         copied = sealed(np.array(goals, dtype=float))
-        goals, shortened = pulled_in(self.problem, state, copied)
+        goals, shortened = clamp_goal(self.problem, state, copied)
         task = self._task(state, goals, knots, late)
         memory.goals = goals
         held, catch = held_goal(task.problem, state, goals), None
