@@ -40,7 +40,7 @@ from orbimpc_ros.mpc.command import Command, command_of, flaw
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble, later
-from orbimpc_ros.mpc.problem import Approach, Hazard, Problem, State
+from orbimpc_ros.mpc.problem import Approach, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.pace import entry_speed, moved_towards
 from orbimpc_ros.mpc.problem.reach import clamp_goal, held_goal
@@ -77,7 +77,7 @@ class Snapshot:
     odometry: Odometry | None = None
     goal: Array | GoalMotion | None = None
     wanted: Array | None = None
-    hazards: tuple[Hazard, ...] = ()
+    hazards: tuple[MovingObstacle, ...] = ()
     traffic: Traffic | None = None
     odometry_age: float = 0.0
     goal_age: float = 0.0
@@ -421,7 +421,9 @@ class Planner:
             left_out=left_out,
         )
 
-    def _hazards(self, snapshot: Snapshot, odometry: Odometry) -> tuple[tuple[Hazard, ...], int]:
+    def _hazards(
+        self, snapshot: Snapshot, odometry: Odometry
+    ) -> tuple[tuple[MovingObstacle, ...], int]:
         """Return the hazards that matter, and how many more there are."""
         if snapshot.traffic is None:
             return snapshot.hazards, 0
@@ -429,7 +431,7 @@ class Planner:
         found = snapshot.traffic.hazards(odometry.time)
         return nearest(self.problem, odometry, self._compensator.disturbance, found, horizons)
 
-    def _state(self, odometry: Odometry, hazards: tuple[Hazard, ...]) -> State:
+    def _state(self, odometry: Odometry, hazards: tuple[MovingObstacle, ...]) -> State:
         wanted = self._memory.wanted if self._wants_attitude else None  # or it is not looked at
         state = self._compensator.state(odometry, self._memory.reached, wanted)
         return replace(state, hazards=hazards)
@@ -453,7 +455,7 @@ class Planner:
         self,
         snapshot: Snapshot,
         odometry: Odometry,
-        hazards: tuple[Hazard, ...],
+        hazards: tuple[MovingObstacle, ...],
         late: Late | None,
     ) -> Decision:
         """Return the decision for a goal that is known."""
@@ -590,7 +592,9 @@ class Planner:
 
     # --- without a new plan
 
-    def _hold(self, odometry: Odometry, hazards: tuple[Hazard, ...], words: str) -> Decision:
+    def _hold(
+        self, odometry: Odometry, hazards: tuple[MovingObstacle, ...], words: str
+    ) -> Decision:
         """Go on without a goal: by the previous plan while the fallback allows, then safely."""
         memory, reason = self._memory, Reason(Cause.GOAL, words)
         self._change_speed(self._passed(odometry.time))
