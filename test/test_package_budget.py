@@ -13,8 +13,8 @@ LINES = {
     'orbimpc_ros/ros': 5_220,
     'orbimpc_ros/sim': 3_600,
     'orbimpc_ros/tool': 7_250,
-    'benchmarks': 5_480,
-    'test': 39_400,
+    'benchmarks': 5_495,
+    'test': 39_450,
 }
 WORDS = {'docs': 28_300, 'README.md': 900}
 
