@@ -14,7 +14,7 @@ LINES = {
     'orbimpc_ros/sim': 3_600,
     'orbimpc_ros/tool': 7_250,
     'benchmarks': 5_495,
-    'test': 39_450,
+    'test': 39_460,
 }
 WORDS = {'docs': 28_300, 'README.md': 900}
 
