@@ -74,9 +74,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     try:
         args = _parser(words).parse_args(words)
-        if COMMANDS[args.command].planning and find_spec('numba') is None:
-            _complain(import_module('orbimpc_ros.ros.planner.compiling').MISSING)
-        code = _module(args.command).run(args)
+        module = _module(args.command)
+        _report_on_machine_code(COMMANDS[args.command].planning)
+        code = module.run(args)
         sys.stdout.flush()
         return code
     except OrbimpcError as error:
@@ -102,6 +102,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         _complain(f'{error.filename or "output"}: {why(error)}')
         _end_output()
         return FAILED
+
+
+def _report_on_machine_code(planning: bool) -> None:
+    """Report that it is missing to a command that plans for long, and its compilation to any."""
+    from orbimpc_ros.ros.planner.compiling import MISSING, report_compilation
+
+    if find_spec('numba') is None:
+        if planning:
+            _complain(MISSING)
+    elif 'orbimpc_ros.mpc.kernels' in sys.modules:
+        report_compilation(_complain)
 
 
 def _end_output() -> None:
