@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from orbimpc_ros.install import command
 from orbimpc_ros.ros.entry import leave_at_signals
 
-COMPILING = 'compiling machine code, once for all planners of this machine'
+COMPILING = 'compiling machine code, only once'
 PAUSE = 5.0  # [s] between two lines of progress
 MISSING = (
     'numba is not installed: plans take 6 to 60 times as long; to have it, '
@@ -55,4 +55,4 @@ def report_compilation(report: Callable[[str], None]) -> None:
             said = now
             report(f'{COMPILING}: function {count}, {now - begun:.0f} s')
 
-    LISTENERS.append(on_function)
+    LISTENERS[:] = [on_function]

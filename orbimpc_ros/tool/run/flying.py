@@ -14,6 +14,7 @@ from orbimpc_ros.ros.entry import PACKAGES
 from orbimpc_ros.ros.planner.compiling import COMPILING
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.files import shown
 from orbimpc_ros.tool.run import discovery, processes
 from orbimpc_ros.tool.run.pacer import Pacer
 from orbimpc_ros.tool.run.processes import Interruptions, Process
@@ -54,7 +55,7 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = settings.EMPTY
     simulated = values['clock'] != 'wall'
     text = settings.text(values | OF_A_RUN | {'use_sim_time': simulated}, own)
     parameters.write_text(text)
-    print(f'ROS_DOMAIN_ID={discovery.isolate(folder)}, results in {folder}')
+    print(f'ROS_DOMAIN_ID={discovery.isolate(folder)}, results in {shown(folder)}')
     with processes.Interruptions() as interruptions:
         with (
             _vehicles(namespaces, parameters, folder) as vehicles,
