@@ -11,7 +11,7 @@ from counting import between_walls, changed, counted, mutants, said, solved
 from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.motion import control_maps, controls
-from orbimpc_ros.mpc.problem import Ball, Box, Floor, Hazard, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Ball, Box, Floor, MovingObstacle, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.proof.choices import QUARTERS, _out_of_reach, choices_bound, set_row
 from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds, Grounds
@@ -111,7 +111,9 @@ def test_boxes_that_move_in_space_are_choices_over_rotations(seed):
     case, _ = solved('space, boxes', seed)
     problem, rng = case.problem, np.random.default_rng(seed)
     ways = 0.05 * problem.length_unit / problem.step * rng.normal(size=(2, 3))
-    hazards = tuple(itertools.starmap(Hazard.drifting, zip(problem.obstacles, ways, strict=True)))
+    hazards = tuple(
+        itertools.starmap(MovingObstacle.drifting, zip(problem.obstacles, ways, strict=True))
+    )
     case = Case(replace(problem, obstacles=()), replace(case.state, hazards=hazards), case.goals)
     plan = Solver(case.problem).solve(case.state, case.goals)
     assert plan.proof.checked
@@ -357,7 +359,7 @@ def test_a_direction_that_is_within_no_arc_of_a_disc_is_inside():
 
 def test_a_step_beyond_a_disc_is_beyond_a_row_that_allows_for_its_length():
     """The rows of a whole step: a side that holds the direction of its nearest point."""
-    hazard = Hazard.drifting(Ball((0.5, 0.9), 0.4), np.array([0.1, -0.2]))
+    hazard = MovingObstacle.drifting(Ball((0.5, 0.9), 0.4), np.array([0.1, -0.2]))
     problem = Problem(horizon=3, discretisation='exact', translation_order=2)
     state = State.at(np.zeros(2), np.eye(2), velocity=np.array([0.3, 0.2]), hazards=(hazard,))
     sides, rng = Sides(problem, terms_of(problem)), np.random.default_rng(8)

@@ -12,7 +12,7 @@ from problems import rotation
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.mpc.geometry.cells import cap, icosahedron, round_cells
 from orbimpc_ros.mpc.kernels import COMPILED
-from orbimpc_ros.mpc.problem import Ball, Box, Floor, Hazard, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Ball, Box, Floor, MovingObstacle, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.proof.choices import choices_bound
 from orbimpc_ros.mpc.proof.grounds import LEAF, ChoiceGrounds
@@ -42,7 +42,7 @@ def drawn(kind, rng):
     if kind == 'ball that moves':
         usual |= {'translation_order': 2, 'discretisation': 'exact'}
         way = rng.uniform(-0.2, 0.2, n)
-        state['hazards'] = (Hazard.drifting(Ball((1.2, 0.1, 0.0), 0.5), way),)
+        state['hazards'] = (MovingObstacle.drifting(Ball((1.2, 0.1, 0.0), 0.5), way),)
     if kind == 'turned':
         usual['weights'] = TURNED
     if kind == 'tilt':

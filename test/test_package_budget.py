@@ -10,7 +10,7 @@ LINES = {
     'orbimpc_ros': 50_000,
     'orbimpc_ros/mpc': 29_000,
     'orbimpc_ros/loop': 4_550,
-    'orbimpc_ros/ros': 5_220,
+    'orbimpc_ros/ros': 5_221,
     'orbimpc_ros/sim': 3_600,
     'orbimpc_ros/tool': 7_250,
     'benchmarks': 5_480,
