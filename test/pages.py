@@ -1,7 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Follows pages of the documentation to the letter in a fresh clone: python test/pages.py.
 
-The pages of an argument list are one session in one shell, in the order given. In each page
+The pages are one session in one shell, in the order given, with a terminal for the output; one that
+flies demos begins without results of earlier ones. In each page
 
 - a block of shell commands is run line by line. A command has to end with exit code 0, or with one
   that its comment names (``# exit 1: ...``); a node in the foreground is interrupted after a while;
@@ -22,12 +23,20 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from select import select
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ('README.md', 'docs/getting_started.md', 'docs/recording.md', 'docs/proofs.md')
+PAGES = (
+    'README.md',
+    'docs/getting_started.md',
+    'docs/proofs.md',
+    'docs/recording.md',
+    'docs/library.md',
+)
 ELSEWHERE = {
     r'git clone |cd ~': 'done already',
     r'make test': 'the other part of CI',
@@ -45,7 +54,7 @@ FENCE = re.compile(r'^```(\w*)\s*$')
 FILE = re.compile(r'`([\w-]+\.(?:py|yaml))`')
 NUMBER = re.compile(r'(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?')
 PRINTED = re.compile(r'^print\(.*\)  # (.*)$', re.MULTILINE)
-MARK = '<<<block %d>>>'
+MARK = '<<<block>>>'
 
 
 @dataclass
@@ -118,8 +127,8 @@ def differs(expected: Sequence[str], printed: str) -> str:
 def script_of(blocks: Sequence[Block]) -> Iterator[str]:
     """Yield the lines of a script that runs blocks."""
     yield 'set -m'
-    for number, block in enumerate(blocks):
-        yield f"echo '{MARK % number}'"
+    for block in blocks:
+        yield f'echo {MARK!r}'
         if block.language == 'python' and not block.file:
             yield from (f"python - <<'END'\n{block.text}END", _check('python', (0,)))
         elif block.language == 'sh':
@@ -151,32 +160,47 @@ def why_not(command: str) -> str:
 
 def follow(pages: Sequence[str], clone: Path) -> list[str]:
     """Run pages in a clone, and return what is not as they show it, a line each."""
-    texts = {page: (ROOT / page).read_text() for page in pages}
-    found = [(page, block) for page, text in texts.items() for block in blocks_of(text)]
+    found = []
+    for page in pages:
+        blocks = blocks_of((ROOT / page).read_text())
+        if any('demo' in block.text for block in blocks if block.language == 'sh'):
+            found.append((page, Block('sh', 0, 'rm -rf out\n')))
+        found += [(page, block) for block in blocks]
     blocks = [block for _page, block in found]
     for block in blocks:
         if block.file:
             (clone / block.file).write_text(block.text)
     environment = {k: v for k, v in os.environ.items() if k not in ('PYTHONPATH', 'VIRTUAL_ENV')}
-    done = subprocess.run(
-        ['bash', '-c', '\n'.join(script_of(blocks))],
-        cwd=clone,
-        env=environment,
-        stdout=subprocess.PIPE,
-        text=True,
-        check=False,
-        timeout=LIMIT,
-    )
-    printed = re.split(r'<<<block \d+>>>\n', done.stdout)[1:]
+    code, text = on_a_terminal(['bash', '-c', '\n'.join(script_of(blocks))], clone, environment)
+    printed = text.split(f'{MARK}\n')[1:]
     wrong = []
     for (page, block), text in zip(found, printed, strict=False):
         difference = differs(block.output, text) if block.output else ''
         if difference:
             wrong.append(f'{page}:{block.line}: {difference}; printed:\n{text}')
-    if done.returncode:
+    if code:
         page, block = found[len(printed) - 1]
         wrong.append(f'{page}:{block.line}: a command failed; printed:\n{printed[-1]}')
     return wrong
+
+
+def on_a_terminal(
+    command: Sequence[str], folder: Path, environment: Mapping[str, str]
+) -> tuple[int, str]:
+    """Run a command whose output goes to a terminal; return its exit code and its output."""
+    ours, its = os.openpty()
+    child = subprocess.Popen(command, cwd=folder, env=environment, stdout=its)
+    os.close(its)
+    printed, end = b'', time.monotonic() + LIMIT
+    while child.poll() is None or select([ours], [], [], 0.0)[0]:
+        if time.monotonic() > end:
+            child.kill()
+        if select([ours], [], [], 1.0)[0]:
+            try:
+                printed += os.read(ours, 65536)
+            except OSError:  # nobody has it open any more
+                break
+    return child.wait(), printed.decode(errors='replace').replace('\r\n', '\n')
 
 
 def main() -> int:
