@@ -20,6 +20,10 @@ from pathlib import Path
 from shutil import which
 
 NAME, CONSTRAINTS = 'orbimpc_ros', 'requirements-jazzy.txt'
+# Where an extra wants NumPy 2 without need: its packages, and what they need besides.
+BESIDE_NUMPY_1 = {
+    'view': ('--no-deps', 'rerun-sdk>=0.39,<0.42', 'pyarrow>=18,<22', 'attrs', 'psutil')
+}
 NEW = 'python3 -m venv --system-site-packages .venv && . .venv/bin/activate'
 
 
@@ -42,14 +46,20 @@ def _is_managed() -> bool:
 
 def _command(pip: Sequence[str], packages: Sequence[str]) -> str:
     words = [*pip, 'install']
-    if version('numpy').startswith('1.'):
+    if _has_numpy_1():
         file = shared(CONSTRAINTS)
         words += ['numpy<2'] if file is None else ['--constraint', str(file)]
     return shlex.join([*words, *packages])
 
 
+def _has_numpy_1() -> bool:
+    return version('numpy').startswith('1.')
+
+
 def command_for_extra(extra: str) -> str:
     """Return the command that installs the packages of an extra, by its name in ``setup.py``."""
+    if extra in BESIDE_NUMPY_1 and _has_numpy_1():
+        return command(*BESIDE_NUMPY_1[extra])
     # Imported here: it comes with matplotlib, which the nodes do without.
     from packaging.requirements import Requirement
 

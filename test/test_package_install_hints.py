@@ -5,6 +5,7 @@ import ast
 import re
 import shlex
 import sys
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -24,8 +25,10 @@ def declared(extra):
     )
 
 
-@pytest.mark.parametrize('extra', ['basilisk', 'ros', 'view'])
-@pytest.mark.parametrize('numpy', ['1.26.4', '2.4.6'])
+@pytest.mark.parametrize(
+    ('extra', 'numpy'),
+    [*product(('basilisk', 'ros'), ('1.26.4', '2.4.6')), ('view', '2.4.6')],
+)
 def test_an_extra_is_named_by_its_packages_within_what_the_environment_bears(
     extra, numpy, monkeypatch
 ):
@@ -40,6 +43,13 @@ def test_an_extra_is_named_by_its_packages_within_what_the_environment_bears(
 
 def install_name(requirement):
     return re.match(r'[\w-]+', requirement)[0]
+
+
+def test_the_viewer_comes_without_its_numpy(monkeypatch):
+    monkeypatch.setattr(install, 'version', lambda _name: '1.26.4')
+    words = shlex.split(install.command_for_extra('view'))
+    assert '--no-deps' in words
+    assert set(declared('view')) <= set(words)
 
 
 def test_without_the_file_numpy_stays_below_2_all_the_same(monkeypatch):
