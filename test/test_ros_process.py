@@ -138,8 +138,9 @@ def test_after_five_failures_in_a_row_it_gives_up_with_code_1(tmp_path, launch, 
     assert bench.planner.output.count('Panic: out of order') >= FAILURES_IN_A_ROW
     assert 'giving up' in bench.planner.output
     assert 'Traceback' not in bench.planner.output
-    reasons = [told(m)['reason'] for m in bench.ticks]
-    assert any('_plan_now failed' in r or '_on_' in r for r in reasons)
+    causes = '_plan_now failed', '_on_'
+    reasons = lambda: [told(m)['reason'] for m in bench.ticks]  # noqa: E731
+    bench.until(lambda: any(c in r for c in causes for r in reasons()), 'why')
     assert not any(moving(command) for command in commands[-FAREWELLS:])
 
 
