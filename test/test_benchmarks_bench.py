@@ -300,23 +300,6 @@ def test_our_own_failure_fails_the_run():
     assert not rows['other'].failed
 
 
-@pytest.mark.parametrize(
-    ('words', 'culprit'),
-    [
-        (('--only', 'chess'), 'chess'),
-        (('--json', '/dev/null/x'), '--json'),
-        (('--json', '/proc/x.json'), '--json'),  # a folder that takes no files
-        (('--json', '/tmp'), '--json'),
-        (('--picture', '/nowhere/x.png'), '--picture'),
-    ],
-)
-def test_bad_words_are_refused_in_one_line(capsys, words, culprit):
-    assert cli.main(['bench', *words]) == 2
-    err = capsys.readouterr().err
-    assert err.count('\n') == 1
-    assert culprit in err
-
-
 def test_the_price_of_a_missing_numba_is_told(capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, 'numba', None)
     assert cli.main(['bench', '--only', 'chess']) == 2

@@ -4,16 +4,14 @@
 import gc
 import json
 import math
-import os
 import random
 import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
-from conftest import PATIENCE
+from harness import PATIENCE, alive, children_of, wait_for
 
 pytest.importorskip('rclpy')
 
@@ -285,22 +283,6 @@ def test_the_table_says_what_the_rows_say(short):
         assert 'Traceback' not in err
 
 
-@pytest.mark.parametrize(
-    ('words', 'culprit'),
-    [
-        (('--only', 'weather'), '--only'),
-        (('--json', '/nowhere/rows.json'), '--json'),
-        (('--soak', '0'), '--soak'),
-        (('--soak', 'nan'), '--soak'),
-    ],
-)
-def test_bad_words_are_refused_in_one_line(capsys, words, culprit):
-    assert cli.main(['faults', *words]) == 2
-    complaint = capsys.readouterr().err
-    assert complaint.count('\n') == 1
-    assert culprit in complaint
-
-
 def test_without_ros_it_says_what_to_install(capsys, monkeypatch):
     monkeypatch.setattr(faults, 'find_spec', lambda _name: None)
     assert cli.main(['faults']) == 2
@@ -320,34 +302,11 @@ def test_an_interrupted_matrix_leaves_no_process(number):
     child = subprocess.Popen(
         command('--only', 'odometry'), stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
-    wait_for(lambda: nodes_of(child.pid))
-    nodes = nodes_of(child.pid)
+    wait_for(lambda: children_of(child.pid))
+    nodes = children_of(child.pid)
     time.sleep(1.0)  # into the run
     child.send_signal(number)
     _, err = child.communicate(timeout=PATIENCE)
     assert child.returncode == (-number if number == signal.SIGKILL else 130)
     assert b'Traceback' not in err
     wait_for(lambda: not any(alive(node) for node in nodes))
-
-
-def wait_for(condition):
-    deadline = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-
-
-def nodes_of(parent):
-    words = ['ps', '-o', 'pid=', '--ppid', str(parent)]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    return [int(pid) for pid in done.stdout.split()]
-
-
-def alive(pid):
-    """Whether a process runs; one whose parent was killed may stay on as a zombie."""
-    try:
-        os.kill(pid, 0)
-        state = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0]
-    except (ProcessLookupError, FileNotFoundError):
-        return False
-    return state != 'Z'

@@ -208,23 +208,6 @@ def test_left_alone_it_waits_to_be_managed_and_shut_down_it_is_silent_for_good(
     assert manager.process.stop() == 0, manager.process.output
 
 
-def test_a_mode_that_changes_while_it_is_inactive_is_known_when_it_is_activated(launch, observer):
-    manager = Manager(launch, observer, {'gated': True})
-    mode = observer.node.create_publisher(Bool, 'engaged', 1)
-    observer.until(mode.get_subscription_count, 'the planner listening')
-
-    def engaged(taken):
-        mode.publish(Bool(data=taken))
-        return manager.health and told(manager.health[-1])['engaged'] == json.dumps(taken)
-
-    manager.feed_until(lambda: engaged(True) and any(map(moving, manager.commands)), 'commands')
-    assert manager.change(DEACTIVATE)
-    observer.until(lambda: engaged(False), 'the mode')
-    assert manager.change(ACTIVATE)
-    manager.feed_until(lambda: 'planning' in manager.health[-1].status[0].message, 'plans')
-    assert manager.commands_of(10) == []
-
-
 def test_a_managed_simulator_stands_still_and_begins_again(launch, observer):
     clock, seen = observer.listen(Clock, '/clock'), observer.listen(Odometry, 'odom')
     captured = observer.listen(Bool, 'captured')
@@ -339,3 +322,20 @@ def test_work_waits_until_it_is_active(worker):
     worker.trigger_deactivate()
     hear('after')
     assert heard == ['meanwhile']
+
+
+def test_a_mode_that_changes_while_it_is_inactive_is_known_when_it_is_activated(launch, observer):
+    manager = Manager(launch, observer, {'gated': True})
+    mode = observer.node.create_publisher(Bool, 'engaged', 1)
+    observer.until(mode.get_subscription_count, 'the planner listening')
+
+    def engaged(taken):
+        mode.publish(Bool(data=taken))
+        return manager.health and told(manager.health[-1])['engaged'] == json.dumps(taken)
+
+    manager.feed_until(lambda: engaged(True) and any(map(moving, manager.commands)), 'commands')
+    assert manager.change(DEACTIVATE)
+    observer.until(lambda: engaged(False), 'the mode')
+    assert manager.change(ACTIVATE)
+    manager.feed_until(lambda: 'planning' in manager.health[-1].status[0].message, 'plans')
+    assert manager.commands_of(10) == []

@@ -91,12 +91,6 @@ def test_what_is_no_certificate_is_bad_input(run, tmp_path, text):
     assert error.count('\n') == 1
 
 
-def test_a_missing_file_is_bad_input(run, tmp_path):
-    code, _, error = run('verify', tmp_path / 'missing.json')
-    assert code == 2
-    assert 'No such file' in error
-
-
 def test_a_plan_without_a_certificate_is_printed_and_says_so(run, tmp_path):
     problem = tmp_path / 'problem.json'
     problem.write_text(json.dumps({**CASES['uav_square_0'], 'rotation_order': 2}))

@@ -231,22 +231,6 @@ def test_a_recording_that_the_disk_does_not_take_leaves_nothing_behind(capsys, t
 
 
 @needs_rerun
-@pytest.mark.parametrize(
-    ('words', 'culprit'),
-    [
-        (('nowhere',), 'nowhere'),
-        ((GOLDEN / 'dubins', '--namespace', '/uav7'), 'without /uav7/odom'),
-        ((GOLDEN / 'dubins', '--port', '70000'), '--port'),
-        ((GOLDEN / 'dubins', '--save', '/dev/null/x.rrd'), '--save'),
-    ],
-)
-def test_bad_words_are_refused_in_one_line(capsys, words, culprit):
-    code, complaint = run(capsys, *words)
-    assert (code, len(complaint)) == (2, 1)
-    assert culprit in complaint[0]
-
-
-@needs_rerun
 def test_a_port_that_is_taken_is_refused(capsys):
     with socket.socket() as taken:
         taken.bind(('127.0.0.1', 0))

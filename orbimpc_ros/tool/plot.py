@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool.files import WRITABLE, require_writable, why, writing_to
+from orbimpc_ros.tool.files import WRITABLE, require_writable, shown, why, writing_to
 
 ANIMATION = 'animation.gif'
 
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     with writing_to(folder):
         for name, write in pictures.items():
             write(folder / name)
-    print(f'written: {", ".join(pictures)} in {folder}')
+    print(f'written: {", ".join(pictures)} in {shown(folder)}')
     return 0
 
 
