@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.arguments import add_set
-from orbimpc_ros.tool.files import new_folder, writing_to
+from orbimpc_ros.tool.files import new_folder, shown, writing_to
 
 if TYPE_CHECKING:
     from orbimpc_ros.tool.history import History
@@ -41,7 +41,14 @@ VARIANTS: dict[str, dict[str, tuple[str, ...]]] = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     scenarios = (*ALONE, *FLEETS)
-    parser.add_argument('scenario', nargs='?', default='retrieval', choices=scenarios)
+    parser.add_argument(
+        'scenario',
+        nargs='?',
+        default='retrieval',
+        choices=scenarios,
+        metavar='SCENARIO',
+        help=f'one of {", ".join(scenarios)} (default: %(default)s)',
+    )
     parser.add_argument(
         '--vehicles', type=int, metavar='K', help='size of the fleet (default: 4) or crossing (8)'
     )
@@ -146,7 +153,7 @@ def report(folder: Path, places: Mapping[str, Path]) -> int:
     for name, each in flown.items():
         print(f'{name}:\n{summary.text(each)}' if name else summary.text(each))
     for place in places.values():
-        print(f'bag           {place / "bag"}')
+        print(f'bag           {shown(place / "bag")}')
     _draw(folder, flown)
     return 0 if all(each.captured for each in flown.values()) else 1
 
@@ -159,7 +166,7 @@ def report_fleet(folder: Path, namespaces: Sequence[str]) -> int:
     flown = {name: history.of_bag(path, name) for name in namespaces}
     print(summary.of_fleet(flown, summary.late(path)))
     clear = clearance(flown)
-    print(f'bag           {path}')
+    print(f'bag           {shown(path)}')
     _draw(folder, flown)
     return 0 if clear and all(each.captured for each in flown.values()) else 1
 
@@ -187,4 +194,4 @@ def _draw(folder: Path, flown: Mapping[str, History]) -> None:
     for name, figure in figures.of_runs(flown).items():
         save(figure, folder / name)
         label = 'picture' if name == figures.PATH else Path(name).stem
-        print(f'{label:<14}{folder / name}')
+        print(f'{label:<14}{shown(folder / name)}')

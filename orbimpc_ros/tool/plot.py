@@ -9,7 +9,7 @@ from pathlib import Path
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool.arguments import add_namespace
-from orbimpc_ros.tool.files import WRITABLE, require_writable, why, writing_to
+from orbimpc_ros.tool.files import WRITABLE, require_writable, shown, why, writing_to
 
 ANIMATION = 'animation.gif'
 
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     with writing_to(folder):
         for name, write in pictures.items():
             write(folder / name)
-    print(f'written: {", ".join(pictures)} in {folder}')
+    print(f'written: {", ".join(pictures)} in {shown(folder)}')
     return 0
 
 

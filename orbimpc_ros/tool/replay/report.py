@@ -20,6 +20,7 @@ from orbimpc_ros.tool.replay.difference import UNITS, Comparison, compared, show
 from orbimpc_ros.tool.replay.offline import resolved
 from orbimpc_ros.tool.replay.recording import Recording, published, recording_of
 from orbimpc_ros.tool.replay.resolving import ReplayedTick, replayed
+from orbimpc_ros.tool.summary import lines
 
 LINES = 20  # differences printed one by one
 SAME, DIFFERENT = 0, 1
@@ -123,13 +124,16 @@ def _print(
         print(each)
     if len(differences) > LINES:
         print(f'... and {len(differences) - LINES} more')
-    print(f'replayed      {len(answers)} ticks of {recording.path} in {elapsed:.2f} s')
     refused = sum(len(each.refusals) for each in answers)
-    print(f'inputs        {recording.received}, {refused} refused')
-    print(f'unanswered    {whole}')
     counts = Counter(each.quantity for each in found)
-    print(f'compared      {", ".join(f"{n} {quantity}" for quantity, n in counts.items())}')
-    print(f'differences   {_summary(differences)}')
+    rows = {
+        'replayed': f'{len(answers)} ticks of {recording.path} in {elapsed:.2f} s',
+        'inputs': f'{recording.received}, {refused} refused',
+        'unanswered': str(whole),
+        'compared': ', '.join(f'{n} {quantity}' for quantity, n in counts.items()),
+        'differences': _summary(differences),
+    }
+    print(lines(rows))
 
 
 def _summary(differences: Sequence[Comparison]) -> str:
@@ -147,13 +151,13 @@ def _summary(differences: Sequence[Comparison]) -> str:
 def _show(tick: ReplayedTick, found: Sequence[Comparison]) -> None:
     """Print one tick, recorded and replayed side by side."""
     then, now = tick.recorded.answer, published(tick.messages)
-    print(f'{f"tick {found[0].tick} at {found[0].time:.3f} s":<22}{"recorded":<34}replayed')
+    print(f'{f"tick {found[0].tick} at {found[0].time:.3f} s":<20}{"recorded":<26}replayed')
     for each in found:
         unit = f' [{UNITS[each.quantity]}]' if each.quantity in UNITS else ''
-        mark = '   differs' if each.differs else ''
-        row = f'{each.quantity + unit:<22}{shown(each.recorded):<34}{shown(each.replayed)}'
-        print(row + mark)
+        mark = '  differs' if each.differs else ''
+        values = f'{shown(each.recorded, 4):<26}{shown(each.replayed, 4)}'
+        print(f'{each.quantity + unit:<20}{values}{mark}')
     if then.reason or now.reason:
-        print(f'{"reason":<22}{shown(then.reason):<34}{shown(now.reason)}')
+        print(lines({'recorded': shown(then.reason), 'replayed': shown(now.reason)}))
     for refusal in tick.refusals:
         print(refusal)
