@@ -4,8 +4,11 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import gc
 import os
 import signal
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -86,6 +89,34 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     """Fail where no test has run: colcon takes pytest's own exit code for that as success."""
     if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+MOST_MEMORY = 3.0e6  # [kB] of one test, and of all that was loaded before it
+MUCH = 0.5e6  # [kB] of which some is free, likely: glibc keeps it
+PROC = Path('/proc/self')
+
+
+@pytest.fixture(autouse=True)
+def _little_memory() -> Iterator[None]:
+    """Fail a test that needs more memory than a worker has, and give back what it does not keep."""
+    try:
+        (PROC / 'clear_refs').write_text('5')  # the peak begins anew
+    except OSError:  # not Linux's, or not ours
+        yield
+        return
+    yield
+    lines = (PROC / 'status').read_text().splitlines()
+    known = {name: int(value.split()[0]) for name, value in map(_status, lines) if 'kB' in value}
+    if known['VmRSS'] > MUCH:
+        gc.collect()
+        with contextlib.suppress(OSError, AttributeError):  # another library of C
+            ctypes.CDLL(None).malloc_trim(0)
+    assert known['VmHWM'] < MOST_MEMORY, f'it took {1e-6 * known["VmHWM"]:.2f} GB'
+
+
+def _status(line: str) -> tuple[str, str]:
+    name, _, value = line.partition(':')
+    return name, value
 
 
 @pytest.fixture
