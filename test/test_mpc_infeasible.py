@@ -119,3 +119,13 @@ def test_what_is_refuted_has_no_solution_and_what_has_one_is_not(seed):
         assert said(case)
         assert made is not None
         assert verified(parsed(made.text().encode())).proved == np.inf
+
+
+@pytest.mark.parametrize('orders', [(1, 1), (1, 2), (2, 1), (2, 2)])
+@pytest.mark.parametrize('dimension', [2, 3])
+def test_an_arrival_far_out_of_reach_is_infeasible_even_if_there_is_no_time(dimension, orders):
+    problem = Problem(dimension, *orders, horizon=5, terminal='constraint')
+    state = State.at(np.zeros(dimension), np.eye(dimension))
+    goals = np.full((5, dimension), 100.0)
+    with pytest.raises(Infeasible, match='beyond what 5 steps can reach'):
+        Solver(problem).solve(state, goals, out_of_time=lambda: True)

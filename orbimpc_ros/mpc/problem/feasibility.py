@@ -50,13 +50,20 @@ def constraints_in_force(problem: Problem, state: State) -> list[str]:
     return [name for name, in_force in named.items() if in_force]
 
 
-def _out_of_reach(problem: Problem, state: State, goals: Array) -> Iterator[str]:
-    """At full thrust all the way, no point is farther from the coasting one than this."""
+def beyond_reach(problem: Problem, state: State, goals: Array) -> float:
+    """Return by how far a goal that is to be arrived at is out of reach [m]; below 0 if it is not.
+
+    At full thrust all the way, no point is farther from the coasting one than this.
+    """
     if problem.terminal != 'constraint':
-        return
+        return -np.inf
     reach = problem.maps.reach[-1]
     coasted = dynamics.drift(problem, state)[-1] + reach[0] * state.rotation[:, 0]
-    beyond = float(np.linalg.norm(goals[-1] - coasted) - reach[1:].sum())
+    return float(np.linalg.norm(goals[-1] - coasted) - reach[1:].sum())
+
+
+def _out_of_reach(problem: Problem, state: State, goals: Array) -> Iterator[str]:
+    beyond = beyond_reach(problem, state, goals)
     if beyond > 0.0:
         yield (
             f'terminal: constraint asks for a goal {beyond:.4g} m beyond what '
