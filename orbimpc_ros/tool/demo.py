@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.tool.arguments import add_set
 from orbimpc_ros.tool.files import new_folder, shown, writing_to
 
 if TYPE_CHECKING:
@@ -56,13 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--out', default='out', metavar='DIR', help='takes the results (default: %(default)s)'
     )
-    parser.add_argument(
-        '--set',
-        action='append',
-        default=[],
-        metavar='NAME=VALUE',
-        help='override a parameter of planner or simulator; may be repeated',
-    )
+    add_set(parser, 'override a parameter of planner or simulator')
 
 
 def run(args: argparse.Namespace) -> int:
@@ -154,7 +149,6 @@ def report(folder: Path, places: Mapping[str, Path]) -> int:
         folder: takes the pictures.
         places: of the flights' bags, by name.
     """
-    from orbimpc_ros.sim.engine_vehicle import ENGINES
     from orbimpc_ros.tool import history, summary
 
     flown = {name: history.of_bag(place / 'bag') for name, place in places.items()}
@@ -163,9 +157,6 @@ def report(folder: Path, places: Mapping[str, Path]) -> int:
     for place in places.values():
         print(f'bag           {shown(place / "bag")}')
     _draw(folder, flown)
-    for name, place in places.items():
-        if flown[name].values['vehicle'] in ENGINES:
-            _render(folder, place / 'bag')
     return 0 if all(each.captured for each in flown.values()) else 1
 
 
@@ -206,16 +197,3 @@ def _draw(folder: Path, flown: Mapping[str, History]) -> None:
         save(figure, folder / name)
         label = 'picture' if name == figures.PATH else Path(name).stem
         print(f'{label:<14}{shown(folder / name)}')
-
-
-def _render(folder: Path, bag: Path) -> None:
-    """Have the engine of a flight draw it, if it can here; the flight is none the worse if not."""
-    from orbimpc_ros.tool.rendering import render
-
-    try:
-        rendered = render(bag, folder)
-    except Exception as error:  # of what kind depends on the graphics that are missing
-        print(f'rendered      not here: {error}'.splitlines()[0])
-    else:
-        if rendered is not None:
-            print(f'rendered      {shown(rendered)}')

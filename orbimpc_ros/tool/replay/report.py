@@ -29,16 +29,12 @@ SAME, DIFFERENT = 0, 1
 def run(args: argparse.Namespace) -> int:
     """Replay, print, and return the exit code."""
     begun = time.perf_counter()
-    path = Path(args.bag)
-    namespace = f'/{args.namespace.strip("/")}' if args.namespace.strip('/') else ''
-    values = _values(path, namespace, args.params, args.set)
-    planner = planner_settings(values)
-    recording = recording_of(path, namespace, resolved(planner, namespace))
+    values = _values(Path(args.bag), args.namespace, args.params, args.set)
+    recording, planner = _opened(Path(args.bag), args.namespace, values)
     if args.tick is not None:
         wanted = _tick(args, len(recording.answers))
         recording = replace(recording, answers=recording.answers[: wanted + 1])
-    simulated = bool(values.get('use_sim_time', recording.simulated))
-    answers = list(replayed(recording, planner, simulated))
+    answers = list(_replayed(recording, planner, values))
     found = compared(answers, planner)
     if args.tick is not None:
         found = [each for each in found if each.tick == args.tick]
@@ -48,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     _print(recording, found, answers, whole, time.perf_counter() - begun)
     if args.update:
         accept(recording, answers, values)
-        print(f'accepted      {path}')
+        print(f'accepted      {recording.path}')
         return SAME
     lacking = whole.unanswered > _may_be_unanswered(recording, planner)
     differs = any(each.differs for each in found)
@@ -63,11 +59,21 @@ def ticks_of(path: Path, params: str | None, namespace: str) -> Iterator[Replaye
         params: a file of parameters, for a bag without notes of them.
         namespace: of the vehicle.
     """
-    namespace = f'/{namespace.strip("/")}' if namespace.strip('/') else ''
     values = _values(path, namespace, params, [])
+    yield from _replayed(*_opened(path, namespace, values), values)
+
+
+def _opened(
+    path: Path, namespace: str, values: settings.Values
+) -> tuple[Recording, PlannerSettings]:
     planner = planner_settings(values)
-    recording = recording_of(path, namespace, resolved(planner, namespace))
-    yield from replayed(recording, planner, bool(values.get('use_sim_time', recording.simulated)))
+    return recording_of(path, namespace, resolved(planner, namespace)), planner
+
+
+def _replayed(
+    recording: Recording, planner: PlannerSettings, values: settings.Values
+) -> Iterator[ReplayedTick]:
+    return replayed(recording, planner, bool(values.get('use_sim_time', recording.simulated)))
 
 
 def _may_be_unanswered(recording: Recording, planner: PlannerSettings) -> float:
