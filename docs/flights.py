@@ -8,7 +8,6 @@ before is drawn without another flight.
 from __future__ import annotations
 
 import argparse
-import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
@@ -19,7 +18,6 @@ from matplotlib.figure import Figure
 from orbimpc_ros.sim.fleet import crossers, vehicles
 from orbimpc_ros.tool import animation, cli, figures, history
 from orbimpc_ros.tool.history import History
-from orbimpc_ros.tool.rendering import RENDERED
 from orbimpc_ros.tool.style import in_both_looks
 
 DOCS = Path(__file__).resolve().parent
@@ -64,7 +62,9 @@ def draw(name: str, place: Path) -> None:
         flown = {bag.parent.name if len(bags) > 1 else '': history.of_bag(bag) for bag in bags}
     pictures = DOCS / 'pictures' if name in FOLDED else DOCS
     if name == 'rope':
-        shutil.copy(place / RENDERED, pictures / 'rope.gif')
+        from rendering import render  # takes MuJoCo and OpenGL
+
+        render(place / 'bag', pictures / 'rope.gif')
     else:
         in_both_looks(drawn(flown), pictures / f'{name}.png')
     if name == 'retrieval':

@@ -245,7 +245,8 @@ def draw_view(
         axes.set(ylim=(middle[1] - half, middle[1] + half))
         _draw_misses(axes, first, pick)
     axes.set(xlabel=f'{"xyz"[across[0]]} [m]', ylabel=f'{"xyz"[across[1]]} [m]', title=title)
-    axes.set_aspect('equal', adjustable='datalim' if around is None else 'box')
+    whole = around is None and len(flown) <= 2
+    axes.set_aspect('equal', adjustable='datalim' if whole else 'box')
 
 
 def _draw_flight(
