@@ -68,7 +68,8 @@ def story(flown: Mapping[str, History]) -> str:
         times = [each.end - each.times[0] for each in flown.values() if each.captured]
         arrive = any(each.arrives for each in flown.values())
         done = 'vehicles arrived' if arrive else 'ropes caught'
-        last = f', the last at t = {max(times):.1f} s' if len(times) == len(flown) else ''
+        caught = len(times) == len(flown) and not arrive  # arrivals fly on to the end
+        last = f', the last at t = {max(times):.1f} s' if caught else ''
         return f'{len(times)} of {len(flown)} {done}{last}'
     return '\n'.join(
         f'{plain(name)}: {_end(each)}' if name else _end(each) for name, each in flown.items()
