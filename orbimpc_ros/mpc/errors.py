@@ -5,8 +5,12 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from orbimpc_ros.install import command
+
+if TYPE_CHECKING:
+    from orbimpc_ros.mpc.proof.tree import ProofTree
 
 LISTED = 20  # names that an error lists at most
 
@@ -79,7 +83,16 @@ def _in_short(text: str) -> str:
 
 
 class Infeasible(OrbimpcError):
-    """No trajectory satisfies the constraints; the message names the one to blame."""
+    """No trajectory satisfies the constraints; the message names the one to blame.
+
+    Args:
+        message: in one line.
+        proof: a tree whose leaves are all empty, where there is one.
+    """
+
+    def __init__(self, message: str, proof: ProofTree | None = None) -> None:
+        super().__init__(message)
+        self.proof = proof
 
 
 class SolverFailure(OrbimpcError):
