@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from dubins import Chase, earliest
 from problems import floor
-from stepping import Stepped
+from stepping import Motion, Stepped
 
 from orbimpc_ros.loop.intercept import AIM, Interception, InterceptQuery, Target
 from orbimpc_ros.loop.state import Odometry
-from orbimpc_ros.loop.task import Solvers
+from orbimpc_ros.loop.task import Solvers, Task
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.request import Enough
@@ -145,19 +145,35 @@ def soonest(chase, step, horizon, deadline):
         horizon: steps within which a catch is looked for.
         deadline: returns what tells one search that its time is up; called for each of them.
     """
-    near = radius(chase, step)
-    posed, start = problem(chase, step, horizon), _start(chase)
-    interception = Interception(posed, near, Solvers(posed))
+    near, posed = radius(chase, step), problem(chase, step, horizon)
+    places, knots = goals(chase, step, horizon), np.arange(1.0, horizon + 1.0)
+    task = Task(posed, _start(chase), places, knots)
+    motion = Motion(lambda times: chase.goal + np.outer(times, chase.course))
+    interception = Interception(posed, near, _SolversOfCatches(posed, near, deadline))
+    return interception.earliest(InterceptQuery(task, motion, 0.0))[2]
 
-    def places(end):
-        steps = interception.problem(Target(end))
-        return goals(chase, steps.step, steps.horizon)
 
-    def solved(target, places):
-        return _solver(interception, target, near).solve(start, places, None, deadline())
+class _SolversOfCatches(Solvers):
+    """Solvers whose searches stop at the first catch, or once none is proved to be."""
 
-    hunt = InterceptQuery(start, places, solved, lambda: False, horizon, between=True)
-    return interception.earliest(hunt)[1]
+    def __init__(self, problem, near, deadline):
+        super().__init__(problem)
+        self._near, self._deadline = near, deadline
+
+    def new(self, problem, enough=None):
+        stop = enough and Enough((AIM * self._near) ** 2, enough.bound)
+        return _DeadlinedSolver(problem, self._deadline, stop)
+
+
+class _DeadlinedSolver(Solver):
+    """A solver with a deadline of its own for each of its searches."""
+
+    def __init__(self, problem, deadline, enough):
+        super().__init__(problem, enough=enough)
+        self._deadline = deadline
+
+    def solve(self, state, goals, guess=None, _out_of_time=None):
+        return super().solve(state, goals, guess, self._deadline())
 
 
 def _start(chase):

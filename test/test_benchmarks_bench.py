@@ -220,7 +220,7 @@ def test_requirements_are_least_ratios_and_most_of_everything_else():
 @pytest.mark.parametrize(('most', 'code'), [(1.0, 1), (3.0, 0)])
 def test_a_requirement_that_is_missed_fails_the_run(run, monkeypatch, most, code):
     row = BenchRow('p', OURS, 1, p50_ms=2.0, required={'p50_ms': most})
-    monkeypatch.setattr(bench, 'contested', lambda *_: [row])
+    monkeypatch.setattr(bench, 'compared', lambda *_: [row])
     assert run('--only', 'square')[0] == code
 
 
@@ -367,8 +367,8 @@ def test_the_picture_shows_every_ratio_whole_and_marks_capped_ones():
 
 
 def test_every_problem_of_the_help_can_be_asked_for():
-    assert bench.problems()[-3:] == ['start', 'latency', 'planners']
-    assert len(set(bench.problems())) == len(bench.problems())
+    assert bench.names()[-3:] == ['start', 'latency', 'planners']
+    assert len(set(bench.names())) == len(bench.names())
 
 
 # --- vehicles met in flight

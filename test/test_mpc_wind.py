@@ -220,7 +220,7 @@ def test_an_estimate_may_change_what_is_planned_with_from_tick_to_tick():
     seen = measured(launched(Model(), np.zeros(2), np.eye(2)))
     goals = np.tile([2.0, 2.0], (5, 1))
     for wind in ([0.0, 0.0], [0.4, 0.0]):
-        controller.disturbance = np.array(wind)
+        controller._compensator.disturbance = np.array(wind)
         tick = controller.tick(seen, goals)
         np.testing.assert_allclose(tick.state.disturbance, wind)
         np.testing.assert_allclose(

@@ -140,7 +140,8 @@ def pytest_pycollect_makemodule(module_path, parent):
 @pytest.fixture
 def suite(tmp_path):
     """Return what runs pytest in a folder with this suite's conftest.py, as in a workspace."""
-    shutil.copy(ROOT / 'test' / 'conftest.py', tmp_path)
+    for name in ('conftest.py', 'harness.py'):
+        shutil.copy(ROOT / 'test' / name, tmp_path)
     (tmp_path / 'plugin.py').write_text(LAUNCH_TESTING)
 
     def go(**modules):

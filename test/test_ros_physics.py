@@ -58,7 +58,7 @@ def test_a_gust_that_turns_the_nose_turns_no_plan(believed):
     heading = math.atan2(*report.decision.state.attitude[::-1, 0])
     assert heading == pytest.approx(0.0 if believed else slip, abs=1e-6)
     if believed:
-        np.testing.assert_allclose(report.disturbance, 0.0, atol=1e-3)
+        np.testing.assert_allclose(report.decision.disturbance, 0.0, atol=1e-3)
         assert abs(report.decision.command.body_rate[0]) < 1e-3
 
 

@@ -26,12 +26,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--json', metavar='FILE', help='write the result there')
     parser.add_argument('--picture', metavar='FILE', help='a PNG (default: beside the JSON)')
     parser.add_argument(
-        '--only', nargs='+', metavar='PROBLEM', help=f'some of: {", ".join(problems())}'
+        '--only', nargs='+', metavar='PROBLEM', help=f'some of: {", ".join(names())}'
     )
     parser.add_argument('--quick', action='store_true', help='few instances, low time limits')
 
 
-def problems() -> list[str]:
+def names() -> list[str]:
     """Return the short names of everything that can be measured."""
     return [*dict.fromkeys(comparison.key for comparison in COMPARISONS), *live.NAMES]
 
@@ -56,9 +56,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _wanted(only: list[str] | None) -> list[str]:
     for name in only or ():
-        if name not in problems():
-            raise BadInput('--only', name, ' | '.join(problems()))
-    return only or problems()
+        if name not in names():
+            raise BadInput('--only', name, ' | '.join(names()))
+    return only or names()
 
 
 def _files(args: argparse.Namespace) -> tuple[Path | None, Path | None]:
