@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.model.cost import length_weights
 from orbimpc_ros.mpc.model.dynamics import translation_rollout
 from orbimpc_ros.mpc.model.motion import controls
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
-from orbimpc_ros.mpc.problem import Ball, Box, Floor, Hazard, Problem, State, Weights
+from orbimpc_ros.mpc.problem import Ball, Box, Floor, MovingObstacle, Problem, State, Weights
 from orbimpc_ros.mpc.proof import verifier
 from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf, Split, statement
 from orbimpc_ros.mpc.proof.verifier import least as closed
@@ -304,7 +304,7 @@ def passing(body, inertia, kind, rng):
     """
     problem = Problem(2, 1, inertia, 3, 0.3, 1.7, discretisation=kind)
     extra = {'velocity': rng.normal(size=2)} if inertia == 2 else {}
-    drift = Hazard.drifting(body, rng.normal(size=2))
+    drift = MovingObstacle.drifting(body, rng.normal(size=2))
     known = {'disturbance': rng.normal(size=2), 'hazards': (drift,), **extra}
     state = State.at(rng.normal(size=2), rotation(2, rng), **known)
     exact = verifier.posed_by(statement(problem, state, np.zeros((3, 2))))

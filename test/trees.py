@@ -13,7 +13,16 @@ from orbimpc_ros.mpc.geometry.orbitopes import coordinates
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.model.dynamics import translation_rollout
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
-from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Hazard, Problem, State, Weights
+from orbimpc_ros.mpc.problem import (
+    Approach,
+    Ball,
+    Box,
+    Floor,
+    MovingObstacle,
+    Problem,
+    State,
+    Weights,
+)
 from orbimpc_ros.mpc.proof import tree as trees
 from orbimpc_ros.mpc.proof.limits import STEP, limits_of
 from orbimpc_ros.mpc.proof.stated import Statement
@@ -167,7 +176,7 @@ def _beside(problem: Problem, state: State, x: np.ndarray, counts: dict, rng: An
     for _ in range(counts['hazards']):
         middle = positions[0] + rng.normal(size=n)
         body = Ball(middle + 10.0, 1.0) if rng.integers(2) else Box(middle - 12.0, middle - 9.0)
-        hazards.append(Hazard.drifting(body, 0.3 * rng.normal(size=n)))
+        hazards.append(MovingObstacle.drifting(body, 0.3 * rng.normal(size=n)))
     problem = replace(problem, obstacles=tuple(bodies))
     state = replace(state, hazards=tuple(hazards))
     cost = trajectory_of(problem, state, goals, x).cost
