@@ -22,7 +22,6 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
-from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.traffic import Traffic, traffic_of
@@ -148,8 +147,6 @@ class DisjunctiveSearch:
         """Return what the bound of a relaxation rests on where nothing is left to choose."""
         posed = Posed(self.problem, self.program, (), self.turns, request)
         tree = self._tree(posed)
-        if not COMPILED:  # whose multipliers are not as good
-            return None
         tree.solved(0, posed.undecided, empty=empty)
         return tree.proof()
 
