@@ -11,8 +11,8 @@ LINES = {
     'orbimpc_ros/mpc': 24_010,
     'orbimpc_ros/loop': 4_550,
     'orbimpc_ros/ros': 5_300,
-    'orbimpc_ros/sim': 3_570,
-    'orbimpc_ros/tool': 7_200,
+    'orbimpc_ros/sim': 3_575,
+    'orbimpc_ros/tool': 7_225,
     'benchmarks': 5_495,
     'test': 35_300,
 }

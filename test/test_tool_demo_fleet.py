@@ -47,7 +47,7 @@ def test_the_clock_of_a_fleet_waits_for_every_command(monkeypatch):
     assert sent == [10.0, 10.0, 10.0, 10.5, 10.5]
     clock.look(NAMES[:1])  # the other one has landed
     assert sent[-1] == 11.0
-    monkeypatch.setattr(pacer, 'time', SimpleNamespace(monotonic=lambda: 100.0))
+    monkeypatch.setattr(pacer, 'time', SimpleNamespace(monotonic=lambda: 200.0))
     with pytest.raises(OrbimpcError, match='/uav1, /uav2: no command for'):
         clock.look(NAMES)
 

@@ -31,7 +31,7 @@ class Flown(NamedTuple):
 
 
 DEMOS = {
-    'dubins': Flown('arrived       yes', ('trajectory.png',), ('none', 'polygon')),
+    'dubins': Flown('arrived       yes', ('trajectory.png',), ('no_floor', 'floor')),
     'spacecraft': Flown('arrived       yes', thrust='x'),
     'retrieval3d': Flown('captured      t = 8.5', least=np.sqrt(0.3)),
     'multirotor': Flown('touched       no box', thrust='z', rolled=False),

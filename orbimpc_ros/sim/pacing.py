@@ -100,11 +100,13 @@ class LockStep:
             self._give_up(absent, self._waiting.lasted)
 
     def _keep_asking(self) -> None:
-        now = self._node.steady_now()
+        now, patience = self._node.steady_now(), self._settings.wait_timeout
+        if not self._settings.shared_clock:  # where vehicles wait for each other, too
+            patience = min(PATIENCE, patience)
         if self._awaited is None:
             if now - self._asked_at > SETTLED:
                 self._fly_on()
-        elif now - self._progress > min(PATIENCE, self._settings.wait_timeout):
+        elif now - self._progress > patience:
             self._give_up(self._waiting.planner_lacking or NO_ANSWER, now - self._progress)
         elif now - self._asked_at > RESEND:
             self._send()

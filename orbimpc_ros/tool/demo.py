@@ -30,11 +30,13 @@ ALONE = (
     'lander',
 )
 FLEETS = {'fleet': 4, 'crossing': 8}  # scenario: how many vehicles
+# The clock of a fleet stands until the slowest has answered: nothing is stale for that.
+PACED = ('clock=shared', 'odom_timeout=60.0')
 # Flights of a demo, by name. The paper shows the Dubins car with and without minimum speed; its
 # retrieval, which follows the rope as last seen, has beside it one that intercepts it.
 VARIANTS: dict[str, dict[str, tuple[str, ...]]] = {
     'retrieval': {'': (), 'first_pass': ('objective=intercept', 'goal_prediction=harmonic')},
-    'dubins': {'none': ('floor.shape=none',), 'polygon': ('floor.shape=polygon',)},
+    'dubins': {'no_floor': ('floor.shape=none',), 'floor': ('floor.shape=polygon',)},
 }
 
 
@@ -118,7 +120,7 @@ def fleet(
     from orbimpc_ros.tool import settings
 
     file = settings.config(f'{scenario}.yaml')
-    values = settings.resolve(file, ['clock=shared', *changes])
+    values = settings.resolve(file, [*PACED, *changes])
     if values['clock'] == 'lockstep':
         raise BadInput('clock', values['clock'], 'shared or wall: a fleet has one /clock')
     given = {change.partition('=')[0] for change in changes} - {'seed'}

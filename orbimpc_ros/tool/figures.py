@@ -42,7 +42,7 @@ FLIGHTS = ((INK, '-'), (BLUE, '--'))  # of one or two flights side by side
 FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 WIDE = 2.5  # as a ratio of sides
 CLOSE = 2.5  # a path so many times larger than what is around its end gets a second view
-MOST_ARROWS = 30
+MOST_ARROWS, MOST_PLANS = 15, 6  # of a flight; of one of a fleet a third
 VIEW = (24.0, -62.0)  # elevation and azimuth [deg]
 LEAST_GAP = 1e-16  # drawn for none, which has no place on a logarithmic axis
 
@@ -68,11 +68,17 @@ def story(flown: Mapping[str, History]) -> str:
         times = [each.end - each.times[0] for each in flown.values() if each.captured]
         arrive = any(each.arrives for each in flown.values())
         done = 'vehicles arrived' if arrive else 'ropes caught'
-        last = f', the last at t = {max(times):.1f} s' if len(times) == len(flown) else ''
+        caught = len(times) == len(flown) and not arrive  # arrivals fly on to the end
+        last = f', the last at t = {max(times):.1f} s' if caught else ''
         return f'{len(times)} of {len(flown)} {done}{last}'
     return '\n'.join(
-        f'{name}: {_end(each)}' if name else _end(each) for name, each in flown.items()
+        f'{plain(name)}: {_end(each)}' if name else _end(each) for name, each in flown.items()
     )
+
+
+def plain(name: str) -> str:
+    """Return the name of a flight as it is written beside it; a namespace's is elsewhere."""
+    return '' if name.startswith('/') else name.replace('_', ' ')
 
 
 def _end(history: History) -> str:
@@ -193,6 +199,11 @@ def swing(history: History) -> Array:
     return fine if np.allclose(known, history.ropes, atol=0.05) else history.ropes
 
 
+def some_plans(history: History) -> Sequence[Any]:
+    """Return as many plans of a flight, evenly over it, as can be told apart."""
+    return history.plans[:: max(1, math.ceil(len(history.plans) / MOST_PLANS))]
+
+
 def boxes(history: History) -> list[Array]:
     """Return the lower and the upper corner of every obstacle, shape (2, n) each [m]."""
     values = settings.of_sim(history.values)
@@ -222,10 +233,12 @@ def draw_view(
     """
     pick = list(across)
     first = next(iter(flown.values()))
-    draw_boxes(axes, first, pick)
+    if draw_boxes(axes, first, pick):
+        title += f'; dotted: {"above or below" if across == (0, 1) else "beside"} the path'
     for number, (name, history) in enumerate(flown.items()):
-        _draw_flight(axes, history, pick, FLIGHTS[number % 2 if len(flown) == 2 else 0], name)
-        if len(flown) > 2:
+        kind, fleet = FLIGHTS[number % 2 if len(flown) == 2 else 0], len(flown) > 2
+        _draw_flight(axes, history, pick, kind, name, MOST_ARROWS // 3 if fleet else MOST_ARROWS)
+        if fleet:
             _draw_name(axes, name.strip('/'), history)
     if around is not None:
         middle, half = around[0][pick], around[1]
@@ -233,20 +246,26 @@ def draw_view(
         axes.set(ylim=(middle[1] - half, middle[1] + half))
         _draw_misses(axes, first, pick)
     axes.set(xlabel=f'{"xyz"[across[0]]} [m]', ylabel=f'{"xyz"[across[1]]} [m]', title=title)
-    axes.set_aspect('equal', adjustable='datalim' if around is None else 'box')
+    whole = around is None and len(flown) <= 2
+    axes.set_aspect('equal', adjustable='datalim' if whole else 'box')
 
 
 def _draw_flight(
-    axes: Axes, history: History, pick: list[int], kind: tuple[str, str], name: str
+    axes: Axes,
+    history: History,
+    pick: list[int],
+    kind: tuple[str, str],
+    name: str,
+    most: int = MOST_ARROWS,
 ) -> None:
     color, line = kind
-    path, step = flown_path(history), max(1, len(history.times) // MOST_ARROWS)
-    for planned in history.plans[:: step if history.plans else 1]:
-        axes.plot(*planned.points[:, pick].T, color=SKY, lw=0.7, alpha=0.7, label='plans')
+    path, step = flown_path(history), max(1, len(history.times) // most)
+    for planned in some_plans(history):
+        axes.plot(*planned.points[:, pick].T, color=SKY, lw=0.9, label='some plans')
     goal = swing(history)[:, pick]
     if np.ptp(goal, axis=0).any():
         axes.plot(*goal.T, color=ORANGE, lw=4, alpha=0.5, zorder=1, label="goal's way")
-    label = f'flown path, {name}' if name and not name.startswith('/') else 'flown path, headings'
+    label = f'flown path, {plain(name)}' if plain(name) else 'flown path, headings'
     axes.plot(*path[:, pick].T, line, color=color, lw=1.3, zorder=4, label=label)
     arrows: Any = {'angles': 'xy', 'units': 'inches', 'scale': 6.0, 'width': 0.018, 'zorder': 5}
     headings = history.headings[:-1:step][:, pick]
@@ -278,7 +297,7 @@ def _draw_misses(axes: Axes, history: History, pick: list[int]) -> None:
         _cross(axes, number, ends[1])
     at = window(history)[0]
     reach: Any = {'fill': False, 'ec': GREEN, 'ls': '--', 'lw': 1.2, 'zorder': 7}
-    circle = Circle(tuple(at[pick]), history.radius, label=f'within {history.radius:g} m', **reach)
+    circle = Circle(tuple(at[pick]), history.radius, label=f'within {radius_of(history)}', **reach)
     axes.add_patch(circle)
 
 
@@ -293,18 +312,22 @@ def _star(axes: Any, at: Sequence[float] | Array, label: str) -> None:
     axes.plot(*at, '*', color=GREEN, mec=INK, mew=0.6, ms=14, zorder=10, ls='', label=label)
 
 
-def draw_boxes(axes: Axes, history: History, pick: list[int]) -> None:
-    """Draw obstacles against two axes; in space each with its extent along the third one."""
-    kind: Any = {'fc': FAINT, 'ec': GREY, 'hatch': '///', 'alpha': 0.6, 'zorder': 1}
+def draw_boxes(axes: Axes, history: History, pick: list[int]) -> bool:
+    """Draw obstacles against two axes; return whether the path seems to lead through one.
+
+    In space it does where it passes in front of a box or behind it: that one is only outlined.
+    """
+    solid: Any = {'fc': FAINT, 'ec': GREY, 'hatch': '///', 'alpha': 0.6, 'label': 'obstacle'}
+    outline: Any = {'fill': False, 'ec': GREY, 'ls': ':', 'lw': 1.2}
+    path, passed = flown_path(history)[:, pick], False
+    fine = np.linspace(0, len(path) - 1, 20 * len(path))
+    points = np.stack([np.interp(fine, range(len(path)), along) for along in path.T], axis=1)
     for low, high in boxes(history):
-        corner, size = low[pick], (high - low)[pick]
-        axes.add_patch(Rectangle(tuple(corner), *size, label='obstacle', **kind))
-        if len(low) == 3:
-            (third,) = {0, 1, 2} - set(pick)
-            text = f'{"xyz"[third]} {low[third]:g} to {high[third]:g}'
-            middle = corner + 0.5 * size
-            how: Any = {'ha': 'center', 'va': 'center', 'fontsize': 7.0, 'path_effects': halo()}
-            axes.text(middle[0], middle[1], text, clip_on=True, zorder=2, **how)
+        inside = np.all((points > low[pick]) & (points < high[pick]), axis=1).any()
+        beside = len(low) == 3 and bool(inside)
+        kind, passed = outline if beside else solid, passed or beside
+        axes.add_patch(Rectangle(tuple(low[pick]), *(high - low)[pick], zorder=1, **kind))
+    return passed
 
 
 def _draw_name(axes: Axes, name: str, history: History) -> None:
@@ -343,8 +366,8 @@ def draw_space(figure: Figure, place: Any, flown: Mapping[str, History], seen: A
     draw_solids(axes, boxes(next(iter(flown.values()))))
     for history in flown.values():
         path, step = flown_path(history), max(1, len(history.times) // MOST_ARROWS)
-        for planned in history.plans[::step]:
-            axes.plot(*planned.points.T, color=SKY, lw=0.7, alpha=0.7, label='plans')
+        for planned in some_plans(history):
+            axes.plot(*planned.points.T, color=SKY, lw=0.9, label='some plans')
         if np.ptp(swing(history), axis=0).any():
             axes.plot(*swing(history).T, color=ORANGE, lw=3.5, alpha=0.6, label="goal's way")
         axes.plot(*path[:, :2].T, ground, color=FAINT, lw=1.0, label='shadow')
@@ -398,17 +421,22 @@ def draw_distances(axes: Axes, flown: Mapping[str, History]) -> None:
         begun, (color, line) = history.times[0], FLIGHTS[number if len(flown) == 2 else 0]
         times, distances = np.array([(m.time - begun, m.distance) for m in history.moments]).T
         shown = np.maximum(distances, 0.2 * history.radius)  # arrivals have no place on the axis
-        label = name if len(flown) == 2 else '_'
+        label = plain(name) if len(flown) == 2 else '_'
         axes.plot(times, shown, line, color=color, lw=1.2, label=label)
         if history.captured:
             _star(axes, (history.end - begun, shown[-1]), 'arrived' if first.arrives else 'caught')
     if len(flown) == 1:
         for number, miss in enumerate(first.near_misses, start=1):
             _cross(axes, number, np.array([miss.time - first.times[0], miss.distance]))
-    draw_limit(axes, first.radius, f'{first.radius:g} m', GREEN)
+    draw_limit(axes, first.radius, radius_of(first), GREEN)
     axes.set(title='Distance to the goal', ylabel='distance [m]', yscale='log')
     _plain_log(axes)
     legend_above(axes)
+
+
+def radius_of(history: History) -> str:
+    """Return the radius of a catch as people write it."""
+    return f'{history.radius:g} m' if history.radius >= 0.1 else length(history.radius)
 
 
 def _plain_log(axes: Axes) -> None:
@@ -449,7 +477,7 @@ def draw_shares(axes: Axes, flown: Mapping[str, History]) -> None:
         ]
         if planned:
             planned.append((history.end - history.times[0], planned[-1][1]))  # holds to the end
-            label, lines = (name if len(flown) == 2 else '_'), np.array(planned).T
+            label, lines = (plain(name) if len(flown) == 2 else '_'), np.array(planned).T
             axes.step(*lines, line, where='post', color=color, lw=1.3, label=label)
     floored = [each.values for each in flown.values() if each.values['floor.shape'] != 'none']
     if floored:

@@ -70,7 +70,7 @@ UNHEARD = SubscriptionEventCallbacks(use_default_callbacks=False)
 UNSENT = PublisherEventCallbacks(use_default_callbacks=False)
 GOAL_PATIENCE = 0.1  # [s] to wait for the goal that belongs to an odometry message
 STANDING_PATIENCE = 1.0  # [s] the same while simulated time stands: who waits sends it again
-LEADERS_PATIENCE = 10.0  # [s] the same for plans of other vehicles
+LEADERS_PATIENCE = 30.0  # [s] the same for plans of other vehicles
 MARKERS = 10  # messages on obstacles that may wait, for each may matter
 REPEAT = 0.1  # [s] until a repeated request is answered again: not for messages that come twice
 WATCH = 0.05  # [s] how often the inputs' age is looked at, at least

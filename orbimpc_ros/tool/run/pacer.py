@@ -15,7 +15,7 @@ from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.tool.run.recorder import Recorder
 
 AGAIN = 0.2  # [s] from one message of the same time to the next; the first may be lost
-PATIENCE = 60.0  # [s] for the answers to a step
+PATIENCE = 120.0  # [s] for the answers to a step
 STARTING = 600.0  # [s] and to the first one, before which machine code may be compiled
 
 
