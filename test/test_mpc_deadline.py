@@ -33,7 +33,6 @@ from orbimpc_ros.mpc.problem import (
     leaving,
     traffic,
 )
-from orbimpc_ros.mpc.proof.recount import Recount
 from orbimpc_ros.mpc.solve import (
     annulus_newton,
     arc_search,
@@ -253,9 +252,9 @@ def test_what_would_take_long_to_count_is_not_counted_after_the_deadline(monkeyp
         watch.begin(10)
         proof = solver.solve(start, targets, out_of_time=watch.out_of_time).proof
         assert proof.lower_bound > 0.0
-        assert proof.checked is (proof.grounds is not None) is counted
+        assert proof.checked is (proof.tree is not None) is counted
         if counted:  # or there was nothing to save
-            assert proof.grounds.bends.size > 2000
+            assert proof.tree.shor.size > 2000
 
 
 def test_a_solver_does_not_count_what_its_method_was_just_in_time_to_tell(monkeypatch):
@@ -275,7 +274,7 @@ def test_a_solver_does_not_count_what_its_method_was_just_in_time_to_tell(monkey
 
     monkeypatch.setattr(cell_tree.CellSearch, 'grounds', property(grounds))
     proof = solver.solve(start, targets, out_of_time=out_of_time).proof
-    assert (proof.checked, proof.grounds) == (False, None)
+    assert (proof.checked, proof.tree) == (False, None)
     assert proof.lower_bound > 0.0
 
 
@@ -384,7 +383,7 @@ def test_no_more_than_a_few_turns_are_tried_once_time_is_up(monkeypatch):
 
 @pytest.mark.parametrize('hazards', [False, True])
 def test_the_ways_out_of_a_body_are_worked_out_once_for_a_state(monkeypatch, hazards):
-    """Once in natural units, once as posed, for search, recount, check and all that stands in."""
+    """Once in natural units, once as posed, for search, verifier, check and all that stands in."""
     ball, asked, inside = Ball([0.2, 0.1], 1.0), [], traffic.inside
     monkeypatch.setattr(traffic, 'inside', lambda *args: asked.append(args) or inside(*args))
     shut = Ball([0.0, 0.0], 30.0)  # there is no way out, so that everything is tried
@@ -443,15 +442,6 @@ def test_escapes_turn_as_fast_as_may_be_and_then_go_straight():
                     at = z[k]
 
 
-def test_trees_of_long_polygons_are_compiled_at_the_start(monkeypatch):
-    expected = []
-    monkeypatch.setattr(Recount, 'expect_choices', lambda _: expected.append(1))
-    Recount(Problem(horizon=30, floor=floor('polygon', 0.5, 6)))
-    assert not expected
-    Recount(Problem(horizon=31, floor=floor('polygon', 0.5, 6)))
-    assert expected
-
-
 def test_a_landing_is_searched_no_further_than_its_gap_needs(monkeypatch):
     """Many ways to burn cost nearly the same: to the last digit none is proved the best."""
     monkeypatch.setattr(disjunctive_bnb, 'MAX_NODES', 150)
@@ -473,6 +463,6 @@ def test_of_a_search_among_bodies_too_large_to_count_the_first_nodes_are_counted
         monkeypatch.setattr(module, 'AFTERWARDS', 20 * 6 * 8)
     plan = solver.solve(start, targets, out_of_time=lambda: next(polls) > 60)
     assert plan.nodes > 8
-    assert len(plan.proof.grounds.splits) <= 8
+    assert len(plan.proof.tree.nodes) <= 8
     assert plan.proof.checked
     assert 0.0 < plan.lower_bound <= best.objective * (1.0 + 1e-9)

@@ -19,8 +19,9 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.problem import Floor, Problem
 from orbimpc_ros.mpc.problem.floor import largest_fraction
+from orbimpc_ros.mpc.proof.document import verified
 from orbimpc_ros.mpc.proof.prove import WORD
-from orbimpc_ros.mpc.proof.verifier import parsed, verified
+from orbimpc_ros.mpc.proof.verifier import parsed
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.clock import RosTime
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
@@ -458,7 +459,7 @@ def test_without_time_for_a_proof_a_tick_says_whose_word_it_is():
 
 def of_the_methods_word(report, bound):
     """Return a report whose bound nobody has counted."""
-    proof = replace(report.decision.plan.proof, lower_bound=bound, checked=False, grounds=None)
+    proof = replace(report.decision.plan.proof, lower_bound=bound, checked=False, tree=None)
     plan = replace(report.decision.plan, proof=proof)
     return replace(report, decision=replace(report.decision, plan=plan, status=plan.status))
 

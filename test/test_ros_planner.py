@@ -15,7 +15,8 @@ from planners import QUICK, Bench, goal, moving, odometry, told
 from std_msgs.msg import Bool, UInt8MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from orbimpc_ros.mpc.proof.verifier import parsed, verified
+from orbimpc_ros.mpc.proof.document import verified
+from orbimpc_ros.mpc.proof.verifier import parsed
 from orbimpc_ros.ros.process import qos
 
 

@@ -14,7 +14,7 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.proof.certificate import Certificate, Leaf
 from orbimpc_ros.mpc.proof.kept import kept
-from orbimpc_ros.mpc.proof.prove import WORD
+from orbimpc_ros.mpc.proof.prove import WORD, Unproved
 from orbimpc_ros.mpc.solve.solver import Solver
 from orbimpc_ros.tool import cli
 from orbimpc_ros.tool.bags import BagWriter
@@ -110,9 +110,13 @@ def test_what_is_no_certificate_is_bad_input(run, tmp_path, text):
     assert error.count('\n') == 1
 
 
-def test_a_plan_without_a_certificate_is_printed_and_says_so(run, tmp_path):
+def test_a_plan_without_a_certificate_is_printed_and_says_so(run, tmp_path, monkeypatch):
+    def unproved(*_):
+        raise Unproved('no certificate: one tangent proves 3')
+
+    monkeypatch.setattr('orbimpc_ros.tool.solve.certificate_for', unproved)
     problem = tmp_path / 'problem.json'
-    problem.write_text(json.dumps({**CASES['uav_square_0'], 'rotation_order': 2}))
+    problem.write_text(json.dumps(CASES['uav_square_0']))
     code, out, error = run('solve', problem, '--certificate', tmp_path / 'none.json')
     assert code == 1
     assert json.loads(out)['status'] == 'optimal'

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Any
 
 from orbimpc_ros.install import command
 
@@ -79,7 +80,16 @@ def _in_short(text: str) -> str:
 
 
 class Infeasible(OrbimpcError):
-    """No trajectory satisfies the constraints; the message names the one to blame."""
+    """No trajectory satisfies the constraints; the message names the one to blame.
+
+    Args:
+        message: in one line.
+        proof: a ``ProofTree`` whose leaves are all empty, where there is one.
+    """
+
+    def __init__(self, message: str, proof: Any = None) -> None:
+        super().__init__(message)
+        self.proof = proof
 
 
 class SolverFailure(OrbimpcError):

@@ -17,7 +17,7 @@ from orbimpc_ros.mpc.geometry.rotations import project_all
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.grounds import Left
+from orbimpc_ros.mpc.proof.tree import ProofTree
 
 TINY = 1e-12  # a size that has no direction
 WITHIN = 1.0 - 1e-9  # of the widest turn, which rounding is not to exceed
@@ -37,8 +37,7 @@ class Proof:
         reason: why no more was proved, where there is more to say than the gap.
         checked: whether the bound is no more than what was counted again, or proved in exact
             arithmetic, by code that shares nothing with the method; else it is the method's word.
-        grounds: what the bound rests on, bends of what has splits in cost units; None where that
-            is not known.
+        tree: which proves the bound, in the problem's own units; None where there is none.
     """
 
     lower_bound: float
@@ -47,7 +46,7 @@ class Proof:
     cost_unit: float
     reason: str = ''
     checked: bool = False
-    grounds: Left | None = field(default=None, compare=False, repr=False)
+    tree: ProofTree | None = field(default=None, compare=False, repr=False)
 
 
 UNPROVED = Proof(-np.inf, 0, 0.0, 0.0)

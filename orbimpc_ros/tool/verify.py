@@ -27,8 +27,8 @@ from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Approach
 from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.problem.sought import Sought
-from orbimpc_ros.mpc.proof import verifier
-from orbimpc_ros.mpc.proof.certificate import Certificate, Refutation, statement
+from orbimpc_ros.mpc.proof import document, verifier
+from orbimpc_ros.mpc.proof.certificate import Refutation, statement
 from orbimpc_ros.mpc.proof.prove import Unproved, certificates_for
 from orbimpc_ros.mpc.proof.refute import catches_refuted, refutation_of, stated
 from orbimpc_ros.tool import bags, files
@@ -126,7 +126,8 @@ def _file(path: Path, args: argparse.Namespace) -> TickVerdict:
 
 def _is_of(known: Any, case: Case) -> bool:
     """Return whether a certificate is of a problem, a state and goals."""
-    made = statement(*case)
+    written = document.statement if known.get('format') == document.FORMAT else statement
+    made = written(*case)
     if 'refuted' in known:
         known = {**known, 'refuted': {**known['refuted'], 'trees': []}}
         made = stated(Sought(*case, radius=known['refuted'].get('radius', 0.0))).document()
@@ -136,7 +137,7 @@ def _is_of(known: Any, case: Case) -> bool:
 
 
 def _verified(tick: int | None, known: Any) -> TickVerdict:
-    verdict = verifier.verified(known)
+    verdict = document.verified(known)
     catch = 'radius' in known.get('refuted', ())
     outcome = HOLDS if verdict.holds else FAILS
     of = CATCH if catch else COST
@@ -282,7 +283,7 @@ def _as_published(row: TickVerdict, known: Any) -> TickVerdict:
 def _certified(
     row: TickVerdict,
     args: argparse.Namespace,
-    make: Callable[[], Iterable[Certificate | Refutation]],
+    make: Callable[[], Iterable[document.Certificate | Refutation]],
 ) -> TickVerdict:
     """Return what becomes of a claim whose certificate is made now: the first that holds."""
     made, found = None, row
@@ -294,6 +295,9 @@ def _certified(
                 found = row._replace(outcome=NONE, words=f'no certificate: refused: {error}')
             if found.outcome == HOLDS:
                 break
+            if found.outcome == FAILS:  # no trajectory is known to cost less
+                words = f'no certificate: another search proves {found.proved!r}'
+                found = found._replace(outcome=NONE, words=words)
     except Unproved as error:
         return row._replace(outcome=NONE, words=str(error))
     if args.out and made is not None:
@@ -301,7 +305,7 @@ def _certified(
     return found
 
 
-def _write(folder: Path, row: TickVerdict, made: Certificate | Refutation) -> None:
+def _write(folder: Path, row: TickVerdict, made: document.Certificate | Refutation) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     text, name = made.text() + '\n', f'tick_{row.tick:05d}{"_catch" * (row.of == CATCH)}.json'
     write_whole(folder / name, lambda file: file.write_text(text))

@@ -48,7 +48,7 @@ class Patch(Cell):
     little else: what it allows below the floor vanishes with the square of the patch's size.
 
     Attributes:
-        corners: unit vectors, shape (n, n), one per row; two span an arc, three a triangle.
+        corners: directions, shape (n, n), one per row; two span an arc, three a triangle.
         floor: radius of the sphere.
     """
 
@@ -57,11 +57,12 @@ class Patch(Cell):
 
     @classmethod
     def over(cls, corners: Array, floor: float) -> Patch:
-        """Return the patch over the cone of unit corners, shape (n, n)."""
-        # The direction that is equally near to all corners: M c = 1 for corners in the rows of M.
-        centre = np.linalg.solve(corners, np.ones(len(corners)))
+        """Return the patch over the cone of corners, shape (n, n)."""
+        # The direction that is equally near to all corners: M c = 1 for unit corners in M's rows.
+        units = corners / np.linalg.norm(corners, axis=1, keepdims=True)
+        centre = np.linalg.solve(units, np.ones(len(units)))
         centre /= np.linalg.norm(centre)
-        return cls(sealed(centre), floor * float((corners @ centre).min()), corners, floor)
+        return cls(sealed(centre), floor * float((units @ centre).min()), corners, floor)
 
     def parts(self) -> tuple[Patch, ...]:
         """Return the halves of an arc, or the four triangles between a triangle's midpoints.
@@ -70,10 +71,10 @@ class Patch(Cell):
         """
         if np.ptp(self.corners, axis=0).max() < FINEST:
             return ()
-        middles = self.corners + np.roll(self.corners, -1, axis=0)
-        middles /= np.linalg.norm(middles, axis=1, keepdims=True)
+        middles = 0.5 * (self.corners + np.roll(self.corners, -1, axis=0))
         if len(self.corners) == 2:
             a, b = self.corners
+            middles /= np.linalg.norm(middles[0])  # halves of angles, not of chords
             pieces = [[a, middles[0]], [middles[0], b]]
         else:
             a, b, c = self.corners

@@ -7,7 +7,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Box, Floor, Problem
-from orbimpc_ros.mpc.proof.recount import Recount
+from orbimpc_ros.mpc.proof.verify import Verifier
 from orbimpc_ros.mpc.solve.annulus_newton import AnnulusNewton
 from orbimpc_ros.mpc.solve.hull_riccati import HullRiccati
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
@@ -26,7 +26,7 @@ def round_floors() -> None:
 
 def the_rest() -> None:
     """Compile all else."""
-    Recount(Problem()).expect_choices()
+    Verifier(Problem())
     HullRiccati(Problem(), 1e-6)
     PolygonSearch(Problem(floor=Floor('polygon')), 1e-6)
     SO3Multipliers(Problem(dimension=3))

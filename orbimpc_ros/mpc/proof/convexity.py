@@ -16,10 +16,56 @@ from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.kernels.annulus import mirror, reflect
 from orbimpc_ros.mpc.kernels.linear import solve_spd
 from orbimpc_ros.mpc.proof.grounds import Tangent
-from orbimpc_ros.mpc.proof.slopes import lack
 
 LEAST = 1e-9  # of the largest curvature, on the null space: the weight grows as it falls
 SPARE = 2.0  # times the least weight that makes convex
+SHIFT = 1e-15  # a step: of the largest curvature, what rounding may hide of another
+GROWTH, HALVINGS = 16.0, 8  # of shifts that are tried for want of convexity
+
+
+@compiled
+def _is_convex(hessian, bends, unit, e, factor):
+    """Return whether Hessian, bends and e I are positive definite, by Cholesky's method."""
+    for i in range(len(hessian)):
+        for j in range(i + 1):
+            total = hessian[i, j]
+            if i == j:
+                total += unit * bends[i] + e
+            for m in range(j):
+                total -= factor[i, m] * factor[j, m]
+            if i > j:
+                factor[i, j] = total / factor[j, j]
+            elif total > 0.0:
+                factor[i, i] = np.sqrt(total)
+            else:
+                return False
+    return True
+
+
+@compiled
+def lack(hessian, bends, unit):
+    """Return an e >= 0 such that Hessian, bends and e I are positive semidefinite; inf for none."""
+    top, count = 0.0, len(hessian)
+    for k in range(count):
+        top = max(top, np.abs(hessian[k]).max() + unit * abs(bends[k]))
+    if top == 0.0:
+        return 0.0
+    factor = np.empty(hessian.shape)
+    rounding = SHIFT * count * top
+    e = rounding
+    while not _is_convex(hessian, bends, unit, e, factor):
+        if not e < count * top:  # from where on the diagonal dominates, unless there are NaN
+            return np.inf
+        e *= GROWTH
+    if e > rounding:
+        least = e / GROWTH
+        for _ in range(HALVINGS):
+            middle = np.sqrt(least * e)
+            if _is_convex(hessian, bends, unit, middle, factor):
+                e = middle
+            else:
+                least = middle
+    return e + rounding
 
 
 @compiled

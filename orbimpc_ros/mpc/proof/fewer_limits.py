@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from orbimpc_ros.mpc.problem import Approach, Ball, Floor, Problem, State
+from orbimpc_ros.mpc.problem import Ball, Floor, Problem, State
 
 
 def with_statable_limits(problem: Problem, state: State) -> tuple[Problem, State]:
@@ -29,13 +29,3 @@ def with_statable_limits(problem: Problem, state: State) -> tuple[Problem, State
     moving = tuple(each for each in state.hazards if planar or not isinstance(each.body, Ball))
     fewer = replace(problem, floor=floor, max_rate=rate, max_acceleration=pace, obstacles=bodies)
     return fewer, replace(state, hazards=moving)
-
-
-def with_provable_limits(problem: Problem, state: State) -> tuple[Problem, State]:
-    """Return a problem, and what moves, with those limits only that bounds are proved with."""
-    fewer, state = with_statable_limits(problem, state)
-    fewer = replace(fewer, max_acceleration=0.0)
-    if problem.rotation_order == 1:
-        return fewer, state
-    fewer = replace(fewer, obstacles=(), tilt=0.0, glide_slope=0.0, approach=Approach())
-    return fewer, replace(state, hazards=())

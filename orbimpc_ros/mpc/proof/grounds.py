@@ -14,7 +14,6 @@ from orbimpc_ros.mpc.arrays import Array
 
 LEAF = -1  # in the place of the step that a node is split by
 NO_PULLS, NO_STIFFNESS = np.zeros((0, 0)), np.zeros(0)
-NO_LEANS = NO_WAYS = np.zeros((0, 0, 0))
 
 
 class Grounds(NamedTuple):
@@ -47,49 +46,6 @@ class Grounds(NamedTuple):
     stiffness: Array = NO_STIFFNESS
 
 
-class ChoiceGrounds(NamedTuple):
-    """A tree of choices in arrays: beyond which faces headings are, on which sides bodies.
-
-    Node 0 stands for all trajectories. A node that is not split is a leaf, and has a tangent to
-    the cost with what holds there added, by multipliers, or multipliers that prove it empty. They
-    are in natural units. Which choices there are, and what their sides ask for, is for whoever
-    counts the bound again to say (:mod:`orbimpc_ros.mpc.proof.sides`).
-
-    Attributes:
-        splits: the choice that a node is split by, ``LEAF`` of leaves, shape (T,).
-        parts: the first of a node's parts, which the others follow, shape (T,).
-        counts: how many parts there are; sides that nothing reaches have none, shape (T,).
-        levels: how often the quarter of a circle was halved that a node is of, shape (T,).
-        sides: which it is then, from the x axis on, or which side or face, shape (T,).
-        points: where the tangents of the leaves touch, shape (L, N, n).
-        empty: which of the leaves nothing is in, shape (L,).
-        ends: where the multipliers of each leaf end, shape (L,).
-        holders: nodes whose side a row belongs to; 0 for what always holds, shape (E,).
-        rows: which of its rows, shape (E,).
-        presses: their multipliers, >= 0, shape (E,).
-        tethers: multipliers of how far R e1 moves in a step, shape (L, K, n).
-        leans: multipliers of what lies in cones, vectors that come to no less than nothing with
-            all of a cone, shape (L, C, n).
-        ways: over SO(3), along which a length is at least what it counts, no longer than 1, shape
-            (L, N, n); none where no length is told of.
-    """
-
-    splits: np.ndarray
-    parts: np.ndarray
-    counts: np.ndarray
-    levels: np.ndarray
-    sides: np.ndarray
-    points: Array
-    empty: np.ndarray
-    ends: np.ndarray
-    holders: np.ndarray
-    rows: np.ndarray
-    presses: Array
-    tethers: Array
-    leans: Array = NO_LEANS
-    ways: Array = NO_WAYS
-
-
 class Tangent(NamedTuple):
     """A tangent to the cost that needs no split, over SO(3) or with what pulls at its end.
 
@@ -113,65 +69,7 @@ class Tangent(NamedTuple):
     ways: Array
 
 
-Left = ChoiceGrounds | Grounds | Tangent  # by a method, of what its bound rests on
-
-
-def is_array(value: object, kind: type, *shape: int) -> bool:
-    """Return whether a value is an array that machine code may go through, of a kind and shape."""
-    return (
-        isinstance(value, np.ndarray)
-        and value.dtype == kind
-        and value.shape == shape
-        and value.flags.c_contiguous
-    )
-
-
-def fits(left: Left, count: int, n: int, width: int) -> bool:
-    """Return whether what a method left is arrays of a problem's kinds and shapes.
-
-    Args:
-        left: by the method.
-        count: N.
-        n: dimension.
-        width: how many coordinates of a rotation the cost sees.
-    """
-    if isinstance(left, Tangent):
-        sizes = (left.point, (count, width)), (left.bends, (count,)), (left.tops, (count,))
-        told = (left.pull, np.shape(left.pull)[:1]), (left.ways, (count, n))
-        return all(is_array(each, float, *shape) for each, shape in (*sizes, *told))
-    nodes = len(left.splits)
-    if not (nodes and is_array(left.parts, np.int64, nodes)):
-        return False
-    if not is_array(left.splits, np.int64, nodes) or (left.parts[left.splits >= 0] >= nodes).any():
-        return False
-    if isinstance(left, Grounds):
-        cells = (left.points, (nodes, count, width)), (left.bends, (nodes, count))
-        along = (left.angles, (nodes,)), (left.origins, (count,))
-        pulls = (
-            (left.pulls, np.shape(left.pulls)[:2]),
-            (left.stiffness, np.shape(left.stiffness)[:1]),
-        )
-        return all(is_array(each, float, *shape) for each, shape in (*cells, *along, *pulls))
-    leaves, rows, words = (
-        len(left.points),
-        len(left.presses),
-        (left.counts, left.levels, left.sides),
-    )
-    tied, leant = (np.shape(each)[1:2] or (0,) for each in (left.tethers, left.leans))
-    numbers = (
-        (left.points, (leaves, count, width)),
-        (left.presses, (rows,)),
-        (left.tethers, (leaves, *tied, n)),
-        (left.leans, (leaves, *leant, n) if np.size(left.leans) else (0, 0, 0)),
-        (left.ways, (leaves, count, n) if np.size(left.ways) else (0, 0, 0)),
-    )
-    return (
-        all(is_array(each, np.int64, nodes) for each in words)
-        and is_array(left.empty, bool, leaves)
-        and is_array(left.ends, np.int64, leaves)
-        and all(is_array(each, np.int64, rows) for each in (left.holders, left.rows))
-        and all(is_array(each, float, *shape) for each, shape in numbers)
-    )
+Left = Grounds | Tangent  # by a method, of what its bound rests on
 
 
 UNSPLIT = np.array([LEAF])

@@ -1,7 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""What no headings lead to, by positions that are rolled out step by step.
-
-None of the maps of the methods is used.
+"""What no headings lead to.
 
 Mathematics: docs/mathematics.md, (7.10b).
 """
@@ -11,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.model.dynamics import translation_rollout
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.choices import SURE
-from orbimpc_ros.mpc.proof.sides import Sides
-from orbimpc_ros.mpc.proof.slopes import terms_of
+
+SURE = 1e-12  # by so much more than can be reached is surely out of reach
 
 
 class Reach:
@@ -25,8 +23,8 @@ class Reach:
     """
 
     def __init__(self, problem: Problem) -> None:
-        self._sides, self._unit = Sides(problem, terms_of(problem)), problem.length_unit
-        self._ends = slice(problem.horizon, 2 * problem.horizon)  # of steps, among places
+        self._problem, self._unit = problem, problem.length_unit
+        self._reach = np.abs(problem.maps.reach[:, 1:]).sum(axis=1) / self._unit
 
     def misses(self, state: State, goals: Array, radius: float) -> np.ndarray:
         """Return of which steps the end is surely not within a radius of the goal, shape (N,).
@@ -36,8 +34,10 @@ class Reach:
             goals: g_1..g_N, shape (N, n) [m].
             radius: of a catch [m].
         """
-        places = self._sides.places(state)
-        free, reach = places.free[self._ends], np.abs(places.maps[self._ends]).sum(axis=1)
+        still = np.zeros((len(goals) + 1, len(state.position)))
+        still[0] = state.rotation[:, 0]
+        flown, _ = translation_rollout(self._problem, state, still)
+        free, reach = (flown[1:] - state.position) / self._unit, self._reach
         here, wanted, near = (each / self._unit for each in (state.position, goals, radius))
         off = wanted - here - free
         sizes = np.abs(here).sum() + (np.abs(wanted) + np.abs(free)).sum(axis=1)

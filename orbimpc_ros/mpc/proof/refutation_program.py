@@ -19,9 +19,9 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.model import dynamics
+from orbimpc_ros.mpc.model.dynamics import drift
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.certificate import Leaf
-from orbimpc_ros.mpc.proof.stationary import arrival_of
 from orbimpc_ros.mpc.proof.verifier.limits import GlideSlope, Tether
 from orbimpc_ros.mpc.proof.verifier.regions import Region, Sector
 from orbimpc_ros.mpc.proof.verifier.stated import StatedProblem
@@ -42,7 +42,7 @@ class Motion(NamedTuple):
         reach: what each adds to each, shape (N, N) [m].
         goals: g_1..g_N, shape (N, n) [m].
         arrival: what each adds to s_N and p_N, and what these then come to: see
-            :func:`~orbimpc_ros.mpc.proof.stationary.arrival_of`.
+            :func:`arrival_of`.
         unit: of lengths [m].
         step: of times [s].
     """
@@ -302,6 +302,23 @@ class RefutationProgram:
             np.zeros((count, self._posed.width)), None, pull.ravel(),
             presses=presses, slides=slides, meets=meets,
         )  # fmt: skip
+
+
+def arrival_of(problem: Problem, state: State, goals: Array) -> tuple[Array, Array]:
+    """Return what each heading adds to s_N and p_N, shape (m, N), and what they are to come to.
+
+    m is 0 where a plan does not have to arrive, else 1, or 2 with inertia; the latter is (m, n).
+    """
+    if problem.terminal != 'constraint':
+        return np.zeros((0, problem.horizon)), np.zeros((0, problem.dimension))
+    maps, first = problem.maps, state.rotation[:, 0]
+    rows = [maps.reach[-1]]
+    left = [goals[-1] - drift(problem, state)[-1]]
+    if problem.inertial:
+        rows.append(maps.pushed[-1])
+        left.append(-maps.carried[-1] * state.velocity - maps.hastened[-1] * state.disturbance)
+    every = np.array(rows)
+    return every[:, 1:], np.array(left) - np.outer(every[:, 0], first)
 
 
 def _narrow(region: Region) -> list[tuple[int, Sector]]:

@@ -51,10 +51,10 @@ class Region(NamedTuple):
 
 
 class Order(NamedTuple):
-    """Of steps that can be exchanged: whether they are in that of their directions, from where."""
+    """From where directions are counted, and whether steps that can be exchanged are in order."""
 
     ordered: bool
-    origin: Any
+    origins: Any
 
 
 @generic
@@ -62,7 +62,7 @@ def begin(root, sets, is_free, order, part, span):
     """Set what is known of all trajectories: parts, shape (C,), spans, shape (C, 2).
 
     Returns:
-        ``HELD``; ``GONE`` if there are none; ``WRONG`` if steps have no order.
+        ``HELD``; ``GONE`` if there are none; ``WRONG`` if steps have no such order or origins.
     """
     count = root.span.shape[1]
     part[:] = WHOLE
@@ -74,12 +74,16 @@ def begin(root, sets, is_free, order, part, span):
             return GONE
         if root.turn >= 0:
             part[k] = 0
-    if order.ordered:
-        if root.exchanged == 0:
+    if len(order.origins) > 0:
+        if root.turn >= 0:
             return WRONG
-        for k in range(root.exchanged):
-            part[k] = 0
-            span[k, 0], span[k, 1] = order.origin, order.origin + sets.full
+        for k in range(count):
+            part[k], span[k, 0], span[k, 1] = 0, order.origins[k], order.origins[k] + sets.full
+    for k in range(1, root.exchanged if order.ordered else 0):
+        if span[k, 0] != span[0, 0] or part[k] == WHOLE:
+            return WRONG
+    if order.ordered and root.exchanged == 0:
+        return WRONG
     return HELD if _aimed(root, sets, is_free, part, span) else GONE
 
 

@@ -29,6 +29,7 @@ from orbimpc_ros.mpc.proof.tree import POINTS
 NARROW = 1e-9  # [rad] by which what is treated as below half a turn, or a turn, is
 WIDER = 1e-12  # [rad] by which sectors are wider than they are stated, for rounding of angles
 ROUNDING = 1e-15  # of a chord
+INWARD = 1.0 - 1e-12  # of a speed, for rounding
 UNTURNED = math.pi - 1e-9  # [rad] a turn limit that is as good as none
 FREE, SEGMENT, POINT = range(3)  # what R_1 may be
 SPEEDS = 'none', 'circle', 'polygon'  # floors whose least speeds are known
@@ -319,6 +320,11 @@ class Statement:
             entry, change = number(limits.entry), number(limits.change)
             span[2] = np.maximum(span[2], entry - steps * change)
             span[3] = np.minimum(span[3], entry + steps * change)
+        if problem.floor.shape == 'polygon' and state.coasted is not None:
+            n, axis = problem.dimension, self._rows(state.coasted[:, 0])
+            along = max(self._rows(normals(n, problem.floor.faces)) @ axis)
+            if problem.rotation_order == 2 and 0 < along < 1:  # on its way the faces are farther
+                span[2, 0] = max(span[2, 0], number(self._least) / along * number(INWARD))
         aim, aside = number(0), number(-1)
         for each in cones if problem.dimension == 2 else ():  # of the approach, the only one
             aim, aside = number(math.atan2(each.axis[1], each.axis[0])), number(each.angle)
@@ -407,9 +413,8 @@ class Statement:
         if limits.glide_slope:
             known[:, n] = self._rows(limits.eased)
             slope = direction(number(limits.glide_slope))[::-1]
-        angles = n == 2 and problem.turns_are_angles
         chord = number(-1)
-        if problem.max_rate and not angles:
+        if problem.max_rate:
             chord = number(problem.chord) + number(ROUNDING)
         arrives = (1 + problem.inertial) * (problem.terminal == 'constraint')
         begun = int(problem.first_turn_is_decided)

@@ -24,6 +24,8 @@ from orbimpc_ros.mpc.problem.units import Units
 LEAF, ARCS, CUT, SPEED, FACES, PATCHES, QUARTERS, SIDES, EMPTY = range(9)
 POINTS = 4  # control points of a step that a side of a body has rows of, at most
 
+NOWHERE: Array = np.zeros(0)
+
 
 class ProofTree(NamedTuple):
     """A tree in arrays: M nodes, L leaves.
@@ -38,15 +40,17 @@ class ProofTree(NamedTuple):
         point: where tangents touch, shape (L, N, d).
         shor: b_k, curvature of the cost that step k keeps for itself, shape (L, N).
         press_end: where the multipliers of rows of each leaf end in the arrays below, shape (L,).
-        press_row: 4 (choice - 2 N) + i, of control point i on the side of a choice, shape (P,).
+        press_row: 4 (choice - 2 N) + i, of control point i on the side of a choice, shape (P,);
+            4 N J more, of J bodies, for each level above the leaf where that side is known.
         press: their multipliers, >= 0, shape (P,).
         pull: multipliers of an arrival s_N = g_N (and p_N = 0), shape (L, m, n); (0, 0, 0) without.
         slide: of the glide slope, shape (L, N, 3) or (0, 0, 0).
         tether: of how far R e1 moves in a step, shape (L, N, n) or (0, 0, 0).
         share: what of a step's slope is held by the limits on R e1 alone, (L, N, n) or (0, 0, 0).
         meet: of s_N within a radius of g_N, shape (L, n) or (0, 0).
+        origins: from where directions of headings are counted, once around, shape (N,) [rad]; (0,)
+            where attitudes say so, or none are cut before they are split into arcs.
         ordered: whether steps that can be exchanged are in the order of their directions.
-        origin: from where these are counted then [rad].
     """
 
     nodes: np.ndarray
@@ -61,8 +65,8 @@ class ProofTree(NamedTuple):
     tether: Array
     share: Array
     meet: Array
+    origins: Array = NOWHERE
     ordered: bool = False
-    origin: float = 0.0
 
 
 INTEGERS = 'nodes', 'press_end', 'press_row'
@@ -123,6 +127,9 @@ def fits(tree: ProofTree, horizon: int, n: int, width: int, arrives: int) -> boo
     shapes |= {'press_end': (leaves,), 'press_row': np.shape(tree.press)[:1]}
     shapes |= {'press': np.shape(tree.press)[:1], 'shor': (leaves, horizon)}
     shapes |= {'point': (leaves, horizon, width), 'meet': (leaves, n)}
+    shapes |= {'origins': (len(tree.origins),)}
+    if len(tree.origins) not in (0, horizon):
+        return False
     rows = {'pull': (arrives, n), 'slide': (horizon, 3), 'tether': (horizon, n)}
     shapes |= {name: (leaves, *rows.get(name, (horizon, n))) for name in MULTIPLIERS}
     for name, shape in shapes.items():

@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.kernels import compiled
+from orbimpc_ros.mpc.kernels import COMPILED, compiled
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.bound import PROVED, REFUTED, Leaves, Sections, Work, tree_bound
-from orbimpc_ros.mpc.proof.limits import Limits, limits_of
+from orbimpc_ros.mpc.proof.limits import NO_LIMITS, Limits, limits_of
 from orbimpc_ros.mpc.proof.splits import ICOSAHEDRON, Allowed, Order, Region, depths_of
 from orbimpc_ros.mpc.proof.stated import FREE, Stated, Statement
-from orbimpc_ros.mpc.proof.tree import ProofTree, fits
+from orbimpc_ros.mpc.proof.tree import ProofTree, fits, one
 
 MOST = 1 << 24  # numbers of a region
 HOSTILE = ArithmeticError, ValueError  # of numbers that are none, or far too large
@@ -41,6 +41,11 @@ class Verifier:
         self._statement = Statement(problem)
         self._work = _work(problem, self._statement.width, float)
         self._region = _region(1, 2 * problem.horizon, problem.dimension, float)
+        if COMPILED:  # the first call loads machine code: at start-up, not in a tick
+            n, count = problem.dimension, problem.horizon
+            start, leaf = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n)), np.zeros(count)
+            still = one(np.zeros((count, self._statement.width)), leaf)
+            self._bound(start, np.zeros((count, n)), still, NO_LIMITS)
 
     def bound(self, state: State, goals: Array, tree: ProofTree) -> float:
         """Return a cost that no trajectory undercuts; -inf if a tree proves none.
@@ -52,8 +57,12 @@ class Verifier:
             goals: g_1..g_N, shape (N, n) [m].
             tree: in the units of the problem.
         """
+        limits = limits_of(self._statement.problem, state, goals)
+        return self._bound(state, goals, tree, limits)
+
+    def _bound(self, state: State, goals: Array, tree: ProofTree, limits: Limits) -> float:
         problem = self._statement.problem
-        stated = self._statement.of(state, goals, limits_of(problem, state, goals))
+        stated = self._statement.of(state, goals, limits)
         if not fits(tree, problem.horizon, stated.n, stated.width, stated.ends.arrives):
             return -math.inf
         depth = np.empty(len(tree.nodes), np.int64)
@@ -124,11 +133,18 @@ def _parts(stated: Stated, tree: Any) -> tuple:
         forces = known[0] if len(known) == 1 else np.concatenate(known, axis=1)
     rows = tree.press_end, tree.press_row, tree.press
     leaves = Leaves(tree.point, tree.shor, *rows, np.ascontiguousarray(forces))
-    return allowed, Order(tree.ordered, tree.origin), tree.nodes, tree.at, leaves, Sections(*begins)
+    return (
+        allowed,
+        Order(tree.ordered, tree.origins),
+        tree.nodes,
+        tree.at,
+        leaves,
+        Sections(*begins),
+    )
 
 
 def _in_fractions(tree: ProofTree) -> Any:
-    numbers: dict[str, Any] = {'origin': Fraction(tree.origin)}
+    numbers: dict[str, Any] = {}
     for name, value in tree._asdict().items():
         if isinstance(value, np.ndarray) and value.dtype == float:
             made = np.empty(value.shape, object)

@@ -8,19 +8,16 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from fractions import Fraction
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.separation import separation
-from orbimpc_ros.mpc.proof.certificate import Leaf, Tree, split_into
-from orbimpc_ros.mpc.proof.part_program import Answer, PartProgram
-from orbimpc_ros.mpc.proof.verifier.bound import bound
 from orbimpc_ros.mpc.proof.verifier.motion import Place
 from orbimpc_ros.mpc.proof.verifier.regions import Region
-from orbimpc_ros.mpc.proof.verifier.splits import beside, root, side_of
+from orbimpc_ros.mpc.proof.verifier.splits import side_of
 from orbimpc_ros.mpc.proof.verifier.stated import StatedProblem
 from orbimpc_ros.mpc.proof.verifier.walls import BoxWall, DiscWall
 
@@ -30,76 +27,6 @@ LEAST = 1e-9  # of a curvature
 Choice = tuple[float, int, int, float | None]  # a promise, a wall, a step, an angle
 NEAR, ROUNDS = Fraction(1, 10**5), 4  # of the target, from where on digits are refined; so often
 SIZES = 1e3, 1e5, 1e8, 1e1, 1.0  # of multipliers that say that nothing is feasible, in turn
-
-
-class WallProof:
-    """Depth first over the sides of boxes and discs, until each part costs enough.
-
-    Args:
-        program: of parts.
-        posed: the problem, which says what a leaf proves.
-        stated: returns a leaf in the user's units, as the format has it.
-        unit: of lengths [m].
-        target: the bound to prove, in the user's units.
-        out_of_time: polled before each part; True gives up.
-    """
-
-    most = 2000  # leaves
-    origins = None  # no directions are split
-
-    def __init__(
-        self,
-        program: PartProgram,
-        posed: StatedProblem,
-        stated: Callable[[Leaf], dict],
-        unit: float,
-        target: float,
-        out_of_time: Callable[[], bool],
-    ) -> None:
-        self._late = out_of_time
-        self._program, self._posed, self._stated = program, posed, stated
-        self._splits = WallSplits(posed, program.curvatures, unit)
-        self._target, self._leaves = Fraction(target), 0
-
-    def tree(self) -> Tree | None:
-        """Return splits and leaves that prove the target; None where that takes too many."""
-        return self._proved(root(self._posed, None))
-
-    def _proved(self, region: Region) -> Tree | None:
-        if self._late():
-            return None
-        answer = self._program.answer(region)
-        for leaf, worth in self._tried(region, answer):
-            if worth >= self._target:
-                self._leaves += 1
-                return leaf if self._leaves <= self.most else None
-        if not answer.feasible:
-            return None
-        found = self._splits.best(region, self._program.axes(answer.x))
-        if found is None:
-            return None
-        _, wall, k, at = found
-        parts = beside(self._posed, region, k, wall, at)
-        return split_into(map(self._proved, parts), k + 1, at, wall)
-
-    def _tried(self, region: Region, answer: Answer) -> Iterator[tuple[Leaf, Fraction]]:
-        """Yield tangents of a region, better ones as long as it is digits that they lack."""
-        if not answer.feasible:
-            for size in SIZES:
-                yield self._weighed(region, self._program.refutation(region, answer.held, size))
-            return
-        leaf, worth = self._weighed(region, self._program.leaf(region, answer))
-        yield leaf, worth
-        for _ in range(ROUNDS if answer.held.factors else 0):
-            if worth < self._target * (1 - NEAR):
-                return
-            answer = self._program.polished(region, answer)
-            leaf, worth = self._weighed(region, self._program.leaf(region, answer))
-            yield leaf, worth
-
-    def _weighed(self, region: Region, leaf: Leaf) -> tuple[Leaf, Fraction]:
-        """Return a leaf with what it proves."""
-        return leaf, bound(self._posed, self._stated(leaf), region)
 
 
 class WallSplits:

@@ -303,7 +303,9 @@ class AnnulusNewton:
         )
         best = other if other.cost < found.cost else found
         known = replace(found, x=best.x, cost=best.cost)
-        return _raised(known, other.lower_bound, other.nodes, other.grounds)
+        raised = _raised(known, other.lower_bound, other.nodes)
+        better = other.lower_bound > found.lower_bound
+        return replace(raised, proof=other.proof) if better else raised
 
 
 def _long_hull(problem: Problem, tolerance: float) -> HullRiccati | None:
@@ -320,7 +322,7 @@ def _raised(found: Found, bound: float, nodes: int = 0, grounds: Left | None = N
     """Return what was found with a bound that may be better, after so many more nodes."""
     nodes += found.nodes
     if bound > found.lower_bound:
-        return replace(found, lower_bound=bound, nodes=nodes, grounds=grounds)
+        return replace(found, lower_bound=bound, nodes=nodes, grounds=grounds, proof=None)
     return replace(found, nodes=nodes)
 
 

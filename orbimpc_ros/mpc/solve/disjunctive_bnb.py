@@ -22,11 +22,10 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
-from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.model.trajectory import trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.traffic import Traffic, traffic_of
-from orbimpc_ros.mpc.proof.grounds import Left
+from orbimpc_ros.mpc.proof.tree import ProofTree
 from orbimpc_ros.mpc.solve.branching import (
     Branch,
     Branching,
@@ -35,7 +34,6 @@ from orbimpc_ros.mpc.solve.branching import (
     steps_are_exchangeable,
     unraised,
 )
-from orbimpc_ros.mpc.solve.choice_nodes import TELLING
 from orbimpc_ros.mpc.solve.choice_tree import ChoiceTree
 from orbimpc_ros.mpc.solve.disjunction import Slot, disjunctions_of
 from orbimpc_ros.mpc.solve.dives import Dives
@@ -52,6 +50,8 @@ from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 from orbimpc_ros.mpc.solve.turns import Turns
 
 NEAR = 0.05  # a round floor missed by less is worth a dive
+NOTHING = 'no trajectory satisfies the constraints'
+TELLING = 20  # times as long as a leaf is verified it takes to write it down
 MAX_NODES = 20_000
 HALFWAY = (
     50.0  # times the tolerance, where many cells cost alike: half of the gap counted as proved
@@ -118,36 +118,37 @@ class DisjunctiveSearch:
         planar = [] if self._plane is None else [self._plane.way(request)]
         return run.run(planar, () if traffic is None else self._ways(request, traffic, planar))
 
-    def _tree(self, posed: Posed) -> ChoiceTree | None:
-        """Return what notes the grounds of a search; None where its relaxations' are not known."""
-        if not ChoiceTree.tells(self.problem):
-            return None
-        return ChoiceTree(posed, self.program, self._inverse)
+    def _tree(self, posed: Posed) -> ChoiceTree:
+        """Return what writes the proof of a search."""
+        return ChoiceTree(posed, self.program, self._inverse, ordered=self._exchangeable)
 
     def _relaxed(self, request: Request) -> Found:
         """Return the optimum of the one relaxation that is all of the problem."""
-        state, goals, relaxed = request.state, request.goals, self.program.relax(request)
+        state, goals = request.state, request.goals
+        try:
+            relaxed = self.program.relax(request)
+        except Infeasible:
+            raise Infeasible(NOTHING, self._root(request, empty=True)) from None
         if relaxed.x is None:
             return Found(None, np.inf, relaxed.bound, 1)
         trajectory = trajectory_of(self.problem, state, goals, relaxed.x)
-        found = Found(relaxed.x, trajectory.cost, relaxed.bound, 1, grounds=relaxed.grounds)
+        found = Found(relaxed.x, trajectory.cost, relaxed.bound, 1, proof=relaxed.proof)
         # What was solved to the end needs no second look, which costs a quarter of a tick.
         solved = abs(found.gap) <= self.tolerance and not request.late
         accurate = arrives if solved else is_accurate
         if not accurate(self.problem, goals, trajectory):
             return Found(None, np.inf, relaxed.bound, 1)
-        known = found.grounds
+        known = found.proof
         if self._tangent is not None:
             known = self._tangent.at(request, relaxed.x, relaxed.bound)
-        return replace(found, grounds=self._root(request) if known is None else known)
+        return replace(found, proof=self._root(request) if known is None else known)
 
-    def _root(self, request: Request) -> Left | None:
+    def _root(self, request: Request, *, empty: bool = False) -> ProofTree | None:
         """Return what the bound of a relaxation rests on where nothing is left to choose."""
-        tree = self._tree(Posed(self.problem, self.program, (), self.turns, request))
-        if tree is None or not COMPILED:  # whose multipliers are not as good
-            return None
-        tree.solved(0)
-        return tree.grounds()
+        posed = Posed(self.problem, self.program, (), self.turns, request)
+        tree = self._tree(posed)
+        tree.solved(0, posed.undecided, empty=empty)
+        return tree.proof()
 
     def _ways(self, request: Request, traffic: Traffic, planar: list[Array]) -> Iterator[Array]:
         """Yield headings R_1 e1..R_N e1, shape (N, n), of ways to start from.
@@ -191,7 +192,7 @@ class _Run:
         posed: what is searched.
         branching: how nodes are branched on.
         tolerance: relative gap at which it stops.
-        tree: notes what bounds rest on; None where that is not known but for what relaxations say.
+        tree: writes the proof.
     """
 
     def __init__(
@@ -199,7 +200,7 @@ class _Run:
         posed: Posed,
         branching: Branching,
         tolerance: float,
-        tree: ChoiceTree | None,
+        tree: ChoiceTree,
     ) -> None:
         self._posed, self._branching = posed, branching
         self._tree = tree
@@ -234,22 +235,18 @@ class _Run:
             self._expand(heapq.heappop(self._open))
         lower = min([self._closed, best.cost, *(node.bound for node in self._open)])
         if lower == np.inf:
-            raise Infeasible('no trajectory satisfies the constraints: every branch is infeasible')
-        return Found(best.x, best.cost, lower, posed.solved, grounds=self._grounds(lower))
+            raise Infeasible(NOTHING, self._tree.proof())
+        return Found(best.x, best.cost, lower, posed.solved, proof=self._proof(lower))
 
-    def _grounds(self, lower: float) -> Left | None:
-        """Return what a bound rests on: the tree, or its root where that is as good."""
-        tree, root, known = self._tree, self._root, None
-        if root is not None and root.bound >= lower - self._tolerance * abs(lower):
-            known = root.grounds
-        if tree is None or (known is not None and self._posed.has_patches):
-            return known
-        request = self._posed.request
-        if request.leaves_time_for(TELLING * tree.leaves):
-            told = tree.grounds()
-        else:
-            told = known or tree.grounds(AFTERWARDS // (TELLING * len(request.goals)))
-        return known if told is None else told
+    def _proof(self, lower: float) -> ProofTree | None:
+        """Return what proves a bound: the tree, or its root where that is as good."""
+        root = self._root
+        if root is not None and root.bound >= lower - self._tolerance * abs(lower) and root.proof:
+            return root.proof
+        request, count = self._posed.request, len(self._posed.request.goals)
+        if request.leaves_time_for(TELLING * self._tree.leaves):
+            return self._tree.proof()
+        return self._tree.proof(AFTERWARDS // (TELLING * count))
 
     @property
     def _limit(self) -> float:
@@ -267,9 +264,9 @@ class _Run:
         try:
             relaxed = posed.relax(choice)
         except Infeasible:
-            if posed.solved == 1:
-                raise
             self._note(node, empty=True)
+            if posed.solved == 1:
+                raise Infeasible(NOTHING, self._tree.proof()) from None
             return
         if self._root is None:
             self._root = relaxed
@@ -297,8 +294,7 @@ class _Run:
         self._part(node, branch)
 
     def _note(self, node: _Node, *, better: bool = True, empty: bool = False) -> None:
-        if self._tree is not None:
-            self._tree.solved(node.number, better=better, empty=empty)
+        self._tree.solved(node.number, node.choice, better=better, empty=empty)
 
     def _give_up(self, node: _Node, bound: float) -> None:
         """Close a node that was not solved, unless it is the root, whose parts may be."""
@@ -310,9 +306,7 @@ class _Run:
     def _part(self, node: _Node, branch: Branch) -> None:
         """Put the parts of a node among those that are open."""
         before, after = node.choice[: branch.split], node.choice[branch.split + 1 :]
-        numbers = range(len(branch.cells))
-        if self._tree is not None:
-            numbers = self._tree.split(node.number, branch)
+        numbers = self._tree.split(node.number, node.choice, branch)
         for number, cell, bound in zip(numbers, branch.cells, branch.bounds.tolist(), strict=True):
             self._push((*before, cell, *after), bound, number)
 

@@ -17,7 +17,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.model.condensed import Condensed, knowns, suits_dense_code
 from orbimpc_ros.mpc.model.cost import length_weights
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.proof.grounds import Tangent
+from orbimpc_ros.mpc.proof.tree import ProofTree, one
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.unconstrained import thrust_axis
 
@@ -56,7 +56,7 @@ class HullTangent:
             and suits_dense_code(problem)
         )
 
-    def at(self, request: Request, x: Array, bound: float) -> Tangent | None:
+    def at(self, request: Request, x: Array, bound: float) -> ProofTree | None:
         """Return the tangent that proves a plan's bound; None where it would prove less.
 
         Args:
@@ -79,8 +79,8 @@ class HullTangent:
         proved = constant + float(np.vdot(point, rising) + least.sum())
         if not proved >= bound - ENOUGH * abs(bound):
             return None
-        none = np.zeros(len(x))
-        return Tangent(point, none, pull.ravel(), 0.0, none, np.zeros(x.shape))
+        pulls = {'pull': pull} if len(pull) else {}
+        return one(point, np.zeros(len(x)), **pulls)
 
     def _lowest(
         self, request: Request, first: Array, q: Array, forces: Array

@@ -285,7 +285,6 @@ class Program:
         tied = -1 - self.problem.horizon - np.arange(self.chords)
         outward = duals.tethers / np.maximum(tensions, TINY)[:, None]
         normals = np.zeros((len(rows), self.problem.dimension))  # none of half-spaces
-        has_ways = self._seen == 9 and self.problem.weights.length > 0.0
         return Multipliers(
             np.asarray(answer.x)[self._statement.x[:, : self._seen]],
             np.concatenate([rows, tied]),
@@ -294,7 +293,7 @@ class Program:
             duals.pull,
             duals.leans,
             duals.props,
-            duals.ways if has_ways else NO_CONES,
+            duals.ways if self.problem.weights.length else NO_CONES,
         )
 
 

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""What the bound of a search among boxes in space rests on, read off its tree.
+"""The proof of a search among boxes in space, read off its tree.
 
 A node that was solved has its own multipliers. One that was not has those of the node that it is a
 part of, and one step along the row of its own that raises the bound the most.
@@ -13,39 +13,40 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels.half_spaces import MADE, NODES, PRECISION, Choices, SideTree, Space
-from orbimpc_ros.mpc.proof.grounds import Left
-from orbimpc_ros.mpc.solve.choice_nodes import ChoiceNodes, TreeLeaf
-
-Row = tuple[int, int, Array, float]  # which of a side's, its place, normal and offset
+from orbimpc_ros.mpc.proof.tree import EMPTY, FACES, POINTS, SIDES, ProofTree
+from orbimpc_ros.mpc.solve.proof_nodes import Held, Node, Row, tree_of
 
 
-class SideGrounds:
-    """Reads the grounds of one search.
+class SideProof:
+    """Reads the proof of one search.
 
     Args:
         space: the quadratic that was searched.
         choices: that were to be made.
         tree: of the search.
+        boxes: how many there are.
     """
 
-    def __init__(self, space: Space, choices: Choices, tree: SideTree) -> None:
+    def __init__(self, space: Space, choices: Choices, tree: SideTree, boxes: int) -> None:
         self._space, self._choices, self._tree = space, choices, tree
+        self._count = len(space.start)
+        self._faces = int((choices.places[:, 0] < self._count).sum())
+        self._each = (len(choices.first) - self._faces) // boxes
         self._solves = int(tree.counts[NODES])
-        self._nodes, self._sides = ChoiceNodes(), [0]
-        self._leaves: dict[int, TreeLeaf] = {}
+        self._nodes, self._sides = [Node({}, 0)], [dict[int, int]()]
+        self._leaves: dict[int, Held] = {}
 
-    def grounds(self) -> Left:
-        """Return all that the bound rests on."""
+    def proof(self) -> ProofTree:
+        """Return the proof."""
         made, nodes = self._children(), {0: 0}
         for solve in range(1, self._solves + 1):
             t = nodes[int(self._tree.made[solve])]
             self._leaves[t] = own = self._own(solve, t)
             group = int(self._tree.split[solve])
             if group >= 0:
+                del self._leaves[t]
                 self._part(t, group, own, made.get(solve, {}), nodes)
-        leaves = [self._leaves[t] for t in self._nodes.leaves]
-        sides = np.array([[0] * len(self._sides), self._sides], np.int64)
-        return self._nodes.grounds(sides, leaves)
+        return tree_of(self._nodes, dict(sorted(self._leaves.items())))
 
     def _children(self) -> dict[int, dict[int, int]]:
         """Return the nodes that were made, by the solve they are a part of, and by their side."""
@@ -58,68 +59,65 @@ class SideGrounds:
             found.setdefault(solve, {})[side] = node
         return found
 
-    def _own(self, solve: int, t: int) -> TreeLeaf:
+    def _own(self, solve: int, t: int) -> Held:
         """Return what a solve proves of a node."""
-        tree, presses = self._tree, []
-        empty = bool(tree.bounds[solve] == np.inf)
-        for group, holder in self._nodes.holders[t].items():
+        tree, empty = self._tree, bool(self._tree.bounds[solve] == np.inf)
+        held = self._blank(tree.lowest[solve].copy(), empty=empty)
+        for group, side in self._sides[t].items():
             for i, size in enumerate(tree.pressed[solve, group].tolist()):
                 if size > 0.0:
-                    presses.append((holder, i, size))
-        return TreeLeaf(tree.lowest[solve].copy(), tuple(presses), np.zeros((0, 3)), empty)
+                    held = held.pressed(self._row(group, side, i), size)
+        return held
+
+    def _blank(self, point: Array, *, empty: bool) -> Held:
+        none, ends = np.zeros((self._count, 3)), np.zeros((0, 3))
+        return Held(point, none, (), none, (ends, none, none), empty)
+
+    def _choice_of(self, group: int) -> int:
+        """Return the number that proofs have for a choice."""
+        places = self._choices.places[group]
+        if group < self._faces:
+            return int(places[0])
+        box = (group - self._faces) // self._each
+        return (2 + box) * self._count + int(places[places >= 0][-1]) - self._count
 
     def _part(
-        self, t: int, group: int, own: TreeLeaf, made: dict[int, int], nodes: dict[int, int]
+        self, t: int, group: int, own: Held, made: dict[int, int], nodes: dict[int, int]
     ) -> None:
-        """Add the parts of a node, but for those that nothing reaches."""
-        reached = [
-            side
-            for side in range(int(self._choices.sizes[group]))
-            if side in made or not self._is_out_of_reach(group, side)
-        ]
-        self._sides += reached
-        places = places_of(self._space, own.point[:, :3])
-        for number, side in zip(self._nodes.part(t, group, len(reached)), reached, strict=True):
-            self._leaves[number] = self._raised(number, group, side, own, places)
+        """Add the parts of a node."""
+        node, first, count = self._nodes[t], len(self._nodes), int(self._choices.sizes[group])
+        node.kind = FACES if group < self._faces else SIDES
+        node.choice, node.first, node.count = self._choice_of(group), first, count
+        inverse = self._space.inverse[0, : self._count, : self._count]
+        for side in range(count):
+            self._nodes.append(Node({}, 0))
+            self._sides.append({**self._sides[t], group: side})
+            number, rows = first + side, self._rows(group, side)
+            beyond = max(rows, key=lambda row: row.offset - np.abs(row.shares).sum())
             if side in made:
                 nodes[made[side]] = number
+            elif group >= self._faces and beyond.offset - np.abs(beyond.shares).sum() > PRECISION:
+                held = self._blank(np.zeros((self._count, 9)), empty=True)
+                self._nodes[number].kind = EMPTY
+                self._leaves[number] = held.pressed(beyond, 1.0)
+                continue
+            free = [row for row in rows if row.shares.any()]
+            self._leaves[number] = own.raised(free, inverse) if free else own
 
     def _rows(self, group: int, side: int) -> list[Row]:
-        choices = self._choices
-        cell = int(choices.first[group]) + side
+        places = self._choices.places[group]
+        return [self._row(group, side, i) for i in range(len(places)) if places[i] >= 0]
+
+    def _row(self, group: int, side: int, i: int) -> Row:
+        choices, cell = self._choices, int(self._choices.first[group]) + side
         normal, offset = choices.normals[cell], float(choices.offsets[cell])
-        places = [(i, int(place)) for i, place in enumerate(choices.places[group]) if place >= 0]
-        return [(i, place, normal, offset) for i, place in places]
-
-    def _is_out_of_reach(self, group: int, side: int) -> bool:
-        space, count = self._space, len(self._space.start)
-        return any(
-            offset - space.farthest[place - count] - normal @ space.coasting[place - count]
-            > PRECISION
-            for _, place, normal, offset in self._rows(group, side)
-            if place >= count
-        )
-
-    def _raised(self, number: int, group: int, side: int, own: TreeLeaf, places: Array) -> TreeLeaf:
-        """Return what is proved of a part by what is of the whole, and a step along a row.
-
-        Args:
-            number: of the part.
-            group: that it has chosen for.
-            side: that it has chosen.
-            own: what is proved of the whole.
-            places: where that is, shape (2N, 3).
-        """
-        inverse, best, known = self._space.inverse[0], 0.0, own
-        for i, place, normal, offset in self._rows(group, side):
-            curvature, short = float(inverse[place, place]), offset - float(normal @ places[place])
-            if not (short > 0.0 and curvature > 0.0):
-                continue
-            step = short / curvature
-            if 0.5 * short * step > best:
-                best, column = 0.5 * short * step, inverse[: len(own.point), place]
-                known = own.raised((number, i, step), column, normal)
-        return known
+        place = int(choices.places[group, i])
+        if place < self._count:
+            return Row(-1, place, np.eye(self._count)[place], normal, offset)
+        step = place - self._count
+        number = POINTS * (self._choice_of(group) - 2 * self._count) + i
+        offset -= float(normal @ self._space.coasting[step])
+        return Row(number, -1, self._space.reach[step], normal, offset)
 
 
 def places_of(space: Space, headings: Array) -> Array:

@@ -32,7 +32,7 @@ from orbimpc_ros.mpc.model.cost import (
     wanted_coordinates,
 )
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.grounds import Tangent
+from orbimpc_ros.mpc.proof.tree import ProofTree, one
 from orbimpc_ros.mpc.solve.disjunction import Slot
 from orbimpc_ros.mpc.solve.relaxation import (
     NO_CONES,
@@ -214,9 +214,9 @@ class SO3Multipliers:
                 bound = float(progress.numbers[BEST])
                 self.multipliers = self._told(request, imposed)
             if status == SETTLED:
-                grounds = None if imposed else self._grounds(request)
+                tree = None if imposed else self._proof(request)
                 proved = self._proved(bound)
-                return Relaxation(self._rotations(progress.x), proved, grounds=grounds)
+                return Relaxation(self._rotations(progress.x), proved, proof=tree)
             self._held = multipliers(self._places, 0)  # what was held misled: once more without
             if request.late:
                 break
@@ -265,16 +265,17 @@ class SO3Multipliers:
         assert not isinstance(slot, Point)  # of which this has none
         return self._slots[slot].step - 1 - self._given + self._coasting
 
-    def _grounds(self, request: Request) -> Tangent:
-        """Return what the last solve's bound rests on: its Lagrangian's tangent where it is least.
+    def _proof(self, request: Request) -> ProofTree:
+        """Return the last solve's bound as a proof: its Lagrangian's tangent where it is least.
 
         What an arrival pulls at is what is left of the slopes there.
         """
-        point, tops = self._lowest(), self._of_all(self._work.tops)
-        pull, ways = self._pull(request, point), self._ways
-        if not len(ways):
-            ways = np.zeros((len(point), 3))
-        return Tangent(point, np.zeros(len(point)), pull, 0.0, tops, ways)
+        point, multipliers = self._lowest(), dict[str, Array]()
+        if self._pulls is not None:
+            multipliers['pull'] = self._pull(request, point).reshape(-1, 3)
+        if len(self._ways):
+            multipliers['share'] = -length_weights(self.problem)[1:, None] * self._ways
+        return one(point, np.zeros(len(point)), **multipliers)
 
     def _lowest(self) -> Array:
         """Return where the last Lagrangian is least, shape (N, 9)."""

@@ -23,8 +23,10 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.feasibility import beyond_reach, reason
 from orbimpc_ros.mpc.problem.reach import clear_of_hazards
 from orbimpc_ros.mpc.problem.units import Units
-from orbimpc_ros.mpc.proof.grounds import ChoiceGrounds, Grounds, Left, Tangent
-from orbimpc_ros.mpc.proof.recount import Recount
+from orbimpc_ros.mpc.proof.from_grounds import tree_from
+from orbimpc_ros.mpc.proof.stated import SPEEDS
+from orbimpc_ros.mpc.proof.tree import ProofTree, in_users_units
+from orbimpc_ros.mpc.proof.verify import Verifier
 from orbimpc_ros.mpc.solve.registry import method_among, method_for
 from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Method, Request, countable
 from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
@@ -81,7 +83,7 @@ class Solver:
         self.problem = problem
         self._projection, self._tolerance = projection, gap_tolerance
         self._units, self._patient = Units.of(problem), patient
-        self._recount = Recount(problem) if Recount.reads(problem) else None
+        self._verifier = Verifier(problem) if problem.floor.shape in SPEEDS else None
         self._wants_attitude = problem.wants_attitude
         self._coasting = coasting and problem.rotation_order == 2
         tolerance = SEARCH_SHARE * gap_tolerance
@@ -220,8 +222,6 @@ class Solver:
             self._among = method_among(
                 self._units.problem, SEARCH_SHARE * self._tolerance, coasting=self._coasting
             )
-            if self._recount is not None:
-                self._recount.expect_choices()
 
     def _method_for(self, state: State) -> Method:
         """Return the method for a state: where something moves, the general one."""
@@ -252,34 +252,28 @@ class Solver:
         Where the method says what the bound rests on, what that comes to is what is proved, as
         far as there is time to count it.
         """
-        cost, grounds = self._units.cost, self._posed(found.grounds)
-        if grounds is not None and not countable(_headings(grounds), query.out_of_time):
-            grounds = None
-        bound = cost * float(found.lower_bound)
-        known = bound if 0.0 < bound < np.inf else 0.0
-        checked = known == 0.0
-        recount = self._recount
-        if known and grounds is not None and recount is not None and recount.knows(grounds):
-            again = recount.bound(query.searched, query.goals, grounds, cost, known)
-            known, checked = max(0.0, min(known, again)), True
-        known *= 1.0 - OUTWARD
-        return Proof(known, found.nodes, self._tolerance, cost, found.reason, checked, grounds)
+        cost, bound, checked = self._units.cost, self._units.cost * found.lower_bound, False
+        tree = self._tree(query, found)
+        if tree is not None and self._verifier is not None:
+            proved = self._verifier.bound(query.searched, query.goals, tree)
+            checked = -np.inf < proved < np.inf
+            bound, tree = (proved, tree) if checked else (bound, None)
+        else:
+            tree = None
+        bound = min(bound, cost * found.cost)  # which may miss constraints by rounding
+        known = float(bound) if 0.0 < bound < np.inf else 0.0
+        known, checked = known * (1.0 - OUTWARD), checked or known == 0.0
+        return Proof(known, found.nodes, self._tolerance, cost, found.reason, checked, tree)
 
-    def _posed(self, grounds: Left | None) -> Left | None:
-        """Return grounds as those of the problem as it was posed, but for what is beside splits."""
-        units = self._units
-        stiff = units.cost / units.length**2
-        if isinstance(grounds, Tangent):
-            return grounds._replace(
-                bends=units.cost * grounds.bends,
-                pull=units.pulls(grounds.pull),
-                stiffness=stiff * grounds.stiffness,
-                tops=units.cost * grounds.tops,
-            )
-        if isinstance(grounds, Grounds) and len(grounds.pulls):
-            pulls = units.pulls(grounds.pulls)
-            return grounds._replace(pulls=pulls, stiffness=stiff * grounds.stiffness)
-        return grounds
+    def _tree(self, query: _Query, found: Found) -> ProofTree | None:
+        """Return what proves a bound, in the problem's own units, if there is time to verify it."""
+        units, tree, left = self._units, found.proof, found.grounds
+        if tree is None and left is not None:
+            known = units.problem, units.state(query.searched), units.lengths(query.goals)
+            tree = tree_from(*known, left)
+        if tree is None or not countable(tree.shor.size, query.out_of_time):
+            return None
+        return in_users_units(tree, units)
 
     def _instead(self, query: _Query, found: Found, failure: OrbimpcError) -> Plan:
         """Return the cheapest of the plans that can stand in for one that was not found."""
@@ -331,9 +325,3 @@ def _objective(plan: Plan) -> float:
 
 def _joined(*words: str) -> str:
     return '; '.join(filter(None, words))
-
-
-def _headings(grounds: Left) -> int:
-    """Return how many headings all tangents have."""
-    each = grounds.points[..., 0] if isinstance(grounds, ChoiceGrounds) else grounds.bends
-    return each.size

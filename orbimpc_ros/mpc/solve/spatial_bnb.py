@@ -18,7 +18,6 @@ from orbimpc_ros.mpc.kernels.annulus import SLICE
 from orbimpc_ros.mpc.kernels.half_spaces import (
     DONE,
     LEAST,
-    MADE,
     NODES,
     STALLS,
     VALUE,
@@ -38,11 +37,10 @@ from orbimpc_ros.mpc.model.cost import (
     wanted_coordinates,
 )
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.solve.choice_nodes import TELLING
 from orbimpc_ros.mpc.solve.disjunction import Disjunction, disjunctions_of
 from orbimpc_ros.mpc.solve.general import General
 from orbimpc_ros.mpc.solve.request import Found, Request
-from orbimpc_ros.mpc.solve.side_tree import SideGrounds, places_of
+from orbimpc_ros.mpc.solve.side_tree import SideProof, places_of
 from orbimpc_ros.mpc.solve.so3_multipliers import CANCELLED, ROUNDING, USUAL
 from orbimpc_ros.mpc.solve.unconstrained import other_axes, thrust_axis
 
@@ -112,10 +110,8 @@ class SpatialSearch:
         if not settled and not request.hurried:
             return self._general.solve(request._replace(guess=None))
         found = self._found(settled)
-        if not request.leaves_time_for(TELLING * int(self._tree.counts[MADE])):
-            return found
-        grounds = SideGrounds(self._space, self._choices, self._tree).grounds()
-        return replace(found, grounds=grounds)
+        known = self._space, self._choices, self._tree, len(self._problem.boxes)
+        return replace(found, proof=SideProof(*known).proof())
 
     def _begin(self, request: Request) -> None:
         """Begin a search: work out what depends on state and goals alone."""
