@@ -7,7 +7,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LINES = {
-    'orbimpc_ros': 44_830,
+    'orbimpc_ros': 44_835,
     'orbimpc_ros/mpc': 24_010,
     'orbimpc_ros/loop': 4_550,
     'orbimpc_ros/ros': 5_300,
