@@ -265,14 +265,14 @@ def test_a_solver_does_not_count_what_its_method_was_just_in_time_to_tell(monkey
         calls.append(True)
         return told
 
-    found, told = cell_tree.CellSearch.grounds.fget, False
+    found, told = cell_tree.CellSearch.proof.fget, False
 
-    def grounds(search):
+    def proof_of(search):
         nonlocal told
         told = True
         return found(search)
 
-    monkeypatch.setattr(cell_tree.CellSearch, 'grounds', property(grounds))
+    monkeypatch.setattr(cell_tree.CellSearch, 'proof', property(proof_of))
     proof = solver.solve(start, targets, out_of_time=out_of_time).proof
     assert (proof.checked, proof.tree) == (False, None)
     assert proof.lower_bound > 0.0

@@ -404,8 +404,8 @@ def search(quad, table, constant, tolerance, tree, room, work):
 
 
 @compiled
-def grounds_of(quad, table, tree):
-    """Return what the bound of a search rests on; see :mod:`orbimpc_ros.mpc.proof.grounds`.
+def splits_of(quad, table, tree):
+    """Return the tree of a search; see :class:`orbimpc_ros.mpc.solve.split_tree.Splits`.
 
     A node that was solved has its Lagrangian's minimiser for a point. One that was not has its
     parent's, one dual step along its own row farther: what its bound was taken from.

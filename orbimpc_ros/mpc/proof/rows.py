@@ -112,8 +112,6 @@ def pressed(motion, sets, bodies, region, depth, leaves, begun, leaf, work):
     value, size, normal = 0 * sets.full, 0 * sets.full, work.vectors[0]
     count, degree, flown = len(work.slopes), motion.degree, work.flown
     end, n, rows = leaves.press_end[leaf], work.flown.shape[2], POINTS * count * len(bodies.of)
-    if not 0 <= begun <= end <= len(leaves.press):
-        return value, size, False
     for e in range(begun, end):
         y, row = leaves.press[e], leaves.press_row[e]
         if not (y >= 0 and 0 <= row < rows * (depth + 1)):

@@ -16,14 +16,15 @@ from orbimpc_ros.mpc.kernels.active_set import (
     Quadratic,
     begin_cells,
     dive,
-    grounds_of,
     search,
+    splits_of,
     tree,
 )
 from orbimpc_ros.mpc.kernels.annulus import SLICE
 from orbimpc_ros.mpc.kernels.best_first import DONE, FULL, LEAST, NODES, STALLS, VALUE
 from orbimpc_ros.mpc.model.condensed import regular
-from orbimpc_ros.mpc.proof.grounds import Grounds
+from orbimpc_ros.mpc.proof.tree import ProofTree
+from orbimpc_ros.mpc.solve.split_tree import Splits
 
 FEW = 200  # nodes until a search pauses first
 DIVE = 15 * SLICE  # multiplications of a dive: one comes after the deadline
@@ -106,11 +107,12 @@ class CellSearch:
         return 1 + len(self._table.bounds) * self.nodes
 
     @property
-    def grounds(self) -> Grounds:
-        """Return what the bound rests on."""
-        splits, parts, points = grounds_of(self._quadratic, self._table, self._tree)
-        by_cells, straight = np.full(len(splits), np.nan), np.zeros(points.shape[:2])
-        return Grounds(splits, parts, by_cells, points, straight, np.zeros(points.shape[1]))
+    def proof(self) -> ProofTree:
+        """Return the tree that proves the bound."""
+        splits, parts, points = splits_of(self._quadratic, self._table, self._tree)
+        return Splits(splits, parts, np.full(len(splits), np.nan), points).proof(
+            len(self._table.bounds)
+        )
 
     def dive(self) -> None:
         """Look for headings that satisfy the floor near the last relaxation's."""

@@ -91,5 +91,5 @@ class PolygonSearch:
         """Return the best of a search, with the bound that it has proved."""
         search = self._search
         cost = float(quadratic(self._condensed.hessian, q, search.best)) + constant
-        grounds = search.grounds if request.leaves_time_for(search.tangents) else None
-        return Found(search.best, cost, search.bound + constant, search.nodes, grounds=grounds)
+        proof = search.proof if request.leaves_time_for(search.tangents) else None
+        return Found(search.best, cost, search.bound + constant, search.nodes, proof=proof)

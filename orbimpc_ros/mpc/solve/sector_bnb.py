@@ -26,8 +26,9 @@ from orbimpc_ros.mpc.model.condensed import Condensed, regular
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.approach import LEEWAY
 from orbimpc_ros.mpc.problem.pace import entry_speed
-from orbimpc_ros.mpc.proof.grounds import Grounds
+from orbimpc_ros.mpc.proof.tree import ProofTree
 from orbimpc_ros.mpc.solve.request import Found, Request
+from orbimpc_ros.mpc.solve.split_tree import NOWHERE, TURN, Splits, with_ways_round
 
 LONGEST = 120  # horizon; up to it a search proves in a tick what sparse solves do not
 ROOM = 600_000  # nodes times steps that there is memory for
@@ -102,9 +103,8 @@ class SectorSearch:
             if request.enough.met(self._found(constant)):
                 break
         made = int(tree.counts[MADE])
-        in_time = request.leaves_time_for(made)
-        grounds = self._grounds(made, first - math.pi) if in_time else None
-        return replace(self._found(constant), grounds=grounds)
+        proof = self._proof(made, first, last) if request.leaves_time_for(made) else None
+        return replace(self._found(constant), proof=proof)
 
     def _last(self, state: State) -> tuple[float, float]:
         """Return the direction of the last heading, and the angle it may be off by [rad]."""
@@ -120,11 +120,17 @@ class SectorSearch:
         bound = float(numbers[LEAST]) - self._excess + constant
         return Found(best, cost, bound, int(self._tree.counts[NODES]))
 
-    def _grounds(self, made: int, origin: float) -> Grounds:
-        """Return what the bound rests on; without a turn limit directions begin at an origin."""
-        tree = self._tree
-        straight, origins = np.zeros((made, len(tree.x))), np.full(len(tree.x), origin)
-        splits, parts, angles = tree.splits[:made], tree.parts[:made], tree.angles[:made]
-        return Grounds(
-            splits.copy(), parts.copy(), angles.copy(), tree.points[:made].copy(), straight, origins
-        )
+    def _proof(self, made: int, heading: float, last: tuple[float, float]) -> ProofTree:
+        """Return the tree of a search from a heading on, to a last one within an angle [rad]."""
+        tree, turn, steps = self._tree, self._floor[2], len(self._hessian)
+        known = tree.splits[:made], tree.parts[:made], tree.angles[:made], tree.points[:made]
+        splits = Splits(*(each.copy() for each in known))
+        if turn >= HALF:  # directions begin opposite to the heading
+            return splits.proof(origins=np.full(steps, heading - math.pi))
+        proof, (axis, aside) = splits.proof(origins=NOWHERE), last
+        if not self._approach.exists:
+            return proof
+        reach = steps * turn + aside
+        first = math.ceil((heading - reach - axis) / TURN)
+        ways = math.floor((heading + reach - axis) / TURN) - first + 1
+        return with_ways_round(proof, ways, axis + TURN * first) if ways > 1 else proof
